@@ -1,0 +1,1 @@
+"""Hardware abstraction: volts and counts, and nothing of muscles."""

@@ -1,0 +1,79 @@
+"""The interface every rig implements, and the one page to read before adding one.
+
+A rig knows volts and counts; it knows nothing of muscles. To add one: write a
+class with the six methods of `Rig`, run `tests/test_rig_contract.py` over it,
+and name it in the composition root (`pamctl/realtime/assembly.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import NamedTuple, Protocol
+
+
+class RawSample(NamedTuple):
+    """What the converters said within one tick, and when they said it.
+
+    Times are on the rig's monotonic clock, in ns; each channel has its own,
+    because on a multiplexed card they are not taken at the same instant.
+    """
+
+    pressure_v: float
+    encoder_counts: int
+    pressure_t_ns: int
+    encoder_t_ns: int
+
+
+class RigError(Exception):
+    """The device failed or is not there. The message says what, where and what to do."""
+
+    def __init__(self, what: str, *, fix: str = "", code: int | None = None) -> None:
+        """`fix` is an instruction to the user; `code` is the device's own error number."""
+        numbered = f"{what} (device error {code})" if code is not None else what
+        super().__init__(f"{numbered}; {fix}" if fix else numbered)
+        self.what = what
+        self.fix = fix
+        self.code = code
+
+
+class Rig(Protocol):
+    """One valve output, one pressure input, one encoder.
+
+    Every method may be called from one thread only. Methods raise `RigError`
+    and nothing else when the device fails, except `make_safe` and `close`,
+    which never raise.
+    """
+
+    def open(self) -> None:
+        """Acquire the device and drive the safe voltage before returning."""
+
+    def read(self) -> RawSample:
+        """Return one sample taken after this call began. Never return stale data: raise."""
+
+    def write(self, ao_v: float) -> float:
+        """Apply `ao_v` (V) before returning; return the volts really applied.
+
+        The rig clamps to its output range and quantises to its converter, and
+        refuses a value that is not finite.
+        """
+
+    def make_safe(self) -> None:
+        """Drive the safe voltage. Never raises, idempotent, legal in every state."""
+
+    def close(self) -> None:
+        """Make safe, then release the device. Never raises, idempotent."""
+
+    def describe(self) -> Mapping[str, object]:
+        """Name channels, ranges and units. Works before `open`; goes into the log."""
+
+
+@contextmanager
+def opened(rig: Rig) -> Iterator[Rig]:
+    """Open a rig, and leave it safe and closed on every path out of the block."""
+    try:
+        rig.open()
+        yield rig
+    finally:
+        rig.make_safe()
+        rig.close()

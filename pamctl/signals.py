@@ -1,0 +1,154 @@
+"""One type per stage of the tick, in the order in which they arise.
+
+    RawSample -> Measurement -> Estimate -> Command -> Decision -> TickRecord
+
+Every field carries its unit as a suffix. Field names are unique over all stages,
+because the flat list of them (`TICK_FIELDS`) is the row of the ring and the
+message of the log: there is no second list to keep in step. SI throughout;
+pressure is absolute; a contraction of the muscle is a positive displacement.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, get_type_hints
+
+from hal.rig import RawSample
+
+
+class Phase:
+    """What the loop is doing. Plain ints, so that kernels can compare them."""
+
+    HOMING = 0
+    APPROACH = 1
+    TRACK = 2
+    REST = 3
+    OPEN_LOOP = 4
+    STOPPING = 5
+
+    NAMES = ("homing", "approach", "track", "rest", "open_loop", "stopping")
+
+
+class Timing(NamedTuple):
+    """When this tick happened. Only `dt_s`, `late_s` and `missed` may steer the tick."""
+
+    tick: int
+    """Index on the grid of periods; a gap in it is a run of missed ticks."""
+    t_s: float
+    """Time of the encoder sample since the first tick."""
+    dt_s: float
+    """Measured time since the previous tick's encoder sample."""
+    late_s: float
+    """Wake-up behind the deadline; zero where there is no clock."""
+    missed: int
+    """Grid points skipped between the previous tick and this one."""
+
+
+class Measurement(NamedTuple):
+    """Calibrated sensor values."""
+
+    position_m: float
+    pressure_pa: float
+
+
+class Reference(NamedTuple):
+    """What is asked of the muscle: a motion, or, open loop, a valve command."""
+
+    phase: int
+    reference_m: float
+    reference_velocity_m_per_s: float
+    reference_acceleration_m_per_s2: float
+    reference_jerk_m_per_s3: float
+    reference_valve_v: float
+    """Open-loop valve command (-5..5 V, positive fills); not used in closed loop."""
+
+
+class Estimate(NamedTuple):
+    """Filtered signals. `error = position - reference`, the signs of Eq. 17."""
+
+    position_filtered_m: float
+    velocity_m_per_s: float
+    acceleration_m_per_s2: float
+    pressure_filtered_pa: float
+    error_m: float
+    error_rate_m_per_s: float
+    error_acceleration_m_per_s2: float
+
+
+class Command(NamedTuple):
+    """What the law asks for, and the terms it is made of."""
+
+    command_v: float
+    """Valve command u, -5..5 V: positive fills the muscle, negative exhausts it."""
+    surface_m_per_s2: float
+    """Sliding surface s of Eq. 11; NaN for laws without one."""
+    equivalent_v: float
+    """Share of u from the equivalent control (PID: proportional and derivative)."""
+    robust_v: float
+    """Share of u from the robust term u_rb (PID: the integral)."""
+    saturated: bool
+    """The law met its own command limit, and froze its integral."""
+
+
+class Decision(NamedTuple):
+    """What safety lets through to the valve, and why not more."""
+
+    valve_v: float
+    verdicts: int
+    """Bit set of `pamctl.safety.VERDICTS`: a bit for every clip and every trip."""
+    tripped: bool
+    """The run must end at the safe voltage."""
+
+
+class Outcome(NamedTuple):
+    """What really happened at the end of the tick."""
+
+    applied_v: float
+    """Analog output voltage the rig says it applied; NaN where the write failed."""
+    read_s: float
+    """How long the rig took to read; the three durations are zero where there is no clock."""
+    compute_s: float
+    """From the sample to the admitted command."""
+    write_s: float
+    """How long the rig took to write."""
+
+
+class Truth(NamedTuple):
+    """What only a simulated rig can know; NaN on hardware."""
+
+    true_position_m: float
+    true_pressure_pa: float
+
+
+class TickRecord(NamedTuple):
+    """All that is known of one tick: one row of the ring, one message of the log."""
+
+    timing: Timing
+    raw: RawSample
+    measurement: Measurement
+    reference: Reference
+    estimate: Estimate
+    command: Command
+    decision: Decision
+    outcome: Outcome
+    truth: Truth
+
+
+class Field(NamedTuple):
+    """One column of the log."""
+
+    name: str
+    kind: type
+    stage: str
+
+
+def _flatten(record: type) -> tuple[Field, ...]:
+    stages = get_type_hints(record)
+    return tuple(
+        Field(name, kind, stage)
+        for stage, signals in stages.items()
+        for name, kind in get_type_hints(signals).items()
+    )
+
+
+TICK_FIELDS: tuple[Field, ...] = _flatten(TickRecord)
+"""The columns of a tick in order: `int`, `float` or `bool` each."""

@@ -2,7 +2,7 @@
 
 A rig knows volts and counts; it knows nothing of muscles. To add one: write a
 class with the six methods of `Rig`, run `tests/test_rig_contract.py` over it,
-and name it in the composition root (`pamctl/realtime/assembly.py`).
+and name it in the composition root (`pamctl/cli/assembly.py`).
 """
 
 from __future__ import annotations

@@ -51,7 +51,10 @@ class Measurement(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """What is asked of the muscle: a motion, or, open loop, a valve command."""
+    """What is asked of the muscle: a motion, or, open loop, a valve command.
+
+    The one that is not asked for is NaN.
+    """
 
     phase: int
     reference_m: float
@@ -59,15 +62,13 @@ class Reference(NamedTuple):
     reference_acceleration_m_per_s2: float
     reference_jerk_m_per_s3: float
     reference_valve_v: float
-    """Open-loop valve command (-5..5 V, positive fills); not used in closed loop."""
+    """Open-loop valve command, -5..5 V, positive fills."""
 
 
 class Estimate(NamedTuple):
     """Filtered signals. `error = position - reference`, the signs of Eq. 17."""
 
     position_filtered_m: float
-    velocity_m_per_s: float
-    acceleration_m_per_s2: float
     pressure_filtered_pa: float
     error_m: float
     error_rate_m_per_s: float

@@ -1,0 +1,11 @@
+"""The base of every model that a user fills in from YAML."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Configured(BaseModel):
+    """Immutable; an unknown key, NaN or infinity is an error, never a silent default."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -1,0 +1,1 @@
+"""Reference trajectories, filters and control laws."""

@@ -1,0 +1,65 @@
+"""The valve's spool follows its command as a second-order system, not at once."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, EffectParameter
+
+
+class ValveSpool(NamedTuple):
+    """Lag of the spool. The paper's 109 Hz valve has a time constant of 1.46 ms."""
+
+    time_constant_s: float = 0.0
+    """1 / (2 pi natural frequency in Hz); 0 is a spool without mass."""
+    damping_ratio: float = 0.7
+
+
+def spool_step(
+    spool: ValveSpool, spool_v: float, rate_v_per_s: float, command_v: float, step_s: float
+) -> tuple[float, float]:
+    """Advance s'' = w^2 (u - s) - 2 zeta w s' exactly over a step of constant command.
+
+    Returns the spool's position, in volts of the command that would hold it there,
+    and its rate in V/s.
+    """
+    if spool.time_constant_s <= 0.0:
+        return command_v, 0.0
+    natural = 1.0 / spool.time_constant_s
+    decay_rate = spool.damping_ratio * natural
+    offset = spool_v - command_v
+    curvature = natural * natural - decay_rate * decay_rate
+    decay = math.exp(-decay_rate * step_s)
+    if curvature > 0.0:
+        ringing = math.sqrt(curvature)
+        swing = math.sin(ringing * step_s) / ringing
+        level = math.cos(ringing * step_s)
+    elif curvature < 0.0:
+        spread = math.sqrt(-curvature)
+        swing = math.sinh(spread * step_s) / spread
+        level = math.cosh(spread * step_s)
+    else:
+        swing = step_s
+        level = 1.0
+    push = rate_v_per_s + decay_rate * offset
+    position = command_v + decay * (offset * level + push * swing)
+    rate = decay * (
+        rate_v_per_s * level - (natural * natural * offset + decay_rate * rate_v_per_s) * swing
+    )
+    return position, rate
+
+
+DESCRIPTION = EffectDescription(
+    name="valve_spool",
+    block="pressure",
+    equation="s'' = w^2 (u - s) - 2 zeta w s',  A_v = K_Av s",
+    parameters=(
+        EffectParameter(
+            "time_constant_s", "s", 0.0, 0.0, 8e-3, 2e-4, "1 / natural angular frequency"
+        ),
+        EffectParameter("damping_ratio", "1", 0.7, 0.2, 2.0, 0.1, "damping of the spool"),
+    ),
+    signature="in the first milliseconds after every step of the command; grows with frequency",
+    best_experiment="chirp",
+)

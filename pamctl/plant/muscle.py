@@ -1,0 +1,29 @@
+"""Geometry of the braided muscle: length, volume and force area (Eq. 1 to 3)."""
+
+from __future__ import annotations
+
+import math
+
+from pamctl.plant.parameters import PlantParameters
+
+
+def volume_m3(p: PlantParameters, position_m: float) -> float:
+    """Volume V(x) of Eq. 2, with L = L_0 - x (Eq. 1)."""
+    length = p.rest_length_m - position_m
+    return length * (p.braid_length_m * p.braid_length_m - length * length) * p.volume_scale
+
+
+def force_area_m2(p: PlantParameters, position_m: float) -> float:
+    """A(x) = (3 L^2 - b^2) / (4 pi n^2): force per gauge pressure (Eq. 3), and dV/dx.
+
+    The paper writes P; it is read as gauge pressure, because with absolute pressure
+    the vented muscle would rest at 11.6 mm and could never reach the 6.4 mm set point.
+    """
+    length = p.rest_length_m - position_m
+    return (3.0 * length * length - p.braid_length_m * p.braid_length_m) * p.volume_scale
+
+
+def braid_lever_m(p: PlantParameters, position_m: float) -> float:
+    """b theta cos(theta) of Eq. 5, with cos(theta) = L / b: that is L arccos(L / b)."""
+    length = p.rest_length_m - position_m
+    return length * math.acos(length / p.braid_length_m)

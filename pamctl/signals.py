@@ -10,13 +10,14 @@ pressure is absolute; a contraction of the muscle is a positive displacement.
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import NamedTuple, get_type_hints
 
 from hal.rig import RawSample
 
 
-class Phase:
-    """What the loop is doing. Plain ints, so that kernels can compare them."""
+class Phase(IntEnum):
+    """What the loop is doing."""
 
     HOMING = 0
     APPROACH = 1
@@ -24,8 +25,6 @@ class Phase:
     REST = 3
     OPEN_LOOP = 4
     STOPPING = 5
-
-    NAMES = ("homing", "approach", "track", "rest", "open_loop", "stopping")
 
 
 class Timing(NamedTuple):

@@ -73,7 +73,7 @@ class PlantSettings(Configured):
 
     base: Annotated[Literal["paper"], Field(description="Eq. 1 to 9")] = "paper"
     parameters: MuscleParameters = MuscleParameters()
-    effects: EffectSettings = EffectSettings()  # type: ignore[valid-type]
+    effects: EffectSettings = EffectSettings()
 
 
 def plant_parameters(settings: PlantSettings) -> PlantParameters:

@@ -24,6 +24,6 @@ def force_area_m2(p: PlantParameters, position_m: float) -> float:
 
 
 def braid_lever_m(p: PlantParameters, position_m: float) -> float:
-    """b theta cos(theta) of Eq. 5, with cos(theta) = L / b: that is L arccos(L / b)."""
+    """B theta cos(theta) of Eq. 5, with cos(theta) = L / b: that is L arccos(L / b)."""
     length = p.rest_length_m - position_m
     return length * math.acos(length / p.braid_length_m)

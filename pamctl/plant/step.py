@@ -16,9 +16,7 @@ def plant_step(
     """Advance Eq. 9 by one step of second order under a constant valve command (V)."""
     spool = p.effects.valve_spool
     half_s = 0.5 * step_s
-    opening_v, rate = spool_step(
-        spool, state.spool_v, state.spool_rate_v_per_s, command_v, half_s
-    )
+    opening_v, rate = spool_step(spool, state.spool_v, state.spool_rate_v_per_s, command_v, half_s)
     spool_v, spool_rate = spool_step(spool, opening_v, rate, command_v, half_s)
 
     x, v, pressure = state.position_m, state.velocity_m_per_s, state.pressure_pa

@@ -12,9 +12,11 @@ def orifice_flow(p: PlantParameters, upstream_pa: float, downstream_pa: float) -
     ratio = downstream_pa / upstream_pa
     if ratio <= p.critical_ratio:
         return p.choked_flow_s_per_m * upstream_pa
-    # r^(1/gamma) sqrt(1 - r^((gamma-1)/gamma)), with one power: r^((gamma-1)/gamma) = r / r^(1/gamma)
-    throat = ratio**p.inverse_gamma
-    return p.unchoked_flow_s_per_m * upstream_pa * throat * math.sqrt(max(0.0, 1.0 - ratio / throat))
+    # r^(1/gamma) sqrt(1 - r^((gamma-1)/gamma)) with a single power, by
+    # r^((gamma-1)/gamma) = r / r^(1/gamma).
+    throat = math.pow(ratio, p.inverse_gamma)
+    drop = max(0.0, 1.0 - ratio / throat)
+    return p.unchoked_flow_s_per_m * upstream_pa * throat * math.sqrt(drop)
 
 
 def valve_flow(p: PlantParameters, opening_v: float, pressure_pa: float) -> float:

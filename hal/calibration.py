@@ -1,0 +1,100 @@
+"""Counts to metres, volts to pascals, command to output volts: pure and invertible.
+
+Chain of the paper's rig: an MPX5700GP pressure sensor (gauge, ratiometric), an EM2
+encoder decoded four times per cycle, and a D1 valve driver that takes 0 to 10 V with
+5 V as null. The functions on NamedTuples are kernels: plain scalar arithmetic.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
+
+from hal.configured import Configured
+
+
+class CalibrationSettings(Configured):
+    """How raw volts and counts relate to SI; defaults are the data sheets' nominal values."""
+
+    sensor_zero_v: Annotated[
+        float,
+        Field(ge=0.0, le=1.0, description="output at atmospheric pressure, refined by homing"),
+    ] = 0.2
+    sensor_zero_lowest_v: Annotated[float, Field(ge=0.0, le=1.0)] = 0.184
+    sensor_zero_highest_v: Annotated[
+        float, Field(ge=0.0, le=1.0, description="homing refuses a zero outside these two")
+    ] = 0.409
+    sensor_pa_per_v: Annotated[
+        float, Field(gt=0, description="MPX5700 at 5 V supply: 1 / (5 V x 1.2858e-6 1/Pa)")
+    ] = 1.0 / (5.0 * 1.2858e-6)
+    atmospheric_pressure_pa: Annotated[float, Field(gt=5e4, lt=1.2e5)] = 101.3e3
+    encoder_m_per_count: Annotated[
+        float, Field(gt=0, lt=1e-2, description="EM2, 2000 cycles an inch, X4: 25.4 mm / 8000")
+    ] = 25.4e-3 / 8000.0
+    encoder_sign: Annotated[
+        Literal[1, -1], Field(description="1 where counts rise as the muscle contracts, else -1")
+    ] = 1
+    driver_offset_v: Annotated[
+        float, Field(ge=-10, le=10, description="output voltage at which the valve is closed")
+    ] = 5.0
+    driver_gain: Annotated[float, Field(gt=0, le=10, description="output V per command V")] = 1.0
+
+
+class Calibration(NamedTuple):
+    """The same numbers for the kernels."""
+
+    sensor_pa_per_v: float
+    atmospheric_pressure_pa: float
+    encoder_m_per_count: float
+    """Signed: positive where counts rise as the muscle contracts."""
+    driver_offset_v: float
+    driver_gain: float
+
+
+class Zero(NamedTuple):
+    """What the sensors say of the vented muscle: taken anew by every homing."""
+
+    sensor_zero_v: float
+    encoder_zero_counts: float
+
+
+def calibration(settings: CalibrationSettings) -> Calibration:
+    """Turn settings into the numbers that the kernels use."""
+    return Calibration(
+        sensor_pa_per_v=settings.sensor_pa_per_v,
+        atmospheric_pressure_pa=settings.atmospheric_pressure_pa,
+        encoder_m_per_count=settings.encoder_m_per_count * settings.encoder_sign,
+        driver_offset_v=settings.driver_offset_v,
+        driver_gain=settings.driver_gain,
+    )
+
+
+def pressure_pa(cal: Calibration, zero: Zero, sensor_v: float) -> float:
+    """Absolute pressure from the sensor's voltage."""
+    return cal.atmospheric_pressure_pa + (sensor_v - zero.sensor_zero_v) * cal.sensor_pa_per_v
+
+
+def sensor_v(cal: Calibration, zero: Zero, pressure_pa: float) -> float:
+    """Voltage of the sensor at an absolute pressure: the inverse of `pressure_pa`."""
+    return zero.sensor_zero_v + (pressure_pa - cal.atmospheric_pressure_pa) / cal.sensor_pa_per_v
+
+
+def position_m(cal: Calibration, zero: Zero, counts: float) -> float:
+    """Displacement from the encoder's counts; contraction is positive."""
+    return (counts - zero.encoder_zero_counts) * cal.encoder_m_per_count
+
+
+def encoder_counts(cal: Calibration, zero: Zero, position_m: float) -> float:
+    """Counts, not yet rounded, at a displacement: the inverse of `position_m`."""
+    return zero.encoder_zero_counts + position_m / cal.encoder_m_per_count
+
+
+def output_v(cal: Calibration, valve_v: float) -> float:
+    """Output voltage that carries a valve command: 5 + u on the paper's driver."""
+    return cal.driver_offset_v + cal.driver_gain * valve_v
+
+
+def valve_v(cal: Calibration, output_v: float) -> float:
+    """Valve command that an output voltage carries: the inverse of `output_v`."""
+    return (output_v - cal.driver_offset_v) / cal.driver_gain

@@ -1,0 +1,21 @@
+"""What analog converters do to a voltage: clamp it to their range and round it to a code."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+
+class Converter(NamedTuple):
+    """An ideal bipolar 16-bit converter of a given full scale, as the PCI-6221's are."""
+
+    full_scale_v: float
+    levels: float = 65536.0
+
+
+def converted_v(converter: Converter, volts: float) -> float:
+    """Return the voltage of the nearest code; half a step below full scale at the most."""
+    step = 2.0 * converter.full_scale_v / converter.levels
+    code = math.floor(volts / step + 0.5)
+    lowest = -0.5 * converter.levels
+    return min(max(code, lowest), -lowest - 1.0) * step

@@ -1,0 +1,121 @@
+"""A rig that goes wrong on purpose, for tests and for rehearsals.
+
+Wraps any rig; each fault begins at the n-th read (or write) after opening.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from hal.configured import Configured
+from hal.rig import RawSample, Rig, RigError
+
+FaultKind = Literal[
+    "stuck_encoder",
+    "encoder_jump",
+    "reversed_encoder",
+    "pressure_nan",
+    "broken_wire",
+    "stale_sample",
+    "slow_read",
+    "read_error",
+    "write_error",
+    "device_lost",
+]
+
+
+class FaultSettings(Configured):
+    """One fault: from which tick on, for how many ticks, and how large."""
+
+    kind: FaultKind
+    from_tick: Annotated[int, Field(ge=0)]
+    ticks: Annotated[int, Field(ge=1)] = 1_000_000_000
+    size: Annotated[
+        float, Field(description="counts of an encoder_jump, seconds of a slow_read")
+    ] = 0.0
+
+
+class FaultyRig:
+    """Passes everything through to `inner`, except what its faults spoil."""
+
+    def __init__(
+        self,
+        inner: Rig,
+        faults: Sequence[FaultSettings],
+        *,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """`sleep` is how a slow read passes time."""
+        self._inner = inner
+        self._faults = tuple(faults)
+        self._sleep = sleep
+        self._reads = -1
+        self._first: dict[FaultKind, RawSample] = {}
+
+    def open(self) -> None:
+        """Open the inner rig; ticks are counted from here."""
+        self._inner.open()
+        self._reads = -1
+        self._first.clear()
+
+    def read(self) -> RawSample:
+        """Sample the inner rig and spoil what is due."""
+        self._reads += 1
+        self._fail_if_due("read_error", "device_lost")
+        sample = self._inner.read()
+        for fault in self._faults:
+            if self._is_due(fault):
+                sample = self._spoil(fault, sample)
+        return sample
+
+    def write(self, ao_v: float) -> float:
+        """Write to the inner rig unless the device is gone."""
+        self._fail_if_due("write_error", "device_lost")
+        return self._inner.write(ao_v)
+
+    def make_safe(self) -> None:
+        """Make the inner rig safe. A lost device is safe only because the inner one is real."""
+        self._inner.make_safe()
+
+    def close(self) -> None:
+        """Close the inner rig."""
+        self._inner.close()
+
+    def describe(self) -> Mapping[str, object]:
+        """Name the inner rig and the faults."""
+        return {**self._inner.describe(), "faults": [fault.model_dump() for fault in self._faults]}
+
+    def _is_due(self, fault: FaultSettings) -> bool:
+        return fault.from_tick <= self._reads < fault.from_tick + fault.ticks
+
+    def _fail_if_due(self, *kinds: FaultKind) -> None:
+        for fault in self._faults:
+            if fault.kind in kinds and self._is_due(fault):
+                raise RigError(
+                    f"{fault.kind} injected at tick {self._reads}", fix="remove the fault"
+                )
+
+    def _spoil(self, fault: FaultSettings, sample: RawSample) -> RawSample:
+        first = self._first.setdefault(fault.kind, sample)
+        match fault.kind:
+            case "stuck_encoder":
+                return sample._replace(encoder_counts=first.encoder_counts)
+            case "encoder_jump":
+                return sample._replace(encoder_counts=sample.encoder_counts + round(fault.size))
+            case "reversed_encoder":
+                return sample._replace(
+                    encoder_counts=2 * first.encoder_counts - sample.encoder_counts
+                )
+            case "pressure_nan":
+                return sample._replace(pressure_v=float("nan"))
+            case "broken_wire":
+                return sample._replace(pressure_v=0.0)
+            case "stale_sample":
+                return first
+            case "slow_read":
+                self._sleep(fault.size)
+        return sample

@@ -1,0 +1,155 @@
+"""Experiments: what is asked of the muscle over time, closed loop or open loop.
+
+An experiment file becomes a list of segments. Time runs from the end of homing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field, model_validator
+
+from hal.configured import Configured
+from pamctl.control.trajectory import rest_to_rest
+from pamctl.signals import Phase, Reference
+
+Duration = Annotated[float, Field(gt=0, le=86_400)]
+ValveVolts = Annotated[float, Field(ge=-5, le=5, description="V; positive fills")]
+
+
+class TrackingSettings(Configured):
+    """Square-like motion between two set points (Sec. VI-B), closed loop.
+
+    It begins with a smooth approach from the vented muscle and a settling time, which
+    the figures of merit leave out.
+    """
+
+    kind: Literal["tracking"]
+    offset_mm: Annotated[float, Field(ge=0, le=100)] = 11.8
+    amplitude_mm: Annotated[float, Field(ge=0, le=100)] = 5.4
+    transition_s: Duration = 5.0
+    rest_s: Annotated[float, Field(ge=0, le=86_400, description="at each end")] = 0.0
+    cycles: Annotated[int, Field(ge=1, le=100_000)] = 2
+    approach_s: Duration = 5.0
+    settle_s: Annotated[float, Field(ge=0, le=86_400)] = 2.0
+
+    @model_validator(mode="after")
+    def _above_vented(self) -> TrackingSettings:
+        if self.amplitude_mm > self.offset_mm:
+            raise ValueError(
+                f"amplitude_mm {self.amplitude_mm:g} exceeds offset_mm {self.offset_mm:g}: "
+                "the lower set point would lie below the vented muscle at 0 mm"
+            )
+        return self
+
+
+class SquareSettings(Configured):
+    """Square wave of the valve command (Sec. VI-A), open loop; it begins by filling."""
+
+    kind: Literal["square"]
+    frequency_hz: Annotated[float, Field(gt=0, le=250)]
+    amplitude_v: Annotated[float, Field(gt=0, le=5)] = 5.0
+    cycles: Annotated[int, Field(ge=1, le=1_000_000)] = 3
+
+
+class Step(Configured):
+    """A valve command held for a time."""
+
+    valve_v: ValveVolts
+    hold_s: Duration
+
+
+class StepsSettings(Configured):
+    """Any sequence of valve commands, open loop."""
+
+    kind: Literal["steps"]
+    steps: Annotated[tuple[Step, ...], Field(min_length=1)]
+    repeat: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+
+
+ExperimentSettings = Annotated[
+    TrackingSettings | SquareSettings | StepsSettings, Field(discriminator="kind")
+]
+
+
+class Segment(NamedTuple):
+    """One motion, rest or held valve command."""
+
+    phase: int
+    duration_s: float
+    start_m: float
+    end_m: float
+    valve_v: float
+    """NaN in closed loop."""
+
+
+def reference_at(segment: Segment, t_s: float) -> Reference:
+    """Evaluate a segment `t_s` after its beginning."""
+    if not math.isnan(segment.valve_v):
+        return held(segment.phase, segment.valve_v)
+    motion = rest_to_rest(segment.start_m, segment.end_m, segment.duration_s, t_s)
+    return Reference(segment.phase, *motion, math.nan)
+
+
+def held(phase: int, valve_v: float) -> Reference:
+    """Return the reference that is a valve command."""
+    return Reference(phase, math.nan, math.nan, math.nan, math.nan, valve_v)
+
+
+def segments(settings: TrackingSettings | SquareSettings | StepsSettings) -> tuple[Segment, ...]:
+    """Turn an experiment file into its segments."""
+    match settings:
+        case TrackingSettings():
+            return tuple(_tracking(settings))
+        case SquareSettings():
+            half_s = 0.5 / settings.frequency_hz
+            wave = (_hold(settings.amplitude_v, half_s), _hold(-settings.amplitude_v, half_s))
+            return wave * settings.cycles
+        case StepsSettings():
+            return tuple(_hold(s.valve_v, s.hold_s) for s in settings.steps) * settings.repeat
+
+
+def _tracking(settings: TrackingSettings) -> Iterator[Segment]:
+    low_m = (settings.offset_mm - settings.amplitude_mm) * 1e-3
+    high_m = (settings.offset_mm + settings.amplitude_mm) * 1e-3
+    yield Segment(Phase.APPROACH, settings.approach_s, 0.0, low_m, math.nan)
+    if settings.settle_s:
+        yield Segment(Phase.APPROACH, settings.settle_s, low_m, low_m, math.nan)
+    for _ in range(settings.cycles):
+        for here_m, there_m in pairwise((low_m, high_m, low_m)):
+            if settings.rest_s:
+                yield Segment(Phase.REST, settings.rest_s, here_m, here_m, math.nan)
+            yield Segment(Phase.TRACK, settings.transition_s, here_m, there_m, math.nan)
+
+
+def _hold(valve_v: float, duration_s: float) -> Segment:
+    return Segment(Phase.OPEN_LOOP, duration_s, math.nan, math.nan, valve_v)
+
+
+class Course:
+    """Walks through segments as time goes on; asks for time in order."""
+
+    def __init__(self, course: Sequence[Segment], duration_s: float | None = None) -> None:
+        """`duration_s` cuts the course short."""
+        self._segments = tuple(course)
+        whole_s = sum(segment.duration_s for segment in course)
+        self.duration_s = whole_s if duration_s is None else min(duration_s, whole_s)
+        self._index = 0
+        self._begin_s = 0.0
+
+    def at(self, t_s: float) -> Reference | None:
+        """Return the reference at `t_s`, or None when the course is over."""
+        # Half a nanosecond: a tick's time is a sum of floats, an end is not.
+        if t_s >= self.duration_s - 5e-10:
+            return None
+        segment = self._segments[self._index]
+        while t_s - self._begin_s >= segment.duration_s - 5e-10:
+            self._begin_s += segment.duration_s
+            self._index += 1
+            if self._index == len(self._segments):
+                return None
+            segment = self._segments[self._index]
+        return reference_at(segment, t_s - self._begin_s)

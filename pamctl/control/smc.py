@@ -1,0 +1,140 @@
+"""SMC: the sliding mode law of Eq. 16 and 18, which linearises the muscle by its model.
+
+f-hat and g-hat
+---------------
+Differentiate the second row of Eq. 9 once, with A(x) = dV/dx of Eq. 3, the gauge
+pressure P_g, m = mu_k N A_b, and B(x) = b theta cos(theta) of Eq. 5:
+
+    M x'' = P_g A - k x - c x' - [x' > 0] m P_g (B + x')
+    M x''' = P' (A - [x' > 0] m (B + x'))
+             + x' (P_g A' - k - [x' > 0] m P_g B') - x'' (c + [x' > 0] m P_g)
+
+    A' = dA/dx = -6 L / (4 pi n^2)
+    B' = dB/dx = -arccos(L / b) + L / sqrt(b^2 - L^2)
+
+and put in P' = (R T K_Av Psi / V) u - P A x' / V (Eq. 8, V' = A x'). What multiplies u
+is g; the rest is the drift, and f-hat of the paper is minus the drift:
+
+    x''' = -f + g u,  so that  u = (x''' + f) / g.
+
+g depends on the side the valve opens to, so the sign of the wanted x''' + f decides
+which Psi is used. P is measured; x' and x'' are those of the reference plus the
+filtered derivatives of the error. With M = 0.05 kg g is about 4e4 m/s^3/V.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
+
+from pamctl.control.qsmc import SlidingGains, SlidingSettings, sliding_gains
+from pamctl.control.surface import LawState, clamped, reaching, unwound
+from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.muscle import braid_lever_m, force_area_m2, volume_m3
+from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.valve import orifice_flow
+from pamctl.signals import Command, Estimate, Reference
+
+
+class SmcSettings(SlidingSettings):
+    """Eq. 16; with q = 1 Eq. 18."""
+
+    law: Literal["smc"]
+    kp: Annotated[float, Field(gt=0, description="K_p of Eq. 16, without unit")]
+    model: Annotated[PlantSettings, Field(description="plant that f-hat and g-hat are made of")] = (
+        PlantSettings()
+    )
+
+
+class SmcGains(NamedTuple):
+    """Gains of Eq. 16 for the kernel."""
+
+    sliding: SlidingGains
+    kp: float
+    model: PlantParameters
+
+
+class Linearisation(NamedTuple):
+    """x''' = drift + gain u, of the model; m/s^3 and m/s^3/V."""
+
+    drift_m_per_s3: float
+    fill_gain: float
+    exhaust_gain: float
+
+
+def smc_gains(settings: SmcSettings) -> SmcGains:
+    """Turn settings into the numbers that the kernel uses."""
+    return SmcGains(sliding_gains(settings), settings.kp, plant_parameters(settings.model))
+
+
+def linearised(
+    p: PlantParameters, x: float, velocity: float, acceleration: float, pressure_pa: float
+) -> Linearisation:
+    """x''' of the model at (x, x', x'', P), split as the module's docstring derives it."""
+    length = p.rest_length_m - x
+    gauge = pressure_pa - p.atmospheric_pressure_pa
+    area, volume = force_area_m2(p, x), volume_m3(p, x)
+    grip = p.friction_area_m if velocity > 0.0 else 0.0
+    lever_slope = length / math.sqrt(p.braid_length_m**2 - length * length) - math.acos(
+        length / p.braid_length_m
+    )
+    area_slope = -6.0 * length * p.volume_scale
+
+    per_pressure_rate = area - grip * (braid_lever_m(p, x) + velocity)
+    drift = (
+        -per_pressure_rate * pressure_pa * area * velocity / volume
+        + velocity * (gauge * (area_slope - grip * lever_slope) - p.stiffness_n_per_m)
+        - acceleration * (p.damping_n_s_per_m + grip * gauge)
+    ) / p.mass_kg
+    per_flow = (
+        per_pressure_rate
+        * p.specific_energy_j_per_kg
+        * p.valve_gain_m2_per_v
+        / (volume * p.mass_kg)
+    )
+    tank, atmosphere = p.tank_pressure_pa, p.atmospheric_pressure_pa
+    return Linearisation(
+        drift,
+        per_flow * orifice_flow(p, tank, min(pressure_pa, _MOST_BALANCED * tank)),
+        per_flow * orifice_flow(p, max(pressure_pa, atmosphere / _MOST_BALANCED), atmosphere),
+    )
+
+
+# At balanced pressures the valve moves no air and g-hat would vanish: no flow is taken
+# to be less than at this ratio.
+_MOST_BALANCED = 0.98
+
+
+def smc(
+    gains: SmcGains, state: LawState, reference: Reference, estimate: Estimate, dt_s: float
+) -> tuple[Command, LawState]:
+    """u = K_p / g (x_D''' + f - 3 l e'' - 3 l^2 e' - l^3 e - u_rb), l = lambda^q (Eq. 16)."""
+    g = gains.sliding
+    scale, pole = g.units_per_m, g.pole_per_s
+    e = estimate.error_m
+    rate = estimate.error_rate_m_per_s
+    acceleration = estimate.error_acceleration_m_per_s2
+    absement_m_s = state.absement_m_s + e * dt_s
+
+    s = acceleration + pole * (3.0 * rate + pole * (3.0 * e + pole * absement_m_s))
+    error_drift = pole * (3.0 * acceleration + pole * (3.0 * rate + pole * e))
+    reach = reaching(g.literal_reaching, g.eta, g.phi, s * scale) / scale
+    model = linearised(
+        gains.model,
+        estimate.position_filtered_m,
+        reference.reference_velocity_m_per_s + rate,
+        reference.reference_acceleration_m_per_s2 + acceleration,
+        estimate.pressure_filtered_pa,
+    )
+    wanted_jerk = reference.reference_jerk_m_per_s3 - model.drift_m_per_s3 - error_drift - reach
+    gain = model.fill_gain if wanted_jerk > 0.0 else model.exhaust_gain
+
+    wanted_v = gains.kp / gain * wanted_jerk
+    command_v = clamped(wanted_v, g.limit_v)
+    robust_v = -gains.kp / gain * reach
+    return (
+        Command(command_v, s, wanted_v - robust_v, robust_v, command_v != wanted_v),
+        unwound(state, absement_m_s, e, wanted_v - command_v),
+    )

@@ -1,0 +1,78 @@
+"""One tick, from raw sample to admitted command: the same for card, simulation and replay.
+
+    RawSample -> Measurement -> Estimate -> Command -> Decision
+
+Pure: no clock, no rig, no log. The loop around it reads the rig, calls it, writes, and
+records what was really written. The batch simulation compiles this very function.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from hal.calibration import Calibration, Zero, position_m, pressure_pa
+from hal.rig import RawSample
+from pamctl.control.filters import UNPRIMED, FilterGains, FilterState, estimate
+from pamctl.control.law import Gains, respond
+from pamctl.control.surface import ARMED, LawState
+from pamctl.safety import WATCHFUL, Limits, SafetyState, admit
+from pamctl.signals import Command, Decision, Estimate, Measurement, Reference, Timing
+
+
+class TickSetup(NamedTuple):
+    """What does not change while the loop runs."""
+
+    calibration: Calibration
+    filters: FilterGains
+    gains: Gains
+    limits: Limits
+
+
+class TickState(NamedTuple):
+    """What the stages said last, and all that the next tick needs of this one.
+
+    Frozen into the log once a second, so that a replay can start there.
+    """
+
+    zero: Zero
+    measurement: Measurement
+    estimate: Estimate
+    command: Command
+    filters: FilterState
+    law: LawState
+    safety: SafetyState
+
+
+def step(
+    setup: TickSetup, state: TickState, raw: RawSample, reference: Reference, timing: Timing
+) -> tuple[TickState, Decision]:
+    """Run one tick."""
+    measurement = measure(setup.calibration, state.zero, raw)
+    estimated, filters = estimate(setup.filters, state.filters, measurement, reference, timing.dt_s)
+    command, law = respond(setup.gains, state.law, reference, estimated, timing.dt_s)
+    decision, safety = admit(
+        setup.limits, state.safety, raw, measurement, reference, estimated, command, timing
+    )
+    return TickState(state.zero, measurement, estimated, command, filters, law, safety), decision
+
+
+def measure(calibration: Calibration, zero: Zero, raw: RawSample) -> Measurement:
+    """Turn volts and counts into pascals and metres."""
+    return Measurement(
+        position_m(calibration, zero, raw.encoder_counts),
+        pressure_pa(calibration, zero, raw.pressure_v),
+    )
+
+
+def first_state(zero: Zero) -> TickState:
+    """Return the state before the first tick: nothing measured, nothing remembered."""
+    return TickState(
+        zero,
+        Measurement(math.nan, math.nan),
+        Estimate(math.nan, math.nan, math.nan, math.nan, math.nan),
+        Command(math.nan, math.nan, math.nan, math.nan, False),
+        UNPRIMED,
+        ARMED,
+        WATCHFUL,
+    )

@@ -1,0 +1,281 @@
+"""What may reach the valve, and why not more.
+
+Every rule is a comparison with a limit that a user can set, and leaves its bit in
+`Decision.verdicts`. A clip changes the command; a trip ends the run at the safe
+voltage, latched. `admit` is a kernel: it reads no clock and keeps all it remembers in
+its `SafetyState`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, NamedTuple
+
+from pydantic import Field, model_validator
+
+from hal.configured import Configured
+from hal.rig import RawSample
+from pamctl.plant.muscle import volume_m3
+from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.valve import valve_flow
+from pamctl.signals import Command, Decision, Estimate, Measurement, Phase, Reference, Timing
+
+# Clips
+ENVELOPE = 1 << 0
+SLEW = 1 << 1
+# Trips
+COMMAND_NOT_FINITE = 1 << 8
+MEASUREMENT_NOT_FINITE = 1 << 9
+PRESSURE_LIMIT = 1 << 10
+STROKE_LIMIT = 1 << 11
+SENSOR_RANGE = 1 << 12
+ENCODER_JUMP = 1 << 13
+TRACKING_ERROR = 1 << 14
+STALE_SAMPLE = 1 << 15
+OVERRUNS = 1 << 16
+PRESSURE_TOO_LOW = 1 << 17
+PRESSURE_TOO_HIGH = 1 << 18
+
+VERDICTS: dict[int, str] = {
+    ENVELOPE: "command cut to the valve's range",
+    SLEW: "command slowed to the slew limit",
+    COMMAND_NOT_FINITE: "the command is not a finite number",
+    MEASUREMENT_NOT_FINITE: "a sensor gave no finite number",
+    PRESSURE_LIMIT: "pressure above its limit",
+    STROKE_LIMIT: "displacement outside its limits",
+    SENSOR_RANGE: "pressure sensor outside its electrical range (broken wire?)",
+    ENCODER_JUMP: "encoder moved faster than the muscle can",
+    TRACKING_ERROR: "tracking error above its limit for too long",
+    STALE_SAMPLE: "no fresh sample",
+    OVERRUNS: "too many missed ticks",
+    PRESSURE_TOO_LOW: "pressure below what the command should have given (valve stuck? leak?)",
+    PRESSURE_TOO_HIGH: "pressure above what the command should have given (valve stuck?)",
+}
+"""Meaning of each bit of `Decision.verdicts`."""
+
+
+def explain(verdicts: int) -> list[str]:
+    """Name every bit that is set."""
+    return [meaning for bit, meaning in VERDICTS.items() if verdicts & bit]
+
+
+class LimitSettings(Configured):
+    """Limits of the rig and its muscle. Where one is met says `pamctl.safety.VERDICTS`."""
+
+    command_v: Annotated[float, Field(gt=0, le=10, description="valve command, either side")] = 5.0
+    slew_v_per_s: Annotated[
+        float, Field(gt=0, description="of laws; open-loop steps and safe writes are exempt")
+    ] = 10_000.0
+    pressure_pa: Annotated[float, Field(gt=0, le=2e6, description="absolute")] = 500e3
+    stroke_low_mm: Annotated[float, Field(ge=-100, le=0)] = -2.0
+    stroke_high_mm: Annotated[float, Field(gt=0, le=500)] = 30.0
+    sensor_low_v: Annotated[float, Field(ge=-10, le=10)] = 0.1
+    sensor_high_v: Annotated[float, Field(ge=-10, le=10)] = 4.8
+    speed_mm_per_s: Annotated[
+        float, Field(gt=0, description="faster is not the muscle but the encoder")
+    ] = 2000.0
+    tracking_error_mm: Annotated[float, Field(gt=0)] = 4.0
+    sample_age_s: Annotated[float, Field(gt=0, description="between samples")] = 0.05
+    missed_ticks: Annotated[
+        float, Field(gt=0, description="more than so many within about a second")
+    ] = 100.0
+    pressure_model_pa: Annotated[
+        float, Field(gt=0, description="measured against the model driven by the command")
+    ] = 80e3
+    pressure_model_memory_s: Annotated[
+        float, Field(gt=0, description="how fast the model forgets a difference")
+    ] = 0.1
+    patience_s: Annotated[
+        float, Field(ge=0, description="how long a sensor, error or model limit must be broken")
+    ] = 0.02
+
+    @model_validator(mode="after")
+    def _ordered(self) -> LimitSettings:
+        if self.sensor_low_v >= self.sensor_high_v:
+            raise ValueError("sensor_low_v must be below sensor_high_v")
+        return self
+
+
+class Limits(NamedTuple):
+    """The same numbers in SI for the kernel, with the model that pressure is held against."""
+
+    safe_valve_v: float
+    command_v: float
+    slew_v_per_s: float
+    pressure_pa: float
+    stroke_low_m: float
+    stroke_high_m: float
+    sensor_low_v: float
+    sensor_high_v: float
+    speed_m_per_s: float
+    count_m: float
+    tracking_error_m: float
+    sample_age_s: float
+    missed_ticks: float
+    pressure_model_pa: float
+    pressure_model_memory_s: float
+    patience_s: float
+    model: PlantParameters
+
+
+class SafetyState(NamedTuple):
+    """What safety remembers: NaN where there is no previous tick."""
+
+    valve_v: float
+    position_m: float
+    model_pressure_pa: float
+    sensor_bad_s: float
+    error_bad_s: float
+    model_bad_s: float
+    missed_ticks: float
+    tripped: int
+
+
+WATCHFUL = SafetyState(math.nan, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0)
+"""The state before the first tick."""
+
+
+def limits(
+    settings: LimitSettings, *, safe_valve_v: float, count_m: float, model: PlantParameters
+) -> Limits:
+    """Turn settings into the numbers that the kernel uses; `count_m` is one encoder count."""
+    return Limits(
+        safe_valve_v=safe_valve_v,
+        command_v=settings.command_v,
+        slew_v_per_s=settings.slew_v_per_s,
+        pressure_pa=settings.pressure_pa,
+        stroke_low_m=settings.stroke_low_mm * 1e-3,
+        stroke_high_m=settings.stroke_high_mm * 1e-3,
+        sensor_low_v=settings.sensor_low_v,
+        sensor_high_v=settings.sensor_high_v,
+        speed_m_per_s=settings.speed_mm_per_s * 1e-3,
+        count_m=count_m,
+        tracking_error_m=settings.tracking_error_mm * 1e-3,
+        sample_age_s=settings.sample_age_s,
+        missed_ticks=settings.missed_ticks,
+        pressure_model_pa=settings.pressure_model_pa,
+        pressure_model_memory_s=settings.pressure_model_memory_s,
+        patience_s=settings.patience_s,
+        model=model,
+    )
+
+
+_HOMING = int(Phase.HOMING)
+
+
+def admit(
+    limits: Limits,
+    state: SafetyState,
+    raw: RawSample,
+    measurement: Measurement,
+    reference: Reference,
+    estimate: Estimate,
+    command: Command,
+    timing: Timing,
+) -> tuple[Decision, SafetyState]:
+    """Decide what reaches the valve in this tick."""
+    dt_s = timing.dt_s
+    trips = _instant_trips(limits, state, measurement, reference, command, dt_s)
+    model_pa, innovation_pa = _followed_pressure(limits, state, measurement, dt_s)
+
+    sensor_bad = not limits.sensor_low_v <= raw.pressure_v <= limits.sensor_high_v
+    error_bad = math.fabs(estimate.error_m) > limits.tracking_error_m
+    model_bad = math.fabs(innovation_pa) > limits.pressure_model_pa
+    sensor_bad_s = state.sensor_bad_s + dt_s if sensor_bad else 0.0
+    error_bad_s = state.error_bad_s + dt_s if error_bad else 0.0
+    model_bad_s = state.model_bad_s + dt_s if model_bad else 0.0
+    missed = state.missed_ticks * max(0.0, 1.0 - dt_s) + timing.missed
+    if sensor_bad_s > limits.patience_s:
+        trips |= SENSOR_RANGE
+    if error_bad_s > limits.patience_s:
+        trips |= TRACKING_ERROR
+    if model_bad_s > limits.patience_s:
+        trips |= PRESSURE_TOO_HIGH if innovation_pa > 0.0 else PRESSURE_TOO_LOW
+    if missed > limits.missed_ticks:
+        trips |= OVERRUNS
+
+    tripped = state.tripped | trips
+    if tripped:
+        valve_v, clips = limits.safe_valve_v, 0
+    else:
+        valve_v, clips = _clipped(limits, state, reference, command.command_v, dt_s)
+    return (
+        Decision(valve_v, tripped | clips, tripped != 0),
+        SafetyState(
+            valve_v,
+            measurement.position_m,
+            model_pa,
+            sensor_bad_s,
+            error_bad_s,
+            model_bad_s,
+            missed,
+            tripped,
+        ),
+    )
+
+
+def _instant_trips(
+    limits: Limits,
+    state: SafetyState,
+    measurement: Measurement,
+    reference: Reference,
+    command: Command,
+    dt_s: float,
+) -> int:
+    """Check what no patience is due to."""
+    trips = 0
+    x, pressure = measurement.position_m, measurement.pressure_pa
+    if not math.isfinite(command.command_v):
+        trips |= COMMAND_NOT_FINITE
+    if not (math.isfinite(x) and math.isfinite(pressure)):
+        trips |= MEASUREMENT_NOT_FINITE
+    if pressure > limits.pressure_pa:
+        trips |= PRESSURE_LIMIT
+    # Before homing the encoder's zero is wherever the counter stood.
+    if reference.phase != _HOMING and not limits.stroke_low_m <= x <= limits.stroke_high_m:
+        trips |= STROKE_LIMIT
+    if math.fabs(x - state.position_m) > limits.speed_m_per_s * dt_s + 4.0 * limits.count_m:
+        trips |= ENCODER_JUMP
+    if not 0.0 < dt_s <= limits.sample_age_s:
+        trips |= STALE_SAMPLE
+    return trips
+
+
+def _clipped(
+    limits: Limits, state: SafetyState, reference: Reference, command_v: float, dt_s: float
+) -> tuple[float, int]:
+    """Cut to the envelope, then to the slew limit; open-loop steps may be steps."""
+    clips = 0
+    valve_v = min(max(command_v, -limits.command_v), limits.command_v)
+    if valve_v != command_v:
+        clips |= ENVELOPE
+    if math.isnan(reference.reference_valve_v) and not math.isnan(state.valve_v):
+        reach_v = limits.slew_v_per_s * dt_s
+        slowed_v = min(max(valve_v, state.valve_v - reach_v), state.valve_v + reach_v)
+        if slowed_v != valve_v:
+            clips |= SLEW
+        valve_v = slowed_v
+    return valve_v, clips
+
+
+def _followed_pressure(
+    limits: Limits, state: SafetyState, measurement: Measurement, dt_s: float
+) -> tuple[float, float]:
+    """Let the model's pressure follow the last command, and forget differences slowly.
+
+    Returns the model's pressure and the measured one minus it, in Pa. A stuck valve
+    makes the two part company in one direction or the other, whichever it is stuck in.
+    """
+    measured_pa = measurement.pressure_pa
+    if not math.isfinite(state.model_pressure_pa + measured_pa + state.position_m):
+        return measured_pa, 0.0
+    model = limits.model
+    model_pa = state.model_pressure_pa
+    innovation_pa = measured_pa - model_pa
+    inflow = valve_flow(model, state.valve_v, model_pa)
+    energy = model_pa * volume_m3(model, state.position_m)
+    filled = energy + dt_s * model.specific_energy_j_per_kg * inflow
+    followed_pa = filled / volume_m3(model, measurement.position_m)
+    forget = min(1.0, dt_s / limits.pressure_model_memory_s)
+    followed_pa = min(max(followed_pa, model.atmospheric_pressure_pa), model.tank_pressure_pa)
+    return followed_pa + forget * innovation_pa, innovation_pa

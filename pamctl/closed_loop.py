@@ -27,7 +27,7 @@ from pamctl.realtime.tick import TickSetup, TickState, first_state, step
 from pamctl.signals import Reference, Timing
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -65,7 +65,7 @@ def references(
 ) -> NDArray[np.float64]:
     """Tabulate an experiment at the ticks: one row a tick, columns of `Reference`."""
     course = Course(segments, duration_s)
-    rows = []
+    rows: list[Reference] = []
     while (reference := course.at(len(rows) * period_s)) is not None:
         rows.append(reference)
     return np.array(rows, dtype=np.float64).reshape(-1, len(Reference._fields))
@@ -112,7 +112,7 @@ def simulate(
 
 
 @cache
-def _compiled_run() -> object:
+def _compiled_run() -> Callable[..., int]:
     return compiled(run)
 
 

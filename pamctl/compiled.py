@@ -32,10 +32,10 @@ def compiled(kernel: Kernel) -> Kernel:
 
 @cache
 def _twin(kernel: FunctionType) -> Any:
-    names = _names_used(kernel)
+    used = {*kernel.__code__.co_names, "__builtins__", "__name__"}
     twin = FunctionType(
         kernel.__code__,
-        {name: _twin_if_kernel(value) for name, value in kernel.__globals__.items() if name in names},
+        {name: _twin_if_kernel(kernel.__globals__[name]) for name in used & {*kernel.__globals__}},
         kernel.__name__,
         kernel.__defaults__,
     )
@@ -43,10 +43,6 @@ def _twin(kernel: FunctionType) -> Any:
     twin.__module__ = kernel.__module__
     # error_model: division by zero raises, as in the plain function.
     return _numba().njit(twin, cache=True, error_model="python")
-
-
-def _names_used(kernel: FunctionType) -> set[str]:
-    return {*kernel.__code__.co_names, "__builtins__", "__name__"}
 
 
 def _twin_if_kernel(value: object) -> object:
@@ -60,8 +56,9 @@ def _numba() -> ModuleType:
 
     # numba looks only at a kernel's own file to see whether its cached code is stale;
     # ours call each other across files, so the key is the hash of them all.
-    numba.config.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_sources_digest()}")
-    return cast(ModuleType, numba)
+    settings: Any = numba.config
+    settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_sources_digest()}")
+    return numba
 
 
 def _cache_home() -> Path:

@@ -1,0 +1,110 @@
+"""The composition root: settings in, the parts of a run out. Backends are chosen here only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hal.calibration import Calibration, Zero, calibration, valve_v
+from hal.faulty import FaultyRig
+from hal.rig import RawSample, Rig, RigError
+from hal.sim import SimRig, sensor_chain
+from pamctl.control.experiment import Course, segments
+from pamctl.control.homing import Homing
+from pamctl.control.law import filter_gains, law_gains
+from pamctl.plant.model import plant_parameters
+from pamctl.plant.simulated import SimulatedPlant
+from pamctl.realtime.clock import Clock, GridClock, VirtualClock
+from pamctl.realtime.program import Program
+from pamctl.realtime.tick import TickSetup
+from pamctl.rig_settings import NidaqRigSettings, SimRigSettings
+from pamctl.safety import limits
+from pamctl.settings import RunSettings
+from pamctl.signals import Truth
+
+_UNKNOWN = Truth(math.nan, math.nan)
+
+
+class Parts(NamedTuple):
+    """What a backend brings."""
+
+    rig: Rig
+    truth: Callable[[], Truth]
+
+
+def clock_of(settings: RunSettings, *, may_spin: bool) -> Clock:
+    """Return the clock that paces the run."""
+    loop = settings.rig.loop
+    period_ns = round(1e9 / loop.rate_hz)
+    if settings.fast:
+        return VirtualClock(period_ns)
+    return GridClock(period_ns, spin_ns=round(loop.spin_us * 1e3) if may_spin else 0)
+
+
+def rig_of(settings: RunSettings, clock: Clock) -> Parts:
+    """Return the rig; raise `RigError` where the backend cannot be had."""
+    match settings.rig:
+        case SimRigSettings():
+            return _sim(settings, settings.rig, clock)
+        case NidaqRigSettings():
+            from hal.nidaq import require_driver
+
+            version = require_driver()
+            raise RigError(
+                f"NI-DAQmx {version} is installed, but this version of pamctl does not drive "
+                "the card yet",
+                fix="run with --backend sim",
+            )
+
+
+def _sim(settings: RunSettings, rig: SimRigSettings, clock: Clock) -> Parts:
+    plant = SimulatedPlant(plant_parameters(settings.plant))
+    sim = SimRig(
+        plant,
+        sensor_chain(rig.sim, rig.calibration),
+        safe_output_v=rig.safe_volts,
+        now_ns=clock.now_ns,
+        output_delay_ticks=rig.sim.output_delay_ticks,
+        seed=settings.seed,
+    )
+    whole = FaultyRig(sim, rig.faults) if rig.faults else sim
+    return Parts(whole, lambda: Truth(plant.position_m, plant.pressure_pa))
+
+
+def setup_of(settings: RunSettings) -> TickSetup:
+    """Return what the tick needs to know."""
+    cal = calibration(settings.rig.calibration)
+    return TickSetup(
+        calibration=cal,
+        filters=filter_gains(settings.controller),
+        gains=law_gains(settings.controller),
+        limits=limits(
+            settings.rig.limits,
+            safe_valve_v=safe_valve_v(settings, cal),
+            count_m=abs(cal.encoder_m_per_count),
+            model=plant_parameters(settings.plant),
+        ),
+    )
+
+
+def safe_valve_v(settings: RunSettings, cal: Calibration) -> float:
+    """Return the valve command that the safe output voltage carries."""
+    return valve_v(cal, settings.rig.safe_volts)
+
+
+def program_of(settings: RunSettings) -> Program:
+    """Return the order of the run."""
+    rig = settings.rig
+    return Program(
+        Homing(rig.homing, rig.calibration) if rig.homing.enabled else None,
+        Course(segments(settings.experiment), settings.duration_s),
+        safe_valve_v=safe_valve_v(settings, calibration(rig.calibration)),
+        stop_ramp_s=rig.loop.stop_ramp_s,
+    )
+
+
+def nominal_zero_of(settings: RunSettings) -> Callable[[RawSample], Zero]:
+    """Return the zeros until homing: the file's sensor zero, the encoder where it stands."""
+    sensor_zero_v = settings.rig.calibration.sensor_zero_v
+    return lambda sample: Zero(sensor_zero_v, float(sample.encoder_counts))

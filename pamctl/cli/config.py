@@ -1,0 +1,152 @@
+"""`pamctl config`: check the files, show what a run would use, print the schema."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import typer
+
+from pamctl.settings import (
+    SECTIONS,
+    ConfigError,
+    Problem,
+    check,
+    config_dir,
+    resolve,
+    schema,
+    shown,
+    to_json,
+    to_yaml,
+)
+
+BAD_CONFIG = 78
+"""EX_CONFIG of sysexits.h."""
+
+config_app = typer.Typer(
+    no_args_is_help=True, help="Check, show and describe the configuration files."
+)
+
+# Shared by every verb that chooses a run, so that all of them read alike.
+ControllerOption = Annotated[
+    str | None, typer.Option("--controller", metavar="NAME|FILE", help="Law and its gains.")
+]
+ExperimentOption = Annotated[
+    str | None, typer.Option("--experiment", metavar="NAME|FILE", help="What the muscle is to do.")
+]
+RigOption = Annotated[
+    str | None, typer.Option("--rig", metavar="NAME|FILE", help="Backend, calibration, limits.")
+]
+PlantOption = Annotated[
+    str | None, typer.Option("--plant", metavar="NAME|FILE", help="Model of the muscle.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="As in controller.lambda_per_s=12; repeats."),
+]
+SeedOption = Annotated[int | None, typer.Option("--seed", help="Of the simulated noise.")]
+DurationOption = Annotated[
+    float | None, typer.Option("--duration", metavar="SECONDS", help="End the run early.")
+]
+FastOption = Annotated[bool | None, typer.Option("--fast", help="Simulate without a clock.")]
+RtOption = Annotated[
+    str | None, typer.Option("--rt", metavar="auto|require|off", help="Real-time scheduling.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document.")]
+
+
+@contextmanager
+def config_errors_exit() -> Iterator[None]:
+    """Print what is wrong with the configuration, a line each, and exit with 78."""
+    try:
+        yield
+    except ConfigError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(BAD_CONFIG) from None
+
+
+@config_app.command("check")
+def check_files(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[FILE]...", help="The shipped files if none is given."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Validate files, each by itself: one line per file, or one per problem."""
+    verdicts = [_verdict(path) for path in files or _shipped()]
+    if as_json:
+        typer.echo(json.dumps([verdict.as_dict() for verdict in verdicts], indent=2))
+    else:
+        for line in (line for verdict in verdicts for line in verdict.lines()):
+            typer.echo(line)
+    if any(verdict.problems for verdict in verdicts):
+        raise typer.Exit(BAD_CONFIG)
+
+
+@config_app.command("show")
+def show(
+    controller: ControllerOption = None,
+    experiment: ExperimentOption = None,
+    rig: RigOption = None,
+    plant: PlantOption = None,
+    overrides: SetOption = None,
+    seed: SeedOption = None,
+    duration_s: DurationOption = None,
+    fast: FastOption = None,
+    rt: RtOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the configuration a run with the same options would use, defaults included."""
+    with config_errors_exit():
+        settings = resolve(
+            controller=controller,
+            experiment=experiment,
+            rig=rig,
+            plant=plant,
+            overrides=overrides or (),
+            seed=seed,
+            duration_s=duration_s,
+            fast=fast,
+            rt=rt,
+        )
+    typer.echo(to_json(settings) if as_json else to_yaml(settings).rstrip())
+
+
+@config_app.command("schema")
+def print_schema() -> None:
+    """Print the JSON schema that editors complete and check the files with."""
+    typer.echo(json.dumps(schema(), indent=2))
+
+
+class _Verdict(NamedTuple):
+    """What `check` found of one file; `kind` is empty where the file is not valid."""
+
+    path: Path
+    kind: str
+    problems: tuple[Problem, ...]
+
+    def lines(self) -> list[str]:
+        return [str(p) for p in self.problems] or [f"{shown(self.path)}: ok ({self.kind})"]
+
+    def as_dict(self) -> dict[str, object]:
+        return {
+            "file": shown(self.path),
+            "kind": self.kind or None,
+            "ok": not self.problems,
+            "problems": [problem._asdict() for problem in self.problems],
+        }
+
+
+def _verdict(path: Path) -> _Verdict:
+    try:
+        return _Verdict(path, check(path), ())
+    except ConfigError as error:
+        return _Verdict(path, "", error.problems)
+
+
+def _shipped() -> list[Path]:
+    return [path for kind in SECTIONS for path in sorted((config_dir() / kind).glob("*.yaml"))]

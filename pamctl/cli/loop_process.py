@@ -1,0 +1,94 @@
+"""The loop process: `python -m pamctl.cli.loop_process RING`, started by the front.
+
+All it needs is in the ring's meta. Its standard input is a pipe whose end is the
+front's death. Its standard output is one JSON line: how the run ended.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import NoReturn
+
+from hal.rig import RigError
+from pamctl.cli.assembly import clock_of, nominal_zero_of, program_of, rig_of, setup_of
+from pamctl.realtime.ending import Ending, ExitCode
+from pamctl.realtime.journal import PatientJournal, RingJournal
+from pamctl.realtime.loop import control
+from pamctl.realtime.ring import RecorderFlag, Ring, RingFull
+from pamctl.realtime.scheduling import Preparation, SchedulingRefused, prepare
+from pamctl.realtime.supervision import LoopSupervisor
+from pamctl.settings import RunSettings, from_resolved
+
+
+def main() -> NoReturn:
+    """Run the loop on the ring that the first argument names."""
+    with Ring.attach(sys.argv[1]) as ring:
+        ending = _report_failure(ring)
+        ring.loop_done = 1
+    print(json.dumps({"code": int(ending.code), "reason": ending.reason}), flush=True)
+    sys.exit(int(ending.code))
+
+
+def _report_failure(ring: Ring) -> Ending:
+    """Whatever happens, say how it ended: in the log, and to the front."""
+    try:
+        ending = _run(ring)
+    except (RigError, SchedulingRefused) as error:
+        ending = Ending(ExitCode.UNAVAILABLE, str(error))
+    except RingFull as error:
+        return Ending(ExitCode.UNEXPECTED, str(error))
+    except Exception as error:
+        import traceback
+
+        traceback.print_exc()
+        ending = Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
+    tick = ring.latest_tick() or {"tick": 0, "encoder_t_ns": ring.meta.start_mono_ns}
+    event = {"event": "outcome", "code": int(ending.code), "reason": ending.reason}
+    ring.put_event(int(tick["tick"]), int(tick["encoder_t_ns"]), event)
+    return ending
+
+
+def _run(ring: Ring) -> Ending:
+    settings = from_resolved(json.dumps(ring.meta.config))
+    supervisor = LoopSupervisor(ring, sys.stdin.fileno(), patient=settings.fast)
+    supervisor.listen()
+    if not _recorder_is_ready(ring):
+        return Ending(ExitCode.UNEXPECTED, "the recorder did not start")
+    with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
+        _record_timing_setup(ring, settings, preparation)
+        clock = clock_of(settings, may_spin=preparation.may_spin)
+        parts = rig_of(settings, clock)
+        return control(
+            parts.rig,
+            clock,
+            setup_of(settings),
+            nominal_zero_of(settings),
+            program_of(settings),
+            PatientJournal(ring) if settings.fast else RingJournal(ring),
+            supervisor,
+            parts.truth,
+        )
+
+
+def _recorder_is_ready(ring: Ring) -> bool:
+    """Wait for the log to be open: no tick may run that could not be kept."""
+    deadline_s = time.monotonic() + 10.0
+    while not ring.recorder_flags & RecorderFlag.READY:
+        if ring.recorder_flags & RecorderFlag.FAILED or time.monotonic() > deadline_s:
+            return False
+        time.sleep(2e-3)
+    return True
+
+
+def _record_timing_setup(ring: Ring, settings: RunSettings, preparation: Preparation) -> None:
+    setup = preparation.as_metadata()
+    if settings.fast:
+        setup = {"mode": "fast: no clock"}
+    event = {"event": "timing_setup", **setup}
+    ring.put_event(0, ring.meta.start_mono_ns, event)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""The line that tells how a run is going, on standard error."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+
+from pamctl.signals import Phase
+
+
+class ProgressLine:
+    """Rewrites itself on a terminal; elsewhere it is a line every few seconds."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        """Say nothing at all where `quiet`."""
+        self._quiet = quiet
+        self._terminal = sys.stderr.isatty()
+        self._every_s = 0.1 if self._terminal else 5.0
+        self._last_s = 0.0
+        self._width = 0
+
+    def __call__(self, tick: Mapping[str, float], worst_late_s: float) -> None:
+        """Show the newest tick."""
+        now_s = time.monotonic()
+        if self._quiet or now_s - self._last_s < self._every_s:
+            return
+        self._last_s = now_s
+        self._show(progress_text(tick, worst_late_s))
+
+    def done(self) -> None:
+        """Leave the terminal's cursor on a line of its own."""
+        if self._width:
+            print(file=sys.stderr)
+
+    def _show(self, text: str) -> None:
+        if self._terminal:
+            print("\r" + text.ljust(self._width), end="", file=sys.stderr, flush=True)
+            self._width = len(text)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+
+def progress_text(tick: Mapping[str, float], worst_late_s: float) -> str:
+    """Write one tick as a line: millimetres, micrometres and kilopascals for people."""
+    phase = Phase(int(tick["phase"])).name.lower().replace("_", " ")
+    motion = f"x {tick['position_m'] * 1e3:7.3f} mm"
+    if tick["reference_m"] == tick["reference_m"]:
+        error_um = (tick["position_m"] - tick["reference_m"]) * 1e6
+        motion = f"ref {tick['reference_m'] * 1e3:7.3f} mm  {motion}  error {error_um:+8.1f} um"
+    return (
+        f"{tick['t_s']:7.1f} s  {phase:<9} {motion}  "
+        f"P {tick['pressure_pa'] * 1e-3:6.1f} kPa  u {tick['valve_v']:+6.3f} V  "
+        f"worst wake-up {worst_late_s * 1e6:6.1f} us"
+    )

@@ -1,0 +1,287 @@
+"""`pamctl run`: one run from configuration to figures."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import socket
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hal.calibration import Zero, calibration
+from hal.rig import RigError
+from pamctl import __version__
+from pamctl.cli.assembly import clock_of, rig_of
+from pamctl.cli.config import (
+    ControllerOption,
+    DurationOption,
+    ExperimentOption,
+    FastOption,
+    JsonOption,
+    PlantOption,
+    RigOption,
+    RtOption,
+    SeedOption,
+    SetOption,
+    config_errors_exit,
+)
+from pamctl.cli.progress import ProgressLine
+from pamctl.log.meta import RunMeta
+from pamctl.log.schema import SCHEMA_VERSION
+from pamctl.realtime.ending import Ending, ExitCode
+from pamctl.realtime.front import FrontReport, conduct
+from pamctl.realtime.loop import keyframe_fields
+from pamctl.realtime.ring import Ring, RingError
+from pamctl.realtime.tick import first_state
+from pamctl.settings import (
+    DEFAULT_NAMES,
+    ConfigError,
+    Problem,
+    RunSettings,
+    resolve,
+    to_json,
+    to_yaml,
+)
+
+RIG_OF_BACKEND = {"sim": "sim", "nidaq": "pci6221"}
+"""The shipped rig file that `--backend` alone means."""
+
+
+def run(
+    backend: Annotated[
+        str | None, typer.Option("--backend", metavar="sim|nidaq", help="What is driven.")
+    ] = None,
+    controller: ControllerOption = None,
+    experiment: ExperimentOption = None,
+    rig: RigOption = None,
+    plant: PlantOption = None,
+    log: Annotated[
+        Path | None, typer.Option("--log", metavar="FILE", help="Where the log goes.")
+    ] = None,
+    duration_s: DurationOption = None,
+    fast: FastOption = None,
+    seed: SeedOption = None,
+    overrides: SetOption = None,
+    rt: RtOption = None,
+    as_json: JsonOption = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the resolved configuration and stop.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress line.")] = False,
+) -> None:
+    """Move the muscle, log every tick, and say how well it tracked."""
+    with config_errors_exit():
+        settings = resolve(
+            controller=controller,
+            experiment=experiment,
+            rig=_rig_name(backend, rig),
+            plant=plant,
+            overrides=overrides or (),
+            seed=seed,
+            duration_s=duration_s,
+            fast=fast,
+            rt=rt,
+        )
+        _check_backend(settings, backend, rig)
+    if dry_run:
+        typer.echo(to_json(settings) if as_json else to_yaml(settings).rstrip())
+        return
+    names = {
+        "controller": controller or DEFAULT_NAMES["controller"],
+        "experiment": experiment or DEFAULT_NAMES["experiment"],
+        "plant": plant or DEFAULT_NAMES["plant"],
+        "rig": rig or _rig_name(backend, rig) or DEFAULT_NAMES["rig"],
+    }
+    sys.exit(_run(settings, names, log, as_json=as_json, quiet=quiet))
+
+
+def _rig_name(backend: str | None, rig: str | None) -> str | None:
+    if backend is not None and backend not in RIG_OF_BACKEND:
+        known = ", ".join(RIG_OF_BACKEND)
+        raise ConfigError([Problem(f"--backend {backend}", "", f"unknown; there are {known}")])
+    return rig if rig is not None or backend is None else RIG_OF_BACKEND[backend]
+
+
+def _check_backend(settings: RunSettings, backend: str | None, rig: str | None) -> None:
+    found = settings.rig.backend
+    if backend is not None and backend != found:
+        message = f"the rig file {rig} is for the backend {found}"
+        raise ConfigError([Problem(f"--backend {backend}", "", message)])
+    if settings.fast and found != "sim":
+        message = "only a simulation can do without a clock"
+        raise ConfigError([Problem("--fast", "", message)])
+
+
+def _run(
+    settings: RunSettings, names: dict[str, str], log: Path | None, *, as_json: bool, quiet: bool
+) -> int:
+    _finish_orphans(quiet=quiet)
+    try:
+        _require_backend(settings)
+        path = _log_path(log, names)
+        ring = Ring.create(_ring_path(), _meta(settings, names, path), settings.rig.loop.ring_rows)
+    except RigError as error:
+        return _fail(ExitCode.UNAVAILABLE, str(error))
+    except _LogPathError as error:
+        return _fail(ExitCode.USAGE, str(error))
+    except RingError as error:
+        return _fail(ExitCode.UNAVAILABLE, str(error))
+    progress = ProgressLine(quiet=quiet or as_json)
+    with ring:
+        loop_command = [sys.executable, "-m", "pamctl.cli.loop_process"]
+        report = conduct(ring, loop_command, progress)
+    progress.done()
+    return _conclude(settings, names, path, report, as_json=as_json)
+
+
+def _require_backend(settings: RunSettings) -> None:
+    """Find out before anything is created whether the device can be had."""
+    rig_of(settings, clock_of(settings, may_spin=False))
+
+
+def _finish_orphans(*, quiet: bool) -> None:
+    """Finish the logs of runs that died with all their processes."""
+    if not any(_RING_DIRECTORY.glob("pamctl-*.ring")):
+        return
+    from pamctl.log.recover import recover_orphans
+
+    for orphan in recover_orphans(_RING_DIRECTORY):
+        if not quiet:
+            done = orphan.recovery and f"finished {orphan.recovery.destination}"
+            what = done or f"could not finish its log: {orphan.problem}"
+            print(f"a run died before ({orphan.ring}): {what}", file=sys.stderr)
+
+
+_RING_DIRECTORY = Path("/dev/shm")
+
+
+def _ring_path() -> Path:
+    return _RING_DIRECTORY / f"pamctl-{os.getpid()}-{time.time_ns()}.ring"
+
+
+class _LogPathError(Exception):
+    """The log cannot be written where it was asked for."""
+
+
+def _log_path(asked: Path | None, names: dict[str, str]) -> Path:
+    """Return where the log goes; refuse now what the recorder would refuse later."""
+    if asked is None:
+        stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+        what = "-".join(Path(names[part]).stem for part in ("controller", "experiment"))
+        asked = Path("logs") / f"{stamp}-{what}.mcap"
+        asked.parent.mkdir(exist_ok=True)
+    if asked.exists():
+        raise _LogPathError(f"--log {asked}: exists, and a log is never overwritten")
+    if not asked.parent.is_dir():
+        raise _LogPathError(f"--log {asked}: there is no directory {asked.parent}")
+    if not os.access(asked.parent, os.W_OK):
+        raise _LogPathError(f"--log {asked}: no permission to write in {asked.parent}")
+    return asked
+
+
+def _meta(settings: RunSettings, names: dict[str, str], path: Path) -> RunMeta:
+    clock = clock_of(settings, may_spin=False)
+    mono_ns = 0 if settings.fast else time.monotonic_ns()
+    cal = calibration(settings.rig.calibration)
+    controller = settings.controller
+    run = {**names, "law": controller.law, "backend": settings.rig.backend}
+    return RunMeta(
+        log_path=str(path),
+        start_wall_ns=mono_ns + clock.wall_offset_ns(),
+        start_mono_ns=mono_ns,
+        config=json.loads(to_json(settings)),
+        attachments={
+            "config.yaml": to_yaml(settings),
+            "calibration.json": json.dumps(cal._asdict()),
+            "filters.json": json.dumps(
+                {
+                    "kind": "Butterworth, third order, trapezoidal, on the measured dt",
+                    "lpf1_hz": controller.lpf1_hz,
+                    "lpf2_hz": controller.lpf2_hz,
+                }
+            ),
+        },
+        metadata={"run": run, "pamctl": {} if settings.fast else _origin()},
+        keyframe_fields=keyframe_fields(first_state(Zero(0.0, 0.0))),
+    )
+
+
+def _origin() -> dict[str, str]:
+    return {
+        "version": __version__,
+        "schema": str(SCHEMA_VERSION),
+        "python": platform.python_version(),
+        "kernel": platform.release(),
+        "host": socket.gethostname(),
+        "start": datetime.now(UTC).isoformat(timespec="milliseconds"),
+    }
+
+
+def _conclude(
+    settings: RunSettings,
+    names: dict[str, str],
+    path: Path,
+    report: FrontReport,
+    *,
+    as_json: bool,
+) -> int:
+    """Print the figures; return the exit code."""
+    ending = report.ending
+    if report.note:
+        print(f"error: {report.note}", file=sys.stderr)
+    document: dict[str, Any] = {
+        "exit_code": int(ending.code),
+        "reason": ending.reason,
+        "log": str(path),
+        "log_is_whole": report.log_is_whole,
+        **names,
+        "law": settings.controller.law,
+        "backend": settings.rig.backend,
+    }
+    text = ""
+    if path.exists():
+        figures, text = _figures(settings, names, path, ending)
+        document |= figures
+    if as_json:
+        typer.echo(json.dumps(document, indent=2))
+    else:
+        if text:
+            typer.echo(text)
+        typer.echo(f"log: {path}")
+    if ending.code:
+        return _fail(ending.code, ending.reason)
+    return int(ending.code) if report.log_is_whole else int(ExitCode.CHECK_FAILED)
+
+
+def _figures(
+    settings: RunSettings, names: dict[str, str], path: Path, ending: Ending
+) -> tuple[dict[str, Any], str]:
+    # Slow imports, that a run must not wait for before its first tick.
+    from pamctl.cli.summary import as_text, summary
+    from pamctl.log.reader import LogError, read
+
+    try:
+        log = read(path)
+    except LogError as error:
+        return {"log_error": str(error)}, f"error: {error}"
+    if not len(log):
+        return {"ticks": 0}, ""
+    figures = summary(log, Path(names["experiment"]).stem)
+    text = as_text(figures, settings.controller.law)
+    if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
+        from pamctl.log.flight import dump_last_seconds
+
+        figures["flight_record"] = str(dump_last_seconds(log))
+        text += f"\nlast two seconds: {figures['flight_record']}"
+    return figures, text
+
+
+def _fail(code: ExitCode, reason: str) -> int:
+    print(f"error: {reason}", file=sys.stderr)
+    return int(code)

@@ -1,0 +1,85 @@
+"""What a user reads after a run: tracking beside Table IV, timing, where the log is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pamctl.log.reader import Log
+from pamctl.merit import TABLE_IV, Merit, merits_of, timing_of
+
+
+def summary(log: Log, experiment: str) -> dict[str, Any]:
+    """Return the figures of a run as one JSON document: SI, None for what is not known."""
+    return {
+        "ticks": len(log),
+        "missed_ticks": int(log["missed"].sum()),
+        "tracking": {name: _plain(m) for name, m in merits_of(log).items()},
+        "paper": [
+            {"law": row.law, **_plain(row.merit)}
+            for row in TABLE_IV
+            if row.experiment == experiment
+        ],
+        "timing": None
+        if is_fast(log)
+        else {name: spread._asdict() for name, spread in timing_of(log).items()},
+    }
+
+
+def is_fast(log: Log) -> bool:
+    """Tell whether the run had no clock."""
+    return bool(log.config.get("fast"))
+
+
+def _plain(merit: Merit | None) -> dict[str, Any]:
+    if merit is None:
+        return dict.fromkeys(Merit._fields)
+    return {name: None if math.isnan(v) else v for name, v in merit._asdict().items()}
+
+
+def as_text(figures: dict[str, Any], law: str) -> str:
+    """Lay the figures out for a terminal."""
+    return "\n".join([*_tracking_lines(figures, law), *_timing_lines(figures)])
+
+
+def _tracking_lines(figures: dict[str, Any], law: str) -> list[str]:
+    rows = [
+        (f"{law}, {name} displacement", merit)
+        for name, merit in figures["tracking"].items()
+        if merit["max_m"] is not None
+    ]
+    if not rows:
+        return ["No tracking in this run: nothing to hold against Table IV."]
+    rows += [(f"paper, {row['law']} on its rig", row) for row in figures["paper"]]
+    head = f"{'tracking error':<30}{'max um':>10}{'RMS um':>10}{'steady um':>11}"
+    return [head, *(f"{name:<30}{_micro(m)}" for name, m in rows)]
+
+
+def _micro(merit: dict[str, Any]) -> str:
+    cells = zip(merit_fields(merit), (10, 10, 11), strict=True)
+    return "".join(f"{'-':>{w}}" if v is None else f"{v * 1e6:>{w}.1f}" for v, w in cells)
+
+
+def merit_fields(merit: dict[str, Any]) -> list[float | None]:
+    """Return max, RMS and steady-state error of a row."""
+    return [merit[name] for name in Merit._fields]
+
+
+_TIMING_NAMES = {
+    "wake_up": "wake-up behind deadline",
+    "tick": "tick, sample to command",
+    "period_work": "read, tick and write",
+}
+
+
+def _timing_lines(figures: dict[str, Any]) -> list[str]:
+    missed = f"{figures['ticks']} ticks, {figures['missed_ticks']} missed"
+    if figures["timing"] is None:
+        return ["", f"{missed}; simulated without a clock"]
+    head = f"{'timing':<30}{'p50 us':>10}{'p99 us':>10}{'max us':>11}"
+    lines = [
+        f"{label:<30}{t['p50_s'] * 1e6:>10.1f}{t['p99_s'] * 1e6:>10.1f}{t['max_s'] * 1e6:>11.1f}"
+        for name, label in _TIMING_NAMES.items()
+        for t in [figures["timing"][name]]
+    ]
+    return ["", head, *lines, missed]

@@ -1,0 +1,24 @@
+"""The flight record: what the last two seconds before a trip looked like, as a table."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from pamctl.log.reader import Log
+
+FLIGHT_RECORD_S = 2.0
+
+
+def dump_last_seconds(log: Log) -> Path:
+    """Write the last two seconds of a log beside it as CSV; return its path."""
+    path = log.path.with_name(f"{log.path.stem}-trip.csv")
+    t_s = log.t
+    first = int(np.searchsorted(t_s, t_s[-1] - FLIGHT_RECORD_S))
+    with path.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(log.columns)
+        table.writerows(zip(*(log[name][first:].tolist() for name in log.columns), strict=True))
+    return path

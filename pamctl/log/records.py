@@ -1,0 +1,120 @@
+"""A log file as its records: framing and checksums, and nothing of what they mean.
+
+Records are views into the file, so that walking a log costs no copy. Every byte
+of a log that pamctl finished is under some checksum, and all of them are checked.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Chunk, DataEnd, Footer
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC as MAGIC
+
+FRAME = struct.Struct("<BQ")
+"""Opcode, and bytes of the body behind it."""
+
+
+class LogError(Exception):
+    """A log cannot be read or written. The message says what, where, and what to do."""
+
+
+class Damage(Exception):
+    """The bytes at `offset` of the file are not what they should be."""
+
+    def __init__(self, offset: int, what: str) -> None:
+        """`what` completes the sentence: at byte N, ..."""
+        super().__init__(f"at byte {offset}, {what}")
+        self.offset = offset
+
+
+class Record(NamedTuple):
+    """One record: `body` is without its frame, `start` and `end` are with it."""
+
+    opcode: int
+    start: int
+    end: int
+    body: memoryview
+
+    def stream(self) -> ReadDataStream:
+        """Return the body as what the parsers of the `mcap` package read from."""
+        return ReadDataStream(BytesIO(self.body))
+
+
+def mapped(path: Path) -> memoryview:
+    """Map a log file for reading; raise LogError if there is none."""
+    try:
+        with path.open("rb") as file:
+            return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    except OSError as error:
+        raise LogError(f"cannot read {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise LogError(f"{path} is empty: no log was written there") from error
+
+
+def walk(file: memoryview) -> Iterator[Record]:
+    """Go through a file's records, the footer last; raise Damage where there is no next one."""
+    if file[: len(MAGIC)] != MAGIC:
+        raise Damage(0, "it does not begin as an MCAP file does")
+    at, opcode = len(MAGIC), 0
+    while opcode != Opcode.FOOTER:
+        record = record_at(file, at)
+        yield record
+        at, opcode = record.end, record.opcode
+    if file[at:] != MAGIC:
+        raise Damage(at, "it does not end as an MCAP file does")
+
+
+def verify(file: memoryview, record: Record) -> None:
+    """Check a record of `walk` that holds a checksum; raise Damage if it is wrong.
+
+    A chunk has its checksum within, and is checked by `unpack`.
+    """
+    if record.opcode == Opcode.ATTACHMENT:
+        stored = int.from_bytes(record.body[-4:], "little")
+        _compare(record, "an attachment", stored, record.body[:-4])
+    elif record.opcode == Opcode.DATA_END:
+        stored = DataEnd.read(record.stream()).data_section_crc
+        _compare(record, "all before it", stored, file[: record.start])
+    elif record.opcode == Opcode.FOOTER:
+        footer = Footer.read(record.stream())
+        summary = file[footer.summary_start or record.start : record.end - 4]
+        _compare(record, "the summary", footer.summary_crc, summary)
+
+
+def unpack(chunk: Record) -> memoryview:
+    """Return the records within a chunk as bytes; raise Damage if they are not what was put in."""
+    try:
+        stream, size = get_chunk_data_stream(Chunk.read(chunk.stream()), validate_crc=True)
+        return memoryview(stream.read(size))
+    # Whatever a decompressor makes of bytes it was never given by a compressor.
+    except Exception as error:
+        raise Damage(chunk.start, f"a chunk does not unpack: {error}") from error
+
+
+def record_at(data: memoryview, at: int) -> Record:
+    """Return the record at an offset; raise Damage if there is no whole one."""
+    if at + FRAME.size > len(data):
+        raise Damage(at, "the file is cut short")
+    opcode, length = FRAME.unpack_from(data, at)
+    start, end = at + FRAME.size, at + FRAME.size + length
+    if opcode == 0:
+        raise Damage(at, "there is no record but zeros")
+    if end > len(data):
+        raise Damage(at, f"a record of {length} bytes is cut short")
+    return Record(opcode, at, end, data[start:end])
+
+
+def _compare(record: Record, what: str, stored: int, data: memoryview) -> None:
+    # Zero is how a writer says that it has not computed the checksum.
+    if stored not in (0, zlib.crc32(data)):
+        raise Damage(record.start, f"the checksum of {what} is wrong")

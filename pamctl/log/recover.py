@@ -1,0 +1,307 @@
+"""Mend logs: save what is whole of a damaged file, finish what a dead recorder left.
+
+A log that was cut short lacks its index, and the chunk that was being written.
+That chunk's rows are still in the ring, unless the machine itself went down.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from io import BufferedWriter
+from itertools import count
+from pathlib import Path
+from time import monotonic_ns
+from typing import TYPE_CHECKING, NamedTuple
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema
+
+from pamctl.log.records import Damage, LogError, Record, mapped, record_at, unpack, verify, walk
+from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
+from pamctl.log.text import from_json
+from pamctl.log.writer import NO_SCHEMA, LogWriter
+
+if TYPE_CHECKING:
+    from pamctl.realtime.ring import Ring
+
+_MESSAGE = struct.Struct("<HIQQ")
+_LOOP_DEAD_NS = 2_000_000_000
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What was saved, and what was not."""
+
+    source: str
+    destination: str
+    messages: dict[str, int]
+    """Saved messages by topic."""
+    damage: tuple[str, ...]
+    """What was wrong with the source, one clause each."""
+    lossless: bool
+    """Whether all that was ever logged is saved."""
+    bytes_lost: int
+    """Bytes of the source that nothing could be made of."""
+
+
+class Orphan(NamedTuple):
+    """A ring that nobody held: its log was finished, or `problem` says why not."""
+
+    ring: Path
+    recovery: Recovery | None
+    problem: str
+
+
+def recover(source: str | Path, destination: str | Path) -> Recovery:
+    """Save all that is whole of a log into a new file; raise LogError if nothing is.
+
+    Works on any MCAP file. A damaged chunk is left out and the next one saved; what
+    follows a damaged length cannot be found. The source is not touched.
+    """
+    source, destination = Path(source), Path(destination)
+    file = mapped(source)
+    with _new(destination) as stream:
+        writer = LogWriter(stream)
+        copy = _Copy(writer)
+        copy.file(file)
+        if not copy.saved:
+            raise LogError(f"nothing of {source} can be saved: {'; '.join(copy.damage)}")
+        recovery = Recovery(
+            source=str(source),
+            destination=str(destination),
+            messages=dict(copy.saved),
+            damage=tuple(copy.damage),
+            lossless=not (copy.lost or copy.cut),
+            bytes_lost=copy.bytes_lost,
+        )
+        _sign(writer, recovery)
+    return recovery
+
+
+def finish_from_ring(ring_path: str | Path) -> Recovery:
+    """Finish the log of a recorder that died, in its place; then remove the ring.
+
+    The recorder must be dead, and the loop must have put its last row. Raise
+    RingError if there is no such ring, LogError or OSError if the log cannot be
+    written: then the ring stays, and so does the part of the log that there is.
+    """
+    from pamctl.realtime.ring import Ring
+
+    with Ring.attach(ring_path) as ring:
+        recovery = _finish(ring)
+        ring.unlink()
+    return recovery
+
+
+def recover_orphans(directory: str | Path = "/dev/shm") -> list[Orphan]:
+    """Finish the logs of runs that died with all their processes; remove their rings.
+
+    Never raises for a ring that cannot be dealt with: its `Orphan` says why.
+    """
+    from pamctl.realtime.ring import Ring
+
+    found: list[Orphan] = []
+    for path in sorted(Path(directory).glob("pamctl-*.ring")):
+        # Another user's ring is that user's to recover.
+        if not os.access(path, os.R_OK | os.W_OK):
+            continue
+        try:
+            with Ring.attach(path) as ring:
+                if ring.claim() and monotonic_ns() - ring.loop_beat_ns > _LOOP_DEAD_NS:
+                    found.append(Orphan(path, _finish(ring), ""))
+                    ring.unlink()
+        # One bad ring must not keep a rig from starting, nor another log from being saved.
+        except Exception as error:
+            found.append(Orphan(path, None, str(error)))
+    return found
+
+
+def _finish(ring: Ring) -> Recovery:
+    from pamctl.log.rows import RowLogger
+    from pamctl.realtime.ring import RecorderFlag
+
+    target = Path(ring.meta.log_path)
+    if ring.recorder_flags & RecorderFlag.FINISHED:
+        return Recovery(str(target), str(target), {}, (), lossless=True, bytes_lost=0)
+    has_part = _is_ours(target, ring)
+    if not has_part:
+        target = _unused(target)
+    with _replacing(target, ring) as stream:
+        writer = LogWriter(stream)
+        rows = RowLogger(writer, ring.meta)
+        copy = _Copy(writer)
+        if has_part:
+            copy.file(mapped(target))
+        rows.last_tick, rows.last_row = copy.last_tick, copy.last_row
+        rest = ring.drain(ring.rows)
+        rows.write(rest)
+        recovery = Recovery(
+            source=f"{target if has_part else 'no file'} and {ring.path}",
+            destination=str(target),
+            messages=dict(copy.saved + rows.written),
+            damage=tuple(copy.damage),
+            # Where the file was cut the ring goes on.
+            lossless=not copy.lost,
+            bytes_lost=copy.bytes_lost,
+        )
+        _sign(writer, recovery)
+    ring.commit(rest.end_row)
+    ring.raise_flag(RecorderFlag.FINISHED)
+    return recovery
+
+
+def _is_ours(path: Path, ring: Ring) -> bool:
+    """Tell whether the file is the one that the ring's recorder created."""
+    return path.exists() and path.stat().st_ino in (ring.log_inode, ring.mended_inode)
+
+
+def _unused(path: Path) -> Path:
+    names = (path.with_stem(f"{path.stem}{suffix}") for suffix in _suffixes())
+    return next(name for name in names if not name.exists())
+
+
+def _suffixes() -> Iterator[str]:
+    yield ""
+    yield "-recovered"
+    yield from (f"-recovered-{number}" for number in count(2))
+
+
+def _sign(writer: LogWriter, recovery: Recovery) -> None:
+    """Say in the log itself that it was mended, and end it."""
+    writer.metadata(
+        "recovery",
+        {
+            "source": recovery.source,
+            "damage": "; ".join(recovery.damage),
+            "lossless": str(recovery.lossless).lower(),
+        },
+    )
+    writer.finish()
+
+
+@contextmanager
+def _new(path: Path) -> Iterator[BufferedWriter]:
+    """Open a file that must not exist; leave none behind on an error."""
+    try:
+        stream = path.open("xb")
+    except FileExistsError:
+        raise LogError(f"{path} exists, and a log is never overwritten") from None
+    except OSError as error:
+        raise LogError(f"cannot create {path}: {error.strerror}") from error
+    try:
+        with stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+    except BaseException:
+        path.unlink()
+        raise
+
+
+@contextmanager
+def _replacing(target: Path, ring: Ring) -> Iterator[BufferedWriter]:
+    """Open a file beside the target that takes its place when the block ends well."""
+    draft = target.with_name(f"{target.name}.recovering")
+    draft.unlink(missing_ok=True)
+    with _new(draft) as stream:
+        yield stream
+        ring.mended_inode = os.fstat(stream.fileno()).st_ino
+    draft.replace(target)
+    directory = os.open(target.parent, os.O_RDONLY)
+    os.fsync(directory)
+    os.close(directory)
+
+
+class _Copy:
+    """Copies what is whole of one log into another."""
+
+    def __init__(self, writer: LogWriter) -> None:
+        self._writer = writer
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, tuple[str, int]] = {}
+        self.saved: Counter[str] = Counter()
+        self.damage: list[str] = []
+        self.lost = False
+        """Something within the file was damaged."""
+        self.cut = True
+        """The file has no end."""
+        self.bytes_lost = 0
+        self.last_tick = -(1 << 62)
+        self.last_row = -1
+
+    def file(self, file: memoryview) -> None:
+        """Copy a file's data section as far as it goes; the summary is made anew."""
+        self._learn_channels(file)
+        try:
+            for record in walk(file):
+                self._try(file, record)
+                self.cut = self.cut and record.opcode != Opcode.DATA_END
+        except Damage as damage:
+            self.damage.append(str(damage))
+            self.bytes_lost += len(file) - damage.offset if self.cut else 0
+
+    def _learn_channels(self, file: memoryview) -> None:
+        """Learn from the summary what a damaged first chunk would not tell."""
+        with suppress(Damage):
+            for record in walk(file):
+                if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._copy(record)
+
+    def _try(self, file: memoryview, record: Record) -> None:
+        try:
+            verify(file, record)
+            self._copy(record)
+        except Damage as damage:
+            self.damage.append(str(damage))
+            self.lost = self.lost or self.cut
+            if record.opcode != Opcode.DATA_END:
+                self.bytes_lost += record.end - record.start
+
+    def _copy(self, record: Record) -> None:
+        match record.opcode:
+            case Opcode.CHUNK:
+                inside, at = unpack(record), 0
+                while at < len(inside):
+                    part = record_at(inside, at)
+                    self._copy(part)
+                    at = part.end
+                self._writer.end_chunk()
+            case Opcode.MESSAGE:
+                self._copy_message(record)
+            case Opcode.SCHEMA:
+                schema = Schema.read(record.stream())
+                self._schemas[schema.id] = schema
+            case Opcode.CHANNEL:
+                self._copy_channel(Channel.read(record.stream()))
+            case Opcode.ATTACHMENT:
+                a = Attachment.read(record.stream())
+                self._writer.attachment(a.name, a.data, a.log_time, a.media_type)
+            case Opcode.METADATA:
+                metadata = Metadata.read(record.stream())
+                self._writer.metadata(metadata.name, metadata.metadata)
+
+    def _copy_channel(self, channel: Channel) -> None:
+        schema = self._schemas.get(channel.schema_id)
+        known = (schema.name, schema.encoding, schema.data) if schema else NO_SCHEMA
+        copied = self._writer.channel(
+            channel.topic, channel.message_encoding, known, channel.metadata
+        )
+        self._channels[channel.id] = (channel.topic, copied)
+
+    def _copy_message(self, record: Record) -> None:
+        channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record.body)
+        if channel not in self._channels:
+            raise Damage(record.start, f"channel {channel} was described in a part that is lost")
+        topic, copied = self._channels[channel]
+        data = bytes(record.body[_MESSAGE.size :])
+        self._writer.add(copied, log_time, data, publish_time, sequence)
+        self.saved[topic] += 1
+        if topic == TICK_TOPIC:
+            self.last_tick = max(self.last_tick, sequence)
+        elif topic in JSON_SCHEMAS:
+            self.last_row = max(self.last_row, from_json(data).get("row", -1))

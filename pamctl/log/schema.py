@@ -1,0 +1,116 @@
+"""The log's channels: a tick as protobuf, all else as JSON.
+
+A tick is the message `pamctl.Tick`, proto3, one `optional` field of fixed width
+for each column; field numbers are the positions of the columns. Each log carries
+its own descriptor, so that a reader of another version finds values by name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from google.protobuf.descriptor_pb2 import (
+    DescriptorProto,
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
+
+from pamctl.log.text import to_json
+from pamctl.signals import Field
+
+SCHEMA_VERSION = 1
+"""Goes up whenever `TICK_FIELDS` changes."""
+
+TICK_TOPIC = "/pam/tick"
+EVENT_TOPIC = "/pam/event"
+GAINS_TOPIC = "/pam/gains"
+KEYFRAME_TOPIC = "/pam/keyframe"
+TICK_MESSAGE = "pamctl.Tick"
+
+_PROTO_TYPES: dict[type, FieldDescriptorProto.Type.ValueType] = {
+    float: FieldDescriptorProto.TYPE_DOUBLE,
+    int: FieldDescriptorProto.TYPE_SFIXED64,
+    bool: FieldDescriptorProto.TYPE_BOOL,
+}
+
+_UNIT = re.compile(r"_(m|s|ns|v|pa|n|kg|hz|rad|counts)(?:_per_(m|s|v)([23])?)?$")
+_SYMBOLS = {"v": "V", "pa": "Pa", "n": "N", "hz": "Hz"}
+
+
+def tick_descriptor(fields: Sequence[Field]) -> bytes:
+    """Return the serialised FileDescriptorSet of `pamctl.Tick` with these columns."""
+    message = DescriptorProto(name="Tick")
+    for index, field in enumerate(fields):
+        message.oneof_decl.add(name=f"_{field.name}")
+        message.field.add(
+            name=field.name,
+            number=index + 1,
+            type=_PROTO_TYPES[field.kind],
+            label=FieldDescriptorProto.LABEL_OPTIONAL,
+            proto3_optional=True,
+            oneof_index=index,
+        )
+    file = FileDescriptorProto(
+        name="pamctl/tick.proto", package="pamctl", syntax="proto3", message_type=[message]
+    )
+    return FileDescriptorSet(file=[file]).SerializeToString(deterministic=True)
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that a name's suffix states, `1` for a number without one."""
+    suffix = _UNIT.search(name)
+    if suffix is None:
+        return "1"
+    unit, divisor, power = suffix.groups(default="")
+    top, bottom = _SYMBOLS.get(unit, unit), _SYMBOLS.get(divisor, divisor)
+    exponent = f"^{power}" if power else ""
+    return f"{top}/{bottom}{exponent}" if divisor else top
+
+
+def units(fields: Sequence[Field]) -> dict[str, str]:
+    """Return the unit of each column."""
+    return {field.name: unit_of(field.name) for field in fields}
+
+
+_WHERE = {
+    "tick": {"type": "integer", "description": "The tick it belongs to; /pam/tick has the rest."},
+    "t_ns": {"type": "integer", "description": "The rig's monotonic clock.", "x-unit": "ns"},
+    "row": {"type": "integer", "description": "Unique within the run, and rising."},
+}
+_NUMBER = {"anyOf": [{"type": "number"}, {"enum": ["nan", "inf", "-inf"]}]}
+
+
+def _object(title: str, description: str, properties: Mapping[str, object]) -> bytes:
+    return to_json(
+        {
+            "$schema": "https://json-schema.org/draft/2020-12/schema",
+            "title": title,
+            "description": description,
+            "type": "object",
+            "properties": {**_WHERE, **properties},
+            "required": [*_WHERE, *properties],
+        }
+    )
+
+
+JSON_SCHEMAS: dict[str, tuple[str, bytes]] = {
+    EVENT_TOPIC: (
+        "pamctl.Event",
+        _object("Event", "What happened, when it did.", {"event": {"type": "string"}}),
+    ),
+    GAINS_TOPIC: (
+        "pamctl.Gains",
+        _object("Gains", "The law's gains, whenever they change.", {}),
+    ),
+    KEYFRAME_TOPIC: (
+        "pamctl.Keyframe",
+        _object(
+            "Keyframe",
+            "Frozen state, after this tick, from which a replay can start.",
+            {"state": {"type": "object", "additionalProperties": _NUMBER}},
+        ),
+    ),
+}
+"""Name and JSON schema of each topic beside the ticks."""

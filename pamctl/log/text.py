@@ -1,0 +1,60 @@
+"""The log's JSON, and its one rule for numbers that JSON does not have.
+
+A float that is not finite is written as the string "nan", "inf" or "-inf", and
+those three strings are read back as floats. A text that must survive as text is
+therefore none of the three.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+_NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
+
+
+def to_json(value: object) -> bytes:
+    """Write a value as valid JSON; what JSON does not know goes in as its text."""
+    try:
+        return _dump(value)
+    except ValueError:
+        return _dump(_spell(value))
+
+
+def from_json(text: bytes | str) -> Any:
+    """Read what `to_json` wrote; raise ValueError for what is not JSON."""
+    return _restore(json.loads(text))
+
+
+def _dump(value: object) -> bytes:
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain)
+    return text.encode()
+
+
+def _plain(value: object) -> object:
+    item = getattr(value, "item", None)
+    return item() if callable(item) else str(value)
+
+
+def _spell(value: object) -> object:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(float(value))
+    if isinstance(value, Mapping):
+        return {name: _spell(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_spell(part) for part in value]
+    if value is None or isinstance(value, int | str):
+        return value
+    return _spell(_plain(value))
+
+
+def _restore(value: Any) -> Any:
+    if isinstance(value, str):
+        return _NOT_FINITE.get(value, value)
+    if isinstance(value, dict):
+        return {name: _restore(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_restore(part) for part in value]
+    return value

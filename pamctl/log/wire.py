@@ -1,0 +1,159 @@
+"""The bytes of a tick: one numpy type that is both encoder and decoder.
+
+A message whose fields all have a fixed width and are all present has a constant
+length, so that the wire format is a structured array: tag, value, tag, value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+from numpy.typing import NDArray
+
+from pamctl.log.schema import TICK_MESSAGE, tick_descriptor
+from pamctl.signals import Field
+
+_FIXED_WIDTH: dict[int, tuple[int, str]] = {
+    FieldDescriptorProto.TYPE_DOUBLE: (1, "<f8"),
+    FieldDescriptorProto.TYPE_FIXED64: (1, "<u8"),
+    FieldDescriptorProto.TYPE_SFIXED64: (1, "<i8"),
+    FieldDescriptorProto.TYPE_FLOAT: (5, "<f4"),
+    FieldDescriptorProto.TYPE_FIXED32: (5, "<u4"),
+    FieldDescriptorProto.TYPE_SFIXED32: (5, "<i4"),
+    # A varint by name, but a bool's is always one byte.
+    FieldDescriptorProto.TYPE_BOOL: (0, "u1"),
+}
+"""Protobuf wire type and numpy type of the field types that have a fixed width."""
+
+_FLOATS = (FieldDescriptorProto.TYPE_DOUBLE, FieldDescriptorProto.TYPE_FLOAT)
+_COMPOSITE = (FieldDescriptorProto.TYPE_MESSAGE, FieldDescriptorProto.TYPE_GROUP)
+_TEXT = (FieldDescriptorProto.TYPE_STRING, FieldDescriptorProto.TYPE_BYTES)
+
+
+class UnknownLayout(Exception):
+    """The embedded descriptor describes no table of numbers. The message says what is wrong."""
+
+
+@dataclass(frozen=True)
+class TickLayout:
+    """The wire format of a message of fixed length."""
+
+    names: tuple[str, ...]
+    bools: frozenset[str]
+    blank: NDArray[Any]
+    """A message, shape (), with tags in place and values zero: `NAME.tag` before each `NAME`."""
+
+    @classmethod
+    def of_fields(cls, fields: Sequence[Field]) -> TickLayout:
+        """Return the layout of a tick with these columns."""
+        layout = cls.of_descriptor(tick_descriptor(fields), TICK_MESSAGE)
+        assert layout is not None, "every column has a fixed width"
+        return layout
+
+    @classmethod
+    def of_descriptor(cls, descriptor_set: bytes, message: str) -> TickLayout | None:
+        """Return the layout of an embedded message, None if its length is not fixed."""
+        fields = sorted(_numbers(descriptor_set, message), key=lambda field: field.number)
+        if any(field.type not in _FIXED_WIDTH for field in fields):
+            return None
+        tags = {f.name: _varint(f.number << 3 | _FIXED_WIDTH[f.type][0]) for f in fields}
+        wire = [
+            column
+            for field in fields
+            for column in (
+                (f"{field.name}.tag", "u1", (len(tags[field.name]),)),
+                (field.name, _FIXED_WIDTH[field.type][1]),
+            )
+        ]
+        blank = np.zeros((), wire)
+        for name, tag in tags.items():
+            blank[f"{name}.tag"] = tuple(tag)
+        bools = frozenset(f.name for f in fields if f.type == FieldDescriptorProto.TYPE_BOOL)
+        return cls(tuple(tags), bools, blank)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The numpy type of one message."""
+        return self.blank.dtype
+
+    def encode(self, columns: NDArray[Any]) -> NDArray[Any]:
+        """Turn a structured array of shape (n,) with our columns into n messages."""
+        messages = np.full(columns.shape, self.blank)
+        for name in self.names:
+            messages[name] = columns[name]
+        return messages
+
+    def fits(self, messages: NDArray[Any]) -> bool:
+        """Tell whether every message of shape (n,) has all its tags where we expect them."""
+        return all(
+            bool((messages[f"{name}.tag"] == self.blank[f"{name}.tag"]).all())
+            for name in self.names
+        ) and all(bool((messages[name] <= 1).all()) for name in self.bools)
+
+    def decode(self, messages: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        """Return the columns, each of shape (n,), of messages that fit."""
+        return {
+            name: messages[name].astype(bool) if name in self.bools else messages[name].copy()
+            for name in self.names
+        }
+
+
+def decode_each(
+    descriptor_set: bytes, message: str, payloads: Iterable[bytes]
+) -> dict[str, NDArray[Any]]:
+    """Decode messages of any length one by one, by their own descriptor.
+
+    A float that a message lacks is NaN; raise UnknownLayout for a message that
+    lacks an integer, since no integer says so.
+    """
+    fields = _numbers(descriptor_set, message)
+    pool = DescriptorPool()
+    for file in FileDescriptorSet.FromString(descriptor_set).file:
+        pool.Add(file)
+    parse = GetMessageClass(pool.FindMessageTypeByName(message)).FromString
+    messages = [parse(payload) for payload in payloads]
+    return {field.name: np.array([_value(m, field) for m in messages]) for field in fields}
+
+
+def _value(message: Any, field: FieldDescriptorProto) -> float:
+    present = not field.proto3_optional or message.HasField(field.name)
+    if present:
+        return (
+            float(getattr(message, field.name))
+            if field.type in _FLOATS
+            else int(getattr(message, field.name))
+        )
+    if field.type in _FLOATS:
+        return float("nan")
+    raise UnknownLayout(f"a tick lacks its {field.name}")
+
+
+def _numbers(descriptor_set: bytes, message: str) -> Sequence[FieldDescriptorProto]:
+    """Return the fields of a message, all of them plain numbers."""
+    package, _, name = message.rpartition(".")
+    for file in FileDescriptorSet.FromString(descriptor_set).file:
+        for candidate in file.message_type:
+            if (file.package, candidate.name) == (package, name):
+                return [_number(field) for field in candidate.field]
+    raise UnknownLayout(f"its descriptor does not describe {message}")
+
+
+def _number(field: FieldDescriptorProto) -> FieldDescriptorProto:
+    repeated = field.label == FieldDescriptorProto.LABEL_REPEATED
+    if repeated or field.type in _COMPOSITE or field.type in _TEXT:
+        raise UnknownLayout(f"its field {field.name} is not a plain number")
+    return field
+
+
+def _varint(value: int) -> bytes:
+    groups = []
+    while value > 0x7F:
+        groups.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*groups, value])

@@ -1,0 +1,131 @@
+"""Write a log: the channels, and what is said once about the run."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib.metadata import version
+from io import BufferedWriter
+from pathlib import Path
+
+from mcap.writer import Writer
+
+import pamctl
+from pamctl.log.meta import RunMeta
+from pamctl.log.schema import (
+    JSON_SCHEMAS,
+    SCHEMA_VERSION,
+    TICK_MESSAGE,
+    TICK_TOPIC,
+    tick_descriptor,
+    units,
+)
+from pamctl.log.text import to_json
+
+LIBRARY = f"pamctl/{pamctl.__version__} mcap-python/{version('mcap')}"
+
+# The caller says when a chunk ends; a writer that ended one by its size would
+# leave messages behind that are in no chunk when the caller believes they are.
+_NO_LIMIT = 1 << 40
+_MEDIA_TYPES = {".json": "application/json", ".yaml": "application/yaml"}
+
+
+NO_SCHEMA = ("", "", b"")
+
+
+class LogWriter:
+    """A log in the making, on a stream that the caller opens, syncs and closes."""
+
+    def __init__(self, stream: BufferedWriter) -> None:
+        """Write the file's header."""
+        self._mcap = Writer(stream, chunk_size=_NO_LIMIT, enable_data_crcs=True)
+        self._mcap.start(profile="", library=LIBRARY)
+        self._schemas: dict[tuple[str, str, bytes], int] = {NO_SCHEMA: 0}
+        self._channels: dict[tuple[str, int], int] = {}
+        self._attached: set[str] = set()
+        self._said: set[tuple[str, bytes]] = set()
+        self.chunks = 0
+        """How many chunks were ended."""
+        self.add = self._mcap.add_message
+        """(channel, log time in ns, data, publish time in ns, sequence)"""
+
+    def channel(
+        self,
+        topic: str,
+        encoding: str,
+        schema: tuple[str, str, bytes],
+        metadata: Mapping[str, str] | None = None,
+    ) -> int:
+        """Return the id of a channel, registered when first asked for.
+
+        `schema` is its name, encoding and data, all empty for none.
+        """
+        if schema not in self._schemas:
+            self._schemas[schema] = self._mcap.register_schema(*schema)
+        key = (topic, self._schemas[schema])
+        if key not in self._channels:
+            self._channels[key] = self._mcap.register_channel(
+                topic, encoding, key[1], dict(metadata or {})
+            )
+        return self._channels[key]
+
+    def attachment(self, name: str, data: bytes, time_ns: int = 0, media_type: str = "") -> None:
+        """Attach a file, the first one of each name; its media type goes by its suffix."""
+        if name not in self._attached:
+            self._attached.add(name)
+            known = media_type or _MEDIA_TYPES.get(Path(name).suffix, "text/plain")
+            self._mcap.add_attachment(time_ns, time_ns, name, known, data)
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record, unless the same was said before."""
+        said = (name, to_json(values))
+        if said not in self._said:
+            self._said.add(said)
+            self._mcap.add_metadata(name, dict(values))
+
+    def end_chunk(self) -> None:
+        """Hand all that was added to the operating system."""
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self.chunks += 1
+
+    def finish(self) -> None:
+        """Write the index and the footer, and hand them to the operating system."""
+        self._mcap.finish()  # type: ignore[no-untyped-call]
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+
+
+def begin(writer: LogWriter, meta: RunMeta) -> dict[str, int]:
+    """Write what is known before the first tick; return the channel of each topic."""
+    writer.metadata("pamctl", _origin(meta))
+    for name, values in meta.metadata.items():
+        writer.metadata(name, values)
+    writer.attachment("config.json", to_json(meta.config), meta.start_wall_ns)
+    for name, text in meta.attachments.items():
+        writer.attachment(name, text.encode(), meta.start_wall_ns)
+    tick_schema = (TICK_MESSAGE, "protobuf", tick_descriptor(meta.tick_fields))
+    tick_metadata = {
+        "schema_version": str(SCHEMA_VERSION),
+        "units": to_json(units(meta.tick_fields)).decode(),
+    }
+    return {
+        TICK_TOPIC: writer.channel(TICK_TOPIC, "protobuf", tick_schema, tick_metadata),
+        **{
+            topic: writer.channel(topic, "json", (name, "jsonschema", schema))
+            for topic, (name, schema) in JSON_SCHEMAS.items()
+        },
+    }
+
+
+def _origin(meta: RunMeta) -> dict[str, str]:
+    return {
+        "version": pamctl.__version__,
+        "schema_version": str(SCHEMA_VERSION),
+        "start": datetime.fromtimestamp(meta.start_wall_ns / 1e9, UTC).isoformat(),
+        "host": platform.node(),
+        "kernel": platform.release(),
+        "machine": platform.machine(),
+        "python": sys.version.split()[0],
+        **{name: version(name) for name in ("mcap", "numpy", "protobuf")},
+    }

@@ -1,0 +1,104 @@
+"""Figures of merit of a tracking run, and the paper's Table IV to hold them against.
+
+The error is measured displacement minus reference, the approach left out. Steady state
+is the last 5 s of each rest. A simulated run also has the true displacement.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.log.reader import Log
+from pamctl.signals import Phase
+
+STEADY_S = 5.0
+
+Floats = NDArray[np.float64]
+
+
+class Merit(NamedTuple):
+    """Errors in m; `steady_m` is NaN where nothing rested long enough."""
+
+    max_m: float
+    rms_m: float
+    steady_m: float
+
+
+class PaperRow(NamedTuple):
+    """A column of Table IV, in m."""
+
+    experiment: str
+    law: str
+    merit: Merit
+
+
+TABLE_IV = (
+    PaperRow("tracking-1", "smc", Merit(292e-6, 43.2e-6, 15e-6)),
+    PaperRow("tracking-1", "qsmc", Merit(272e-6, 35.6e-6, 15e-6)),
+    PaperRow("tracking-2", "smc", Merit(284e-6, 43.2e-6, np.nan)),
+    PaperRow("tracking-2", "qsmc", Merit(291e-6, 55.3e-6, np.nan)),
+)
+
+
+def merit(t_s: Floats, phase: NDArray[np.int64], error_m: Floats) -> Merit | None:
+    """Return the figures of an error signal, all arrays of shape (n,); None if nothing tracked."""
+    counted = (phase == Phase.TRACK) | (phase == Phase.REST)
+    errors = np.abs(error_m[counted])
+    if not len(errors):
+        return None
+    steady = [np.abs(error_m[part]).max() for part in _steady_parts(t_s, phase)]
+    return Merit(
+        float(errors.max()),
+        float(np.sqrt(np.mean(errors**2))),
+        float(max(steady, default=np.nan)),
+    )
+
+
+def _steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
+    """Return the last 5 s of each rest that lasts at least that long."""
+    resting = np.concatenate(([False], phase == Phase.REST, [False]))
+    begins = np.flatnonzero(~resting[:-1] & resting[1:])
+    ends = np.flatnonzero(resting[:-1] & ~resting[1:])
+    parts = []
+    for begin, end in zip(begins, ends, strict=True):
+        first = int(np.searchsorted(t_s[:end], t_s[end - 1] - STEADY_S))
+        if first > begin:
+            parts.append(slice(first, int(end)))
+    return parts
+
+
+def merits_of(log: Log) -> dict[str, Merit | None]:
+    """Return the figures of a log: `measured`, and `true` where the rig was simulated."""
+    t_s, phase, reference = log["t_s"], log["phase"], log["reference_m"]
+    figures = {"measured": merit(t_s, phase, log["position_m"] - reference)}
+    if np.isfinite(log["true_position_m"]).any():
+        figures["true"] = merit(t_s, phase, log["true_position_m"] - reference)
+    return figures
+
+
+class Spread(NamedTuple):
+    """Distribution of a duration, in s."""
+
+    p50_s: float
+    p99_s: float
+    max_s: float
+
+
+def spread(durations_s: Floats) -> Spread:
+    """Summarise durations of shape (n,), n > 0."""
+    p50, p99 = np.percentile(durations_s, (50, 99))
+    return Spread(float(p50), float(p99), float(durations_s.max()))
+
+
+def timing_of(log: Log) -> dict[str, Spread]:
+    """Return how late the loop woke up, how long the tick took, and the rig's reads and writes."""
+    return {
+        "wake_up": spread(log["late_s"]),
+        "tick": spread(log["compute_s"]),
+        "period_work": spread(log["read_s"] + log["compute_s"] + log["write_s"]),
+        "read": spread(log["read_s"]),
+        "write": spread(log["write_s"]),
+    }

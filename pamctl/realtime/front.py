@@ -1,0 +1,137 @@
+"""The front: starts the processes of a run, watches over them, and picks up the pieces.
+
+    front - recorder
+          - loop        (the guardian of a card takes its place beside them)
+
+Each child sees the front's death as the end of a pipe. None of them hears Ctrl-C: the
+front does, and passes it on to the loop alone.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import FrameType
+from typing import NamedTuple
+
+from pamctl.log.recorder import spawn
+from pamctl.log.recover import Recovery, finish_from_ring
+from pamctl.realtime.ending import Ending, ExitCode
+from pamctl.realtime.ring import RecorderFlag, Ring
+
+_POLL_S = 0.05
+_RECORDER_PATIENCE_S = 60.0
+
+Progress = Callable[[Mapping[str, float], float], None]
+"""Called with the newest tick's columns and the worst lateness (s) so far."""
+
+
+class FrontReport(NamedTuple):
+    """How a run ended, and what became of its log."""
+
+    ending: Ending
+    log_is_whole: bool
+    note: str
+    """What the user must know of the log; empty where all is well."""
+
+
+def conduct(ring: Ring, loop_command: Sequence[str], progress: Progress) -> FrontReport:
+    """Run the loop on a fresh ring to its end; return when the log is on disk.
+
+    Takes over SIGINT and SIGTERM while it runs.
+    """
+    recorder = spawn(ring.path)
+    loop = subprocess.Popen(
+        [*loop_command, str(ring.path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        process_group=0,
+    )
+    with _Forwarding(loop):
+        _watch(ring, loop, recorder, progress)
+        ending = _ending_of(loop)
+        # A loop that was killed could not say so itself.
+        ring.loop_done = 1
+        return _close_log(ring, recorder, ending)
+
+
+class _Forwarding:
+    """Passes this process's signals on to the loop while it lasts."""
+
+    def __init__(self, loop: subprocess.Popen[bytes]) -> None:
+        self._loop = loop
+        self._before: dict[int, object] = {}
+
+    def __enter__(self) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._forward)
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]
+
+    def _forward(self, number: int, frame: FrameType | None) -> None:
+        if self._loop.poll() is None:
+            self._loop.send_signal(number)
+
+
+def _watch(
+    ring: Ring,
+    loop: subprocess.Popen[bytes],
+    recorder: subprocess.Popen[bytes],
+    progress: Progress,
+) -> None:
+    """Return when the loop has ended; end it when the recorder has."""
+    told = False
+    while loop.poll() is None:
+        if not told and recorder.poll() is not None:
+            # The loop sees the flag at its next tick, and stops smoothly.
+            ring.raise_flag(RecorderFlag.FAILED)
+            told = True
+        tick = ring.latest_tick()
+        if tick is not None:
+            progress(tick, ring.worst_late_ns * 1e-9)
+        time.sleep(_POLL_S)
+
+
+def _ending_of(loop: subprocess.Popen[bytes]) -> Ending:
+    said, _ = loop.communicate()
+    try:
+        report = json.loads(said)
+        return Ending(ExitCode(report["code"]), report["reason"])
+    except (ValueError, KeyError, TypeError):
+        code = loop.returncode
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"left with {code}"
+        return Ending(ExitCode.UNEXPECTED, f"the loop process {how}")
+
+
+def _close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:
+    """Wait for the recorder; where it is dead, finish its work from the ring."""
+    try:
+        _, said = recorder.communicate(timeout=_RECORDER_PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        recorder.kill()
+        _, said = recorder.communicate()
+    complaint = said.decode(errors="replace").strip()
+    if recorder.returncode == 0:
+        ring.unlink()
+        return FrontReport(ending, True, "")
+    return _rescue(ring, ending, complaint or f"the recorder left with {recorder.returncode}")
+
+
+def _rescue(ring: Ring, ending: Ending, complaint: str) -> FrontReport:
+    worst = ending if ending.code else Ending(ExitCode.UNEXPECTED, complaint)
+    if ring.recorder_flags & RecorderFlag.FINISHED:
+        ring.unlink()
+        return FrontReport(worst, True, complaint)
+    try:
+        recovery: Recovery = finish_from_ring(ring.path)
+    except Exception as error:
+        kept = f"{complaint}; the log could not be finished ({error}). Its last ticks are kept in "
+        kept += f"{ring.path}: make room, and the next `pamctl run` finishes it"
+        return FrontReport(worst, False, kept)
+    note = f"{complaint}; the log was finished from the ring: {recovery.destination}"
+    return FrontReport(worst, recovery.lossless, note)

@@ -1,0 +1,257 @@
+"""The loop: what happens within a period, every period.
+
+    wake - read - ask - step - write - record
+
+One thread, no allocation worth collecting, no lock, no log file: rows go into a ring in
+shared memory, and another process writes them down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, NamedTuple, Protocol
+
+from pydantic import Field
+
+from hal.calibration import Zero, output_v
+from hal.configured import Configured
+from hal.rig import RawSample, Rig, RigError, opened
+from pamctl.control.homing import HomingError
+from pamctl.realtime.clock import Clock, Wake
+from pamctl.realtime.ending import Ending, ExitCode
+from pamctl.realtime.program import Program
+from pamctl.realtime.tick import TickSetup, TickState, first_state, step
+from pamctl.safety import OVERRUNS, explain
+from pamctl.signals import Decision, Outcome, Reference, TickRecord, Timing, Truth
+
+KEYFRAME_TICKS = 1000
+
+
+class LoopSettings(Configured):
+    """How the loop is paced, and how it stops."""
+
+    rate_hz: Annotated[float, Field(ge=10, le=20_000)] = 1000.0
+    spin_us: Annotated[
+        float, Field(ge=0, le=500, description="busy wait before each deadline, under FIFO only")
+    ] = 100.0
+    cpu: Annotated[int | None, Field(ge=0, description="CPU of the loop; the last if absent")] = (
+        None
+    )
+    stop_ramp_s: Annotated[
+        float, Field(ge=0.001, le=60, description="from the last command to the safe one")
+    ] = 0.5
+    ring_rows: Annotated[
+        int, Field(ge=256, le=1_000_000, description="ticks that fit between loop and recorder")
+    ] = 16_384
+
+
+class Journal(Protocol):
+    """Where the loop puts what must not be lost. Raises `RingFull` where it cannot."""
+
+    def put_tick(self, record: TickRecord) -> None:
+        """Keep a tick."""
+
+    def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
+        """Keep an event; its key `event` names it."""
+
+    def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
+        """Keep the frozen state after a tick."""
+
+
+class Supervisor(Protocol):
+    """Who may end the run from outside."""
+
+    def stop_wanted(self, tick: int) -> Ending | None:
+        """Return how the run should end, once it should; the loop then stops smoothly."""
+
+    def abort_wanted(self) -> bool:
+        """Tell whether to skip the smooth stop."""
+
+
+class _Times(NamedTuple):
+    """Where in time the loop is."""
+
+    first_t_ns: int
+    last_t_ns: int
+
+
+def control(
+    rig: Rig,
+    clock: Clock,
+    setup: TickSetup,
+    nominal_zero: Callable[[RawSample], Zero],
+    program: Program,
+    journal: Journal,
+    supervisor: Supervisor,
+    truth: Callable[[], Truth],
+) -> Ending:
+    """Run the program to its end; leave the rig safe and closed on every path.
+
+    `nominal_zero` gives the sensors' zeros until homing finds better ones; `truth` is what
+    a simulated plant knows. `RigError`, a safety trip and a failed homing become the
+    ending; anything else is an error of ours and is raised.
+    """
+    try:
+        with opened(rig):
+            return _Loop(rig, clock, setup, nominal_zero, program, journal, supervisor, truth).run()
+    except RigError as error:
+        return Ending(ExitCode.UNAVAILABLE, str(error))
+    except HomingError as error:
+        return Ending(ExitCode.SAFETY_TRIP, str(error))
+
+
+class _Loop:
+    """The state that the loop carries from tick to tick."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        clock: Clock,
+        setup: TickSetup,
+        nominal_zero: Callable[[RawSample], Zero],
+        program: Program,
+        journal: Journal,
+        supervisor: Supervisor,
+        truth: Callable[[], Truth],
+    ) -> None:
+        self._rig = rig
+        self._clock = clock
+        self._setup = setup
+        self._nominal_zero = nominal_zero
+        self._program = program
+        self._journal = journal
+        self._supervisor = supervisor
+        self._truth = truth
+        self._ending = Ending(ExitCode.OK, "the experiment is complete")
+
+    def run(self) -> Ending:
+        """Tick until the program ends."""
+        wake = self._clock.wait()
+        raw = self._rig.read()
+        state = self._zeroed(wake.tick, raw, self._nominal_zero(raw))
+        times = _Times(raw.encoder_t_ns, raw.encoder_t_ns - self._clock.period_ns)
+        while True:
+            sampled_ns = self._clock.now_ns()
+            timing = _timing(times, wake, raw)
+            times = times._replace(last_t_ns=raw.encoder_t_ns)
+            reference, zero = self._ask(timing, raw, state)
+            if zero is not None:
+                state = self._zeroed(timing.tick, raw, zero)
+            if reference is None:
+                return self._ending
+            state, decision = step(self._setup, state, raw, reference, timing)
+            self._act(wake, sampled_ns, timing, raw, reference, state, decision)
+            if decision.tripped:
+                return self._tripped(timing, raw, decision)
+            if self._supervisor.abort_wanted():
+                return self._ending
+            wake = self._clock.wait()
+            raw = self._rig.read()
+
+    def _ask(
+        self, timing: Timing, raw: RawSample, state: TickState
+    ) -> tuple[Reference | None, Zero | None]:
+        """Return what the program asks for; a finished or interrupted program stops smoothly."""
+        program = self._program
+        if not program.is_stopping:
+            wanted = self._supervisor.stop_wanted(timing.tick)
+            if wanted is None:
+                reference, zero = program.next(timing.t_s, raw)
+                if reference is not None:
+                    return reference, zero
+            else:
+                self._ending = wanted
+            program.begin_stop(timing.t_s, _last_valve_v(state, self._setup))
+            event = {"event": "stopping", "reason": self._ending.reason}
+            self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
+        return program.next(timing.t_s, raw)
+
+    def _act(
+        self,
+        wake: Wake,
+        sampled_ns: int,
+        timing: Timing,
+        raw: RawSample,
+        reference: Reference,
+        state: TickState,
+        decision: Decision,
+    ) -> None:
+        """Write to the valve and put everything on record, the failed write too."""
+        now_ns = self._clock.now_ns
+        decided_ns = now_ns()
+        applied_v = math.nan
+        try:
+            applied_v = self._rig.write(output_v(self._setup.calibration, decision.valve_v))
+        finally:
+            outcome = Outcome(
+                applied_v,
+                (sampled_ns - wake.now_ns) * 1e-9,
+                (decided_ns - sampled_ns) * 1e-9,
+                (now_ns() - decided_ns) * 1e-9,
+            )
+            self._journal.put_tick(
+                TickRecord(
+                    timing,
+                    raw,
+                    state.measurement,
+                    reference,
+                    state.estimate,
+                    state.command,
+                    decision,
+                    outcome,
+                    self._truth(),
+                )
+            )
+        if timing.tick % KEYFRAME_TICKS == KEYFRAME_TICKS - 1:
+            self._journal.put_keyframe(timing.tick, raw.encoder_t_ns, frozen(state))
+
+    def _zeroed(self, tick: int, raw: RawSample, zero: Zero) -> TickState:
+        """Start the tick's state afresh with other zeros, and say so in the log."""
+        event: dict[str, object] = {"event": "zeroed", **zero._asdict()}
+        self._journal.put_event(tick, raw.encoder_t_ns, event)
+        return first_state(zero)
+
+    def _tripped(self, timing: Timing, raw: RawSample, decision: Decision) -> Ending:
+        self._rig.make_safe()
+        reasons = explain(decision.verdicts)
+        event: dict[str, object] = {"event": "tripped", "reasons": reasons}
+        self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
+        overruns_only = decision.verdicts == OVERRUNS
+        code = ExitCode.OVERRUNS if overruns_only else ExitCode.SAFETY_TRIP
+        return Ending(code, "safety trip: " + "; ".join(reasons))
+
+
+def _timing(times: _Times, wake: Wake, raw: RawSample) -> Timing:
+    return Timing(
+        wake.tick,
+        (raw.encoder_t_ns - times.first_t_ns) * 1e-9,
+        (raw.encoder_t_ns - times.last_t_ns) * 1e-9,
+        (wake.now_ns - wake.deadline_ns) * 1e-9,
+        wake.missed,
+    )
+
+
+def _last_valve_v(state: TickState, setup: TickSetup) -> float:
+    valve_v = state.safety.valve_v
+    return setup.limits.safe_valve_v if math.isnan(valve_v) else valve_v
+
+
+def frozen(state: object) -> list[float]:
+    """Flatten a tick's state, tuples in tuples, into the doubles of a keyframe."""
+    if isinstance(state, tuple):
+        return [number for part in state for number in frozen(part)]
+    return [float(state)]  # type: ignore[arg-type]
+
+
+def keyframe_fields(state: object, path: str = "") -> list[str]:
+    """Name the doubles that `frozen` makes: `filters.rate.pole` and the like."""
+    if isinstance(state, tuple):
+        names = getattr(state, "_fields", None) or map(str, range(len(state)))
+        prefix = f"{path}." if path else ""
+        return [
+            field
+            for name, part in zip(names, state, strict=True)
+            for field in keyframe_fields(part, prefix + name)
+        ]
+    return [path]

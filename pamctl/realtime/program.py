@@ -1,0 +1,66 @@
+"""The order of a run: home, follow the experiment, stop smoothly."""
+
+from __future__ import annotations
+
+from hal.calibration import Zero
+from hal.rig import RawSample
+from pamctl.control.experiment import Course, held
+from pamctl.control.homing import Homing
+from pamctl.signals import Phase, Reference
+
+
+class Program:
+    """Says in every tick what is asked of the muscle.
+
+    `zero` is set in the tick in which homing ends: from there on positions and pressures
+    are new, and the tick's state must start afresh.
+    """
+
+    def __init__(
+        self, homing: Homing | None, course: Course, *, safe_valve_v: float, stop_ramp_s: float
+    ) -> None:
+        """Without homing the experiment begins at once."""
+        self._homing = homing
+        self._course = course
+        self._safe_valve_v = safe_valve_v
+        self._stop_ramp_s = stop_ramp_s
+        self._course_begin_s: float | None = None
+        self._stop_begin_s: float | None = None
+        self._stop_from_v = safe_valve_v
+
+    def next(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
+        """Return the reference at `t_s`, or None at the end; and the zeros just found.
+
+        Raises `HomingError`.
+        """
+        if self._stop_begin_s is not None:
+            return self._stopping(t_s), None
+        zero = None
+        if self._homing is not None:
+            reference = self._homing.next(t_s, sample)
+            if reference is not None:
+                return reference, None
+            zero, self._homing = self._homing.zero, None
+        if self._course_begin_s is None:
+            self._course_begin_s = t_s
+        return self._course.at(t_s - self._course_begin_s), zero
+
+    @property
+    def is_stopping(self) -> bool:
+        """The smooth stop has begun."""
+        return self._stop_begin_s is not None
+
+    def begin_stop(self, t_s: float, valve_v: float) -> None:
+        """Go from the present valve command to the safe one on a ramp."""
+        if self._stop_begin_s is None:
+            self._stop_begin_s = t_s
+            self._stop_from_v = valve_v
+
+    def _stopping(self, t_s: float) -> Reference | None:
+        assert self._stop_begin_s is not None
+        elapsed_s = t_s - self._stop_begin_s
+        if elapsed_s >= self._stop_ramp_s:
+            return None
+        share = elapsed_s / self._stop_ramp_s
+        ramp_v = self._stop_from_v + share * (self._safe_valve_v - self._stop_from_v)
+        return held(Phase.STOPPING, ramp_v)

@@ -1,0 +1,287 @@
+"""Prepare the process for real time, step by step; each step that is refused says how to allow it.
+
+Call `prepare` in the loop process, after everything slow is imported and allocated, and after
+every child was started: a child inherits the CPU and the timer slack (not SCHED_FIFO).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Literal, NamedTuple
+
+Mode = Literal["auto", "require", "off"]
+"""auto: take what is permitted. require: SCHED_FIFO and locked memory, or fail. off: only gc."""
+
+PRIORITY = 80
+"""Above ordinary real-time tasks, below the kernel's own watchdogs and migration threads (99)."""
+
+_INDISPENSABLE = frozenset({"fifo", "mlock"})
+_DMA_LATENCY = "/dev/cpu_dma_latency"
+_SCHED_RESET_ON_FORK = 0x40000000
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30
+
+
+class Step(NamedTuple):
+    """One step of the preparation."""
+
+    name: str
+    done: bool
+    detail: str
+    """What was done; or why it was not, and what would allow it."""
+
+    def __str__(self) -> str:
+        """One line for the user."""
+        return f"{self.name}: {'' if self.done else 'not '}done: {self.detail}"
+
+
+class SchedulingRefused(RuntimeError):
+    """Mode `require`, and the system does not permit SCHED_FIFO or locked memory."""
+
+    def __init__(self, refused: tuple[Step, ...]) -> None:
+        """Every refused step with its fix, a line each."""
+        lines = "\n".join(f"  {step.name}: {step.detail}" for step in refused)
+        super().__init__(f"real-time scheduling is required, but was refused:\n{lines}")
+        self.refused = refused
+
+
+class Preparation:
+    """What was done to this process, and the way back. A context manager: leaving it releases."""
+
+    def __init__(self, mode: Mode, steps: tuple[Step, ...], undo: ExitStack) -> None:
+        """Take over `undo`, which holds one call for each step that was done."""
+        self.mode = mode
+        self.steps = steps
+        self._undo = undo
+
+    @property
+    def fifo(self) -> bool:
+        """The process runs under SCHED_FIFO."""
+        return any(step.done for step in self.steps if step.name == "fifo")
+
+    @property
+    def may_spin(self) -> bool:
+        """Spinning onto the deadline helps: nobody preempts it, and it leaves others a CPU."""
+        return self.fifo and (os.cpu_count() or 1) > 1
+
+    @property
+    def refused(self) -> tuple[Step, ...]:
+        """The steps that were not done."""
+        return tuple(step for step in self.steps if not step.done)
+
+    def as_metadata(self) -> dict[str, str]:
+        """The state of each step, for the log."""
+        return {"mode": self.mode} | {
+            step.name: f"{'done' if step.done else 'not done'}: {step.detail}"
+            for step in self.steps
+        }
+
+    def release(self) -> None:
+        """Undo the steps, last first, as far as the system permits. Idempotent."""
+        self._undo.close()
+
+    def __enter__(self) -> Preparation:
+        """Nothing more to do: `prepare` has done it."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Release."""
+        self.release()
+
+
+def prepare(mode: Mode = "auto", cpu: int | None = None) -> Preparation:
+    """Prepare this process, whose calling thread is the loop, for real time.
+
+    Args:
+        mode: see `Mode`.
+        cpu: the CPU to run on; by default the last one of those allowed, since the first serves
+            most interrupts.
+
+    Raises:
+        SchedulingRefused: mode is `require`, and SCHED_FIFO or mlockall was refused; whatever
+            had been done is undone again.
+    """
+    with ExitStack() as undo:
+        steps = [_collect_garbage_once(undo)]
+        if mode != "off":
+            steps += _real_time_steps(cpu, undo)
+        preparation = Preparation(mode, tuple(steps), undo)
+        refused = preparation.refused
+        if mode == "require" and any(step.name in _INDISPENSABLE for step in refused):
+            raise SchedulingRefused(refused)
+        preparation._undo = undo.pop_all()
+    return preparation
+
+
+def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[Step]:
+    """Memory before the scheduler: as SCHED_FIFO, locking it would hold up all else on this CPU."""
+    steps = [
+        _attempt("mlock", _lock_memory, _how_to_lock_memory, undo),
+        _attempt("dma_latency", _keep_cpu_awake, _how_to_keep_cpu_awake, undo),
+        _attempt("affinity", lambda undo: _pin(cpu, undo), _how_to_pin, undo),
+        _attempt("fifo", _run_as_fifo, _how_to_run_as_fifo, undo),
+    ]
+    if not steps[-1].done:  # under SCHED_FIFO the kernel allows timers no slack anyway
+        steps.append(_attempt("timer_slack", _take_timer_slack, lambda: "", undo))
+    return steps
+
+
+def _attempt(
+    name: str,
+    take: Callable[[ExitStack], str],
+    fix: Callable[[], str],
+    undo: ExitStack,
+) -> Step:
+    if sys.platform != "linux":
+        return Step(name, False, "only Linux offers this")
+    try:
+        return Step(name, True, take(undo))
+    except OSError as error:
+        return Step(name, False, "; ".join(filter(None, (error.strerror, fix()))))
+
+
+def _collect_garbage_once(undo: ExitStack) -> Step:
+    """Collect now and never again: a collection would stop the loop for milliseconds.
+
+    What exists now lives as long as the process; the tick itself makes no reference cycles.
+    """
+    if gc.isenabled():
+        undo.callback(gc.enable)
+    undo.callback(gc.unfreeze)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    return Step("gc", True, f"{gc.get_freeze_count()} objects frozen, collector off")
+
+
+def _lock_memory(undo: ExitStack) -> str:
+    """Fault every page in, now and on every later allocation, and keep it in memory."""
+    limit_bytes = _raised_limit("RLIMIT_MEMLOCK")
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE):
+        raise _errno_error()
+    undo.callback(libc.munlockall)
+    if limit_bytes < 0 or os.geteuid() == 0:
+        return "all memory, present and future"
+    # Worth a word: what would be allocated beyond the limit is not left unlocked, it fails.
+    return f"all memory, present and future; {limit_bytes // 1024} KiB at most (RLIMIT_MEMLOCK)"
+
+
+def _how_to_lock_memory() -> str:
+    limit_bytes = _raised_limit("RLIMIT_MEMLOCK")
+    return (
+        f"RLIMIT_MEMLOCK is {'unlimited' if limit_bytes < 0 else f'{limit_bytes // 1024} KiB'}: "
+        f"put '{_user()} - memlock unlimited' into /etc/security/limits.conf and log in again, "
+        "or LimitMEMLOCK=infinity into the service unit"
+    )
+
+
+def _keep_cpu_awake(undo: ExitStack) -> str:
+    """Forbid deep idle states, whose exit takes longer than a wake-up, while the file is open."""
+    latency = os.open(_DMA_LATENCY, os.O_WRONLY)
+    undo.callback(os.close, latency)
+    os.write(latency, (0).to_bytes(4, sys.byteorder))
+    return f"{_DMA_LATENCY} held at 0 us"
+
+
+def _how_to_keep_cpu_awake() -> str:
+    return (
+        f"{_DMA_LATENCY} must be writable: put "
+        """'KERNEL=="cpu_dma_latency", GROUP="realtime", MODE="0660"' """
+        f"into /etc/udev/rules.d/99-realtime.rules and {_user()} into the group realtime"
+    )
+
+
+def _pin(cpu: int | None, undo: ExitStack) -> str:
+    """Keep the loop's caches warm, and the recorder and the guardian out of its way."""
+    allowed = os.sched_getaffinity(0)
+    if len(allowed) < 2:
+        raise OSError(0, "only one CPU to run on")
+    chosen = max(allowed) if cpu is None else cpu
+    os.sched_setaffinity(0, {chosen})
+    undo.callback(_try, os.sched_setaffinity, 0, allowed)
+    return f"pinned to CPU {chosen}"
+
+
+def _how_to_pin() -> str:
+    allowed = sorted(os.sched_getaffinity(0))
+    return f"allowed are the CPUs {', '.join(map(str, allowed))} (see taskset, CPUAffinity=)"
+
+
+def _run_as_fifo(undo: ExitStack) -> str:
+    """Preempt every ordinary process. Children fall back to SCHED_OTHER."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    priority = _highest_permitted(PRIORITY)
+    policy = os.SCHED_FIFO | _SCHED_RESET_ON_FORK
+    os.sched_setscheduler(0, policy, os.sched_param(priority))
+    undo.callback(_try, os.sched_setscheduler, 0, *before)
+    return f"SCHED_FIFO, priority {priority}"
+
+
+def _highest_permitted(priority: int) -> int:
+    """Root may take any priority, others what RLIMIT_RTPRIO grants, where it grants any."""
+    granted = _raised_limit("RLIMIT_RTPRIO")
+    return priority if os.geteuid() == 0 or granted <= 0 else min(priority, granted)
+
+
+def _how_to_run_as_fifo() -> str:
+    if os.geteuid() == 0:
+        return (
+            "root is refused only where the control group or the container forbids it: "
+            "raise cpu.rt_runtime_us of the group, or start the container with CAP_SYS_NICE"
+        )
+    granted = _raised_limit("RLIMIT_RTPRIO")
+    return (
+        f"RLIMIT_RTPRIO is {granted}: put '{_user()} - rtprio {PRIORITY}' into "
+        "/etc/security/limits.conf and log in again, "
+        f"or LimitRTPRIO={PRIORITY} into the service unit"
+    )
+
+
+def _take_timer_slack(undo: ExitStack) -> str:
+    """Without it the kernel may delay an ordinary process's timers by 50 us, to save wake-ups."""
+    prctl = ctypes.CDLL(None, use_errno=True).prctl
+    prctl.argtypes = (ctypes.c_int, *[ctypes.c_ulong] * 4)
+    before_ns = prctl(_PR_GET_TIMERSLACK, 0, 0, 0, 0)
+    if prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0):
+        raise _errno_error()
+    if before_ns > 0:
+        undo.callback(prctl, _PR_SET_TIMERSLACK, before_ns, 0, 0, 0)
+    return "timer slack 1 ns"
+
+
+def _raised_limit(name: str) -> int:
+    """The hard limit, to which the soft one, which the kernel asks, is raised; -1: unlimited."""
+    import resource
+
+    limit: int = getattr(resource, name)
+    _, hard = resource.getrlimit(limit)
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(limit, (hard, hard))
+    return hard
+
+
+def _errno_error() -> OSError:
+    number = ctypes.get_errno()
+    return OSError(number, os.strerror(number))
+
+
+def _try(call: Callable[..., object], *arguments: object) -> None:
+    """Undo one step; that the system forbids the way back must not keep the others from it."""
+    with contextlib.suppress(OSError):
+        call(*arguments)
+
+
+def _user() -> str:
+    import pwd
+
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:  # a container may run under a number without a name
+        return str(os.getuid())

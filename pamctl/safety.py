@@ -9,6 +9,7 @@ its `SafetyState`.
 from __future__ import annotations
 
 import math
+from math import isfinite, isnan
 from typing import Annotated, NamedTuple
 
 from pydantic import Field, model_validator
@@ -175,29 +176,32 @@ def admit(
 ) -> tuple[Decision, SafetyState]:
     """Decide what reaches the valve in this tick."""
     dt_s = timing.dt_s
-    trips = _instant_trips(limits, state, measurement, reference, command, dt_s)
-    model_pa, innovation_pa = _followed_pressure(limits, state, measurement, dt_s)
+    trips = _trips_at_once(limits, state, measurement, reference, command, dt_s)
 
-    sensor_bad = not limits.sensor_low_v <= raw.pressure_v <= limits.sensor_high_v
-    error_bad = math.fabs(estimate.error_m) > limits.tracking_error_m
-    model_bad = math.fabs(innovation_pa) > limits.pressure_model_pa
-    sensor_bad_s = state.sensor_bad_s + dt_s if sensor_bad else 0.0
-    error_bad_s = state.error_bad_s + dt_s if error_bad else 0.0
-    model_bad_s = state.model_bad_s + dt_s if model_bad else 0.0
-    missed = state.missed_ticks * max(0.0, 1.0 - dt_s) + timing.missed
-    if sensor_bad_s > limits.patience_s:
-        trips |= SENSOR_RANGE
-    if error_bad_s > limits.patience_s:
-        trips |= TRACKING_ERROR
-    if model_bad_s > limits.patience_s:
-        trips |= PRESSURE_TOO_HIGH if innovation_pa > 0.0 else PRESSURE_TOO_LOW
-    if missed > limits.missed_ticks:
+    # Sensor, error and model limits may be broken for a moment; each has its stop watch.
+    sensor_bad_s = error_bad_s = model_bad_s = 0.0
+    if not limits.sensor_low_v <= raw.pressure_v <= limits.sensor_high_v:
+        sensor_bad_s = state.sensor_bad_s + dt_s
+        if sensor_bad_s > limits.patience_s:
+            trips |= SENSOR_RANGE
+    if abs(estimate.error_m) > limits.tracking_error_m:
+        error_bad_s = state.error_bad_s + dt_s
+        if error_bad_s > limits.patience_s:
+            trips |= TRACKING_ERROR
+    model_pa, excess_pa = _followed_pressure(limits, state, measurement, dt_s)
+    if abs(excess_pa) > limits.pressure_model_pa:
+        model_bad_s = state.model_bad_s + dt_s
+        if model_bad_s > limits.patience_s:
+            trips |= PRESSURE_TOO_HIGH if excess_pa > 0.0 else PRESSURE_TOO_LOW
+    # Missed ticks are forgotten with a time constant of a second.
+    missed_ticks = state.missed_ticks * (1.0 - dt_s) + timing.missed
+    if missed_ticks > limits.missed_ticks:
         trips |= OVERRUNS
 
     tripped = state.tripped | trips
-    if tripped:
-        valve_v, clips = limits.safe_valve_v, 0
-    else:
+    clips = 0
+    valve_v = limits.safe_valve_v
+    if not tripped:
         valve_v, clips = _clipped(limits, state, reference, command.command_v, dt_s)
     return (
         Decision(valve_v, tripped | clips, tripped != 0),
@@ -208,13 +212,13 @@ def admit(
             sensor_bad_s,
             error_bad_s,
             model_bad_s,
-            missed,
+            missed_ticks,
             tripped,
         ),
     )
 
 
-def _instant_trips(
+def _trips_at_once(
     limits: Limits,
     state: SafetyState,
     measurement: Measurement,
@@ -224,17 +228,17 @@ def _instant_trips(
 ) -> int:
     """Check what no patience is due to."""
     trips = 0
-    x, pressure = measurement.position_m, measurement.pressure_pa
-    if not math.isfinite(command.command_v):
+    x, pressure = measurement
+    if not isfinite(command.command_v):
         trips |= COMMAND_NOT_FINITE
-    if not (math.isfinite(x) and math.isfinite(pressure)):
+    if not isfinite(x + pressure):
         trips |= MEASUREMENT_NOT_FINITE
     if pressure > limits.pressure_pa:
         trips |= PRESSURE_LIMIT
     # Before homing the encoder's zero is wherever the counter stood.
     if reference.phase != _HOMING and not limits.stroke_low_m <= x <= limits.stroke_high_m:
         trips |= STROKE_LIMIT
-    if math.fabs(x - state.position_m) > limits.speed_m_per_s * dt_s + 4.0 * limits.count_m:
+    if abs(x - state.position_m) > limits.speed_m_per_s * dt_s + 4.0 * limits.count_m:
         trips |= ENCODER_JUMP
     if not 0.0 < dt_s <= limits.sample_age_s:
         trips |= STALE_SAMPLE
@@ -246,15 +250,16 @@ def _clipped(
 ) -> tuple[float, int]:
     """Cut to the envelope, then to the slew limit; open-loop steps may be steps."""
     clips = 0
-    valve_v = min(max(command_v, -limits.command_v), limits.command_v)
-    if valve_v != command_v:
+    valve_v = command_v
+    if abs(valve_v) > limits.command_v:
         clips |= ENVELOPE
-    if math.isnan(reference.reference_valve_v) and not math.isnan(state.valve_v):
+        valve_v = math.copysign(limits.command_v, valve_v)
+    if isnan(reference.reference_valve_v):
+        change_v = valve_v - state.valve_v
         reach_v = limits.slew_v_per_s * dt_s
-        slowed_v = min(max(valve_v, state.valve_v - reach_v), state.valve_v + reach_v)
-        if slowed_v != valve_v:
+        if abs(change_v) > reach_v:
             clips |= SLEW
-        valve_v = slowed_v
+            valve_v = state.valve_v + math.copysign(reach_v, change_v)
     return valve_v, clips
 
 
@@ -266,16 +271,21 @@ def _followed_pressure(
     Returns the model's pressure and the measured one minus it, in Pa. A stuck valve
     makes the two part company in one direction or the other, whichever it is stuck in.
     """
-    measured_pa = measurement.pressure_pa
-    if not math.isfinite(state.model_pressure_pa + measured_pa + state.position_m):
-        return measured_pa, 0.0
-    model = limits.model
+    x, measured_pa = measurement
     model_pa = state.model_pressure_pa
-    innovation_pa = measured_pa - model_pa
-    inflow = valve_flow(model, state.valve_v, model_pa)
-    energy = model_pa * volume_m3(model, state.position_m)
-    filled = energy + dt_s * model.specific_energy_j_per_kg * inflow
-    followed_pa = filled / volume_m3(model, measurement.position_m)
-    forget = min(1.0, dt_s / limits.pressure_model_memory_s)
-    followed_pa = min(max(followed_pa, model.atmospheric_pressure_pa), model.tank_pressure_pa)
-    return followed_pa + forget * innovation_pa, innovation_pa
+    excess_pa = measured_pa - model_pa
+    if not isfinite(excess_pa):
+        return measured_pa, 0.0
+    p = limits.model
+    inflow = valve_flow(p, state.valve_v, model_pa)
+    energy = model_pa * volume_m3(p, state.position_m)
+    filled = energy + dt_s * p.specific_energy_j_per_kg * inflow
+    followed_pa = filled / volume_m3(p, x)
+    if followed_pa > p.tank_pressure_pa:
+        followed_pa = p.tank_pressure_pa
+    elif followed_pa < p.atmospheric_pressure_pa:
+        followed_pa = p.atmospheric_pressure_pa
+    forget = dt_s / limits.pressure_model_memory_s
+    if forget > 1.0:
+        forget = 1.0
+    return followed_pa + forget * excess_pa, excess_pa

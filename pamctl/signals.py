@@ -65,10 +65,11 @@ class Reference(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """Filtered signals. `error = position - reference`, the signs of Eq. 17."""
+    """What the laws go by. `error = position - reference`, the signs of Eq. 17."""
 
     position_filtered_m: float
-    pressure_filtered_pa: float
+    pressure_estimate_pa: float
+    """As measured: 300 Pa of noise are nothing to the one law that uses it."""
     error_m: float
     error_rate_m_per_s: float
     error_acceleration_m_per_s2: float

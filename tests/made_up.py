@@ -20,18 +20,19 @@ START_WALL_NS = 1_700_000_000_000_000_000
 START_MONO_NS = 5_000_000_000
 
 
+_STAGES = tuple(
+    (signals, tuple(get_type_hints(signals).values()))
+    for signals in get_type_hints(TickRecord).values()
+)
+
+
 def tick(index: int) -> TickRecord:
     """Return a tick whose every column differs from every other, and from tick to tick."""
-    record = TickRecord(
-        **{
-            stage: signals(
-                **{
-                    name: _value(kind, index, len(name) + position)
-                    for position, (name, kind) in enumerate(get_type_hints(signals).items())
-                }
-            )
-            for stage, signals in get_type_hints(TickRecord).items()
-        }
+    record = TickRecord._make(
+        signals._make(
+            _value(kind, index, 10 * stage + position) for position, kind in enumerate(kinds)
+        )
+        for stage, (signals, kinds) in enumerate(_STAGES)
     )
     return record._replace(
         timing=record.timing._replace(tick=index, t_s=index * 1e-3),
@@ -45,7 +46,7 @@ def _value(kind: type, index: int, column: int) -> Any:
         return (index + column) % 3 == 0
     if kind is int:
         return index * 100 + column - 5_000
-    return math.sin(0.01 * index + column) * 10.0 ** (column % 7 - 3)
+    return math.sin(0.01 * index + column) * (column % 7 + 1)
 
 
 def columns(record: TickRecord) -> dict[str, Any]:

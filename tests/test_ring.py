@@ -127,7 +127,7 @@ def test_a_file_that_is_no_ring_is_refused(tmp_path, content):
 def test_a_ring_of_another_layout_is_refused_with_what_to_do(ring):
     with ring.path.open("r+b") as file:
         os.pwrite(file.fileno(), b"\x63", 8)
-    with pytest.raises(RingError, match="layout 99.*version that made it"):
+    with pytest.raises(RingError, match=r"layout 99.*version that made it"):
         Ring.attach(ring.path)
 
 

@@ -7,7 +7,7 @@ which can be frozen and thawed, so a replay can start in the middle of a log.
 
 from __future__ import annotations
 
-import math
+from math import isnan, nan
 from typing import Annotated, NamedTuple
 
 from pydantic import Field
@@ -69,8 +69,8 @@ def respond(
 
     Open loop the law rests with its integral cleared, and so takes over without a jump.
     """
-    if not math.isnan(reference.reference_valve_v):
-        return Command(reference.reference_valve_v, math.nan, 0.0, 0.0, False), ARMED
+    if not isnan(reference.reference_valve_v):
+        return Command(reference.reference_valve_v, nan, 0.0, 0.0, False), ARMED
     if gains.law == QSMC:
         return qsmc(gains.qsmc, state, reference, estimate, dt_s)
     if gains.law == SMC:

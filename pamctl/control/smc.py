@@ -126,7 +126,7 @@ def smc(
         estimate.position_filtered_m,
         reference.reference_velocity_m_per_s + rate,
         reference.reference_acceleration_m_per_s2 + acceleration,
-        estimate.pressure_filtered_pa,
+        estimate.pressure_estimate_pa,
     )
     wanted_jerk = reference.reference_jerk_m_per_s3 - model.drift_m_per_s3 - error_drift - reach
     gain = model.fill_gain if wanted_jerk > 0.0 else model.exhaust_gain

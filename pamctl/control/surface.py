@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
@@ -23,7 +22,7 @@ class LawSettings(Configured):
     """
 
     length_unit: LengthUnit
-    lpf1_hz: Annotated[Cutoff, Field(description="LPF_1, on displacement and pressure")] = 300.0
+    lpf1_hz: Annotated[Cutoff, Field(description="LPF_1, on the displacement")] = 300.0
     lpf2_hz: Annotated[Cutoff, Field(description="LPF_2, on the derivatives of the error")]
     command_limit_v: Annotated[
         float, Field(gt=0, le=10, description="the law's own limit of u, either side of 0")
@@ -42,12 +41,15 @@ ARMED = LawState(0.0)
 
 def saturated(value: float) -> float:
     """sat() of Eq. 15: linear between -1 and 1."""
-    return min(max(value, -1.0), 1.0)
+    return clamped(value, 1.0)
 
 
 def clamped(command_v: float, limit_v: float) -> float:
-    """Limit u to the valve's range."""
-    return min(max(command_v, -limit_v), limit_v)
+    """Limit u to the valve's range, either side of 0."""
+    # Comparisons, not min and max: each of those costs the tick a tenth of a microsecond.
+    if command_v > limit_v:
+        return limit_v
+    return -limit_v if command_v < -limit_v else command_v
 
 
 def unwound(state: LawState, absement_m_s: float, error_m: float, excess_v: float) -> LawState:
@@ -67,6 +69,5 @@ def reaching(literal: bool, eta: float, phi: float, s: float) -> float:
     The unit mm/s^3 that Table III gives eta suggests the second; with it the term stays
     below 3 mV. The first is what the paper prints, and the default.
     """
-    if literal:
-        return eta * math.fabs(s) * saturated(s / phi)
-    return eta * saturated(s / phi)
+    gain = eta * abs(s) if literal else eta
+    return gain * saturated(s / phi)

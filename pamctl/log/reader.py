@@ -18,7 +18,17 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from numpy.typing import NDArray
 
-from pamctl.log.records import Damage, LogError, Record, mapped, record_at, unpack, verify, walk
+from pamctl.log.records import (
+    Damage,
+    LogError,
+    Record,
+    making_sense,
+    mapped,
+    record_at,
+    unpack,
+    verify,
+    walk,
+)
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC, unit_of
 from pamctl.log.text import from_json
 from pamctl.log.ticks import TickRuns
@@ -124,17 +134,22 @@ def _phases(log: Log) -> dict[str, int]:
 def _scan(path: Path, topics: tuple[str, ...]) -> tuple[Log, Damage | None]:
     """Read up to the first damage, and return that too."""
     contents = _Contents(topics)
-    file = mapped(path)
-    damage = None
     try:
-        for record in walk(file):
-            verify(file, record)
-            contents.take(file[: record.end], record)
-    except Damage as found:
-        damage = found
+        damage = _fill(contents, mapped(path))
+        return contents.log(path), damage
     except UnknownLayout as error:
         raise LogError(f"{path} was written by a version we cannot read: {error}") from error
-    return contents.log(path), damage
+
+
+def _fill(contents: _Contents, file: memoryview) -> Damage | None:
+    try:
+        for record in walk(file):
+            with making_sense(record):
+                verify(file, record)
+                contents.take(file[: record.end], record)
+    except Damage as damage:
+        return damage
+    return None
 
 
 class _Contents:

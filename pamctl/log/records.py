@@ -10,6 +10,7 @@ import mmap
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple
@@ -91,14 +92,23 @@ def verify(file: memoryview, record: Record) -> None:
         _compare(record, "the summary", footer.summary_crc, summary)
 
 
+@contextmanager
+def making_sense(record: Record) -> Iterator[None]:
+    """Take whatever a parser says of a record's bytes for damage to them."""
+    try:
+        yield
+    except (Damage, LogError):
+        raise
+    except Exception as error:
+        what = f"a record makes no sense ({type(error).__name__}: {error})"
+        raise Damage(record.start, what) from error
+
+
 def unpack(chunk: Record) -> memoryview:
     """Return the records within a chunk as bytes; raise Damage if they are not what was put in."""
-    try:
+    with making_sense(chunk):
         stream, size = get_chunk_data_stream(Chunk.read(chunk.stream()), validate_crc=True)
         return memoryview(stream.read(size))
-    # Whatever a decompressor makes of bytes it was never given by a compressor.
-    except Exception as error:
-        raise Damage(chunk.start, f"a chunk does not unpack: {error}") from error
 
 
 def record_at(data: memoryview, at: int) -> Record:

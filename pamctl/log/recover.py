@@ -21,7 +21,17 @@ from typing import TYPE_CHECKING, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from pamctl.log.records import Damage, LogError, Record, mapped, record_at, unpack, verify, walk
+from pamctl.log.records import (
+    Damage,
+    LogError,
+    Record,
+    making_sense,
+    mapped,
+    record_at,
+    unpack,
+    verify,
+    walk,
+)
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
 from pamctl.log.text import from_json
 from pamctl.log.writer import NO_SCHEMA, LogWriter
@@ -250,12 +260,14 @@ class _Copy:
         with suppress(Damage):
             for record in walk(file):
                 if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._copy(record)
+                    with making_sense(record):
+                        self._copy(record)
 
     def _try(self, file: memoryview, record: Record) -> None:
         try:
-            verify(file, record)
-            self._copy(record)
+            with making_sense(record):
+                verify(file, record)
+                self._copy(record)
         except Damage as damage:
             self.damage.append(str(damage))
             self.lost = self.lost or self.cut

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
 from numpy.typing import NDArray
 
+from pamctl.log.records import LogError
 from pamctl.log.schema import TICK_MESSAGE, tick_descriptor
 from pamctl.signals import Field
 
@@ -36,7 +38,7 @@ _COMPOSITE = (FieldDescriptorProto.TYPE_MESSAGE, FieldDescriptorProto.TYPE_GROUP
 _TEXT = (FieldDescriptorProto.TYPE_STRING, FieldDescriptorProto.TYPE_BYTES)
 
 
-class UnknownLayout(Exception):
+class UnknownLayout(LogError):
     """The embedded descriptor describes no table of numbers. The message says what is wrong."""
 
 
@@ -117,7 +119,10 @@ def decode_each(
     for file in FileDescriptorSet.FromString(descriptor_set).file:
         pool.Add(file)
     parse = GetMessageClass(pool.FindMessageTypeByName(message)).FromString
-    messages = [parse(payload) for payload in payloads]
+    try:
+        messages = [parse(payload) for payload in payloads]
+    except DecodeError as error:
+        raise UnknownLayout("a tick is not what its descriptor says") from error
     return {field.name: np.array([_value(m, field) for m in messages]) for field in fields}
 
 

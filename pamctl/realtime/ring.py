@@ -35,7 +35,7 @@ ROW_HEADER = struct.Struct("<IIqq")
 """Kind, bytes of payload (of all rows it spans), tick, monotonic ns."""
 PAYLOAD_BYTES = ROW_BYTES - ROW_HEADER.size
 
-_MAGIC = int.from_bytes(b"PAMRING\n", "little")
+_MAGIC = b"PAMRING\n"
 _VERSION = 1
 _CODES = {int: "q", float: "d", bool: "?"}
 _HEAD = 8
@@ -119,7 +119,7 @@ def _explained(what: str) -> Iterator[None]:
         yield
     except FileExistsError as error:
         raise RingError(f"{what}: it is there already; a run goes on, or died there") from error
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise RingError(f"{what}: {error}") from error
 
 
@@ -168,8 +168,8 @@ class Ring:
     """A ring attached to this process. Rows may be put by one process, committed by one."""
 
     # Words that different processes write stand on different cache lines (8 words each).
-    _magic, _version = _Word(0), _Word(1)
-    _row_bytes, _row_count = _Word(2), _Word(3)
+    # The magic is word 0.
+    _version, _row_bytes, _row_count = _Word(1), _Word(2), _Word(3)
     _meta_bytes, _rows_start = _Word(4), _Word(5)
     head = _Word(_HEAD)
     """Rows ever put. Written by the loop."""
@@ -198,8 +198,9 @@ class Ring:
         self._fd = fd
         self._map = mmap.mmap(fd, 0, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
         self._buffer = memoryview(self._map)
+        self._check_header()
         self._words = self._buffer[:HEADER_BYTES].cast("Q")
-        self._check()
+        self._check_layout()
         self.meta = RunMeta.from_text(self._buffer[HEADER_BYTES:][: self._meta_bytes].tobytes())
         self.rows = self._row_count
         self._rows_at = self._rows_start
@@ -220,7 +221,7 @@ class Ring:
         path = Path(path)
         text = replace(meta, log_path=os.path.abspath(meta.log_path)).to_text()
         rows_at = HEADER_BYTES + -(-len(text) // mmap.PAGESIZE) * mmap.PAGESIZE
-        header = struct.pack("<6Q", _MAGIC, _VERSION, ROW_BYTES, rows, len(text), rows_at)
+        header = struct.pack("<8s5Q", _MAGIC, _VERSION, ROW_BYTES, rows, len(text), rows_at)
         with _explained(f"cannot make the ring {path}"):
             fd = os.open(path.parent, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
             with _closed_on_error(fd):
@@ -241,17 +242,18 @@ class Ring:
             with _closed_on_error(fd):
                 return cls(Path(path), fd)
 
-    def _check(self) -> None:
-        size = len(self._buffer)
-        if size < HEADER_BYTES or self._magic != _MAGIC:
+    def _check_header(self) -> None:
+        if len(self._buffer) < HEADER_BYTES or self._buffer[: len(_MAGIC)] != _MAGIC:
             raise RingError(f"{self.path} is not a ring of pamctl")
+
+    def _check_layout(self) -> None:
         if (self._version, self._row_bytes) != (_VERSION, ROW_BYTES):
             raise RingError(
                 f"{self.path} is a ring of layout {self._version}, this pamctl knows {_VERSION}; "
                 "recover it with the version that made it"
             )
-        if self._rows_start + self._row_count * ROW_BYTES != size:
-            raise RingError(f"{self.path} is not whole: {size} bytes")
+        if self._rows_start + self._row_count * ROW_BYTES != len(self._buffer):
+            raise RingError(f"{self.path} is not whole")
 
     def _prepare_packing(self) -> None:
         columns = tick_struct(self.meta.tick_fields)

@@ -111,12 +111,10 @@ def prepare(mode: Mode = "auto", cpu: int | None = None) -> Preparation:
         steps = [_collect_garbage_once(undo)]
         if mode != "off":
             steps += _real_time_steps(cpu, undo)
-        preparation = Preparation(mode, tuple(steps), undo)
-        refused = preparation.refused
+        refused = tuple(step for step in steps if not step.done)
         if mode == "require" and any(step.name in _INDISPENSABLE for step in refused):
             raise SchedulingRefused(refused)
-        preparation._undo = undo.pop_all()
-    return preparation
+        return Preparation(mode, tuple(steps), undo.pop_all())
 
 
 def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[Step]:

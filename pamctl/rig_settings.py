@@ -11,7 +11,7 @@ from hal.configured import Configured
 from hal.faulty import FaultSettings
 from hal.sim import SimSettings
 from pamctl.control.homing import HomingSettings
-from pamctl.realtime.loop import LoopSettings
+from pamctl.realtime.pace import LoopSettings
 from pamctl.safety import LimitSettings
 
 SafeVolts = Annotated[

@@ -18,6 +18,7 @@ import sys
 import time
 from pathlib import Path
 
+from pamctl.log.space import is_full
 from pamctl.realtime.ring import RecorderFlag, Ring, RingError
 
 _POLL_S = 0.005
@@ -86,7 +87,8 @@ def _record(ring: Ring, owner: _Pipe) -> int:
         whole = record(ring, owner)
     # Whatever went wrong, the loop must learn of it, and the user in one line.
     except Exception as error:
-        ring.raise_flag(RecorderFlag.FAILED)
+        full = isinstance(error, OSError) and is_full(error)
+        ring.raise_flag(RecorderFlag.FAILED | (RecorderFlag.DISK_FULL if full else 0))
         kept = f"; {ring.pending} rows are kept in {ring.path}" if ring.pending else ""
         print(f"recorder: {_sentence(error)}{kept}", file=sys.stderr)
         return 3 if ring.recorder_flags & RecorderFlag.DISK_FULL else 1

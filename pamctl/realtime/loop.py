@@ -10,12 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, NamedTuple, Protocol
-
-from pydantic import Field
+from typing import NamedTuple, Protocol
 
 from hal.calibration import Zero, output_v
-from hal.configured import Configured
 from hal.rig import RawSample, Rig, RigError, opened
 from pamctl.control.homing import HomingError
 from pamctl.realtime.clock import Clock, Wake
@@ -26,24 +23,6 @@ from pamctl.safety import OVERRUNS, explain
 from pamctl.signals import Decision, Outcome, Reference, TickRecord, Timing, Truth
 
 KEYFRAME_TICKS = 1000
-
-
-class LoopSettings(Configured):
-    """How the loop is paced, and how it stops."""
-
-    rate_hz: Annotated[float, Field(ge=10, le=20_000)] = 1000.0
-    spin_us: Annotated[
-        float, Field(ge=0, le=500, description="busy wait before each deadline, under FIFO only")
-    ] = 100.0
-    cpu: Annotated[int | None, Field(ge=0, description="CPU of the loop; the last if absent")] = (
-        None
-    )
-    stop_ramp_s: Annotated[
-        float, Field(ge=0.001, le=60, description="from the last command to the safe one")
-    ] = 0.5
-    ring_rows: Annotated[
-        int, Field(ge=256, le=1_000_000, description="ticks that fit between loop and recorder")
-    ] = 16_384
 
 
 class Journal(Protocol):

@@ -99,8 +99,13 @@ def recording(ring: Ring) -> Iterator[Popen[bytes]]:
 
 def end(process: Popen[bytes], timeout_s: float = 10.0) -> tuple[int, str]:
     """Wait for the recorder; return its exit code and what it said on stderr."""
-    _, said = process.communicate(timeout=timeout_s)
-    return process.returncode, (said or b"").decode()
+    code = process.wait(timeout_s)
+    assert process.stdin is not None
+    assert process.stderr is not None
+    said = "" if process.stderr.closed else process.stderr.read().decode()
+    process.stdin.close()
+    process.stderr.close()
+    return code, said
 
 
 def log_run(ring_path: Path, log: Path, ticks: int, rows: int = 4096, **changes: Any) -> Path:

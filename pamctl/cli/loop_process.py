@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from contextlib import suppress
 from typing import NoReturn
 
 from hal.rig import RigError
@@ -27,7 +28,9 @@ def main() -> NoReturn:
     with Ring.attach(sys.argv[1]) as ring:
         ending = _report_failure(ring)
         ring.loop_done = 1
-    print(json.dumps({"code": int(ending.code), "reason": ending.reason}), flush=True)
+    # Nobody may be left to read it.
+    with suppress(BrokenPipeError):
+        print(json.dumps({"code": int(ending.code), "reason": ending.reason}), flush=True)
     sys.exit(int(ending.code))
 
 

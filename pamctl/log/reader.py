@@ -200,9 +200,9 @@ class _Contents:
     def _message(self, data: memoryview, record: Record) -> int:
         channel = self._channels[int.from_bytes(record.body[:2], "little")]
         if channel.id in self._ticks:
-            run = self._ticks[channel.id].take(data, record)
-            self._counts[channel.topic] += len(run)
-            return record.start + run.nbytes
+            ticks, end = self._ticks[channel.id].take(data, record)
+            self._counts[channel.topic] += ticks
+            return end
         self._counts[channel.topic] += 1
         if channel.topic in self._values and self._wants(channel.topic):
             message = Message.read(record.stream(), len(record.body))

@@ -119,6 +119,7 @@ class _Recording:
         self._reserve = reserve
         self._writer = LogWriter(file)
         self._rows = RowLogger(self._writer, ring.meta)
+        self._file.flush()
         self._full = False
         self._chunk_at = self._synced_at = monotonic()
         # A small ring must be emptied long before it has as many rows as we would like.

@@ -145,7 +145,7 @@ def _finish(ring: Ring) -> Recovery:
         writer = LogWriter(stream)
         rows = RowLogger(writer, ring.meta)
         copy = _Copy(writer)
-        if has_part:
+        if has_part and target.stat().st_size:
             copy.file(mapped(target))
         rows.last_tick, rows.last_row = copy.last_tick, copy.last_row
         rest = ring.drain(ring.rows)

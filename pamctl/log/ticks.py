@@ -14,7 +14,7 @@ from mcap.records import Schema
 from numpy.typing import NDArray
 
 from pamctl.log.records import Record
-from pamctl.log.wire import TickLayout, decode_each
+from pamctl.log.wire import TickLayout, one_by_one
 
 MESSAGE_HEADER = [
     ("opcode", "u1"),
@@ -28,19 +28,20 @@ _BODY_AT = np.dtype(MESSAGE_HEADER).itemsize
 
 
 class TickRuns:
-    """Collects the messages of the tick channel, and turns them into columns."""
+    """Collects the messages of the tick channel as columns."""
 
     def __init__(self, schema: Schema) -> None:
         """Raise UnknownLayout if the schema describes no row of numbers."""
-        self._schema = schema
         self._layout = TickLayout.of_descriptor(schema.data, schema.name)
-        self._fits = self._layout is not None
-        self._runs: list[NDArray[Any]] = []
+        self._decode = one_by_one(schema.data, schema.name)
+        self._times: list[NDArray[np.uint64]] = [np.zeros(0, np.uint64)]
+        self._columns = [self._decode([])]
 
-    def take(self, data: memoryview, first: Record) -> NDArray[Any]:
-        """Take the run that begins with `first`, a record within `data`, and return it.
+    def take(self, data: memoryview, first: Record) -> tuple[int, int]:
+        """Take the run that begins with `first`, a record within `data`; return its ticks and end.
 
         Since the first begins a record and all are of its length, each begins one.
+        Raise UnknownLayout where a tick lacks an integer.
         """
         form = self._form(first.end - first.start - _BODY_AT)
         count = (len(data) - first.start) // form.itemsize
@@ -49,29 +50,26 @@ class TickRuns:
         for name in ("opcode", "length", "channel"):
             alike &= messages[name] == messages[name][0]
         run = messages if alike.all() else messages[: int(alike.argmin())]
-        self._fits = (
-            self._fits
-            and self._layout is not None
-            and (form["body"] == self._layout.dtype and self._layout.fits(run["body"]))
-        )
-        self._runs.append(run)
-        return run
+        self._times.append(run["log_time"].copy())
+        self._columns.append(self._decoded(run["body"]))
+        return len(run), first.start + run.nbytes
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return every field of the schema by name; raise UnknownLayout where one is missing."""
-        if self._fits and self._layout is not None:
-            return self._layout.decode(self._joined("body", self._layout.dtype))
-        bodies = (body.tobytes() for run in self._runs for body in run["body"])
-        return decode_each(self._schema.data, self._schema.name, bodies)
+        """Return every field of the schema by name."""
+        names = self._columns[0]
+        return {name: np.concatenate([run[name] for run in self._columns]) for name in names}
 
     def times(self) -> NDArray[np.uint64]:
         """Return the log time of each message, in ns."""
-        return self._joined("log_time", np.dtype("<u8"))
+        return np.concatenate(self._times)
 
     def _form(self, body_bytes: int) -> np.dtype[Any]:
         fixed = self._layout is not None and self._layout.dtype.itemsize == body_bytes
         body = self._layout.dtype if self._layout is not None and fixed else f"V{body_bytes}"
         return np.dtype([*MESSAGE_HEADER, ("body", body)])
 
-    def _joined(self, name: str, form: np.dtype[Any]) -> NDArray[Any]:
-        return np.concatenate([np.zeros(0, form), *(run[name] for run in self._runs)])
+    def _decoded(self, bodies: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        layout = self._layout
+        if layout is not None and bodies.dtype == layout.dtype and layout.fits(bodies):
+            return layout.decode(bodies)
+        return self._decode(body.tobytes() for body in bodies)

@@ -6,7 +6,7 @@ length, so that the wire format is a structured array: tag, value, tag, value.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,34 +106,43 @@ class TickLayout:
         }
 
 
-def decode_each(
-    descriptor_set: bytes, message: str, payloads: Iterable[bytes]
-) -> dict[str, NDArray[Any]]:
-    """Decode messages of any length one by one, by their own descriptor.
+Decoder = Callable[[Iterable[bytes]], dict[str, NDArray[Any]]]
 
-    A float that a message lacks is NaN; raise UnknownLayout for a message that
-    lacks an integer, since no integer says so.
+
+def one_by_one(descriptor_set: bytes, message: str) -> Decoder:
+    """Return a decoder of messages of any length, by their own descriptor.
+
+    A float that a message lacks is NaN; the decoder raises UnknownLayout for a
+    message that lacks an integer, since no integer says so.
     """
     fields = _numbers(descriptor_set, message)
     pool = DescriptorPool()
     for file in FileDescriptorSet.FromString(descriptor_set).file:
         pool.Add(file)
     parse = GetMessageClass(pool.FindMessageTypeByName(message)).FromString
-    try:
-        messages = [parse(payload) for payload in payloads]
-    except DecodeError as error:
-        raise UnknownLayout("a tick is not what its descriptor says") from error
-    return {field.name: np.array([_value(m, field) for m in messages]) for field in fields}
+
+    def decode(payloads: Iterable[bytes]) -> dict[str, NDArray[Any]]:
+        try:
+            messages = [parse(payload) for payload in payloads]
+        except DecodeError as error:
+            raise UnknownLayout("a tick is not what its descriptor says") from error
+        return {
+            field.name: np.array([_value(m, field) for m in messages], _kind(field))
+            for field in fields
+        }
+
+    return decode
 
 
-def _value(message: Any, field: FieldDescriptorProto) -> float:
-    present = not field.proto3_optional or message.HasField(field.name)
-    if present:
-        return (
-            float(getattr(message, field.name))
-            if field.type in _FLOATS
-            else int(getattr(message, field.name))
-        )
+def _kind(field: FieldDescriptorProto) -> type:
+    if field.type == FieldDescriptorProto.TYPE_BOOL:
+        return bool
+    return float if field.type in _FLOATS else int
+
+
+def _value(message: Any, field: FieldDescriptorProto) -> Any:
+    if not field.proto3_optional or message.HasField(field.name):
+        return getattr(message, field.name)
     if field.type in _FLOATS:
         return float("nan")
     raise UnknownLayout(f"a tick lacks its {field.name}")

@@ -32,11 +32,7 @@ def axial_forces(p: PlantParameters, position_m: float, pressure_pa: float) -> A
     SI numbers as they stand: 47 N at 340 kPa; in mm it would be 47 kN.
     """
     gauge_pa = pressure_pa - p.atmospheric_pressure_pa
-    grip = p.friction_area_m * max(0.0, gauge_pa)
-    return AxialForces(
-        drive_n=gauge_pa * force_area_m2(p, position_m) - p.stiffness_n_per_m * position_m,
-        lower_n=0.0,
-        upper_n=grip * braid_lever_m(p, position_m),
-        damping_up_n_s_per_m=p.damping_n_s_per_m + grip,
-        damping_down_n_s_per_m=p.damping_n_s_per_m,
-    )
+    grip = p.friction_area_m * gauge_pa if gauge_pa > 0.0 else 0.0
+    drive_n = gauge_pa * force_area_m2(p, position_m) - p.stiffness_n_per_m * position_m
+    damping = p.damping_n_s_per_m
+    return AxialForces(drive_n, 0.0, grip * braid_lever_m(p, position_m), damping + grip, damping)

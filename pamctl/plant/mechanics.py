@@ -8,7 +8,7 @@ that is known exactly, and so is the moment at which it comes to rest.
 
 from __future__ import annotations
 
-import math
+from math import exp, log
 
 from pamctl.plant.friction import AxialForces, axial_forces
 from pamctl.plant.parameters import PlantParameters
@@ -47,12 +47,12 @@ def slide(
         terminal = (forces.drive_n - forces.lower_n) / damping
     rate = damping / mass_kg
     excess = velocity_m_per_s - terminal
-    decay = math.exp(-rate * step_s)
+    decay = exp(-rate * step_s)
     velocity = terminal + excess * decay
     if velocity * velocity_m_per_s > 0.0:
         return position_m + terminal * step_s + excess * (1.0 - decay) / rate, velocity
     # It comes to rest within the step, and friction decides anew what happens then.
-    stop_s = min(math.log(excess / -terminal) / rate, step_s) if terminal != 0.0 else step_s
+    stop_s = min(log(excess / -terminal) / rate, step_s) if terminal != 0.0 else step_s
     rest_m = position_m + terminal * stop_s + velocity_m_per_s / rate
     return leave_rest(forces, mass_kg, rest_m, step_s - stop_s)
 
@@ -70,5 +70,5 @@ def leave_rest(
         damping = forces.damping_down_n_s_per_m
         terminal = (forces.drive_n - forces.lower_n) / damping
     rate = damping / mass_kg
-    growth = 1.0 - math.exp(-rate * step_s)
+    growth = 1.0 - exp(-rate * step_s)
     return position_m + terminal * (step_s - growth / rate), terminal * growth

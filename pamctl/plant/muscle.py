@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from math import acos
 
 from pamctl.plant.parameters import PlantParameters
 
@@ -26,4 +26,4 @@ def force_area_m2(p: PlantParameters, position_m: float) -> float:
 def braid_lever_m(p: PlantParameters, position_m: float) -> float:
     """B theta cos(theta) of Eq. 5, with cos(theta) = L / b: that is L arccos(L / b)."""
     length = p.rest_length_m - position_m
-    return length * math.acos(length / p.braid_length_m)
+    return length * acos(length / p.braid_length_m)

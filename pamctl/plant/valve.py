@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from math import pow, sqrt
 
 from pamctl.plant.parameters import PlantParameters
 
@@ -14,9 +14,11 @@ def orifice_flow(p: PlantParameters, upstream_pa: float, downstream_pa: float) -
         return p.choked_flow_s_per_m * upstream_pa
     # r^(1/gamma) sqrt(1 - r^((gamma-1)/gamma)) with a single power, by
     # r^((gamma-1)/gamma) = r / r^(1/gamma).
-    throat = math.pow(ratio, p.inverse_gamma)
-    drop = max(0.0, 1.0 - ratio / throat)
-    return p.unchoked_flow_s_per_m * upstream_pa * throat * math.sqrt(drop)
+    throat = pow(ratio, p.inverse_gamma)
+    drop = 1.0 - ratio / throat
+    if drop <= 0.0:
+        return 0.0
+    return p.unchoked_flow_s_per_m * upstream_pa * throat * sqrt(drop)
 
 
 def valve_flow(p: PlantParameters, opening_v: float, pressure_pa: float) -> float:

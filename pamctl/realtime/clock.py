@@ -178,7 +178,7 @@ class VirtualClock:
         missed: what a test wants missed: `{5: 3}` makes the tick due as 5 come as 8.
     """
 
-    __slots__ = ("_missed", "_period_ns", "_tick")
+    __slots__ = ("_missed", "_now_ns", "_period_ns", "_tick")
 
     def __init__(self, period_ns: int, missed: Mapping[int, int] | None = None) -> None:
         """See the class."""
@@ -187,6 +187,7 @@ class VirtualClock:
         self._period_ns = period_ns
         self._missed = dict(missed or {})
         self._tick = -1
+        self._now_ns = 0
 
     @property
     def period_ns(self) -> int:
@@ -195,7 +196,7 @@ class VirtualClock:
 
     def now_ns(self) -> int:
         """Time of the current tick: stands still until the next `wait`; 0 before the first."""
-        return max(self._tick, 0) * self._period_ns
+        return self._now_ns
 
     def wall_offset_ns(self) -> int:
         """Nothing, so that the same seed gives the same bytes on every day."""
@@ -206,7 +207,7 @@ class VirtualClock:
         due = self._tick + 1
         missed = self._missed.get(due, 0)
         self._tick = due + missed
-        now_ns = self._tick * self._period_ns
+        now_ns = self._now_ns = self._tick * self._period_ns
         return Wake(self._tick, now_ns, now_ns, missed)
 
 

@@ -14,13 +14,14 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from types import FrameType
 from typing import NamedTuple
 
 from pamctl.log.recorder import spawn
 from pamctl.log.recover import Recovery, finish_from_ring
 from pamctl.realtime.ending import Ending, ExitCode
-from pamctl.realtime.ring import RecorderFlag, Ring
+from pamctl.realtime.ring import RecorderFlag, Ring, RingFull
 
 _POLL_S = 0.05
 _RECORDER_PATIENCE_S = 60.0
@@ -53,8 +54,8 @@ def conduct(ring: Ring, loop_command: Sequence[str], progress: Progress) -> Fron
     with _Forwarding(loop):
         _watch(ring, loop, recorder, progress)
         ending = _ending_of(loop)
-        # A loop that was killed could not say so itself.
-        ring.loop_done = 1
+        if not ring.loop_done:
+            _speak_for_the_dead(ring, ending)
         return _close_log(ring, recorder, ending)
 
 
@@ -106,6 +107,15 @@ def _ending_of(loop: subprocess.Popen[bytes]) -> Ending:
         code = loop.returncode
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"left with {code}"
         return Ending(ExitCode.UNEXPECTED, f"the loop process {how}")
+
+
+def _speak_for_the_dead(ring: Ring, ending: Ending) -> None:
+    """Say in the log what a loop that was killed could not say itself."""
+    last = ring.latest_tick() or {"tick": 0, "encoder_t_ns": ring.meta.start_mono_ns}
+    event = {"event": "outcome", "code": int(ending.code), "reason": ending.reason}
+    with Ring.attach(ring.path) as dead, suppress(RingFull):
+        dead.put_event(int(last["tick"]), int(last["encoder_t_ns"]), event)
+    ring.loop_done = 1
 
 
 def _close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:

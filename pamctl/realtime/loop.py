@@ -123,6 +123,7 @@ class _Loop:
             self._act(wake, sampled_ns, timing, raw, reference, state, decision)
             if decision.tripped:
                 return self._tripped(timing, raw, decision)
+            self._heed_supervisor(timing, raw, decision)
             if self._supervisor.abort_wanted():
                 return self._ending
             wake = self._clock.wait()
@@ -131,20 +132,26 @@ class _Loop:
     def _ask(
         self, timing: Timing, raw: RawSample, state: TickState
     ) -> tuple[Reference | None, Zero | None]:
-        """Return what the program asks for; a finished or interrupted program stops smoothly."""
-        program = self._program
-        if not program.is_stopping:
+        """Return what the program asks for; when the experiment is over it stops smoothly."""
+        reference, zero = self._program.next(timing.t_s, raw)
+        if reference is None and not self._program.is_stopping:
+            self._begin_stop(timing, raw, state.safety.valve_v)
+            reference, _ = self._program.next(timing.t_s, raw)
+        return reference, zero
+
+    def _heed_supervisor(self, timing: Timing, raw: RawSample, decision: Decision) -> None:
+        """See, in the slack after the tick, whether somebody wants the run to end."""
+        if not self._program.is_stopping:
             wanted = self._supervisor.stop_wanted(timing.tick)
-            if wanted is None:
-                reference, zero = program.next(timing.t_s, raw)
-                if reference is not None:
-                    return reference, zero
-            else:
+            if wanted is not None:
                 self._ending = wanted
-            program.begin_stop(timing.t_s, _last_valve_v(state, self._setup))
-            event = {"event": "stopping", "reason": self._ending.reason}
-            self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
-        return program.next(timing.t_s, raw)
+                self._begin_stop(timing, raw, decision.valve_v)
+
+    def _begin_stop(self, timing: Timing, raw: RawSample, valve_v: float) -> None:
+        last_v = self._setup.limits.safe_valve_v if math.isnan(valve_v) else valve_v
+        self._program.begin_stop(timing.t_s, last_v)
+        event = {"event": "stopping", "reason": self._ending.reason}
+        self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
 
     def _act(
         self,
@@ -209,11 +216,6 @@ def _timing(times: _Times, wake: Wake, raw: RawSample) -> Timing:
         (wake.now_ns - wake.deadline_ns) * 1e-9,
         wake.missed,
     )
-
-
-def _last_valve_v(state: TickState, setup: TickSetup) -> float:
-    valve_v = state.safety.valve_v
-    return setup.limits.safe_valve_v if math.isnan(valve_v) else valve_v
 
 
 def frozen(state: object) -> list[float]:

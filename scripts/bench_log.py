@@ -1,0 +1,134 @@
+"""Cost of the log: the loop's put, the recorder's throughput, a tick's bytes, reading it back.
+
+Prints one JSON document. Compare ratios within a run, not numbers between machines.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from pamctl.log.meta import RunMeta
+from pamctl.log.reader import read
+from pamctl.log.recorder import await_ready, spawn
+from pamctl.log.schema import TICK_TOPIC
+from pamctl.realtime.ring import Ring, RingFull
+from pamctl.signals import TickRecord
+
+
+def made_up_ticks(count: int) -> list[TickRecord]:
+    """Return ticks whose every float is noise on a trend: as hard to compress as a real one's."""
+    chance = random.Random(1)
+    stages = [(signals, get_type_hints(signals).values()) for signals in _stage_types()]
+
+    def value(kind: type, index: int) -> Any:
+        return chance.gauss(1e-3 * index, 1e-4) if kind is float else kind(index)
+
+    return [
+        TickRecord._make(
+            signals._make(value(kind, index) for kind in kinds) for signals, kinds in stages
+        )
+        for index in range(count)
+    ]
+
+
+def _stage_types() -> list[Any]:
+    return list(get_type_hints(TickRecord).values())
+
+
+def put_cost(directory: Path, ticks: list[TickRecord]) -> dict[str, float]:
+    """Time each put into a ring that has room, the timer's own cost taken off."""
+    clock = time.perf_counter_ns
+    costs, empty = [], []
+    with Ring.create(directory / "put.ring", RunMeta("unused.mcap"), len(ticks)) as ring:
+        for tick in ticks:
+            before = clock()
+            ring.put_tick(tick)
+            costs.append(clock() - before)
+            before = clock()
+            empty.append(clock() - before)
+        ring.unlink()
+    own = quantile(empty, 0.5)
+    return {f"p{q * 100:g}_us": (quantile(costs, q) - own) / 1e3 for q in (0.5, 0.99, 0.999)}
+
+
+def quantile(values: list[int], share: float) -> int:
+    return sorted(values)[int(share * (len(values) - 1))]
+
+
+def record(directory: Path, ticks: list[TickRecord], log: Path) -> dict[str, float]:
+    """Log ticks as fast as a real recorder process takes them."""
+    with Ring.create(directory / "record.ring", RunMeta(str(log))) as ring, spawn(ring.path) as rec:
+        await_ready(ring, rec)
+        began = time.perf_counter()
+        for tick in ticks:
+            put_when_there_is_room(ring, tick)
+        ring.loop_done = 1
+        rec.wait()
+        took = time.perf_counter() - began
+        ring.unlink()
+    return {"ticks_per_s": len(ticks) / took, "bytes_per_tick": log.stat().st_size / len(ticks)}
+
+
+def put_when_there_is_room(ring: Ring, tick: TickRecord) -> None:
+    while True:
+        try:
+            return ring.put_tick(tick)
+        except RingFull:
+            time.sleep(2e-4)
+
+
+def stock_reader(log: Path, *, decoded: bool) -> None:
+    """Read the ticks with the plain reader of the mcap package."""
+    with log.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        read_all = reader.iter_decoded_messages if decoded else reader.iter_messages
+        for _ in read_all(topics=[TICK_TOPIC]):
+            pass
+
+
+def ticks_per_s(read_all: Callable[[], object], ticks: int) -> float:
+    began = time.perf_counter()
+    read_all()
+    return ticks / (time.perf_counter() - began)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--ticks", type=int, default=60_000)
+    parser.add_argument("--rings", type=Path, default=Path("/dev/shm"), help="where rings are put")
+    arguments = parser.parse_args()
+    ticks = made_up_ticks(arguments.ticks)
+    with (
+        tempfile.TemporaryDirectory(dir=arguments.rings) as rings,
+        tempfile.TemporaryDirectory() as logs,
+    ):
+        log = Path(logs) / "bench.mcap"
+        result = {
+            "ticks": len(ticks),
+            "ring_put": put_cost(Path(rings), ticks),
+            "recorder": record(Path(rings), ticks, log),
+            "reader_ticks_per_s": {
+                "pamctl": ticks_per_s(lambda: read(log), len(ticks)),
+                "mcap": ticks_per_s(lambda: stock_reader(log, decoded=False), len(ticks)),
+                "mcap, protobuf decoded": ticks_per_s(
+                    lambda: stock_reader(log, decoded=True), len(ticks)
+                ),
+            },
+        }
+    json.dump(result, sys.stdout, indent=2)
+    print()
+
+
+if __name__ == "__main__":
+    main()

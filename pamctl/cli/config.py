@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
 
+from pamctl.realtime.ending import ExitCode
 from pamctl.settings import (
     SECTIONS,
     ConfigError,
@@ -22,9 +23,6 @@ from pamctl.settings import (
     to_json,
     to_yaml,
 )
-
-BAD_CONFIG = 78
-"""EX_CONFIG of sysexits.h."""
 
 config_app = typer.Typer(
     no_args_is_help=True, help="Check, show and describe the configuration files."
@@ -60,12 +58,18 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON documen
 
 @contextmanager
 def config_errors_exit() -> Iterator[None]:
-    """Print what is wrong with the configuration, a line each, and exit with 78."""
+    """Print what is wrong, a line each; exit with 2 for options and 78 for configuration."""
     try:
         yield
     except ConfigError as error:
         typer.echo(str(error), err=True)
-        raise typer.Exit(BAD_CONFIG) from None
+        raise typer.Exit(_exit_code(error.problems)) from None
+
+
+def _exit_code(problems: Iterable[Problem]) -> ExitCode:
+    places = (problem.where for problem in problems)
+    options_only = all(where.startswith("--") and not where.startswith("--set") for where in places)
+    return ExitCode.USAGE if options_only else ExitCode.BAD_CONFIG
 
 
 @config_app.command("check")
@@ -84,7 +88,7 @@ def check_files(
         for line in (line for verdict in verdicts for line in verdict.lines()):
             typer.echo(line)
     if any(verdict.problems for verdict in verdicts):
-        raise typer.Exit(BAD_CONFIG)
+        raise typer.Exit(ExitCode.BAD_CONFIG)
 
 
 @config_app.command("show")

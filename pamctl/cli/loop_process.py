@@ -60,7 +60,7 @@ def _run(ring: Ring) -> Ending:
     if not _recorder_is_ready(ring):
         return Ending(ExitCode.UNEXPECTED, "the recorder did not start")
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
-        _record_timing_setup(ring, settings, preparation)
+        _record_start(ring, settings, preparation)
         clock = clock_of(settings, may_spin=preparation.may_spin)
         parts = rig_of(settings, clock)
         return control(
@@ -85,12 +85,14 @@ def _recorder_is_ready(ring: Ring) -> bool:
     return True
 
 
-def _record_timing_setup(ring: Ring, settings: RunSettings, preparation: Preparation) -> None:
+def _record_start(ring: Ring, settings: RunSettings, preparation: Preparation) -> None:
+    """Put on record how this process is scheduled, and the gains it begins with."""
     setup = preparation.as_metadata()
     if settings.fast:
         setup = {"mode": "fast: no clock"}
     event = {"event": "timing_setup", **setup}
     ring.put_event(0, ring.meta.start_mono_ns, event)
+    ring.put_gains(0, ring.meta.start_mono_ns, settings.controller.model_dump(mode="json"))
 
 
 if __name__ == "__main__":

@@ -180,8 +180,11 @@ def _log_path(asked: Path | None, names: dict[str, str]) -> Path:
         raise _LogPathError(f"--log {asked}: exists, and a log is never overwritten")
     if not asked.parent.is_dir():
         raise _LogPathError(f"--log {asked}: there is no directory {asked.parent}")
-    if not os.access(asked.parent, os.W_OK):
-        raise _LogPathError(f"--log {asked}: no permission to write in {asked.parent}")
+    try:
+        asked.touch(exist_ok=False)
+        asked.unlink()
+    except OSError as error:
+        raise _LogPathError(f"--log {asked}: cannot be created: {error.strerror}") from None
     return asked
 
 
@@ -253,7 +256,8 @@ def _conclude(
     else:
         if text:
             typer.echo(text)
-        typer.echo(f"log: {path}")
+        if path.exists():
+            typer.echo(f"log: {path}")
     if ending.code:
         return _fail(ending.code, ending.reason)
     return int(ending.code) if report.log_is_whole else int(ExitCode.CHECK_FAILED)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from pamctl.log.text import from_json, to_json
@@ -36,7 +36,8 @@ class RunMeta:
     def to_text(self) -> bytes:
         """Write as JSON."""
         columns = [(name, kind.__name__, stage) for name, kind, stage in self.tick_fields]
-        return to_json({**asdict(self), "tick_fields": columns})
+        known = {part.name: getattr(self, part.name) for part in fields(self)}
+        return to_json({**known, "tick_fields": columns})
 
     @classmethod
     def from_text(cls, text: bytes) -> RunMeta:

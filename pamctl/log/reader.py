@@ -81,6 +81,8 @@ class Log:
 def read(path: str | Path, *topics: str) -> Log:
     """Read a log, or only these of its topics; raise LogError if any of the file is damaged."""
     log, damage = _scan(Path(path), topics)
+    if damage is not None and damage.offset == 0:
+        raise LogError(f"{path} is no log: {damage}")
     if damage is not None:
         raise LogError(
             f"{path} is damaged: {damage}; "
@@ -200,7 +202,8 @@ class _Contents:
     def _message(self, data: memoryview, record: Record) -> int:
         channel = self._channels[int.from_bytes(record.body[:2], "little")]
         if channel.id in self._ticks:
-            ticks, end = self._ticks[channel.id].take(data, record)
+            keep = self._wants(TICK_TOPIC)
+            ticks, end = self._ticks[channel.id].take(data, record, keep=keep)
             self._counts[channel.topic] += ticks
             return end
         self._counts[channel.topic] += 1

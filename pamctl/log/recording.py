@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from io import BufferedWriter
 from pathlib import Path
 from time import monotonic
@@ -121,6 +122,9 @@ class _Recording:
         self._rows = RowLogger(self._writer, ring.meta)
         self._file.flush()
         self._full = False
+        # A slow disk may take seconds; the ring must be emptied, and we seen to live, meanwhile.
+        self._syncing = ThreadPoolExecutor(1)
+        self._sync = self._syncing.submit(os.fdatasync, file.fileno())
         self._chunk_at = self._synced_at = monotonic()
         # A small ring must be emptied long before it has as many rows as we would like.
         self._least = min(CHUNK_ROWS, ring.rows // 8)
@@ -139,8 +143,9 @@ class _Recording:
         if pending >= self._least or (pending and now - self._chunk_at >= CHUNK_S):
             self._write_chunk()
             self._chunk_at = now
-        if now - self._synced_at >= SYNC_S:
-            os.fdatasync(self._file.fileno())
+        if now - self._synced_at >= SYNC_S and self._sync.done():
+            self._sync.result()
+            self._sync = self._syncing.submit(os.fdatasync, self._file.fileno())
             self._synced_at = now
 
     def finish(self) -> None:
@@ -148,6 +153,7 @@ class _Recording:
         while self._ring.pending:
             self._ring.recorder_beats += 1
             self._write_chunk()
+        self._syncing.shutdown()
         self._writer.finish()
         self._file.flush()
         self._reserve.release(self._file.tell())

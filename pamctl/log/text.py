@@ -34,6 +34,8 @@ def _dump(value: object) -> bytes:
 
 
 def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return dict(value)
     item = getattr(value, "item", None)
     return item() if callable(item) else str(value)
 

@@ -37,11 +37,11 @@ class TickRuns:
         self._times: list[NDArray[np.uint64]] = [np.zeros(0, np.uint64)]
         self._columns = [self._decode([])]
 
-    def take(self, data: memoryview, first: Record) -> tuple[int, int]:
+    def take(self, data: memoryview, first: Record, *, keep: bool) -> tuple[int, int]:
         """Take the run that begins with `first`, a record within `data`; return its ticks and end.
 
         Since the first begins a record and all are of its length, each begins one.
-        Raise UnknownLayout where a tick lacks an integer.
+        Raise UnknownLayout where a tick lacks an integer. Not to `keep` is to count only.
         """
         form = self._form(first.end - first.start - _BODY_AT)
         count = (len(data) - first.start) // form.itemsize
@@ -50,8 +50,9 @@ class TickRuns:
         for name in ("opcode", "length", "channel"):
             alike &= messages[name] == messages[name][0]
         run = messages if alike.all() else messages[: int(alike.argmin())]
-        self._times.append(run["log_time"].copy())
-        self._columns.append(self._decoded(run["body"]))
+        if keep:
+            self._times.append(run["log_time"].copy())
+            self._columns.append(self._decoded(run["body"]))
         return len(run), first.start + run.nbytes
 
     def columns(self) -> dict[str, NDArray[Any]]:

@@ -125,11 +125,16 @@ def _close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) ->
     except subprocess.TimeoutExpired:
         recorder.kill()
         _, said = recorder.communicate()
-    complaint = said.decode(errors="replace").strip()
     if recorder.returncode == 0:
         ring.unlink()
         return FrontReport(ending, True, "")
-    return _rescue(ring, ending, complaint or f"the recorder left with {recorder.returncode}")
+    complaint = said.decode(errors="replace").strip().removeprefix("recorder: ")
+    complaint = complaint or f"the recorder died with {recorder.returncode}"
+    if not ring.recorder_flags & RecorderFlag.READY:
+        # Nothing was begun: there is no log to finish, and no tick to save.
+        ring.unlink()
+        return FrontReport(Ending(ExitCode.UNEXPECTED, complaint), False, "")
+    return _rescue(ring, ending, complaint)
 
 
 def _rescue(ring: Ring, ending: Ending, complaint: str) -> FrontReport:

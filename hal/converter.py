@@ -15,7 +15,8 @@ class Converter(NamedTuple):
 
 def converted_v(converter: Converter, volts: float) -> float:
     """Return the voltage of the nearest code; half a step below full scale at the most."""
-    step = 2.0 * converter.full_scale_v / converter.levels
-    code = math.floor(volts / step + 0.5)
-    lowest = -0.5 * converter.levels
-    return min(max(code, lowest), -lowest - 1.0) * step
+    full_scale_v = converter.full_scale_v
+    step = 2.0 * full_scale_v / converter.levels
+    # Clamped first: a code beyond every integer could not be rounded to one.
+    code = math.floor(min(max(volts, -full_scale_v), full_scale_v) / step + 0.5)
+    return min(code, 0.5 * converter.levels - 1.0) * step

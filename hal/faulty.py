@@ -54,7 +54,7 @@ class FaultyRig:
         self._faults = tuple(faults)
         self._sleep = sleep
         self._reads = -1
-        self._first: dict[FaultKind, RawSample] = {}
+        self._first: dict[int, RawSample] = {}
 
     def open(self) -> None:
         """Open the inner rig; ticks are counted from here."""
@@ -67,9 +67,9 @@ class FaultyRig:
         self._reads += 1
         self._fail_if_due("read_error", "device_lost")
         sample = self._inner.read()
-        for fault in self._faults:
+        for index, fault in enumerate(self._faults):
             if self._is_due(fault):
-                sample = self._spoil(fault, sample)
+                sample = self._spoil(fault, self._first.setdefault(index, sample), sample)
         return sample
 
     def write(self, ao_v: float) -> float:
@@ -99,8 +99,7 @@ class FaultyRig:
                     f"{fault.kind} injected at tick {self._reads}", fix="remove the fault"
                 )
 
-    def _spoil(self, fault: FaultSettings, sample: RawSample) -> RawSample:
-        first = self._first.setdefault(fault.kind, sample)
+    def _spoil(self, fault: FaultSettings, first: RawSample, sample: RawSample) -> RawSample:
         match fault.kind:
             case "stuck_encoder":
                 return sample._replace(encoder_counts=first.encoder_counts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Annotated, Literal, NamedTuple, Protocol
 
 from pydantic import Field
@@ -140,11 +141,19 @@ class SimRig:
         self._require_open()
         if not math.isfinite(ao_v):
             raise RigError(f"refused to output {ao_v} V", fix="a law must command a finite voltage")
-        return self._drive(ao_v)
+        self._drive(ao_v)
+        if not self._delay_ticks:
+            self._catch_up(self._now_ns())
+            self._command_v = self._next_command_v
+        return self._output_v
 
     def make_safe(self) -> None:
-        """Drive the safe voltage."""
+        """Drive the safe voltage, at once and whatever has become of the plant."""
         self._drive(self._safe_output_v)
+        if self._is_open:
+            # A plant that fails is for the next read to report.
+            with suppress(ArithmeticError, ValueError):
+                self._catch_up(self._now_ns())
         self._command_v = self._next_command_v
 
     def close(self) -> None:
@@ -169,14 +178,9 @@ class SimRig:
             "encoder_m_per_count": self._chain.calibration.encoder_m_per_count,
         }
 
-    def _drive(self, ao_v: float) -> float:
+    def _drive(self, ao_v: float) -> None:
         self._output_v = converted_v(self._chain.output_converter, ao_v)
         self._next_command_v = valve_v(self._chain.calibration, self._output_v)
-        if not self._delay_ticks:
-            if self._is_open:
-                self._catch_up(self._now_ns())
-            self._command_v = self._next_command_v
-        return self._output_v
 
     def _catch_up(self, now_ns: int) -> None:
         if now_ns > self._plant_t_ns:

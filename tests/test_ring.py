@@ -161,7 +161,7 @@ def test_the_latest_tick_is_never_torn_while_the_loop_writes(ring):
             taken_ticks(ring)
 
     with Ring.attach(ring.path) as front:
-        producer = threading.Thread(target=put, args=(ring, range(4000)))
+        producer = threading.Thread(target=put, args=(ring, range(2000)))
         consumer = threading.Thread(target=consume)
         producer.start()
         consumer.start()

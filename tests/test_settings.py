@@ -19,10 +19,10 @@ from typer.testing import CliRunner
 
 from hal.configured import Configured
 from pamctl.cli.config import config_app
+from pamctl.problems import ConfigError
 from pamctl.settings import (
     DEFAULT_NAMES,
     SECTIONS,
-    ConfigError,
     Raw,
     RunSettings,
     check,

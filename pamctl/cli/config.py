@@ -10,11 +10,10 @@ from typing import Annotated, NamedTuple
 
 import typer
 
+from pamctl.problems import ConfigError, Problem
 from pamctl.realtime.ending import ExitCode
 from pamctl.settings import (
     SECTIONS,
-    ConfigError,
-    Problem,
     check,
     config_dir,
     resolve,

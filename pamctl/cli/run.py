@@ -34,6 +34,7 @@ from pamctl.cli.config import (
 from pamctl.cli.progress import ProgressLine
 from pamctl.log.meta import RunMeta
 from pamctl.log.schema import SCHEMA_VERSION
+from pamctl.problems import ConfigError, Problem
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.front import FrontReport, conduct
 from pamctl.realtime.loop import keyframe_fields
@@ -41,8 +42,6 @@ from pamctl.realtime.ring import Ring, RingError
 from pamctl.realtime.tick import first_state
 from pamctl.settings import (
     DEFAULT_NAMES,
-    ConfigError,
-    Problem,
     RunSettings,
     resolve,
     to_json,

@@ -17,9 +17,8 @@ from typing import Protocol
 from pamctl.log.records import LogError
 from pamctl.log.rows import RowLogger
 from pamctl.log.space import Reserve, is_full
-from pamctl.log.wire import TickLayout
 from pamctl.log.writer import LogWriter
-from pamctl.realtime.ring import RecorderFlag, Ring
+from pamctl.realtime.ring import ROW_BYTES, RecorderFlag, Ring
 
 ROUND_S = 0.05
 CHUNK_ROWS = 250
@@ -31,7 +30,7 @@ STALLED_S = 1.0
 """A loop that shows no sign of life for so long, and whose owner is gone, is dead."""
 
 _MESSAGE_BYTES = 31 + 16
-"""What a message costs beside its payload: its frame, and its place in the index."""
+"""What a message takes beside its payload: its frame, and its place in the index."""
 
 
 class Owner(Protocol):
@@ -80,8 +79,7 @@ def _create(path: Path) -> BufferedWriter:
 
 
 def _reserve(ring: Ring, file: BufferedWriter, path: Path) -> Reserve:
-    tick = TickLayout.of_fields(ring.meta.tick_fields).dtype.itemsize
-    reserve = Reserve(file.fileno(), ring.rows * (tick + _MESSAGE_BYTES))
+    reserve = Reserve(file.fileno(), ring.rows * (ROW_BYTES + _MESSAGE_BYTES))
     try:
         reserve.extend(0, 0)
     except OSError as error:

@@ -21,6 +21,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -38,6 +39,8 @@ QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
 TARGETS = {
     "grid": {"p50": 1.2, "p99": 1.3},
     "grid-spin": {"p50": 0.05, "p99": 0.1},
+    "run": {"p50": 1.2, "p99": 1.3},
+    "run-spin": {"p50": 0.05, "p99": 0.1},
 }
 """Highest ratio to cyclictest that we are content with."""
 
@@ -131,6 +134,37 @@ def queued_ms() -> float:
     return int(waited_ns) / 1e6
 
 
+def whole_loop(*options: str) -> Measure:
+    """The loop of `pamctl run` on the simulated rig: plant, tick, ring and recorder and all."""
+
+    def measure(ticks: int) -> Sample:
+        import numpy as np
+
+        from pamctl.log.reader import read
+
+        with tempfile.TemporaryDirectory() as folder:
+            log_path = Path(folder) / "run.mcap"
+            command = [sys.executable, "-m", "pamctl.cli.app", "run", "--quiet", "--json"]
+            wanted = ["--duration", str(ticks * PERIOD_NS / 1e9), "--log", str(log_path)]
+            subprocess.run(
+                [*command, *wanted, "--set", "rig.homing.enabled=false", *options],
+                stdout=subprocess.DEVNULL,
+                check=True,
+            )
+            log = read(log_path)
+        late_us = log["late_s"] * 1e6 + log["missed"] * PERIOD_NS / 1e3
+        tick_us = np.percentile(log["compute_s"] * 1e6, (50, 99))
+        work_us = (log["read_s"] + log["compute_s"] + log["write_s"]) * 1e6
+        work_us = np.percentile(work_us, (50, 99))
+        notes = {
+            "tick_us_p50_p99": "{:.1f} {:.1f}".format(*tick_us),
+            "read_tick_write_us_p50_p99": "{:.1f} {:.1f}".format(*work_us),
+        }
+        return Sample(late_us.tolist(), notes=notes)
+
+    return measure
+
+
 def spin_ns() -> int:
     """The clock's own default, imported late: only workers have pamctl on their path."""
     from pamctl.realtime.clock import SPIN_NS
@@ -143,6 +177,8 @@ VARIANTS: dict[str, Measure] = {
     "grid": grid(),
     "grid-spin": lambda ticks: grid(spin_ns())(ticks),
     "grid-spin-phase0": lambda ticks: grid(spin_ns(), phase_ns=0)(ticks),
+    "run": whole_loop("--set", "rig.loop.spin_us=0"),
+    "run-spin": whole_loop(),
     "plain-sleep": plain_sleep,
 }
 
@@ -323,6 +359,8 @@ def tell_condition(label: str, condition: dict[str, Any]) -> None:
             f"{variant:18}{''.join(f'{cell:>18}' for cell in cells)}"
             f"{result['missed']:8d}{result['stalls_ms']:11.1f}{queued:>11}"
         )
+        if "tick_us_p50_p99" in result["notes"]:
+            tell(f"{'':18}tick p50, p99 us: {result['notes']['tick_us_p50_p99']}")
     for row in against_targets(condition):
         verdict = "met" if row["met"] else "NOT MET"
         tell(

@@ -91,51 +91,49 @@ class Recorded(NamedTuple):
     """The solution at the ticks, and what it went through on the way."""
 
     states: NDArray[np.float64]
-    """A row a tick: x, v, P; row 0 is the start."""
+    """A row a tick: x, v, P, opening of the valve, its rate; row 0 is the start."""
     reversals: int
     """Times that motion began upwards after downwards, or the other way round."""
     stuck_s: float
     """Time at rest."""
 
 
+class Spool(NamedTuple):
+    """A valve that follows its command as a system of second order."""
+
+    natural_rad_per_s: float
+    damping_ratio: float
+
+
 def solve(
     commands: Sequence[float],
     period: float,
     *,
+    spool: Spool | None = None,
     method: str = "LSODA",
     rtol: float = 1e-10,
-    source_pa: float = 1e-5,
 ) -> Recorded:
-    """Integrate Eq. 9 from the vented muscle, one command a period.
-
-    Near the source's pressure the flow goes with the square root of the difference, whose
-    slope is infinite: within `source_pa` of it the pressure is held there. That is the one
-    liberty taken; `source_pa` is 1e-5 Pa, and 1 Pa is worth some 0.1 um of motion.
-    """
-    state = [0.0, 0.0, P_ATM]
-    mode = "stick"
+    """Integrate Eq. 9 from the vented muscle, one command a period."""
+    state = [0.0, 0.0, P_ATM, 0.0, 0.0]
+    mode, last_slip = "stick", ""
     states = [tuple(state)]
-    last_slip, reversals, stuck_s = "", 0, 0.0
-    time, tick = 0.0, 0
+    reversals, stuck_s, time, tick = 0, 0.0, 0.0, 0
     while tick < len(commands):
         # A command that is held is integrated in one piece.
         until = tick + 1
         while until < len(commands) and commands[until] == commands[tick]:
             until += 1
         grid = np.arange(tick + 1, until + 1) * period
-        command = commands[tick]
-        while True:
+        if spool is None:
+            state[3] = commands[tick]
+        while len(grid):
+            piece = _Piece(mode, commands[tick], spool)
             begin = time
-            time, state, seen, mode_after = _piece(
-                command, mode, time, state, grid, method, rtol, source_pa
-            )
+            time, state, seen, mode_after = piece.run(time, state, grid, method, rtol)
             states += seen
             grid = grid[len(seen) :]
-            if mode == "stick":
-                stuck_s += time - begin
-            if mode_after == mode and not len(grid):
-                break
-            if mode_after in ("up", "down"):
+            stuck_s += time - begin if mode == "stick" else 0.0
+            if mode_after != mode and mode_after != "stick":
                 reversals += last_slip not in ("", mode_after)
                 last_slip = mode_after
             mode = mode_after
@@ -143,71 +141,94 @@ def solve(
     return Recorded(np.array(states), reversals, stuck_s)
 
 
-def _piece(
-    command: float,
-    mode: str,
-    begin: float,
-    state: list[float],
-    grid: NDArray[np.float64],
-    method: str,
-    rtol: float,
-    source_pa: float,
-) -> tuple[float, list[float], list[tuple[float, ...]], str]:
-    """Integrate one smooth piece: to the end of the grid, or to the event that ends the mode."""
-    source = P_TANK if command > 0 else P_ATM
+SOURCE_PA = 1e-5
+"""Near the source's pressure the flow goes with the square root of the difference, whose slope is
+infinite. Within this of it the pressure is led to it by a lag of 1 ms: the one liberty taken.
+1 Pa is worth 0.1 um of motion, so this is worth 1e-6 um."""
 
-    def rates(t: float, y: NDArray[np.float64]) -> list[float]:
-        x, v, pressure = y.tolist()
-        if command and abs(pressure - source) < source_pa:
-            pressure_slope = (source - pressure) * 1e3  # held, by a lag of 1 ms
-        else:
-            pressure_slope = pressure_rate(command, x, v if mode != "stick" else 0.0, pressure)
+HAIR = 1e-9
+"""N beyond friction at which motion begins: the vented muscle lies exactly on both bounds."""
+
+
+class _Piece:
+    """Eq. 9 while friction is smooth: slip up, slip down, or stick."""
+
+    def __init__(self, mode: str, command: float, spool: Spool | None) -> None:
+        self.mode = mode
+        self.command = command
+        self.spool = spool
         if mode == "stick":
-            return [0.0, 0.0, pressure_slope]
-        if mode == "up":
-            friction = kinetic_friction(x, pressure) + (C + grip(pressure)) * v
+            self.events = [self.breaks_up, self.breaks_down]
         else:
-            friction = C * v
-        return [v, (drive(x, pressure) - friction) / M, pressure_slope]
+            self.events = [self.stops]
 
-    def stops(t: float, y: NDArray[np.float64]) -> float:
-        return float(y[1])
+    def rates(self, t: float, y: NDArray[np.float64]) -> list[float]:
+        x, v, pressure, opening, opening_rate = y.tolist()
+        source = P_TANK if opening > 0 else P_ATM
+        pressure_slope = pressure_rate(opening, x, v, pressure)
+        if opening and abs(pressure - source) < SOURCE_PA:
+            pressure_slope = (source - pressure) * 1e3
+        force = 0.0
+        if self.mode == "up":
+            force = drive(x, pressure) - kinetic_friction(x, pressure) - (C + grip(pressure)) * v
+        elif self.mode == "down":
+            force = drive(x, pressure) - C * v
+        jerk = 0.0
+        if self.spool is not None:
+            natural, damping = self.spool
+            jerk = natural**2 * (self.command - opening) - 2 * damping * natural * opening_rate
+        return [v, force / M, pressure_slope, opening_rate, jerk]
 
-    def breaks_up(t: float, y: NDArray[np.float64]) -> float:
-        return drive(y[0], y[2]) - kinetic_friction(y[0], y[2])
+    def stops(self, t: float, y: NDArray[np.float64]) -> float:
+        return -float(y[1]) if self.mode == "up" else float(y[1])
 
-    def breaks_down(t: float, y: NDArray[np.float64]) -> float:
-        return drive(y[0], y[2])
+    def breaks_up(self, t: float, y: NDArray[np.float64]) -> float:
+        return drive(y[0], y[2]) - kinetic_friction(y[0], y[2]) - HAIR
 
-    events: list[Any] = [breaks_up, breaks_down] if mode == "stick" else [stops]
-    for event in events:
-        event.terminal = True
-        event.direction = 1 if event is breaks_up or (mode == "down") else -1
+    def breaks_down(self, t: float, y: NDArray[np.float64]) -> float:
+        return -drive(y[0], y[2]) - HAIR
 
-    solution = solve_ivp(
-        rates,
-        (begin, grid[-1]),
-        state,
-        method=method,
-        rtol=rtol,
-        atol=[1e-3 * rtol, rtol, 1e5 * rtol],
-        t_eval=grid,
-        events=events,
-        first_step=min(1e-7, grid[-1] - begin),
-    )
-    assert solution.success, solution.message
-    seen = list(zip(*solution.y, strict=True))  # empty where the event came before the next tick
-    if solution.status == 0:
-        return grid[-1], list(seen[-1]), seen, mode
-    which = next(i for i, hits in enumerate(solution.t_events) if len(hits))
-    time = float(solution.t_events[which][0])
-    x, _, pressure = solution.y_events[which][0].tolist()
-    return time, [x, 0.0, pressure], seen, _mode_after(mode, events[which], x, pressure)
+    def run(
+        self, begin: float, state: list[float], grid: NDArray[np.float64], method: str, rtol: float
+    ) -> tuple[float, list[float], list[tuple[float, ...]], str]:
+        """Go to the end of the grid, or to the event that ends the mode.
+
+        Returns the time and state there, the states on the grid, and the mode that follows.
+        """
+        solution = solve_ivp(
+            self.rates,
+            (begin, grid[-1]),
+            state,
+            method=method,
+            rtol=rtol,
+            atol=rtol * np.array([1e-3, 1.0, 1e5, 1.0, 1e3]),
+            t_eval=grid,
+            events=[_terminal(event) for event in self.events],
+            first_step=min(1e-7, grid[-1] - begin),
+        )
+        assert solution.success, solution.message
+        seen = list(zip(*solution.y, strict=True))  # empty if the event came before the next tick
+        if solution.status == 0:
+            return grid[-1], list(seen[-1]), seen, self.mode
+        which = next(i for i, times in enumerate(solution.t_events) if len(times))
+        x, _, pressure, *valve = solution.y_events[which][0].tolist()
+        after = self.mode_after(which, x, pressure)
+        return float(solution.t_events[which][0]), [x, 0.0, pressure, *valve], seen, after
+
+    def mode_after(self, which: int, x: float, pressure: float) -> str:
+        if self.mode == "stick":
+            return ("up", "down")[which]
+        if drive(x, pressure) < 0.0:
+            return "down"
+        return "up" if drive(x, pressure) > kinetic_friction(x, pressure) else "stick"
 
 
-def _mode_after(mode: str, event: Callable[..., float], x: float, pressure: float) -> str:
-    if mode == "stick":
-        return "up" if event.__name__ == "breaks_up" else "down"
-    if drive(x, pressure) < 0.0:
-        return "down"
-    return "up" if drive(x, pressure) > kinetic_friction(x, pressure) else "stick"
+def _terminal(event: Callable[[float, NDArray[np.float64]], float]) -> Any:
+    """Every event here ends its piece, and is one of a value that rises through zero."""
+
+    def terminal(t: float, y: NDArray[np.float64]) -> float:
+        return event(t, y)
+
+    terminal.terminal = True  # type: ignore[attr-defined]
+    terminal.direction = 1  # type: ignore[attr-defined]
+    return terminal

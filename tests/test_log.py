@@ -90,6 +90,14 @@ def test_the_log_carries_the_configuration_and_what_was_attached(log_path):
     assert log.metadata["timing_setup"]["fifo"] == "true"
 
 
+def test_what_a_run_says_of_its_origin_joins_what_the_recorder_says(tmp_path):
+    path = tmp_path / "a.mcap"
+    log_run(tmp_path / "a.ring", path, 1, metadata={"pamctl": {"version": "9", "card": "6221"}})
+    origin = read(path).metadata["pamctl"]
+    assert (origin["version"], origin["card"]) == ("9", "6221")
+    assert origin["schema_version"] == str(SCHEMA_VERSION)
+
+
 def test_a_run_of_no_ticks_is_a_whole_log_with_empty_columns(tmp_path):
     path = tmp_path / "empty.mcap"
     with Ring.create(tmp_path / "a.ring", meta(path)) as ring, recording(ring) as process:

@@ -41,3 +41,7 @@ def _options(
 def main() -> None:
     """Entry point of the `pamctl` command."""
     app()
+
+
+if __name__ == "__main__":
+    main()

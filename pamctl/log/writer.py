@@ -98,9 +98,10 @@ class LogWriter:
 
 def begin(writer: LogWriter, meta: RunMeta) -> dict[str, int]:
     """Write what is known before the first tick; return the channel of each topic."""
-    writer.metadata("pamctl", _origin(meta))
-    for name, values in meta.metadata.items():
-        writer.metadata(name, values)
+    # Readers keep one record of each name, so that what the run adds must be in the same one.
+    said = {"pamctl": {}, **meta.metadata}
+    for name, values in said.items():
+        writer.metadata(name, {**_origin(meta), **values} if name == "pamctl" else values)
     writer.attachment("config.json", to_json(meta.config), meta.start_wall_ns)
     for name, text in meta.attachments.items():
         writer.attachment(name, text.encode(), meta.start_wall_ns)

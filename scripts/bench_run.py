@@ -1,0 +1,75 @@
+"""What a user waits for: from the command to the first tick, and a run without a clock.
+
+    python scripts/bench_run.py --rounds 5 > run.json
+
+JSON on stdout, a table on stderr. Start-up is measured in real time from before the
+process starts to the first tick's sample. The speed of `--fast` is that of the
+difference between a long and a short run, so start-up and homing are not in it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+
+from pamctl.log.reader import read
+
+LONG_S, SHORT_S = 40.0, 20.0
+
+
+def run(folder: Path, name: str, *options: str) -> tuple[float, Path]:
+    """One run with law and log; wall seconds of the whole process, and the log."""
+    path = folder / name
+    command = [sys.executable, "-m", "pamctl.cli.app", "run", "--quiet", "--log", str(path)]
+    before_s = time.perf_counter()
+    subprocess.run([*command, *options], check=True, stdout=subprocess.DEVNULL)
+    return time.perf_counter() - before_s, path
+
+
+def start_up_s(folder: Path, name: str) -> float:
+    """From the command to the first tick."""
+    started_ns = time.time_ns()
+    _, path = run(folder, name, "--duration", "0.1", "--set", "rig.homing.enabled=false")
+    return float(read(path).time_ns[0] - started_ns) * 1e-9
+
+
+def fast_multiple(folder: Path, name: str) -> float:
+    """Simulated seconds per wall second, start-up taken out."""
+    options = ("--fast", "--experiment", "tracking-1")
+    long_s, _ = run(folder, f"long-{name}", *options, "--duration", str(LONG_S))
+    short_s, _ = run(folder, f"short-{name}", *options, "--duration", str(SHORT_S))
+    return (LONG_S - SHORT_S) / (long_s - short_s)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--rounds", type=int, default=5)
+    rounds = parser.parse_args().rounds
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        start_up_s(folder, "warm-caches.mcap")
+        starts = [start_up_s(folder, f"start-{i}.mcap") for i in range(rounds)]
+        multiples = [fast_multiple(folder, f"{i}.mcap") for i in range(rounds)]
+    report = {
+        "start_up_s": {"median": median(starts), "all": starts, "target": 2.0},
+        "fast_multiple_of_real_time": {
+            "median": median(multiples),
+            "all": multiples,
+            "target": 40.0,
+        },
+    }
+    for name, figures in report.items():
+        print(
+            f"{name}: median {figures['median']:.2f}, target {figures['target']}", file=sys.stderr
+        )
+    print(json.dumps(report, indent=1))
+
+
+if __name__ == "__main__":
+    main()

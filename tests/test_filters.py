@@ -1,0 +1,215 @@
+"""The filters against SciPy, and the derivatives against motions that are known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import signal
+
+from pamctl.control.filters import (
+    UNPRIMED,
+    FilterGains,
+    LowPass,
+    estimate,
+    low_pass,
+    primed,
+    warped,
+)
+from pamctl.signals import Estimate, Measurement, Phase, Reference
+
+DT_S = 1e-3
+NAN = math.nan
+
+
+def filtered(
+    cutoff_hz: float, values: Sequence[float], dt_s: float | Sequence[float] = DT_S, start=0.0
+) -> np.ndarray:
+    state: LowPass = primed(start)
+    levels = []
+    for value, dt in zip(values, np.broadcast_to(dt_s, len(values)).tolist(), strict=True):
+        level, state = low_pass(state, warped(cutoff_hz, dt), value)
+        levels.append(level)
+    return np.array(levels)
+
+
+@pytest.mark.parametrize("cutoff_hz", [0.5, 10.0, 185.0, 300.0, 440.0])
+@pytest.mark.parametrize("excitation", ["impulse", "step", "noise"])
+def test_the_filter_is_scipys_third_order_butterworth(cutoff_hz: float, excitation: str) -> None:
+    values = {
+        "impulse": signal.unit_impulse(5000),
+        "step": np.ones(5000),
+        "noise": np.random.default_rng(1).normal(size=5000),
+    }[excitation]
+    expected = signal.sosfilt(signal.butter(3, cutoff_hz, fs=1 / DT_S, output="sos"), values)
+    np.testing.assert_allclose(filtered(cutoff_hz, values.tolist()), expected, rtol=0, atol=2e-12)
+
+
+@pytest.mark.parametrize("dt_s", [2e-3, 5e-3, 50e-3])
+def test_it_is_scipys_at_another_sampling_rate_too(dt_s: float) -> None:
+    values = np.random.default_rng(2).normal(size=2000)
+    expected = signal.sosfilt(signal.butter(3, 4.0, fs=1 / dt_s, output="sos"), values)
+    found = filtered(4.0, values.tolist(), dt_s)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("cutoff_hz", [5.0, 185.0, 300.0])
+def test_at_the_cut_off_half_the_power_and_three_eighths_of_a_turn_are_lost(cutoff_hz) -> None:
+    times_s = DT_S * np.arange(4000)
+    angle = 2 * math.pi * cutoff_hz * times_s
+    tail = slice(2000, None)
+    found = filtered(cutoff_hz, np.sin(angle).tolist())[tail]
+    quadratures = np.column_stack([np.sin(angle), np.cos(angle)])[tail]
+    in_phase, lagging = np.linalg.lstsq(quadratures, found, rcond=None)[0]
+    assert math.hypot(in_phase, lagging) == pytest.approx(math.sqrt(0.5), rel=1e-9)
+    assert math.degrees(math.atan2(lagging, in_phase)) == pytest.approx(-135.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("dt_s", [2e-3, 5e-3, 20e-3, 50e-3])
+def test_the_300_hz_filter_lets_the_sample_through_after_missed_ticks(dt_s: float) -> None:
+    """Its cut-off lies above half the rate there: SciPy has no such filter, and none is needed."""
+    values = np.random.default_rng(3).normal(size=500)
+    expected = signal.sosfilt(signal.butter(3, 0.45, fs=1.0, output="sos"), values)
+    found = filtered(300.0, values.tolist(), dt_s)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    assert np.abs(filtered(300.0, [1.0] * 20, dt_s)[-1] - 1.0) < 1e-6
+
+
+cutoffs = st.sampled_from([0.5, 10.0, 185.0, 300.0, 1000.0])
+tick_lengths = st.lists(st.floats(1e-4, 50e-3), min_size=1, max_size=60)
+
+
+@given(cutoffs, tick_lengths, st.floats(-100, 100))
+def test_no_change_of_dt_disturbs_a_constant(cutoff_hz, dts, level) -> None:
+    levels = filtered(cutoff_hz, [level] * len(dts), dts, start=level)
+    np.testing.assert_allclose(levels, level, rtol=0, atol=1e-12 * max(1.0, abs(level)))
+
+
+@given(cutoffs, tick_lengths, st.integers(0, 2**32 - 1))
+def test_whatever_dt_does_the_output_stays_near_its_input(cutoff_hz, dts, seed) -> None:
+    values = np.random.default_rng(seed).uniform(-1, 1, len(dts))
+    assert np.abs(filtered(cutoff_hz, values.tolist(), dts)).max() <= 2.0
+
+
+@given(st.sampled_from([0.5, 185.0, 300.0]), st.floats(2e-3, 50e-3))
+def test_a_missed_tick_leaves_no_lasting_trace(cutoff_hz, gap_s) -> None:
+    dts = [DT_S] * 50 + [gap_s] + [DT_S] * 9000
+    levels = filtered(cutoff_hz, [1.0] * len(dts), dts)
+    assert np.abs(levels).max() < 1.2
+    assert levels[-1] == pytest.approx(1.0, abs=1e-5)
+
+
+def reference(position_m: float) -> Reference:
+    return Reference(Phase.TRACK, position_m, 0.0, 0.0, 0.0, NAN)
+
+
+OPEN_LOOP = Reference(Phase.OPEN_LOOP, NAN, NAN, NAN, NAN, 1.0)
+
+
+def estimates(
+    gains: FilterGains,
+    positions: Sequence[float],
+    dt_s: float | Sequence[float] = DT_S,
+    references: Sequence[Reference] | None = None,
+) -> list[Estimate]:
+    state, found = UNPRIMED, []
+    dts = np.broadcast_to(dt_s, len(positions)).tolist()
+    for n, (position, dt) in enumerate(zip(positions, dts, strict=True)):
+        asked = references[n] if references else reference(0.0)
+        measurement = Measurement(float(position), 2e5)
+        estimated, state = estimate(gains, state, measurement, asked, dt)
+        found.append(estimated)
+    return found
+
+
+@pytest.mark.parametrize(("lpf2_hz", "seconds"), [(0.5, 10.0), (20.0, 1.0), (185.0, 1.0)])
+def test_the_rate_of_a_ramp_is_its_slope(lpf2_hz: float, seconds: float) -> None:
+    times_s = np.arange(0, seconds, DT_S)
+    last = estimates(FilterGains(300.0, lpf2_hz), -0.02 * times_s)[-1]
+    assert last.error_rate_m_per_s == pytest.approx(-0.02, rel=1e-6)
+    assert last.error_acceleration_m_per_s2 == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("lpf2_hz", "seconds"), [(0.5, 20.0), (20.0, 2.0), (185.0, 1.0)])
+def test_the_derivatives_of_a_parabola_are_its_own_a_little_late(lpf2_hz, seconds) -> None:
+    """A trapezoidal Butterworth of third order delays a ramp by dt / tan(pi f dt)."""
+    times_s = np.arange(0, seconds, DT_S)
+    last = estimates(FilterGains(300.0, lpf2_hz), 0.5 * 0.3 * times_s**2)[-1]
+    delay_s = DT_S / 2 + sum(DT_S / math.tan(math.pi * hz * DT_S) for hz in (300.0, lpf2_hz))
+    assert last.error_acceleration_m_per_s2 == pytest.approx(0.3, rel=1e-6)
+    assert last.error_rate_m_per_s == pytest.approx(0.3 * (times_s[-1] - delay_s), rel=1e-6)
+
+
+def test_the_error_is_the_filtered_position_minus_the_reference() -> None:
+    times_s = np.arange(0, 0.2, DT_S)
+    positions = np.random.default_rng(4).normal(0, 1e-3, len(times_s))
+    asked = [reference(0.01 + 0.05 * t) for t in times_s]
+    found = estimates(FilterGains(300.0, 0.5), positions, DT_S, asked)
+    sos = signal.butter(3, 300.0, fs=1 / DT_S, output="sos")
+    smooth = positions[0] + signal.sosfilt(sos, positions - positions[0])
+    np.testing.assert_allclose([e.position_filtered_m for e in found], smooth, atol=1e-15)
+    errors = smooth - [r.reference_m for r in asked]
+    np.testing.assert_allclose([e.error_m for e in found], errors, atol=1e-15)
+
+
+def test_the_derivatives_are_differences_through_lpf_2() -> None:
+    positions = np.cumsum(np.random.default_rng(5).normal(0, 1e-5, 3000))
+    found = estimates(FilterGains(300.0, 185.0), positions)
+    sos = signal.butter(3, 185.0, fs=1 / DT_S, output="sos")
+    errors = np.array([e.error_m for e in found])
+    rates = signal.sosfilt(sos, np.diff(errors, prepend=errors[0]) / DT_S)
+    accelerations = signal.sosfilt(sos, np.diff(rates, prepend=0.0) / DT_S)
+    np.testing.assert_allclose([e.error_rate_m_per_s for e in found], rates, atol=1e-12)
+    np.testing.assert_allclose(
+        [e.error_acceleration_m_per_s2 for e in found], accelerations, atol=1e-9
+    )
+
+
+def test_the_derivatives_go_by_the_measured_dt() -> None:
+    dts = [1e-3, 2e-3] * 2000
+    times_s = np.cumsum(dts)
+    found = estimates(FilterGains(20.0, 5.0), 0.02 * times_s, dts)
+    assert found[-1].error_rate_m_per_s == pytest.approx(0.02, rel=5e-3)
+    assert found[-2].error_rate_m_per_s == pytest.approx(0.02, rel=5e-3)
+
+
+def test_a_standing_muscle_has_no_derivatives_from_the_first_tick() -> None:
+    for found in estimates(FilterGains(300.0, 0.5), [7e-3] * 20, [1e-3, 30e-3] * 10):
+        assert found.position_filtered_m == pytest.approx(7e-3, abs=1e-16)
+        assert abs(found.error_rate_m_per_s) < 1e-12
+        assert abs(found.error_acceleration_m_per_s2) < 1e-9
+
+
+def test_open_loop_there_is_no_error_and_the_law_takes_over_without_a_jump() -> None:
+    ticks = 100
+    positions = 0.01 * np.sin(np.linspace(0, 3, 2 * ticks))
+    asked = [OPEN_LOOP] * ticks + [reference(0.5)] * ticks
+    found = estimates(FilterGains(300.0, 185.0), positions, DT_S, asked)
+    for estimated in found[:ticks]:
+        assert math.isfinite(estimated.position_filtered_m)
+        assert math.isnan(estimated.error_m)
+    first = found[ticks]
+    assert first.error_m == pytest.approx(positions[ticks] - 0.5, abs=1e-3)
+    assert first.error_rate_m_per_s == 0.0
+    assert first.error_acceleration_m_per_s2 == 0.0
+    speed = np.abs(np.diff(positions)).max() / DT_S
+    assert max(abs(e.error_rate_m_per_s) for e in found[ticks:]) < 1.2 * speed
+
+
+def test_the_law_takes_over_afresh_every_time() -> None:
+    asked = ([OPEN_LOOP] * 5 + [reference(0.0)] * 5) * 2
+    found = estimates(FilterGains(300.0, 185.0), 0.1 * DT_S * np.arange(20), DT_S, asked)
+    assert [e.error_rate_m_per_s == 0.0 for e in found].count(True) == 2
+    assert found[15].error_rate_m_per_s == found[15].error_acceleration_m_per_s2 == 0.0
+
+
+@pytest.mark.parametrize("dt_s", [0.0, -1e-3, NAN])
+def test_a_sample_without_a_time_of_its_own_gives_numbers_for_safety_to_refuse(dt_s) -> None:
+    for asked in (reference(0.0), OPEN_LOOP):
+        last = estimates(FilterGains(300.0, 0.5), [0.0, 1e-3], [DT_S, dt_s], [asked] * 2)[-1]
+        assert math.isfinite(last.position_filtered_m)
+        assert math.isfinite(last.error_rate_m_per_s) == (asked is not OPEN_LOOP)

@@ -26,7 +26,7 @@ LONG_S, SHORT_S = 40.0, 20.0
 def run(folder: Path, name: str, *options: str) -> tuple[float, Path]:
     """One run with law and log; wall seconds of the whole process, and the log."""
     path = folder / name
-    command = [sys.executable, "-m", "pamctl.cli.app", "run", "--quiet", "--log", str(path)]
+    command = [sys.executable, "-m", "pamctl", "run", "--quiet", "--log", str(path)]
     before_s = time.perf_counter()
     subprocess.run([*command, *options], check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - before_s, path

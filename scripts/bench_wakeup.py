@@ -144,7 +144,7 @@ def whole_loop(*options: str) -> Measure:
 
         with tempfile.TemporaryDirectory() as folder:
             log_path = Path(folder) / "run.mcap"
-            command = [sys.executable, "-m", "pamctl.cli.app", "run", "--quiet", "--json"]
+            command = [sys.executable, "-m", "pamctl", "run", "--quiet", "--json"]
             wanted = ["--duration", str(ticks * PERIOD_NS / 1e9), "--log", str(log_path)]
             subprocess.run(
                 [*command, *wanted, "--set", "rig.homing.enabled=false", *options],

@@ -30,7 +30,7 @@ REFERENCE = "#8a8a8a"
 def simulated(folder: Path, name: str, *options: str) -> Log:
     """Log of one run without a clock."""
     path = folder / f"{name}.mcap"
-    command = [sys.executable, "-m", "pamctl.cli.app", "run", "--fast", "--quiet"]
+    command = [sys.executable, "-m", "pamctl", "run", "--fast", "--quiet"]
     subprocess.run([*command, "--log", str(path), *options], check=True, stdout=subprocess.DEVNULL)
     return read(path)
 

@@ -268,7 +268,7 @@ def test_a_frozen_recorder_ends_the_run_and_loses_nothing(tmp_path: Path) -> Non
         pids = children(front)
         await_ticks(front, 300)
         os.kill(pids["log.recorder"], signal.SIGSTOP)
-        time.sleep(3.5)
+        time.sleep(4.5)
         os.kill(pids["log.recorder"], signal.SIGCONT)
         front.communicate(timeout=20)
     assert front.returncode == 1

@@ -36,12 +36,3 @@ def _options(
     ] = False,
 ) -> None:
     """Controller daemon of a pneumatic artificial muscle rig."""
-
-
-def main() -> None:
-    """Entry point of the `pamctl` command."""
-    app()
-
-
-if __name__ == "__main__":
-    main()

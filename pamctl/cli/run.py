@@ -8,6 +8,7 @@ import platform
 import socket
 import sys
 import time
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -134,7 +135,12 @@ def _run(
     progress = ProgressLine(quiet=quiet or as_json)
     with ring:
         loop_command = [sys.executable, "-m", "pamctl.cli.loop_process"]
-        report = conduct(ring, loop_command, progress)
+        try:
+            report = conduct(ring, loop_command, progress)
+        except BaseException:
+            if not ring.head:
+                ring.unlink()
+            raise
     progress.done()
     return _conclude(settings, names, path, report, as_json=as_json)
 
@@ -158,6 +164,7 @@ def _finish_orphans(*, quiet: bool) -> None:
 
 
 _RING_DIRECTORY = Path("/dev/shm")
+_LOG_DIRECTORY = Path("logs")
 
 
 def _ring_path() -> Path:
@@ -173,8 +180,11 @@ def _log_path(asked: Path | None, names: dict[str, str]) -> Path:
     if asked is None:
         stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
         what = "-".join(Path(names[part]).stem for part in ("controller", "experiment"))
-        asked = Path("logs") / f"{stamp}-{what}.mcap"
-        asked.parent.mkdir(exist_ok=True)
+        with suppress(OSError):
+            _LOG_DIRECTORY.mkdir(exist_ok=True)
+        candidates = (f"{stamp}{again}-{what}.mcap" for again in ("", *range(-2, -100, -1)))
+        paths = (_LOG_DIRECTORY / name for name in candidates)
+        asked = next(path for path in paths if not path.exists())
     if asked.exists():
         raise _LogPathError(f"--log {asked}: exists, and a log is never overwritten")
     if not asked.parent.is_dir():
@@ -236,7 +246,7 @@ def _conclude(
     """Print the figures; return the exit code."""
     ending = report.ending
     if report.note:
-        print(f"error: {report.note}", file=sys.stderr)
+        print(f"warning: {report.note}", file=sys.stderr)
     document: dict[str, Any] = {
         "exit_code": int(ending.code),
         "reason": ending.reason,

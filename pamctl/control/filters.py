@@ -7,7 +7,7 @@ constant dt it equals `scipy.signal.butter(3, cutoff, fs=1/dt)` sample by sample
 
 from __future__ import annotations
 
-from math import isnan, nan, pi, tan
+from math import inf, isnan, nan, pi, tan
 from typing import NamedTuple
 
 from pamctl.signals import Estimate, Measurement, Reference
@@ -91,6 +91,9 @@ def estimate(
     Open loop the reference is NaN, and so are the error and the states of its filters:
     that primes them afresh at the tick in which a law takes over.
     """
+    if not dt_s > 0.0:
+        # Such a sample is stale and safety's to refuse; until then it changes nothing.
+        dt_s = inf
     g = warped(gains.displacement_hz, dt_s)
     position = state.position
     if isnan(position.pole):

@@ -73,6 +73,13 @@ def linearised(
     p: PlantParameters, x: float, velocity: float, acceleration: float, pressure_pa: float
 ) -> Linearisation:
     """x''' of the model at (x, x', x'', P), split as the module's docstring derives it."""
+    # Beyond these the braid has no length: an encoder gone astray, for safety to trip on.
+    lowest_m = p.rest_length_m - _LONGEST * p.braid_length_m
+    highest_m = p.rest_length_m - _SHORTEST * p.braid_length_m
+    if x < lowest_m:
+        x = lowest_m
+    elif x > highest_m:
+        x = highest_m
     length = p.rest_length_m - x
     gauge = pressure_pa - p.atmospheric_pressure_pa
     area, volume = force_area_m2(p, x), volume_m3(p, x)
@@ -101,6 +108,9 @@ def linearised(
         per_flow * orifice_flow(p, max(pressure_pa, atmosphere / _MOST_BALANCED), atmosphere),
     )
 
+
+# In shares of the braid's length: it is stretched at 1, and without force at 0.577 (Eq. 3).
+_LONGEST, _SHORTEST = 0.99, 0.6
 
 # At balanced pressures the valve moves no air and g-hat would vanish: no flow is taken
 # to be less than at this ratio.

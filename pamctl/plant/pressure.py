@@ -44,9 +44,11 @@ def pressure_step(
     inflow = valve_flow(p, opening_v, middle_pa)
     filled = energy + step_s * p.specific_energy_j_per_kg * inflow
     end_pa = filled / volume_m3(p, end_m)
-    if inflow == 0.0:
-        return end_pa
-    return _not_past_source(p, opening_v, pressure_pa, end_pa)
+    if opening_v != 0.0 and inflow == 0.0:
+        # Half a step of the first flow reaches the source, so the whole step does: with a
+        # flow that goes with the root of the difference, the way takes twice that time.
+        return middle_pa
+    return _not_past_source(p, opening_v, middle_pa, end_pa)
 
 
 def _not_past_source(

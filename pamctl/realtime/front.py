@@ -13,15 +13,16 @@ import json
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pamctl.log.recorder import spawn
 from pamctl.log.recover import Recovery, finish_from_ring
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.ring import RecorderFlag, Ring, RingFull
+from pamctl.realtime.supervision import STOP_SIGNALS
 
 _POLL_S = 0.05
 _RECORDER_PATIENCE_S = 60.0
@@ -44,14 +45,18 @@ def conduct(ring: Ring, loop_command: Sequence[str], progress: Progress) -> Fron
 
     Takes over SIGINT and SIGTERM while it runs.
     """
-    recorder = spawn(ring.path)
-    loop = subprocess.Popen(
-        [*loop_command, str(ring.path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        process_group=0,
-    )
-    with _Forwarding(loop):
+    with _Forwarding() as signals:
+        # The loop inherits the block and lifts it when it can listen: a signal that comes
+        # while it starts waits for it, instead of killing it.
+        with _blocked_signals():
+            recorder = spawn(ring.path)
+            loop = subprocess.Popen(
+                [*loop_command, str(ring.path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                process_group=0,
+            )
+        signals.to(loop)
         _watch(ring, loop, recorder, progress)
         ending = _ending_of(loop)
         if not ring.loop_done:
@@ -59,23 +64,41 @@ def conduct(ring: Ring, loop_command: Sequence[str], progress: Progress) -> Fron
         return _close_log(ring, recorder, ending)
 
 
+@contextmanager
+def _blocked_signals() -> Iterator[None]:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class _Forwarding:
-    """Passes this process's signals on to the loop while it lasts."""
+    """Passes this process's signals on to the loop, those that came before it too."""
 
-    def __init__(self, loop: subprocess.Popen[bytes]) -> None:
-        self._loop = loop
-        self._before: dict[int, object] = {}
+    def __init__(self) -> None:
+        self._loop: subprocess.Popen[bytes] | None = None
+        self._early: list[int] = []
+        self._before: dict[int, Any] = {}
 
-    def __enter__(self) -> None:
-        for number in (signal.SIGINT, signal.SIGTERM):
+    def __enter__(self) -> _Forwarding:
+        for number in STOP_SIGNALS:
             self._before[number] = signal.signal(number, self._forward)
+        return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
-            signal.signal(number, handler)  # type: ignore[arg-type]
+            signal.signal(number, handler)
+
+    def to(self, loop: subprocess.Popen[bytes]) -> None:
+        self._loop = loop
+        for number in self._early:
+            self._forward(number, None)
 
     def _forward(self, number: int, frame: FrameType | None) -> None:
-        if self._loop.poll() is None:
+        if self._loop is None:
+            self._early.append(number)
+        elif self._loop.poll() is None:
             self._loop.send_signal(number)
 
 

@@ -72,5 +72,5 @@ class PatientJournal(RingJournal):
                 return
 
 
-SILENT_RECORDER_S = 2.0
+SILENT_RECORDER_S = 3.0
 """A recorder without a sign of life for so long is taken for dead."""

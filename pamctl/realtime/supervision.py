@@ -11,7 +11,7 @@ from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.journal import SILENT_RECORDER_S
 from pamctl.realtime.ring import RecorderFlag, Ring
 
-_SIGNALS = {signal.SIGINT: ExitCode.SIGINT, signal.SIGTERM: ExitCode.SIGTERM}
+STOP_SIGNALS = {signal.SIGINT: ExitCode.SIGINT, signal.SIGTERM: ExitCode.SIGTERM}
 _FRONT_EVERY_TICKS = 8
 _BEAT_EVERY_TICKS = 64
 # Room for the ticks of a smooth stop must be left when the ring is called too full.
@@ -38,8 +38,9 @@ class LoopSupervisor:
 
     def listen(self) -> None:
         """Take over SIGINT and SIGTERM: the first stops smoothly, the second at once."""
-        for number in _SIGNALS:
+        for number in STOP_SIGNALS:
             signal.signal(number, self._on_signal)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self._signals.append(number)
@@ -52,7 +53,7 @@ class LoopSupervisor:
         """Return why and how to stop, once there is a reason to."""
         if self._signals:
             number = signal.Signals(self._signals[0])
-            return Ending(_SIGNALS[number], f"stopped by {number.name}")
+            return Ending(STOP_SIGNALS[number], f"stopped by {number.name}")
         flags = self._ring.recorder_flags
         if flags & RecorderFlag.DISK_FULL:
             return Ending(ExitCode.UNEXPECTED, "the log's disk is full")

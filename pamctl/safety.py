@@ -280,7 +280,11 @@ def _followed_pressure(
     inflow = valve_flow(p, state.valve_v, model_pa)
     energy = model_pa * volume_m3(p, state.position_m)
     filled = energy + dt_s * p.specific_energy_j_per_kg * inflow
-    followed_pa = filled / volume_m3(p, x)
+    volume = volume_m3(p, x)
+    if not volume > 0.0:
+        # The encoder says that there is no muscle: its own rules see to that.
+        return measured_pa, 0.0
+    followed_pa = filled / volume
     if followed_pa > p.tank_pressure_pa:
         followed_pa = p.tank_pressure_pa
     elif followed_pa < p.atmospheric_pressure_pa:

@@ -136,7 +136,9 @@ def test_homing_gives_up_on(what: str) -> None:
 
 
 def test_noise_alone_is_steady() -> None:
-    zero, t_s = fed(lambda t: (0.2 + 0.004 * (-1) ** round(t * 1e3), 100.5 + 0.6 * math.sin(50 * t)))
+    zero, t_s = fed(
+        lambda t: (0.2 + 0.004 * (-1) ** round(t * 1e3), 101.0 + 0.4 * math.sin(50 * t))
+    )
     assert t_s < 2.0
     assert zero.sensor_zero_v == pytest.approx(0.2, abs=1e-4)
     assert abs(zero.encoder_zero_counts - 100) <= 1

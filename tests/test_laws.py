@@ -316,9 +316,7 @@ def test_a_balanced_pressure_asks_for_no_infinite_command() -> None:
 
 
 def test_pid_is_the_sum_of_its_three_terms() -> None:
-    command, state = respond(
-        gains(PID), LawState(1e-5), REST, errors(0.2e-3, -1e-3, 7.0), DT_S
-    )
+    command, state = respond(gains(PID), LawState(1e-5), REST, errors(0.2e-3, -1e-3, 7.0), DT_S)
     absement_mm = 1e-2 + 0.2 * DT_S
     assert state.absement_m_s == pytest.approx(absement_mm * 1e-3)
     assert command.equivalent_v == pytest.approx(-(2.0 * 0.2 + 0.05 * -1.0))
@@ -330,7 +328,8 @@ def test_pid_is_the_sum_of_its_three_terms() -> None:
 def test_pid_gains_in_inches_are_per_inch() -> None:
     e = errors(1e-4, 2e-3, 0.0)
     scaled = {
-        key: PID[key] * 25.4 for key in ("kp_v_per_length", "ki_v_per_length_s", "kd_v_s_per_length")
+        key: PID[key] * 25.4
+        for key in ("kp_v_per_length", "ki_v_per_length_s", "kd_v_s_per_length")
     }
     mm, _ = respond(gains(PID), LawState(1e-5), REST, e, DT_S)
     inch, _ = respond(gains(PID, length_unit="inch", **scaled), LawState(1e-5), REST, e, DT_S)

@@ -135,7 +135,8 @@ def test_air_runs_down_the_pressure_gradient_and_rests_where_there_is_none(
 ) -> None:
     source_pa = P_TANK if opening_v > 0.0 else P_ATM
     flow = valve_flow(P, opening_v, pressure_pa)
-    assert flow == pytest.approx(paper.inflow(opening_v, pressure_pa), rel=1e-6, abs=1e-12)
+    # Where pressures are equal but for rounding, a flow is the root of a rounding error.
+    assert flow == pytest.approx(paper.inflow(opening_v, pressure_pa), rel=1e-6, abs=1e-9)
     if opening_v == 0.0 or pressure_pa == source_pa:
         assert flow == 0.0
     else:
@@ -170,17 +171,16 @@ def test_an_empty_muscle_pulls_with_nothing_but_its_spring() -> None:
 
 
 def test_friction_is_47_newtons_at_340_kilopascals() -> None:
-    at_vented_length = axial_forces(P, 0.0, P_ATM + 340e3).upper_n
-    assert at_vented_length == pytest.approx(46.5, abs=0.2)
-    somewhere = [axial_forces(P, x * 1e-3, P_ATM + 340e3).upper_n for x in range(25)]
-    assert 46.0 < min(somewhere) < max(somewhere) < 50.0
+    """And 55 N when contracted, of a pull of 475 N: in millimetres it would be 47 kN."""
+    assert axial_forces(P, 0.0, P_ATM + 340e3).upper_n == pytest.approx(46.6, abs=0.1)
+    assert axial_forces(P, 23.7e-3, P_ATM + 340e3).upper_n == pytest.approx(54.6, abs=0.1)
 
 
 @given(positions_m, pressures_pa, st.floats(-1.0, 1.0))
 def test_friction_takes_energy_from_motion_and_never_gives_any(
     x: float, pressure_pa: float, velocity: float
 ) -> None:
-    assume(velocity != 0.0)
+    assume(abs(velocity) > 1e-9)
     forces = axial_forces(P, x, pressure_pa)
     if velocity > 0.0:
         friction = forces.upper_n + forces.damping_up_n_s_per_m * velocity
@@ -321,11 +321,11 @@ def test_at_tank_pressure_the_muscle_rests_at_23_7_millimetres() -> None:
     balance = brentq(net, 0.0, 40e-3, xtol=1e-12)
     assert balance == pytest.approx(23.7e-3, abs=0.05e-3)
     end = run([(5.0, 3000)])[-1]
-    assert end.pressure_pa == pytest.approx(P_TANK, abs=1.0)
+    assert end.pressure_pa == P_TANK  # the root law arrives, in finite time
     assert end.position_m == pytest.approx(balance, abs=1e-8)
     emptied = run([(-5.0, 3000)], end)[-1]
     assert emptied.position_m == pytest.approx(0.0, abs=1e-8)
-    assert emptied.pressure_pa == pytest.approx(P_ATM, abs=1.0)
+    assert emptied.pressure_pa == P_ATM
 
 
 @given(held_commands)
@@ -371,12 +371,11 @@ def test_pressure_stays_between_atmosphere_and_tank(commands: list[tuple[float, 
     """No valve can lead out of these bounds, and neither can the muscle's own motion.
 
     It contracts only under pressure, so it never draws a vacuum; and it is never longer
-    contracted than at the tank's pressure, so compressing its air cannot exceed that. 10 Pa is
-    what a step of 0.5 ms may go past a source that the pressure has just met while the muscle
-    moves (measured over 3000 sequences: 7 Pa); the sensor's noise is 300 Pa.
+    contracted than at the tank's pressure, so compressing its air cannot exceed that. The
+    allowance is for P V / V, which rounds: no step may jump past its source at all.
     """
     for state in run(commands):
-        assert P_ATM - 10.0 <= state.pressure_pa <= P_TANK + 10.0
+        assert P_ATM - 1e-9 <= state.pressure_pa <= P_TANK + 1e-9
         assert -1e-9 <= state.position_m <= 23.8e-3
 
 
@@ -391,7 +390,7 @@ def test_pressing_a_full_closed_muscle_raises_its_pressure() -> None:
 def test_filling_a_muscle_that_is_held_takes_the_time_that_the_choked_flow_says() -> None:
     """Pressure against quadrature: t = V / (R T) integral of dP / m'(P)."""
     x, opening_v = 5e-3, 1.0
-    pressure_pa, steps = P_ATM, 400
+    pressure_pa, steps = P_ATM, 200
     for _ in range(steps):
         middle_pa = middle_pressure_pa(P, pressure_pa, opening_v, x, x, TICK_S)
         pressure_pa = pressure_step(P, pressure_pa, middle_pa, opening_v, x, x, TICK_S)
@@ -424,9 +423,7 @@ def test_the_pressure_block_driven_by_the_true_motion_gives_the_coupled_pressure
     pressure_pa = P_ATM
     for command_v, before, after in recorded():
         x, v, end_x = before.position_m, before.velocity_m_per_s, after.position_m
-        middle_pa = middle_pressure_pa(
-            P, pressure_pa, command_v, x, x + 0.5 * STEP_S * v, STEP_S
-        )
+        middle_pa = middle_pressure_pa(P, pressure_pa, command_v, x, x + 0.5 * STEP_S * v, STEP_S)
         pressure_pa = pressure_step(P, pressure_pa, middle_pa, command_v, x, end_x, STEP_S)
         assert pressure_pa == after.pressure_pa
 

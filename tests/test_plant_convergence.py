@@ -13,6 +13,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import settings as examples
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from paper_equations import Recorded, Spool, solve
 
@@ -94,15 +97,15 @@ def test_the_commands_reverse_the_muscle_and_let_it_stick() -> None:
 
 @command_names
 def test_two_steps_a_tick_are_within_a_micrometre_and_four_within_a_third(name: str) -> None:
-    assert error_m(name, 2) < 1.0 * UM  # measured: 0.56 and 0.11 um
-    assert error_m(name, 4) < 0.3 * UM  # measured: 0.13 and 0.02 um
+    assert error_m(name, 2) < 1.0 * UM  # measured: 0.44 and 0.11 um
+    assert error_m(name, 4) < 0.3 * UM  # measured: 0.11 and 0.02 um
 
 
 @command_names
-def test_pressure_is_within_20_pascals_at_two_steps_a_tick(name: str) -> None:
+def test_pressure_is_within_5_pascals_at_two_steps_a_tick(name: str) -> None:
     """The sensor's noise is 300 Pa."""
     difference = ours(name, 2)[:, 2] - reference(name).states[:, 2]
-    assert np.abs(difference).max() < 20.0
+    assert np.abs(difference).max() < 5.0  # measured: 3.5 and 0.4 Pa
 
 
 @command_names
@@ -125,8 +128,27 @@ def test_a_lagging_spool_keeps_second_order(name: str) -> None:
     errors = [error_m(name, steps, VALVE_109_HZ) for steps in (1, 2, 4, 16)]
     assert math.log2(errors[0] / errors[-1]) / 4 > 1.8, errors
     # Coarser than without: the opening runs through zero within a step or two.
-    assert errors[1] < 2.0 * UM  # measured: 1.41 and 0.13 um
+    assert errors[1] < 2.0 * UM  # measured: 1.43 and 0.13 um
     assert errors[2] < 0.3 * UM  # measured: 0.13 and 0.03 um
+
+
+commands_v = st.one_of(st.sampled_from([0.0, 5.0, -5.0]), st.floats(-5, 5), st.floats(-0.5, 0.5))
+holds = st.tuples(commands_v, st.sampled_from([1, 3, 20, 60]))
+
+
+@given(st.lists(holds, min_size=1, max_size=12))
+@examples(max_examples=25, deadline=None, derandomize=True)
+def test_any_sequence_of_commands_is_followed_within_a_micrometre(
+    sequence: list[tuple[float, int]],
+) -> None:
+    """Measured over 150 others: 0.66 um at the most, and 0.39 um in the median."""
+    commands = [command for command, ticks in sequence for _ in range(ticks)]
+    exact = solve(commands, TICK_S, method="Radau", rtol=1e-9)
+    plant = SimulatedPlant(plant_parameters(PlantSettings()))
+    for command, expected in zip(commands, exact.states[1:], strict=True):
+        plant.advance(command, TICK_S)
+        assert abs(plant.position_m - expected[0]) < 1.0 * UM
+        assert abs(plant.pressure_pa - expected[2]) < 20.0
 
 
 @command_names

@@ -40,15 +40,14 @@ def pressure_step(
 
     `opening_v` is the valve's opening in the middle of the step, in volts of command.
     """
+    if opening_v != 0.0 and middle_pa == _source_pa(p, opening_v):
+        # The prediction arrived within half a step of the first flow. The flow goes with the
+        # root of the difference, so the true way takes twice that: it ends in this step.
+        return middle_pa
     energy = pressure_pa * volume_m3(p, position_m)
     inflow = valve_flow(p, opening_v, middle_pa)
     filled = energy + step_s * p.specific_energy_j_per_kg * inflow
-    end_pa = filled / volume_m3(p, end_m)
-    if opening_v != 0.0 and inflow == 0.0:
-        # Half a step of the first flow reaches the source, so the whole step does: with a
-        # flow that goes with the root of the difference, the way takes twice that time.
-        return middle_pa
-    return _not_past_source(p, opening_v, middle_pa, end_pa)
+    return _not_past_source(p, opening_v, middle_pa, filled / volume_m3(p, end_m))
 
 
 def _not_past_source(
@@ -59,9 +58,12 @@ def _not_past_source(
     The flow goes with the square root of the last pressure difference: it reaches zero
     in finite time, and an explicit step would jump across and chatter by some 30 Pa.
     """
-    if opening_v == 0.0:
-        return next_pa
-    source_pa = p.tank_pressure_pa if opening_v > 0.0 else p.atmospheric_pressure_pa
-    if (pressure_pa - source_pa) * (next_pa - source_pa) < 0.0:
+    source_pa = _source_pa(p, opening_v)
+    if opening_v != 0.0 and (pressure_pa - source_pa) * (next_pa - source_pa) < 0.0:
         return source_pa
     return next_pa
+
+
+def _source_pa(p: PlantParameters, opening_v: float) -> float:
+    """Return the pressure on the other side of the valve."""
+    return p.tank_pressure_pa if opening_v > 0.0 else p.atmospheric_pressure_pa

@@ -30,24 +30,25 @@ def spool_step(
     decay_rate = spool.damping_ratio * natural
     offset = spool_v - command_v
     curvature = natural * natural - decay_rate * decay_rate
-    decay = math.exp(-decay_rate * step_s)
+    # What a unit of offset, and of push, has become at the end of the step.
     if curvature > 0.0:
+        decay = math.exp(-decay_rate * step_s)
         ringing = math.sqrt(curvature)
-        swing = math.sin(ringing * step_s) / ringing
-        level = math.cos(ringing * step_s)
+        swing = decay * math.sin(ringing * step_s) / ringing
+        level = decay * math.cos(ringing * step_s)
     elif curvature < 0.0:
+        # By the slower pole, because cosh and sinh overflow where the spool has long arrived.
         spread = math.sqrt(-curvature)
-        swing = math.sinh(spread * step_s) / spread
-        level = math.cosh(spread * step_s)
+        decay = math.exp((spread - decay_rate) * step_s)
+        swing = -decay * math.expm1(-2.0 * spread * step_s) / (2.0 * spread)
+        level = decay * (0.5 + 0.5 * math.exp(-2.0 * spread * step_s))
     else:
-        swing = step_s
-        level = 1.0
+        decay = math.exp(-decay_rate * step_s)
+        swing = decay * step_s
+        level = decay
     push = rate_v_per_s + decay_rate * offset
-    position = command_v + decay * (offset * level + push * swing)
-    rate = decay * (
-        rate_v_per_s * level - (natural * natural * offset + decay_rate * rate_v_per_s) * swing
-    )
-    return position, rate
+    pull = natural * natural * offset + decay_rate * rate_v_per_s
+    return command_v + offset * level + push * swing, rate_v_per_s * level - pull * swing
 
 
 DESCRIPTION = EffectDescription(

@@ -65,8 +65,9 @@ def references(
 ) -> NDArray[np.float64]:
     """Tabulate an experiment at the ticks: one row a tick, columns of `Reference`."""
     course = Course(segments, duration_s)
+    period_ns = round(period_s * 1e9)  # the loop's clock counts whole nanoseconds
     rows: list[Reference] = []
-    while (reference := course.at(len(rows) * period_s)) is not None:
+    while (reference := course.at(len(rows) * period_ns * 1e-9)) is not None:
         rows.append(reference)
     return np.array(rows, dtype=np.float64).reshape(-1, len(Reference._fields))
 
@@ -102,7 +103,7 @@ def simulate(
         chain,
         reference,
         noise,
-        period_s,
+        round(period_s * 1e9) * 1e-9,
         output_delay_ticks,
         longest_step_s,
         rows,
@@ -130,8 +131,10 @@ def run(
     rows: NDArray[np.float64],
 ) -> int:
     """Kernel: fill `rows` tick by tick; return the tick that tripped, or the number of ticks."""
-    valve = setup.limits.safe_valve_v
-    written = valve
+    output = converted_v(
+        chain.output_converter, output_v(setup.calibration, setup.limits.safe_valve_v)
+    )
+    written = valve = valve_v(chain.calibration, output)
     for tick in range(len(references)):
         if tick:
             muscle = plant_advance(plant, muscle, valve, period_s, longest_step_s)

@@ -64,12 +64,12 @@ class ScriptedSupervisor:
     abort_at: int | None = None
     tick: int = -1
 
-    def stop_wanted(self, tick: int) -> Ending | None:
-        self.tick = tick
-        return self.ending if self.stop_at is not None and tick >= self.stop_at else None
-
     def abort_wanted(self) -> bool:
+        self.tick += 1  # asked once in every tick
         return self.abort_at is not None and self.tick >= self.abort_at
+
+    def stop_wanted(self, tick: int) -> Ending | None:
+        return self.ending if self.stop_at is not None and tick >= self.stop_at else None
 
 
 class Run(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import pytest
 from hypothesis import given
@@ -106,7 +106,7 @@ def test_the_reference_has_no_jump_anywhere_in_experiment_1() -> None:
     asked = walked(Course(shipped("tracking-1")))
     assert len(asked) == 67_000
     fastest = 10.8e-3 / 5.0 * 140 / 64 * 1e-3
-    steps = [b.reference_m - a.reference_m for a, b in zip(asked, asked[1:], strict=False)]
+    steps = [b.reference_m - a.reference_m for a, b in pairwise(asked)]
     assert max(map(abs, steps)) <= fastest * 1.001
 
 
@@ -142,6 +142,16 @@ def test_segments_of_whole_ticks_last_so_many_ticks_each(lengths, period_s, firs
         asked.append(reference.reference_valve_v)
     runs = [(valve_v, len(list(run))) for valve_v, run in groupby(asked)]
     assert runs == [(float(i), n) for i, n in enumerate(lengths)]
+
+
+@given(st.integers(1, 60), st.sampled_from([1e-3, 5e-4, 1 / 300.0]), st.integers(0, 10**6))
+def test_a_course_cut_to_whole_ticks_lasts_so_many_ticks(ticks, period_s, first) -> None:
+    course = Course([Segment(Phase.OPEN_LOOP, 1.0, 0, 0, 1.0)], duration_s=ticks * period_s)
+    begin_s = first * period_s
+    lasted = 0
+    while course.at((first + lasted) * period_s - begin_s) is not None:
+        lasted += 1
+    assert lasted == ticks
 
 
 @pytest.mark.parametrize("frequency_hz", [0.25, 0.3, 1.0, 3.0, 7.0])

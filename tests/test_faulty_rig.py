@@ -146,11 +146,13 @@ def test_a_lost_device_is_made_safe_and_closed_all_the_same() -> None:
 
 
 def test_ticks_are_counted_anew_from_each_open() -> None:
-    rig = FaultyRig(CountingRig(), [fault("stuck_encoder", from_tick=1, ticks=2)])
-    for _ in range(2):
-        rig.open()
-        counts = [rig.read().encoder_counts for _ in range(4)]
-        assert counts == [100, 107, 107, 121]
+    inner = CountingRig()
+    rig = FaultyRig(inner, [fault("stuck_encoder", from_tick=1, ticks=2)])
+    rig.open()
+    assert [rig.read().encoder_counts for _ in range(4)] == [100, 107, 107, 121]
+    rig.open()
+    inner.reads = 9  # the muscle has moved on in the meantime
+    assert [rig.read().encoder_counts for _ in range(4)] == [170, 177, 177, 191]
 
 
 def test_two_faults_of_one_kind_each_begin_where_the_muscle_then_is() -> None:

@@ -1,9 +1,11 @@
-"""Homing against the simulated rig, whose zeros are known, and against rigs that cannot be homed."""
+"""Homing: of the simulated rig, whose zeros are known, and of rigs that cannot be homed."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
+from itertools import groupby, islice
 
 import pytest
 from support import MS, parts, run_settings
@@ -128,11 +130,25 @@ LEAKS = {
 def test_homing_gives_up_on(what: str) -> None:
     homing = Homing(SETTINGS, NOMINAL)
     said = r"still moving 10 s after venting.*counts.*mV.*check the exhaust and the encoder"
-    t_s = 0.0
+    samples = synthetic(LEAKS[what])
+    for t_s, sample in samples:
+        if t_s > SETTINGS.timeout_s - 1e-9:
+            break
+        assert homing.next(t_s, sample) is not None
     with pytest.raises(HomingError, match=said):
-        for t_s, sample in synthetic(LEAKS[what]):
-            homing.next(t_s, sample)
-    assert t_s == pytest.approx(SETTINGS.timeout_s, abs=2e-3)
+        deque((homing.next(t_s, sample) for t_s, sample in islice(samples, 3)), maxlen=0)
+
+
+def test_every_vent_is_watched_for_the_whole_steady_time() -> None:
+    homing, watched = Homing(SETTINGS, NOMINAL), []
+    for t_s, sample in synthetic(lambda t: (0.2, 0)):
+        reference = homing.next(t_s, sample)
+        if reference is None:
+            break
+        watched.append(reference.reference_valve_v)
+    lengths = [(volts, len(list(same))) for volts, same in groupby(watched)]
+    vent, fill = (-5.0, pytest.approx(250, abs=1)), (2.0, pytest.approx(150, abs=1))
+    assert lengths == [vent, fill, vent, fill, vent]
 
 
 def test_noise_alone_is_steady() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from paper_equations import C, M, P_ATM, P_TANK, drive, grip, kinetic_friction, pressure_rate
+from paper_equations import P_ATM, P_TANK, C, M, drive, grip, kinetic_friction, pressure_rate
 
 from pamctl.control.law import Gains, law_gains, respond
 from pamctl.control.pid import PidSettings

@@ -206,9 +206,14 @@ def test_an_exception_leaves_the_rig_safe_and_closed(
     make: Make, raised: type[BaseException]
 ) -> None:
     rig, _, output_v = make()
-    with pytest.raises(raised), opened(rig):
-        rig.write(9.0)
-        raise raised
+
+    def work() -> None:
+        with opened(rig):
+            rig.write(9.0)
+            raise raised
+
+    with pytest.raises(raised):
+        work()
     assert output_v() == pytest.approx(SAFE_V, abs=STEP_V / 2)
     with pytest.raises(RigError):
         rig.read()

@@ -456,7 +456,7 @@ def test_a_burst_hose_is_noticed_while_filling() -> None:
 
 def plant_with(**changes: Any) -> PlantParameters:
     effects = {"valve_spool": changes.pop("spool")} if "spool" in changes else {}
-    base = {k: v for k, v in PlantSettings().parameters}
+    base = dict(PlantSettings().parameters)
     for name, share in changes.items():
         if name == "supply":  # gauge
             base["tank_pressure_pa"] = P_ATM + share * (base["tank_pressure_pa"] - P_ATM)

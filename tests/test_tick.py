@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import signal
 from support import run_settings
 
 from hal.calibration import Zero
@@ -62,6 +63,19 @@ def test_a_tick_is_calibrated_estimated_commanded_and_admitted() -> None:
     assert decision == Decision(state.command.command_v, 0, False)
     assert state.safety.valve_v == decision.valve_v
     assert state.zero == ZERO
+
+
+def test_every_stage_remembers_the_tick_before() -> None:
+    before, _ = step(SETUP, first_state(ZERO), sample(0), track(), timing(0))
+    after, _ = step(SETUP, before, sample(1, counts=3116), track(), timing(1))
+    passed = after.estimate.position_filtered_m - before.estimate.position_filtered_m
+    # What a 300 Hz Butterworth lets through of a step in its first tick.
+    share = signal.lfilter(*signal.butter(3, 300.0, fs=1000.0), [1.0])[0]
+    assert passed == pytest.approx(100 * 3.175e-6 * share, rel=1e-9)
+    assert after.estimate.error_rate_m_per_s > 0.0
+    gained = after.law.absement_m_s - before.law.absement_m_s
+    assert gained == pytest.approx(after.estimate.error_m * 1e-3, rel=1e-9)
+    assert after.safety.position_m == after.measurement.position_m
 
 
 def test_a_tick_changes_nothing_but_what_it_returns() -> None:

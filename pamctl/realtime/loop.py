@@ -123,8 +123,11 @@ class _Loop:
             self._act(wake, sampled_ns, timing, raw, reference, state, decision)
             if decision.tripped:
                 return self._tripped(timing, raw, decision)
+            # Asked first: two signals that come between the two questions are then a stop
+            # in this tick and an abort in the next, and never an end without its reason.
+            abort = self._supervisor.abort_wanted()
             self._heed_supervisor(timing, raw, decision)
-            if self._supervisor.abort_wanted():
+            if abort:
                 return self._ending
             wake = self._clock.wait()
             raw = self._rig.read()

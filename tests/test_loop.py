@@ -140,6 +140,11 @@ def test_once_a_second_a_keyframe_holds_the_state_after_its_tick(undisturbed: Ru
     assert KEYFRAME_TICKS == 1000
 
 
+def test_a_missed_tick_costs_no_keyframe() -> None:
+    ran = run(short(), missed={999: 1, 1990: 20, 2998: 1, 3998: 3})
+    assert [tick for tick, _ in ran.journal.keyframes] == [1000, 2010, 2999, 4001]
+
+
 def test_the_same_seed_gives_the_same_run_and_another_one_another(undisturbed: Run) -> None:
     assert repr(run(short()).journal) == repr(undisturbed.journal)
     other = run(short(seed=1))

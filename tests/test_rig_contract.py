@@ -229,6 +229,25 @@ def test_a_closed_rig_opens_again_safe(make: Make) -> None:
             assert rig.write(7.0) == output_v()
 
 
+def test_a_rig_is_made_safe_before_it_is_closed_even_if_it_did_not_open() -> None:
+    calls: list[str] = []
+
+    class Recorded:
+        def open(self) -> None:
+            calls.append("open")
+            raise RigError("gone")
+
+        def make_safe(self) -> None:
+            calls.append("make_safe")
+
+        def close(self) -> None:
+            calls.append("close")
+
+    with pytest.raises(RigError, match="gone"), opened(Recorded()):  # type: ignore[arg-type]
+        pass
+    assert calls == ["open", "make_safe", "close"]
+
+
 class BurstPlant:
     """A simulated muscle whose numbers have gone where no kernel can follow."""
 

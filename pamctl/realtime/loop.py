@@ -192,7 +192,8 @@ class _Loop:
                     self._truth(),
                 )
             )
-        if timing.tick % KEYFRAME_TICKS == KEYFRAME_TICKS - 1:
+        # The tick that ends a thousand, or the first after it where that one was missed.
+        if (timing.tick + 1) % KEYFRAME_TICKS <= timing.missed:
             self._journal.put_keyframe(timing.tick, raw.encoder_t_ns, frozen(state))
 
     def _zeroed(self, tick: int, raw: RawSample, zero: Zero) -> TickState:

@@ -1,0 +1,84 @@
+"""What the shipped gains files claim, held against Table IV on the compiled closed loop."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from hal.sim import sensor_chain
+from pamctl.cli.assembly import setup_of
+from pamctl.closed_loop import references, sensor_noise, simulate
+from pamctl.control.experiment import segments
+from pamctl.merit import TABLE_IV, Merit, merit
+from pamctl.plant.model import plant_parameters
+from pamctl.settings import resolve
+
+EXPERIMENTS = ("tracking-1", "tracking-2")
+PLANTS = [(plant, delay) for plant in ("paper", "paper-valve109") for delay in (0, 1)]
+
+
+@cache
+def tracked(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
+    """Figures of one simulated run; None where safety ended it."""
+    settings = resolve(controller=controller, experiment=experiment, plant=plant)
+    table = references(segments(settings.experiment), 1e-3)
+    run = simulate(
+        setup_of(settings),
+        plant_parameters(settings.plant),
+        sensor_chain(settings.rig.sim, settings.rig.calibration),
+        table,
+        sensor_noise(len(table), seed=1),
+        output_delay_ticks=delay_ticks,
+    )
+    if run.tripped_tick >= 0:
+        return None
+    t_s = np.arange(len(run.rows)) * 1e-3
+    return merit(t_s, run["phase"].astype(np.int64), run["position_m"] - run["reference_m"])
+
+
+def table_iv(experiment: str, law: str) -> Merit:
+    return next(row.merit for row in TABLE_IV if (row.experiment, row.law) == (experiment, law))
+
+
+def assert_inside(found: Merit | None, bound: Merit, share: float = 1.0) -> None:
+    assert found is not None, "a safety trip"
+    assert found.max_m <= share * bound.max_m
+    assert found.rms_m <= share * bound.rms_m
+    if not math.isnan(bound.steady_m) and share == 1.0:
+        assert found.steady_m <= bound.steady_m
+
+
+@pytest.mark.parametrize("plant", ["paper", "paper-valve109"])
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_table_iii_of_the_paper_read_in_inches_lands_inside_table_iv(
+    experiment: str, plant: str
+) -> None:
+    found = tracked("paper-table3-qsmc", experiment, plant, 0)
+    assert_inside(found, table_iv(experiment, "qsmc"))
+
+
+@pytest.mark.parametrize("law", ["qsmc", "smc"])
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_gains_for_the_papers_plant_reach_a_tenth_of_both_columns_of_table_iv(
+    experiment: str, law: str
+) -> None:
+    found = tracked("qsmc-paper-plant", experiment, "paper", 0)
+    assert_inside(found, table_iv(experiment, law), share=0.1)
+
+
+@pytest.mark.parametrize(("plant", "delay_ticks"), PLANTS)
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("controller", ["qsmc", "smc", "pid"])
+def test_default_gains_hold_with_a_109_hz_valve_and_a_tick_of_delay(
+    controller: str, experiment: str, plant: str, delay_ticks: int
+) -> None:
+    found = tracked(controller, experiment, plant, delay_ticks)
+    assert_inside(found, table_iv(experiment, "smc"))
+    assert_inside(found, table_iv(experiment, "qsmc"))
+
+
+def test_the_printed_smc_gains_do_not_track_as_their_file_says() -> None:
+    assert tracked("paper-table3-smc", "tracking-1", "paper", 0) is None

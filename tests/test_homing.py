@@ -16,23 +16,25 @@ from pamctl.control.homing import Homing, HomingError, HomingSettings
 from pamctl.plant.parameters import PlantState
 from pamctl.signals import Phase, Reference
 
-SETTINGS = HomingSettings()
+SETTINGS = HomingSettings(fill_rise_v=0, fill_counts=0)
+"""For made-up samples, which do not answer to the valve."""
+WATCHFUL = HomingSettings()
 NOMINAL = CalibrationSettings()
 
 
 def homed(
-    *overrides: str, settings: HomingSettings = SETTINGS, start: PlantState | None = None
+    *overrides: str, settings: HomingSettings = WATCHFUL, start: PlantState | None = None
 ) -> tuple[Zero, list[Reference], float]:
     """Home a simulated rig; return the zeros, what was asked for, and the true end position."""
     run = run_settings(*overrides)
-    made = parts(run)
+    made = parts(run, run.rig.faults)
     if start is not None:
         made.plant.state = start
     homing, asked = Homing(settings, run.rig.calibration), []
     made.rig.open()
     while True:
         wake = made.clock.wait()
-        reference = homing.next(wake.now_ns * 1e-9, made.rig.read())
+        reference = homing.next(wake.now_ns * 1e-9, made.whole.read())
         if reference is None:
             assert homing.zero is not None
             return homing.zero, asked, made.plant.position_m
@@ -185,3 +187,21 @@ def test_homing_goes_by_time_and_not_by_ticks() -> None:
     _, every_tick_s = fed(lambda t: (0.25, 12))
     assert sparse.zero == Zero(pytest.approx(0.25), 12.0)
     assert t_s == pytest.approx(every_tick_s, abs=0.03)
+
+
+def test_an_encoder_that_stands_still_while_filling_is_refused() -> None:
+    with pytest.raises(HomingError, match="moved the encoder by 0 counts"):
+        homed("rig.faults=[{kind: stuck_encoder, from_tick: 0}]")
+
+
+def test_an_encoder_that_counts_backwards_is_refused() -> None:
+    with pytest.raises(HomingError, match="check its wiring, its supply and `encoder_sign`"):
+        homed("rig.faults=[{kind: reversed_encoder, from_tick: 0}]")
+
+
+def test_a_fill_that_raises_no_pressure_is_refused() -> None:
+    sample = RawSample(0.215, 1000, 0, 0)
+    homing = Homing(HomingSettings(), CalibrationSettings())
+    with pytest.raises(HomingError, match="changed the pressure sensor by 0 mV only"):
+        for tick in range(20_000):
+            homing.next(tick * 1e-3, sample)

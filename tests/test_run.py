@@ -404,7 +404,7 @@ def test_a_log_on_a_full_disk_ends_the_run_and_is_complete_to_its_last_tick(
         pytest.skip("mounting a small file system needs root")
     small = tmp_path / "small"
     small.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=10m", "tmpfs", small], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=14m", "tmpfs", small], check=True)
     try:
         done = pamctl(
             "run", "--fast", "--experiment", "tracking-1", "--log", "small/run.mcap", cwd=tmp_path

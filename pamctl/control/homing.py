@@ -29,6 +29,12 @@ class HomingSettings(Configured):
     fills: Annotated[int, Field(ge=0, le=20)] = 2
     fill_v: Annotated[float, Field(gt=0, le=5)] = 2.0
     fill_s: Annotated[float, Field(gt=0, le=10)] = 0.15
+    fill_rise_v: Annotated[
+        float, Field(ge=0, le=5, description="sensor V that each fill must add; 0: do not look")
+    ] = 0.02
+    fill_counts: Annotated[
+        int, Field(ge=0, description="encoder counts that each fill must add; 0: do not look")
+    ] = 30
     vent_v: Annotated[float, Field(ge=-5, lt=0)] = -5.0
     steady_s: Annotated[float, Field(gt=0, le=10)] = 0.25
     steady_counts: Annotated[int, Field(ge=0, le=1000)] = 1
@@ -50,6 +56,7 @@ class Homing:
         self._fills_left = settings.fills
         self._filling = False
         self._since_s = 0.0
+        self._before_fill: RawSample | None = None
         self._window: deque[tuple[float, RawSample]] = deque()
         self.zero: Zero | None = None
 
@@ -64,6 +71,7 @@ class Homing:
             if t_s - self._since_s < settings.fill_s:
                 return held(Phase.HOMING, settings.fill_v)
             self._filling = False
+            self._require_motion(sample)
             self._begin_vent(t_s)
         if not self._is_steady(t_s, sample):
             return held(Phase.HOMING, settings.vent_v)
@@ -71,9 +79,27 @@ class Homing:
             self._fills_left -= 1
             self._filling = True
             self._since_s = t_s
+            self._before_fill = sample
             return held(Phase.HOMING, settings.fill_v)
         self.zero = self._mean_of_window()
         return None
+
+    def _require_motion(self, sample: RawSample) -> None:
+        """See that filling raised the pressure, and contracted the muscle: both by the sensors."""
+        before, settings = self._before_fill, self._settings
+        assert before is not None
+        rise_v = sample.pressure_v - before.pressure_v
+        counts = (sample.encoder_counts - before.encoder_counts) * self._calibration.encoder_sign
+        if settings.fill_rise_v and not rise_v >= settings.fill_rise_v:
+            raise HomingError(
+                f"homing: filling changed the pressure sensor by {rise_v * 1e3:.0f} mV only; "
+                "check the supply, the valve's sign and the sensor"
+            )
+        if settings.fill_counts and counts < settings.fill_counts:
+            raise HomingError(
+                f"homing: filling moved the encoder by {counts} counts; check its wiring, its "
+                "supply and `encoder_sign`"
+            )
 
     def _begin_vent(self, t_s: float) -> None:
         self._since_s = t_s

@@ -19,7 +19,8 @@ is g; the rest is the drift, and f-hat of the paper is minus the drift:
 
 g depends on the side the valve opens to, so the sign of the wanted x''' + f decides
 which Psi is used. P is measured; x' and x'' are those of the reference plus the
-filtered derivatives of the error. With M = 0.05 kg g is about 4e4 m/s^3/V.
+filtered derivatives of the error. With M = 0.05 kg g is about 4e4 m/s^3/V
+where the vented muscle is filled, and a quarter of it where a filled one exhausts.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from pamctl.control.homing import HomingError
 from pamctl.realtime.clock import Clock, Wake
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.program import Program
-from pamctl.realtime.tick import TickSetup, TickState, first_state, step
+from pamctl.realtime.tick import TickSetup, TickState, first_state, rezeroed, step
 from pamctl.safety import OVERRUNS, explain
 from pamctl.signals import Decision, Outcome, Reference, TickRecord, Timing, Truth
 
@@ -108,7 +108,8 @@ class _Loop:
         """Tick until the program ends."""
         wake = self._clock.wait()
         raw = self._rig.read()
-        state = self._zeroed(wake.tick, raw, self._nominal_zero(raw))
+        state = first_state(self._nominal_zero(raw))
+        self._record_zero(wake.tick, raw, state.zero)
         times = _Times(raw.encoder_t_ns, raw.encoder_t_ns - self._clock.period_ns)
         while True:
             sampled_ns = self._clock.now_ns()
@@ -116,7 +117,8 @@ class _Loop:
             times = times._replace(last_t_ns=raw.encoder_t_ns)
             reference, zero = self._ask(timing, raw, state)
             if zero is not None:
-                state = self._zeroed(timing.tick, raw, zero)
+                state = rezeroed(state, zero)
+                self._record_zero(timing.tick, raw, zero)
             if reference is None:
                 return self._ending
             state, decision = step(self._setup, state, raw, reference, timing)
@@ -196,11 +198,9 @@ class _Loop:
         if (timing.tick + 1) % KEYFRAME_TICKS <= timing.missed:
             self._journal.put_keyframe(timing.tick, raw.encoder_t_ns, frozen(state))
 
-    def _zeroed(self, tick: int, raw: RawSample, zero: Zero) -> TickState:
-        """Start the tick's state afresh with other zeros, and say so in the log."""
-        event: dict[str, object] = {"event": "zeroed", **zero._asdict()}
-        self._journal.put_event(tick, raw.encoder_t_ns, event)
-        return first_state(zero)
+    def _record_zero(self, tick: int, raw: RawSample, zero: Zero) -> None:
+        """Say in the log from which tick on the sensors have other zeros: replay needs it."""
+        self._journal.put_event(tick, raw.encoder_t_ns, {"event": "zeroed", **zero._asdict()})
 
     def _tripped(self, timing: Timing, raw: RawSample, decision: Decision) -> Ending:
         self._rig.make_safe()

@@ -65,6 +65,15 @@ def measure(calibration: Calibration, zero: Zero, raw: RawSample) -> Measurement
     )
 
 
+def rezeroed(state: TickState, zero: Zero) -> TickState:
+    """Start afresh with other zeros: positions and pressures are not what they were.
+
+    The valve is where it was, and the slew limit goes on from there.
+    """
+    fresh = first_state(zero)
+    return fresh._replace(safety=fresh.safety._replace(valve_v=state.safety.valve_v))
+
+
 def first_state(zero: Zero) -> TickState:
     """Return the state before the first tick: nothing measured, nothing remembered."""
     return TickState(

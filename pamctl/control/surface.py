@@ -39,17 +39,12 @@ ARMED = LawState(0.0)
 """A law that starts from the measured position, its integral cleared."""
 
 
-def saturated(value: float) -> float:
-    """sat() of Eq. 15: linear between -1 and 1."""
-    return clamped(value, 1.0)
-
-
-def clamped(command_v: float, limit_v: float) -> float:
-    """Limit u to the valve's range, either side of 0."""
+def clamped(value: float, limit: float) -> float:
+    """Limit a value on either side of 0; with limit 1 the sat() of Eq. 15."""
     # Comparisons, not min and max: each of those costs the tick a tenth of a microsecond.
-    if command_v > limit_v:
-        return limit_v
-    return -limit_v if command_v < -limit_v else command_v
+    if value > limit:
+        return limit
+    return -limit if value < -limit else value
 
 
 def unwound(state: LawState, absement_m_s: float, error_m: float, excess_v: float) -> LawState:
@@ -70,4 +65,4 @@ def reaching(literal: bool, eta: float, phi: float, s: float) -> float:
     below 3 mV. The first is what the paper prints, and the default.
     """
     gain = eta * abs(s) if literal else eta
-    return gain * saturated(s / phi)
+    return gain * clamped(s / phi, 1.0)

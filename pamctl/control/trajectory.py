@@ -27,11 +27,12 @@ def rest_to_rest(start_m: float, end_m: float, duration_s: float, t_s: float) ->
         return Motion(end_m, 0.0, 0.0, 0.0)
     r = t_s / duration_s
     rest = 1.0 - r
-    span = end_m - start_m
-    shape = r**4 * (35.0 + r * (-84.0 + r * (70.0 - 20.0 * r)))
+    bow = r * rest
+    rate = (end_m - start_m) / duration_s
+    shape = r * r * r * r * (35.0 + r * (-84.0 + r * (70.0 - 20.0 * r)))
     return Motion(
-        start_m + span * shape,
-        span / duration_s * 140.0 * r**3 * rest**3,
-        span / duration_s**2 * 420.0 * r**2 * rest**2 * (1.0 - 2.0 * r),
-        span / duration_s**3 * 840.0 * r * rest * (1.0 - 5.0 * r * rest),
+        start_m + (end_m - start_m) * shape,
+        140.0 * rate * bow * bow * bow,
+        420.0 * rate / duration_s * bow * bow * (1.0 - 2.0 * r),
+        840.0 * rate / (duration_s * duration_s) * bow * (1.0 - 5.0 * bow),
     )

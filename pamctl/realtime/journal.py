@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeVar
 
 from pamctl.realtime.ring import RecorderFlag, Ring, RingFull
 from pamctl.signals import TickRecord
-
-Result = TypeVar("Result")
 
 
 class RingJournal:
@@ -44,7 +41,12 @@ class PatientJournal(RingJournal):
 
     def put_tick(self, record: TickRecord) -> None:
         """Keep a tick, whenever there is room."""
-        self._patiently(lambda: self._ring.put_tick(record))
+        try:
+            self._ring.put_tick(record)
+        except RingFull:
+            self._patiently(lambda: self._ring.put_tick(record))
+        if not record.timing.tick % _BEAT_EVERY_TICKS:
+            self._ring.loop_beat_ns = self._now_ns()
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Keep an event, whenever there is room."""
@@ -55,10 +57,11 @@ class PatientJournal(RingJournal):
         self._patiently(lambda: self._ring.put_keyframe(tick, t_ns, state))
 
     def _patiently(self, put: Callable[[], None]) -> None:
+        """Try until it succeeds; give up on a recorder that has failed or fallen silent."""
         beats, silent_since_s = self._ring.recorder_beats, time.monotonic()
         while True:
             try:
-                put()
+                return put()
             except RingFull:
                 if self._ring.recorder_flags & RecorderFlag.FAILED:
                     raise
@@ -67,10 +70,10 @@ class PatientJournal(RingJournal):
                 if time.monotonic() - silent_since_s > SILENT_RECORDER_S:
                     raise
                 time.sleep(1e-3)
-            else:
                 self._ring.loop_beat_ns = self._now_ns()
-                return
 
+
+_BEAT_EVERY_TICKS = 256
 
 SILENT_RECORDER_S = 3.0
 """A recorder without a sign of life for so long is taken for dead."""

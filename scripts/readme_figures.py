@@ -70,7 +70,7 @@ def tracking(log: Log) -> None:
                 label="reference" if asked else "measured",
             )
         plain(axes, label)
-    stack[0].legend(frameon=False, loc="upper right", ncols=2)
+    stack[0].legend(frameon=False, loc="lower right", bbox_to_anchor=(1, 1), ncols=2)
     stack[-1].set_xlabel("time since homing, s")
     figure.suptitle("qSMC on the simulated rig, experiment 1", x=0.02, ha="left")
     save(figure, "tracking")
@@ -103,7 +103,7 @@ def laws(logs: dict[str, Log]) -> None:
         axes.plot(t_s, error_um, color=colour, linewidth=0.8, label=law)
     plain(axes, "true error, µm")
     axes.set_xlabel("time since homing, s")
-    axes.legend(frameon=False, ncols=4, loc="upper right")
+    axes.legend(frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1, 1))
     save(figure, "laws")
 
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hal.configured import Configured
 from hal.rig import RawSample, Rig, RigError
@@ -35,8 +35,14 @@ class FaultSettings(Configured):
     from_tick: Annotated[int, Field(ge=0)]
     ticks: Annotated[int, Field(ge=1)] = 1_000_000_000
     size: Annotated[
-        float, Field(description="counts of an encoder_jump, seconds of a slow_read")
+        float, Field(ge=-1e9, le=1e9, description="counts of an encoder_jump, s of a slow_read")
     ] = 0.0
+
+    @model_validator(mode="after")
+    def _possible(self) -> FaultSettings:
+        if self.kind == "slow_read" and not 0.0 <= self.size <= 60.0:
+            raise ValueError(f"the size of a slow_read is 0 to 60 s (got {self.size:g})")
+        return self
 
 
 class FaultyRig:

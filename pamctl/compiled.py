@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -43,7 +42,7 @@ def _twin(kernel: FunctionType) -> Any:
     twin.__qualname__ = kernel.__qualname__
     twin.__module__ = kernel.__module__
     # error_model: division by zero raises, as in the plain function.
-    return _numba().njit(twin, cache=True, error_model="python")
+    return _numba().njit(twin, cache=_may_cache(), error_model="python")
 
 
 def _twin_if_kernel(value: object) -> object:
@@ -63,12 +62,17 @@ def _numba() -> ModuleType:
 
 
 def _cache_home() -> Path:
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+@cache
+def _may_cache() -> bool:
+    """Tell whether the user has a place of their own for machine code; /tmp is everyone's."""
     try:
-        home.mkdir(parents=True, exist_ok=True)
+        _cache_home().mkdir(parents=True, exist_ok=True)
     except OSError:
-        return Path(tempfile.gettempdir())
-    return home if os.access(home, os.W_OK) else Path(tempfile.gettempdir())
+        return False
+    return os.access(_cache_home(), os.W_OK)
 
 
 def _sources_digest() -> str:

@@ -64,9 +64,11 @@ def _steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
     ends = np.flatnonzero(resting[:-1] & ~resting[1:])
     parts = []
     for begin, end in zip(begins, ends, strict=True):
-        first = int(np.searchsorted(t_s[:end], t_s[end - 1] - STEADY_S))
-        if first > begin:
-            parts.append(slice(first, int(end)))
+        # A tick stands for the time until the next; half a tick forgives their rounding.
+        tick_s = (t_s[end - 1] - t_s[begin]) / max(1, end - 1 - begin)
+        first = int(np.searchsorted(t_s[:end], t_s[end - 1] + 0.5 * tick_s - STEADY_S))
+        if first > begin or t_s[end - 1] - t_s[begin] + 1.5 * tick_s >= STEADY_S:
+            parts.append(slice(max(first, int(begin)), int(end)))
     return parts
 
 

@@ -219,7 +219,7 @@ def test_ctrl_c_stops_smoothly_and_the_log_is_whole(tmp_path: Path) -> None:
 
 
 def test_an_impatient_second_ctrl_c_stops_at_once(tmp_path: Path) -> None:
-    with running(tmp_path, "--set", "rig.loop.stop_ramp_s=30") as front:
+    with running(tmp_path, "--set", "rig.loop.stop_ramp_s=5") as front:
         await_ticks(front, 300)
         front.send_signal(signal.SIGINT)
         time.sleep(0.2)

@@ -152,6 +152,8 @@ class _Recording:
             self._ring.recorder_beats += 1
             self._write_chunk()
         self._syncing.shutdown()
+        # A failed write-back is reported once: to this, or else to the fsync below.
+        self._sync.result()
         self._writer.finish()
         self._file.flush()
         self._reserve.release(self._file.tell())

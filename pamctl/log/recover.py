@@ -117,8 +117,9 @@ def recover_orphans(directory: str | Path = "/dev/shm") -> list[Orphan]:
 
     found: list[Orphan] = []
     for path in sorted(Path(directory).glob("pamctl-*.ring")):
-        # Another user's ring is that user's to recover.
-        if not os.access(path, os.R_OK | os.W_OK):
+        # Another user's ring is that user's to recover: it says which file to write, and
+        # root, who may open it, must not be told by anyone which of its files to replace.
+        if path.is_symlink() or path.stat().st_uid != os.geteuid():
             continue
         try:
             with Ring.attach(path) as ring:

@@ -238,7 +238,7 @@ class Ring:
     def attach(cls, path: str | Path) -> Ring:
         """Map an existing ring; raise RingError if there is none of this version."""
         with _explained(f"cannot attach to the ring {path}"):
-            fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
             with _closed_on_error(fd):
                 return cls(Path(path), fd)
 

@@ -8,7 +8,6 @@ braid, and what they then say becomes the zero of both.
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import Annotated
 
 from pydantic import Field
@@ -46,6 +45,27 @@ class HomingError(Exception):
     """The rig cannot be homed; the message says what was seen and what to check."""
 
 
+class _Block:
+    """Half of the steady time: what the sensors said in it, in running figures."""
+
+    def __init__(self, begin_s: float) -> None:
+        self.begin_s = begin_s
+        self.samples = 0
+        self.sum_v = 0.0
+        self.lowest_counts = math.inf
+        self.highest_counts = -math.inf
+
+    def take(self, sample: RawSample) -> None:
+        self.samples += 1
+        self.sum_v += sample.pressure_v
+        self.lowest_counts = min(self.lowest_counts, sample.encoder_counts)
+        self.highest_counts = max(self.highest_counts, sample.encoder_counts)
+
+    @property
+    def mean_v(self) -> float:
+        return self.sum_v / self.samples
+
+
 class Homing:
     """Sequence of vents and fills; ends with the `Zero` of both sensors."""
 
@@ -57,14 +77,14 @@ class Homing:
         self._filling = False
         self._since_s = 0.0
         self._before_fill: RawSample | None = None
-        self._window: deque[tuple[float, RawSample]] = deque()
+        self._blocks: list[_Block] = []
         self.zero: Zero | None = None
 
     def next(self, t_s: float, sample: RawSample) -> Reference | None:
         """Return what to do at `t_s` having seen `sample`, or None when homed.
 
-        Raises `HomingError` where the rig does not come to rest, or rests at a sensor
-        voltage that no vented sensor gives.
+        Raises `HomingError` where the rig does not come to rest, does not answer to a
+        fill, or rests at a sensor voltage that no vented sensor gives.
         """
         settings = self._settings
         if self._filling:
@@ -72,7 +92,8 @@ class Homing:
                 return held(Phase.HOMING, settings.fill_v)
             self._filling = False
             self._require_motion(sample)
-            self._begin_vent(t_s)
+            self._since_s = t_s
+            self._blocks.clear()
         if not self._is_steady(t_s, sample):
             return held(Phase.HOMING, settings.vent_v)
         if self._fills_left:
@@ -81,7 +102,7 @@ class Homing:
             self._since_s = t_s
             self._before_fill = sample
             return held(Phase.HOMING, settings.fill_v)
-        self.zero = self._mean_of_window()
+        self.zero = self._found_zero(sample)
         return None
 
     def _require_motion(self, sample: RawSample) -> None:
@@ -101,33 +122,38 @@ class Homing:
                 "supply and `encoder_sign`"
             )
 
-    def _begin_vent(self, t_s: float) -> None:
-        self._since_s = t_s
-        self._window.clear()
-
     def _is_steady(self, t_s: float, sample: RawSample) -> bool:
-        settings, window = self._settings, self._window
-        window.append((t_s, sample))
-        while window[0][0] < t_s - settings.steady_s:
-            window.popleft()
-        if t_s - self._since_s < settings.steady_s:
+        """Compare the last two half steady times, each time one is complete."""
+        blocks = self._blocks
+        if not blocks:
+            blocks.append(_Block(t_s))
+        complete = t_s - blocks[-1].begin_s >= 0.5 * self._settings.steady_s
+        if not complete:
+            blocks[-1].take(sample)
             return False
-        counts = [seen.encoder_counts for _, seen in window]
-        half = len(window) // 2
-        volts = [seen.pressure_v for _, seen in window]
-        drift_v = abs(math.fsum(volts[half:]) / len(volts[half:]) - _mean(volts[:half]))
-        if max(counts) - min(counts) <= settings.steady_counts and drift_v <= settings.steady_v:
+        if len(blocks) >= 2 and self._agree(*blocks[-2:]):
             return True
-        if t_s - self._since_s > settings.timeout_s:
-            raise HomingError(
-                f"homing: still moving {settings.timeout_s:g} s after venting (encoder over "
-                f"{max(counts) - min(counts)} counts, sensor drift {drift_v * 1e3:.1f} mV in "
-                f"{settings.steady_s:g} s); check the exhaust and the encoder"
-            )
+        if t_s - self._since_s > self._settings.timeout_s:
+            raise HomingError(self._unrest())
+        self._blocks = [blocks[-1], _Block(t_s)]
+        self._blocks[-1].take(sample)
         return False
 
-    def _mean_of_window(self) -> Zero:
-        sensor_v = _mean([seen.pressure_v for _, seen in self._window])
+    def _agree(self, first: _Block, second: _Block) -> bool:
+        drift_v, counts = _drift(first, second)
+        return drift_v <= self._settings.steady_v and counts <= self._settings.steady_counts
+
+    def _unrest(self) -> str:
+        drift_v, counts = _drift(self._blocks[0], self._blocks[-1])
+        return (
+            f"homing: still moving {self._settings.timeout_s:g} s after venting (encoder over "
+            f"{counts:g} counts, sensor drift {drift_v * 1e3:.1f} mV in "
+            f"{self._settings.steady_s:g} s); check the exhaust and the encoder"
+        )
+
+    def _found_zero(self, sample: RawSample) -> Zero:
+        blocks = self._blocks[-2:]
+        sensor_v = sum(block.sum_v for block in blocks) / sum(block.samples for block in blocks)
         lowest = self._calibration.sensor_zero_lowest_v
         highest = self._calibration.sensor_zero_highest_v
         if not lowest <= sensor_v <= highest:
@@ -136,8 +162,11 @@ class Homing:
                 f"{lowest:g} to {highest:g} V; check that the muscle is vented and the "
                 "sensor's supply and wiring"
             )
-        return Zero(sensor_v, float(self._window[-1][1].encoder_counts))
+        return Zero(sensor_v, float(sample.encoder_counts))
 
 
-def _mean(values: list[float]) -> float:
-    return math.fsum(values) / len(values) if values else math.nan
+def _drift(first: _Block, second: _Block) -> tuple[float, float]:
+    """Return by how much the sensor's mean changed (V), and over how many counts x went."""
+    lowest = min(first.lowest_counts, second.lowest_counts)
+    highest = max(first.highest_counts, second.highest_counts)
+    return abs(second.mean_v - first.mean_v), highest - lowest

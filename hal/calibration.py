@@ -39,6 +39,8 @@ class CalibrationSettings(Configured):
         float, Field(ge=-10, le=10, description="output voltage at which the valve is closed")
     ] = 5.0
     driver_gain: Annotated[float, Field(gt=0, le=10, description="output V per command V")] = 1.0
+    driver_low_v: Annotated[float, Field(ge=-10, le=10, description="lowest V it takes")] = 0.0
+    driver_high_v: Annotated[float, Field(ge=-10, le=10, description="highest V it takes")] = 10.0
 
 
 class Calibration(NamedTuple):

@@ -97,7 +97,10 @@ def simulate(
     start = vented(plant)
     ticks = _compiled_run()(
         setup,
-        first_state(chain.zero._replace(encoder_zero_counts=math.floor(chain.zero[1]) + 0.0)),
+        first_state(
+            chain.zero._replace(encoder_zero_counts=math.floor(chain.zero[1]) + 0.0),
+            setup.limits.safe_valve_v,
+        ),
         plant,
         start,
         chain,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hal.calibration import CalibrationSettings
 from hal.configured import Configured
@@ -25,6 +25,21 @@ class _Rig(Configured):
     limits: LimitSettings = LimitSettings()
     homing: HomingSettings = HomingSettings()
     loop: LoopSettings = LoopSettings()
+
+    @model_validator(mode="after")
+    def _within_the_driver(self) -> Self:
+        """Safety reasons about the command it admits: what the driver would cut must not occur."""
+        cal, limit_v = self.calibration, self.limits.command_v
+        reach_v = [cal.driver_offset_v + cal.driver_gain * v for v in (-limit_v, limit_v)]
+        safe_volts = getattr(self, "safe_volts", cal.driver_offset_v)
+        for name, volts in (("limits.command_v", reach_v), ("safe_volts", [safe_volts])):
+            if min(volts) < cal.driver_low_v - 1e-9 or max(volts) > cal.driver_high_v + 1e-9:
+                shown = " to ".join(f"{v:g}" for v in volts)
+                raise ValueError(
+                    f"{name} means {shown} V at the valve driver, which takes "
+                    f"{cal.driver_low_v:g} to {cal.driver_high_v:g} V (calibration.driver_*)"
+                )
+        return self
 
 
 class SimRigSettings(_Rig):

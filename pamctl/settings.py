@@ -16,10 +16,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
 from hal.configured import Configured
 from pamctl.control.experiment import ExperimentSettings
+from pamctl.control.filters import HIGHEST_PER_RATE
 from pamctl.control.law import ControllerSettings
 from pamctl.plant.model import PlantSettings
 from pamctl.problems import ConfigError, JsonSchema, Problem, any_of, dotted, findings, names_in
@@ -44,6 +45,17 @@ class RunSettings(Configured):
     rt: Literal["auto", "require", "off"] = Field(
         default="auto", description="real-time scheduling: where permitted, or else fail, or never"
     )
+
+    @model_validator(mode="after")
+    def _filters_suit_the_rate(self) -> RunSettings:
+        highest_hz = HIGHEST_PER_RATE * self.rig.loop.rate_hz
+        for name in ("lpf1_hz", "lpf2_hz"):
+            if getattr(self.controller, name) > highest_hz:
+                raise ValueError(
+                    f"controller.{name} {getattr(self.controller, name):g} is above "
+                    f"{HIGHEST_PER_RATE:g} of rig.loop.rate_hz {self.rig.loop.rate_hz:g}"
+                )
+        return self
 
 
 RUN: TypeAdapter[RunSettings] = TypeAdapter(RunSettings)

@@ -220,7 +220,7 @@ class ClosedLoop:
 
     def start(self) -> TickState:
         """Return the state before the first tick, homed."""
-        return first_state(self.chain.zero._replace(encoder_zero_counts=1000.0))
+        return first_state(self.chain.zero._replace(encoder_zero_counts=1000.0), -5.0)
 
     def estimates(self, count: int) -> list[tuple[Reference, Estimate]]:
         """What the law was given."""

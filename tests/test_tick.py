@@ -45,7 +45,7 @@ def moving(tick: int) -> RawSample:
 def run(
     ticks: range, state: TickState | None = None, setup: TickSetup = SETUP
 ) -> tuple[TickState, list[Decision]]:
-    state = first_state(ZERO) if state is None else state
+    state = first_state(ZERO, -5.0) if state is None else state
     found = []
     for tick in ticks:
         state, decision = step(setup, state, moving(tick), track(), timing(tick))
@@ -54,7 +54,7 @@ def run(
 
 
 def test_a_tick_is_calibrated_estimated_commanded_and_admitted() -> None:
-    state, decision = step(SETUP, first_state(ZERO), sample(0), track(), timing(0))
+    state, decision = step(SETUP, first_state(ZERO, -5.0), sample(0), track(), timing(0))
     assert state.measurement == measure(SETUP.calibration, ZERO, sample(0))
     assert state.measurement.position_m == pytest.approx(2016 * 3.175e-6)
     assert state.measurement.pressure_pa == pytest.approx(101.3e3 + 0.7 / 6.429e-6, rel=1e-5)
@@ -66,7 +66,7 @@ def test_a_tick_is_calibrated_estimated_commanded_and_admitted() -> None:
 
 
 def test_every_stage_remembers_the_tick_before() -> None:
-    before, _ = step(SETUP, first_state(ZERO), sample(0), track(), timing(0))
+    before, _ = step(SETUP, first_state(ZERO, -5.0), sample(0), track(), timing(0))
     after, _ = step(SETUP, before, sample(1, counts=3116), track(), timing(1))
     passed = after.estimate.position_filtered_m - before.estimate.position_filtered_m
     # What a 300 Hz Butterworth lets through of a step in its first tick.
@@ -109,7 +109,7 @@ def test_a_pressure_that_is_no_number_trips_to_the_safe_command() -> None:
 )
 def test_whatever_the_sensors_say_the_valve_gets_a_number_it_may_have(controller, samples) -> None:
     setup = LAWS[controller]
-    state, tripped = first_state(ZERO), False
+    state, tripped = first_state(ZERO, -5.0), False
     for tick, (counts, volts, dt_s, open_loop) in enumerate(samples):
         reference = held(Phase.OPEN_LOOP, 1.0) if open_loop else track()
         raw = RawSample(volts, counts, 0, 0)
@@ -153,7 +153,7 @@ LAWS: dict[str, TickSetup] = {}
 
 
 def test_a_broken_wire_is_noticed_in_raw_volts_whatever_the_zero() -> None:
-    state, decision = first_state(Zero(0.0, 1000.0)), None
+    state, decision = first_state(Zero(0.0, 1000.0), -5.0), None
     for tick in range(30):
         state, decision = step(SETUP, state, sample(tick, volts=0.05), track(), timing(tick))
     assert decision is not None
@@ -191,8 +191,8 @@ def thawed(like: Any, numbers: list[float]) -> Any:
 
 
 def test_a_keyframe_names_each_of_its_numbers_once() -> None:
-    names = keyframe_fields(first_state(ZERO))
-    assert len(names) == len(set(names)) == len(frozen(first_state(ZERO)))
+    names = keyframe_fields(first_state(ZERO, -5.0))
+    assert len(names) == len(set(names)) == len(frozen(first_state(ZERO, -5.0)))
     for expected in (
         "zero.sensor_zero_v",
         "filters.rate.pole",

@@ -220,7 +220,7 @@ def _meta(settings: RunSettings, names: dict[str, str], path: Path) -> RunMeta:
             ),
         },
         metadata={"run": run, "pamctl": {} if settings.fast else _origin()},
-        keyframe_fields=keyframe_fields(first_state(Zero(0.0, 0.0))),
+        keyframe_fields=keyframe_fields(first_state(Zero(0.0, 0.0), 0.0)),
     )
 
 

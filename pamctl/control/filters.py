@@ -13,9 +13,9 @@ from typing import NamedTuple
 from pamctl.signals import Estimate, Measurement, Reference
 
 # Above this share of the sampling rate the prewarped cut-off would run to infinity.
-# A 300 Hz filter gets there only after missed ticks; it then lets the sample through
-# nearly as it is, which is what a filter that much faster than the tick should do.
-_HIGHEST_PER_RATE = 0.45
+# Settings beyond it are refused, so a filter gets there only after missed ticks; it then lets
+# the sample through nearly as it is, as a filter that much faster than the tick should.
+HIGHEST_PER_RATE = 0.45
 
 
 class LowPass(NamedTuple):
@@ -34,7 +34,7 @@ def primed(value: float) -> LowPass:
 def warped(cutoff_hz: float, dt_s: float) -> float:
     """tan(pi f dt): the cut-off as the trapezoidal rule needs it."""
     per_rate = cutoff_hz * dt_s
-    return tan(pi * (per_rate if per_rate < _HIGHEST_PER_RATE else _HIGHEST_PER_RATE))
+    return tan(pi * (per_rate if per_rate < HIGHEST_PER_RATE else HIGHEST_PER_RATE))
 
 
 def low_pass(state: LowPass, g: float, value: float) -> tuple[float, LowPass]:

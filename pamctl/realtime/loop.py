@@ -108,7 +108,7 @@ class _Loop:
         """Tick until the program ends."""
         wake = self._clock.wait()
         raw = self._rig.read()
-        state = first_state(self._nominal_zero(raw))
+        state = first_state(self._nominal_zero(raw), self._setup.limits.safe_valve_v)
         self._record_zero(wake.tick, raw, state.zero)
         times = _Times(raw.encoder_t_ns, raw.encoder_t_ns - self._clock.period_ns)
         while True:

@@ -65,17 +65,8 @@ def measure(calibration: Calibration, zero: Zero, raw: RawSample) -> Measurement
     )
 
 
-def rezeroed(state: TickState, zero: Zero) -> TickState:
-    """Start afresh with other zeros: positions and pressures are not what they were.
-
-    The valve is where it was, and the slew limit goes on from there.
-    """
-    fresh = first_state(zero)
-    return fresh._replace(safety=fresh.safety._replace(valve_v=state.safety.valve_v))
-
-
-def first_state(zero: Zero) -> TickState:
-    """Return the state before the first tick: nothing measured, nothing remembered."""
+def first_state(zero: Zero, valve_v: float) -> TickState:
+    """Return the state before the first tick: nothing is known but where the valve is (V)."""
     return TickState(
         zero,
         Measurement(math.nan, math.nan),
@@ -83,5 +74,10 @@ def first_state(zero: Zero) -> TickState:
         Command(math.nan, math.nan, math.nan, math.nan, False),
         UNPRIMED,
         ARMED,
-        WATCHFUL,
+        WATCHFUL._replace(valve_v=valve_v),
     )
+
+
+def rezeroed(state: TickState, zero: Zero) -> TickState:
+    """Start afresh with other zeros: positions and pressures are not what they were."""
+    return first_state(zero, state.safety.valve_v)

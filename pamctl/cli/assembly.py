@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -22,8 +21,6 @@ from pamctl.rig_settings import NidaqRigSettings, SimRigSettings
 from pamctl.safety import limits
 from pamctl.settings import RunSettings
 from pamctl.signals import Truth
-
-_UNKNOWN = Truth(math.nan, math.nan)
 
 
 class Parts(NamedTuple):

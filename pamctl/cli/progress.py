@@ -14,8 +14,8 @@ class ProgressLine:
 
     def __init__(self, *, quiet: bool) -> None:
         """Say nothing at all where `quiet`."""
-        self._quiet = quiet
-        self._terminal = sys.stderr.isatty()
+        self._quiet = quiet or sys.stderr is None
+        self._terminal = sys.stderr is not None and sys.stderr.isatty()
         self._every_s = 0.1 if self._terminal else 5.0
         self._last_s = 0.0
         self._width = 0
@@ -26,11 +26,15 @@ class ProgressLine:
         if self._quiet or now_s - self._last_s < self._every_s:
             return
         self._last_s = now_s
-        self._show(progress_text(tick, worst_late_s))
+        try:
+            self._show(progress_text(tick, worst_late_s))
+        except (OSError, ValueError):
+            # Nobody can read it any more; the experiment goes on.
+            self._quiet = True
 
     def done(self) -> None:
         """Leave the terminal's cursor on a line of its own."""
-        if self._width:
+        if self._width and not self._quiet:
             print(file=sys.stderr)
 
     def _show(self, text: str) -> None:

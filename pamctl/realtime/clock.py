@@ -1,4 +1,4 @@
-"""When the tick runs: the only file that reads a clock.
+"""When the tick runs: the only clock that a tick ever sees.
 
 `GridClock` wakes on an absolute grid of CLOCK_MONOTONIC, so that the lateness of one tick never
 delays the next one and the rate cannot drift. `VirtualClock` has no clock at all: it counts.

@@ -48,7 +48,7 @@ SeedOption = Annotated[int | None, typer.Option("--seed", help="Of the simulated
 DurationOption = Annotated[
     float | None, typer.Option("--duration", metavar="SECONDS", help="End the run early.")
 ]
-FastOption = Annotated[bool | None, typer.Option("--fast", help="Simulate without a clock.")]
+FastOption = Annotated[bool, typer.Option("--fast", help="Simulate without a clock.")]
 RtOption = Annotated[
     str | None, typer.Option("--rt", metavar="auto|require|off", help="Real-time scheduling.")
 ]
@@ -99,7 +99,7 @@ def show(
     overrides: SetOption = None,
     seed: SeedOption = None,
     duration_s: DurationOption = None,
-    fast: FastOption = None,
+    fast: FastOption = False,
     rt: RtOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -113,7 +113,7 @@ def show(
             overrides=overrides or (),
             seed=seed,
             duration_s=duration_s,
-            fast=fast,
+            fast=fast or None,
             rt=rt,
         )
     typer.echo(to_json(settings) if as_json else to_yaml(settings).rstrip())

@@ -31,10 +31,16 @@ def show_info(
     except LogError as error:
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(ExitCode.BAD_DATA) from None
-    typer.echo(json.dumps(found, indent=2) if as_json else "\n".join(_lines(found)))
+    if as_json:
+        typer.echo(json.dumps(found, indent=2))
+        return
+    if found["outcome"]:
+        found["outcome"] = f"{found['outcome']['code']}: {found['outcome']['reason']}"
+    typer.echo("\n".join(_lines(found)))
 
 
 def _lines(found: dict[str, Any]) -> list[str]:
+    """Lay out what is known, a line each; what is not known is left out."""
     return [
         f"{name.replace('_', ' '):<16}{_shown(value)}"
         for name, value in found.items()

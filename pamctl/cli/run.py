@@ -65,7 +65,7 @@ def run(
         Path | None, typer.Option("--log", metavar="FILE", help="Where the log goes.")
     ] = None,
     duration_s: DurationOption = None,
-    fast: FastOption = None,
+    fast: FastOption = False,
     seed: SeedOption = None,
     overrides: SetOption = None,
     rt: RtOption = None,
@@ -85,7 +85,7 @@ def run(
             overrides=overrides or (),
             seed=seed,
             duration_s=duration_s,
-            fast=fast,
+            fast=fast or None,
             rt=rt,
         )
         _check_backend(settings, backend, rig)

@@ -9,8 +9,12 @@ from pamctl.log.reader import Log
 from pamctl.merit import TABLE_IV, Merit, merits_of, timing_of
 
 
-def summary(log: Log, experiment: str) -> dict[str, Any]:
-    """Return the figures of a run as one JSON document: SI, None for what is not known."""
+def summary(log: Log, experiment: str | None) -> dict[str, Any]:
+    """Return the figures of a run as one JSON document: SI, None for what is not known.
+
+    `experiment` is the shipped one that was run, to be held against Table IV; None if it was
+    another, or changed.
+    """
     return {
         "ticks": len(log),
         "missed_ticks": int(log["missed"].sum()),
@@ -23,7 +27,15 @@ def summary(log: Log, experiment: str) -> dict[str, Any]:
         "timing": None
         if is_fast(log)
         else {name: spread._asdict() for name, spread in timing_of(log).items()},
+        "not_real_time": refused_steps(log),
     }
+
+
+def refused_steps(log: Log) -> dict[str, str]:
+    """Return the real-time measures that were not permitted, each with what would allow it."""
+    setup = log.metadata.get("timing_setup", {})
+    refused = "not done: "
+    return {k: v.removeprefix(refused) for k, v in setup.items() if v.startswith(refused)}
 
 
 def is_fast(log: Log) -> bool:
@@ -82,4 +94,8 @@ def _timing_lines(figures: dict[str, Any]) -> list[str]:
         for name, label in _TIMING_NAMES.items()
         for t in [figures["timing"][name]]
     ]
-    return ["", head, *lines, missed]
+    refused = [
+        f"not real time: {step} refused: {reason}"
+        for step, reason in figures["not_real_time"].items()
+    ]
+    return ["", head, *lines, missed, *refused]

@@ -112,7 +112,9 @@ def info(path: str | Path) -> dict[str, Any]:
         **_gaps(log),
         "phases": _phases(log),
         "channels": dict(log.counts),
-        **{key: run.get(key) for key in ("law", "backend", "experiment")},
+        **{key: run.get(key) for key in ("law", "controller", "experiment", "plant", "backend")},
+        "seed": log.config.get("seed"),
+        "timing_setup": dict(log.metadata.get("timing_setup", {})),
         **{key: origin.get(key) for key in ("version", "host", "start")},
         "outcome": next((e for e in reversed(log.events) if e.get("event") == "outcome"), None),
     }

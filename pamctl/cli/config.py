@@ -29,28 +29,28 @@ config_app = typer.Typer(
 
 # Shared by every verb that chooses a run, so that all of them read alike.
 ControllerOption = Annotated[
-    str | None, typer.Option("--controller", metavar="NAME|FILE", help="Law and its gains.")
+    str | None, typer.Option("--controller", metavar="NAME|FILE", help="Law and its gains; qsmc.")
 ]
 ExperimentOption = Annotated[
-    str | None, typer.Option("--experiment", metavar="NAME|FILE", help="What the muscle is to do.")
+    str | None, typer.Option("--experiment", metavar="NAME|FILE", help="What the muscle is to do; tracking-2.")
 ]
 RigOption = Annotated[
-    str | None, typer.Option("--rig", metavar="NAME|FILE", help="Backend, calibration, limits.")
+    str | None, typer.Option("--rig", metavar="NAME|FILE", help="Backend, calibration, limits; sim.")
 ]
 PlantOption = Annotated[
-    str | None, typer.Option("--plant", metavar="NAME|FILE", help="Model of the muscle.")
+    str | None, typer.Option("--plant", metavar="NAME|FILE", help="Model of the muscle; paper.")
 ]
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="As in controller.lambda_per_s=12; repeats."),
 ]
-SeedOption = Annotated[int | None, typer.Option("--seed", help="Of the simulated noise.")]
+SeedOption = Annotated[int | None, typer.Option("--seed", help="Of the simulated noise; 0.")]
 DurationOption = Annotated[
     float | None, typer.Option("--duration", metavar="SECONDS", help="End the run early.")
 ]
 FastOption = Annotated[bool, typer.Option("--fast", help="Simulate without a clock.")]
 RtOption = Annotated[
-    str | None, typer.Option("--rt", metavar="auto|require|off", help="Real-time scheduling.")
+    str | None, typer.Option("--rt", metavar="auto|require|off", help="Real-time scheduling; auto.")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document.")]
 

@@ -55,14 +55,14 @@ RIG_OF_BACKEND = {"sim": "sim", "nidaq": "pci6221"}
 
 def run(
     backend: Annotated[
-        str | None, typer.Option("--backend", metavar="sim|nidaq", help="What is driven.")
+        str | None, typer.Option("--backend", metavar="sim|nidaq", help="What is driven; sim.")
     ] = None,
     controller: ControllerOption = None,
     experiment: ExperimentOption = None,
     rig: RigOption = None,
     plant: PlantOption = None,
     log: Annotated[
-        Path | None, typer.Option("--log", metavar="FILE", help="Where the log goes.")
+        Path | None, typer.Option("--log", metavar="FILE", help="Where the log goes; logs/...")
     ] = None,
     duration_s: DurationOption = None,
     fast: FastOption = False,

@@ -32,10 +32,10 @@ ControllerOption = Annotated[
     str | None, typer.Option("--controller", metavar="NAME|FILE", help="Law and its gains; qsmc.")
 ]
 ExperimentOption = Annotated[
-    str | None, typer.Option("--experiment", metavar="NAME|FILE", help="What the muscle is to do; tracking-2.")
+    str | None, typer.Option("--experiment", metavar="NAME|FILE", help="What to do; tracking-2.")
 ]
 RigOption = Annotated[
-    str | None, typer.Option("--rig", metavar="NAME|FILE", help="Backend, calibration, limits; sim.")
+    str | None, typer.Option("--rig", metavar="NAME|FILE", help="Calibration and limits; sim.")
 ]
 PlantOption = Annotated[
     str | None, typer.Option("--plant", metavar="NAME|FILE", help="Model of the muscle; paper.")

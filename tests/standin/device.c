@@ -1,0 +1,254 @@
+#define _GNU_SOURCE
+#include "device.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/file.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+
+static Registers *registers;
+
+/* --- the shared file --- */
+
+static void init_mutex(Registers *fresh)
+{
+    pthread_mutexattr_t attributes;
+    pthread_mutexattr_init(&attributes);
+    pthread_mutexattr_setpshared(&attributes, PTHREAD_PROCESS_SHARED);
+    /* A process that is killed while it holds the mutex must not take the card with it. */
+    pthread_mutexattr_setrobust(&attributes, PTHREAD_MUTEX_ROBUST);
+    pthread_mutex_init(&fresh->mutex, &attributes);
+    fresh->mutex_is_ready = 1;
+}
+
+Registers *device_attach(void)
+{
+    const char *path = getenv("STANDIN_DEVICE");
+    if (registers || !path)
+        return registers;
+    int file = open(path, O_RDWR | O_CLOEXEC);
+    struct stat status;
+    if (file < 0)
+        return NULL;
+    flock(file, LOCK_EX);
+    if (fstat(file, &status) == 0 && (size_t)status.st_size >= sizeof(Registers)) {
+        void *mapped =
+            mmap(NULL, sizeof(Registers), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+        if (mapped != MAP_FAILED && ((Registers *)mapped)->size == sizeof(Registers)) {
+            registers = mapped;
+            if (!registers->mutex_is_ready)
+                init_mutex(registers);
+        }
+    }
+    flock(file, LOCK_UN); /* the mapping would keep it */
+    close(file);
+    return registers;
+}
+
+void device_lock(void)
+{
+    if (pthread_mutex_lock(&registers->mutex) == EOWNERDEAD)
+        pthread_mutex_consistent(&registers->mutex);
+}
+
+void device_unlock(void)
+{
+    pthread_mutex_unlock(&registers->mutex);
+}
+
+/* --- time, plant and wires --- */
+
+int64_t device_now_ns(void)
+{
+    if (registers->is_virtual)
+        return registers->virtual_ns;
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return now.tv_sec * 1000000000LL + now.tv_nsec;
+}
+
+static int64_t encoder_edges(void)
+{
+    Registers *r = registers;
+    double edges = r->encoder_phase_edges + r->plant.position_m / r->encoder_m_per_edge;
+    return r->encoder_sign * (int64_t)floor(edges);
+}
+
+/* A and B are high for two edges: a filter longer than that swallows them. */
+static bool filter_passes(double edges_per_s)
+{
+    return registers->counter_filter_s * fabs(edges_per_s) < 2.0;
+}
+
+static int64_t floor_div(int64_t value, int64_t divisor)
+{
+    return value / divisor - (value % divisor < 0);
+}
+
+static void count(double duration_s)
+{
+    Registers *r = registers;
+    int64_t before = r->encoder_edges, edges = encoder_edges();
+    r->encoder_edges = edges;
+    if (r->counter_runs && !r->encoder_is_unplugged &&
+        filter_passes((double)(edges - before) / duration_s)) {
+        int64_t scale = r->counter_edges_per_count;
+        int64_t counted = floor_div(edges, scale) - floor_div(before, scale);
+        r->counter = (uint32_t)(r->counter + counted);
+    }
+}
+
+void device_catch_up(void)
+{
+    Registers *r = registers;
+    int64_t now_ns = device_now_ns();
+    if (r->plant_ns == 0) {
+        r->plant_ns = now_ns;
+        r->encoder_edges = encoder_edges();
+    }
+    if (now_ns <= r->plant_ns)
+        return;
+    double duration_s = (double)(now_ns - r->plant_ns) * 1e-9;
+    plant_advance(&r->plant, r->ao_v[0] - r->driver_offset_v, duration_s);
+    r->plant_ns = now_ns;
+    count(duration_s);
+}
+
+static double converted_v(double volts, double full_scale_v)
+{
+    double step_v = 2.0 * full_scale_v / 65536.0;
+    double code = floor(fmin(fmax(volts, -full_scale_v), full_scale_v) / step_v + 0.5);
+    return fmin(code, 32767.0) * step_v;
+}
+
+void device_drive(int ao, double volts)
+{
+    Registers *r = registers;
+    device_catch_up();
+    r->ao_v[ao] = converted_v(volts, 10.0);
+    r->ao_ns = device_now_ns();
+    r->ao_history_v[r->ao_writes++ % HISTORY] = r->ao_v[ao];
+}
+
+static double uniform(void)
+{
+    uint64_t x = (uint64_t)registers->noise_state;
+    x ^= x << 13;
+    x ^= x >> 7;
+    x ^= x << 17;
+    registers->noise_state = (int64_t)x;
+    return ((double)(x >> 11) + 0.5) / 9007199254740992.0;
+}
+
+static double noise_v(void)
+{
+    if (registers->noise_v == 0.0)
+        return 0.0;
+    double radius = sqrt(-2.0 * log(uniform()));
+    return registers->noise_v * radius * cos(2.0 * M_PI * uniform());
+}
+
+double device_sense_v(int ai, double full_scale_v)
+{
+    Registers *r = registers;
+    device_catch_up();
+    if (ai != 0 || r->wire_is_broken)
+        return 0.0;
+    double sensor_v = r->sensor_zero_v + (r->plant.pressure_pa - 101.3e3) / r->sensor_pa_per_v;
+    return converted_v(sensor_v + noise_v(), full_scale_v);
+}
+
+void counter_start(int64_t initial, int64_t edges_per_count, double filter_s, bool z_resets)
+{
+    device_catch_up();
+    registers->counter = (uint32_t)initial;
+    registers->counter_edges_per_count = edges_per_count;
+    registers->counter_filter_s = filter_s;
+    registers->counter_z_resets = z_resets;
+    registers->counter_runs = 1;
+}
+
+/* --- reservations, which die with their owner --- */
+
+/* When a process was born, in ticks since boot; 0 if it lives no longer. */
+static int64_t birth_of(int64_t pid)
+{
+    char path[40], line[1024] = "", state = 'X';
+    long long born = 0;
+    snprintf(path, sizeof path, "/proc/%lld/stat", (long long)pid);
+    FILE *file = fopen(path, "re");
+    if (!file)
+        return 0;
+    char *name_end = fgets(line, sizeof line, file) ? strrchr(line, ')') : NULL;
+    fclose(file);
+    if (name_end)
+        sscanf(name_end + 2,
+               "%c %*s %*s %*s %*s %*s %*s %*s %*s %*s %*s %*s %*s %*s %*s %*s %*s %*s %*s %lld",
+               &state, &born);
+    return state == 'Z' || state == 'X' ? 0 : born;
+}
+
+bool device_owns(Resource resource, int64_t task)
+{
+    Owner *owner = &registers->owners[resource];
+    return owner->pid == getpid() && owner->task == task;
+}
+
+bool device_reserve(Resource resource, int64_t task)
+{
+    Owner *owner = &registers->owners[resource];
+    if (device_owns(resource, task))
+        return true;
+    if (owner->pid && birth_of(owner->pid) == owner->born)
+        return false;
+    *owner = (Owner){getpid(), birth_of(getpid()), task};
+    return true;
+}
+
+void device_release(Resource resource, int64_t task)
+{
+    if (device_owns(resource, task))
+        registers->owners[resource] = (Owner){0, 0, 0};
+}
+
+/* --- faults --- */
+
+static void sleep_s(double seconds)
+{
+    if (seconds <= 0.0)
+        return; /* even a sleep of nothing takes 50 us */
+    struct timespec rest = {(time_t)seconds, (long)(fmod(seconds, 1.0) * 1e9)};
+    while (nanosleep(&rest, &rest) && errno == EINTR)
+        ;
+}
+
+static Fault due_fault(const char *function)
+{
+    for (Fault *fault = registers->faults; fault < registers->faults + FAULTS; fault++) {
+        if (fault->times == 0 || strcmp(fault->function, function) != 0)
+            continue;
+        if (fault->after-- > 0)
+            continue;
+        fault->after = 0;
+        fault->times--;
+        return *fault;
+    }
+    return (Fault){0};
+}
+
+int32_t device_fault(const char *function, double timeout_s)
+{
+    device_lock();
+    Fault fault = due_fault(function);
+    device_unlock();
+    bool times_out = fault.hang_s > timeout_s && !fault.is_deaf;
+    sleep_s(times_out ? timeout_s : fault.hang_s);
+    return times_out ? -200284 : (int32_t)fault.code;
+}

@@ -1,0 +1,97 @@
+/* The card: its registers in a shared file, and the muscle on the other side of the wires.
+
+   The file outlives every process that maps it, as a card does: an output holds its voltage
+   and the muscle goes on moving whoever dies. `tests/standin/standin.py` mirrors `Registers`. */
+#pragma once
+
+#include <pthread.h>
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "plant.h"
+
+#define DEVICE_NAME "Dev1"
+#define SERIAL_NUMBER 0xDECAFu
+
+enum { AO_CHANNELS = 2, AI_CHANNELS = 16, COUNTERS = 2, FAULTS = 8, HISTORY = 64 };
+
+typedef enum {
+    RESOURCE_AI, /* one converter for all inputs */
+    RESOURCE_AO0,
+    RESOURCE_AO1,
+    RESOURCE_CTR0,
+    RESOURCE_CTR1,
+    RESOURCES
+} Resource;
+
+/* What goes wrong: `times` calls of `function`, after so many that go right. */
+typedef struct {
+    char function[48];
+    int64_t code; /* negative: the call fails; positive: it works, with a warning */
+    int64_t after;
+    int64_t times;
+    double hang_s;
+    int64_t is_deaf; /* the hanging call does not heed its timeout */
+} Fault;
+
+/* Who has reserved a resource. A process is known by its id and the time it was born. */
+typedef struct {
+    int64_t pid;
+    int64_t born;
+    int64_t task;
+} Owner;
+
+/* Eight bytes a field: no padding that a mirror could get wrong. */
+typedef struct {
+    int64_t size;
+    int64_t is_virtual; /* time stands still but for whoever moves `virtual_ns` */
+    int64_t virtual_ns;
+    int64_t plant_ns; /* the plant has come so far; 0: it begins at the next access */
+    Plant plant;
+    double ao_v[AO_CHANNELS];
+    int64_t ao_ns; /* when an output was last written */
+    int64_t ao_writes;
+    double ao_history_v[HISTORY]; /* the last writes, a ring: number n is at n % HISTORY */
+    double driver_offset_v;
+    double sensor_zero_v;
+    double sensor_pa_per_v;
+    double noise_v;
+    int64_t noise_state;
+    int64_t wire_is_broken; /* the pressure input reads 0 V */
+    int64_t ai_terminal;    /* of the input task that was started last */
+    double ai_full_scale_v;
+    double encoder_m_per_edge;
+    double encoder_phase_edges; /* where between two edges the vented muscle rests */
+    int64_t encoder_sign;
+    int64_t encoder_is_unplugged;
+    int64_t encoder_edges; /* seen last */
+    int64_t counter; /* of counter 0, 32 bits of it */
+    int64_t counter_runs;
+    int64_t counter_edges_per_count;
+    double counter_filter_s; /* pulses shorter than this do not count */
+    int64_t counter_z_resets; /* recorded only: this encoder strip has no index */
+    int64_t ticks_are_unsigned; /* how a read in ticks shows a count below zero */
+    int64_t is_gone; /* the card is no longer on the bus */
+    Owner owners[RESOURCES];
+    Fault faults[FAULTS];
+    int64_t mutex_is_ready;
+    pthread_mutex_t mutex;
+} Registers;
+
+/* The registers of the file that STANDIN_DEVICE names; NULL without one. */
+Registers *device_attach(void);
+void device_lock(void);
+void device_unlock(void);
+
+int64_t device_now_ns(void);
+void device_catch_up(void);
+void device_drive(int ao, double volts);
+double device_sense_v(int ai, double full_scale_v);
+void counter_start(int64_t initial, int64_t edges_per_count, double filter_s, bool z_resets);
+
+bool device_reserve(Resource resource, int64_t task);
+bool device_owns(Resource resource, int64_t task);
+void device_release(Resource resource, int64_t task);
+
+/* The code due to this call, having waited as long as a fault wants; call it unlocked. */
+int32_t device_fault(const char *function, double timeout_s);

@@ -1,0 +1,260 @@
+"""The stand-in card from Python: build its driver, look at its registers, break it.
+
+The driver is C (`daqmx.c`), so that the unmodified nidaqmx package runs over it. The card's
+registers lie in a file; every process that is to see the card names it in `STANDIN_DEVICE`.
+"""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import hashlib
+import mmap
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+SONAME = "libnidaqmx.so.1"
+SERIAL = 0xDECAF
+PERMIT = "PAMCTL_PERMIT_STAND_IN"
+"""Set by tests, and by nobody else: without it `pamctl` refuses this card."""
+
+_HISTORY = 64
+_FOREVER = 1 << 62
+
+
+# --- the registers: the mirror of `Registers` in device.h --------------------------------
+
+
+class Plant(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_double) for name in ("position_m", "velocity", "pressure_pa")]
+
+
+class Owner(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_int64) for name in ("pid", "born", "task")]
+
+
+class Fault(ctypes.Structure):
+    _fields_ = [
+        ("function", ctypes.c_char * 48),
+        ("code", ctypes.c_int64),
+        ("after", ctypes.c_int64),
+        ("times", ctypes.c_int64),
+        ("hang_s", ctypes.c_double),
+        ("is_deaf", ctypes.c_int64),
+    ]
+
+
+class Registers(ctypes.Structure):
+    _fields_ = [
+        ("size", ctypes.c_int64),
+        ("is_virtual", ctypes.c_int64),
+        ("virtual_ns", ctypes.c_int64),
+        ("plant_ns", ctypes.c_int64),
+        ("plant", Plant),
+        ("ao_v", ctypes.c_double * 2),
+        ("ao_ns", ctypes.c_int64),
+        ("ao_writes", ctypes.c_int64),
+        ("ao_history_v", ctypes.c_double * _HISTORY),
+        ("driver_offset_v", ctypes.c_double),
+        ("sensor_zero_v", ctypes.c_double),
+        ("sensor_pa_per_v", ctypes.c_double),
+        ("noise_v", ctypes.c_double),
+        ("noise_state", ctypes.c_int64),
+        ("wire_is_broken", ctypes.c_int64),
+        ("ai_terminal", ctypes.c_int64),
+        ("ai_full_scale_v", ctypes.c_double),
+        ("encoder_m_per_edge", ctypes.c_double),
+        ("encoder_phase_edges", ctypes.c_double),
+        ("encoder_sign", ctypes.c_int64),
+        ("encoder_is_unplugged", ctypes.c_int64),
+        ("encoder_edges", ctypes.c_int64),
+        ("counter", ctypes.c_int64),
+        ("counter_runs", ctypes.c_int64),
+        ("counter_edges_per_count", ctypes.c_int64),
+        ("counter_filter_s", ctypes.c_double),
+        ("counter_z_resets", ctypes.c_int64),
+        ("ticks_are_unsigned", ctypes.c_int64),
+        ("is_gone", ctypes.c_int64),
+        ("owners", Owner * 5),
+        ("faults", Fault * 8),
+        ("mutex_is_ready", ctypes.c_int64),
+        ("mutex", ctypes.c_int64 * 5),
+    ]
+
+
+_POWER_UP = {
+    "size": ctypes.sizeof(Registers),
+    "driver_offset_v": 5.0,
+    "sensor_zero_v": 0.215,
+    "sensor_pa_per_v": 1.0 / (5.0 * 1.2858e-6),
+    "noise_state": 88172645463325252,
+    "encoder_m_per_edge": 25.4e-3 / 8000.0,
+    "encoder_phase_edges": 0.4,
+    "encoder_sign": 1,
+    "counter_edges_per_count": 1,
+}
+"""What is not zero when the computer is switched on; the sensors are the sim rig's."""
+
+
+class Card:
+    """One card in the computer."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        path.write_bytes(bytes(ctypes.sizeof(Registers)))
+        with path.open("r+b") as file:
+            self._map = mmap.mmap(file.fileno(), ctypes.sizeof(Registers))
+        self.registers = Registers.from_buffer(self._map)
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Switch the computer off and on; only the mutex stays as it is."""
+        until_mutex = Registers.mutex_is_ready.offset
+        ctypes.memset(ctypes.addressof(self.registers), 0, until_mutex)
+        for name, value in _POWER_UP.items():
+            setattr(self.registers, name, value)
+        self.registers.plant.pressure_pa = 101.3e3
+
+    @property
+    def output_v(self) -> float:
+        """What a voltmeter on AO 0 shows."""
+        return float(self.registers.ao_v[0])
+
+    @property
+    def written_v(self) -> list[float]:
+        """The last voltages written to any output, oldest first."""
+        writes = self.registers.ao_writes
+        first = max(0, writes - _HISTORY)
+        return [self.registers.ao_history_v[n % _HISTORY] for n in range(first, writes)]
+
+    def stop_time(self) -> None:
+        """Let time stand still but for `set_time_ns`."""
+        self.registers.is_virtual = 1
+        self.registers.virtual_ns = 1
+
+    def set_time_ns(self, now_ns: int) -> None:
+        """Move the time that stands still; it begins at 1 ns."""
+        self.registers.virtual_ns = now_ns + 1
+
+    def fail(
+        self,
+        function: str,
+        code: int = 0,
+        *,
+        after: int = 0,
+        times: int = _FOREVER,
+        hang_s: float = 0.0,
+        is_deaf: bool = False,
+    ) -> None:
+        """Let `times` calls of a driver function go wrong, once `after` have gone right.
+
+        A positive code is a warning. A call that hangs longer than its timeout returns
+        -200284, unless it is deaf to it.
+        """
+        fault = next(fault for fault in self.registers.faults if fault.times == 0)
+        fault.function = function.encode()
+        fault.code, fault.after = code, after
+        fault.hang_s, fault.is_deaf = hang_s, is_deaf
+        fault.times = times  # last: it arms the fault
+
+    def mend(self) -> None:
+        """Take every fault away."""
+        for fault in self.registers.faults:
+            fault.times = 0
+
+    def environment(self) -> Mapping[str, str]:
+        """What a process needs in its environment to find the driver and this card."""
+        search = os.pathsep.join([str(library().parent), os.environ.get("LD_LIBRARY_PATH", "")])
+        return {
+            **os.environ,
+            "LD_LIBRARY_PATH": search.rstrip(os.pathsep),
+            "STANDIN_DEVICE": str(self.path),
+            PERMIT: "1",
+        }
+
+
+# --- the driver --------------------------------------------------------------------------
+
+
+def library() -> Path:
+    """Build the driver, or find it built from the same source."""
+    source = b"".join(path.read_bytes() for path in sorted(HERE.glob("*.[ch]")))
+    digest = hashlib.sha256(source).hexdigest()[:16]
+    directory = Path(tempfile.gettempdir()) / f"pamctl-standin-{os.getuid()}-{digest}"
+    built = directory / SONAME
+    if not built.exists():
+        directory.mkdir(mode=0o700, exist_ok=True)
+        _compile(directory, built)
+    return built
+
+
+def _compile(directory: Path, built: Path) -> None:
+    with tempfile.TemporaryDirectory(dir=directory) as scratch:
+        fresh = Path(scratch) / SONAME
+        options = ["-O2", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-fvisibility=hidden"]
+        shared = ["-shared", "-fPIC", f"-Wl,-soname,{SONAME}", "-o", str(fresh)]
+        sources = [str(path) for path in sorted(HERE.glob("*.c"))]
+        subprocess.run(
+            ["gcc", *options, *shared, *sources, "-lm", "-lpthread"], check=True, timeout=120
+        )
+        with suppress(FileExistsError):
+            (directory / "libnidaqmx.so").symlink_to(SONAME)
+        fresh.rename(built)  # whole or not at all
+
+
+def require_compiler() -> None:
+    """Skip the test where there is no gcc; in CI get one, or fail."""
+    if not shutil.which("gcc") and os.geteuid() == 0 and shutil.which("apt-get"):
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "check": False}
+        subprocess.run(["apt-get", "update"], **quiet, timeout=300)
+        subprocess.run(["apt-get", "install", "-y", "gcc", "libc6-dev"], **quiet, timeout=600)
+    if not shutil.which("gcc"):
+        missing = "the stand-in driver needs gcc: apt install gcc libc6-dev"
+        if os.environ.get("CI") == "true":
+            pytest.fail(missing)
+        pytest.skip(missing)
+
+
+@cache
+def here() -> Card:
+    """Return the card of this very process; its driver is loaded once.
+
+    The nidaqmx package asks `ctypes.util.find_library`, whose linker heeds LD_LIBRARY_PATH as
+    it now is; the loader heeds what it was when the process began, but knows by its soname
+    what is loaded already. Afterwards the environment is as before: other tests count on a
+    computer without a driver.
+    """
+    require_compiler()
+    directory = Path(tempfile.mkdtemp(prefix="pamctl-card-"))
+    atexit.register(shutil.rmtree, directory, ignore_errors=True)
+    card = Card(directory / "registers")
+    ctypes.CDLL(str(library()), ctypes.RTLD_GLOBAL)
+    before = dict(os.environ)
+    os.environ.update(card.environment())
+    try:
+        from nidaqmx.system import System
+
+        assert [device.name for device in System.local().devices] == ["Dev1"]
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+    return card
+
+
+def advance(state: tuple[float, float, float], command_v: float, duration_s: float) -> list[float]:
+    """Let time pass for the C plant alone: position, velocity and pressure."""
+    numbers = (ctypes.c_double * 3)(*state)
+    function = ctypes.CDLL(str(library())).StandInAdvance
+    function.argtypes = [ctypes.POINTER(ctypes.c_double), ctypes.c_double, ctypes.c_double]
+    function.restype = None
+    function(numbers, command_v, duration_s)
+    return list(numbers)

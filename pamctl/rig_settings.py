@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from hal.calibration import CalibrationSettings
 from hal.configured import Configured
 from hal.faulty import FaultSettings
+from hal.nidaq_settings import NidaqSettings
 from hal.sim import SimSettings
 from pamctl.control.homing import HomingSettings
 from pamctl.realtime.pace import LoopSettings
@@ -58,7 +59,14 @@ class NidaqRigSettings(_Rig):
 
     backend: Literal["nidaq"]
     safe_volts: SafeVolts
-    device: Annotated[str, Field(min_length=1, pattern="^[A-Za-z][A-Za-z0-9_]*$")] = "Dev1"
+    nidaq: NidaqSettings = NidaqSettings()
+
+    @model_validator(mode="after")
+    def _safe_volts_can_be_driven(self) -> NidaqRigSettings:
+        low_v, high_v = self.nidaq.output_low_v, self.nidaq.output_high_v
+        if not low_v <= self.safe_volts <= high_v:
+            raise ValueError(f"safe_volts must lie within the output's range, {low_v} to {high_v}")
+        return self
 
 
 RigSettings = Annotated[SimRigSettings | NidaqRigSettings, Field(discriminator="backend")]

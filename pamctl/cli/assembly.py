@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -22,6 +23,8 @@ from pamctl.safety import limits
 from pamctl.settings import RunSettings
 from pamctl.signals import Truth
 
+_UNKNOWN = Truth(math.nan, math.nan)
+
 
 class Parts(NamedTuple):
     """What a backend brings."""
@@ -39,20 +42,30 @@ def clock_of(settings: RunSettings, *, may_spin: bool) -> Clock:
     return GridClock(period_ns, spin_ns=round(loop.spin_us * 1e3) if may_spin else 0)
 
 
+def require_backend(settings: RunSettings) -> None:
+    """Load what the backend needs; raise `RigError` where its device cannot be had."""
+    if isinstance(settings.rig, NidaqRigSettings):
+        try:
+            from hal.nidaq import require_card
+        # Whatever it is: the package reads any `.env` that it finds from here upwards.
+        except Exception as error:
+            raise RigError(
+                f"the package nidaqmx cannot be imported: {error}",
+                fix="move a broken .env or settings.ini out of this directory, or reinstall pamctl",
+            ) from error
+        require_card(settings.rig.nidaq)
+
+
 def rig_of(settings: RunSettings, clock: Clock) -> Parts:
-    """Return the rig; raise `RigError` where the backend cannot be had."""
+    """Return the rig, not yet opened."""
     match settings.rig:
         case SimRigSettings():
             return _sim(settings, settings.rig, clock)
-        case NidaqRigSettings():
-            from hal.nidaq import require_driver
+        case NidaqRigSettings() as rig:
+            from hal.nidaq import NidaqRig
 
-            version = require_driver()
-            raise RigError(
-                f"NI-DAQmx {version} is installed, but this version of pamctl does not drive "
-                "the card yet",
-                fix="run with --backend sim",
-            )
+            card = NidaqRig(rig.nidaq, safe_output_v=rig.safe_volts, now_ns=clock.now_ns)
+            return Parts(card, lambda: _UNKNOWN)
 
 
 def _sim(settings: RunSettings, rig: SimRigSettings, clock: Clock) -> Parts:

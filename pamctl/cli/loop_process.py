@@ -13,7 +13,14 @@ from contextlib import suppress
 from typing import NoReturn
 
 from hal.rig import RigError
-from pamctl.cli.assembly import clock_of, nominal_zero_of, program_of, rig_of, setup_of
+from pamctl.cli.assembly import (
+    clock_of,
+    nominal_zero_of,
+    program_of,
+    require_backend,
+    rig_of,
+    setup_of,
+)
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.journal import PatientJournal, RingJournal
 from pamctl.realtime.loop import control
@@ -59,6 +66,8 @@ def _run(ring: Ring) -> Ending:
     supervisor.listen()
     if not _recorder_is_ready(ring):
         return Ending(ExitCode.UNEXPECTED, "the recorder did not start")
+    # Now, while this is a process like any other: loading a driver is no work for FIFO.
+    require_backend(settings)
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
         _record_start(ring, settings, preparation)
         clock = clock_of(settings, may_spin=preparation.may_spin)

@@ -18,7 +18,7 @@ import typer
 from hal.calibration import Zero, calibration
 from hal.rig import RigError
 from pamctl import __version__
-from pamctl.cli.assembly import clock_of, rig_of
+from pamctl.cli.assembly import clock_of, require_backend
 from pamctl.cli.config import (
     ControllerOption,
     DurationOption,
@@ -123,7 +123,8 @@ def _run(
 ) -> int:
     _finish_orphans(quiet=quiet)
     try:
-        _require_backend(settings)
+        # Before anything is created.
+        require_backend(settings)
         path = _log_path(log, names)
         ring = Ring.create(_ring_path(), _meta(settings, names, path), settings.rig.loop.ring_rows)
     except RigError as error:
@@ -143,11 +144,6 @@ def _run(
             raise
     progress.done()
     return _conclude(settings, names, path, report, as_json=as_json)
-
-
-def _require_backend(settings: RunSettings) -> None:
-    """Find out before anything is created whether the device can be had."""
-    rig_of(settings, clock_of(settings, may_spin=False))
 
 
 def _finish_orphans(*, quiet: bool) -> None:

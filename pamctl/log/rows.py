@@ -71,8 +71,8 @@ class RowLogger:
         if entry.row <= self.last_row:
             return
         value = self._value(entry)
-        if value.get("event") == "timing_setup":
-            self._writer.metadata("timing_setup", _as_text(value))
+        if value.get("event") in _METADATA_EVENTS:
+            self._writer.metadata(value["event"], _as_text(value))
         where = {"tick": entry.tick, "t_ns": entry.t_ns, "row": entry.row}
         time = max(entry.t_ns + self._wall_less_mono, 0)
         topic = _TOPICS[entry.kind]
@@ -89,6 +89,10 @@ class RowLogger:
     @property
     def _wall_less_mono(self) -> int:
         return self._meta.start_wall_ns - self._meta.start_mono_ns
+
+
+_METADATA_EVENTS = ("timing_setup", "rig")
+"""What the loop finds out about itself at its start: of the whole run, not of a moment."""
 
 
 def _as_text(value: Mapping[str, object]) -> dict[str, str]:

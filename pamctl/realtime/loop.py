@@ -73,6 +73,7 @@ def control(
     """
     try:
         with opened(rig):
+            journal.put_event(0, clock.now_ns(), {"event": "rig", **rig.describe()})
             return _Loop(rig, clock, setup, nominal_zero, program, journal, supervisor, truth).run()
     except RigError as error:
         return Ending(ExitCode.UNAVAILABLE, str(error))

@@ -1,0 +1,40 @@
+"""NI-DAQmx's error numbers that a user can do something about, and what.
+
+Numbers, not the package's names: those differ between its versions, and a warning's name
+from its error's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+INSTALL = (
+    "install NI-DAQmx for Linux (package ni-daqmx from NI's repository), reboot, "
+    "and check that `nilsdev` lists the card; or run with --backend sim"
+)
+
+_BUSY = "another program holds this part of the card: end it (a run of pamctl? a test panel?)"
+_ABSENT = (
+    "check that the card is seated and powered and that `nilsdev` lists it under the name "
+    "in nidaq.device of the rig file"
+)
+_TIMEOUT = "the card did not answer in time: is the PC overloaded, or the card failing?"
+_OUTPUT_RANGE = "check nidaq.output_low_v and nidaq.output_high_v of the rig file"
+
+FIXES: Mapping[int, str] = {
+    -50103: _BUSY,
+    -200022: _BUSY,
+    -50152: "the driver cannot talk to the card: reboot, and check that its kernel modules load",
+    -200077: "the card does not offer a value of section nidaq of the rig file",
+    -200170: "the card has no such channel: check the channels in section nidaq of the rig file",
+    -200220: _ABSENT,
+    -200284: _TIMEOUT,
+    -200474: _TIMEOUT,
+    -200561: _OUTPUT_RANGE,
+    -201003: _ABSENT,
+}
+
+
+def fix_of(code: int) -> str:
+    """Return what to do about an error of NI-DAQmx."""
+    return FIXES.get(code, "look the number up at ni.com, and see whether a reboot helps")

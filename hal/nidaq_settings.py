@@ -1,0 +1,51 @@
+"""How the rig is wired to an NI M Series card, as a rig file says it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from hal.configured import Configured
+
+
+class NidaqSettings(Configured):
+    """Which terminals of which card, and in what ranges."""
+
+    device: Annotated[
+        str,
+        Field(pattern="^[A-Za-z][A-Za-z0-9_-]*$", description="as `nilsdev` lists it"),
+    ] = "Dev1"
+    pressure_channel: Annotated[str, Field(pattern="^ai([0-9]|[1-7][0-9])$")] = "ai0"
+    terminal: Annotated[
+        Literal["rse", "nrse", "diff"],
+        Field(description="rse for a sensor fed by the card, nrse for one grounded elsewhere"),
+    ] = "rse"
+    input_low_v: Annotated[float, Field(ge=-10, le=10)] = -5.0
+    input_high_v: Annotated[
+        float, Field(ge=-10, le=10, description="the card takes its narrowest range that fits")
+    ] = 5.0
+    encoder_counter: Literal["ctr0", "ctr1"] = "ctr0"
+    encoder_filter_ns: Annotated[
+        Literal[0, 125, 6425],
+        Field(description="shortest pulse that counts; 6425 loses counts above 0.99 m/s, 0 is off"),
+    ] = 125
+    valve_channel: Literal["ao0", "ao1"] = "ao0"
+    output_low_v: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    output_high_v: Annotated[
+        float, Field(ge=-10, le=10, description="no voltage outside these two leaves the rig")
+    ] = 10.0
+    timing: Annotated[
+        Literal["on_demand"], Field(description="the loop's clock asks for each sample")
+    ] = "on_demand"
+    timeout_s: Annotated[
+        float, Field(gt=0, le=1, description="of a single read or write in the driver")
+    ] = 0.02
+
+    @model_validator(mode="after")
+    def _ordered(self) -> NidaqSettings:
+        if self.input_low_v >= self.input_high_v:
+            raise ValueError("input_low_v must be below input_high_v")
+        if self.output_low_v >= self.output_high_v:
+            raise ValueError("output_low_v must be below output_high_v")
+        return self

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from standin.standin import PERMIT, here
 
 from hal.calibration import CalibrationSettings
 from hal.faulty import FaultSettings, FaultyRig
+from hal.nidaq_settings import NidaqSettings
 from hal.rig import RawSample, Rig, RigError, opened
 from hal.sim import SimRig, SimSettings, sensor_chain
 from pamctl.plant.model import PlantSettings, plant_parameters
@@ -46,15 +49,15 @@ class PassingTime:
 
 
 def sim(output_delay_ticks: int = 0) -> Bench:
-    time = PassingTime()
+    passing = PassingTime()
     rig = SimRig(
         SimulatedPlant(plant_parameters(PlantSettings())),
         sensor_chain(SimSettings(), CalibrationSettings()),
         safe_output_v=SAFE_V,
-        now_ns=time.now_ns,
+        now_ns=passing.now_ns,
         output_delay_ticks=output_delay_ticks,
     )
-    return Bench(rig, time.now_ns, lambda: rig.output_v)
+    return Bench(rig, passing.now_ns, lambda: rig.output_v)
 
 
 def sim_with_delay() -> Bench:
@@ -67,7 +70,34 @@ def faulty_without_faults_due() -> Bench:
     return bench._replace(rig=FaultyRig(bench.rig, faults))
 
 
-FACTORIES = [sim, sim_with_delay, faulty_without_faults_due]
+_cards_in_use: list[Rig] = []
+"""Rigs that hold the one card there is, as SimRigs that were forgotten do not."""
+
+
+def give_the_card_back() -> None:
+    while _cards_in_use:
+        _cards_in_use.pop().close()
+
+
+def nidaq() -> Bench:
+    """The card's backend over the stand-in driver, on the whole range of its output."""
+    card = here()
+    from hal.nidaq import NidaqRig
+
+    give_the_card_back()
+    rig = NidaqRig(NidaqSettings(output_low_v=-10.0), safe_output_v=SAFE_V)
+    _cards_in_use.append(rig)
+    return Bench(rig, time.monotonic_ns, lambda: card.output_v)
+
+
+@pytest.fixture(autouse=True)
+def _one_card_for_all(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv(PERMIT, "1")
+    yield
+    give_the_card_back()
+
+
+FACTORIES = [sim, sim_with_delay, faulty_without_faults_due, nidaq]
 
 every_rig = pytest.mark.parametrize("make", FACTORIES)
 Make = Callable[[], Bench]
@@ -197,7 +227,9 @@ def test_a_rig_describes_itself_before_open_in_json(make: Make) -> None:
     assert before["backend"]
     assert json.loads(json.dumps(before, allow_nan=False)) == before
     rig.open()
-    assert dict(rig.describe()) == before
+    after = dict(rig.describe())
+    assert {name: after[name] for name in before} == before
+    assert json.loads(json.dumps(after, allow_nan=False)) == after
 
 
 @every_rig

@@ -441,7 +441,7 @@ def test_make_safe_outwaits_a_holder_that_is_just_dying(
 @pytest.mark.parametrize(
     ("override", "complaint"),
     [
-        ("rig.safe_volts=-1", "safe_volts must lie within the output's range, 0.0 to 10.0"),
+        ("rig.nidaq.output_low_v=1", "safe_volts must lie within the output's range, 1.0 to 10.0"),
         ("rig.nidaq.output_low_v=10", "output_low_v must be below output_high_v"),
         ("rig.nidaq.input_low_v=5", "input_low_v must be below input_high_v"),
         ("rig.nidaq.terminal=pseudo", "nidaq.terminal"),

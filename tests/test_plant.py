@@ -210,7 +210,9 @@ def slid_by_scipy(
     """M v' = drive - friction(v), piece by piece between stops."""
     time = 0.0
     for _ in range(3):  # a stop at the most, and then for good
-        if v == 0.0 and forces.lower_n <= forces.drive_n <= forces.upper_n:
+        # A nanonewton outside the band moves it by less than the tolerance, and SciPy's event
+        # would take its rounding for a stop.
+        if v == 0.0 and forces.lower_n - 1e-9 <= forces.drive_n <= forces.upper_n + 1e-9:
             return x, 0.0
         up = v > 0.0 or (v == 0.0 and forces.drive_n > forces.upper_n)
         band = forces.upper_n if up else forces.lower_n

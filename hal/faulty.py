@@ -87,6 +87,11 @@ class FaultyRig:
         """Make the inner rig safe. A lost device is safe only because the inner one is real."""
         self._inner.make_safe()
 
+    @property
+    def safe_failure(self) -> RigError | None:
+        """What kept the inner rig from its safe voltage."""
+        return self._inner.safe_failure
+
     def close(self) -> None:
         """Close the inner rig."""
         self._inner.close()

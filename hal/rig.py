@@ -1,7 +1,7 @@
 """The interface every rig implements, and the one page to read before adding one.
 
 A rig knows volts and counts; it knows nothing of muscles. To add one: write a
-class with the six methods of `Rig`, run `tests/test_rig_contract.py` over it,
+class with the methods of `Rig`, run `tests/test_rig_contract.py` over it,
 and name it in the composition root (`pamctl/cli/assembly.py`).
 """
 
@@ -59,7 +59,15 @@ class Rig(Protocol):
         """
 
     def make_safe(self) -> None:
-        """Drive the safe voltage. Never raises, idempotent, legal in every state."""
+        """Drive the safe voltage. Never raises, idempotent, legal in every state.
+
+        Where the rig is not open it takes the output for a moment: so a process that
+        outlives the owner of a rig makes it safe.
+        """
+
+    @property
+    def safe_failure(self) -> RigError | None:
+        """Why the last `make_safe` could not drive the safe voltage; None where it did."""
 
     def close(self) -> None:
         """Make safe, then release the device. Never raises, idempotent."""

@@ -21,6 +21,7 @@ from hal.calibration import (
 )
 from hal.configured import Configured
 from hal.converter import Converter, converted_v
+from hal.register import PrivateRegister, Register
 from hal.rig import RawSample, RigError
 
 
@@ -42,6 +43,13 @@ class Plant(Protocol):
 class SimSettings(Configured):
     """How the simulated sensors and output differ from ideal ones."""
 
+    device: Annotated[
+        str,
+        Field(
+            pattern="^[A-Za-z][A-Za-z0-9_-]{0,40}$",
+            description="in real time one run at a time holds it, as it would a card",
+        ),
+    ] = "sim0"
     sensor_noise_v: Annotated[
         float, Field(ge=0, le=0.5, description="standard deviation; 0.002 V is some 300 Pa")
     ] = 0.002
@@ -102,8 +110,12 @@ class SimRig:
         now_ns: Callable[[], int],
         output_delay_ticks: int = 0,
         seed: int = 0,
+        register: Register | None = None,
     ) -> None:
-        """`safe_output_v` is the analog output voltage at which the rig is safe."""
+        """`safe_output_v` is the analog output voltage at which the rig is safe.
+
+        `register` is where the output's voltage is held; by default within this object.
+        """
         self._plant = plant
         self._chain = chain
         self._safe_output_v = safe_output_v
@@ -111,13 +123,14 @@ class SimRig:
         self._delay_ticks = output_delay_ticks
         self._noise = random.Random(seed).gauss
         self._plant_t_ns = 0
-        self._output_v = safe_output_v
+        self._register = register or PrivateRegister(safe_output_v)
+        self._safe_failure: RigError | None = None
         self._command_v = 0.0
-        self._next_command_v = 0.0
         self._is_open = False
 
     def open(self) -> None:
-        """Drive the safe voltage and start the plant's time."""
+        """Reserve the output, drive the safe voltage and start the plant's time."""
+        self._register.reserve()
         self._plant_t_ns = self._now_ns()
         self._is_open = True
         self.make_safe()
@@ -127,7 +140,7 @@ class SimRig:
         self._require_open()
         now_ns = self._now_ns()
         self._catch_up(now_ns)
-        self._command_v = self._next_command_v
+        self._apply()
         plant, chain = self._plant, self._chain
         return RawSample(
             sensed_pressure_v(chain, plant.pressure_pa, self._noise(0.0, 1.0)),
@@ -141,30 +154,44 @@ class SimRig:
         self._require_open()
         if not math.isfinite(ao_v):
             raise RigError(f"refused to output {ao_v} V", fix="a law must command a finite voltage")
-        self._drive(ao_v)
+        applied_v = self._drive(ao_v)
         if not self._delay_ticks:
             self._catch_up(self._now_ns())
-            self._command_v = self._next_command_v
-        return self._output_v
+            self._apply()
+        return applied_v
 
     def make_safe(self) -> None:
         """Drive the safe voltage, at once and whatever has become of the plant."""
+        try:
+            self._register.reserve()
+        except RigError as error:
+            self._safe_failure = error
+            return
+        self._safe_failure = None
         self._drive(self._safe_output_v)
         if self._is_open:
             # A plant that fails is for the next read to report.
             with suppress(ArithmeticError, ValueError):
                 self._catch_up(self._now_ns())
-        self._command_v = self._next_command_v
+        else:
+            self._register.release()
+        self._apply()
 
     def close(self) -> None:
-        """Make safe and stop."""
+        """Make safe, stop, and leave the output to others."""
         self.make_safe()
+        self._register.release()
         self._is_open = False
 
     @property
     def output_v(self) -> float:
         """The voltage now on the analog output."""
-        return self._output_v
+        return self._register.volts
+
+    @property
+    def safe_failure(self) -> RigError | None:
+        """Why the last `make_safe` could not drive the safe voltage; None where it did."""
+        return self._safe_failure
 
     def describe(self) -> Mapping[str, object]:
         """Name what is simulated."""
@@ -178,9 +205,13 @@ class SimRig:
             "encoder_m_per_count": self._chain.calibration.encoder_m_per_count,
         }
 
-    def _drive(self, ao_v: float) -> None:
-        self._output_v = converted_v(self._chain.output_converter, ao_v)
-        self._next_command_v = valve_v(self._chain.calibration, self._output_v)
+    def _drive(self, ao_v: float) -> float:
+        volts = self._register.volts = converted_v(self._chain.output_converter, ao_v)
+        return volts
+
+    def _apply(self) -> None:
+        """Let what stands in the register, whoever wrote it, reach the valve."""
+        self._command_v = valve_v(self._chain.calibration, self._register.volts)
 
     def _catch_up(self, now_ns: int) -> None:
         if now_ns > self._plant_t_ns:

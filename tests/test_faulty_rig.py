@@ -38,6 +38,10 @@ class CountingRig:
     def make_safe(self) -> None:
         self.calls.append("make_safe")
 
+    @property
+    def safe_failure(self) -> RigError | None:
+        return None
+
     def close(self) -> None:
         self.calls.append("close")
 

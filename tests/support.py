@@ -46,6 +46,9 @@ class MemoryJournal:
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
         self.keyframes.append((tick, state))
 
+    def no_more_ticks(self) -> None:
+        pass
+
     def named(self, name: str) -> list[Mapping[str, object]]:
         """Return the events of one name."""
         return [event for _, event in self.events if event["event"] == name]

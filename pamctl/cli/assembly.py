@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 from hal.calibration import Calibration, Zero, calibration, valve_v
 from hal.faulty import FaultyRig
+from hal.register import SharedRegister
 from hal.rig import RawSample, Rig, RigError
 from hal.sim import SimRig, sensor_chain
 from pamctl.control.experiment import Course, segments
@@ -22,6 +24,9 @@ from pamctl.rig_settings import NidaqRigSettings, SimRigSettings
 from pamctl.safety import limits
 from pamctl.settings import RunSettings
 from pamctl.signals import Truth
+
+SHARED_MEMORY = Path("/dev/shm")
+"""Where rings, simulated outputs and the locks of devices lie: gone with the next boot."""
 
 _UNKNOWN = Truth(math.nan, math.nan)
 
@@ -70,6 +75,7 @@ def rig_of(settings: RunSettings, clock: Clock) -> Parts:
 
 def _sim(settings: RunSettings, rig: SimRigSettings, clock: Clock) -> Parts:
     plant = SimulatedPlant(plant_parameters(settings.plant))
+    device = rig.sim.device
     sim = SimRig(
         plant,
         sensor_chain(rig.sim, rig.calibration),
@@ -77,9 +83,24 @@ def _sim(settings: RunSettings, rig: SimRigSettings, clock: Clock) -> Parts:
         now_ns=clock.now_ns,
         output_delay_ticks=rig.sim.output_delay_ticks,
         seed=settings.seed,
+        register=None if settings.fast else SharedRegister(ao_path(device), device),
     )
     whole = FaultyRig(sim, rig.faults) if rig.faults else sim
     return Parts(whole, lambda: Truth(plant.position_m, plant.pressure_pa))
+
+
+def ao_path(device: str) -> Path:
+    """Return where the output of a simulated device lies in real time."""
+    return SHARED_MEMORY / f"pamctl-{device}.ao"
+
+
+def device_of(settings: RunSettings) -> str:
+    """Return the name of the device that a run needs for itself."""
+    match settings.rig:
+        case SimRigSettings():
+            return settings.rig.sim.device
+        case NidaqRigSettings():
+            return settings.rig.nidaq.device
 
 
 def setup_of(settings: RunSettings) -> TickSetup:

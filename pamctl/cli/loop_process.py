@@ -23,6 +23,7 @@ from pamctl.cli.assembly import (
 )
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.journal import PatientJournal, RingJournal
+from pamctl.realtime.last_words import outcome, put_last
 from pamctl.realtime.loop import control
 from pamctl.realtime.ring import RecorderFlag, Ring, RingFull
 from pamctl.realtime.scheduling import Preparation, SchedulingRefused, prepare
@@ -54,9 +55,7 @@ def _report_failure(ring: Ring) -> Ending:
 
         traceback.print_exc()
         ending = Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
-    tick = ring.latest_tick() or {"tick": 0, "encoder_t_ns": ring.meta.start_mono_ns}
-    event = {"event": "outcome", "code": int(ending.code), "reason": ending.reason}
-    ring.put_event(int(tick["tick"]), int(tick["encoder_t_ns"]), event)
+    put_last(ring, outcome(ending))
     return ending
 
 
@@ -68,6 +67,8 @@ def _run(ring: Ring) -> Ending:
         return Ending(ExitCode.UNEXPECTED, "the recorder did not start")
     # Now, while this is a process like any other: loading a driver is no work for FIFO.
     require_backend(settings)
+    if not settings.fast and not _guardian_is_ready(ring):
+        return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
         _record_start(ring, settings, preparation)
         clock = clock_of(settings, may_spin=preparation.may_spin)
@@ -89,6 +90,16 @@ def _recorder_is_ready(ring: Ring) -> bool:
     deadline_s = time.monotonic() + 10.0
     while not ring.recorder_flags & RecorderFlag.READY:
         if ring.recorder_flags & RecorderFlag.FAILED or time.monotonic() > deadline_s:
+            return False
+        time.sleep(2e-3)
+    return True
+
+
+def _guardian_is_ready(ring: Ring) -> bool:
+    """Wait for the guardian: no valve may be moved that nobody could close."""
+    deadline_s = time.monotonic() + 10.0
+    while not ring.guardian_ready:
+        if ring.guardian_lost or time.monotonic() > deadline_s:
             return False
         time.sleep(2e-3)
     return True

@@ -8,7 +8,8 @@ import platform
 import socket
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,9 +17,10 @@ from typing import Annotated, Any
 import typer
 
 from hal.calibration import Zero, calibration
-from hal.rig import RigError
+from hal.reservation import reserved
+from hal.rig import Rig, RigError
 from pamctl import __version__
-from pamctl.cli.assembly import clock_of, require_backend
+from pamctl.cli.assembly import SHARED_MEMORY, clock_of, device_of, require_backend, rig_of
 from pamctl.cli.config import (
     ControllerOption,
     DurationOption,
@@ -37,7 +39,7 @@ from pamctl.log.meta import RunMeta
 from pamctl.log.schema import SCHEMA_VERSION
 from pamctl.problems import ConfigError, Problem
 from pamctl.realtime.ending import Ending, ExitCode
-from pamctl.realtime.front import FrontReport, conduct
+from pamctl.realtime.front import Commands, FrontReport, conduct
 from pamctl.realtime.loop import keyframe_fields
 from pamctl.realtime.ring import Ring, RingError
 from pamctl.realtime.tick import first_state
@@ -80,7 +82,7 @@ def run(
         settings = resolve(
             controller=controller,
             experiment=experiment,
-            rig=_rig_name(backend, rig),
+            rig=rig_name(backend, rig),
             plant=plant,
             overrides=overrides or (),
             seed=seed,
@@ -88,7 +90,7 @@ def run(
             fast=fast or None,
             rt=rt,
         )
-        _check_backend(settings, backend, rig)
+        check_backend(settings, backend, rig)
     if dry_run:
         typer.echo(to_json(settings) if as_json else to_yaml(settings).rstrip())
         return
@@ -96,19 +98,21 @@ def run(
         "controller": controller or DEFAULT_NAMES["controller"],
         "experiment": experiment or DEFAULT_NAMES["experiment"],
         "plant": plant or DEFAULT_NAMES["plant"],
-        "rig": rig or _rig_name(backend, rig) or DEFAULT_NAMES["rig"],
+        "rig": rig or rig_name(backend, rig) or DEFAULT_NAMES["rig"],
     }
     sys.exit(_run(settings, names, log, as_json=as_json, quiet=quiet))
 
 
-def _rig_name(backend: str | None, rig: str | None) -> str | None:
+def rig_name(backend: str | None, rig: str | None) -> str | None:
+    """Return the rig that `--backend` and `--rig` mean together; raise `ConfigError`."""
     if backend is not None and backend not in RIG_OF_BACKEND:
         known = ", ".join(RIG_OF_BACKEND)
         raise ConfigError([Problem(f"--backend {backend}", "", f"unknown; there are {known}")])
     return rig if rig is not None or backend is None else RIG_OF_BACKEND[backend]
 
 
-def _check_backend(settings: RunSettings, backend: str | None, rig: str | None) -> None:
+def check_backend(settings: RunSettings, backend: str | None, rig: str | None) -> None:
+    """Raise `ConfigError` where the options contradict the rig file."""
     found = settings.rig.backend
     if backend is not None and backend != found:
         message = f"the rig file {rig} is for the backend {found}"
@@ -121,50 +125,71 @@ def _check_backend(settings: RunSettings, backend: str | None, rig: str | None) 
 def _run(
     settings: RunSettings, names: dict[str, str], log: Path | None, *, as_json: bool, quiet: bool
 ) -> int:
-    _finish_orphans(quiet=quiet)
     try:
-        # Before anything is created.
-        require_backend(settings)
-        path = _log_path(log, names)
-        ring = Ring.create(_ring_path(), _meta(settings, names, path), settings.rig.loop.ring_rows)
-    except RigError as error:
-        return _fail(ExitCode.UNAVAILABLE, str(error))
+        with _secured(settings) as rig:
+            _finish_orphans(quiet=quiet)
+            path = _log_path(log, names)
+            meta = _meta(settings, names, path)
+            with Ring.create(_ring_path(), meta, settings.rig.loop.ring_rows) as ring:
+                progress = ProgressLine(quiet=quiet or as_json)
+                report = _conducted(ring, rig, progress, fast=settings.fast)
     except _LogPathError as error:
         return _fail(ExitCode.USAGE, str(error))
-    except RingError as error:
+    except (RigError, RingError) as error:
         return _fail(ExitCode.UNAVAILABLE, str(error))
-    progress = ProgressLine(quiet=quiet or as_json)
-    with ring:
-        loop_command = [sys.executable, "-m", "pamctl.cli.loop_process"]
-        try:
-            report = conduct(ring, loop_command, progress)
-        except BaseException:
-            if not ring.head:
-                ring.unlink()
-            raise
     progress.done()
     return _conclude(settings, names, path, report, as_json=as_json)
 
 
+@contextmanager
+def _secured(settings: RunSettings) -> Iterator[Rig]:
+    """Hold the device for this run alone, and make it safe before anything else is done.
+
+    Whatever ran before may have died with the valve open. Raises `RigError` before anything
+    is created where the device cannot be had.
+    """
+    require_backend(settings)
+    rig = rig_of(settings, clock_of(settings, may_spin=False)).rig
+    if settings.fast:  # simulated within the loop's process, and nobody's business
+        yield rig
+        return
+    device = device_of(settings)
+    with reserved(SHARED_MEMORY / f"pamctl-{device}.lock", device):
+        rig.make_safe()
+        if rig.safe_failure is not None:
+            raise rig.safe_failure
+        yield rig
+
+
+def _conducted(ring: Ring, rig: Rig, progress: ProgressLine, *, fast: bool) -> FrontReport:
+    start = [sys.executable, "-m"]
+    guardian = None if fast else [*start, "pamctl.cli.guardian_process"]
+    try:
+        return conduct(ring, Commands([*start, "pamctl.cli.loop_process"], guardian), rig, progress)
+    except BaseException:
+        if not ring.head:
+            ring.unlink()
+        raise
+
+
 def _finish_orphans(*, quiet: bool) -> None:
     """Finish the logs of runs that died with all their processes."""
-    if not any(_RING_DIRECTORY.glob("pamctl-*.ring")):
+    if not any(SHARED_MEMORY.glob("pamctl-*.ring")):
         return
     from pamctl.log.recover import recover_orphans
 
-    for orphan in recover_orphans(_RING_DIRECTORY):
+    for orphan in recover_orphans(SHARED_MEMORY):
         if not quiet:
             done = orphan.recovery and f"finished {orphan.recovery.destination}"
             what = done or f"could not finish its log: {orphan.problem}"
             print(f"a run died before ({orphan.ring}): {what}", file=sys.stderr)
 
 
-_RING_DIRECTORY = Path("/dev/shm")
 _LOG_DIRECTORY = Path("logs")
 
 
 def _ring_path() -> Path:
-    return _RING_DIRECTORY / f"pamctl-{os.getpid()}-{time.time_ns()}.ring"
+    return SHARED_MEMORY / f"pamctl-{os.getpid()}-{time.time_ns()}.ring"
 
 
 class _LogPathError(Exception):

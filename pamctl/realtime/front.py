@@ -1,7 +1,8 @@
 """The front: starts the processes of a run, watches over them, and picks up the pieces.
 
     front - recorder
-          - loop        (the guardian of a card takes its place beside them)
+          - guardian    (not without a clock)
+          - loop
 
 Each child sees the front's death as the end of a pipe. None of them hears Ctrl-C: the
 front does, and passes it on to the loop alone.
@@ -14,14 +15,17 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NamedTuple
 
+from hal.rig import Rig
 from pamctl.log.recorder import spawn
 from pamctl.log.recover import Recovery, finish_from_ring
 from pamctl.realtime.ending import Ending, ExitCode
-from pamctl.realtime.ring import RecorderFlag, Ring, RingFull
+from pamctl.realtime.guardianship import Guardianship
+from pamctl.realtime.last_words import outcome, speak_for_the_dead
+from pamctl.realtime.ring import RecorderFlag, Ring
 from pamctl.realtime.supervision import STOP_SIGNALS
 
 _POLL_S = 0.05
@@ -40,27 +44,38 @@ class FrontReport(NamedTuple):
     """What the user must know of the log; empty where all is well."""
 
 
-def conduct(ring: Ring, loop_command: Sequence[str], progress: Progress) -> FrontReport:
+class Commands(NamedTuple):
+    """How to start the processes that belong to a rig; the ring's path is appended."""
+
+    loop: Sequence[str]
+    guardian: Sequence[str] | None
+
+
+def conduct(ring: Ring, commands: Commands, rig: Rig, progress: Progress) -> FrontReport:
     """Run the loop on a fresh ring to its end; return when the log is on disk.
 
-    Takes over SIGINT and SIGTERM while it runs.
+    Takes over SIGINT and SIGTERM while it runs. `rig` is not opened here: it is made safe
+    where neither loop nor guardian is left to do it.
     """
     with _Forwarding() as signals:
         # The loop inherits the block and lifts it when it can listen: a signal that comes
         # while it starts waits for it, instead of killing it.
         with _blocked_signals():
             recorder = spawn(ring.path)
+            guardian = Guardianship(ring, commands.guardian, rig)
             loop = subprocess.Popen(
-                [*loop_command, str(ring.path)],
+                [*commands.loop, str(ring.path)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 process_group=0,
             )
+            ring.loop_pid = loop.pid
         signals.to(loop)
-        _watch(ring, loop, recorder, progress)
-        ending = _ending_of(loop)
+        _watch(ring, loop, recorder, guardian, progress)
+        ending = guardian.verdict_on(_ending_of(loop))
         if not ring.loop_done:
-            _speak_for_the_dead(ring, ending)
+            speak_for_the_dead(ring, outcome(ending))
+            ring.loop_done = 1
         return _close_log(ring, recorder, ending)
 
 
@@ -106,6 +121,7 @@ def _watch(
     ring: Ring,
     loop: subprocess.Popen[bytes],
     recorder: subprocess.Popen[bytes],
+    guardian: Guardianship,
     progress: Progress,
 ) -> None:
     """Return when the loop has ended; end it when the recorder has."""
@@ -115,6 +131,7 @@ def _watch(
             # The loop sees the flag at its next tick, and stops smoothly.
             ring.raise_flag(RecorderFlag.FAILED)
             told = True
+        guardian.look()
         tick = ring.latest_tick()
         if tick is not None:
             progress(tick, ring.worst_late_ns * 1e-9)
@@ -130,15 +147,6 @@ def _ending_of(loop: subprocess.Popen[bytes]) -> Ending:
         code = loop.returncode
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"left with {code}"
         return Ending(ExitCode.UNEXPECTED, f"the loop process {how}")
-
-
-def _speak_for_the_dead(ring: Ring, ending: Ending) -> None:
-    """Say in the log what a loop that was killed could not say itself."""
-    last = ring.latest_tick() or {"tick": 0, "encoder_t_ns": ring.meta.start_mono_ns}
-    event = {"event": "outcome", "code": int(ending.code), "reason": ending.reason}
-    with Ring.attach(ring.path) as dead, suppress(RingFull):
-        dead.put_event(int(last["tick"]), int(last["encoder_t_ns"]), event)
-    ring.loop_done = 1
 
 
 def _close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 
-from pamctl.realtime.ring import RecorderFlag, Ring, RingFull
+from pamctl.realtime.ring import LoopStage, RecorderFlag, Ring, RingFull
 from pamctl.signals import TickRecord
 
 
@@ -28,12 +28,19 @@ class RingJournal:
             self._ring.worst_late_ns = round(late_s * 1e9)
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
-        """Keep an event."""
+        """Keep an event. The first one, just before the first tick, starts the heartbeat."""
         self._ring.put_event(tick, t_ns, event)
+        self._ring.loop_beat_ns = self._now_ns()
+        self._ring.loop_stage = LoopStage.TICKING
 
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
         """Keep the frozen state."""
         self._ring.put_keyframe(tick, t_ns, state)
+
+    def no_more_ticks(self) -> None:
+        """Ask the guardian for patience: to release a card takes longer than a tick."""
+        self._ring.loop_beat_ns = self._now_ns()
+        self._ring.loop_stage = LoopStage.LEAVING
 
 
 class PatientJournal(RingJournal):

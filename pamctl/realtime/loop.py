@@ -37,6 +37,9 @@ class Journal(Protocol):
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
         """Keep the frozen state after a tick."""
 
+    def no_more_ticks(self) -> None:
+        """Learn that the valve is safe and will not be moved again."""
+
 
 class Supervisor(Protocol):
     """Who may end the run from outside."""
@@ -74,7 +77,13 @@ def control(
     try:
         with opened(rig):
             journal.put_event(0, clock.now_ns(), {"event": "rig", **rig.describe()})
-            return _Loop(rig, clock, setup, nominal_zero, program, journal, supervisor, truth).run()
+            loop = _Loop(rig, clock, setup, nominal_zero, program, journal, supervisor, truth)
+            try:
+                return loop.run()
+            finally:
+                # In this order: until the valve is safe, whoever watches counts milliseconds.
+                rig.make_safe()
+                journal.no_more_ticks()
     except RigError as error:
         return Ending(ExitCode.UNAVAILABLE, str(error))
     except HomingError as error:

@@ -19,6 +19,10 @@ class LoopSettings(Configured):
     cpu: Annotated[int | None, Field(ge=0, description="CPU of the loop; the last if absent")] = (
         None
     )
+    heartbeat_ms: Annotated[
+        float,
+        Field(ge=5, le=10_000, description="a loop silent for longer is killed by the guardian"),
+    ] = 50.0
     stop_ramp_s: Annotated[
         float, Field(ge=0.001, le=5, description="from the last command to the safe one")
     ] = 0.5

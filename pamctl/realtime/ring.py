@@ -61,6 +61,15 @@ class RecorderFlag:
     FINISHED = 8
 
 
+class LoopStage:
+    """How long the loop may be silent: `Ring.loop_stage`, in this order."""
+
+    SETTING_UP = 0
+    TICKING = 1
+    LEAVING = 2
+    """The rig is safe, no tick follows."""
+
+
 class RingError(Exception):
     """The ring cannot be made, or what lies there is not a ring of this version."""
 
@@ -191,6 +200,16 @@ class Ring:
     """The loop's worst wake-up so far."""
     dropped = _Word(35)
     """Rows the loop could not put."""
+    loop_stage = _Word(36)
+    """One of `LoopStage`. Written by the loop."""
+    guardian_ready = _Word(40)
+    """Not zero once the guardian watches the loop. Written by the guardian."""
+    guardian_beats = _Word(41)
+    """Goes up whenever the guardian has looked at the loop."""
+    loop_pid = _Word(48)
+    """The loop process; zero before it is started. Written by the front."""
+    guardian_lost = _Word(49)
+    """Not zero once the guardian is dead or frozen. Written by the front."""
 
     def __init__(self, path: Path, fd: int) -> None:
         """Map the ring behind `fd`, which this object owns from now on."""
@@ -311,6 +330,11 @@ class Ring:
             self._buffer[at + ROW_HEADER.size :][: len(piece)] = piece
             kind = RowKind.CONTINUATION
         self._head = self.head = self._head + span
+
+    def succeed(self) -> None:
+        """Put from here on in the place of a producer that is dead."""
+        self._head = self.head
+        self._full_at = self.tail + self.rows
 
     def _make_room(self, rows: int) -> None:
         self._full_at = self.tail + self.rows

@@ -21,6 +21,11 @@ Mode = Literal["auto", "require", "off"]
 PRIORITY = 80
 """Above ordinary real-time tasks, below the kernel's own watchdogs and migration threads (99)."""
 
+GUARDIAN_PRIORITY = PRIORITY + 1
+"""Above the loop. The guardian has a CPU of its own where there are two; where there is one, a
+loop that spins for ever under SCHED_FIFO would otherwise never let it run. What it does takes
+tens of microseconds every 5 ms."""
+
 _INDISPENSABLE = frozenset({"fifo", "mlock"})
 _DMA_LATENCY = "/dev/cpu_dma_latency"
 _SCHED_RESET_ON_FORK = 0x40000000
@@ -123,11 +128,36 @@ def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[Step]:
         _attempt("mlock", _lock_memory, _how_to_lock_memory, undo),
         _attempt("dma_latency", _keep_cpu_awake, _how_to_keep_cpu_awake, undo),
         _attempt("affinity", lambda undo: _pin(cpu, undo), _how_to_pin, undo),
-        _attempt("fifo", _run_as_fifo, _how_to_run_as_fifo, undo),
+        _attempt("fifo", lambda undo: _run_as_fifo(PRIORITY, undo), _how_to_run_as_fifo, undo),
     ]
     if not steps[-1].done:  # under SCHED_FIFO the kernel allows timers no slack anyway
         steps.append(_attempt("timer_slack", _take_timer_slack, lambda: "", undo))
     return steps
+
+
+def stand_guard(mode: Mode, loop_cpu: int | None) -> tuple[Step, ...]:
+    """Prepare the guardian's process: awake in time even where the loop's CPU is lost.
+
+    Nothing of it is indispensable: the loop says already what is not permitted.
+
+    Args:
+        mode: see `Mode`.
+        loop_cpu: as the loop's process was told.
+    """
+    undo = ExitStack()  # for good: this process does nothing else
+    steps = [_collect_garbage_once(undo)]
+    if mode != "off":
+        steps += [
+            _attempt("mlock", _lock_memory, _how_to_lock_memory, undo),
+            _attempt("affinity", lambda undo: _keep_off(loop_cpu, undo), _how_to_pin, undo),
+            _attempt(
+                "fifo",
+                lambda undo: _run_as_fifo(GUARDIAN_PRIORITY, undo),
+                _how_to_run_as_fifo,
+                undo,
+            ),
+        ]
+    return tuple(steps)
 
 
 def _attempt(
@@ -207,15 +237,26 @@ def _pin(cpu: int | None, undo: ExitStack) -> str:
     return f"pinned to CPU {chosen}"
 
 
+def _keep_off(loop_cpu: int | None, undo: ExitStack) -> str:
+    """Leave the loop's CPU to the loop, and do not depend on it."""
+    allowed = os.sched_getaffinity(0)
+    others = allowed - {max(allowed) if loop_cpu is None else loop_cpu}
+    if not others:
+        raise OSError(0, "only one CPU to run on")
+    os.sched_setaffinity(0, others)
+    undo.callback(_try, os.sched_setaffinity, 0, allowed)
+    return f"pinned to CPU {', '.join(map(str, sorted(others)))}"
+
+
 def _how_to_pin() -> str:
     allowed = sorted(os.sched_getaffinity(0))
     return f"allowed are the CPUs {', '.join(map(str, allowed))} (see taskset, CPUAffinity=)"
 
 
-def _run_as_fifo(undo: ExitStack) -> str:
+def _run_as_fifo(wanted: int, undo: ExitStack) -> str:
     """Preempt every ordinary process. Children fall back to SCHED_OTHER."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
-    priority = _highest_permitted(PRIORITY)
+    priority = _highest_permitted(wanted)
     policy = os.SCHED_FIFO | _SCHED_RESET_ON_FORK
     os.sched_setscheduler(0, policy, os.sched_param(priority))
     undo.callback(_try, os.sched_setscheduler, 0, *before)

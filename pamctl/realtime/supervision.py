@@ -1,4 +1,4 @@
-"""What ends a run from outside: a signal, the front's death, a recorder in trouble."""
+"""What ends a run from outside: a signal, the death of front or guardian, a recorder in trouble."""
 
 from __future__ import annotations
 
@@ -59,6 +59,8 @@ class LoopSupervisor:
             return Ending(ExitCode.UNEXPECTED, "the log's disk is full")
         if flags & RecorderFlag.FAILED:
             return Ending(ExitCode.UNEXPECTED, "the recorder failed")
+        if self._ring.guardian_lost:
+            return Ending(ExitCode.UNEXPECTED, "the guardian is gone")
         if tick % _FRONT_EVERY_TICKS == 0 and self._front.poll(0):
             return Ending(ExitCode.UNEXPECTED, "the commanding process is gone")
         if not self._patient and tick % _BEAT_EVERY_TICKS == 0:

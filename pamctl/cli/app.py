@@ -10,6 +10,7 @@ from pamctl import __version__
 from pamctl.cli.config import config_app
 from pamctl.cli.log import log_app
 from pamctl.cli.run import run
+from pamctl.cli.safe import safe
 
 app = typer.Typer(
     name="pamctl",
@@ -19,6 +20,7 @@ app = typer.Typer(
     help="Controller daemon of a pneumatic artificial muscle rig.",
 )
 app.command()(run)
+app.command()(safe)
 app.add_typer(config_app, name="config")
 app.add_typer(log_app, name="log")
 

@@ -1,0 +1,56 @@
+"""`pamctl safe`: the safe voltage, whatever has happened before."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+from hal.rig import RigError
+from pamctl.cli.assembly import clock_of, device_of, rig_of
+from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
+from pamctl.cli.run import check_backend, rig_name
+from pamctl.realtime.ending import ExitCode
+from pamctl.realtime.guardian import drive_safe
+from pamctl.settings import RunSettings, resolve
+
+_PATIENCE_S = 0.5
+"""For an owner that is dying; one that lives must be stopped by whoever started it."""
+
+
+def safe(
+    backend: Annotated[
+        str | None, typer.Option("--backend", metavar="sim|nidaq", help="What is driven.")
+    ] = None,
+    rig: RigOption = None,
+    overrides: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Drive the rig to its safe voltage, whatever has happened before."""
+    with config_errors_exit():
+        settings = resolve(rig=rig_name(backend, rig), overrides=overrides or (), fast=False)
+        check_backend(settings, backend, rig)
+    failure = _make_safe(settings)
+    place = f"{device_of(settings)}: {settings.rig.safe_volts:g} V"
+    if as_json:
+        document = {
+            "exit_code": int(ExitCode.UNAVAILABLE if failure else ExitCode.OK),
+            "device": device_of(settings),
+            "safe_volts": settings.rig.safe_volts,
+            "reason": str(failure or ""),
+        }
+        typer.echo(json.dumps(document, indent=2))
+    elif failure is None:
+        typer.echo(f"{place} on the output: safe")
+    if failure is not None:
+        typer.echo(f"error: NOT safe, {place} could not be driven: {failure}", err=True)
+        raise typer.Exit(ExitCode.UNAVAILABLE)
+
+
+def _make_safe(settings: RunSettings) -> RigError | None:
+    try:
+        rig = rig_of(settings, clock_of(settings, may_spin=False)).rig
+    except RigError as error:
+        return error
+    return drive_safe(rig, _PATIENCE_S)

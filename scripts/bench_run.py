@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -20,6 +21,7 @@ from statistics import median
 
 from pamctl.log.reader import read
 
+DEVICE = ("--set", f"rig.sim.device=bench{os.getpid()}")
 LONG_S, SHORT_S = 40.0, 20.0
 
 
@@ -35,7 +37,7 @@ def run(folder: Path, name: str, *options: str) -> tuple[float, Path]:
 def start_up_s(folder: Path, name: str) -> float:
     """From the command to the first tick."""
     started_ns = time.time_ns()
-    _, path = run(folder, name, "--duration", "0.1", "--set", "rig.homing.enabled=false")
+    _, path = run(folder, name, "--duration", "0.1", "--set", "rig.homing.enabled=false", *DEVICE)
     return float(read(path).time_ns[0] - started_ns) * 1e-9
 
 

@@ -21,6 +21,16 @@ from pamctl.signals import Phase
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
 RINGS = Path("/dev/shm")
+DEVICE = f"testrun{os.getpid()}"
+ON_OUR_DEVICE = ("--set", f"rig.sim.device={DEVICE}")
+"""In real time a run needs a device for itself, and others may be running on this PC."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _device() -> Iterator[None]:
+    yield
+    for left in RINGS.glob(f"pamctl-{DEVICE}.*"):
+        left.unlink()
 
 
 def pamctl(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -39,7 +49,7 @@ def fast_run(cwd: Path, *arguments: str, log: str = "run.mcap") -> tuple[dict[st
 def running(cwd: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Run in real time until the block ends; it must not need longer."""
     front = subprocess.Popen(
-        [PAMCTL, "run", "--quiet", "--log", "run.mcap", *arguments],
+        [PAMCTL, "run", "--quiet", "--log", "run.mcap", *ON_OUR_DEVICE, *arguments],
         cwd=cwd,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -53,16 +63,16 @@ def running(cwd: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def children(front: subprocess.Popen[str]) -> dict[str, int]:
-    """Return the process ids of a front's loop and recorder, once both are there."""
+    """Return the process ids of a front's children, once all are there."""
     deadline = time.monotonic() + 10
     while time.monotonic() < deadline:
         found = {}
         for pid in Path(f"/proc/{front.pid}/task/{front.pid}/children").read_text().split():
             command = Path(f"/proc/{pid}/cmdline").read_text()
-            for name in ("loop_process", "log.recorder"):
+            for name in ("loop_process", "log.recorder", "guardian_process"):
                 if name in command:
                     found[name] = int(pid)
-        if len(found) == 2:
+        if len(found) == 3:
             return found
         time.sleep(0.02)
     raise AssertionError("the front did not start its processes")
@@ -192,7 +202,8 @@ def test_log_info_says_what_a_log_holds(tmp_path: Path) -> None:
 def test_in_real_time_the_ticks_lie_on_the_grid_and_missed_ones_are_counted(
     tmp_path: Path,
 ) -> None:
-    done = pamctl("run", "--duration", "1", "--log", "run.mcap", "--json", cwd=tmp_path)
+    options = ("--duration", "1", "--log", "run.mcap", "--json")
+    done = pamctl("run", *options, *ON_OUR_DEVICE, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     report, log = json.loads(done.stdout), read(tmp_path / "run.mcap")
     assert_gapless_but_for_missed_ticks(log)
@@ -288,7 +299,8 @@ def test_a_killed_loop_is_reported_and_its_last_tick_is_in_the_log(tmp_path: Pat
     log = read(tmp_path / "run.mcap")
     assert_gapless_but_for_missed_ticks(log)
     assert len(log) >= 490
-    assert outcome(log)["reason"] == "the loop process was killed by SIGKILL"
+    reason = str(outcome(log)["reason"])
+    assert reason.startswith("the loop process was killed by SIGKILL; the guardian drove")
 
 
 def test_when_the_front_is_killed_the_others_finish_their_work(tmp_path: Path) -> None:
@@ -424,7 +436,8 @@ def test_require_fails_where_real_time_scheduling_is_refused(tmp_path: Path) -> 
         pytest.skip("giving up privileges needs root")
     # Without CAP_SYS_NICE and CAP_IPC_LOCK root is refused like anyone else.
     drop = ["setpriv", "--bounding-set", "-sys_nice,-ipc_lock", "--inh-caps", "-all"]
-    command = [*drop, PAMCTL, "run", "--rt", "require", "--log", "run.mcap", "--quiet"]
+    options = ["--rt", "require", "--log", "run.mcap", "--quiet", *ON_OUR_DEVICE]
+    command = [*drop, PAMCTL, "run", *options]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 69
     assert "fifo: " in done.stderr

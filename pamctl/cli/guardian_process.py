@@ -17,7 +17,7 @@ from contextlib import suppress
 from hal.rig import RigError
 from pamctl.cli.assembly import clock_of, rig_of
 from pamctl.realtime.ending import Ending, ExitCode
-from pamctl.realtime.guardian import LoopProcess, Takeover, drive_safe, guard
+from pamctl.realtime.guardian import POLL_MS, LoopProcess, Takeover, drive_safe, guard
 from pamctl.realtime.last_words import outcome, speak_for_the_dead
 from pamctl.realtime.ring import Ring
 from pamctl.realtime.scheduling import stand_guard
@@ -38,9 +38,11 @@ def main() -> int:
             print(f"guardian: {error}", file=sys.stderr)
             return int(ExitCode.UNAVAILABLE)
         if takeover is not None:
-            _record(ring, takeover)
-    with suppress(BrokenPipeError):  # nobody may be left to read it
-        print(json.dumps(takeover and takeover._asdict()), flush=True)
+            speak_for_the_dead(ring, takeover.event())
+        with suppress(BrokenPipeError):  # nobody may be left to read it
+            print(json.dumps(takeover and takeover._asdict()), flush=True)
+        if takeover is not None:
+            _see_it_through(ring, takeover)
     return int(ExitCode.OK)
 
 
@@ -69,19 +71,19 @@ def _loop_pid(ring: Ring) -> int:
     return ring.loop_pid
 
 
-def _front_is_gone() -> bool:
+def _front_is_gone(within_ms: int = 0) -> bool:
     front = select.poll()
     front.register(sys.stdin.fileno(), select.POLLHUP | select.POLLERR)
-    return bool(front.poll(0))
+    return bool(front.poll(within_ms))
 
 
-def _record(ring: Ring, takeover: Takeover) -> None:
-    """Say in the log what happened; the front, if it lives, adds how the run ended."""
-    speak_for_the_dead(ring, takeover.event())
-    if _front_is_gone():
-        ending = Ending(ExitCode.UNEXPECTED, takeover.reason or "the loop process died")
-        speak_for_the_dead(ring, outcome(ending))
-        ring.loop_done = 1
+def _see_it_through(ring: Ring, takeover: Takeover) -> None:
+    """Wait for the front to end the log, and do it where the front has died, too."""
+    while not ring.loop_done:
+        if _front_is_gone(within_ms=POLL_MS):
+            ending = Ending(ExitCode.UNEXPECTED, takeover.reason or "the loop process died")
+            speak_for_the_dead(ring, outcome(ending))
+            ring.loop_done = 1
 
 
 if __name__ == "__main__":

@@ -76,6 +76,7 @@ def conduct(ring: Ring, commands: Commands, rig: Rig, progress: Progress) -> Fro
         if not ring.loop_done:
             speak_for_the_dead(ring, outcome(ending))
             ring.loop_done = 1
+        guardian.dismiss()
         return _close_log(ring, recorder, ending)
 
 

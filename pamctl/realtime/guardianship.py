@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import select
 import subprocess
 from collections.abc import Sequence
-from typing import Any
 
 from hal.rig import Rig
 from pamctl.realtime.ending import Ending, ExitCode
@@ -15,7 +15,9 @@ from pamctl.realtime.ring import Ring
 _FROZEN_LOOKS = 20
 """A guardian that has not moved while the front looked so often is frozen: about a second, in
 rounds of the front's own, so that a machine that stands still is no evidence."""
-_END_PATIENCE_S = 15.0
+_REPORT_PATIENCE_S = 1.0
+"""From a guardian that takes longer the front takes the work over."""
+_LEAVE_PATIENCE_S = 2.0
 
 
 class Guardianship:
@@ -27,12 +29,7 @@ class Guardianship:
         self._rig = rig
         self._beats = 0
         self._still = 0
-        self._process = command and subprocess.Popen(
-            [*command, str(ring.path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            process_group=0,
-        )
+        self._process = None if command is None else _spawn([*command, str(ring.path)])
 
     def look(self) -> None:
         """See whether the guardian lives; if not, the loop stops safe at its next tick."""
@@ -46,37 +43,31 @@ class Guardianship:
 
     def _is_frozen(self) -> bool:
         beats = self._ring.guardian_beats
-        self._still = self._still + 1 if beats == self._beats else 0
+        moved = beats != self._beats
+        # One that is not ready yet has no pulse to stand still.
+        self._still = 0 if moved or not self._ring.guardian_ready else self._still + 1
         self._beats = beats
-        return bool(self._ring.guardian_ready) and self._still > _FROZEN_LOOKS
+        return self._still > _FROZEN_LOOKS
 
     def verdict_on(self, ending: Ending) -> Ending:
         """Return how the run of a loop that is no more ended, the valve included."""
         if not self._process:
             return ending
-        said = self._last_words(self._process)
-        if said is None:
+        report = _report_of(self._process)
+        if not report:
+            self._process.kill()
             return self._stand_in(ending)
-        takeover = Takeover(**said) if said else None
-        if takeover is None:
-            return ending
-        reason = takeover.reason or ending.reason
-        if takeover.failure:
-            return Ending(ExitCode.UNEXPECTED, _alarm(reason, takeover.failure))
-        done = f"the guardian drove the safe voltage {takeover.latency_ms:.1f} ms later"
-        return Ending(ExitCode.UNEXPECTED, f"{reason}; {done}")
+        words = json.loads(report)
+        return _as_taken_over(Takeover(**words), ending) if words else ending
 
-    def _last_words(self, guardian: subprocess.Popen[bytes]) -> dict[str, Any] | None:
-        """Return what the guardian reported, {} for nothing; None where it could not."""
-        try:
-            said, _ = guardian.communicate(timeout=_END_PATIENCE_S)
-            return json.loads(said) or {}
-        except subprocess.TimeoutExpired:
-            guardian.kill()
-            guardian.communicate()
-        except ValueError:
-            pass
-        return None
+    def dismiss(self) -> None:
+        """See the guardian off, once the loop's last words are in the ring."""
+        if self._process:
+            try:
+                self._process.wait(_LEAVE_PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+            self._process.communicate()
 
     def _stand_in(self, ending: Ending) -> Ending:
         """Do what the guardian cannot do any more."""
@@ -84,6 +75,25 @@ class Guardianship:
         if failure is not None:
             return Ending(ExitCode.UNEXPECTED, _alarm(ending.reason, str(failure)))
         return ending
+
+
+def _spawn(command: Sequence[str]) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0)
+
+
+def _report_of(guardian: subprocess.Popen[bytes]) -> bytes:
+    """Return the line that a guardian says in the end; nothing where it could not."""
+    assert guardian.stdout
+    heard, _, _ = select.select([guardian.stdout], [], [], _REPORT_PATIENCE_S)
+    return guardian.stdout.readline() if heard else b""
+
+
+def _as_taken_over(takeover: Takeover, ending: Ending) -> Ending:
+    reason = takeover.reason or ending.reason
+    if takeover.failure:
+        return Ending(ExitCode.UNEXPECTED, _alarm(reason, takeover.failure))
+    done = f"the guardian drove the safe voltage {takeover.latency_ms:.1f} ms later"
+    return Ending(ExitCode.UNEXPECTED, f"{reason}; {done}")
 
 
 def _alarm(reason: str, failure: str) -> str:

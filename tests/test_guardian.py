@@ -1,0 +1,574 @@
+"""The guardian: decisions with a made-up clock, deeds with real processes and signals."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from made_up import meta
+
+from hal.register import SharedRegister, peek_v
+from hal.rig import RigError, opened
+from hal.sim import SimRig, SimSettings, sensor_chain
+from pamctl.cli.assembly import ao_path, clock_of, rig_of
+from pamctl.log.reader import read
+from pamctl.plant.model import plant_parameters
+from pamctl.plant.simulated import SimulatedPlant
+from pamctl.realtime.guardian import (
+    LEAVING_NS,
+    POLL_MS,
+    SETTING_UP_NS,
+    Listener,
+    LoopProcess,
+    Takeover,
+    drive_safe,
+    guard,
+    patience_ns,
+)
+from pamctl.realtime.guardianship import Guardianship
+from pamctl.realtime.ring import LoopStage, Ring
+from pamctl.settings import resolve
+
+MS = 1_000_000
+LIMIT_NS = 50 * MS
+SAFE_V = 0.0
+AO_STEP_V = 20.0 / 65536.0
+PYTHON = [sys.executable, "-m"]
+
+
+# --- how silence is measured -------------------------------------------------------------
+
+
+def heard(looks: list[tuple[float, float]]) -> list[float]:
+    """Let a listener look at (time, beat) in ms; return the silence it tells, in ms."""
+    (first_ms, beat_ms), *rest = looks
+    listener = Listener(round(first_ms * MS), round(beat_ms * MS))
+    return [listener.silent_ns(round(now * MS), round(beat * MS)) / MS for now, beat in rest]
+
+
+def test_a_loop_that_beats_is_never_silent_for_longer_than_between_two_looks() -> None:
+    silences = heard([(t, t - 0.4) for t in range(0, 1000, POLL_MS)])
+    assert max(silences) == pytest.approx(0.4)
+
+
+def test_a_frozen_loop_is_heard_as_silent_for_as_long_as_it_is() -> None:
+    silences = heard([(0, 0), *((t, 3.0) for t in range(POLL_MS, 101, POLL_MS))])
+    assert silences[-1] == pytest.approx(97.0)
+
+
+@pytest.mark.parametrize("stall_ms", [60, 500, 60_000])
+def test_a_machine_that_stood_still_does_not_make_the_loop_a_frozen_one(stall_ms: float) -> None:
+    # The guardian wakes first, and finds the heartbeat as old as the stall.
+    silences = heard([(0, 0), (5, 4.6), (10 + stall_ms, 9.6), (15 + stall_ms, 14.6 + stall_ms)])
+    assert max(silences) <= 2 * POLL_MS
+
+
+def test_two_stalls_in_a_row_are_not_a_freeze() -> None:
+    assert max(heard([(0, 0), (5, 4.6), (65, 9.6), (125, 9.7), (130, 129.6)])) < 50
+
+
+def test_a_guardian_that_is_always_late_still_hears_a_frozen_loop_in_the_end() -> None:
+    silences = heard([(0, 0), *((30.0 * look, 0.0) for look in range(1, 10))])
+    assert silences[-1] > 50
+
+
+def test_a_beat_from_just_after_the_clock_was_read_is_no_negative_silence() -> None:
+    assert heard([(0, 0), (5, 5.1)]) == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("stage", "done", "expected_ns"),
+    [
+        (LoopStage.SETTING_UP, False, SETTING_UP_NS),
+        (LoopStage.TICKING, False, LIMIT_NS),
+        (LoopStage.LEAVING, False, LEAVING_NS),
+        (LoopStage.TICKING, True, LEAVING_NS),
+        (LoopStage.SETTING_UP, True, LEAVING_NS),
+    ],
+)
+def test_milliseconds_count_only_while_the_loop_drives_the_valve(
+    stage: int, done: bool, expected_ns: int
+) -> None:
+    assert patience_ns(stage, done, LIMIT_NS) == expected_ns
+
+
+# --- the guardian within this process, its loop a process of ours -------------------------
+
+
+class StubRig:
+    """Refuses to be made safe a few times, as a card whose owner is just dying."""
+
+    def __init__(self, refusals: int = 0) -> None:
+        self.refusals = refusals
+        self.tries = 0
+
+    def make_safe(self) -> None:
+        self.tries += 1
+
+    @property
+    def safe_failure(self) -> RigError | None:
+        return RigError("the output is reserved") if self.tries <= self.refusals else None
+
+
+@contextmanager
+def sleeper() -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(["sleep", "60"])
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Iterator[Ring]:
+    with Ring.create(tmp_path / "test.ring", meta(tmp_path / "run.mcap"), 256) as made:
+        yield made
+
+
+def after(seconds: float, do: Callable[[], object]) -> None:
+    threading.Timer(seconds, do).start()
+
+
+def guarded(ring: Ring, pid: int, rig: StubRig) -> Takeover | None:
+    return guard(ring, LoopProcess(pid), rig, LIMIT_NS)  # type: ignore[arg-type]
+
+
+def test_a_death_is_noticed_at_once_and_a_busy_output_tried_again(ring: Ring) -> None:
+    with sleeper() as loop:
+        after(0.05, loop.kill)
+        takeover = guarded(ring, loop.pid, StubRig(refusals=3))
+    assert takeover is not None
+    assert takeover.reason == ""
+    assert takeover.failure == ""
+    assert takeover.event()["reason"] == "died"
+
+
+def test_a_silent_loop_is_killed(ring: Ring) -> None:
+    rig = StubRig()
+    ring.loop_stage = LoopStage.TICKING
+    with sleeper() as loop:
+        takeover = guarded(ring, loop.pid, rig)
+        assert loop.wait(1) == -signal.SIGKILL
+    assert takeover is not None
+    assert "silent for" in takeover.reason
+    assert rig.tries == 1
+
+
+def test_a_loop_that_sets_up_or_leaves_may_take_its_time(ring: Ring) -> None:
+    for stage in (LoopStage.SETTING_UP, LoopStage.LEAVING):
+        ring.loop_stage = stage
+        with sleeper() as loop:
+            after(0.3, loop.kill)
+            takeover = guarded(ring, loop.pid, StubRig())
+            assert takeover is not None
+            assert takeover.reason == ""  # it died; nobody killed it for its silence
+
+
+def test_an_orderly_end_leaves_nothing_to_say_and_the_voltage_verified(ring: Ring) -> None:
+    rig = StubRig()
+    with sleeper() as loop:
+        ring.loop_done = 1
+        after(0.02, loop.kill)
+        assert guarded(ring, loop.pid, rig) is None
+    assert rig.tries == 1
+
+
+def test_a_loop_that_is_gone_before_it_is_watched_is_a_dead_loop(ring: Ring) -> None:
+    with sleeper() as loop:
+        pass
+    takeover = guarded(ring, loop.pid, StubRig())
+    assert takeover is not None
+
+
+def test_what_cannot_be_made_safe_says_why_when_patience_ends() -> None:
+    failure = drive_safe(StubRig(refusals=10**9), patience_s=0.05)  # type: ignore[arg-type]
+    assert "reserved" in str(failure)
+
+
+def test_a_guardian_that_starts_slowly_is_not_frozen_and_one_that_stands_still_is(
+    ring: Ring,
+) -> None:
+    front = Guardianship(ring, ["sh", "-c", "sleep 60", "guardian"], StubRig())  # type: ignore[arg-type]
+    try:
+        looks(front, 100)
+        assert not ring.guardian_lost
+        ring.guardian_ready = 1
+        looks(front, 10)
+        assert not ring.guardian_lost
+        ring.guardian_beats += 1
+        looks(front, 20)
+        assert not ring.guardian_lost
+        looks(front, 2)
+        assert ring.guardian_lost
+    finally:
+        front.dismiss()
+
+
+def looks(front: Guardianship, times: int) -> None:
+    for _ in range(times):
+        front.look()
+
+
+# --- the shared output --------------------------------------------------------------------
+
+
+def shared_rig(path: Path) -> SimRig:
+    settings = resolve(fast=True)
+    return SimRig(
+        SimulatedPlant(plant_parameters(settings.plant)),
+        sensor_chain(SimSettings(), settings.rig.calibration),
+        safe_output_v=1.25,
+        now_ns=time.monotonic_ns,
+        register=SharedRegister(path, "bench0"),
+    )
+
+
+def test_an_output_holds_its_voltage_after_its_owner_and_can_then_be_made_safe(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "bench0.ao"
+    owner = (
+        "import sys, time; from pathlib import Path; from test_guardian import shared_rig\n"
+        "rig = shared_rig(Path(sys.argv[1])); rig.open(); rig.write(8.0)\n"
+        "print('there', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", owner, path], stdout=subprocess.PIPE, cwd=Path(__file__).parent
+    ) as process:
+        assert process.stdout
+        process.stdout.readline()
+        rig = shared_rig(path)
+        with pytest.raises(RigError, match=f"bench0 is held by process {process.pid}"):
+            rig.open()
+        rig.make_safe()
+        assert f"process {process.pid}" in str(rig.safe_failure)
+        process.kill()
+    assert peek_v(path) == pytest.approx(8.0, abs=AO_STEP_V)
+    rig.make_safe()
+    assert rig.safe_failure is None
+    assert peek_v(path) == pytest.approx(1.25, abs=AO_STEP_V)
+
+
+def test_what_another_process_puts_out_is_what_moves_the_muscle(tmp_path: Path) -> None:
+    path = tmp_path / "bench0.ao"
+    with opened(shared_rig(path)) as rig:
+        rig.write(5.0)
+        at_rest = rig.read().encoder_counts
+        np.memmap(path, dtype=float, mode="r+", shape=(1,))[0] = 10.0
+        deadline_s = time.monotonic() + 5
+        while rig.read().encoder_counts == at_rest:
+            assert time.monotonic() < deadline_s, "the muscle does not fill"
+    assert peek_v(path) == pytest.approx(1.25, abs=AO_STEP_V)
+
+
+def test_a_run_without_a_clock_has_no_shared_output() -> None:
+    settings = resolve(fast=True, overrides=["rig.sim.device=never0"])
+    with opened(rig_of(settings, clock_of(settings, may_spin=False)).rig):
+        assert not ao_path("never0").exists()
+
+
+# --- real runs, real signals --------------------------------------------------------------
+
+
+@pytest.fixture
+def device() -> Iterator[str]:
+    """A simulated device of this test's own."""
+    name = f"test{os.getpid()}-{random.randrange(10**6)}"
+    yield name
+    for suffix in ("ao", "lock"):
+        ao_path(name).with_suffix(f".{suffix}").unlink(missing_ok=True)
+
+
+class Run(NamedTuple):
+    """A real run, and the process ids of its parts."""
+
+    front: subprocess.Popen[str]
+    pids: dict[str, int]
+    device: str
+    log: Path
+
+    @property
+    def output_v(self) -> float:
+        return peek_v(ao_path(self.device))
+
+    def await_safe(self, within_s: float) -> None:
+        deadline_s = time.monotonic() + within_s
+        while abs(self.output_v - SAFE_V) > AO_STEP_V:
+            assert time.monotonic() < deadline_s, f"{self.output_v} V after {within_s} s"
+            time.sleep(1e-3)
+
+    def ring(self) -> Path | None:
+        return next(Path("/dev/shm").glob(f"pamctl-{self.front.pid}-*.ring"), None)
+
+
+def run_command(device: str, *arguments: str) -> list[str]:
+    return [*PYTHON, "pamctl", "run", "--set", f"rig.sim.device={device}", *arguments]
+
+
+@contextmanager
+def running(cwd: Path, device: str, log: str = "run.mcap") -> Iterator[Run]:
+    """Run in real time until the block ends; whatever is left then is killed."""
+    front = subprocess.Popen(
+        run_command(device, "--quiet", "--log", log),
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    run = Run(front, {"front": front.pid}, device, cwd / log)
+    try:
+        run.pids.update(_parts(front.pid))
+        yield run
+    finally:
+        for pid in run.pids.values():
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        front.communicate()
+
+
+def _parts(front: int) -> dict[str, int]:
+    deadline_s = time.monotonic() + 20
+    found: dict[str, int] = {}
+    while len(found) < 3:
+        assert time.monotonic() < deadline_s, f"the front started only {found}"
+        time.sleep(0.02)
+        for pid in Path(f"/proc/{front}/task/{front}/children").read_text().split():
+            words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+            if len(words) > 2 and words[1] == "-m":
+                found[words[2].split(".")[-1]] = int(pid)
+    return found
+
+
+def await_motion(run: Run) -> None:
+    """Return somewhere in the experiment, with the valve off its safe voltage."""
+    deadline_s = time.monotonic() + 30
+    while not (path := run.ring()):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    with Ring.attach(path) as ring:
+        while ring.head < 2600:
+            assert time.monotonic() < deadline_s, "the loop does not tick"
+            time.sleep(0.02)
+    time.sleep(random.uniform(0.0, 0.5))
+    assert run.output_v > 1.0
+
+
+def last_tick_put(run: Run) -> int:
+    path = run.ring()
+    assert path
+    with Ring.attach(path) as ring:
+        tick = ring.latest_tick()
+        assert tick
+        return int(tick["tick"])
+
+
+def assert_log_complete_to(run: Run, tick: int) -> None:
+    log = read(run.log)
+    assert np.array_equal(np.diff(log["tick"]) - 1, log["missed"][1:])
+    assert log["tick"][-1] >= tick
+
+
+def assert_next_start_is_clean(cwd: Path, device: str) -> None:
+    done = subprocess.run(
+        [*run_command(device, "--duration", "0.1", "--log", "next.mcap", "--json"),
+         "--set", "rig.homing.enabled=false"],
+        cwd=cwd, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["log_is_whole"]
+    assert peek_v(ao_path(device)) == pytest.approx(SAFE_V, abs=AO_STEP_V)
+
+
+def takeovers(run: Run) -> list[dict[str, object]]:
+    return [event for event in read(run.log).events if event["event"] == "guardian_takeover"]
+
+
+twice = pytest.mark.parametrize("round_", range(2))
+
+
+@twice
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_loop_that_dies_or_freezes_leaves_the_valve_safe_and_the_log_complete(
+    tmp_path: Path, device: str, number: signal.Signals, round_: int
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        os.kill(run.pids["loop_process"], number)
+        run.await_safe(within_s=0.5)
+        _, said = run.front.communicate(timeout=20)
+    assert run.front.returncode == 1
+    assert "the guardian drove the safe voltage" in said
+    assert ("killed by SIGKILL" if number == signal.SIGKILL else "silent for") in said
+    assert len(takeovers(run)) == 1
+    assert_log_complete_to(run, before)
+    assert_next_start_is_clean(tmp_path, device)
+
+
+@twice
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_without_its_guardian_a_loop_stops_safe(
+    tmp_path: Path, device: str, number: signal.Signals, round_: int
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        os.kill(run.pids["guardian_process"], number)
+        run.await_safe(within_s=5.0)
+        _, said = run.front.communicate(timeout=20)
+    assert run.front.returncode == 1
+    assert "the guardian is gone" in said
+    assert_log_complete_to(run, before)
+    assert_next_start_is_clean(tmp_path, device)
+
+
+@twice
+def test_without_its_front_a_loop_stops_safe_and_the_guardian_leaves_after_it(
+    tmp_path: Path, device: str, round_: int
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        run.front.kill()
+        run.front.wait()
+        run.await_safe(within_s=3.0)
+        await_gone(run.pids["loop_process"], run.pids["guardian_process"], run.pids["recorder"])
+        assert not takeovers(run)
+    assert_log_complete_to(run, before)
+    assert_next_start_is_clean(tmp_path, device)
+
+
+def await_gone(*pids: int) -> None:
+    deadline_s = time.monotonic() + 15
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+        assert time.monotonic() < deadline_s, "a process was left behind"
+        time.sleep(0.02)
+
+
+@twice
+def test_a_front_that_is_stopped_for_a_while_harms_nobody(
+    tmp_path: Path, device: str, round_: int
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        os.kill(run.front.pid, signal.SIGSTOP)
+        time.sleep(0.5)
+        before = last_tick_put(run)
+        os.kill(run.front.pid, signal.SIGCONT)
+        run.front.send_signal(signal.SIGINT)
+        run.front.communicate(timeout=20)
+        assert run.front.returncode == 130
+        assert run.output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
+    assert not takeovers(run)
+    assert_log_complete_to(run, before)
+    assert_next_start_is_clean(tmp_path, device)
+
+
+def test_loop_and_guardian_killed_together_are_made_good_by_the_front(
+    tmp_path: Path, device: str
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        for name in ("guardian_process", "loop_process"):
+            os.kill(run.pids[name], signal.SIGKILL)
+        run.await_safe(within_s=2.0)
+        run.front.communicate(timeout=20)
+    assert run.front.returncode == 1
+    assert_next_start_is_clean(tmp_path, device)
+
+
+def test_loop_and_front_killed_together_leave_a_safe_valve_and_a_log_with_its_end(
+    tmp_path: Path, device: str
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        for name in ("front", "loop_process"):
+            os.kill(run.pids[name], signal.SIGKILL)
+        run.await_safe(within_s=0.5)
+        run.front.wait()
+        await_gone(run.pids["guardian_process"], run.pids["recorder"])
+    assert len(takeovers(run)) == 1
+    assert read(run.log).events[-1]["event"] == "outcome"
+
+
+def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
+    tmp_path: Path, device: str
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        # Not in the loop's order, or the guardian would be faster than we are.
+        for name in ("guardian_process", "front", "recorder", "loop_process"):
+            os.kill(run.pids[name], signal.SIGKILL)
+        run.front.wait()
+        await_gone(run.pids["loop_process"])
+        assert run.output_v > 1.0  # it holds, as a card does
+        done = safe(device)
+        assert done.returncode == 0, done.stderr
+        assert "safe" in done.stdout
+        assert run.output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
+    time.sleep(2.1)  # a ring younger than that might belong to a run that is just starting
+    assert_next_start_is_clean(tmp_path, device)
+    assert_log_complete_to(run, before)
+
+
+def safe(device: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [*PYTHON, "pamctl", "safe", "--set", f"rig.sim.device={device}", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_a_device_in_use_is_refused_to_a_second_run_and_to_pamctl_safe(
+    tmp_path: Path, device: str
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        second = subprocess.run(
+            run_command(device, "--log", "second.mcap"),
+            cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+        assert second.returncode == 69
+        assert f"{device} is held by process {run.front.pid}" in second.stderr
+        assert len(second.stderr.splitlines()) == 1
+        assert not (tmp_path / "second.mcap").exists()
+        refused = safe(device, "--json")
+        assert refused.returncode == 69
+        assert f"held by process {run.pids['loop_process']}" in json.loads(refused.stdout)["reason"]
+        assert run.front.poll() is None
+        run.front.send_signal(signal.SIGINT)
+        run.front.communicate(timeout=20)
+        assert run.front.returncode == 130
+
+
+def test_runs_without_a_clock_do_not_get_into_each_others_way(tmp_path: Path, device: str) -> None:
+    options = ["--fast", "--duration", "2", "--quiet"]
+    commands = [run_command(device, *options, "--log", f"{i}.mcap") for i in range(2)]
+    runs = [
+        subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL) for command in commands
+    ]
+    assert [run.wait(60) for run in runs] == [0, 0]
+    assert not ao_path(device).exists()
+
+
+def test_signals_do_not_end_a_guardian_before_its_loop(tmp_path: Path, device: str) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(run.pids["guardian_process"], number)
+        time.sleep(0.2)
+        os.kill(run.pids["loop_process"], signal.SIGKILL)
+        run.await_safe(within_s=0.5)
+        run.front.communicate(timeout=20)
+    assert len(takeovers(run)) == 1

@@ -339,16 +339,18 @@ def running(cwd: Path, device: str, log: str = "run.mcap") -> Iterator[Run]:
         front.communicate()
 
 
+PARTS = ("loop_process", "guardian_process", "recorder")
+
+
 def _parts(front: int) -> dict[str, int]:
     deadline_s = time.monotonic() + 20
     found: dict[str, int] = {}
-    while len(found) < 3:
+    while len(found) < len(PARTS):
         assert time.monotonic() < deadline_s, f"the front started only {found}"
         time.sleep(0.02)
         for pid in Path(f"/proc/{front}/task/{front}/children").read_text().split():
-            words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
-            if len(words) > 2 and words[1] == "-m":
-                found[words[2].split(".")[-1]] = int(pid)
+            command = Path(f"/proc/{pid}/cmdline").read_text()
+            found |= {name: int(pid) for name in PARTS if f".{name}\0" in command}
     return found
 
 

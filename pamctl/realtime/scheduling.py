@@ -128,7 +128,7 @@ def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[Step]:
         _attempt("mlock", _lock_memory, _how_to_lock_memory, undo),
         _attempt("dma_latency", _keep_cpu_awake, _how_to_keep_cpu_awake, undo),
         _attempt("affinity", lambda undo: _pin(cpu, undo), _how_to_pin, undo),
-        _attempt("fifo", lambda undo: _run_as_fifo(PRIORITY, undo), _how_to_run_as_fifo, undo),
+        _attempt("fifo", _run_as_fifo, _how_to_run_as_fifo, undo),
     ]
     if not steps[-1].done:  # under SCHED_FIFO the kernel allows timers no slack anyway
         steps.append(_attempt("timer_slack", _take_timer_slack, lambda: "", undo))
@@ -152,7 +152,7 @@ def stand_guard(mode: Mode, loop_cpu: int | None) -> tuple[Step, ...]:
             _attempt("affinity", lambda undo: _keep_off(loop_cpu, undo), _how_to_pin, undo),
             _attempt(
                 "fifo",
-                lambda undo: _run_as_fifo(GUARDIAN_PRIORITY, undo),
+                lambda undo: _run_as_fifo(undo, GUARDIAN_PRIORITY),
                 _how_to_run_as_fifo,
                 undo,
             ),
@@ -253,7 +253,7 @@ def _how_to_pin() -> str:
     return f"allowed are the CPUs {', '.join(map(str, allowed))} (see taskset, CPUAffinity=)"
 
 
-def _run_as_fifo(wanted: int, undo: ExitStack) -> str:
+def _run_as_fifo(undo: ExitStack, wanted: int = PRIORITY) -> str:
     """Preempt every ordinary process. Children fall back to SCHED_OTHER."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     priority = _highest_permitted(wanted)

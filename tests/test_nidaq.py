@@ -590,6 +590,25 @@ def test_ctrl_c_leaves_the_card_at_the_safe_voltage(own: Card) -> None:
     assert log_of(own)["phase"][-1] == Phase.STOPPING
 
 
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_when_the_loop_dies_or_freezes_the_guardian_takes_the_card_over(
+    own: Card, number: signal.Signals
+) -> None:
+    process = start(own)
+    await_writes(own, process, 700)
+    loop = next(
+        int(pid)
+        for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        if "loop_process" in Path(f"/proc/{pid}/cmdline").read_text()
+    )
+    os.kill(loop, number)
+    _, complaints = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "the guardian drove the safe voltage" in complaints
+    assert own.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+    assert any(event["event"] == "guardian_takeover" for event in log_of(own).events)
+
+
 @pytest.mark.parametrize("function", [READ_COUNT, READ_VOLTS, WRITE])
 def test_a_card_that_fails_in_the_middle_of_a_run_ends_it_with_69_and_safe(
     own: Card, function: str

@@ -126,9 +126,11 @@ def _run(
     settings: RunSettings, names: dict[str, str], log: Path | None, *, as_json: bool, quiet: bool
 ) -> int:
     try:
+        # What the user got wrong is no reason to touch the valve.
+        require_backend(settings)
+        path = _log_path(log, names)
         with _secured(settings) as rig:
             _finish_orphans(quiet=quiet)
-            path = _log_path(log, names)
             meta = _meta(settings, names, path)
             with Ring.create(_ring_path(), meta, settings.rig.loop.ring_rows) as ring:
                 progress = ProgressLine(quiet=quiet or as_json)
@@ -145,10 +147,9 @@ def _run(
 def _secured(settings: RunSettings) -> Iterator[Rig]:
     """Hold the device for this run alone, and make it safe before anything else is done.
 
-    Whatever ran before may have died with the valve open. Raises `RigError` before anything
-    is created where the device cannot be had.
+    Whatever ran before may have died with the valve open. Raises `RigError` where the device
+    cannot be had.
     """
-    require_backend(settings)
     rig = rig_of(settings, clock_of(settings, may_spin=False)).rig
     if settings.fast:  # simulated within the loop's process, and nobody's business
         yield rig

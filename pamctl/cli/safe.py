@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hal.rig import RigError
-from pamctl.cli.assembly import clock_of, device_of, rig_of
+from pamctl.cli.assembly import clock_of, device_of, require_backend, rig_of
 from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
 from pamctl.cli.run import check_backend, rig_name
 from pamctl.realtime.ending import ExitCode
@@ -50,7 +50,7 @@ def safe(
 
 def _make_safe(settings: RunSettings) -> RigError | None:
     try:
-        rig = rig_of(settings, clock_of(settings, may_spin=False)).rig
+        require_backend(settings)
     except RigError as error:
         return error
-    return drive_safe(rig, _PATIENCE_S)
+    return drive_safe(rig_of(settings, clock_of(settings, may_spin=False)).rig, _PATIENCE_S)

@@ -274,15 +274,14 @@ def ring_left(front: subprocess.Popen[str]) -> list[Path]:
     return list(RINGS.glob(f"pamctl-{front.pid}-*.ring"))
 
 
-def test_a_frozen_recorder_ends_the_run_and_loses_nothing(tmp_path: Path) -> None:
+def test_a_recorder_frozen_for_good_ends_the_run_and_loses_nothing(tmp_path: Path) -> None:
     with running(tmp_path) as front:
         pids = children(front)
         await_ticks(front, 300)
         os.kill(pids["log.recorder"], signal.SIGSTOP)
-        time.sleep(4.5)
-        os.kill(pids["log.recorder"], signal.SIGCONT)
-        front.communicate(timeout=20)
+        _, said = front.communicate(timeout=40)
     assert front.returncode == 1
+    assert "finished from the ring" in said
     log = read(tmp_path / "run.mcap")
     assert_gapless_but_for_missed_ticks(log)
     assert "no sign of life" in str(outcome(log)["reason"])
@@ -396,6 +395,24 @@ def test_bad_input_gets_one_clear_error_and_changes_nothing(
     assert "Traceback" not in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["there-already.mcap"]
     assert (tmp_path / "there-already.mcap").read_bytes() == b"precious"
+
+
+def test_without_a_run_json_still_prints_one_document(tmp_path: Path) -> None:
+    no_driver = pamctl("run", "--backend", "nidaq", "--json", cwd=tmp_path)
+    assert json.loads(no_driver.stdout)["exit_code"] == no_driver.returncode == 69
+    bad = pamctl("run", "--set", "controller.lamda=1", "--json", cwd=tmp_path)
+    assert json.loads(bad.stdout)["exit_code"] == bad.returncode == 78
+
+
+def test_a_changed_experiment_is_not_held_against_table_iv(tmp_path: Path) -> None:
+    changed, _ = fast_run(tmp_path, "--set", "experiment.amplitude_mm=1", "--duration", "8")
+    assert changed["paper"] == []
+
+
+def test_a_log_is_named_after_the_whole_name_of_the_experiment(tmp_path: Path) -> None:
+    pamctl("run", "--fast", "--experiment", "square-0.25", "--duration", "0.1", cwd=tmp_path)
+    (log,) = (tmp_path / "logs").iterdir()
+    assert log.name.endswith("-qsmc-square-0.25.mcap")
 
 
 def test_a_bad_line_of_a_file_is_named_with_its_place(tmp_path: Path) -> None:

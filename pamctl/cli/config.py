@@ -56,13 +56,17 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON documen
 
 
 @contextmanager
-def config_errors_exit() -> Iterator[None]:
+def config_errors_exit(*, as_json: bool = False) -> Iterator[None]:
     """Print what is wrong, a line each; exit with 2 for options and 78 for configuration."""
     try:
         yield
     except ConfigError as error:
+        code = _exit_code(error.problems)
+        if as_json:
+            problems = [problem._asdict() for problem in error.problems]
+            typer.echo(json.dumps({"exit_code": int(code), "problems": problems}, indent=2))
         typer.echo(str(error), err=True)
-        raise typer.Exit(_exit_code(error.problems)) from None
+        raise typer.Exit(code) from None
 
 
 def _exit_code(problems: Iterable[Problem]) -> ExitCode:

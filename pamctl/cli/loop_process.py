@@ -34,34 +34,46 @@ from pamctl.settings import RunSettings, from_resolved
 def main() -> NoReturn:
     """Run the loop on the ring that the first argument names."""
     with Ring.attach(sys.argv[1]) as ring:
-        ending = _report_failure(ring)
-        ring.loop_done = 1
+        ending = _ending_of_run(ring)
+        # Where there is no room for it the front says it, when the recorder has made some.
+        ring.loop_done = _has_put_outcome(ring, ending)
     # Nobody may be left to read it.
     with suppress(BrokenPipeError):
         print(json.dumps({"code": int(ending.code), "reason": ending.reason}), flush=True)
     sys.exit(int(ending.code))
 
 
-def _report_failure(ring: Ring) -> Ending:
-    """Whatever happens, say how it ended: in the log, and to the front."""
+def _ending_of_run(ring: Ring) -> Ending:
+    """Run; whatever happens becomes an ending."""
     try:
-        ending = _run(ring)
+        return _run(ring)
     except (RigError, SchedulingRefused) as error:
-        ending = Ending(ExitCode.UNAVAILABLE, str(error))
+        return Ending(ExitCode.UNAVAILABLE, str(error))
     except RingFull as error:
         return Ending(ExitCode.UNEXPECTED, str(error))
     except Exception as error:
         import traceback
 
         traceback.print_exc()
-        ending = Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
-    put_last(ring, outcome(ending))
-    return ending
+        return Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
+
+
+def _has_put_outcome(ring: Ring, ending: Ending) -> bool:
+    """Put the last event into the log, waiting for a moment where the ring is full."""
+    deadline_s = time.monotonic() + 1.0
+    while time.monotonic() < deadline_s:
+        try:
+            put_last(ring, outcome(ending))
+        except RingFull:
+            time.sleep(5e-3)
+        else:
+            return True
+    return False
 
 
 def _run(ring: Ring) -> Ending:
     settings = from_resolved(json.dumps(ring.meta.config))
-    supervisor = LoopSupervisor(ring, sys.stdin.fileno(), patient=settings.fast)
+    supervisor = LoopSupervisor(ring, sys.stdin.fileno(), settings.rig.loop, patient=settings.fast)
     supervisor.listen()
     if not _recorder_is_ready(ring):
         return Ending(ExitCode.UNEXPECTED, "the recorder did not start")

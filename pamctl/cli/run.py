@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import platform
-import socket
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from datetime import UTC, datetime
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +16,6 @@ import typer
 from hal.calibration import Zero, calibration
 from hal.reservation import reserved
 from hal.rig import Rig, RigError
-from pamctl import __version__
 from pamctl.cli.assembly import SHARED_MEMORY, clock_of, device_of, require_backend, rig_of
 from pamctl.cli.config import (
     ControllerOption,
@@ -34,14 +30,16 @@ from pamctl.cli.config import (
     SetOption,
     config_errors_exit,
 )
+from pamctl.cli.log_path import LogPathError, bare, new_log_path
 from pamctl.cli.progress import ProgressLine
+from pamctl.control.filters import warped
 from pamctl.log.meta import RunMeta
-from pamctl.log.schema import SCHEMA_VERSION
 from pamctl.problems import ConfigError, Problem
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.front import Commands, FrontReport, conduct
 from pamctl.realtime.loop import keyframe_fields
 from pamctl.realtime.ring import Ring, RingError
+from pamctl.realtime.supervision import STOP_SIGNALS
 from pamctl.realtime.tick import first_state
 from pamctl.settings import (
     DEFAULT_NAMES,
@@ -50,6 +48,7 @@ from pamctl.settings import (
     to_json,
     to_yaml,
 )
+from pamctl.settings import names as experiment_names
 
 RIG_OF_BACKEND = {"sim": "sim", "nidaq": "pci6221"}
 """The shipped rig file that `--backend` alone means."""
@@ -78,7 +77,7 @@ def run(
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress line.")] = False,
 ) -> None:
     """Move the muscle, log every tick, and say how well it tracked."""
-    with config_errors_exit():
+    with config_errors_exit(as_json=as_json):
         settings = resolve(
             controller=controller,
             experiment=experiment,
@@ -128,17 +127,17 @@ def _run(
     try:
         # What the user got wrong is no reason to touch the valve.
         require_backend(settings)
-        path = _log_path(log, names)
+        path = new_log_path(log, names["controller"], names["experiment"])
         with _secured(settings) as rig:
             _finish_orphans(quiet=quiet)
             meta = _meta(settings, names, path)
             with Ring.create(_ring_path(), meta, settings.rig.loop.ring_rows) as ring:
                 progress = ProgressLine(quiet=quiet or as_json)
                 report = _conducted(ring, rig, progress, fast=settings.fast)
-    except _LogPathError as error:
-        return _fail(ExitCode.USAGE, str(error))
+    except LogPathError as error:
+        return _fail(ExitCode.USAGE, str(error), as_json=as_json)
     except (RigError, RingError) as error:
-        return _fail(ExitCode.UNAVAILABLE, str(error))
+        return _fail(ExitCode.UNAVAILABLE, str(error), as_json=as_json)
     progress.done()
     return _conclude(settings, names, path, report, as_json=as_json)
 
@@ -186,44 +185,15 @@ def _finish_orphans(*, quiet: bool) -> None:
             print(f"a run died before ({orphan.ring}): {what}", file=sys.stderr)
 
 
-_LOG_DIRECTORY = Path("logs")
-
-
 def _ring_path() -> Path:
     return SHARED_MEMORY / f"pamctl-{os.getpid()}-{time.time_ns()}.ring"
-
-
-class _LogPathError(Exception):
-    """The log cannot be written where it was asked for."""
-
-
-def _log_path(asked: Path | None, names: dict[str, str]) -> Path:
-    """Return where the log goes; refuse now what the recorder would refuse later."""
-    if asked is None:
-        stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
-        what = "-".join(Path(names[part]).stem for part in ("controller", "experiment"))
-        with suppress(OSError):
-            _LOG_DIRECTORY.mkdir(exist_ok=True)
-        candidates = (f"{stamp}{again}-{what}.mcap" for again in ("", *range(-2, -100, -1)))
-        paths = (_LOG_DIRECTORY / name for name in candidates)
-        asked = next(path for path in paths if not path.exists())
-    if asked.exists():
-        raise _LogPathError(f"--log {asked}: exists, and a log is never overwritten")
-    if not asked.parent.is_dir():
-        raise _LogPathError(f"--log {asked}: there is no directory {asked.parent}")
-    try:
-        asked.touch(exist_ok=False)
-        asked.unlink()
-    except OSError as error:
-        raise _LogPathError(f"--log {asked}: cannot be created: {error.strerror}") from None
-    return asked
 
 
 def _meta(settings: RunSettings, names: dict[str, str], path: Path) -> RunMeta:
     clock = clock_of(settings, may_spin=False)
     mono_ns = 0 if settings.fast else time.monotonic_ns()
     cal = calibration(settings.rig.calibration)
-    controller = settings.controller
+    controller, nominal_dt_s = settings.controller, 1.0 / settings.rig.loop.rate_hz
     run = {**names, "law": controller.law, "backend": settings.rig.backend}
     return RunMeta(
         log_path=str(path),
@@ -238,23 +208,14 @@ def _meta(settings: RunSettings, names: dict[str, str], path: Path) -> RunMeta:
                     "kind": "Butterworth, third order, trapezoidal, on the measured dt",
                     "lpf1_hz": controller.lpf1_hz,
                     "lpf2_hz": controller.lpf2_hz,
+                    "lpf1_tan_at_nominal_dt": warped(controller.lpf1_hz, nominal_dt_s),
+                    "lpf2_tan_at_nominal_dt": warped(controller.lpf2_hz, nominal_dt_s),
                 }
             ),
         },
-        metadata={"run": run, "pamctl": {} if settings.fast else _origin()},
+        metadata={"run": run},
         keyframe_fields=keyframe_fields(first_state(Zero(0.0, 0.0), 0.0)),
     )
-
-
-def _origin() -> dict[str, str]:
-    return {
-        "version": __version__,
-        "schema": str(SCHEMA_VERSION),
-        "python": platform.python_version(),
-        "kernel": platform.release(),
-        "host": socket.gethostname(),
-        "start": datetime.now(UTC).isoformat(timespec="milliseconds"),
-    }
 
 
 def _conclude(
@@ -282,6 +243,8 @@ def _conclude(
     if path.exists():
         figures, text = _figures(settings, names, path, ending)
         document |= figures
+        if ending.code and figures.get("ticks") == 0:
+            path.unlink()  # nothing happened: leave nothing behind
     if as_json:
         typer.echo(json.dumps(document, indent=2))
     else:
@@ -289,9 +252,13 @@ def _conclude(
             typer.echo(text)
         if path.exists():
             typer.echo(f"log: {path}")
+    if ending.code in STOP_SIGNALS.values():
+        print(ending.reason, file=sys.stderr)
+    elif ending.code:
+        print(f"error: {ending.reason}", file=sys.stderr)
     if ending.code:
-        return _fail(ending.code, ending.reason)
-    return int(ending.code) if report.log_is_whole else int(ExitCode.CHECK_FAILED)
+        return int(ending.code)
+    return int(ExitCode.OK if report.log_is_whole else ExitCode.CHECK_FAILED)
 
 
 def _figures(
@@ -307,7 +274,7 @@ def _figures(
         return {"log_error": str(error)}, f"error: {error}"
     if not len(log):
         return {"ticks": 0}, ""
-    figures = summary(log, Path(names["experiment"]).stem)
+    figures = summary(log, _shipped_experiment(settings, names["experiment"]))
     text = as_text(figures, settings.controller.law)
     if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
         from pamctl.log.flight import dump_last_seconds
@@ -317,6 +284,17 @@ def _figures(
     return figures, text
 
 
-def _fail(code: ExitCode, reason: str) -> int:
+def _shipped_experiment(settings: RunSettings, name: str) -> str | None:
+    """Return the experiment's name if it is a shipped one as it stands: Table IV is about those."""
+    shipped = bare(name)
+    if shipped not in experiment_names("experiment"):
+        return None
+    return shipped if resolve(experiment=shipped).experiment == settings.experiment else None
+
+
+def _fail(code: ExitCode, reason: str, *, as_json: bool) -> int:
+    """Say why there was no run."""
+    if as_json:
+        typer.echo(json.dumps({"exit_code": int(code), "reason": reason}, indent=2))
     print(f"error: {reason}", file=sys.stderr)
     return int(code)

@@ -29,7 +29,7 @@ from pamctl.realtime.ring import RecorderFlag, Ring
 from pamctl.realtime.supervision import STOP_SIGNALS
 
 _POLL_S = 0.05
-_RECORDER_PATIENCE_S = 60.0
+_RECORDER_PATIENCE_S = 5.0
 
 Progress = Callable[[Mapping[str, float], float], None]
 """Called with the newest tick's columns and the worst lateness (s) so far."""
@@ -152,11 +152,8 @@ def _ending_of(loop: subprocess.Popen[bytes]) -> Ending:
 
 def _close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:
     """Wait for the recorder; where it is dead, finish its work from the ring."""
-    try:
-        _, said = recorder.communicate(timeout=_RECORDER_PATIENCE_S)
-    except subprocess.TimeoutExpired:
-        recorder.kill()
-        _, said = recorder.communicate()
+    _await(recorder, ring)
+    _, said = recorder.communicate()
     if recorder.returncode == 0:
         ring.unlink()
         return FrontReport(ending, True, "")
@@ -167,6 +164,18 @@ def _close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) ->
         ring.unlink()
         return FrontReport(Ending(ExitCode.UNEXPECTED, complaint), False, "")
     return _rescue(ring, ending, complaint)
+
+
+def _await(recorder: subprocess.Popen[bytes], ring: Ring) -> None:
+    """Let the recorder finish; kill one that has no pulse for long, its work can be done here."""
+    beats, since_s = ring.recorder_beats, time.monotonic()
+    while recorder.poll() is None:
+        if ring.recorder_beats != beats:
+            beats, since_s = ring.recorder_beats, time.monotonic()
+        elif time.monotonic() - since_s > _RECORDER_PATIENCE_S:
+            recorder.kill()
+            recorder.wait()
+        time.sleep(_POLL_S)
 
 
 def _rescue(ring: Ring, ending: Ending, complaint: str) -> FrontReport:

@@ -9,24 +9,29 @@ from types import FrameType
 
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.journal import SILENT_RECORDER_S
+from pamctl.realtime.pace import LoopSettings
 from pamctl.realtime.ring import RecorderFlag, Ring
 
 STOP_SIGNALS = {signal.SIGINT: ExitCode.SIGINT, signal.SIGTERM: ExitCode.SIGTERM}
-_FRONT_EVERY_TICKS = 8
-_BEAT_EVERY_TICKS = 64
-# Room for the ticks of a smooth stop must be left when the ring is called too full.
-_FULLEST = 0.8
+_LOOK_EVERY_S = 8e-3
 
 
 class LoopSupervisor:
     """Asked once a tick; costs a fraction of a microsecond in most of them."""
 
-    def __init__(self, ring: Ring, front_fd: int | None, *, patient: bool = False) -> None:
+    def __init__(
+        self, ring: Ring, front_fd: int | None, pace: LoopSettings, *, patient: bool = False
+    ) -> None:
         """`front_fd` is a pipe whose other end the front holds; its end is the front's.
 
         A `patient` run waits for a slow recorder instead of giving up on it.
         """
         self._ring = ring
+        self._asked = 0
+        # Counted in questions: a tick's number may be among the missed ones.
+        self._look_every = max(1, round(pace.rate_hz * _LOOK_EVERY_S))
+        # Room for the ticks of a smooth stop must be left when the ring is called too full.
+        self._fullest = ring.rows - pace.stop_rows
         self._patient = patient
         self._signals: list[int] = []
         self._ending: Ending | None = None
@@ -61,15 +66,16 @@ class LoopSupervisor:
             return Ending(ExitCode.UNEXPECTED, "the recorder failed")
         if self._ring.guardian_lost:
             return Ending(ExitCode.UNEXPECTED, "the guardian is gone")
-        if tick % _FRONT_EVERY_TICKS == 0 and self._front.poll(0):
+        self._asked += 1
+        if self._asked % self._look_every:
+            return None
+        if self._front.poll(0):
             return Ending(ExitCode.UNEXPECTED, "the commanding process is gone")
-        if not self._patient and tick % _BEAT_EVERY_TICKS == 0:
-            return self._recorder_trouble()
-        return None
+        return None if self._patient else self._recorder_trouble()
 
     def _recorder_trouble(self) -> Ending | None:
         ring = self._ring
-        if ring.pending > _FULLEST * ring.rows:
+        if ring.pending > self._fullest:
             return Ending(ExitCode.UNEXPECTED, "the recorder is too far behind")
         if ring.recorder_beats != self._beats:
             self._beats, self._beat_s = ring.recorder_beats, time.monotonic()

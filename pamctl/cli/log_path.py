@@ -1,0 +1,49 @@
+"""Where the log of a run goes; refused before anything moves, if it cannot go there."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+_LOG_DIRECTORY = Path("logs")
+
+
+class LogPathError(Exception):
+    """The log cannot be written where it was asked for."""
+
+
+def new_log_path(asked: Path | None, controller: str, experiment: str) -> Path:
+    """Return a path that can be created and does not exist; raise `LogPathError`."""
+    path = _unused(f"{bare(controller)}-{bare(experiment)}") if asked is None else asked
+    try:
+        if path.exists():
+            raise LogPathError(f"--log {path}: exists, and a log is never overwritten")
+        if not path.parent.is_dir():
+            raise LogPathError(_no_directory(path, by_default=asked is None))
+        path.touch(exist_ok=False)
+        path.unlink()
+    except OSError as error:
+        hint = "; give another place with --log" if asked is None else ""
+        raise LogPathError(f"--log {path}: cannot be created: {error.strerror}{hint}") from None
+    return path
+
+
+def bare(name: str) -> str:
+    """Return the name that a shipped name or a path means: `square-0.25` is no file ending."""
+    last = Path(name).name
+    return last.removesuffix(".yaml").removesuffix(".yml")
+
+
+def _unused(what: str) -> Path:
+    with suppress(OSError):
+        _LOG_DIRECTORY.mkdir(exist_ok=True)
+    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+    names = (f"{stamp}{again}-{what}.mcap" for again in ("", *range(-2, -100, -1)))
+    return next(path for name in names if not (path := _LOG_DIRECTORY / name).exists())
+
+
+def _no_directory(path: Path, *, by_default: bool) -> str:
+    if by_default:
+        return f"{path.parent}/ cannot be made here; give a place for the log with --log"
+    return f"--log {path}: there is no directory {path.parent}"

@@ -39,7 +39,7 @@ from pamctl.realtime.guardian import (
 )
 from pamctl.realtime.guardianship import Guardianship
 from pamctl.realtime.ring import LoopStage, Ring
-from pamctl.settings import resolve
+from pamctl.settings import ConfigError, resolve
 
 MS = 1_000_000
 LIMIT_NS = 50 * MS
@@ -102,6 +102,11 @@ def test_milliseconds_count_only_while_the_loop_drives_the_valve(
     stage: int, done: bool, expected_ns: int
 ) -> None:
     assert patience_ns(stage, done, LIMIT_NS) == expected_ns
+
+
+def test_a_limit_that_every_tick_would_exceed_is_refused() -> None:
+    with pytest.raises(ConfigError, match="less than three periods of 10 ms"):
+        resolve(overrides=["rig.loop.rate_hz=100", "rig.loop.heartbeat_ms=25"])
 
 
 # --- the guardian within this process, its loop a process of ours -------------------------

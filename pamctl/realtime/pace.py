@@ -21,7 +21,7 @@ class LoopSettings(Configured):
     )
     heartbeat_ms: Annotated[
         float,
-        Field(ge=5, le=10_000, description="a loop silent for longer is killed by the guardian"),
+        Field(ge=20, le=10_000, description="a loop silent for longer is killed by the guardian"),
     ] = 50.0
     stop_ramp_s: Annotated[
         float, Field(ge=0.001, le=5, description="from the last command to the safe one")
@@ -36,6 +36,11 @@ class LoopSettings(Configured):
             raise ValueError(
                 f"spin_us {self.spin_us:g} is more than half of the period of "
                 f"{1e6 / self.rate_hz:g} us at rate_hz {self.rate_hz:g}"
+            )
+        if self.heartbeat_ms * self.rate_hz < 3e3:
+            raise ValueError(
+                f"heartbeat_ms {self.heartbeat_ms:g} is less than three periods of "
+                f"{1e3 / self.rate_hz:g} ms at rate_hz {self.rate_hz:g}"
             )
         if self.ring_rows < 2 * self.stop_rows:
             raise ValueError(

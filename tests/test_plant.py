@@ -476,3 +476,10 @@ def test_time_is_cut_into_equal_steps_none_longer_than_asked() -> None:
     for _ in range(7):
         in_seven = plant_step(P, in_seven, 2.0, 0.7e-3 / 7)
     assert plant_advance(P, begin, 2.0, 0.7e-3, 0.1e-3) == in_seven
+
+
+def test_a_motion_too_slow_for_its_square_goes_on() -> None:
+    forces = AxialForces(1e-200, 0.0, 0.0, 100.0, 100.0)
+    x, v = slide(forces, 0.05, 0.01, 3e-200, 1e-3)
+    assert x == 0.01
+    assert v > 0.0

@@ -49,7 +49,8 @@ def slide(
     excess = velocity_m_per_s - terminal
     decay = exp(-rate * step_s)
     velocity = terminal + excess * decay
-    if velocity * velocity_m_per_s > 0.0:
+    # Signs, not their product: that would underflow for the last of a decaying motion.
+    if velocity != 0.0 and (velocity > 0.0) == (velocity_m_per_s > 0.0):
         return position_m + terminal * step_s + excess * (1.0 - decay) / rate, velocity
     # It comes to rest within the step, and friction decides anew what happens then.
     stop_s = min(log(excess / -terminal) / rate, step_s) if terminal != 0.0 else step_s

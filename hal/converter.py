@@ -15,8 +15,11 @@ class Converter(NamedTuple):
 
 def converted_v(converter: Converter, volts: float) -> float:
     """Return the voltage of the nearest code; half a step below full scale at the most."""
-    full_scale_v = converter.full_scale_v
-    step = 2.0 * full_scale_v / converter.levels
+    full_scale_v, levels = converter
+    step = 2.0 * full_scale_v / levels
     # Clamped first: a code beyond every integer could not be rounded to one.
-    code = math.floor(min(max(volts, -full_scale_v), full_scale_v) / step + 0.5)
-    return min(code, 0.5 * converter.levels - 1.0) * step
+    if volts >= full_scale_v - step:
+        return full_scale_v - step
+    if volts <= -full_scale_v:
+        return -full_scale_v
+    return math.floor(volts / step + 0.5) * step

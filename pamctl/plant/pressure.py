@@ -40,10 +40,12 @@ def pressure_step(
 
     `opening_v` is the valve's opening in the middle of the step, in volts of command.
     """
-    if opening_v != 0.0 and middle_pa == _source_pa(p, opening_v):
-        # The prediction arrived within half a step of the first flow. The flow goes with the
-        # root of the difference, so the true way takes twice that: it ends in this step.
-        return middle_pa
+    if opening_v != 0.0:
+        source_pa = p.tank_pressure_pa if opening_v > 0.0 else p.atmospheric_pressure_pa
+        if middle_pa == source_pa:
+            # The prediction arrived within half a step of the first flow. The flow goes with the
+            # root of the difference, so the true way takes twice that: it ends in this step.
+            return middle_pa
     energy = pressure_pa * volume_m3(p, position_m)
     inflow = valve_flow(p, opening_v, middle_pa)
     filled = energy + step_s * p.specific_energy_j_per_kg * inflow
@@ -58,12 +60,9 @@ def _not_past_source(
     The flow goes with the square root of the last pressure difference: it reaches zero
     in finite time, and an explicit step would jump across and chatter by some 30 Pa.
     """
-    source_pa = _source_pa(p, opening_v)
-    if opening_v != 0.0 and (pressure_pa - source_pa) * (next_pa - source_pa) < 0.0:
+    if opening_v == 0.0:
+        return next_pa
+    source_pa = p.tank_pressure_pa if opening_v > 0.0 else p.atmospheric_pressure_pa
+    if (pressure_pa - source_pa) * (next_pa - source_pa) < 0.0:
         return source_pa
     return next_pa
-
-
-def _source_pa(p: PlantParameters, opening_v: float) -> float:
-    """Return the pressure on the other side of the valve."""
-    return p.tank_pressure_pa if opening_v > 0.0 else p.atmospheric_pressure_pa

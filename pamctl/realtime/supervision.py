@@ -59,6 +59,13 @@ class LoopSupervisor:
         if self._signals:
             number = signal.Signals(self._signals[0])
             return Ending(STOP_SIGNALS[number], f"stopped by {number.name}")
+        self._asked += 1
+        if self._asked % self._look_every:
+            return None
+        return self._trouble()
+
+    def _trouble(self) -> Ending | None:
+        """Look around: every few milliseconds is often enough."""
         flags = self._ring.recorder_flags
         if flags & RecorderFlag.DISK_FULL:
             return Ending(ExitCode.UNEXPECTED, "the log's disk is full")
@@ -66,9 +73,6 @@ class LoopSupervisor:
             return Ending(ExitCode.UNEXPECTED, "the recorder failed")
         if self._ring.guardian_lost:
             return Ending(ExitCode.UNEXPECTED, "the guardian is gone")
-        self._asked += 1
-        if self._asked % self._look_every:
-            return None
         if self._front.poll(0):
             return Ending(ExitCode.UNEXPECTED, "the commanding process is gone")
         return None if self._patient else self._recorder_trouble()

@@ -12,14 +12,8 @@ import json
 import math
 from typing import Any
 
-import numpy as np
-
-from hal.sim import sensor_chain
-from pamctl.cli.assembly import setup_of
-from pamctl.closed_loop import BatchRun, references, sensor_noise, simulate
-from pamctl.control.experiment import segments
-from pamctl.merit import TABLE_IV, Merit, merit
-from pamctl.plant.model import plant_parameters
+from pamctl.cli.batch import tracked
+from pamctl.merit import TABLE_IV, Merit
 from pamctl.settings import names, resolve
 
 PLANTS = {
@@ -31,26 +25,12 @@ PLANTS = {
 """Plant file and output delay in ticks."""
 
 
-def run(controller: str, experiment: str, plant: str, delay_ticks: int) -> BatchRun:
-    """Simulate one cell of the table."""
-    settings = resolve(controller=controller, experiment=experiment, plant=plant)
-    table = references(segments(settings.experiment), 1e-3)
-    return simulate(
-        setup_of(settings),
-        plant_parameters(settings.plant),
-        sensor_chain(settings.rig.sim, settings.rig.calibration),
-        table,
-        sensor_noise(len(table), settings.seed),
-        output_delay_ticks=delay_ticks,
+def figures(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
+    """Simulate one cell of the table; None where safety ended it."""
+    delay = f"rig.sim.output_delay_ticks={delay_ticks}"
+    return tracked(
+        resolve(controller=controller, experiment=experiment, plant=plant, overrides=[delay])
     )
-
-
-def figures(done: BatchRun) -> Merit | None:
-    """Errors of one run; None where safety ended it."""
-    if done.tripped_tick >= 0:
-        return None
-    t_s = np.arange(len(done.rows)) * 1e-3
-    return merit(t_s, done["phase"].astype(np.int64), done["position_m"] - done["reference_m"])
 
 
 def cell(found: Merit | None) -> str:
@@ -69,7 +49,7 @@ def main() -> None:
         print_header = [f"experiment {number}: max / RMS / steady", *PLANTS]
         rows = []
         for controller in names("controller"):
-            found = {p: figures(run(controller, experiment, *PLANTS[p])) for p in PLANTS}
+            found = {p: figures(controller, experiment, *PLANTS[p]) for p in PLANTS}
             document.setdefault(experiment, {})[controller] = {
                 p: m and m._asdict() for p, m in found.items()
             }

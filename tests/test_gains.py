@@ -5,15 +5,10 @@ from __future__ import annotations
 import math
 from functools import cache
 
-import numpy as np
 import pytest
 
-from hal.sim import sensor_chain
-from pamctl.cli.assembly import setup_of
-from pamctl.closed_loop import references, sensor_noise, simulate
-from pamctl.control.experiment import segments
-from pamctl.merit import TABLE_IV, Merit, merit
-from pamctl.plant.model import plant_parameters
+from pamctl.cli.batch import tracked
+from pamctl.merit import TABLE_IV, Merit
 from pamctl.settings import resolve
 
 EXPERIMENTS = ("tracking-1", "tracking-2")
@@ -21,22 +16,14 @@ PLANTS = [(plant, delay) for plant in ("paper", "paper-valve109") for delay in (
 
 
 @cache
-def tracked(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
+def figures(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
     """Figures of one simulated run; None where safety ended it."""
-    settings = resolve(controller=controller, experiment=experiment, plant=plant)
-    table = references(segments(settings.experiment), 1e-3)
-    run = simulate(
-        setup_of(settings),
-        plant_parameters(settings.plant),
-        sensor_chain(settings.rig.sim, settings.rig.calibration),
-        table,
-        sensor_noise(len(table), seed=1),
-        output_delay_ticks=delay_ticks,
+    delay = f"rig.sim.output_delay_ticks={delay_ticks}"
+    return tracked(
+        resolve(
+            controller=controller, experiment=experiment, plant=plant, overrides=[delay], seed=1
+        )
     )
-    if run.tripped_tick >= 0:
-        return None
-    t_s = np.arange(len(run.rows)) * 1e-3
-    return merit(t_s, run["phase"].astype(np.int64), run["position_m"] - run["reference_m"])
 
 
 def table_iv(experiment: str, law: str) -> Merit:
@@ -56,7 +43,7 @@ def assert_inside(found: Merit | None, bound: Merit, share: float = 1.0) -> None
 def test_table_iii_of_the_paper_read_in_inches_lands_inside_table_iv(
     experiment: str, plant: str
 ) -> None:
-    found = tracked("paper-table3-qsmc", experiment, plant, 0)
+    found = figures("paper-table3-qsmc", experiment, plant, 0)
     assert_inside(found, table_iv(experiment, "qsmc"))
 
 
@@ -65,7 +52,7 @@ def test_table_iii_of_the_paper_read_in_inches_lands_inside_table_iv(
 def test_gains_for_the_papers_plant_reach_a_tenth_of_both_columns_of_table_iv(
     experiment: str, law: str
 ) -> None:
-    found = tracked("qsmc-paper-plant", experiment, "paper", 0)
+    found = figures("qsmc-paper-plant", experiment, "paper", 0)
     assert_inside(found, table_iv(experiment, law), share=0.1)
 
 
@@ -75,10 +62,10 @@ def test_gains_for_the_papers_plant_reach_a_tenth_of_both_columns_of_table_iv(
 def test_default_gains_hold_with_a_109_hz_valve_and_a_tick_of_delay(
     controller: str, experiment: str, plant: str, delay_ticks: int
 ) -> None:
-    found = tracked(controller, experiment, plant, delay_ticks)
+    found = figures(controller, experiment, plant, delay_ticks)
     assert_inside(found, table_iv(experiment, "smc"))
     assert_inside(found, table_iv(experiment, "qsmc"))
 
 
 def test_the_printed_smc_gains_do_not_track_as_their_file_says() -> None:
-    assert tracked("paper-table3-smc", "tracking-1", "paper", 0) is None
+    assert figures("paper-table3-smc", "tracking-1", "paper", 0) is None

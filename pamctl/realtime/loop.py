@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from hal.calibration import Zero, output_v
@@ -90,39 +91,32 @@ def control(
         return Ending(ExitCode.SAFETY_TRIP, str(error))
 
 
-class _Loop:
-    """The state that the loop carries from tick to tick."""
+_COMPLETE = Ending(ExitCode.OK, "the experiment is complete")
 
-    def __init__(
-        self,
-        rig: Rig,
-        clock: Clock,
-        setup: TickSetup,
-        nominal_zero: Callable[[RawSample], Zero],
-        program: Program,
-        journal: Journal,
-        supervisor: Supervisor,
-        truth: Callable[[], Truth],
-    ) -> None:
-        self._rig = rig
-        self._clock = clock
-        self._setup = setup
-        self._nominal_zero = nominal_zero
-        self._program = program
-        self._journal = journal
-        self._supervisor = supervisor
-        self._truth = truth
-        self._ending = Ending(ExitCode.OK, "the experiment is complete")
+
+@dataclass
+class _Loop:
+    """What the loop is made of, and how it will have ended."""
+
+    rig: Rig
+    clock: Clock
+    setup: TickSetup
+    nominal_zero: Callable[[RawSample], Zero]
+    program: Program
+    journal: Journal
+    supervisor: Supervisor
+    truth: Callable[[], Truth]
+    ending: Ending = _COMPLETE
 
     def run(self) -> Ending:
         """Tick until the program ends."""
-        wake = self._clock.wait()
-        raw = self._rig.read()
-        state = first_state(self._nominal_zero(raw), self._setup.limits.safe_valve_v)
+        wake = self.clock.wait()
+        raw = self.rig.read()
+        state = first_state(self.nominal_zero(raw), self.setup.limits.safe_valve_v)
         self._record_zero(wake.tick, raw, state.zero)
-        times = _Times(raw.encoder_t_ns, raw.encoder_t_ns - self._clock.period_ns)
+        times = _Times(raw.encoder_t_ns, raw.encoder_t_ns - self.clock.period_ns)
         while True:
-            sampled_ns = self._clock.now_ns()
+            sampled_ns = self.clock.now_ns()
             timing = _timing(times, wake, raw)
             times = times._replace(last_t_ns=raw.encoder_t_ns)
             reference, zero = self._ask(timing, raw, state)
@@ -130,43 +124,43 @@ class _Loop:
                 state = rezeroed(state, zero)
                 self._record_zero(timing.tick, raw, zero)
             if reference is None:
-                return self._ending
-            state, decision = step(self._setup, state, raw, reference, timing)
+                return self.ending
+            state, decision = step(self.setup, state, raw, reference, timing)
             self._act(wake, sampled_ns, timing, raw, reference, state, decision)
             if decision.tripped:
                 return self._tripped(timing, raw, decision)
             # Asked first: two signals that come between the two questions are then a stop
             # in this tick and an abort in the next, and never an end without its reason.
-            abort = self._supervisor.abort_wanted()
+            abort = self.supervisor.abort_wanted()
             self._heed_supervisor(timing, raw, decision)
             if abort:
-                return self._ending
-            wake = self._clock.wait()
-            raw = self._rig.read()
+                return self.ending
+            wake = self.clock.wait()
+            raw = self.rig.read()
 
     def _ask(
         self, timing: Timing, raw: RawSample, state: TickState
     ) -> tuple[Reference | None, Zero | None]:
         """Return what the program asks for; when the experiment is over it stops smoothly."""
-        reference, zero = self._program.next(timing.t_s, raw)
-        if reference is None and not self._program.is_stopping:
+        reference, zero = self.program.next(timing.t_s, raw)
+        if reference is None and not self.program.is_stopping:
             self._begin_stop(timing, raw, state.safety.valve_v)
-            reference, _ = self._program.next(timing.t_s, raw)
+            reference, _ = self.program.next(timing.t_s, raw)
         return reference, zero
 
     def _heed_supervisor(self, timing: Timing, raw: RawSample, decision: Decision) -> None:
         """See, in the slack after the tick, whether somebody wants the run to end."""
-        if not self._program.is_stopping:
-            wanted = self._supervisor.stop_wanted(timing.tick)
+        if not self.program.is_stopping:
+            wanted = self.supervisor.stop_wanted(timing.tick)
             if wanted is not None:
-                self._ending = wanted
+                self.ending = wanted
                 self._begin_stop(timing, raw, decision.valve_v)
 
     def _begin_stop(self, timing: Timing, raw: RawSample, valve_v: float) -> None:
-        last_v = self._setup.limits.safe_valve_v if math.isnan(valve_v) else valve_v
-        self._program.begin_stop(timing.t_s, last_v)
-        event = {"event": "stopping", "reason": self._ending.reason}
-        self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
+        last_v = self.setup.limits.safe_valve_v if math.isnan(valve_v) else valve_v
+        self.program.begin_stop(timing.t_s, last_v)
+        event = {"event": "stopping", "reason": self.ending.reason}
+        self.journal.put_event(timing.tick, raw.encoder_t_ns, event)
 
     def _act(
         self,
@@ -179,11 +173,11 @@ class _Loop:
         decision: Decision,
     ) -> None:
         """Write to the valve and put everything on record, the failed write too."""
-        now_ns = self._clock.now_ns
+        now_ns = self.clock.now_ns
         decided_ns = now_ns()
         applied_v = math.nan
         try:
-            applied_v = self._rig.write(output_v(self._setup.calibration, decision.valve_v))
+            applied_v = self.rig.write(output_v(self.setup.calibration, decision.valve_v))
         finally:
             outcome = Outcome(
                 applied_v,
@@ -191,7 +185,7 @@ class _Loop:
                 (decided_ns - sampled_ns) * 1e-9,
                 (now_ns() - decided_ns) * 1e-9,
             )
-            self._journal.put_tick(
+            self.journal.put_tick(
                 TickRecord(
                     timing,
                     raw,
@@ -201,22 +195,22 @@ class _Loop:
                     state.command,
                     decision,
                     outcome,
-                    self._truth(),
+                    self.truth(),
                 )
             )
         # The tick that ends a thousand, or the first after it where that one was missed.
         if (timing.tick + 1) % KEYFRAME_TICKS <= timing.missed:
-            self._journal.put_keyframe(timing.tick, raw.encoder_t_ns, frozen(state))
+            self.journal.put_keyframe(timing.tick, raw.encoder_t_ns, frozen(state))
 
     def _record_zero(self, tick: int, raw: RawSample, zero: Zero) -> None:
         """Say in the log from which tick on the sensors have other zeros: replay needs it."""
-        self._journal.put_event(tick, raw.encoder_t_ns, {"event": "zeroed", **zero._asdict()})
+        self.journal.put_event(tick, raw.encoder_t_ns, {"event": "zeroed", **zero._asdict()})
 
     def _tripped(self, timing: Timing, raw: RawSample, decision: Decision) -> Ending:
-        self._rig.make_safe()
+        self.rig.make_safe()
         reasons = explain(decision.verdicts)
         event: dict[str, object] = {"event": "tripped", "reasons": reasons}
-        self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
+        self.journal.put_event(timing.tick, raw.encoder_t_ns, event)
         overruns_only = decision.verdicts == OVERRUNS
         code = ExitCode.OVERRUNS if overruns_only else ExitCode.SAFETY_TRIP
         return Ending(code, "safety trip: " + "; ".join(reasons))

@@ -198,8 +198,6 @@ class Ring:
     """Not zero once the last row is put."""
     worst_late_ns = _Word(34)
     """The loop's worst wake-up so far."""
-    dropped = _Word(35)
-    """Rows the loop could not put."""
     loop_stage = _Word(36)
     """One of `LoopStage`. Written by the loop."""
     guardian_ready = _Word(40)

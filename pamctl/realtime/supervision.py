@@ -34,7 +34,6 @@ class LoopSupervisor:
         self._fullest = ring.rows - pace.stop_rows
         self._patient = patient
         self._signals: list[int] = []
-        self._ending: Ending | None = None
         self._beats = -1
         self._beat_s = time.monotonic()
         self._front = select.poll()

@@ -23,3 +23,26 @@ def converted_v(converter: Converter, volts: float) -> float:
     if volts <= -full_scale_v:
         return -full_scale_v
     return math.floor(volts / step + 0.5) * step
+
+
+class Output(NamedTuple):
+    """An analog output that is kept within a range; both ends are codes of its converter."""
+
+    converter: Converter
+    lowest_v: float
+    highest_v: float
+
+
+def within(converter: Converter, low_v: float, high_v: float) -> Output:
+    """Return an output whose range is that of the outermost codes between two voltages."""
+    step = 2.0 * converter.full_scale_v / converter.levels
+    return Output(
+        converter,
+        converted_v(converter, math.ceil(low_v / step) * step),
+        converted_v(converter, math.floor(high_v / step) * step),
+    )
+
+
+def applied_v(output: Output, volts: float) -> float:
+    """Return the voltage that an output really applies when told `volts`."""
+    return min(max(converted_v(output.converter, volts), output.lowest_v), output.highest_v)

@@ -25,6 +25,7 @@ FaultKind = Literal[
     "read_error",
     "write_error",
     "device_lost",
+    "stuck_valve",
 ]
 
 
@@ -35,13 +36,20 @@ class FaultSettings(Configured):
     from_tick: Annotated[int, Field(ge=0)]
     ticks: Annotated[int, Field(ge=1)] = 1_000_000_000
     size: Annotated[
-        float, Field(ge=-1e9, le=1e9, description="counts of an encoder_jump, s of a slow_read")
+        float,
+        Field(
+            ge=-1e9,
+            le=1e9,
+            description="counts of an encoder_jump, s of a slow_read, output V of a stuck_valve",
+        ),
     ] = 0.0
 
     @model_validator(mode="after")
     def _possible(self) -> FaultSettings:
         if self.kind == "slow_read" and not 0.0 <= self.size <= 60.0:
             raise ValueError(f"the size of a slow_read is 0 to 60 s (got {self.size:g})")
+        if self.kind == "stuck_valve" and not -10.0 <= self.size <= 10.0:
+            raise ValueError(f"the size of a stuck_valve is -10 to 10 V (got {self.size:g})")
         return self
 
 
@@ -79,8 +87,15 @@ class FaultyRig:
         return sample
 
     def write(self, ao_v: float) -> float:
-        """Write to the inner rig unless the device is gone."""
+        """Write to the inner rig unless the device is gone.
+
+        A valve that is stuck does not answer to the output, which knows nothing of it.
+        """
         self._fail_if_due("write_error", "device_lost")
+        for fault in self._faults:
+            if fault.kind == "stuck_valve" and self._is_due(fault):
+                self._inner.write(fault.size)
+                return ao_v
         return self._inner.write(ao_v)
 
     def make_safe(self) -> None:

@@ -1,4 +1,4 @@
-"""The NI card, through NI-DAQmx: the only file that imports nidaqmx.
+"""The NI card, through NI-DAQmx: this file and `nidaq_timed.py` alone import nidaqmx.
 
 On-demand timing: the loop's clock decides when, and each read or write is one driver call of
 some microseconds. That holds only for tasks that run already, through the stream readers and
@@ -24,16 +24,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nidaqmx import Task
-from nidaqmx.constants import EncoderType, LengthUnits, TerminalConfiguration
+from nidaqmx.constants import BusType, EncoderType, LengthUnits, TerminalConfiguration
 from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError, DaqWarning
 from nidaqmx.errors import Error as DriverError
 from nidaqmx.stream_readers import AnalogSingleChannelReader, CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
 from nidaqmx.system import Device, System
 
-from hal.converter import Converter, converted_v
-from hal.nidaq_errors import INSTALL, fix_of
-from hal.nidaq_settings import NidaqSettings
+from hal.converter import applied_v
+from hal.nidaq_errors import INSTALL, ON_DEMAND, fix_of
+from hal.nidaq_settings import NidaqSettings, card_output
 from hal.rig import RawSample, RigError
 
 STAND_IN_SERIAL = 0xDECAF
@@ -41,16 +41,17 @@ STAND_IN_SERIAL = 0xDECAF
 STAND_IN_PERMIT = "PAMCTL_PERMIT_STAND_IN"
 """Environment variable that lets it: set by tests, and by nobody else."""
 
-_OUTPUT = Converter(10.0)
-"""An M Series output is always +-10 V, whatever range its channel is given."""
 _COUNTER_SPAN = 1 << 32
+_TIMED_BUSES = (BusType.PCI, BusType.PCIE, BusType.PXI, BusType.PXIE)
 
 _NO_DRIVER = (DaqNotFoundError, DaqNotSupportedError)
 # ctypes refuses arguments in its own words, the loader a broken library in the system's;
 # ValueError is a count that is no number.
 _FAILURES = (DriverError, ctypes.ArgumentError, OSError, ValueError)
 
-_SAFE_TRIES = 20
+# Within the heartbeat: a loop that tries for longer is killed, and its reason lost. The guardian
+# goes on trying.
+_SAFE_TRIES = 6
 _SAFE_TRIES_AS_OPEN = 2
 _SAFE_RETRY_S = 5e-3
 
@@ -65,16 +66,23 @@ def require_card(settings: NidaqSettings) -> Mapping[str, object]:
 
     Raises `RigError` where one is missing, or where the card is the tests' stand-in.
     """
-    with _reported(f"looking for {settings.device}"):
+    with reported(f"looking for {settings.device}"):
         version = System.local().driver_version
         device = Device(settings.device)
         serial = int(device.serial_num)
+        bus = device.bus_type
         identity = {
             "library": _loaded_library(),
             "driver_version": ".".join(map(str, version)),
             "product_type": str(device.product_type),
             "serial_number": f"{serial:X}",
         }
+    if settings.timing == "hardware_timed" and bus not in _TIMED_BUSES:
+        raise RigError(
+            f"{settings.device} is a {identity['product_type']} on {bus.name}: "
+            "no hardware-timed single points there",
+            fix=ON_DEMAND,
+        )
     if serial == STAND_IN_SERIAL and STAND_IN_PERMIT not in os.environ:
         raise RigError(
             f"{settings.device} is no card but the stand-in of pamctl's tests, "
@@ -107,7 +115,7 @@ def _rig_error(doing: str, error: Exception) -> RigError:
 
 
 @contextmanager
-def _reported(doing: str) -> Iterator[None]:
+def reported(doing: str) -> Iterator[None]:
     """Turn every failure of driver and package into a `RigError`."""
     try:
         yield
@@ -141,7 +149,8 @@ def _task(purpose: str) -> Task:
 
 
 @contextmanager
-def _valve(settings: NidaqSettings) -> Iterator[AnalogSingleChannelWriter]:
+def valve_task(settings: NidaqSettings) -> Iterator[Task]:
+    """Make the output's task, not yet started."""
     with _task("valve") as task:
         task.ao_channels.add_ao_voltage_chan(
             f"{settings.device}/{settings.valve_channel}",
@@ -149,12 +158,12 @@ def _valve(settings: NidaqSettings) -> Iterator[AnalogSingleChannelWriter]:
             min_val=settings.output_low_v,
             max_val=settings.output_high_v,
         )
-        task.start()
-        yield AnalogSingleChannelWriter(task.out_stream, auto_start=False)
+        yield task
 
 
 @contextmanager
-def _pressure(settings: NidaqSettings) -> Iterator[AnalogSingleChannelReader]:
+def pressure_task(settings: NidaqSettings) -> Iterator[Task]:
+    """Make the analog input's task, not yet started."""
     with _task("pressure") as task:
         task.ai_channels.add_ai_voltage_chan(
             f"{settings.device}/{settings.pressure_channel}",
@@ -163,12 +172,12 @@ def _pressure(settings: NidaqSettings) -> Iterator[AnalogSingleChannelReader]:
             min_val=settings.input_low_v,
             max_val=settings.input_high_v,
         )
-        task.start()
-        yield AnalogSingleChannelReader(task.in_stream)
+        yield task
 
 
 @contextmanager
-def _encoder(settings: NidaqSettings) -> Iterator[CounterReader]:
+def encoder_task(settings: NidaqSettings) -> Iterator[Task]:
+    """Make the counter's task, not yet started."""
     with _task("encoder") as task:
         channel = task.ci_channels.add_ci_lin_encoder_chan(
             f"{settings.device}/{settings.encoder_counter}",
@@ -185,18 +194,35 @@ def _encoder(settings: NidaqSettings) -> Iterator[CounterReader]:
             channel.ci_encoder_a_input_dig_fltr_enable = True
             channel.ci_encoder_b_input_dig_fltr_min_pulse_width = shortest_pulse_s
             channel.ci_encoder_b_input_dig_fltr_enable = True
-        task.start()
-        yield CounterReader(task.in_stream)
+        yield task
 
 
-class _Wired(NamedTuple):
-    """The running tasks."""
+def valve_writer(task: Task) -> Callable[[float, float], None]:
+    """Return what writes volts within a timeout (s); the task must run."""
+    write: Callable[[float, float], None] = AnalogSingleChannelWriter(
+        task.out_stream, auto_start=False
+    ).write_one_sample
+    return write
+
+
+def count_reader(task: Task) -> Callable[[float], float]:
+    """Return what reads the counter within a timeout (s)."""
+    read: Callable[[float], float] = CounterReader(task.in_stream).read_one_sample_double
+    return read
+
+
+def volt_reader(task: Task) -> Callable[[float], float]:
+    """Return what reads the input's volts within a timeout (s)."""
+    read: Callable[[float], float] = AnalogSingleChannelReader(task.in_stream).read_one_sample
+    return read
+
+
+class Wired(NamedTuple):
+    """What the running tasks do; each is called with its timeout (s) last."""
 
     write_v: Callable[[float, float], None]
-    """Called with volts and a timeout (s)."""
     read_count: Callable[[float], float]
     read_v: Callable[[float], float]
-    release: ExitStack
 
 
 # --- the rig -----------------------------------------------------------------------------
@@ -225,13 +251,11 @@ class NidaqRig:
         """`safe_output_v` is the analog output voltage at which the rig is safe."""
         self._settings = settings
         self._now_ns = now_ns
-        step_v = 2.0 * _OUTPUT.full_scale_v / _OUTPUT.levels
-        # The outermost codes that lie within the range.
-        self._lowest_v = converted_v(_OUTPUT, math.ceil(settings.output_low_v / step_v) * step_v)
-        self._highest_v = converted_v(_OUTPUT, math.floor(settings.output_high_v / step_v) * step_v)
-        self._safe_v = self._admitted_v(safe_output_v)
+        self._output = card_output(settings)
+        self._safe_v = applied_v(self._output, safe_output_v)
         self._safe_output_v = safe_output_v
-        self._wired: _Wired | None = None
+        self._wired: Wired | None = None
+        self._tasks = ExitStack()
         self._counts = 0
         self._identity: Mapping[str, object] = {}
         self._warnings: dict[int, int] = {}
@@ -242,17 +266,11 @@ class NidaqRig:
         if self._wired is not None:
             raise RigError("the rig is open already", fix="call close() first")
         self._warnings.clear()
-        settings = self._settings
-        doing = f"opening {settings.device}"
-        with _reported(doing), ExitStack() as acquired:
+        with reported(f"opening {self._settings.device}"), ExitStack() as acquired:
             acquired.enter_context(_warnings_to(self._note_warning))
-            write_v = acquired.enter_context(_valve(settings)).write_one_sample
-            write_v(self._safe_v, settings.timeout_s)
-            self._identity = require_card(settings)
-            read_count = acquired.enter_context(_encoder(settings)).read_one_sample_double
-            read_v = acquired.enter_context(_pressure(settings)).read_one_sample
+            wired = self._wire(acquired)
             self._counts = 0
-            self._wired = _Wired(write_v, read_count, read_v, acquired.pop_all())
+            self._wired, self._tasks = wired, acquired.pop_all()
 
     def read(self) -> RawSample:
         """Read the encoder, then the pressure; each time is that of the asking."""
@@ -260,26 +278,25 @@ class NidaqRig:
         timeout_s, doing = self._settings.timeout_s, "reading the encoder"
         try:
             encoder_t_ns = self._now_ns()
-            reading = round(wired.read_count(timeout_s))
+            reading = wired.read_count(timeout_s)
             doing = "reading the pressure sensor"
             pressure_t_ns = self._now_ns()
             pressure_v = wired.read_v(timeout_s)
         except _FAILURES as error:
             raise _rig_error(doing, error) from error
-        self._counts = unwrapped(self._counts, reading)
-        return RawSample(pressure_v, self._counts, pressure_t_ns, encoder_t_ns)
+        return RawSample(pressure_v, self._unwrap(reading), pressure_t_ns, encoder_t_ns)
 
     def write(self, ao_v: float) -> float:
         """Put a voltage on the output: the nearest code within the configured range."""
         wired = self._require_open()
         if not math.isfinite(ao_v):
             raise RigError(f"refused to output {ao_v} V", fix="a law must command a finite voltage")
-        applied_v = self._admitted_v(ao_v)
+        admitted_v = applied_v(self._output, ao_v)
         try:
-            wired.write_v(applied_v, self._settings.timeout_s)
+            wired.write_v(admitted_v, self._settings.timeout_s)
         except _FAILURES as error:
             raise _rig_error("writing to the valve", error) from error
-        return applied_v
+        return admitted_v
 
     def make_safe(self) -> None:
         """Drive the safe voltage, over the running task or over one of its own.
@@ -312,6 +329,7 @@ class NidaqRig:
             "backend": "nidaq",
             "safe_output_v": self._safe_output_v,
             **self._settings.model_dump(),
+            "output_delay_ticks": 0,
         }
         if self._identity:
             described |= {**self._identity, "driver_warnings": self.warnings}
@@ -328,28 +346,50 @@ class NidaqRig:
         failure = self._safe_failure
         return None if failure is None else _rig_error("driving the safe voltage", failure)
 
-    def _admitted_v(self, ao_v: float) -> float:
-        return min(max(converted_v(_OUTPUT, ao_v), self._lowest_v), self._highest_v)
+    def _wire(self, acquired: ExitStack) -> Wired:
+        """Write the safe voltage, and only then take the inputs."""
+        settings = self._settings
+        valve = acquired.enter_context(valve_task(settings))
+        valve.start()
+        write_v = valve_writer(valve)
+        write_v(self._safe_v, settings.timeout_s)
+        self._identity = require_card(settings)
+        encoder = acquired.enter_context(encoder_task(settings))
+        encoder.start()
+        pressure = acquired.enter_context(pressure_task(settings))
+        pressure.start()
+        return Wired(write_v, count_reader(encoder), volt_reader(pressure))
+
+    def _unwrap(self, reading: float) -> int:
+        self._counts = unwrapped(self._counts, round(reading))
+        return self._counts
 
     def _drive_safe(self, *, as_open: bool) -> None:
         if self._wired is not None and as_open:
-            self._wired.write_v(self._safe_v, self._settings.timeout_s)
+            self._write_safe_as_wired(self._wired)
             return
         self._release()
-        with _valve(self._settings) as valve:
-            valve.write_one_sample(self._safe_v, self._settings.timeout_s)
+        self._write_on_demand(self._safe_v)
+
+    def _write_safe_as_wired(self, wired: Wired) -> None:
+        wired.write_v(self._safe_v, self._settings.timeout_s)
+
+    def _write_on_demand(self, volts: float) -> None:
+        """Write over a task made for this alone; the output holds what it is left at."""
+        with valve_task(self._settings) as valve:
+            valve.start()
+            valve_writer(valve)(volts, self._settings.timeout_s)
 
     def _release(self) -> None:
-        wired, self._wired = self._wired, None
-        if wired is not None:
-            # Nothing is left to be done about a task that cannot be cleared.
-            with suppress(Exception):
-                wired.release.close()
+        self._wired = None
+        # Nothing is left to be done about a task that cannot be cleared.
+        with suppress(Exception):
+            self._tasks.close()
 
     def _note_warning(self, code: int) -> None:
         self._warnings[code] = self._warnings.get(code, 0) + 1
 
-    def _require_open(self) -> _Wired:
+    def _require_open(self) -> Wired:
         if self._wired is None:
             raise RigError("the card is not open", fix="call open() first")
         return self._wired

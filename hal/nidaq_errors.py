@@ -13,6 +13,12 @@ INSTALL = (
     "and check that `nilsdev` lists the card; or run with --backend sim"
 )
 
+ON_DEMAND = "set nidaq.timing: on_demand in the rig file"
+_NOT_TIMED = f"this card does not do it so: {ON_DEMAND}"
+
+LATE = frozenset({-209800, -209801, -209802, -209803})
+"""A read or a write was not done when the next edge of the sample clock came."""
+
 _BUSY = "another program holds this part of the card: end it (a run of pamctl? a test panel?)"
 _ABSENT = (
     "check that the card is seated and powered and that `nilsdev` lists it under the name "
@@ -25,13 +31,18 @@ FIXES: Mapping[int, str] = {
     -50103: _BUSY,
     -200022: _BUSY,
     -50152: "the driver cannot talk to the card: reboot, and check that its kernel modules load",
-    -200077: "the card does not offer a value of section nidaq of the rig file",
+    -200077: "the card does not offer a value of section nidaq of the rig file (its timing?)",
     -200170: "the card has no such channel: check the channels in section nidaq of the rig file",
     -200220: _ABSENT,
     -200284: _TIMEOUT,
+    -200303: _NOT_TIMED,
+    -200452: _NOT_TIMED,
     -200474: _TIMEOUT,
     -200561: _OUTPUT_RANGE,
+    -200820: _NOT_TIMED,
+    -200821: _NOT_TIMED,
     -201003: _ABSENT,
+    **dict.fromkeys(LATE, "the PC is too slow for rig.loop.rate_hz, or was stopped for long"),
 }
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from hal.configured import Configured
+from hal.converter import Converter, Output, within
 
 
 class NidaqSettings(Configured):
@@ -36,7 +37,11 @@ class NidaqSettings(Configured):
         float, Field(ge=-10, le=10, description="no voltage outside these two leaves the rig")
     ] = 10.0
     timing: Annotated[
-        Literal["on_demand"], Field(description="the loop's clock asks for each sample")
+        Literal["on_demand", "hardware_timed"],
+        Field(
+            description="on_demand: the loop's clock asks for each sample; hardware_timed: the "
+            "card's own clock paces the loop, and puts out what is written one tick later"
+        ),
     ] = "on_demand"
     timeout_s: Annotated[
         float, Field(gt=0, le=1, description="of a single read or write in the driver")
@@ -49,3 +54,12 @@ class NidaqSettings(Configured):
         if self.output_low_v >= self.output_high_v:
             raise ValueError("output_low_v must be below output_high_v")
         return self
+
+
+_CONVERTER = Converter(10.0)
+"""An M Series output is always +-10 V, whatever range its channel is given."""
+
+
+def card_output(settings: NidaqSettings) -> Output:
+    """Return the valve's output as the card realises it."""
+    return within(_CONVERTER, settings.output_low_v, settings.output_high_v)

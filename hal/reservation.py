@@ -7,7 +7,6 @@ carries the owner's process id for the one who is refused.
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -43,6 +42,8 @@ def reserve(fd: int, what: str, pid_at: int = 0) -> None:
 
     `pid_at` is where in the file the owner's process id stands.
     """
+    import fcntl  # not on every system where a log is replayed, and a rig file is read
+
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

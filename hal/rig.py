@@ -54,6 +54,8 @@ class Rig(Protocol):
     def write(self, ao_v: float) -> float:
         """Apply `ao_v` (V) before returning; return the volts really applied.
 
+        Where `describe` says `output_delay_ticks: 1` the rig holds it for the next sample's
+        instant instead: then, and not before, it is put out. The safe voltage never waits.
         The rig clamps to its output range and quantises to its converter, and
         refuses a value that is not finite.
         """

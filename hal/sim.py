@@ -20,7 +20,7 @@ from hal.calibration import (
     valve_v,
 )
 from hal.configured import Configured
-from hal.converter import Converter, converted_v
+from hal.converter import Converter, Output, converted_v, within
 from hal.register import PrivateRegister, Register
 from hal.rig import RawSample, RigError
 
@@ -33,11 +33,11 @@ class Plant(Protocol):
 
     @property
     def position_m(self) -> float:
-        """True displacement."""
+        """Displacement of what the encoder is fixed to."""
 
     @property
     def pressure_pa(self) -> float:
-        """True absolute pressure."""
+        """Absolute pressure that the sensor follows."""
 
 
 class SimSettings(Configured):
@@ -85,6 +85,12 @@ def sensor_chain(settings: SimSettings, nominal: CalibrationSettings) -> SensorC
         input_converter=Converter(settings.input_full_scale_v),
         output_converter=Converter(settings.output_full_scale_v),
     )
+
+
+def simulated_output(settings: SimSettings) -> Output:
+    """Return the valve's output: the whole range of its converter."""
+    full_scale_v = settings.output_full_scale_v
+    return within(Converter(full_scale_v), -full_scale_v, full_scale_v)
 
 
 def sensed_pressure_v(chain: SensorChain, pressure_pa: float, noise: float) -> float:

@@ -68,5 +68,15 @@ class NidaqRigSettings(_Rig):
             raise ValueError(f"safe_volts must lie within the output's range, {low_v} to {high_v}")
         return self
 
+    @model_validator(mode="after")
+    def _samples_come_within_the_timeout(self) -> NidaqRigSettings:
+        periods = self.nidaq.timeout_s * self.loop.rate_hz
+        if self.nidaq.timing == "hardware_timed" and periods < 2:
+            raise ValueError(
+                f"nidaq.timeout_s {self.nidaq.timeout_s:g} is less than two periods of "
+                f"loop.rate_hz {self.loop.rate_hz:g}: a hardware-timed read waits for one"
+            )
+        return self
+
 
 RigSettings = Annotated[SimRigSettings | NidaqRigSettings, Field(discriminator="backend")]

@@ -82,12 +82,36 @@ def give_the_card_back() -> None:
 def nidaq() -> Bench:
     """The card's backend over the stand-in driver, on the whole range of its output."""
     card = here()
+    card.power_up()
     from hal.nidaq import NidaqRig
 
     give_the_card_back()
     rig = NidaqRig(NidaqSettings(output_low_v=-10.0), safe_output_v=SAFE_V)
     _cards_in_use.append(rig)
     return Bench(rig, time.monotonic_ns, lambda: card.output_v)
+
+
+def nidaq_hardware_timed() -> Bench:
+    """The same by the card's sample clock; its voltmeter waits for the edge that is due."""
+    card = here()
+    from hal.nidaq_timed import HardwareTimedRig
+
+    give_the_card_back()
+    card.power_up()
+    card.stop_time()
+
+    def now_ns() -> int:
+        card.set_time_ns(card.now_ns() + 10_000)
+        return card.now_ns()
+
+    rig = HardwareTimedRig(
+        NidaqSettings(output_low_v=-10.0, timing="hardware_timed"),
+        rate_hz=1000.0,
+        safe_output_v=SAFE_V,
+        now_ns=now_ns,
+    )
+    _cards_in_use.append(rig)
+    return Bench(rig, now_ns, lambda: card.output_at_next_edge_v)
 
 
 @pytest.fixture(autouse=True)
@@ -97,7 +121,7 @@ def _one_card_for_all(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     give_the_card_back()
 
 
-FACTORIES = [sim, sim_with_delay, faulty_without_faults_due, nidaq]
+FACTORIES = [sim, sim_with_delay, faulty_without_faults_due, nidaq, nidaq_hardware_timed]
 
 every_rig = pytest.mark.parametrize("make", FACTORIES)
 Make = Callable[[], Bench]

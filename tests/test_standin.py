@@ -36,6 +36,14 @@ def test_its_muscle_is_that_of_the_simulation(card: Card) -> None:
     assert max(abs(plant.state.velocity_m_per_s), plant.position_m) > 0
 
 
+def test_its_muscle_rests_for_as_long_as_nobody_looks(card: Card) -> None:
+    """A decay to the smallest numbers there are must not end in one that is none."""
+    state = (0.008, 0.0, 250e3)
+    for _ in range(60):
+        state = tuple(advance(state, -4.375, 1.0))
+    assert state == pytest.approx((0.0, 0.0, 101.3e3))
+
+
 # --- names and numbers -------------------------------------------------------------------
 
 
@@ -99,6 +107,7 @@ def expected_types() -> dict[str, list[type]]:
         "const char *": [CtypesByteString],
         "char *": [ctypes.c_char_p],
         "int32_t": [ctypes.c_int],
+        "uint64_t": [ctypes.c_ulonglong],
         "uint32_t": [ctypes.c_uint],
         "uint32_t *": [pointer(ctypes.c_uint)],
         "bool32": [c_bool32],
@@ -111,7 +120,7 @@ def expected_types() -> dict[str, list[type]]:
 def call_everything() -> None:
     """Call each function of the stand-in through the package."""
     from nidaqmx import Task
-    from nidaqmx.constants import LengthUnits, TaskMode
+    from nidaqmx.constants import AcquisitionType, LengthUnits, TaskMode
     from nidaqmx.errors import DaqError, DaqWarning
     from nidaqmx.stream_readers import AnalogSingleChannelReader, CounterReader
     from nidaqmx.stream_writers import AnalogSingleChannelWriter
@@ -131,6 +140,7 @@ def call_everything() -> None:
         AnalogSingleChannelWriter(out.out_stream).write_one_sample(1.0)
         volts.ai_channels.add_ai_voltage_chan("Dev1/ai0")
         AnalogSingleChannelReader(volts.in_stream).read_one_sample()
+        volts.timing.cfg_samp_clk_timing(1e3, sample_mode=AcquisitionType.HW_TIMED_SINGLE_POINT)
         channel = counts.ci_channels.add_ci_lin_encoder_chan("Dev1/ctr0", units=LengthUnits.TICKS)
         channel.ci_encoder_a_input_dig_fltr_enable = False
         assert channel.physical_channel.name == "Dev1/ctr0"
@@ -161,7 +171,7 @@ def test_a_function_it_lacks_is_one_the_package_says_the_driver_lacks(card: Card
     with Task() as task:
         task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
         with pytest.raises(DaqFunctionNotSupportedError):
-            task.timing.cfg_samp_clk_timing(1000.0)
+            task.timing.cfg_implicit_timing()
 
 
 # --- the card's ways that the backend must know ------------------------------------------

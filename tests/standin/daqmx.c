@@ -1,5 +1,6 @@
 /* A stand-in for NI-DAQmx: as much of its C interface as the nidaqmx package calls for one
-   analog input, two analog outputs and two encoder counters with on-demand timing.
+   analog input, two analog outputs and two encoder counters, on demand or as hardware-timed
+   single points on the input's sample clock.
 
    It encodes a reading of NI's documents, not a measurement: it proves nothing about a real
    card. Numbers and signatures are held against the installed package by a test, which reads
@@ -30,7 +31,7 @@ enum {
     INVALID_DEVICE_ID = -200220,
     BUFFER_TOO_SMALL_FOR_STRING = -200228,
     WRITE_BUFFER_TOO_SMALL = -200234,
-    SAMPLES_NOT_YET_AVAILABLE = -200284,
+    EXT_SAMP_CLK_SRC_NOT_SPECIFIED = -200303,
     CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK = -200478,
     CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING = -200479,
     INVALID_AO_DATA_WRITE = -200561,
@@ -40,7 +41,9 @@ enum {
 
 /* Names as in nidaqmx.constants, the class before the double underscore. */
 enum {
+    AcquisitionType__HW_TIMED_SINGLE_POINT = 12522,
     BusType__PCI = 12582,
+    BusType__USB = 12586,
     ChannelType__ANALOG_INPUT = 10100,
     ChannelType__ANALOG_OUTPUT = 10102,
     ChannelType__COUNTER_INPUT = 10131,
@@ -73,6 +76,7 @@ typedef struct Task {
     int32_t type; /* a ChannelType; 0 without a channel */
     Resource resource;
     bool is_running;
+    int64_t period_ns; /* of the sample clock; 0: on demand */
     double lowest, highest; /* of the channel, V */
     double full_scale_v;
     int32_t terminal;
@@ -157,8 +161,8 @@ static int32_t list_channels(const char *kind, int count, char *buffer, uint32_t
 {
     char list[512] = "";
     for (int i = 0, used = 0; i < count; i++)
-        used += snprintf(list + used, sizeof list - (size_t)used, "%s" DEVICE_NAME "/%s%d",
-                         i ? ", " : "", kind, i);
+        used += snprintf(list + used, sizeof list - (size_t)used, "%s%s/%s%d", i ? ", " : "",
+                         device_attach()->name, kind, i);
     return put_text(list, buffer, size);
 }
 
@@ -222,11 +226,14 @@ static int32_t start(Task *task)
     if (code || task->is_running)
         return code;
     task->is_running = true;
+    device_note_move(task->resource, true);
     if (task->resource == RESOURCE_CTR0)
         start_counter(task);
     if (task->resource == RESOURCE_AI) {
         device_attach()->ai_terminal = task->terminal;
         device_attach()->ai_full_scale_v = task->full_scale_v;
+        if (task->period_ns)
+            clock_start(task->period_ns);
     }
     return 0;
 }
@@ -235,8 +242,13 @@ static int32_t unreserve(Task *task)
 {
     if (!task)
         return INVALID_TASK;
-    if (task->is_running && task->resource == RESOURCE_CTR0)
-        device_attach()->counter_runs = 0;
+    if (task->is_running) {
+        device_note_move(task->resource, false);
+        if (task->resource == RESOURCE_CTR0)
+            device_attach()->counter_runs = 0;
+        if (task->resource == RESOURCE_AI && task->period_ns)
+            clock_stop();
+    }
     /* An analog output keeps the voltage it has. */
     task->is_running = false;
     device_release(task->resource, task->id);
@@ -303,8 +315,9 @@ EXPORT int32_t DAQmxIsTaskDone(TaskHandle handle, bool32 *is_done)
 /* The number of a physical channel such as "Dev1/ai3", or an error. */
 static int32_t number_of(const char *physical, const char *kind, int count)
 {
-    size_t device = strlen(DEVICE_NAME), letters = strlen(kind);
-    if (strncmp(physical, DEVICE_NAME "/", device + 1) != 0)
+    const char *name = device_attach()->name;
+    size_t device = strlen(name), letters = strlen(kind);
+    if (strncmp(physical, name, device) != 0 || physical[device] != '/')
         return INVALID_DEVICE_ID;
     const char *channel = physical + device + 1;
     char *end = "?";
@@ -438,6 +451,36 @@ EXPORT int32_t DAQmxInternalGetLastCreatedChan(char *buffer, uint32_t size)
     CALL(0.0, put_text(last_channel, buffer, size));
 }
 
+/* --- timing --- */
+
+static int32_t clock_task(Task *task, const char *source, double rate_hz, int32_t mode)
+{
+    if (!task)
+        return INVALID_TASK;
+    if (!task->type)
+        return CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK;
+    if (task->is_running)
+        return CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING;
+    bool is_master = task->resource == RESOURCE_AI;
+    char clock[64];
+    snprintf(clock, sizeof clock, "/%s/ai/SampleClock", device_attach()->name);
+    if (!is_master && !*source) /* a counter has no clock of its own */
+        return EXT_SAMP_CLK_SRC_NOT_SPECIFIED;
+    if (mode != AcquisitionType__HW_TIMED_SINGLE_POINT || !(rate_hz > 0.0) ||
+        device_attach()->bus == BusType__USB ||
+        strcmp(source, is_master ? "" : clock) != 0)
+        return INVALID_ATTRIBUTE_VALUE;
+    task->period_ns = (int64_t)llround(1e9 / rate_hz);
+    return 0;
+}
+
+EXPORT int32_t DAQmxCfgSampClkTiming(TaskHandle handle, const char *source, double rate,
+                                     int32_t edge, int32_t mode, uint64_t samples)
+{
+    (void)edge, (void)samples;
+    CALL(0.0, clock_task(task_of(handle), source, rate, mode));
+}
+
 /* --- reading and writing --- */
 
 /* A task that is not running is started for the call and stopped after it. */
@@ -456,24 +499,49 @@ static int32_t with_task(Task *task, int32_t type, int32_t (*work)(const Task *,
     return code;
 }
 
-static int32_t sense(const Task *task, void *value)
+/* What a read asks for, and how long it may wait. */
+typedef struct {
+    double timeout_s;
+    double volts;
+    int64_t count;
+} Reading;
+
+static int32_t sense(const Task *task, void *into)
 {
+    Reading *reading = into;
+    if (task->period_ns) {
+        int32_t code = clock_await(reading->timeout_s);
+        reading->volts = device_attach()->sampled_v;
+        return code;
+    }
     int number = number_of(task->physical, "ai", AI_CHANNELS);
-    *(double *)value = device_sense_v(number, task->full_scale_v);
+    reading->volts = device_sense_v(number, task->full_scale_v);
     return 0;
+}
+
+static int32_t read_voltage(Task *task, double timeout_s, double *value)
+{
+    Reading reading = {.timeout_s = timeout_s};
+    int32_t code = with_task(task, ChannelType__ANALOG_INPUT, sense, &reading);
+    *value = reading.volts;
+    return code;
 }
 
 EXPORT int32_t DAQmxReadAnalogScalarF64(TaskHandle handle, double timeout, double *value,
                                         bool32 *reserved)
 {
     (void)reserved;
-    CALL(timeout, with_task(task_of(handle), ChannelType__ANALOG_INPUT, sense, value));
+    CALL(timeout, read_voltage(task_of(handle), timeout, value));
 }
 
 static int32_t counted(const Task *task, void *value)
 {
+    Registers *r = device_attach();
     device_catch_up();
-    *(int64_t *)value = task->resource == RESOURCE_CTR0 ? device_attach()->counter : 0;
+    if (task->period_ns && !r->clock_edges)
+        return SAMPLES_NOT_YET_AVAILABLE;
+    int64_t count = task->period_ns ? r->sampled_count : r->counter;
+    *(int64_t *)value = task->resource == RESOURCE_CTR0 ? count : 0;
     return 0;
 }
 
@@ -517,7 +585,8 @@ static int32_t drive(const Task *task, void *value)
     double volts = *(double *)value;
     if (!(volts >= task->lowest && volts <= task->highest)) /* NaN too */
         return INVALID_AO_DATA_WRITE;
-    device_drive((int)(task->resource - RESOURCE_AO0), volts);
+    int ao = (int)(task->resource - RESOURCE_AO0);
+    (task->period_ns ? device_drive_at_edge : device_drive)(ao, volts);
     return 0;
 }
 
@@ -662,7 +731,7 @@ static int32_t task_attribute(const Task *task, int32_t attribute, va_list into)
     case 0x2181: /* number of channels */
         return put_int(task->type != 0, into);
     case 0x230E: /* devices */
-        return put_string(DEVICE_NAME, into);
+        return put_string(device_attach()->name, into);
     case 0x29BA: /* number of devices */
         return put_int(1, into);
     default:
@@ -702,7 +771,7 @@ static int32_t put_channels(va_list into, const char *kind, int count)
 
 static int32_t device_attribute(const char *device, int32_t attribute, va_list into)
 {
-    if (strcmp(device, DEVICE_NAME) != 0 || device_attach()->is_gone)
+    if (strcmp(device, device_attach()->name) != 0 || device_attach()->is_gone)
         return INVALID_DEVICE_ID;
     switch (attribute) {
     case 0x631: /* product type */
@@ -716,7 +785,7 @@ static int32_t device_attribute(const char *device, int32_t attribute, va_list i
     case 0x22CA: /* is it NI's own simulation */
         return put_int(0, into);
     case 0x2326: /* bus */
-        return put_int(BusType__PCI, into);
+        return put_int((int32_t)device_attach()->bus, into);
     case 0x231E: /* AI channels */
         return put_channels(into, "ai", AI_CHANNELS);
     case 0x231F: /* AO channels */
@@ -752,7 +821,7 @@ EXPORT int32_t DAQmxGetDeviceAttribute(const char *device, int32_t attribute, ..
 /* A reset takes the card out of every task's hands, and its outputs to 0 V. */
 static int32_t reset(const char *device)
 {
-    if (strcmp(device, DEVICE_NAME) != 0)
+    if (strcmp(device, device_attach()->name) != 0)
         return INVALID_DEVICE_ID;
     Registers *r = device_attach();
     if (r->is_gone)
@@ -761,6 +830,7 @@ static int32_t reset(const char *device)
         task->is_running = false;
     memset(r->owners, 0, sizeof r->owners);
     r->counter_runs = 0;
+    clock_stop();
     for (int ao = 0; ao < AO_CHANNELS; ao++)
         device_drive(ao, 0.0);
     return 0;
@@ -785,7 +855,7 @@ EXPORT int32_t DAQmxGetSystemInfoAttribute(int32_t attribute, ...)
         code = put_int(0, into);
         break;
     case 0x193B: /* devices */
-        code = put_string(device_attach() && !device_attach()->is_gone ? DEVICE_NAME : "", into);
+        code = put_string(device_attach() && !device_attach()->is_gone ? device_attach()->name : "", into);
         break;
     default:
         break;

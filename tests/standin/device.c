@@ -65,6 +65,15 @@ void device_unlock(void)
 
 /* --- time, plant and wires --- */
 
+static void sleep_s(double seconds)
+{
+    if (seconds <= 0.0)
+        return; /* even a sleep of nothing takes 50 us */
+    struct timespec rest = {(time_t)seconds, (long)(fmod(seconds, 1.0) * 1e9)};
+    while (nanosleep(&rest, &rest) && errno == EINTR)
+        ;
+}
+
 int64_t device_now_ns(void)
 {
     if (registers->is_virtual)
@@ -105,19 +114,15 @@ static void count(double duration_s)
     }
 }
 
-void device_catch_up(void)
+static void pass_time_until(int64_t then_ns)
 {
     Registers *r = registers;
-    int64_t now_ns = device_now_ns();
-    if (r->plant_ns == 0) {
-        r->plant_ns = now_ns;
-        r->encoder_edges = encoder_edges();
-    }
-    if (now_ns <= r->plant_ns)
+    if (then_ns <= r->plant_ns)
         return;
-    double duration_s = (double)(now_ns - r->plant_ns) * 1e-9;
-    plant_advance(&r->plant, r->ao_v[0] - r->driver_offset_v, duration_s);
-    r->plant_ns = now_ns;
+    double duration_s = (double)(then_ns - r->plant_ns) * 1e-9;
+    double valve_v = r->valve_is_stuck ? r->valve_stuck_v : r->ao_v[0];
+    plant_advance(&r->plant, (valve_v - r->driver_offset_v) * r->driver_gain, duration_s);
+    r->plant_ns = then_ns;
     count(duration_s);
 }
 
@@ -128,12 +133,11 @@ static double converted_v(double volts, double full_scale_v)
     return fmin(code, 32767.0) * step_v;
 }
 
-void device_drive(int ao, double volts)
+static void put_out(int ao, double volts, int64_t when_ns)
 {
     Registers *r = registers;
-    device_catch_up();
     r->ao_v[ao] = converted_v(volts, 10.0);
-    r->ao_ns = device_now_ns();
+    r->ao_ns = when_ns;
     r->ao_history_v[r->ao_writes++ % HISTORY] = r->ao_v[ao];
 }
 
@@ -155,14 +159,124 @@ static double noise_v(void)
     return registers->noise_v * radius * cos(2.0 * M_PI * uniform());
 }
 
-double device_sense_v(int ai, double full_scale_v)
+static double sensed_v(int ai, double full_scale_v)
 {
     Registers *r = registers;
-    device_catch_up();
     if (ai != 0 || r->wire_is_broken)
         return 0.0;
     double sensor_v = r->sensor_zero_v + (r->plant.pressure_pa - 101.3e3) / r->sensor_pa_per_v;
     return converted_v(sensor_v + noise_v(), full_scale_v);
+}
+
+/* --- the sample clock --- */
+
+static int64_t next_edge_ns(void)
+{
+    return registers->clock_start_ns + (registers->clock_edges + 1) * registers->clock_period_ns;
+}
+
+/* Inputs are taken and outputs put out at the same instant: these act on the next sample. */
+static void pass_edge(void)
+{
+    Registers *r = registers;
+    int64_t edge_ns = next_edge_ns();
+    pass_time_until(edge_ns);
+    r->clock_edges++;
+    r->sampled_v = sensed_v(0, r->ai_full_scale_v);
+    r->sampled_count = r->counter;
+    for (int ao = 0; ao < AO_CHANNELS; ao++)
+        if (r->ao_is_pending[ao]) {
+            r->ao_is_pending[ao] = 0;
+            put_out(ao, r->ao_pending_v[ao], edge_ns);
+        }
+}
+
+void clock_start(int64_t period_ns)
+{
+    Registers *r = registers;
+    device_catch_up();
+    r->clock_start_ns = device_now_ns();
+    r->clock_period_ns = period_ns;
+    r->clock_edges = r->clock_read = 0;
+    r->clock_runs = 1;
+}
+
+void clock_stop(void)
+{
+    Registers *r = registers;
+    r->clock_runs = 0;
+    memset(r->ao_is_pending, 0, sizeof r->ao_is_pending);
+}
+
+void device_catch_up(void)
+{
+    Registers *r = registers;
+    int64_t now_ns = device_now_ns();
+    if (r->plant_ns == 0) {
+        r->plant_ns = now_ns;
+        r->encoder_edges = encoder_edges();
+    }
+    if (r->clock_runs && !device_owner_lives(RESOURCE_AI))
+        clock_stop();
+    while (r->clock_runs && next_edge_ns() <= now_ns)
+        pass_edge();
+    pass_time_until(now_ns);
+}
+
+static void wait_unlocked(double seconds)
+{
+    device_unlock();
+    sleep_s(seconds);
+    device_lock();
+}
+
+int32_t clock_await(double timeout_s)
+{
+    Registers *r = registers;
+    device_catch_up();
+    int64_t deadline_ns = device_now_ns() + (int64_t)(timeout_s * 1e9);
+    while (!r->clock_runs || r->clock_edges == r->clock_read) {
+        int64_t now_ns = device_now_ns(), edge_ns = next_edge_ns();
+        if (!r->clock_runs || edge_ns > deadline_ns) {
+            wait_unlocked(r->is_virtual ? 0.0 : (double)(deadline_ns - now_ns) * 1e-9);
+            return SAMPLES_NOT_YET_AVAILABLE;
+        }
+        if (r->is_virtual)
+            r->virtual_ns = edge_ns;
+        else
+            wait_unlocked((double)(edge_ns - now_ns) * 1e-9);
+        device_catch_up();
+    }
+    int64_t passed = r->clock_edges - r->clock_read;
+    r->clock_read = r->clock_edges;
+    return passed > 1 ? (int32_t)r->late_code : 0;
+}
+
+/* --- what the tasks ask for --- */
+
+void device_drive(int ao, double volts)
+{
+    device_catch_up();
+    put_out(ao, volts, device_now_ns());
+}
+
+void device_drive_at_edge(int ao, double volts)
+{
+    device_catch_up();
+    registers->ao_is_pending[ao] = 1;
+    registers->ao_pending_v[ao] = volts;
+}
+
+double device_sense_v(int ai, double full_scale_v)
+{
+    device_catch_up();
+    return sensed_v(ai, full_scale_v);
+}
+
+void device_note_move(Resource resource, bool is_start)
+{
+    int64_t number = (int64_t)resource + 1;
+    registers->move[registers->moves++ % HISTORY] = is_start ? number : -number;
 }
 
 void counter_start(int64_t initial, int64_t edges_per_count, double filter_s, bool z_resets)
@@ -201,12 +315,18 @@ bool device_owns(Resource resource, int64_t task)
     return owner->pid == getpid() && owner->task == task;
 }
 
+bool device_owner_lives(Resource resource)
+{
+    Owner *owner = &registers->owners[resource];
+    return owner->pid == getpid() || (owner->pid && birth_of(owner->pid) == owner->born);
+}
+
 bool device_reserve(Resource resource, int64_t task)
 {
     Owner *owner = &registers->owners[resource];
     if (device_owns(resource, task))
         return true;
-    if (owner->pid && birth_of(owner->pid) == owner->born)
+    if (owner->pid && device_owner_lives(resource))
         return false;
     *owner = (Owner){getpid(), birth_of(getpid()), task};
     return true;
@@ -219,15 +339,6 @@ void device_release(Resource resource, int64_t task)
 }
 
 /* --- faults --- */
-
-static void sleep_s(double seconds)
-{
-    if (seconds <= 0.0)
-        return; /* even a sleep of nothing takes 50 us */
-    struct timespec rest = {(time_t)seconds, (long)(fmod(seconds, 1.0) * 1e9)};
-    while (nanosleep(&rest, &rest) && errno == EINTR)
-        ;
-}
 
 static Fault due_fault(const char *function)
 {
@@ -250,5 +361,5 @@ int32_t device_fault(const char *function, double timeout_s)
     device_unlock();
     bool times_out = fault.hang_s > timeout_s && !fault.is_deaf;
     sleep_s(times_out ? timeout_s : fault.hang_s);
-    return times_out ? -200284 : (int32_t)fault.code;
+    return times_out ? SAMPLES_NOT_YET_AVAILABLE : (int32_t)fault.code;
 }

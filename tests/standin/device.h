@@ -10,10 +10,12 @@
 
 #include "plant.h"
 
-#define DEVICE_NAME "Dev1"
 #define SERIAL_NUMBER 0xDECAFu
 
 enum { AO_CHANNELS = 2, AI_CHANNELS = 16, COUNTERS = 2, FAULTS = 8, HISTORY = 64 };
+
+/* The one error of NI's that the device itself gives. */
+#define SAMPLES_NOT_YET_AVAILABLE (-200284)
 
 typedef enum {
     RESOURCE_AI, /* one converter for all inputs */
@@ -44,6 +46,7 @@ typedef struct {
 /* Eight bytes a field: no padding that a mirror could get wrong. */
 typedef struct {
     int64_t size;
+    char name[40]; /* of the device: a lock bears it, so cards side by side need their own */
     int64_t is_virtual; /* time stands still but for whoever moves `virtual_ns` */
     int64_t virtual_ns;
     int64_t plant_ns; /* the plant has come so far; 0: it begins at the next access */
@@ -53,6 +56,7 @@ typedef struct {
     int64_t ao_writes;
     double ao_history_v[HISTORY]; /* the last writes, a ring: number n is at n % HISTORY */
     double driver_offset_v;
+    double driver_gain; /* V of command per V of output; -1: a valve plumbed the wrong way */
     double sensor_zero_v;
     double sensor_pa_per_v;
     double noise_v;
@@ -72,6 +76,22 @@ typedef struct {
     int64_t counter_z_resets; /* recorded only: this encoder strip has no index */
     int64_t ticks_are_unsigned; /* how a read in ticks shows a count below zero */
     int64_t is_gone; /* the card is no longer on the bus */
+    int64_t bus;     /* a BusType: what it is plugged into */
+    int64_t valve_is_stuck; /* the valve stands at `valve_stuck_v`, whatever the output says */
+    double valve_stuck_v;
+    /* The sample clock of the analog input, for hardware-timed single points. */
+    int64_t clock_runs;
+    int64_t clock_start_ns;
+    int64_t clock_period_ns;
+    int64_t clock_edges; /* passed since the start */
+    int64_t clock_read;  /* of these, the one whose sample was read last */
+    double sampled_v;    /* what the input was at the last edge */
+    int64_t sampled_count;
+    int64_t ao_is_pending[AO_CHANNELS]; /* a voltage waits for the next edge */
+    double ao_pending_v[AO_CHANNELS];
+    int64_t late_code; /* what a read says that comes after a missed edge; 0: nothing */
+    int64_t moves;     /* starts and stops of tasks ever */
+    int64_t move[HISTORY]; /* the last ones: a Resource + 1, negative for a stop */
     Owner owners[RESOURCES];
     Fault faults[FAULTS];
     int64_t mutex_is_ready;
@@ -86,11 +106,21 @@ void device_unlock(void);
 int64_t device_now_ns(void);
 void device_catch_up(void);
 void device_drive(int ao, double volts);
+/* The same, but at the next edge of the sample clock. */
+void device_drive_at_edge(int ao, double volts);
 double device_sense_v(int ai, double full_scale_v);
+
+void clock_start(int64_t period_ns);
+void clock_stop(void);
+/* Wait for an edge whose sample has not been read: 0, the code of a late one, or a timeout.
+   Called locked; lets go of the lock while it waits. */
+int32_t clock_await(double timeout_s);
+void device_note_move(Resource resource, bool is_start);
 void counter_start(int64_t initial, int64_t edges_per_count, double filter_s, bool z_resets);
 
 bool device_reserve(Resource resource, int64_t task);
 bool device_owns(Resource resource, int64_t task);
+bool device_owner_lives(Resource resource);
 void device_release(Resource resource, int64_t task);
 
 /* The code due to this call, having waited as long as a fault wants; call it unlocked. */

@@ -116,7 +116,7 @@ static void slide(Plant *plant, Forces f, double step_s)
     double damping, terminal = terminal_of(f, v, &damping);
     double rate = damping / MASS_KG, excess = v - terminal, decay = exp(-rate * step_s);
     double end_v = terminal + excess * decay;
-    if (end_v * v > 0.0) {
+    if (end_v != 0.0 && (end_v > 0.0) == (v > 0.0)) { /* their product would underflow */
         plant->position_m += terminal * step_s + excess * (1.0 - decay) / rate;
         plant->velocity_m_per_s = end_v;
         return;

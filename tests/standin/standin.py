@@ -27,6 +27,8 @@ SERIAL = 0xDECAF
 PERMIT = "PAMCTL_PERMIT_STAND_IN"
 """Set by tests, and by nobody else: without it `pamctl` refuses this card."""
 
+PCI, USB = 12582, 12586
+
 _HISTORY = 64
 _FOREVER = 1 << 62
 
@@ -56,6 +58,7 @@ class Fault(ctypes.Structure):
 class Registers(ctypes.Structure):
     _fields_ = [
         ("size", ctypes.c_int64),
+        ("name", ctypes.c_char * 40),
         ("is_virtual", ctypes.c_int64),
         ("virtual_ns", ctypes.c_int64),
         ("plant_ns", ctypes.c_int64),
@@ -65,6 +68,7 @@ class Registers(ctypes.Structure):
         ("ao_writes", ctypes.c_int64),
         ("ao_history_v", ctypes.c_double * _HISTORY),
         ("driver_offset_v", ctypes.c_double),
+        ("driver_gain", ctypes.c_double),
         ("sensor_zero_v", ctypes.c_double),
         ("sensor_pa_per_v", ctypes.c_double),
         ("noise_v", ctypes.c_double),
@@ -84,6 +88,21 @@ class Registers(ctypes.Structure):
         ("counter_z_resets", ctypes.c_int64),
         ("ticks_are_unsigned", ctypes.c_int64),
         ("is_gone", ctypes.c_int64),
+        ("bus", ctypes.c_int64),
+        ("valve_is_stuck", ctypes.c_int64),
+        ("valve_stuck_v", ctypes.c_double),
+        ("clock_runs", ctypes.c_int64),
+        ("clock_start_ns", ctypes.c_int64),
+        ("clock_period_ns", ctypes.c_int64),
+        ("clock_edges", ctypes.c_int64),
+        ("clock_read", ctypes.c_int64),
+        ("sampled_v", ctypes.c_double),
+        ("sampled_count", ctypes.c_int64),
+        ("ao_is_pending", ctypes.c_int64 * 2),
+        ("ao_pending_v", ctypes.c_double * 2),
+        ("late_code", ctypes.c_int64),
+        ("moves", ctypes.c_int64),
+        ("move", ctypes.c_int64 * _HISTORY),
         ("owners", Owner * 5),
         ("faults", Fault * 8),
         ("mutex_is_ready", ctypes.c_int64),
@@ -94,6 +113,7 @@ class Registers(ctypes.Structure):
 _POWER_UP = {
     "size": ctypes.sizeof(Registers),
     "driver_offset_v": 5.0,
+    "driver_gain": 1.0,
     "sensor_zero_v": 0.215,
     "sensor_pa_per_v": 1.0 / (5.0 * 1.2858e-6),
     "noise_state": 88172645463325252,
@@ -101,6 +121,7 @@ _POWER_UP = {
     "encoder_phase_edges": 0.4,
     "encoder_sign": 1,
     "counter_edges_per_count": 1,
+    "bus": PCI,
 }
 """What is not zero when the computer is switched on; the sensors are the sim rig's."""
 
@@ -108,8 +129,10 @@ _POWER_UP = {
 class Card:
     """One card in the computer."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, name: str = "Dev1") -> None:
+        """A process that drives it locks `name`: cards side by side need one each."""
         self.path = path
+        self.name = name
         path.write_bytes(bytes(ctypes.sizeof(Registers)))
         with path.open("r+b") as file:
             self._map = mmap.mmap(file.fileno(), ctypes.sizeof(Registers))
@@ -120,8 +143,9 @@ class Card:
         """Switch the computer off and on; only the mutex stays as it is."""
         until_mutex = Registers.mutex_is_ready.offset
         ctypes.memset(ctypes.addressof(self.registers), 0, until_mutex)
-        for name, value in _POWER_UP.items():
-            setattr(self.registers, name, value)
+        for register, value in _POWER_UP.items():
+            setattr(self.registers, register, value)
+        self.registers.name = self.name.encode()
         self.registers.plant.pressure_pa = 101.3e3
 
     @property
@@ -130,11 +154,29 @@ class Card:
         return float(self.registers.ao_v[0])
 
     @property
+    def output_at_next_edge_v(self) -> float:
+        """What it will show after the next edge of the sample clock."""
+        pending = self.registers.ao_is_pending[0]
+        return float(self.registers.ao_pending_v[0]) if pending else self.output_v
+
+    @property
     def written_v(self) -> list[float]:
         """The last voltages written to any output, oldest first."""
         writes = self.registers.ao_writes
         first = max(0, writes - _HISTORY)
         return [self.registers.ao_history_v[n % _HISTORY] for n in range(first, writes)]
+
+    @property
+    def task_moves(self) -> list[str]:
+        """Starts (+) and stops (-) of tasks, oldest first, by what they use."""
+        names = ("ai", "ao0", "ao1", "ctr0", "ctr1")
+        moves = self.registers.moves
+        last = (self.registers.move[n % _HISTORY] for n in range(max(0, moves - _HISTORY), moves))
+        return [("+" if move > 0 else "-") + names[abs(move) - 1] for move in last]
+
+    def now_ns(self) -> int:
+        """The time of a card whose time stands still, as `set_time_ns` has it."""
+        return int(self.registers.virtual_ns) - 1
 
     def stop_time(self) -> None:
         """Let time stand still but for `set_time_ns`."""

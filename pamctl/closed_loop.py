@@ -20,7 +20,9 @@ from hal.rig import RawSample
 from hal.sim import SensorChain, sensed_counts, sensed_pressure_v
 from pamctl.compiled import compiled
 from pamctl.control.experiment import Course, Segment
+from pamctl.plant.command_line import plant_advance_late
 from pamctl.plant.parameters import PlantParameters, PlantState, vented
+from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
 from pamctl.plant.simulated import LONGEST_STEP_S
 from pamctl.plant.step import plant_advance
 from pamctl.realtime.tick import TickSetup, TickState, first_state, step
@@ -138,13 +140,35 @@ def run(
         chain.output_converter, output_v(setup.calibration, setup.limits.safe_valve_v)
     )
     written = valve = valve_v(chain.calibration, output)
+    late = plant.effects.command_delay.delay_s > 0.0
+    written_s, written_v = np.zeros(len(references)), np.zeros(len(references))
+    arrived, now_s = 0, 0.0
     for tick in range(len(references)):
-        if tick:
+        if tick and late:
+            written_s[tick - 1] = now_s
+            written_v[tick - 1] = valve
+            muscle, arrived = plant_advance_late(
+                plant,
+                muscle,
+                written_s,
+                written_v,
+                tick,
+                arrived,
+                now_s,
+                period_s,
+                longest_step_s,
+            )
+            now_s += period_s
+        elif tick:
             muscle = plant_advance(plant, muscle, valve, period_s, longest_step_s)
         t_ns = 0
         raw = RawSample(
-            sensed_pressure_v(chain, muscle.pressure_pa, noise[tick]),
-            sensed_counts(chain, muscle.position_m),
+            sensed_pressure_v(
+                chain,
+                sensed_pressure_pa(plant, muscle.pressure_pa, muscle.air, muscle.sensors),
+                noise[tick],
+            ),
+            sensed_counts(chain, sensed_position_m(plant, muscle.position_m, muscle.sensors)),
             t_ns,
             t_ns,
         )

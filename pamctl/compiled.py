@@ -8,9 +8,11 @@ twin. The loop process runs the plain functions and never imports numba.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -25,7 +27,7 @@ def compiled(kernel: Kernel) -> Kernel:
     """Return the numba twin of a kernel: same arguments, same values, at machine speed.
 
     The first call compiles (seconds); the machine code is kept in the user's cache
-    for the next process, under a key made of all our sources.
+    for the next process, under a key made of every source that the kernel can depend on.
     """
     return cast(Kernel, _twin(kernel))
 
@@ -42,7 +44,7 @@ def _twin(kernel: FunctionType) -> Any:
     twin.__qualname__ = kernel.__qualname__
     twin.__module__ = kernel.__module__
     # error_model: division by zero raises, as in the plain function.
-    return _numba().njit(twin, cache=_may_cache(), error_model="python")
+    return _numba(kernel.__module__).njit(twin, cache=_may_cache(), error_model="python")
 
 
 def _twin_if_kernel(value: object) -> object:
@@ -50,14 +52,14 @@ def _twin_if_kernel(value: object) -> object:
     return _twin(value) if is_kernel else value
 
 
-@cache
-def _numba() -> ModuleType:
+def _numba(module: str) -> ModuleType:
+    """Return numba, told to keep the code of this module's kernels by all they depend on."""
     import numba
 
     # numba looks only at a kernel's own file to see whether its cached code is stale;
-    # ours call each other across files, so the key is the hash of them all.
+    # ours call each other, and use each other's types, across files.
     settings: Any = numba.config
-    settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_sources_digest()}")
+    settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_sources_digest(module)}")
     return numba
 
 
@@ -75,9 +77,34 @@ def _may_cache() -> bool:
     return os.access(_cache_home(), os.W_OK)
 
 
-def _sources_digest() -> str:
-    package = Path(__file__).parent
+@cache
+def _sources_digest(module: str) -> str:
+    """Hash the sources of a module and of all in this house that it imports, on any way."""
+    waiting, found = [module], {module}
+    while waiting:
+        new = set(_imports(waiting.pop())) - found
+        found |= new
+        waiting += new
     digest = hashlib.sha256()
-    for source in sorted([*package.rglob("*.py"), *package.parent.glob("hal/*.py")]):
-        digest.update(source.read_bytes())
+    for name in sorted(found):
+        digest.update(_source_of(name).read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _imports(module: str) -> Iterator[str]:
+    """Find the modules of this house that a module's source names, those for types included."""
+    for node in ast.walk(ast.parse(_source_of(module).read_bytes())):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        yield from (n for n in names if n.split(".")[0] in _HOUSE and _source_of(n).exists())
+
+
+def _source_of(module: str) -> Path:
+    if module == "__main__":  # a script with a kernel of its own
+        return Path(str(sys.modules[module].__file__))
+    path = Path(__file__).parent.parent.joinpath(*module.split("."))
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")

@@ -27,7 +27,7 @@ _STAGES = tuple(
 
 
 def tick(index: int) -> TickRecord:
-    """Return a tick whose every column differs from every other, and from tick to tick."""
+    """Return a tick whose columns differ from each other and from tick to tick, but for time."""
     record = TickRecord._make(
         signals._make(
             _value(kind, index, 10 * stage + position) for position, kind in enumerate(kinds)
@@ -35,7 +35,7 @@ def tick(index: int) -> TickRecord:
         for stage, (signals, kinds) in enumerate(_STAGES)
     )
     return record._replace(
-        timing=record.timing._replace(tick=index, t_s=index * 1e-3),
+        timing=record.timing._replace(tick=index, t_s=index * 1e-3, dt_s=1e-3, missed=0),
         raw=record.raw._replace(encoder_t_ns=START_MONO_NS + index * PERIOD_NS),
         reference=record.reference._replace(phase=2),
     )

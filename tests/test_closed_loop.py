@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from support import MemoryJournal, ScriptedSupervisor
 
 from hal.sim import sensor_chain
-from pamctl.cli.assembly import clock_of, nominal_zero_of, program_of, rig_of, setup_of
+from pamctl.cli.assembly import clock_of, rig_of
 from pamctl.closed_loop import BatchRow, BatchRun, references, sensor_noise, simulate
 from pamctl.control.experiment import segments
 from pamctl.plant.model import plant_parameters
@@ -23,6 +23,7 @@ from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.loop import control
 from pamctl.rig_settings import SimRigSettings
 from pamctl.settings import RunSettings, resolve
+from pamctl.setup import nominal_zero_of, program_of, setup_of
 from pamctl.signals import Phase, Reference, TickRecord
 
 LAWS = ("qsmc", "smc", "pid")  # the shipped gains

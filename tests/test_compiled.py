@@ -63,7 +63,7 @@ def test_a_twin_raises_where_the_kernel_does() -> None:
     p = plant_parameters(PlantSettings())
     for flow in (orifice_flow, compiled(orifice_flow)):
         with pytest.raises(ZeroDivisionError):
-            flow(p, 0.0, 1e5)
+            flow(p.paper, 0.0, 1e5)
 
 
 def test_compiling_leaves_the_plain_function_plain() -> None:
@@ -88,7 +88,7 @@ def checkout(tmp_path: Path) -> Path:
 
 
 def digest(checkout: Path) -> str:
-    """What a copy's own `compiled.py` says of its sources."""
+    """What a copy's own `compiled.py` says of the sources of the closed loop."""
     spec = importlib.util.spec_from_file_location(
         "compiled_of_a_copy", checkout / "pamctl" / "compiled.py"
     )
@@ -96,10 +96,10 @@ def digest(checkout: Path) -> str:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return str(module._sources_digest())
+    return str(module._sources_digest("pamctl.closed_loop"))
 
 
-def test_the_cache_is_keyed_by_every_source(checkout: Path) -> None:
+def test_the_cache_is_keyed_by_every_source_that_a_kernel_can_depend_on(checkout: Path) -> None:
     """Kernels call each other across files: numba by itself would keep a caller's stale code."""
     unchanged = digest(checkout)
     assert unchanged == digest(checkout)
@@ -116,28 +116,35 @@ def test_the_cache_is_keyed_by_every_source(checkout: Path) -> None:
     assert len(seen) == 5
 
 
+def test_what_no_kernel_can_reach_leaves_the_cache_alone(checkout: Path) -> None:
+    before = digest(checkout)
+    for changed in ("pamctl/cli/run.py", "pamctl/log/writer.py"):
+        with (checkout / changed).open("a") as source:
+            source.write("# another line\n")
+    assert digest(checkout) == before
+
+
 class Compiled(NamedTuple):
-    position_m: float
+    risen_pa: float
     compiled_now: int
 
 
 ONE_STEP = """
 from pamctl.compiled import compiled
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.parameters import vented
-from pamctl.plant.step import plant_advance
+from pamctl.plant.pressure import pressure_step
 
-p = plant_parameters(PlantSettings())
-twin = compiled(plant_advance)
-state = vented(p)
+p = plant_parameters(PlantSettings()).paper
+twin = compiled(pressure_step)
+pressure_pa = begin_pa = p.atmospheric_pressure_pa
 for _ in range(50):
-    state = twin(p, state, 5.0, 1e-3, 0.5e-3)
-print(state.position_m, sum(twin.stats.cache_misses.values()))
+    pressure_pa = twin(p, pressure_pa, pressure_pa, 1.0, 0.0, 0.0, 0.5e-3)
+print(pressure_pa - begin_pa, sum(twin.stats.cache_misses.values()))
 """
 
 
 def one_step(checkout: Path, cache: Path) -> Compiled:
-    """Run the plant for 50 ms in a process of its own."""
+    """Fill the muscle for 25 ms in a process of its own."""
     run = subprocess.run(
         [sys.executable, "-c", ONE_STEP],
         env={**os.environ, "XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(checkout)},
@@ -146,8 +153,8 @@ def one_step(checkout: Path, cache: Path) -> Compiled:
         text=True,
         check=True,
     )
-    position_m, misses = run.stdout.split()
-    return Compiled(float(position_m), int(misses))
+    risen_pa, misses = run.stdout.split()
+    return Compiled(float(risen_pa), int(misses))
 
 
 def test_the_next_process_finds_the_machine_code_unless_a_called_kernel_changed(
@@ -157,17 +164,17 @@ def test_the_next_process_finds_the_machine_code_unless_a_called_kernel_changed(
     first = one_step(checkout, cache)
     again = one_step(checkout, cache)
     assert (first.compiled_now, again.compiled_now) == (1, 0)
-    assert again.position_m == first.position_m
-    assert [folder.name[:8] for folder in (cache / "pamctl").iterdir()] == ["kernels-"]
+    assert again.risen_pa == first.risen_pa
+    assert {folder.name[:8] for folder in (cache / "pamctl").iterdir()} == {"kernels-"}
 
-    # `plant_advance` is in step.py, which stays as it is.
+    # `pressure_step` is in pressure.py, which stays as it is.
     valve = checkout / "pamctl" / "plant" / "valve.py"
     half = valve.read_text().replace("p.valve_gain_m2_per_v * abs(", "0.5 * abs(1e-6 * ")
     assert half != valve.read_text()
     valve.write_text(half)
     after = one_step(checkout, cache)
     assert after.compiled_now == 1
-    assert after.position_m < 0.8 * first.position_m
+    assert 0.0 < after.risen_pa < 0.8 * first.risen_pa
 
 
 # --- who must do without ------------------------------------------------------------------------

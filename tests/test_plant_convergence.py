@@ -57,7 +57,7 @@ def ours(name: str, steps: int, spool: Spool | None = None) -> NDArray[np.float6
     states = [vented(p)]
     for command in COMMANDS[name]:
         states.append(plant_advance(p, states[-1], command, TICK_S, TICK_S / steps))
-    return np.array([state[:5] for state in states])
+    return np.array([(*state[:3], *state.valve[:2]) for state in states])
 
 
 def error_m(name: str, steps: int, spool: Spool | None = None) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pamctl.plant.muscle import braid_lever_m, force_area_m2
-from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.parameters import PaperParameters
 
 
 class AxialForces(NamedTuple):
@@ -21,9 +21,12 @@ class AxialForces(NamedTuple):
     upper_n: float
     damping_up_n_s_per_m: float
     damping_down_n_s_per_m: float
+    rest_lower_n: float
+    """The band in which the muscle sticks: that of motion, but for the Stribeck effect."""
+    rest_upper_n: float
 
 
-def axial_forces(p: PlantParameters, position_m: float, pressure_pa: float) -> AxialForces:
+def axial_forces(p: PaperParameters, position_m: float, pressure_pa: float) -> AxialForces:
     """Eq. 4 and 5 at (x, P).
 
     Eq. 5 leaves out zero velocity; it is read as set-valued, any force in
@@ -35,4 +38,5 @@ def axial_forces(p: PlantParameters, position_m: float, pressure_pa: float) -> A
     grip = p.friction_area_m * gauge_pa if gauge_pa > 0.0 else 0.0
     drive_n = gauge_pa * force_area_m2(p, position_m) - p.stiffness_n_per_m * position_m
     damping = p.damping_n_s_per_m
-    return AxialForces(drive_n, 0.0, grip * braid_lever_m(p, position_m), damping + grip, damping)
+    kinetic_n = grip * braid_lever_m(p, position_m)
+    return AxialForces(drive_n, 0.0, kinetic_n, damping + grip, damping, 0.0, kinetic_n)

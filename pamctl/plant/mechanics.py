@@ -11,11 +11,11 @@ from __future__ import annotations
 from math import exp, log
 
 from pamctl.plant.friction import AxialForces, axial_forces
-from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.parameters import PaperParameters
 
 
 def mechanics_step(
-    p: PlantParameters,
+    p: PaperParameters,
     position_m: float,
     velocity_m_per_s: float,
     middle_pressure_pa: float,
@@ -62,7 +62,7 @@ def leave_rest(
     forces: AxialForces, mass_kg: float, position_m: float, step_s: float
 ) -> tuple[float, float]:
     """Stick while the drive lies in the friction band, else accelerate out of it."""
-    if forces.lower_n <= forces.drive_n <= forces.upper_n:
+    if forces.rest_lower_n <= forces.drive_n <= forces.rest_upper_n:
         return position_m, 0.0
     if forces.drive_n > forces.upper_n:
         damping = forces.damping_up_n_s_per_m

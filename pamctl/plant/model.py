@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model, model_validator
 
 from hal.configured import Configured
-from pamctl.plant.effects import CATALOGUE, Effects
-from pamctl.plant.effects.description import EffectDescription
+from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.effects.description import EffectDescription, acts
+from pamctl.plant.flat import ACTUATOR, parameters_of
 from pamctl.plant.parameters import PlantParameters
 
 Positive = Annotated[float, Field(gt=0)]
@@ -52,13 +54,17 @@ def _settings_of(effect: EffectDescription) -> type[Configured]:
             Annotated[float, Field(ge=p.low, le=p.high, description=f"{p.meaning} ({p.unit})")],
             p.neutral,
         )
+        if not p.choices
+        else (Annotated[Literal[p.choices], Field(description=p.meaning)], p.choices[0])
         for p in effect.parameters
     }
     return create_model(effect.name, __base__=Configured, **fields)
 
 
+_of_effects = {name: _settings_of(effect) for name, effect in CATALOGUE.items()}
+globals().update(_of_effects)  # where pickle looks for them, on their way to a worker process
 _effect_fields: dict[str, Any] = {
-    name: (_settings_of(effect) | None, None) for name, effect in CATALOGUE.items()
+    name: (settings | None, None) for name, settings in _of_effects.items()
 }
 EffectSettings = create_model(
     "EffectSettings",
@@ -72,42 +78,56 @@ class PlantSettings(Configured):
     """The model of a muscle and its valve."""
 
     base: Annotated[Literal["paper"], Field(description="Eq. 1 to 9")] = "paper"
+    actuator: Annotated[
+        Literal["muscle", "direct"],
+        Field(description="direct: a measured force drives mass, spring and friction; no muscle"),
+    ] = "muscle"
     parameters: MuscleParameters = MuscleParameters()
     effects: EffectSettings = EffectSettings()
 
 
 def plant_parameters(settings: PlantSettings) -> PlantParameters:
     """Turn a plant file into the numbers that the kernels use."""
-    m = settings.parameters
-    gamma = m.heat_capacity_ratio
-    energy = m.gas_constant_j_per_kg_k * m.temperature_k
-    critical = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
-    unchoked = math.sqrt(2.0 * gamma / ((gamma - 1.0) * energy))
-    return PlantParameters(
-        mass_kg=m.mass_kg,
-        damping_n_s_per_m=m.damping_n_s_per_m,
-        stiffness_n_per_m=m.stiffness_n_per_m,
-        rest_length_m=m.rest_length_m,
-        braid_length_m=m.braid_length_m,
-        volume_scale=1.0 / (4.0 * math.pi * m.braid_turns**2),
-        friction_area_m=m.kinetic_friction_per_m * m.braid_count * m.braid_contact_area_m2,
-        tank_pressure_pa=m.tank_pressure_pa,
-        atmospheric_pressure_pa=m.atmospheric_pressure_pa,
-        specific_energy_j_per_kg=energy,
-        valve_gain_m2_per_v=m.valve_gain_m2_per_v,
-        inverse_gamma=1.0 / gamma,
-        critical_ratio=critical,
-        choked_flow_s_per_m=unchoked
-        * critical ** (1.0 / gamma)
-        * math.sqrt(1.0 - critical ** ((gamma - 1.0) / gamma)),
-        unchoked_flow_s_per_m=unchoked,
-        effects=_effects(settings),
+    return parameters_of(values_of(settings))
+
+
+def values_of(settings: PlantSettings) -> dict[str, float]:
+    """Return a plant file as a flat mapping, without the effects that it leaves out."""
+    values: dict[str, float] = settings.parameters.model_dump()
+    if settings.actuator == "direct":
+        values[ACTUATOR] = 1.0
+    for name, effect in settings.effects.model_dump(exclude_none=True).items():
+        for parameter in CATALOGUE[name].parameters:
+            value = effect[parameter.name]
+            index = parameter.choices.index(value) if parameter.choices else value
+            values[f"{name}.{parameter.name}"] = float(index)
+    return values
+
+
+def settings_of(values: Mapping[str, float]) -> PlantSettings:
+    """Return the plant file of a flat mapping, validated; effects at neutral are left out."""
+    parameters: dict[str, float] = {}
+    effects: dict[str, dict[str, float]] = {}
+    for name, value in values.items():
+        effect, dot, parameter = name.partition(".")
+        if dot:
+            effects.setdefault(effect, {})[parameter] = value
+        elif name != ACTUATOR:
+            parameters[name] = value
+    acting = {
+        name: _chosen(name, given)
+        for name, given in effects.items()
+        if name not in CATALOGUE or acts(CATALOGUE[name], given)
+    }
+    actuator = "direct" if values.get(ACTUATOR) else "muscle"
+    return PlantSettings.model_validate(
+        {"actuator": actuator, "parameters": parameters, "effects": acting}
     )
 
 
-def _effects(settings: PlantSettings) -> Effects:
-    switched_on = settings.effects.model_dump(exclude_none=True)
-    neutral = Effects()
-    return neutral._replace(
-        **{name: getattr(neutral, name)._replace(**values) for name, values in switched_on.items()}
+def _chosen(effect: str, given: Mapping[str, float]) -> dict[str, Any]:
+    """Put the names of choices in the place of their numbers."""
+    choices = (
+        {p.name: p.choices for p in CATALOGUE[effect].parameters} if effect in CATALOGUE else {}
     )
+    return {n: choices[n][round(v)] if choices.get(n) else v for n, v in given.items()}

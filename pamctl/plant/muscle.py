@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from math import acos
 
-from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.parameters import PaperParameters
 
 
-def volume_m3(p: PlantParameters, position_m: float) -> float:
+def volume_m3(p: PaperParameters, position_m: float) -> float:
     """Volume V(x) of Eq. 2, with L = L_0 - x (Eq. 1)."""
     length = p.rest_length_m - position_m
     return length * (p.braid_length_m * p.braid_length_m - length * length) * p.volume_scale
 
 
-def force_area_m2(p: PlantParameters, position_m: float) -> float:
+def force_area_m2(p: PaperParameters, position_m: float) -> float:
     """A(x) = (3 L^2 - b^2) / (4 pi n^2): force per gauge pressure (Eq. 3), and dV/dx.
 
     The paper writes P; it is read as gauge pressure, because with absolute pressure
@@ -23,7 +23,7 @@ def force_area_m2(p: PlantParameters, position_m: float) -> float:
     return (3.0 * length * length - p.braid_length_m * p.braid_length_m) * p.volume_scale
 
 
-def braid_lever_m(p: PlantParameters, position_m: float) -> float:
+def braid_lever_m(p: PaperParameters, position_m: float) -> float:
     """B theta cos(theta) of Eq. 5, with cos(theta) = L / b: that is L arccos(L / b)."""
     length = p.rest_length_m - position_m
     return length * acos(length / p.braid_length_m)

@@ -1,13 +1,15 @@
-"""Numbers of the plant as the kernels use them; `model.py` makes them from a plant file."""
+"""Numbers of the plant as the kernels use them, and what it remembers."""
 
 from __future__ import annotations
 
+from math import inf, nan
 from typing import NamedTuple
 
-from pamctl.plant.effects import Effects
+from pamctl.plant.effects import AirEffects, Effects, MechanicsEffects
+from pamctl.plant.effects.creep import Crept
 
 
-class PlantParameters(NamedTuple):
+class PaperParameters(NamedTuple):
     """The paper's Tables I and II in SI, with the products that every step would repeat."""
 
     mass_kg: float
@@ -37,19 +39,116 @@ class PlantParameters(NamedTuple):
     """Psi / p_upstream when choked."""
     unchoked_flow_s_per_m: float
     """Scale of Psi / p_upstream when not choked."""
-    effects: Effects = Effects()
+
+
+class PlantParameters(NamedTuple):
+    """The paper's numbers and those of the effects.
+
+    Made by `pamctl.plant.flat.parameters_of`, which keeps products and flags true. Kernels of the
+    paper's equations take `paper` alone, those of a part's effects what that part needs: a
+    compiled call hands over every number of a tuple.
+    """
+
+    paper: PaperParameters
+    effects: Effects
+    valve_acts: bool
+    """Whether any effect acts in this part; where none does, the paper's equations run alone."""
+    air_acts: bool
+    mechanics_act: bool
+    sensors_act: bool
+    direct: bool
+    """A measured force drives the mechanics in the place of the muscle."""
+
+    @property
+    def atmospheric_pressure_pa(self) -> float:
+        """Absolute; for those outside of the kernels."""
+        return self.paper.atmospheric_pressure_pa
+
+    @property
+    def tank_pressure_pa(self) -> float:
+        """Absolute; for those outside of the kernels."""
+        return self.paper.tank_pressure_pa
+
+
+class AirParameters(NamedTuple):
+    """What the air's part of a step needs."""
+
+    paper: PaperParameters
+    effects: AirEffects
+
+
+class MechanismParameters(NamedTuple):
+    """What the mechanics' part of a step needs."""
+
+    paper: PaperParameters
+    effects: MechanicsEffects
+    direct: bool
+
+
+class ValveState(NamedTuple):
+    """What the valve remembers, for the effects that make it remember."""
+
+    spool_v: float = 0.0
+    spool_rate_v_per_s: float = 0.0
+    play_v: float = 0.0
+    age_s: float = 0.0
+    """Since the plant's first moment, for what drifts."""
+
+
+class AirState(NamedTuple):
+    """What the air before the muscle remembers."""
+
+    supply_pa: float = nan
+    """Upstream of the valve."""
+    line_pa: float = nan
+    """At the valve's end of the line, where the sensor sits; the muscle's own without a line."""
+
+
+class MechanicsState(NamedTuple):
+    """What the mechanics remember."""
+
+    bristle_n: float = inf
+    """Force of the bristles; infinite where they have not been loaded yet."""
+    dashpots: Crept = Crept(0.0, 0.0)
+    age_s: float = 0.0
+
+
+class SensorState(NamedTuple):
+    """What the sensors remember."""
+
+    lagged_pa: float = nan
+    geared_m: float = nan
 
 
 class PlantState(NamedTuple):
-    """State of Eq. 9 (x, v, absolute P) and of the effects that have one."""
+    """State of Eq. 9 (x, v, absolute P), and each part's memory for its effects.
+
+    With effects take `at_rest` or `vented`: a memory that is left out is none (NaN).
+    """
 
     position_m: float
     velocity_m_per_s: float
     pressure_pa: float
-    spool_v: float = 0.0
-    spool_rate_v_per_s: float = 0.0
+    valve: ValveState = ValveState()
+    air: AirState = AirState()
+    sensors: SensorState = SensorState()
+    mechanics: MechanicsState = MechanicsState()
 
 
-def vented(parameters: PlantParameters) -> PlantState:
-    """Return the muscle at rest at atmospheric pressure: it does not contract."""
-    return PlantState(0.0, 0.0, parameters.atmospheric_pressure_pa)
+def at_rest(p: PlantParameters, position_m: float, pressure_pa: float) -> PlantState:
+    """Return a plant that has rested for long at a position and absolute pressure."""
+    return PlantState(
+        position_m,
+        0.0,
+        pressure_pa,
+        ValveState(),
+        AirState(p.paper.tank_pressure_pa, pressure_pa),
+        SensorState(pressure_pa, position_m),
+        MechanicsState(dashpots=Crept(position_m, position_m)),
+    )
+
+
+def vented(p: PlantParameters) -> PlantState:
+    """Return the muscle at rest at atmospheric pressure: only an external load moves it."""
+    load_n = 0.0 if p.direct else p.effects.mechanics.external_load.force_n
+    return at_rest(p, 0.0 - load_n / p.paper.stiffness_n_per_m, p.paper.atmospheric_pressure_pa)

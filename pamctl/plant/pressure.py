@@ -8,12 +8,12 @@ drives it as well as a simulated one.
 from __future__ import annotations
 
 from pamctl.plant.muscle import volume_m3
-from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.parameters import PaperParameters
 from pamctl.plant.valve import valve_flow
 
 
 def middle_pressure_pa(
-    p: PlantParameters,
+    p: PaperParameters,
     pressure_pa: float,
     opening_v: float,
     position_m: float,
@@ -28,7 +28,7 @@ def middle_pressure_pa(
 
 
 def pressure_step(
-    p: PlantParameters,
+    p: PaperParameters,
     pressure_pa: float,
     middle_pa: float,
     opening_v: float,
@@ -53,7 +53,7 @@ def pressure_step(
 
 
 def _not_past_source(
-    p: PlantParameters, opening_v: float, pressure_pa: float, next_pa: float
+    p: PaperParameters, opening_v: float, pressure_pa: float, next_pa: float
 ) -> float:
     """Stop at the source's pressure.
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from pamctl.plant.command_line import plant_advance_late
 from pamctl.plant.parameters import PlantParameters, PlantState, vented
+from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
 from pamctl.plant.step import plant_advance
 
 LONGEST_STEP_S = 0.5e-3
@@ -10,25 +12,63 @@ LONGEST_STEP_S = 0.5e-3
 
 
 class SimulatedPlant:
-    """The plant of Eq. 9 as `hal.sim` wants it."""
+    """The plant of Eq. 9 as `hal.sim` wants it; the true state is `state`."""
 
     def __init__(self, parameters: PlantParameters, state: PlantState | None = None) -> None:
         """Start from `state`; by default vented and at rest."""
         self._parameters = parameters
         self.state = vented(parameters) if state is None else state
+        self._line = CommandLine() if parameters.effects.command_delay.delay_s > 0.0 else None
 
     def advance(self, command_v: float, duration_s: float) -> None:
         """Let time pass under a constant valve command (V)."""
+        if self._line is not None:
+            self.state = self._line.advance(self._parameters, self.state, command_v, duration_s)
+            return
         self.state = plant_advance(
             self._parameters, self.state, command_v, duration_s, LONGEST_STEP_S
         )
 
     @property
     def position_m(self) -> float:
-        """True displacement."""
-        return self.state.position_m
+        """Displacement, as the encoder has it before it counts."""
+        return sensed_position_m(self._parameters, self.state.position_m, self.state.sensors)
 
     @property
     def pressure_pa(self) -> float:
-        """True absolute pressure."""
-        return self.state.pressure_pa
+        """Absolute pressure, as the sensor has it before noise."""
+        state = self.state
+        return sensed_pressure_pa(self._parameters, state.pressure_pa, state.air, state.sensors)
+
+
+class CommandLine:
+    """The commands on their way to the valve; before the first one, the valve has that already."""
+
+    def __init__(self) -> None:
+        self._now_s = 0.0
+        self._written_s: list[float] = []
+        self._written_v: list[float] = []
+        self._arrived = 0
+
+    def advance(
+        self, p: PlantParameters, state: PlantState, command_v: float, duration_s: float
+    ) -> PlantState:
+        """Write a command, and let time pass."""
+        self._written_s.append(self._now_s)
+        self._written_v.append(command_v)
+        state, self._arrived = plant_advance_late(
+            p,
+            state,
+            self._written_s,
+            self._written_v,
+            len(self._written_s),
+            self._arrived,
+            self._now_s,
+            duration_s,
+            LONGEST_STEP_S,
+        )
+        self._now_s += duration_s
+        if self._arrived > 1000:  # what has long arrived is forgotten
+            del self._written_s[: self._arrived], self._written_v[: self._arrived]
+            self._arrived = 0
+        return state

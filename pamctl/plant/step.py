@@ -1,29 +1,154 @@
-"""The coupled plant of Eq. 9, composed of its two blocks."""
+"""The plant of Eq. 9: two blocks, each steppable alone, and the coupled step composed of them."""
 
 from __future__ import annotations
 
 import math
 
-from pamctl.plant.effects.valve_spool import spool_step
+from pamctl.plant.chamber import chamber_middle_pa, chamber_step
 from pamctl.plant.mechanics import mechanics_step
-from pamctl.plant.parameters import PlantParameters, PlantState
+from pamctl.plant.mechanism import mechanism_step
+from pamctl.plant.parameters import (
+    AirParameters,
+    AirState,
+    MechanicsState,
+    MechanismParameters,
+    PlantParameters,
+    PlantState,
+    ValveState,
+)
 from pamctl.plant.pressure import middle_pressure_pa, pressure_step
+from pamctl.plant.sensing import pressure_at_sensor_pa, sensors_step
+from pamctl.plant.valve_chain import valve_step
 
 
 def plant_step(
     p: PlantParameters, state: PlantState, command_v: float, step_s: float
 ) -> PlantState:
-    """Advance Eq. 9 by one step of second order under a constant valve command (V)."""
-    spool = p.effects.valve_spool
-    half_s = 0.5 * step_s
-    opening_v, rate = spool_step(spool, state.spool_v, state.spool_rate_v_per_s, command_v, half_s)
-    spool_v, spool_rate = spool_step(spool, opening_v, rate, command_v, half_s)
+    """Advance Eq. 9 by one step of second order under a constant valve command (V).
 
-    x, v, pressure = state.position_m, state.velocity_m_per_s, state.pressure_pa
-    middle_pa = middle_pressure_pa(p, pressure, opening_v, x, x + half_s * v, step_s)
-    end_m, end_v = mechanics_step(p, x, v, middle_pa, step_s)
-    end_pa = pressure_step(p, pressure, middle_pa, opening_v, x, end_m, step_s)
-    return PlantState(end_m, end_v, end_pa, spool_v, spool_rate)
+    The pressure block predicts the pressure in the middle, the mechanics move under it, and
+    the pressure block completes its step with the motion.
+    """
+    x, v, pressure_pa, valve, air, sensors, mechanics = state
+    opening_v = command_v
+    if p.valve_acts:
+        opening_v, valve = valve_step(p.effects.valve, valve, command_v, step_s)
+    middle_m = x + 0.5 * step_s * v
+    middle_pa, balanced = air_middle_pa(p, pressure_pa, air, opening_v, x, middle_m, step_s)
+    end_m, end_v, mechanics = mechanics_block_step(p, x, v, mechanics, middle_pa, step_s)
+    end_pa, end_air = air_step(
+        p, pressure_pa, air, middle_pa, balanced, opening_v, x, middle_m, end_m, step_s
+    )
+    if p.sensors_act:
+        begin_pa = pressure_at_sensor_pa(p, pressure_pa, air)
+        at_sensor_pa = pressure_at_sensor_pa(p, end_pa, end_air)
+        sensors = sensors_step(p, sensors, begin_pa, at_sensor_pa, end_m, step_s)
+    return PlantState(end_m, end_v, end_pa, valve, end_air, sensors, mechanics)
+
+
+def pressure_block_step(
+    p: PlantParameters,
+    pressure_pa: float,
+    valve: ValveState,
+    air: AirState,
+    command_v: float,
+    position_m: float,
+    middle_m: float,
+    end_m: float,
+    step_s: float,
+) -> tuple[float, ValveState, AirState]:
+    """Advance the pressure block alone: the muscle's positions (m) are given.
+
+    `middle_m` is where the middle of the step is expected. With x + v h / 2 there, and the
+    true position at the end, this is the coupled step's pressure to the bit; a measurement
+    has no velocity, so it takes the mean of both ends.
+    """
+    opening_v = command_v
+    if p.valve_acts:
+        opening_v, valve = valve_step(p.effects.valve, valve, command_v, step_s)
+    middle_pa, balanced = air_middle_pa(
+        p, pressure_pa, air, opening_v, position_m, middle_m, step_s
+    )
+    end_pa, air = air_step(
+        p, pressure_pa, air, middle_pa, balanced, opening_v, position_m, middle_m, end_m, step_s
+    )
+    return end_pa, valve, air
+
+
+def mechanics_block_step(
+    p: PlantParameters,
+    position_m: float,
+    velocity_m_per_s: float,
+    mechanics: MechanicsState,
+    middle_load: float,
+    step_s: float,
+) -> tuple[float, float, MechanicsState]:
+    """Advance the mechanics alone under a given load, by the paper's equations where they suffice.
+
+    The load is the absolute pressure (Pa) in the middle of the step, or, for a direct
+    actuator, the force (N).
+    """
+    if p.mechanics_act:
+        with_effects = MechanismParameters(p.paper, p.effects.mechanics, p.direct)
+        return mechanism_step(
+            with_effects, position_m, velocity_m_per_s, mechanics, middle_load, step_s
+        )
+    end_m, end_v = mechanics_step(p.paper, position_m, velocity_m_per_s, middle_load, step_s)
+    return end_m, end_v, mechanics
+
+
+def air_middle_pa(
+    p: PlantParameters,
+    pressure_pa: float,
+    air: AirState,
+    opening_v: float,
+    position_m: float,
+    middle_m: float,
+    step_s: float,
+) -> tuple[float, bool]:
+    """Predict the pressure of the step's middle, by the paper's equations where they suffice."""
+    if p.air_acts:
+        return chamber_middle_pa(
+            AirParameters(p.paper, p.effects.air),
+            pressure_pa,
+            air,
+            opening_v,
+            position_m,
+            middle_m,
+            step_s,
+        )
+    return middle_pressure_pa(p.paper, pressure_pa, opening_v, position_m, middle_m, step_s), False
+
+
+def air_step(
+    p: PlantParameters,
+    pressure_pa: float,
+    air: AirState,
+    middle_pa: float,
+    balanced: bool,
+    opening_v: float,
+    position_m: float,
+    middle_m: float,
+    end_m: float,
+    step_s: float,
+) -> tuple[float, AirState]:
+    """Complete the pressure's step with the muscle's true motion."""
+    if p.air_acts:
+        own = AirParameters(p.paper, p.effects.air)
+        return chamber_step(
+            own,
+            pressure_pa,
+            air,
+            middle_pa,
+            balanced,
+            opening_v,
+            position_m,
+            middle_m,
+            end_m,
+            step_s,
+        )
+    end_pa = pressure_step(p.paper, pressure_pa, middle_pa, opening_v, position_m, end_m, step_s)
+    return end_pa, air
 
 
 def plant_advance(
@@ -34,9 +159,13 @@ def plant_advance(
     longest_step_s: float,
 ) -> PlantState:
     """Advance by `duration_s` in equal steps, none longer than `longest_step_s`."""
-    # The small allowance keeps a rounding error from adding a step.
-    steps = max(1, math.ceil(duration_s / longest_step_s - 1e-6))
+    steps = steps_in(duration_s, longest_step_s)
     step_s = duration_s / steps
     for _ in range(steps):
         state = plant_step(p, state, command_v, step_s)
     return state
+
+
+def steps_in(duration_s: float, longest_step_s: float) -> int:
+    """Return the number of equal steps; the small allowance keeps rounding from adding one."""
+    return max(1, math.ceil(duration_s / longest_step_s - 1e-6))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from math import pow, sqrt
 
-from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.parameters import PaperParameters
 
 
-def orifice_flow(p: PlantParameters, upstream_pa: float, downstream_pa: float) -> float:
+def orifice_flow(p: PaperParameters, upstream_pa: float, downstream_pa: float) -> float:
     """Psi(P_u, P_d): mass flow per aperture area, kg/(s m^2), for P_u >= P_d > 0."""
     ratio = downstream_pa / upstream_pa
     if ratio <= p.critical_ratio:
@@ -21,7 +21,7 @@ def orifice_flow(p: PlantParameters, upstream_pa: float, downstream_pa: float) -
     return p.unchoked_flow_s_per_m * upstream_pa * throat * sqrt(drop)
 
 
-def valve_flow(p: PlantParameters, opening_v: float, pressure_pa: float) -> float:
+def valve_flow(p: PaperParameters, opening_v: float, pressure_pa: float) -> float:
     """Mass flow into the muscle, kg/s, with A_v = K_Av u.
 
     u > 0 opens to the tank, u < 0 to the atmosphere. Either way the air runs down the

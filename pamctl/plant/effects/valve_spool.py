@@ -57,10 +57,29 @@ DESCRIPTION = EffectDescription(
     equation="s'' = w^2 (u - s) - 2 zeta w s',  A_v = K_Av s",
     parameters=(
         EffectParameter(
-            "time_constant_s", "s", 0.0, 0.0, 8e-3, 2e-4, "1 / natural angular frequency"
+            "time_constant_s",
+            "s",
+            neutral=0.0,
+            low=0.0,
+            high=8e-3,
+            smallest_of_interest=2e-4,
+            meaning="1 / natural angular frequency",
+            start=1e-3,
         ),
-        EffectParameter("damping_ratio", "1", 0.7, 0.2, 2.0, 0.1, "damping of the spool"),
+        EffectParameter(
+            "damping_ratio",
+            "1",
+            neutral=0.7,
+            low=0.2,
+            high=2.0,
+            smallest_of_interest=0.1,
+            meaning="damping of the spool",
+            start=0.7,
+            role="shape",
+        ),
     ),
     signature="in the first milliseconds after every step of the command; grows with frequency",
     best_experiment="chirp",
+    parts=("valve",),
+    seen_by=("pressure",),
 )

@@ -1,0 +1,382 @@
+"""The pressure block with what the paper leaves out: leaks, supply, line, volumes, thermodynamics.
+
+The same midpoint step as `pressure.py`, and at neutral values the same to the bit. What is
+stiff is solved implicitly: the supply behind its regulator and the air in the line follow their
+lags exactly, with the flow of the middle of the step, however short their time constants are.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pamctl.plant.effects.braid_stretch import stretch_of
+from pamctl.plant.effects.discharge_ratio import nozzle_ratio
+from pamctl.plant.effects.line_restriction import led, line_time_s
+from pamctl.plant.effects.polytropic import air_of, worth_of_inflow
+from pamctl.plant.effects.supply_droop import kept_share
+from pamctl.plant.effects.valve_leak import leak_area_m2
+from pamctl.plant.muscle import volume_m3
+from pamctl.plant.parameters import AirParameters, AirState
+from pamctl.plant.valve import orifice_flow
+
+SOLVED_PA = 1e-3
+"""A pressure that is found by iteration is found to within this."""
+
+
+class Ports(NamedTuple):
+    """Areas that are open over a step, m^2."""
+
+    tank_m2: float
+    atmosphere_m2: float
+
+
+class Fed(NamedTuple):
+    """What stands before the muscle in the middle of a step."""
+
+    supply_pa: float
+    """Upstream of the valve."""
+    node_pa: float
+    """Downstream of it: the line's valve end, or the muscle itself."""
+    inflow_kg_per_s: float
+    """Through the valve, into the node."""
+
+
+def ports(p: AirParameters, opening_v: float) -> Ports:
+    """Return what the valve's opening (V of command) and its leaks leave open."""
+    area = p.paper.valve_gain_m2_per_v * abs(opening_v)
+    leak = leak_area_m2(p.effects.valve_leak, opening_v)
+    if opening_v > 0.0:
+        return Ports(area + leak, leak)
+    return Ports(leak, area + leak)
+
+
+def port_flow(p: AirParameters, source_pa: float, pressure_pa: float) -> float:
+    """Mass flow per area from a source, kg/(s m^2); negative where the source is lower."""
+    upstream, downstream, sign = source_pa, pressure_pa, 1.0
+    if source_pa < pressure_pa:
+        upstream, downstream, sign = pressure_pa, source_pa, -1.0
+    if p.effects.discharge_ratio.shift != 0.0:
+        ratio = downstream / upstream
+        downstream = upstream * nozzle_ratio(
+            p.effects.discharge_ratio, ratio, p.paper.critical_ratio
+        )
+    return sign * orifice_flow(p.paper, upstream, downstream)
+
+
+def through_valve(p: AirParameters, open_to: Ports, supply_pa: float, node_pa: float) -> float:
+    """Mass flow into the node, kg/s."""
+    flow = 0.0
+    if open_to.tank_m2 > 0.0:
+        flow = open_to.tank_m2 * port_flow(p, supply_pa, node_pa)
+    if open_to.atmosphere_m2 > 0.0:
+        flow += open_to.atmosphere_m2 * port_flow(p, p.paper.atmospheric_pressure_pa, node_pa)
+    return flow
+
+
+def where_misses_cross(one: float, miss_one: float, other: float, miss_other: float) -> float:
+    """Return the false position between two points: where the line through them is zero."""
+    return (one * miss_other - other * miss_one) / (miss_other - miss_one)
+
+
+def end_that_stays(
+    one: float, miss_one: float, other: float, miss_other: float, miss: float
+) -> tuple[float, float]:
+    """Return the point beyond the root from a new one, which misses by `miss`.
+
+    A point that stays is halved in its miss, so that neither end stands still.
+    """
+    if (miss > 0.0) == (miss_other > 0.0):
+        return one, 0.5 * miss_one
+    return other, miss_other
+
+
+def drooped_pa(
+    p: AirParameters, before_pa: float, open_to: Ports, node_pa: float, step_s: float
+) -> float:
+    """Return the supply's pressure after `step_s` of the flow that it then gives.
+
+    s + (1 - kept) R m(s) = kept s_0 + (1 - kept) P_tank: m grows with s and is 0 at the node's
+    pressure, so the root lies between that and the right-hand side.
+    """
+    droop = p.effects.supply_droop
+    if droop.resistance_pa_s_per_kg <= 0.0:
+        return p.paper.tank_pressure_pa
+    kept = kept_share(droop, step_s)
+    idle_pa = kept * before_pa + (1.0 - kept) * p.paper.tank_pressure_pa
+    if open_to.tank_m2 <= 0.0:
+        return idle_pa
+    drop = (1.0 - kept) * droop.resistance_pa_s_per_kg * open_to.tank_m2
+    one, other = node_pa, idle_pa
+    miss_one, miss_other = node_pa - idle_pa, drop * port_flow(p, idle_pa, node_pa)
+    for _ in range(60):
+        if abs(one - other) < SOLVED_PA or miss_one == miss_other:
+            break
+        new = where_misses_cross(one, miss_one, other, miss_other)
+        miss = new + drop * port_flow(p, new, node_pa) - idle_pa
+        one, miss_one = end_that_stays(one, miss_one, other, miss_other, miss)
+        other, miss_other = new, miss
+        if abs(miss) < SOLVED_PA:
+            break
+    return other
+
+
+def fed(
+    p: AirParameters,
+    air: AirState,
+    open_to: Ports,
+    pressure_pa: float,
+    later_pa: float,
+    step_s: float,
+) -> Fed:
+    """Return what feeds the muscle after `step_s`, while its pressure goes straight to `later_pa`.
+
+    n - (1 - kept) R_l m(n) = what the line's end would be without flow: m falls with n.
+    """
+    line = p.effects.line_restriction
+    if line.resistance_pa_s_per_kg <= 0.0:
+        supply_pa = drooped_pa(p, air.supply_pa, open_to, later_pa, step_s)
+        return Fed(supply_pa, later_pa, through_valve(p, open_to, supply_pa, later_pa))
+    kept, weight = led(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
+    idle_pa = kept * air.line_pa + (1.0 - kept) * pressure_pa + weight * (later_pa - pressure_pa)
+    rise = (1.0 - kept) * line.resistance_pa_s_per_kg
+    one = idle_pa
+    flow_one = flow_into(p, air, open_to, one, step_s)
+    miss_one = -rise * flow_one
+    if flow_one > 0.0:
+        other = max(p.paper.tank_pressure_pa, idle_pa)
+    else:
+        other = min(p.paper.atmospheric_pressure_pa, idle_pa)
+    miss_other = other - idle_pa - rise * flow_into(p, air, open_to, other, step_s)
+    for _ in range(60):
+        if abs(one - other) < SOLVED_PA or miss_one == miss_other:
+            break
+        new = where_misses_cross(one, miss_one, other, miss_other)
+        miss = new - idle_pa - rise * flow_into(p, air, open_to, new, step_s)
+        one, miss_one = end_that_stays(one, miss_one, other, miss_other, miss)
+        other, miss_other = new, miss
+        if abs(miss) < SOLVED_PA:
+            break
+    supply_pa = drooped_pa(p, air.supply_pa, open_to, other, step_s)
+    return Fed(supply_pa, other, through_valve(p, open_to, supply_pa, other))
+
+
+def flow_into(
+    p: AirParameters, air: AirState, open_to: Ports, node_pa: float, step_s: float
+) -> float:
+    """Mass flow into the node at a pressure of it, the supply having followed for `step_s`."""
+    return through_valve(
+        p, open_to, drooped_pa(p, air.supply_pa, open_to, node_pa, step_s), node_pa
+    )
+
+
+def leaked(p: AirParameters, pressure_pa: float) -> float:
+    """Mass flow through the muscle's own leak, kg/s; negative where it goes out."""
+    area = p.effects.chamber_leak.area_m2
+    return area * port_flow(p, p.paper.atmospheric_pressure_pa, pressure_pa) if area > 0.0 else 0.0
+
+
+def room_m3(p: AirParameters, position_m: float, pressure_pa: float) -> float:
+    """Volume that the air fills: Eq. 2, with stretched threads, and the dead volume."""
+    dead_m3 = p.effects.dead_volume.volume_m3
+    braid = p.effects.braid_stretch
+    if braid.compliance_per_pa == 0.0:
+        return volume_m3(p.paper, position_m) + dead_m3
+    length = p.paper.rest_length_m - position_m
+    stretched = p.paper.braid_length_m * stretch_of(
+        braid, pressure_pa - p.paper.atmospheric_pressure_pa
+    )
+    return length * (stretched * stretched - length * length) * p.paper.volume_scale + dead_m3
+
+
+def held(p: AirParameters, position_m: float, pressure_pa: float) -> float:
+    """P V^a: the air in the muscle, as Eq. 7 counts it."""
+    return pressure_pa * air_of(p.effects.polytropic, room_m3(p, position_m, pressure_pa))
+
+
+def pressure_holding(
+    p: AirParameters, air: float, position_m: float, line_m3: float, guess_pa: float
+) -> float:
+    """Return the pressure at which muscle, and a part of the line, hold `air` (P V^a)."""
+    polytropic, braid = p.effects.polytropic, p.effects.braid_stretch
+    if braid.compliance_per_pa == 0.0:
+        return air / (air_of(polytropic, room_m3(p, position_m, guess_pa)) + line_m3)
+    pressure_pa = guess_pa
+    length = p.paper.rest_length_m - position_m
+    grows = (
+        2.0 * length * p.paper.volume_scale * p.paper.braid_length_m**2 * braid.compliance_per_pa
+    )
+    for _ in range(4):  # Newton: the volume depends on the pressure
+        room = room_m3(p, position_m, pressure_pa)
+        gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
+        slope = worth_of_inflow(polytropic, room) * grows * stretch_of(braid, gauge_pa)
+        space = air_of(polytropic, room) + line_m3
+        pressure_pa -= (pressure_pa * space - air) / (space + pressure_pa * slope)
+    return pressure_pa
+
+
+def filled(
+    p: AirParameters,
+    air: AirState,
+    pressure_pa: float,
+    fed_by: Fed,
+    leak_kg_per_s: float,
+    worth: float,
+    position_m: float,
+    end_m: float,
+    step_s: float,
+) -> tuple[float, float]:
+    """Return the pressure of the muscle and of the line's end after `step_s` of constant flows.
+
+    Air is conserved: what the line's own volume takes up does not reach the muscle.
+    """
+    line = p.effects.line_restriction
+    energy = step_s * p.paper.specific_energy_j_per_kg
+    amount = held(p, position_m, pressure_pa)
+    if line.resistance_pa_s_per_kg <= 0.0 and line.volume_m3 <= 0.0:
+        amount += energy * (fed_by.inflow_kg_per_s + leak_kg_per_s) * worth
+        end_pa = pressure_holding(p, amount, end_m, 0.0, pressure_pa)
+        return end_pa, end_pa
+    kept, weight = led(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
+    drop_pa = line.resistance_pa_s_per_kg * fed_by.inflow_kg_per_s
+    idle_pa = kept * air.line_pa + (1.0 - kept) * (pressure_pa + drop_pa) - weight * pressure_pa
+    inflow = energy * (fed_by.inflow_kg_per_s + leak_kg_per_s)
+    amount += worth * (inflow - line.volume_m3 * (idle_pa - air.line_pa))
+    line_m3 = worth * weight * line.volume_m3
+    end_pa = pressure_holding(p, amount, end_m, line_m3, pressure_pa)
+    return end_pa, idle_pa + weight * end_pa
+
+
+def net_flow(
+    p: AirParameters, air: AirState, open_to: Ports, pressure_pa: float, step_s: float
+) -> float:
+    """All that comes into the muscle at a pressure, kg/s."""
+    return flow_into(p, air, open_to, pressure_pa, step_s) + leaked(p, pressure_pa)
+
+
+def not_past_balance(
+    p: AirParameters,
+    air: AirState,
+    open_to: Ports,
+    pressure_pa: float,
+    next_pa: float,
+    net_kg_per_s: float,
+    step_s: float,
+) -> tuple[float, bool]:
+    """Stop where as much air comes as goes; tell whether it is reached.
+
+    `net_kg_per_s` is what comes at `pressure_pa`: known already, and half of this one's work.
+    See `pressure.py`, where that is the source's pressure, and so it is here with one source.
+    A resistance in the line makes the last of the flow gentle, and needs no such stop.
+    """
+    if p.effects.line_restriction.resistance_pa_s_per_kg > 0.0:
+        return next_pa, False
+    escapes = open_to.atmosphere_m2 > 0.0 or p.effects.chamber_leak.area_m2 > 0.0
+    if open_to.tank_m2 > 0.0 and escapes:
+        comes = net_kg_per_s > 0.0
+        if comes == (net_flow(p, air, open_to, next_pa, step_s) > 0.0):
+            return next_pa, False
+        one, other = pressure_pa, next_pa
+        while abs(other - one) > 1e-3:
+            between = 0.5 * (one + other)
+            if comes == (net_flow(p, air, open_to, between, step_s) > 0.0):
+                one = between
+            else:
+                other = between
+        return one, True
+    if open_to.tank_m2 <= 0.0 and not escapes:
+        return next_pa, False
+    source_pa = p.paper.atmospheric_pressure_pa
+    if open_to.tank_m2 > 0.0:
+        kept = kept_share(p.effects.supply_droop, step_s)
+        source_pa = p.paper.tank_pressure_pa
+        if p.effects.supply_droop.resistance_pa_s_per_kg > 0.0:
+            source_pa = kept * air.supply_pa + (1.0 - kept) * p.paper.tank_pressure_pa
+    if (pressure_pa - source_pa) * (next_pa - source_pa) < 0.0:
+        return source_pa, True
+    return next_pa, next_pa == source_pa
+
+
+def chamber_middle_pa(
+    p: AirParameters,
+    pressure_pa: float,
+    air: AirState,
+    opening_v: float,
+    position_m: float,
+    middle_m: float,
+    step_s: float,
+) -> tuple[float, bool]:
+    """Predict the muscle's absolute pressure in the middle of the step; tell if in balance."""
+    open_to, half_s = ports(p, opening_v), 0.5 * step_s
+    fed_by = fed(p, air, open_to, pressure_pa, pressure_pa, half_s)
+    leak = leaked(p, pressure_pa)
+    worth = worth_of_inflow(p.effects.polytropic, room_m3(p, position_m, pressure_pa))
+    middle_pa, _ = filled(p, air, pressure_pa, fed_by, leak, worth, position_m, middle_m, half_s)
+    net = fed_by.inflow_kg_per_s + leak
+    return not_past_balance(p, air, open_to, pressure_pa, middle_pa, net, half_s)
+
+
+def chamber_step(
+    p: AirParameters,
+    pressure_pa: float,
+    air: AirState,
+    middle_pa: float,
+    balanced: bool,
+    opening_v: float,
+    position_m: float,
+    middle_m: float,
+    end_m: float,
+    step_s: float,
+) -> tuple[float, AirState]:
+    """Advance the muscle's absolute pressure, and supply and line, by one midpoint step."""
+    open_to, half_s = ports(p, opening_v), 0.5 * step_s
+    fed_by = fed(p, air, open_to, pressure_pa, middle_pa, half_s)
+    supply_pa = supplied_pa(p, air, open_to, fed_by, step_s)
+    if balanced:
+        # See `pressure_step`: the flow's way to its end is over within this step.
+        return middle_pa, AirState(supply_pa, middle_pa)
+    leak = leaked(p, middle_pa)
+    worth = worth_of_inflow(p.effects.polytropic, room_m3(p, middle_m, middle_pa))
+    end_pa, line_pa = filled(p, air, pressure_pa, fed_by, leak, worth, position_m, end_m, step_s)
+    if p.effects.line_restriction.resistance_pa_s_per_kg <= 0.0:
+        net = fed_by.inflow_kg_per_s + leak
+        end_pa, _ = not_past_balance(p, air, open_to, middle_pa, end_pa, net, half_s)
+        line_pa = end_pa
+    elif p.effects.line_restriction.volume_m3 <= 0.0:
+        # Without air of its own the line's end shows the flow of this moment, not the middle's.
+        line_pa = fed(p, AirState(supply_pa, line_pa), open_to, end_pa, end_pa, half_s).node_pa
+    return end_pa, AirState(supply_pa, line_pa)
+
+
+def supplied_pa(
+    p: AirParameters, air: AirState, open_to: Ports, fed_by: Fed, step_s: float
+) -> float:
+    """Return the supply's pressure after a step of the flow of its middle."""
+    droop = p.effects.supply_droop
+    if droop.resistance_pa_s_per_kg <= 0.0:
+        return p.paper.tank_pressure_pa
+    kept, given = kept_share(droop, step_s), 0.0
+    if open_to.tank_m2 > 0.0:
+        given = open_to.tank_m2 * port_flow(p, fed_by.supply_pa, fed_by.node_pa)
+    refilled_pa = p.paper.tank_pressure_pa - droop.resistance_pa_s_per_kg * given
+    return kept * air.supply_pa + (1.0 - kept) * refilled_pa
+
+
+def behind_line_pa(
+    p: AirParameters,
+    pressure_pa: float,
+    begin_pa: float,
+    end_pa: float,
+    position_m: float,
+    velocity_m_per_s: float,
+    step_s: float,
+) -> float:
+    """Return the muscle's pressure after a step in which that at the sensor is known at both ends.
+
+    Through a line the muscle fills from the sensor's place: a lag of R_l V / (R T).
+    """
+    resistance = p.effects.line_restriction.resistance_pa_s_per_kg
+    room = room_m3(p, position_m, pressure_pa)
+    kept, weight = led(resistance * room / p.paper.specific_energy_j_per_kg, step_s)
+    lagged_pa = kept * pressure_pa + (1.0 - kept) * begin_pa + weight * (end_pa - begin_pa)
+    grown = room_m3(p, position_m + step_s * velocity_m_per_s, pressure_pa) / room
+    return lagged_pa - kept * pressure_pa * (grown - 1.0)

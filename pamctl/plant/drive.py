@@ -1,0 +1,306 @@
+"""The plant driven by recorded signals: coupled, or one block by the other's measured signal.
+
+    p = parameters_of({"stiffness_n_per_m": 9500.0, "valve_spool.time_constant_s": 1e-3})
+    drive_coupled(p, command_v, dt_s)       -> Driven: position_m, pressure_pa, velocity, true ones
+    drive_pressure(p, command_v, position_m, dt_s)  -> PressureDriven: pressure_pa, true_pressure_pa
+    drive_mechanics(p, pressure_pa, dt_s)   -> MechanicsDriven: position_m, true ones, velocity
+
+The order of a tick is that of the simulated rig and of `pamctl.closed_loop`: sample k is taken,
+then command k is written, and the plant runs under it for `dt_s[k]` until sample k + 1 is
+taken. So the samples of tick 0 are the start state, `command_v[k]` is never felt in sample k,
+and the last command is not used. `dt_s` is one number for a regular grid, or one for each
+interval (n - 1 of them; an n-th is ignored); a missed tick is an interval twice as long, and is
+cut into twice as many steps. For a rig whose output comes a tick late shift `command_v` by one.
+
+Every `position_m` and `pressure_pa`, in and out, is what the sensors say: with the effects of
+sensors in it, and neither noise nor rounding. `true_...` is what they would say if ideal.
+All arrays are of float, of the same length n, SI, pressures absolute. The loops are compiled
+from the kernels of the simulated rig itself: a fit uses the simulation's own integrator.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pamctl.compiled import compiled
+from pamctl.plant.chamber import behind_line_pa
+from pamctl.plant.parameters import AirParameters, PlantParameters, PlantState, at_rest, vented
+from pamctl.plant.sensing import (
+    pressure_at_sensor_pa,
+    sensed_position_m,
+    sensed_pressure_pa,
+    sensors_step,
+)
+from pamctl.plant.step import mechanics_block_step, plant_step, pressure_block_step
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Array = NDArray[np.float64]
+
+STEPS_A_TICK = 2
+
+
+class Driven(NamedTuple):
+    """The coupled plant at each sample."""
+
+    position_m: Array
+    pressure_pa: Array
+    true_position_m: Array
+    true_pressure_pa: Array
+    velocity_m_per_s: Array
+
+
+class PressureDriven(NamedTuple):
+    """The pressure block at each sample."""
+
+    pressure_pa: Array
+    true_pressure_pa: Array
+
+
+class MechanicsDriven(NamedTuple):
+    """The mechanics at each sample."""
+
+    position_m: Array
+    true_position_m: Array
+    velocity_m_per_s: Array
+
+
+def drive_coupled(
+    p: PlantParameters,
+    command_v: ArrayLike,
+    dt_s: ArrayLike,
+    *,
+    start: PlantState | None = None,
+    steps: int = STEPS_A_TICK,
+) -> Driven:
+    """Run the coupled plant under commands (V), from the vented muscle or from `start`.
+
+    `steps` is the number of steps in an interval of median length. ValueError for arrays that
+    do not fit together or hold NaN.
+    """
+    commands = _signal("command_v", command_v)
+    intervals = _intervals(dt_s, len(commands))
+    state = vented(p) if start is None else start
+    rows = np.empty((len(Driven._fields), len(commands)))
+    _twin(run_coupled)(p, state, steps_of(p, commands, intervals, steps), rows)
+    return Driven(*rows)
+
+
+def drive_pressure(
+    p: PlantParameters,
+    command_v: ArrayLike,
+    position_m: ArrayLike,
+    dt_s: ArrayLike,
+    *,
+    start: PlantState | None = None,
+    steps: int = STEPS_A_TICK,
+) -> PressureDriven:
+    """Run the pressure block under commands (V) and a measured position (m).
+
+    The position is taken as straight between samples; no velocity is needed. By default the
+    muscle starts at atmospheric pressure at the first position.
+    """
+    commands = _signal("command_v", command_v)
+    positions = _signal("position_m", position_m, len(commands))
+    intervals = _intervals(dt_s, len(commands))
+    true_m = positions / p.effects.sensors.encoder_scale.scale
+    if start is None:
+        start = at_rest(p, float(true_m[0]), p.paper.atmospheric_pressure_pa)
+    rows = np.empty((len(PressureDriven._fields), len(commands)))
+    grid = steps_of(p, commands, intervals, steps)
+    ends_m = np.interp(grid.ends_s, _times(intervals), true_m)
+    _twin(run_pressure)(p, start, grid, ends_m, rows)
+    return PressureDriven(*rows)
+
+
+def drive_mechanics(
+    p: PlantParameters,
+    pressure_pa: ArrayLike,
+    dt_s: ArrayLike,
+    *,
+    start: PlantState | None = None,
+    steps: int = STEPS_A_TICK,
+) -> MechanicsDriven:
+    """Run the mechanics under a measured absolute pressure (Pa), straight between samples.
+
+    By default the muscle starts where it rests when vented.
+    """
+    pressures = _signal("pressure_pa", pressure_pa)
+    intervals = _intervals(dt_s, len(pressures))
+    state = vented(p) if start is None else start
+    rows = np.empty((len(MechanicsDriven._fields), len(pressures)))
+    grid = steps_of(p, pressures, intervals, steps)
+    true_pa = pressures if p.direct else true_pressure_pa(p, pressures, intervals)
+    ends_pa = np.interp(grid.ends_s, _times(intervals), true_pa)
+    _twin(run_mechanics)(p, state, grid, ends_pa, rows)
+    return MechanicsDriven(*rows)
+
+
+# The kernels: each fills `rows`, a row for each field of its result.
+
+
+def run_coupled(p: PlantParameters, state: PlantState, steps: Steps, rows: Array) -> None:
+    """Kernel of `drive_coupled`."""
+    for k in range(rows.shape[1]):
+        if k:
+            for j in range(steps.first[k - 1], steps.first[k]):
+                state = plant_step(p, state, steps.command_v[j], steps.step_s[j])
+        rows[0, k] = sensed_position_m(p, state.position_m, state.sensors)
+        rows[1, k] = sensed_pressure_pa(p, state.pressure_pa, state.air, state.sensors)
+        rows[2, k] = state.position_m
+        rows[3, k] = state.pressure_pa
+        rows[4, k] = state.velocity_m_per_s
+
+
+def run_pressure(
+    p: PlantParameters, state: PlantState, steps: Steps, positions_m: Array, rows: Array
+) -> None:
+    """Kernel of `drive_pressure`. `positions_m` are those at the ends of the steps."""
+    pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
+    for k in range(rows.shape[1]):
+        if k:
+            for j in range(steps.first[k - 1], steps.first[k]):
+                x, end_m, step_s = positions_m[j], positions_m[j + 1], steps.step_s[j]
+                begin_pa = pressure_at_sensor_pa(p, pressure_pa, air)
+                pressure_pa, valve, air = pressure_block_step(
+                    p,
+                    pressure_pa,
+                    valve,
+                    air,
+                    steps.command_v[j],
+                    x,
+                    0.5 * (x + end_m),
+                    end_m,
+                    step_s,
+                )
+                end_pa = pressure_at_sensor_pa(p, pressure_pa, air)
+                sensors = sensors_step(p, sensors, begin_pa, end_pa, end_m, step_s)
+        rows[0, k] = sensed_pressure_pa(p, pressure_pa, air, sensors)
+        rows[1, k] = pressure_pa
+
+
+def run_mechanics(
+    p: PlantParameters, state: PlantState, steps: Steps, pressures_pa: Array, rows: Array
+) -> None:
+    """Kernel of `drive_mechanics`. `pressures_pa` are those at the ends of the steps."""
+    x, v, sensors, mechanics = (
+        state.position_m,
+        state.velocity_m_per_s,
+        state.sensors,
+        state.mechanics,
+    )
+    muscle_pa = pressures_pa[0]
+    has_line = p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0 and not p.direct
+    for k in range(rows.shape[1]):
+        if k:
+            for j in range(steps.first[k - 1], steps.first[k]):
+                step_s, begin_pa = steps.step_s[j], muscle_pa
+                muscle_pa = pressures_pa[j + 1]
+                if has_line:
+                    muscle_pa = behind_line_pa(
+                        AirParameters(p.paper, p.effects.air),
+                        begin_pa,
+                        pressures_pa[j],
+                        muscle_pa,
+                        x,
+                        v,
+                        step_s,
+                    )
+                middle_pa = 0.5 * (begin_pa + muscle_pa)
+                x, v, mechanics = mechanics_block_step(p, x, v, mechanics, middle_pa, step_s)
+                sensors = sensors_step(p, sensors, begin_pa, muscle_pa, x, step_s)
+        rows[0, k] = sensed_position_m(p, x, sensors)
+        rows[1, k] = x
+        rows[2, k] = v
+
+
+@cache
+def _twin(kernel: Callable[..., None]) -> Callable[..., None]:
+    return compiled(kernel)
+
+
+def _signal(name: str, values: ArrayLike, length: int | None = None) -> Array:
+    signal = np.ascontiguousarray(values, dtype=np.float64)
+    if signal.ndim != 1 or not len(signal):
+        raise ValueError(f"{name}: one value a sample is needed, not shape {signal.shape}")
+    if length is not None and len(signal) != length:
+        raise ValueError(f"{name}: {len(signal)} samples, where the command has {length}")
+    if not np.isfinite(signal).all():
+        raise ValueError(f"{name}: sample {int(np.argmin(np.isfinite(signal)))} is not a number")
+    return signal
+
+
+def _intervals(dt_s: ArrayLike, samples: int) -> Array:
+    given: Any = np.asarray(dt_s, dtype=np.float64)
+    if given.ndim == 0:
+        given = np.full(max(samples - 1, 0), given)
+    if given.ndim != 1 or len(given) not in (samples - 1, samples):
+        raise ValueError(f"dt_s: {given.shape} for {samples} samples; one for each interval")
+    intervals = np.ascontiguousarray(given[: samples - 1])
+    if not (np.isfinite(intervals) & (intervals > 0.0)).all():
+        raise ValueError("dt_s: every interval must be longer than 0 s")
+    return intervals
+
+
+class Steps(NamedTuple):
+    """The steps of a whole drive."""
+
+    first: NDArray[np.int64]
+    """For each sample the index of the first step after it."""
+    step_s: Array
+    command_v: Array
+    """What has arrived at the valve in each step."""
+    ends_s: Array
+    """One more than steps: from the first sample on."""
+
+
+HAIR_S = 1e-10
+"""Instants closer than this are one."""
+
+
+def steps_of(p: PlantParameters, command_v: Array, dt_s: Array, steps: int) -> Steps:
+    """Cut each interval into equal steps, and once more where a delayed command arrives.
+
+    An interval of median length gets `steps` of them; a tenth of slack keeps jitter from adding
+    one. Before the first command is felt, the valve has that command already.
+    """
+    longest_s = 1.1 * float(np.median(dt_s)) / steps if len(dt_s) else 1.0
+    counts = np.maximum(1, np.ceil(dt_s / longest_s - 1e-6)).astype(np.int64)
+    first = np.concatenate([[0], np.cumsum(counts)])
+    step_s = np.repeat(dt_s / counts, counts)
+    commands = np.repeat(command_v[: len(dt_s)], counts)
+    ends_s = np.concatenate([[0.0], np.cumsum(step_s)])
+    delay_s = p.effects.command_delay.delay_s
+    if delay_s > 0.0:
+        samples_s = _times(dt_s)
+        arrivals_s = samples_s[:-1] + delay_s
+        cuts_s = np.sort(np.concatenate([ends_s, arrivals_s[arrivals_s < ends_s[-1]]]))
+        ends_s = cuts_s[np.concatenate([[True], np.diff(cuts_s) > HAIR_S])]
+        arrived = np.searchsorted(arrivals_s, ends_s[:-1] + HAIR_S, "right") - 1
+        commands = command_v[np.maximum(arrived, 0)]
+        first = np.searchsorted(ends_s, samples_s - HAIR_S)
+        step_s = np.diff(ends_s)
+    return Steps(first, step_s, commands, ends_s)
+
+
+def true_pressure_pa(p: PlantParameters, pressure_pa: Array, dt_s: Array) -> Array:
+    """Undo what the sensor does to a pressure; its lag by the signal's slope, which adds noise."""
+    e, atmosphere_pa = p.effects.sensors, p.paper.atmospheric_pressure_pa
+    if not p.sensors_act:
+        return pressure_pa
+    gauge_pa = pressure_pa - e.pressure_sensor_offset.offset_pa - atmosphere_pa
+    true_pa: Array = atmosphere_pa + gauge_pa / e.pressure_sensor_gain.gain
+    if e.pressure_sensor_lag.time_constant_s > 0.0 and len(dt_s) > 1:
+        slope = np.gradient(true_pa, _times(dt_s))
+        true_pa = true_pa + e.pressure_sensor_lag.time_constant_s * slope
+    return true_pa
+
+
+def _times(dt_s: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(dt_s)])

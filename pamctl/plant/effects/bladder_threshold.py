@@ -1,0 +1,32 @@
+"""The bladder must stretch before it loads the braid."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, size
+
+
+class BladderThreshold(NamedTuple):
+    """Gauge pressure that is lost to the bladder."""
+
+    pressure_pa: float = 0.0
+
+
+def loading_pa(bladder: BladderThreshold, gauge_pa: float) -> float:
+    """Return the gauge pressure that pulls."""
+    if bladder.pressure_pa == 0.0:
+        return gauge_pa
+    return max(gauge_pa - bladder.pressure_pa, 0.0)
+
+
+DESCRIPTION = EffectDescription(
+    name="bladder_threshold",
+    block="mechanics",
+    equation="F = max(P_g - P_th, 0) A(x)",
+    parameters=(size("pressure_pa", "Pa", 6e4, smallest=1e3, start=5e3, meaning="P_th"),),
+    signature="at the vented end: the stroke begins late; a constant loss of pressure above",
+    best_experiment="square",
+    parts=("mechanics",),
+    seen_by=("mechanics",),
+)

@@ -1,0 +1,39 @@
+"""The braid's threads are elastic: pressure makes them longer."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, size
+
+
+class BraidStretch(NamedTuple):
+    """Strain of the threads per gauge pressure."""
+
+    compliance_per_pa: float = 0.0
+
+
+def stretch_of(braid: BraidStretch, gauge_pa: float) -> float:
+    """Return the length of the threads over that without pressure."""
+    return 1.0 + braid.compliance_per_pa * gauge_pa
+
+
+DESCRIPTION = EffectDescription(
+    name="braid_stretch",
+    block="mechanics",
+    equation="b = b_0 (1 + e P_g) in V(x) and A(x)",
+    parameters=(
+        size(
+            "compliance_per_pa",
+            "1/Pa",
+            2e-7,
+            smallest=1e-8,
+            start=3e-8,
+            meaning="e, strain per gauge pressure",
+        ),
+    ),
+    signature="static, grows with the square of the pressure; near to a change of k and b together",
+    best_experiment="fill-and-hold",
+    parts=("air", "mechanics"),
+    seen_by=("mechanics", "pressure"),
+)

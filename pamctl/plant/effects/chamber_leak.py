@@ -1,0 +1,28 @@
+"""Air leaks out of the muscle into the room."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, size
+
+
+class ChamberLeak(NamedTuple):
+    """A hole in the muscle or its fittings."""
+
+    area_m2: float = 0.0
+
+
+DESCRIPTION = EffectDescription(
+    name="chamber_leak",
+    block="pressure",
+    equation="m -= A_c Psi(P, P_atm)",
+    parameters=(
+        size("area_m2", "m2", 3e-7, smallest=1e-9, start=1e-8, meaning="A_c, area of the leak"),
+    ),
+    signature="with the valve closed the pressure falls to the atmosphere's, the faster the higher "
+    "it is",
+    best_experiment="fill-and-hold",
+    parts=("air",),
+    seen_by=("pressure",),
+)

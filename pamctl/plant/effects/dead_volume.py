@@ -1,0 +1,27 @@
+"""Air that takes no part in the muscle's change of volume: tubes, fittings, the sensor's port."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, size
+
+
+class DeadVolume(NamedTuple):
+    """Constant volume that is filled and emptied with the muscle."""
+
+    volume_m3: float = 0.0
+
+
+DESCRIPTION = EffectDescription(
+    name="dead_volume",
+    block="pressure",
+    equation="V = V(x) + V_d",
+    parameters=(
+        size("volume_m3", "m3", 6e-5, smallest=1e-6, start=4e-6, meaning="V_d, added volume"),
+    ),
+    signature="pressure moves too fast in the simulation, most where the muscle is longest",
+    best_experiment="square",
+    parts=("air",),
+    seen_by=("pressure",),
+)

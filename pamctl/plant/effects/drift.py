@@ -1,0 +1,68 @@
+"""What changes over minutes: temperature, wear, a supply that runs down."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, EffectForm, size
+
+LEAST = 0.1
+"""Of its first value, that a drifting number never falls below."""
+
+
+class Drift(NamedTuple):
+    """Trends from the plant's first moment on, relative, in 1/s."""
+
+    valve_gain_per_s: float = 0.0
+    stiffness_per_s: float = 0.0
+    friction_per_s: float = 0.0
+
+
+def drifted(per_s: float, age_s: float) -> float:
+    """Return the factor by which a number has changed."""
+    return max(1.0 + per_s * age_s, LEAST) if per_s != 0.0 else 1.0
+
+
+DESCRIPTION = EffectDescription(
+    name="drift",
+    block="pressure",
+    equation="K_Av (1 + r_v t),  k (1 + r_k t),  mu_k (1 + r_f t)",
+    parameters=(
+        size(
+            "valve_gain_per_s",
+            "1/s",
+            0.01,
+            smallest=2e-4,
+            start=5e-4,
+            meaning="r_v, trend of the valve's gain",
+            low=-0.01,
+        ),
+        size(
+            "stiffness_per_s",
+            "1/s",
+            0.01,
+            smallest=1e-4,
+            start=5e-4,
+            meaning="r_k, trend of the stiffness",
+            low=-0.01,
+        ),
+        size(
+            "friction_per_s",
+            "1/s",
+            0.01,
+            smallest=2e-4,
+            start=5e-4,
+            meaning="r_f, trend of the kinetic friction",
+            low=-0.01,
+        ),
+    ),
+    signature="parameters fitted to one part of a record after the other show a trend in time",
+    best_experiment="the same square at the beginning and at the end of a long record",
+    parts=("valve", "mechanics"),
+    seen_by=("pressure", "mechanics"),
+    forms=(
+        EffectForm("valve gain", free=("valve_gain_per_s",)),
+        EffectForm("stiffness", free=("stiffness_per_s",)),
+        EffectForm("friction", free=("friction_per_s",)),
+    ),
+)

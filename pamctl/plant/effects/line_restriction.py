@@ -1,0 +1,73 @@
+"""A tube between valve and muscle: it resists, it holds air, and the sensor sits at its valve end.
+
+What the sensor shows then leads what moves the muscle.
+"""
+
+from __future__ import annotations
+
+from math import exp
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
+
+
+class LineRestriction(NamedTuple):
+    """Laminar resistance of the tube, and its volume, lumped at the valve."""
+
+    resistance_pa_s_per_kg: float = 0.0
+    volume_m3: float = 0.0
+
+
+def line_time_s(line: LineRestriction, specific_energy_j_per_kg: float) -> float:
+    """Return the time constant of the line's own volume behind its resistance."""
+    return line.resistance_pa_s_per_kg * line.volume_m3 / specific_energy_j_per_kg
+
+
+def led(time_s: float, step_s: float) -> tuple[float, float]:
+    """Return how a lag follows over a step: its share of the past, and its weight of a ramp.
+
+    y(h) = kept y(0) + (1 - kept) r(0) + weight (r(h) - r(0)) for a straight r: exact.
+    """
+    if time_s <= 0.0:
+        return 0.0, 1.0
+    kept = exp(-step_s / time_s)
+    return kept, 1.0 - (1.0 - kept) * time_s / step_s
+
+
+DESCRIPTION = EffectDescription(
+    name="line_restriction",
+    block="pressure",
+    equation="V_l P_1' = R T (m - g),  (P V)' = R T g,  g = (P_1 - P) / R_l,  the sensor sees P_1",
+    parameters=(
+        size(
+            "resistance_pa_s_per_kg",
+            "Pa s/kg",
+            5e7,
+            smallest=1e6,
+            start=5e6,
+            meaning="R_l, resistance of the tube",
+        ),
+        shape(
+            "volume_m3",
+            "m3",
+            0.0,
+            2e-5,
+            usual=0.0,
+            smallest=1e-6,
+            meaning="V_l, volume at the valve's end",
+        ),
+    ),
+    signature="the measured pressure leads: it jumps with the flow, and the motion lags behind it; "
+    "both blocks show it",
+    best_experiment="square",
+    parts=("air",),
+    seen_by=("pressure", "mechanics"),
+    forms=(
+        EffectForm("resistance", free=("resistance_pa_s_per_kg",)),
+        EffectForm(
+            "resistance and volume",
+            free=("resistance_pa_s_per_kg", "volume_m3"),
+            held={"volume_m3": 3e-6},
+        ),
+    ),
+)

@@ -1,0 +1,49 @@
+"""The air's temperature follows compression and flow: between isothermal and adiabatic."""
+
+from __future__ import annotations
+
+from math import pow
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, size
+
+
+class Polytropic(NamedTuple):
+    """Exponent of the change of state: 1 is isothermal, as in Eq. 7, 1.4 adiabatic."""
+
+    exponent: float = 1.0
+
+
+def air_of(polytropic: Polytropic, volume_m3: float) -> float:
+    """V^a: the pressure times this is what inflow adds to."""
+    return volume_m3 if polytropic.exponent == 1.0 else pow(volume_m3, polytropic.exponent)
+
+
+def worth_of_inflow(polytropic: Polytropic, volume_m3: float) -> float:
+    """A V^(a-1), the slope of V^a."""
+    if polytropic.exponent == 1.0:
+        return 1.0
+    return polytropic.exponent * pow(volume_m3, polytropic.exponent - 1.0)
+
+
+DESCRIPTION = EffectDescription(
+    name="polytropic",
+    block="pressure",
+    equation="d(P V^a)/dt = a R T m V^(a-1)",
+    parameters=(
+        size(
+            "exponent",
+            "1",
+            1.4,
+            smallest=0.03,
+            start=1.1,
+            meaning="a: 1 isothermal, 1.4 adiabatic",
+            neutral=1.0,
+            low=1.0,
+        ),
+    ),
+    signature="the flow's and the motion's share of the pressure's rate are scaled alike",
+    best_experiment="square",
+    parts=("air",),
+    seen_by=("pressure",),
+)

@@ -1,0 +1,171 @@
+"""Before it slides, friction is a spring: bristles bend, and hold where motion turned.
+
+It takes the place of the set-valued friction at rest. Three forms of one name: elasto-plastic (a
+spring on a slider), Dahl's (the spring softens towards its limit), and LuGre's, which is Dahl's
+with a damping of the bristle; its Stribeck part is the effect of that name.
+"""
+
+from __future__ import annotations
+
+from math import exp, isinf, sqrt
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
+
+ELASTO_PLASTIC, DAHL, LUGRE = 0.0, 1.0, 2.0
+
+
+class Presliding(NamedTuple):
+    """Bristles whose force stays within friction's band [lower, upper]."""
+
+    compliance_m_per_n: float = 0.0
+    """1 / sigma_0; 0 is friction that sticks rigidly."""
+    form: float = ELASTO_PLASTIC
+    bristle_damping_n_s_per_m: float = 0.0
+    """Sigma_1 of LuGre's form."""
+
+
+class Slipped(NamedTuple):
+    """The end of a step on bristles."""
+
+    way_m: float
+    velocity_m_per_s: float
+    bristle_n: float
+
+
+def held_n(force_n: float, drive_n: float, lower_n: float, upper_n: float) -> float:
+    """Return a bristle's force within the band; one not loaded yet (infinite) holds the drive."""
+    return min(max(drive_n if isinf(force_n) else force_n, lower_n), upper_n)
+
+
+def bent_damping(presliding: Presliding, left_n: float, width_n: float) -> float:
+    """Return sigma_1 dz/dx, what LuGre's bristle adds to damping at `left_n` below its limit."""
+    if presliding.form != LUGRE:
+        return 0.0
+    return presliding.bristle_damping_n_s_per_m * left_n / width_n
+
+
+def slip(
+    presliding: Presliding,
+    mass_kg: float,
+    damping_n_s_per_m: float,
+    velocity_m_per_s: float,
+    surplus_n: float,
+    left_n: float,
+    width_n: float,
+    step_s: float,
+) -> Slipped:
+    """Slip forwards for a step; everything counted in the direction of motion.
+
+    `surplus_n` is the drive beyond the bristle's present force, `left_n` what that force may still
+    grow. Mean force and way determine each other: way = a v + b (drive - mean force), exact for
+    mass and damping under a constant force, and the mean force of a bristle over a way is a
+    closed form. Both grow with the way, so there is one solution, however stiff the bristle.
+    The way is 0 where it would go backwards; the force that the bristle has gained is returned.
+    """
+    rate = damping_n_s_per_m / mass_kg
+    decay = exp(-rate * step_s)
+    by_speed_s = (1.0 - decay) / rate
+    by_force = (step_s - by_speed_s) / damping_n_s_per_m
+    free_m = by_speed_s * velocity_m_per_s + by_force * surplus_n
+    if free_m <= 0.0:
+        return Slipped(0.0, 0.0, 0.0)
+    stiffness = 1.0 / presliding.compliance_m_per_n
+    if presliding.form == ELASTO_PLASTIC:
+        way_m, gained_n, mean_n = _elasto_plastic(free_m, by_force, stiffness, left_n)
+    else:
+        way_m, gained_n, mean_n = _dahl(free_m, by_force, stiffness / width_n, left_n)
+    terminal = (surplus_n - mean_n) / damping_n_s_per_m
+    return Slipped(way_m, terminal + (velocity_m_per_s - terminal) * decay, gained_n)
+
+
+def _elasto_plastic(
+    free_m: float, by_force: float, stiffness: float, left_n: float
+) -> tuple[float, float, float]:
+    """Return way, gain and mean gain of a spring on a slider."""
+    way_m = free_m / (1.0 + 0.5 * by_force * stiffness)
+    if stiffness * way_m <= left_n:
+        return way_m, stiffness * way_m, 0.5 * stiffness * way_m
+    # It begins to slide on the way: the mean is left - left^2 / (2 stiffness way).
+    past_m = free_m - by_force * left_n
+    lag_m2 = 0.5 * by_force * left_n * left_n / stiffness
+    root_m = sqrt(past_m * past_m + 4.0 * lag_m2)
+    way_m = 0.5 * (past_m + root_m) if past_m >= 0.0 else 2.0 * lag_m2 / (root_m - past_m)
+    return way_m, left_n, (free_m - way_m) / by_force
+
+
+def _dahl(
+    free_m: float, by_force: float, per_m: float, left_n: float
+) -> tuple[float, float, float]:
+    """Return way, gain and mean gain of a bristle that softens: left (1 - e^(-q)), q = way per_m.
+
+    Newton's method from 0: the miss is increasing and concave, so no step goes too far.
+    """
+    way_m, mean_n, gained_n = 0.0, 0.0, 0.0
+    for _ in range(50):
+        q = per_m * way_m
+        if q < 1e-4:
+            mean_n = left_n * q * (0.5 - q / 6.0)
+            slope = left_n * per_m * (0.5 - q / 3.0)
+            gained_n = left_n * q * (1.0 - 0.5 * q)
+        else:
+            bent = exp(-q)
+            gained_n = left_n * (1.0 - bent)
+            mean_n = left_n * (1.0 - (1.0 - bent) / q)
+            slope = left_n * per_m * ((1.0 - bent) / (q * q) - bent / q)
+        change_m = (free_m - by_force * mean_n - way_m) / (1.0 + by_force * slope)
+        way_m += change_m
+        if abs(change_m) <= 1e-12 * free_m + 1e-18:
+            break
+    return way_m, gained_n, mean_n
+
+
+DESCRIPTION = EffectDescription(
+    name="presliding",
+    block="mechanics",
+    equation="df/dx = sigma_0 within the band (elasto-plastic), or sigma_0 (f_lim - f) / "
+    "(f_upper - f_lower) (Dahl), with sigma_1 dz/dt added (LuGre)",
+    parameters=(
+        size(
+            "compliance_m_per_n",
+            "m/N",
+            2e-4,
+            smallest=1e-6,
+            start=1e-5,
+            meaning="1 / sigma_0, how far bristles bend per force",
+        ),
+        shape(
+            "form",
+            "",
+            0.0,
+            2.0,
+            usual=0.0,
+            smallest=1.0,
+            meaning="how the bristle yields",
+            choices=("elasto_plastic", "dahl", "lugre"),
+        ),
+        shape(
+            "bristle_damping_n_s_per_m",
+            "N s/m",
+            0.0,
+            2000.0,
+            usual=0.0,
+            smallest=20.0,
+            meaning="sigma_1, in the form lugre only",
+        ),
+    ),
+    signature="at reversals only: the muscle gives way before it slides, by some micrometres, and "
+    "remembers where it turned; grows with pressure",
+    best_experiment="multisine-small",
+    parts=("mechanics",),
+    seen_by=("mechanics",),
+    forms=(
+        EffectForm("elasto-plastic", ("compliance_m_per_n",), {"form": ELASTO_PLASTIC}),
+        EffectForm("Dahl", ("compliance_m_per_n",), {"form": DAHL}),
+        EffectForm(
+            "LuGre",
+            ("compliance_m_per_n", "bristle_damping_n_s_per_m"),
+            {"form": LUGRE, "bristle_damping_n_s_per_m": 20.0},
+        ),
+    ),
+)

@@ -1,0 +1,61 @@
+"""The supply's pressure falls while air is taken: a regulator with resistance, behind it a tank."""
+
+from __future__ import annotations
+
+from math import exp
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
+
+
+class SupplyDroop(NamedTuple):
+    """Static where the refill takes no time; else a finite tank that the regulator fills.
+
+    The tank's volume is refill_time R T / resistance.
+    """
+
+    resistance_pa_s_per_kg: float = 0.0
+    refill_time_s: float = 0.0
+
+
+def kept_share(droop: SupplyDroop, step_s: float) -> float:
+    """Return how much of a tank's present pressure is left after `step_s` of refill."""
+    return exp(-step_s / droop.refill_time_s) if droop.refill_time_s > 0.0 else 0.0
+
+
+DESCRIPTION = EffectDescription(
+    name="supply_droop",
+    block="pressure",
+    equation="tau P_s' = P_tank - R_s m - P_s,  m = flow out of the supply; static for tau = 0",
+    parameters=(
+        size(
+            "resistance_pa_s_per_kg",
+            "Pa s/kg",
+            5e7,
+            smallest=1e6,
+            start=5e6,
+            meaning="R_s, resistance of the regulator and its tube",
+        ),
+        shape(
+            "refill_time_s",
+            "s",
+            0.0,
+            5.0,
+            usual=0.0,
+            smallest=5e-3,
+            meaning="tau = V_t R_s / (R T) of a tank of volume V_t between regulator and valve",
+        ),
+    ),
+    signature="while filling only, in proportion to the flow; with a tank it lingers after it",
+    best_experiment="square",
+    parts=("air",),
+    seen_by=("pressure",),
+    forms=(
+        EffectForm("static", free=("resistance_pa_s_per_kg",)),
+        EffectForm(
+            "finite tank",
+            free=("resistance_pa_s_per_kg", "refill_time_s"),
+            held={"refill_time_s": 0.05},
+        ),
+    ),
+)

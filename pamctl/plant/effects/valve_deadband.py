@@ -1,0 +1,42 @@
+"""The spool's lands overlap the ports: near null the valve does not open."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, EffectForm, size
+
+
+class ValveDeadband(NamedTuple):
+    """Overlap on either side of null, each at least 0."""
+
+    fill_width_v: float = 0.0
+    exhaust_width_v: float = 0.0
+
+
+def uncovered_v(deadband: ValveDeadband, spool_v: float) -> float:
+    """Return what the overlap leaves of the spool's travel."""
+    if spool_v > 0.0:
+        return max(spool_v - deadband.fill_width_v, 0.0)
+    return min(spool_v + deadband.exhaust_width_v, 0.0)
+
+
+DESCRIPTION = EffectDescription(
+    name="valve_deadband",
+    block="pressure",
+    equation="A_v = K_Av (u - d_f) for u > d_f, K_Av (u + d_e) for u < -d_e, else 0",
+    parameters=(
+        size("fill_width_v", "V", 1.5, smallest=0.02, start=0.1, meaning="overlap where u > 0"),
+        size("exhaust_width_v", "V", 1.5, smallest=0.02, start=0.1, meaning="overlap where u < 0"),
+    ),
+    signature="where the command is within some three widths of null the simulated pressure drifts "
+    "and the measured one stays; invisible under full-scale squares, where it is a loss of gain",
+    best_experiment="null-staircase",
+    parts=("valve",),
+    seen_by=("pressure",),
+    forms=(
+        EffectForm("two sides", free=("fill_width_v", "exhaust_width_v")),
+        EffectForm("filling only", free=("fill_width_v",)),
+        EffectForm("exhausting only", free=("exhaust_width_v",)),
+    ),
+)

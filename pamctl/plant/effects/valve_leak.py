@@ -1,0 +1,47 @@
+"""Air leaks past the spool's lands: from the tank into the muscle, and on to the atmosphere."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
+
+
+class ValveLeak(NamedTuple):
+    """Two equal leaks at null; with travel the lands cover them more or less."""
+
+    area_m2: float = 0.0
+    fade_per_v: float = 0.0
+
+
+def leak_area_m2(leak: ValveLeak, spool_v: float) -> float:
+    """Return the area of each of the two leaks."""
+    return leak.area_m2 / (1.0 + leak.fade_per_v * abs(spool_v))
+
+
+DESCRIPTION = EffectDescription(
+    name="valve_leak",
+    block="pressure",
+    equation="m += A (Psi(P_tank, P) - Psi(P, P_atm)),  A = A_l / (1 + k |u|)",
+    parameters=(
+        size("area_m2", "m2", 3e-7, smallest=1e-9, start=1e-8, meaning="A_l, area of each leak"),
+        shape(
+            "fade_per_v",
+            "1/V",
+            0.0,
+            5.0,
+            usual=0.0,
+            smallest=0.2,
+            meaning="k: how the leak fades as the spool leaves null",
+        ),
+    ),
+    signature="with the valve closed the pressure drifts towards one between tank and atmosphere; "
+    "the end pressures are not reached",
+    best_experiment="fill-and-hold",
+    parts=("air",),
+    seen_by=("pressure",),
+    forms=(
+        EffectForm("everywhere", free=("area_m2",)),
+        EffectForm("at null", free=("area_m2", "fade_per_v"), held={"fade_per_v": 0.5}),
+    ),
+)

@@ -1,0 +1,44 @@
+"""The spool reaches its stop, or the driver its limit, before the command does."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, size
+
+FULL_COMMAND_V = 5.0
+
+
+class ValveSaturation(NamedTuple):
+    """How far before the full command of 5 V the opening stops to grow."""
+
+    shortfall_v: float = 0.0
+
+
+def limited_v(saturation: ValveSaturation, command_v: float) -> float:
+    """Return what of the command the driver passes on."""
+    if saturation.shortfall_v <= 0.0:
+        return command_v
+    limit_v = FULL_COMMAND_V - saturation.shortfall_v
+    return min(max(command_v, -limit_v), limit_v)
+
+
+DESCRIPTION = EffectDescription(
+    name="valve_saturation",
+    block="pressure",
+    equation="u limited to +-(5 V - d)",
+    parameters=(
+        size(
+            "shortfall_v",
+            "V",
+            4.0,
+            smallest=0.2,
+            start=0.5,
+            meaning="by how much the limit is below the full command of 5 V",
+        ),
+    ),
+    signature="only at large commands, on both sides: the measured flow is smaller",
+    best_experiment="square",
+    parts=("valve",),
+    seen_by=("pressure",),
+)

@@ -1,0 +1,120 @@
+"""A plant as a flat mapping {name: value}, which is what a fit varies.
+
+Names are those of a plant file: `stiffness_n_per_m` of its parameters, and of its effects
+`valve_spool.time_constant_s`. What is left out has the paper's value, or the neutral one. No
+validation but of names: a fit that evaluates thousands of vectors keeps to the catalogue's
+ranges itself. `pamctl.plant.model` has the way to a plant file and back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any
+
+from pamctl.plant.effects import CATALOGUE, Effects
+from pamctl.plant.effects.command_delay import CommandDelay
+from pamctl.plant.effects.description import Part
+from pamctl.plant.effects.end_cap import EndCap, active_length_m
+from pamctl.plant.effects.moving_mass import MovingMass, moved_kg
+from pamctl.plant.parameters import PaperParameters, PlantParameters
+
+PAPER: dict[str, float] = {
+    "mass_kg": 0.05,
+    "damping_n_s_per_m": 570.0,
+    "stiffness_n_per_m": 9680.0,
+    "rest_length_m": 0.200,
+    "braid_length_m": 0.232,
+    "braid_turns": 1.94,
+    "kinetic_friction_per_m": 55.3,
+    "braid_count": 100.0,
+    "braid_contact_area_m2": 0.233e-6,
+    "tank_pressure_pa": 441.3e3,
+    "atmospheric_pressure_pa": 101.3e3,
+    "gas_constant_j_per_kg_k": 287.1,
+    "temperature_k": 273.0,
+    "heat_capacity_ratio": 1.4,
+    "valve_gain_m2_per_v": 1.03e-6,
+}
+"""Tables I and II in SI."""
+ACTUATOR = "actuator"
+"""0 is the muscle, 1 a force that drives the mechanics directly."""
+
+
+def _layout(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
+    """Return for each effect of a group its class and the flat names of its fields."""
+    return tuple(
+        (type(effect), tuple(f"{name}.{field}" for field in effect._fields))
+        for name, effect in group._asdict().items()
+    )
+
+
+_LAYOUTS = tuple((type(group), _layout(group)) for group in Effects()[1:])
+NEUTRAL: dict[str, float] = {
+    f"{effect.name}.{p.name}": p.neutral for effect in CATALOGUE.values() for p in effect.parameters
+}
+"""Every parameter of every effect, such that none acts."""
+
+
+def _sizes_of(part: Part) -> tuple[tuple[str, float], ...]:
+    return tuple(
+        (f"{effect.name}.{p.name}", p.neutral)
+        for effect in CATALOGUE.values()
+        for p in effect.parameters
+        if part in effect.parts and p.role == "size"
+    )
+
+
+_VALVE, _AIR = _sizes_of("valve"), _sizes_of("air")
+_MECHANICS, _SENSORS = _sizes_of("mechanics"), _sizes_of("sensors")
+_DEFAULTS = {ACTUATOR: 0.0, **PAPER, **NEUTRAL}
+
+
+def parameters_of(values: Mapping[str, float]) -> PlantParameters:
+    """Return the numbers that the kernels use. KeyError, with the nearest name, for an unknown."""
+    if unknown := values.keys() - _DEFAULTS.keys():
+        raise KeyError(_unknown(min(unknown)))
+    v = {**_DEFAULTS, **values}
+    gamma = v["heat_capacity_ratio"]
+    energy = v["gas_constant_j_per_kg_k"] * v["temperature_k"]
+    critical = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
+    unchoked = math.sqrt(2.0 * gamma / ((gamma - 1.0) * energy))
+    groups: Any = (
+        group(*[kind(*[v[name] for name in names]) for kind, names in layout])
+        for group, layout in _LAYOUTS
+    )
+    direct = v[ACTUATOR] != 0.0
+    paper = PaperParameters(
+        mass_kg=moved_kg(MovingMass(v["moving_mass.added_kg"]), v["mass_kg"]),
+        damping_n_s_per_m=v["damping_n_s_per_m"],
+        stiffness_n_per_m=v["stiffness_n_per_m"],
+        rest_length_m=active_length_m(EndCap(v["end_cap.length_m"]), v["rest_length_m"]),
+        braid_length_m=v["braid_length_m"],
+        volume_scale=1.0 / (4.0 * math.pi * v["braid_turns"] ** 2),
+        friction_area_m=v["kinetic_friction_per_m"] * v["braid_count"] * v["braid_contact_area_m2"],
+        tank_pressure_pa=v["tank_pressure_pa"],
+        atmospheric_pressure_pa=v["atmospheric_pressure_pa"],
+        specific_energy_j_per_kg=energy,
+        valve_gain_m2_per_v=v["valve_gain_m2_per_v"],
+        inverse_gamma=1.0 / gamma,
+        critical_ratio=critical,
+        choked_flow_s_per_m=unchoked
+        * critical ** (1.0 / gamma)
+        * math.sqrt(1.0 - critical ** ((gamma - 1.0) / gamma)),
+        unchoked_flow_s_per_m=unchoked,
+    )
+    return PlantParameters(
+        paper=paper,
+        effects=Effects(CommandDelay(v["command_delay.delay_s"]), *groups),
+        valve_acts=any(v[name] != neutral for name, neutral in _VALVE),
+        air_acts=any(v[name] != neutral for name, neutral in _AIR),
+        mechanics_act=direct or any(v[name] != neutral for name, neutral in _MECHANICS),
+        sensors_act=any(v[name] != neutral for name, neutral in _SENSORS),
+        direct=direct,
+    )
+
+
+def _unknown(name: str) -> str:
+    near = get_close_matches(name, _DEFAULTS, n=1)
+    return f"{name}: no such parameter of a plant" + (f"; did you mean {near[0]}?" if near else "")

@@ -1,0 +1,139 @@
+"""The mechanical block with what the paper leaves out: friction's forms, springs, loads.
+
+The same exponential midpoint step as `mechanics.py`, and at neutral values the same to the bit.
+"""
+
+from __future__ import annotations
+
+from pamctl.plant.effects.bladder_threshold import loading_pa
+from pamctl.plant.effects.braid_stretch import stretch_of
+from pamctl.plant.effects.creep import Crept, creep_force_n, crept
+from pamctl.plant.effects.drift import drifted
+from pamctl.plant.effects.presliding import Slipped, bent_damping, held_n, slip
+from pamctl.plant.effects.stribeck import risen
+from pamctl.plant.friction import AxialForces
+from pamctl.plant.mechanics import slide
+from pamctl.plant.muscle import braid_lever_m, force_area_m2
+from pamctl.plant.parameters import MechanicsState, MechanismParameters
+
+
+def mechanism_step(
+    p: MechanismParameters,
+    position_m: float,
+    velocity_m_per_s: float,
+    before: MechanicsState,
+    middle_load: float,
+    step_s: float,
+) -> tuple[float, float, MechanicsState]:
+    """Advance (x, v) and the memory of the mechanics by one step.
+
+    `middle_load` is the absolute pressure (Pa) in the middle of the step, or the force (N) on a
+    direct actuator.
+    """
+    half_s = 0.5 * step_s
+    middle_m = position_m + half_s * velocity_m_per_s
+    creep = p.effects.creep
+    dashpots = crept(creep, before.dashpots, position_m, middle_m, half_s)
+    age_s = before.age_s + half_s
+    speed = velocity_m_per_s
+    if p.effects.stribeck.rise != 0.0:
+        # Friction falls as the muscle gets going: the speed in the middle, predicted twice.
+        for _ in range(2):
+            forces = mechanism_forces(p, dashpots, middle_m, middle_load, speed, age_s)
+            _, speed, _ = move(p, forces, before.bristle_n, position_m, velocity_m_per_s, half_s)
+    forces = mechanism_forces(p, dashpots, middle_m, middle_load, speed, age_s)
+    end_m, end_v, bristle_n = move(
+        p, forces, before.bristle_n, position_m, velocity_m_per_s, step_s
+    )
+    dashpots = crept(creep, before.dashpots, position_m, end_m, step_s)
+    return end_m, end_v, MechanicsState(bristle_n, dashpots, before.age_s + step_s)
+
+
+def mechanism_forces(
+    p: MechanismParameters,
+    dashpots: Crept,
+    position_m: float,
+    load: float,
+    velocity_m_per_s: float,
+    age_s: float,
+) -> AxialForces:
+    """Eq. 4 and 5 at (x, P, v) with the effects; the band at rest is that of zero speed."""
+    e, gauge_pa, pull_n, lever_m = p.effects, 0.0, load, 0.0
+    if not p.direct:
+        gauge_pa = load - p.paper.atmospheric_pressure_pa
+        pull_n = loading_pa(e.bladder_threshold, gauge_pa) * pull_area_m2(p, position_m, gauge_pa)
+        lever_m = braid_lever_m(p.paper, position_m)
+    pressing_pa = gauge_pa if gauge_pa > 0.0 else 0.0
+    stiffness = p.paper.stiffness_n_per_m * drifted(e.drift.stiffness_per_s, age_s)
+    drive_n = pull_n - stiffness * position_m
+    drive_n -= e.cubic_stiffness.n_per_m3 * position_m * position_m * position_m
+    drive_n -= creep_force_n(e.creep, dashpots, position_m) + e.external_load.force_n
+    grip = p.paper.friction_area_m * pressing_pa * drifted(e.drift.friction_per_s, age_s)
+    kinetic_n, dry_n = grip * lever_m, e.coulomb_friction.force_n
+    lower_n, upper_n = -(e.return_friction.share * kinetic_n + dry_n), kinetic_n + dry_n
+    damping = p.paper.damping_n_s_per_m + e.pressure_damping.per_pa * pressing_pa
+    now, at_rest = risen(e.stribeck, velocity_m_per_s), risen(e.stribeck, 0.0)
+    return AxialForces(
+        drive_n,
+        now * lower_n,
+        now * upper_n,
+        damping + grip,
+        damping,
+        at_rest * lower_n,
+        at_rest * upper_n,
+    )
+
+
+def pull_area_m2(p: MechanismParameters, position_m: float, gauge_pa: float) -> float:
+    """A(x) of Eq. 3, with stretched threads."""
+    braid = p.effects.braid_stretch
+    if braid.compliance_per_pa == 0.0:
+        return force_area_m2(p.paper, position_m)
+    length = p.paper.rest_length_m - position_m
+    stretched = p.paper.braid_length_m * stretch_of(braid, gauge_pa)
+    return (3.0 * length * length - stretched * stretched) * p.paper.volume_scale
+
+
+def move(
+    p: MechanismParameters,
+    forces: AxialForces,
+    bristle_n: float,
+    position_m: float,
+    velocity_m_per_s: float,
+    step_s: float,
+) -> tuple[float, float, float]:
+    """Return x, v and the bristles' force after a step under frozen forces."""
+    presliding = p.effects.presliding
+    width_n = forces.upper_n - forces.lower_n
+    if presliding.compliance_m_per_n <= 0.0 or width_n <= 0.0:
+        end_m, end_v = slide(forces, p.paper.mass_kg, position_m, velocity_m_per_s, step_s)
+        return end_m, end_v, forces.lower_n if width_n <= 0.0 else bristle_n
+    held = held_n(bristle_n, forces.drive_n, forces.lower_n, forces.upper_n)
+    surplus_n, left_n = forces.drive_n - held, forces.upper_n - held
+    damping = forces.damping_up_n_s_per_m
+    up = slip_damped(p, damping, velocity_m_per_s, surplus_n, left_n, width_n, step_s)
+    if up.way_m > 0.0:
+        return position_m + up.way_m, up.velocity_m_per_s, held + up.bristle_n
+    left_n, damping = held - forces.lower_n, forces.damping_down_n_s_per_m
+    down = slip_damped(p, damping, -velocity_m_per_s, -surplus_n, left_n, width_n, step_s)
+    return position_m - down.way_m, -down.velocity_m_per_s, held - down.bristle_n
+
+
+def slip_damped(
+    p: MechanismParameters,
+    damping: float,
+    velocity_m_per_s: float,
+    surplus_n: float,
+    left_n: float,
+    width_n: float,
+    step_s: float,
+) -> Slipped:
+    """Slip; a bristle's own damping, if it has any, is that of the middle of the way."""
+    presliding, mass_kg = p.effects.presliding, p.paper.mass_kg
+    bent = damping + bent_damping(presliding, left_n, width_n)
+    slipped = slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left_n, width_n, step_s)
+    if bent == damping:
+        return slipped
+    middle_n = left_n - 0.5 * slipped.bristle_n
+    bent = damping + bent_damping(presliding, middle_n, width_n)
+    return slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left_n, width_n, step_s)

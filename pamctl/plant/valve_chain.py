@@ -1,0 +1,32 @@
+"""From the command to the valve's opening: what the paper takes for one and the same."""
+
+from __future__ import annotations
+
+from pamctl.plant.effects import ValveEffects
+from pamctl.plant.effects.drift import drifted
+from pamctl.plant.effects.valve_asymmetry import sided_v
+from pamctl.plant.effects.valve_curve import curved_v
+from pamctl.plant.effects.valve_deadband import uncovered_v
+from pamctl.plant.effects.valve_hysteresis import play_v
+from pamctl.plant.effects.valve_saturation import limited_v
+from pamctl.plant.effects.valve_spool import spool_step
+from pamctl.plant.parameters import ValveState
+
+
+def valve_step(
+    e: ValveEffects, valve: ValveState, command_v: float, step_s: float
+) -> tuple[float, ValveState]:
+    """Return the opening in the middle of the step, and the valve at its end.
+
+    The opening is that of the paper's valve with the same area, in volts of command.
+    """
+    half_s = 0.5 * step_s
+    pushed_v = play_v(e.valve_hysteresis, valve.play_v, limited_v(e.valve_saturation, command_v))
+    middle_v, rate = spool_step(
+        e.valve_spool, valve.spool_v, valve.spool_rate_v_per_s, pushed_v, half_s
+    )
+    spool_v, spool_rate = spool_step(e.valve_spool, middle_v, rate, pushed_v, half_s)
+    area_v = curved_v(e.valve_curve, uncovered_v(e.valve_deadband, middle_v))
+    gain = drifted(e.drift.valve_gain_per_s, valve.age_s + half_s)
+    opening_v = gain * sided_v(e.valve_asymmetry, area_v)
+    return opening_v, ValveState(spool_v, spool_rate, pushed_v, valve.age_s + step_s)

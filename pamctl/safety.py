@@ -17,13 +17,14 @@ from pydantic import Field, model_validator
 from hal.configured import Configured
 from hal.rig import RawSample
 from pamctl.plant.muscle import volume_m3
-from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.parameters import PaperParameters
 from pamctl.plant.valve import valve_flow
 from pamctl.signals import Command, Decision, Estimate, Measurement, Phase, Reference, Timing
 
 # Clips
 ENVELOPE = 1 << 0
 SLEW = 1 << 1
+PINNED = 1 << 2
 # Trips
 COMMAND_NOT_FINITE = 1 << 8
 MEASUREMENT_NOT_FINITE = 1 << 9
@@ -40,6 +41,7 @@ PRESSURE_TOO_HIGH = 1 << 18
 VERDICTS: dict[int, str] = {
     ENVELOPE: "command cut to the valve's range",
     SLEW: "command slowed to the slew limit",
+    PINNED: "output pinned to the safe voltage (--readonly), whatever the law asks for",
     COMMAND_NOT_FINITE: "the command is not a finite number",
     MEASUREMENT_NOT_FINITE: "a sensor gave no finite number",
     PRESSURE_LIMIT: "pressure above its limit",
@@ -101,6 +103,8 @@ class Limits(NamedTuple):
     """The same numbers in SI for the kernel, with the model that pressure is held against."""
 
     safe_valve_v: float
+    pinned: bool
+    """Nothing but the safe command may reach the valve: the run only looks on."""
     command_v: float
     slew_v_per_s: float
     pressure_pa: float
@@ -116,7 +120,7 @@ class Limits(NamedTuple):
     pressure_model_pa: float
     pressure_model_memory_s: float
     patience_s: float
-    model: PlantParameters
+    model: PaperParameters
 
 
 class SafetyState(NamedTuple):
@@ -137,11 +141,17 @@ WATCHFUL = SafetyState(math.nan, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0)
 
 
 def limits(
-    settings: LimitSettings, *, safe_valve_v: float, count_m: float, model: PlantParameters
+    settings: LimitSettings,
+    *,
+    safe_valve_v: float,
+    count_m: float,
+    model: PaperParameters,
+    pinned: bool = False,
 ) -> Limits:
     """Turn settings into the numbers that the kernel uses; `count_m` is one encoder count."""
     return Limits(
         safe_valve_v=safe_valve_v,
+        pinned=pinned,
         command_v=settings.command_v,
         slew_v_per_s=settings.slew_v_per_s,
         pressure_pa=settings.pressure_pa,
@@ -184,7 +194,8 @@ def admit(
         sensor_bad_s = state.sensor_bad_s + dt_s
         if sensor_bad_s > limits.patience_s:
             trips |= SENSOR_RANGE
-    if abs(estimate.error_m) > limits.tracking_error_m:
+    # A pinned valve tracks nothing, and nobody asked it to.
+    if not limits.pinned and abs(estimate.error_m) > limits.tracking_error_m:
         error_bad_s = state.error_bad_s + dt_s
         if error_bad_s > limits.patience_s:
             trips |= TRACKING_ERROR
@@ -202,7 +213,10 @@ def admit(
     clips = 0
     valve_v = limits.safe_valve_v
     if not tripped:
-        valve_v, clips = _clipped(limits, state, reference, command.command_v, dt_s)
+        if limits.pinned:
+            clips = PINNED
+        else:
+            valve_v, clips = _clipped(limits, state, reference, command.command_v, dt_s)
     return (
         Decision(valve_v, tripped | clips, tripped != 0),
         SafetyState(

@@ -17,7 +17,7 @@ from pamctl.control.qsmc import QsmcSettings
 from pamctl.control.smc import SmcSettings, linearised
 from pamctl.control.surface import ARMED, LawState
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.realtime.loop import frozen
+from pamctl.realtime.keyframe import frozen
 from pamctl.signals import Command, Estimate, Phase, Reference
 
 NAN = math.nan
@@ -234,7 +234,7 @@ def jerk_along_flow(x: float, v: float, p: float, u: float) -> float:
     return (at(step) - at(-step)) / (2 * step)
 
 
-MODEL = plant_parameters(PlantSettings())
+MODEL = plant_parameters(PlantSettings()).paper
 
 states = st.tuples(
     st.floats(0.0, 0.024),

@@ -14,7 +14,6 @@ from support import COUNT_M, run_settings
 from hal.calibration import Zero, calibration
 from hal.rig import RawSample
 from hal.sim import sensed_counts, sensed_pressure_v, sensor_chain
-from pamctl.cli.assembly import setup_of
 from pamctl.control.experiment import Course, Segment, held, segments
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, vented
@@ -26,6 +25,7 @@ from pamctl.safety import (
     ENVELOPE,
     MEASUREMENT_NOT_FINITE,
     OVERRUNS,
+    PINNED,
     PRESSURE_LIMIT,
     PRESSURE_TOO_HIGH,
     PRESSURE_TOO_LOW,
@@ -43,6 +43,7 @@ from pamctl.safety import (
     explain,
     limits,
 )
+from pamctl.setup import setup_of
 from pamctl.signals import (
     Command,
     Decision,
@@ -61,7 +62,7 @@ P_ATM = 101.3e3
 
 
 def limited(**changes: float) -> Limits:
-    return limits(LimitSettings(**changes), safe_valve_v=SAFE_V, count_m=COUNT_M, model=MODEL)
+    return limits(LimitSettings(**changes), safe_valve_v=SAFE_V, count_m=COUNT_M, model=MODEL.paper)
 
 
 class Seen(NamedTuple):
@@ -123,6 +124,15 @@ calm = st.builds(
 sequences = st.lists(calm | anything, max_size=40) | st.lists(calm, max_size=40)
 envelopes = st.sampled_from([5.0, 3.0])
 slews = st.sampled_from([10_000.0, 100.0, 1.0])
+
+
+@settings(max_examples=200)
+@given(sequences)
+def test_a_pinned_valve_hears_nothing_but_the_safe_command(ticks):
+    for decision, _ in admitted(limited()._replace(pinned=True), ticks):
+        assert decision.valve_v == SAFE_V
+        assert decision.tripped == (decision.verdicts != PINNED)
+        assert not decision.verdicts & (CLIPS | TRACKING_ERROR)
 
 
 @settings(max_examples=400)
@@ -351,7 +361,7 @@ def test_every_verdict_has_its_own_bit_and_words() -> None:
         assert bits(bit) == [bit]
         assert explain(bit) == [meaning]
     assert explain(sum(VERDICTS)) == list(VERDICTS.values())
-    assert len(set(VERDICTS.values())) == len(VERDICTS) == 13
+    assert len(set(VERDICTS.values())) == len(VERDICTS) == 14
 
 
 def test_limits_that_exclude_each_other_are_refused() -> None:
@@ -390,7 +400,7 @@ def driven(
     run = run_settings()
     cal = calibration(run.rig.calibration)
     chain = sensor_chain(run.rig.sim, run.rig.calibration)
-    lim = limits(LimitSettings(**changes), safe_valve_v=-5.0, count_m=COUNT_M, model=MODEL)
+    lim = limits(LimitSettings(**changes), safe_valve_v=-5.0, count_m=COUNT_M, model=MODEL.paper)
     muscle, safety, written, worst = start, WATCHFUL, [0.0] * (delay + 1), 0.0
     noise = (0.5 * math.sin(1e3 * n * n) for n in range(10**9))
     for tick in range(round(seconds * 1e3)):
@@ -542,7 +552,9 @@ def test_tracking_never_trips_a_muscle_near_the_model(name: str) -> None:
 
 def test_a_model_pressure_from_nowhere_cannot_raise() -> None:
     """Where the encoder says there is no muscle left, the other rules decide."""
-    away = Seen(position_m=MODEL.rest_length_m, phase=Phase.HOMING, open_loop=True, command_v=5.0)
+    away = Seen(
+        position_m=MODEL.paper.rest_length_m, phase=Phase.HOMING, open_loop=True, command_v=5.0
+    )
     assert decisions(limited(), *[away] * 5)[-1] == Decision(5.0, 0, False)
 
 

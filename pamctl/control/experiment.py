@@ -13,6 +13,7 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import Field, model_validator
 
 from hal.configured import Configured
+from pamctl.control.excitation import ProgramSettings, commands
 from pamctl.control.trajectory import rest_to_rest
 from pamctl.signals import Phase, Reference
 
@@ -70,9 +71,22 @@ class StepsSettings(Configured):
     repeat: Annotated[int, Field(ge=1, le=1_000_000)] = 1
 
 
+class HoldSettings(Configured):
+    """Go to a position and hold it, closed loop."""
+
+    kind: Literal["hold"]
+    position_mm: Annotated[float, Field(ge=-100, le=100)]
+    transition_s: Duration = 3.0
+    hold_s: Annotated[Duration | None, Field(description="until it is stopped, if absent")] = None
+
+
 ExperimentSettings = Annotated[
-    TrackingSettings | SquareSettings | StepsSettings, Field(discriminator="kind")
+    TrackingSettings | SquareSettings | StepsSettings | ProgramSettings | HoldSettings,
+    Field(discriminator="kind"),
 ]
+
+
+Experiment = TrackingSettings | SquareSettings | StepsSettings | ProgramSettings | HoldSettings
 
 
 class Segment(NamedTuple):
@@ -99,7 +113,7 @@ def held(phase: int, valve_v: float) -> Reference:
     return Reference(phase, math.nan, math.nan, math.nan, math.nan, valve_v)
 
 
-def segments(settings: TrackingSettings | SquareSettings | StepsSettings) -> tuple[Segment, ...]:
+def segments(settings: Experiment) -> tuple[Segment, ...]:
     """Turn an experiment file into its segments."""
     match settings:
         case TrackingSettings():
@@ -110,6 +124,10 @@ def segments(settings: TrackingSettings | SquareSettings | StepsSettings) -> tup
             return wave * settings.cycles
         case StepsSettings():
             return tuple(_hold(s.valve_v, s.hold_s) for s in settings.steps) * settings.repeat
+        case ProgramSettings():
+            return tuple(_hold(*command) for command in commands(settings))
+        case HoldSettings():
+            return tuple(_position_held(settings))
 
 
 def _tracking(settings: TrackingSettings) -> Iterator[Segment]:
@@ -125,6 +143,20 @@ def _tracking(settings: TrackingSettings) -> Iterator[Segment]:
             yield Segment(Phase.TRACK, settings.transition_s, here_m, there_m, math.nan)
 
 
+def _position_held(settings: HoldSettings) -> Iterator[Segment]:
+    there_m = settings.position_mm * 1e-3
+    yield Segment(Phase.TRACK, settings.transition_s, 0.0, there_m, math.nan)
+    yield Segment(Phase.REST, settings.hold_s or math.inf, there_m, there_m, math.nan)
+
+
+def from_here(course: Sequence[Segment], position_m: float) -> tuple[Segment, ...]:
+    """Let a closed-loop course begin where the muscle is, instead of at the vented one."""
+    first, *others = course
+    if math.isnan(first.start_m):
+        return tuple(course)
+    return (first._replace(start_m=position_m), *others)
+
+
 def _hold(valve_v: float, duration_s: float) -> Segment:
     return Segment(Phase.OPEN_LOOP, duration_s, math.nan, math.nan, valve_v)
 
@@ -134,7 +166,7 @@ class Course:
 
     def __init__(self, course: Sequence[Segment], duration_s: float | None = None) -> None:
         """`duration_s` cuts the course short."""
-        self._segments = tuple(course)
+        self.segments = tuple(course)
         whole_s = sum(segment.duration_s for segment in course)
         self.duration_s = whole_s if duration_s is None else min(duration_s, whole_s)
         self._index = 0
@@ -145,11 +177,11 @@ class Course:
         # Half a nanosecond: a tick's time is a sum of floats, an end is not.
         if t_s >= self.duration_s - 5e-10:
             return None
-        segment = self._segments[self._index]
+        segment = self.segments[self._index]
         while t_s - self._begin_s >= segment.duration_s - 5e-10:
             self._begin_s += segment.duration_s
             self._index += 1
-            if self._index == len(self._segments):
+            if self._index == len(self.segments):
                 return None
-            segment = self._segments[self._index]
+            segment = self.segments[self._index]
         return reference_at(segment, t_s - self._begin_s)

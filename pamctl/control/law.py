@@ -41,7 +41,7 @@ _NO_SURFACE = SlidingGains(1.0, 1.0, 0.0, 1.0, True, 0.0)
 _IDLE = Gains(
     -1,
     QsmcGains(_NO_SURFACE, 0.0),
-    SmcGains(_NO_SURFACE, 0.0, plant_parameters(PlantSettings())),
+    SmcGains(_NO_SURFACE, 0.0, plant_parameters(PlantSettings()).paper),
     PidGains(0.0, 0.0, 0.0, 0.0),
 )
 

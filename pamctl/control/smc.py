@@ -34,7 +34,7 @@ from pamctl.control.qsmc import SlidingGains, SlidingSettings, sliding_gains
 from pamctl.control.surface import LawState, clamped, reaching, unwound
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.muscle import braid_lever_m, force_area_m2, volume_m3
-from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.parameters import PaperParameters
 from pamctl.plant.valve import orifice_flow
 from pamctl.signals import Command, Estimate, Reference
 
@@ -54,7 +54,7 @@ class SmcGains(NamedTuple):
 
     sliding: SlidingGains
     kp: float
-    model: PlantParameters
+    model: PaperParameters
 
 
 class Linearisation(NamedTuple):
@@ -67,11 +67,11 @@ class Linearisation(NamedTuple):
 
 def smc_gains(settings: SmcSettings) -> SmcGains:
     """Turn settings into the numbers that the kernel uses."""
-    return SmcGains(sliding_gains(settings), settings.kp, plant_parameters(settings.model))
+    return SmcGains(sliding_gains(settings), settings.kp, plant_parameters(settings.model).paper)
 
 
 def linearised(
-    p: PlantParameters, x: float, velocity: float, acceleration: float, pressure_pa: float
+    p: PaperParameters, x: float, velocity: float, acceleration: float, pressure_pa: float
 ) -> Linearisation:
     """x''' of the model at (x, x', x'', P), split as the module's docstring derives it."""
     # Beyond these the braid has no length: an encoder gone astray, for safety to trip on.

@@ -1,0 +1,153 @@
+"""Excitation for diagnosis: valve commands that make what a model lacks visible.
+
+Each part shows something that the others do not: squares the flow and the spool, a
+staircase about null a dead band, multisines everything that depends on amplitude, a chirp
+delay against lag, fill-and-hold the leaks, long holds the creep.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Iterator
+from typing import Annotated, Literal, NamedTuple, TypeVar
+
+from pydantic import Field, model_validator
+
+from hal.configured import Configured
+
+Volts = Annotated[float, Field(ge=-5, le=5, description="V; positive fills")]
+Amplitude = Annotated[float, Field(gt=0, le=5, description="V")]
+Seconds = Annotated[float, Field(gt=0, le=86_400)]
+Hertz = Annotated[float, Field(gt=0, le=250)]
+
+SAMPLE_S = 1e-3
+"""Waves are held for so long: a tick of the usual loop."""
+
+
+Wave = TypeVar("Wave")
+
+
+class Held(NamedTuple):
+    """A valve command and how long it stands."""
+
+    valve_v: float
+    duration_s: float
+
+
+class Hold(Configured):
+    """One command, held."""
+
+    wave: Literal["hold"]
+    valve_v: Volts
+    duration_s: Seconds
+
+
+class Square(Configured):
+    """Full strokes; it begins by filling."""
+
+    wave: Literal["square"]
+    frequency_hz: Hertz
+    amplitude_v: Amplitude = 5.0
+    cycles: Annotated[int, Field(ge=1, le=100_000)] = 3
+
+
+class Staircase(Configured):
+    """Small pulses to both sides of null, each followed by a closed valve."""
+
+    wave: Literal["staircase"]
+    levels_v: Annotated[tuple[Amplitude, ...], Field(min_length=1)]
+    hold_s: Seconds = 0.15
+
+
+class Multisine(Configured):
+    """Many tones at once, spread evenly over the octaves, with phases drawn from the seed."""
+
+    wave: Literal["multisine"]
+    low_hz: Hertz
+    high_hz: Hertz
+    amplitude_v: Annotated[float, Field(gt=0, le=5, description="of the highest peak")]
+    duration_s: Seconds
+    tones: Annotated[int, Field(ge=1, le=200)] = 30
+    bias_v: Volts = 0.0
+
+    @model_validator(mode="after")
+    def _rises(self) -> Multisine:
+        return _rising(self, self.low_hz, self.high_hz)
+
+
+class Chirp(Configured):
+    """One tone that rises evenly over the octaves."""
+
+    wave: Literal["chirp"]
+    low_hz: Hertz
+    high_hz: Hertz
+    amplitude_v: Amplitude
+    duration_s: Seconds
+
+    @model_validator(mode="after")
+    def _rises(self) -> Chirp:
+        return _rising(self, self.low_hz, self.high_hz)
+
+
+Part = Annotated[Hold | Square | Staircase | Multisine | Chirp, Field(discriminator="wave")]
+
+
+class ProgramSettings(Configured):
+    """Parts of an excitation one after the other, open loop."""
+
+    kind: Literal["program"]
+    seed: Annotated[int, Field(ge=0, description="of the multisines' phases")] = 1
+    parts: Annotated[tuple[Part, ...], Field(min_length=1)]
+
+
+def commands(settings: ProgramSettings) -> Iterator[Held]:
+    """Yield the program's commands in order."""
+    for index, part in enumerate(settings.parts):
+        match part:
+            case Hold():
+                yield Held(part.valve_v, part.duration_s)
+            case Square():
+                half_s = 0.5 / part.frequency_hz
+                for _ in range(part.cycles):
+                    yield from (Held(part.amplitude_v, half_s), Held(-part.amplitude_v, half_s))
+            case Staircase():
+                for level_v in part.levels_v:
+                    for valve_v in (level_v, 0.0, -level_v, 0.0):
+                        yield Held(valve_v, part.hold_s)
+            case Multisine():
+                yield from _multisine(part, random.Random(f"{settings.seed} {index}"))
+            case Chirp():
+                yield from _chirp(part)
+
+
+def _multisine(part: Multisine, drawn: random.Random) -> Iterator[Held]:
+    ratio = (part.high_hz / part.low_hz) ** (1.0 / max(part.tones - 1, 1))
+    tones = [
+        (math.tau * part.low_hz * ratio**i, drawn.uniform(0.0, math.tau)) for i in range(part.tones)
+    ]
+    wave = [sum(math.sin(w * t_s + phase) for w, phase in tones) for t_s in _times(part.duration_s)]
+    peak = max(map(abs, wave)) or 1.0
+    for value in wave:
+        yield _sample(part.bias_v + part.amplitude_v * value / peak)
+
+
+def _chirp(part: Chirp) -> Iterator[Held]:
+    growth = math.log(part.high_hz / part.low_hz) / part.duration_s
+    for t_s in _times(part.duration_s):
+        phase = math.tau * part.low_hz * math.expm1(growth * t_s) / growth
+        yield _sample(part.amplitude_v * math.sin(phase))
+
+
+def _times(duration_s: float) -> Iterator[float]:
+    return (i * SAMPLE_S for i in range(max(round(duration_s / SAMPLE_S), 1)))
+
+
+def _sample(valve_v: float) -> Held:
+    return Held(min(max(valve_v, -5.0), 5.0), SAMPLE_S)
+
+
+def _rising(part: Wave, low_hz: float, high_hz: float) -> Wave:
+    if low_hz >= high_hz:
+        raise ValueError(f"low_hz {low_hz:g} must lie below high_hz {high_hz:g}")
+    return part

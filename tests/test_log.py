@@ -23,7 +23,10 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from pamctl.log.reader import LogError, info, read
+from pamctl.log import LogError, info, read
+from pamctl.log.check import check
+from pamctl.log.imported import write_imported
+from pamctl.log.records import mapped, walk
 from pamctl.log.recover import recover
 from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, tick_descriptor, unit_of
 from pamctl.log.text import from_json, to_json
@@ -265,6 +268,47 @@ def test_a_foreign_reader_accepts_a_recovered_log(log_path, foreign_reader, tmp_
     assert foreign_reader(tmp_path / "saved.mcap")["messages"] == recovery.messages
 
 
+def test_a_damaged_copy_is_refused_by_the_foreign_reader_and_by_check(
+    log_path, foreign_reader, tmp_path
+):
+    damaged = bytearray(log_path.read_bytes())
+    chunk = next(record for record in walk(mapped(log_path)) if record.opcode == 6)
+    damaged[(chunk.start + chunk.end) // 2] ^= 1
+    (tmp_path / "a.mcap").write_bytes(damaged)
+    with pytest.raises(AssertionError):
+        foreign_reader(tmp_path / "a.mcap")
+    assert not check(tmp_path / "a.mcap").ok
+
+
+def test_a_foreign_reader_accepts_an_imported_log(foreign_reader, tmp_path):
+    t_s = np.arange(100) * 1e-3
+    write_imported(tmp_path / "a.mcap", t_s, {"position_m": 0.1 * t_s}, {"source": "lab.csv"})
+    seen = foreign_reader(tmp_path / "a.mcap")
+    assert seen["messages"] == {"/pam/tick": 100}
+    assert seen["last"] == {
+        "tick": 99,
+        "t_s": t_s[99],
+        "dt_s": t_s[99] - t_s[98],
+        "missed": 0,
+        "position_m": 0.1 * t_s[99],
+    }
+
+
+GOLDEN = sorted((Path(__file__).parent / "golden").glob("*.mcap"))
+
+
+@pytest.mark.parametrize("path", GOLDEN, ids=lambda path: path.stem)
+def test_a_foreign_reader_reads_every_golden_log_as_we_do(path, foreign_reader):
+    seen, log = foreign_reader(path), read(path)
+    assert seen["messages"] == log.counts
+    assert sorted(seen["attachments"]) == sorted(log.attachments)
+    for row, ours in (("first", 0), ("last", -1)):
+        for name, column in log.columns.items():
+            value = seen[row][name]  # JSON has no NaN
+            found = math.nan if value is None else float(value)
+            assert found == pytest.approx(float(column[ours]), nan_ok=True, abs=0), name
+
+
 # Logs that another version wrote.
 
 
@@ -413,8 +457,6 @@ def test_recovery_of_a_truncated_log_saves_an_exact_prefix(log_path, tmp_path):
 
 
 def test_recovery_leaves_out_a_damaged_chunk_and_saves_the_next(log_path, tmp_path):
-    from pamctl.log.records import mapped, walk
-
     whole = bytearray(log_path.read_bytes())
     chunks = [record for record in walk(mapped(log_path)) if record.opcode == 6]
     assert len(chunks) > 2

@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 from made_up import START_MONO_NS, columns, end, meta, put, recording, tick
 
-from pamctl.log.reader import info, read
+from pamctl.log import info, read
 from pamctl.log.recorder import RecorderError, await_ready, spawn
-from pamctl.log.recover import finish_from_ring, recover_orphans
+from pamctl.log.recover import finish_from_ring, recover, recover_orphans
 from pamctl.realtime.ring import RecorderFlag, Ring, RingError
 
 LONG_AGO_NS = 1
@@ -71,6 +71,23 @@ def test_after_the_recorder_is_killed_the_log_is_complete_to_the_last_tick(log, 
     assert recovery.messages["/pam/tick"] == ticks
     assert_complete(log, ticks)
     assert list(log.parent.iterdir()) == [log]
+
+
+def test_of_a_killed_recorders_file_alone_every_whole_chunk_is_recovered(log):
+    with new_ring(log) as ring, recording(ring) as process:
+        put(ring, range(3000))
+        while not ring.tail:
+            time.sleep(1e-3)
+        put(ring, range(3000, 6000))
+        process.kill()
+        process.wait()
+        in_file = ring.tail  # it moves when a chunk is in the file
+    recovery = recover(log, log.with_name("saved.mcap"))
+    saved = read(log.with_name("saved.mcap"))
+    assert len(saved) >= in_file > 0
+    assert saved["tick"].tolist() == list(range(len(saved)))
+    assert recovery.messages["/pam/tick"] == len(saved)
+    assert not recovery.lossless
 
 
 def test_a_recorder_killed_before_it_had_a_file_costs_nothing(log):
@@ -345,6 +362,14 @@ def test_a_ring_whose_loop_still_lives_is_left_alone(tmp_path):
     assert ring.path.exists()
 
 
+def test_a_ring_that_goes_while_the_others_are_looked_at_is_no_problem(tmp_path, monkeypatch):
+    ended = tmp_path / "pamctl-a.ring"  # of a run that ended after the directory was read
+    there = orphan(tmp_path, "b", tmp_path / "b.mcap", 300)
+    monkeypatch.setattr(Path, "glob", lambda *_: [ended, there])
+    (found,) = recover_orphans(tmp_path)
+    assert (found.ring, found.problem) == (there, "")
+
+
 def test_a_bad_ring_is_reported_and_does_not_keep_the_others_from_being_saved(tmp_path):
     (tmp_path / "pamctl-a.ring").write_bytes(b"\0" * 10_000)
     orphan(tmp_path, "c", tmp_path / "c.mcap", 300)
@@ -359,7 +384,8 @@ def test_a_log_that_cannot_be_finished_stays_where_it_is_with_its_ring(tmp_path)
     path = orphan(tmp_path, "a", tmp_path / "logs" / "a.mcap", 300)
     (tmp_path / "logs").rename(tmp_path / "moved")
     (found,) = recover_orphans(tmp_path)
-    assert "cannot create" in found.problem
+    assert f"{tmp_path / 'logs'} is gone; make it again" in found.problem
+    assert found.problem.endswith(f"or give the log up: rm {path}")
     assert path.exists()
     (tmp_path / "moved").rename(tmp_path / "logs")
     (found,) = recover_orphans(tmp_path)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
+
+from pamctl.log.naming import bare, dated_name
 
 _LOG_DIRECTORY = Path("logs")
 
@@ -29,18 +30,10 @@ def new_log_path(asked: Path | None, controller: str, experiment: str) -> Path:
     return path
 
 
-def bare(name: str) -> str:
-    """Return the name that a shipped name or a path means: `square-0.25` is no file ending."""
-    last = Path(name).name
-    return last.removesuffix(".yaml").removesuffix(".yml")
-
-
 def _unused(what: str) -> Path:
     with suppress(OSError):
         _LOG_DIRECTORY.mkdir(exist_ok=True)
-    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
-    names = (f"{stamp}{again}-{what}.mcap" for again in ("", *range(-2, -100, -1)))
-    return next(path for name in names if not (path := _LOG_DIRECTORY / name).exists())
+    return dated_name(_LOG_DIRECTORY, what)
 
 
 def _no_directory(path: Path, *, by_default: bool) -> str:

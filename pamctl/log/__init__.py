@@ -1,1 +1,50 @@
-"""All that knows MCAP: the schema, the recorder, the reader, and what mends a broken log."""
+"""All that knows MCAP: the schema, the recorder, the reader, and what mends a broken log.
+
+The public way into a log, whoever wrote it:
+
+    import pamctl.log
+
+    log = pamctl.log.read("run.mcap")             # Log: arrays by field, events, configuration
+    error_m = log["position_m"] - log["reference_m"]
+    log.is_imported                               # whether another system measured it
+
+    measured = pamctl.log.signals(log)            # Signals: what the model is held against
+    measured.t_s, measured.valve_v, measured.pressure_pa, measured.position_m
+
+    pamctl.log.read("long.mcap", fields=("t_s", "position_m"))  # of an hour, only what is needed
+
+The tools of the command line are functions too: `check.check`, `recover.recover`,
+`export.export` and `importing.pipeline.import_log`.
+
+Names are loaded when first used: the loop's process imports parts of this package, and
+must not pay for numpy.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pamctl.log.offline import NO_PHASE, Signals, signals
+    from pamctl.log.overview import info
+    from pamctl.log.reader import Log, read
+    from pamctl.log.records import LogError
+
+__all__ = ["NO_PHASE", "Log", "LogError", "Signals", "info", "read", "signals"]
+
+_HOMES = {
+    "Log": "reader",
+    "LogError": "records",
+    "NO_PHASE": "offline",
+    "Signals": "offline",
+    "info": "overview",
+    "read": "reader",
+    "signals": "offline",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

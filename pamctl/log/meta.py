@@ -32,6 +32,8 @@ class RunMeta:
     """Names of the doubles of a keyframe, in order."""
     tick_fields: Sequence[Field] = TICK_FIELDS
     """Columns of a tick row, in order."""
+    origin: str = ""
+    """`pamctl.log.schema.IMPORTED` where another system measured it."""
 
     def to_text(self) -> bytes:
         """Write as JSON."""

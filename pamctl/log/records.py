@@ -23,6 +23,8 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 
 FRAME = struct.Struct("<BQ")
 """Opcode, and bytes of the body behind it."""
+NO_CHECKSUM = bytes(4)
+"""How a writer says that it has not computed one."""
 
 
 class LogError(Exception):
@@ -66,11 +68,14 @@ def walk(file: memoryview) -> Iterator[Record]:
     """Go through a file's records, the footer last; raise Damage where there is no next one."""
     if file[: len(MAGIC)] != MAGIC:
         raise Damage(0, "it does not begin as an MCAP file does")
-    at, opcode = len(MAGIC), 0
+    at, opcode, has_data_end = len(MAGIC), 0, False
     while opcode != Opcode.FOOTER:
         record = record_at(file, at)
         yield record
         at, opcode = record.end, record.opcode
+        has_data_end |= opcode == Opcode.DATA_END
+    if not has_data_end:
+        raise Damage(at, "the record that ends the data, and holds their checksum, is not there")
     if file[at:] != MAGIC:
         raise Damage(at, "it does not end as an MCAP file does")
 
@@ -125,6 +130,5 @@ def record_at(data: memoryview, at: int) -> Record:
 
 
 def _compare(record: Record, what: str, stored: int, data: memoryview) -> None:
-    # Zero is how a writer says that it has not computed the checksum.
-    if stored not in (0, zlib.crc32(data)):
+    if stored not in (int.from_bytes(NO_CHECKSUM), zlib.crc32(data)):
         raise Damage(record.start, f"the checksum of {what} is wrong")

@@ -10,7 +10,7 @@ import os
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BufferedWriter
 from itertools import count
@@ -19,9 +19,11 @@ from time import monotonic_ns
 from typing import TYPE_CHECKING, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 
+from pamctl.log.newfile import new_file
 from pamctl.log.records import (
+    NO_CHECKSUM,
     Damage,
     LogError,
     Record,
@@ -30,8 +32,8 @@ from pamctl.log.records import (
     record_at,
     unpack,
     verify,
-    walk,
 )
+from pamctl.log.salvage import Hole, data_vouched, salvage, summary_of
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
 from pamctl.log.text import from_json
 from pamctl.log.writer import NO_SCHEMA, LogWriter
@@ -57,6 +59,8 @@ class Recovery:
     """Whether all that was ever logged is saved."""
     bytes_lost: int
     """Bytes of the source that nothing could be made of."""
+    unverified: tuple[str, ...] = ()
+    """Names of saved metadata that no whole checksum vouches for: they have none of their own."""
 
 
 class Orphan(NamedTuple):
@@ -70,12 +74,12 @@ class Orphan(NamedTuple):
 def recover(source: str | Path, destination: str | Path) -> Recovery:
     """Save all that is whole of a log into a new file; raise LogError if nothing is.
 
-    Works on any MCAP file. A damaged chunk is left out and the next one saved; what
-    follows a damaged length cannot be found. The source is not touched.
+    Works on any MCAP file. A damaged chunk is left out and the next one saved, which is
+    found by its checksum where lengths lead nowhere. The source is not touched.
     """
     source, destination = Path(source), Path(destination)
     file = mapped(source)
-    with _new(destination) as stream:
+    with new_file(destination) as stream:
         writer = LogWriter(stream)
         copy = _Copy(writer)
         copy.file(file)
@@ -86,8 +90,9 @@ def recover(source: str | Path, destination: str | Path) -> Recovery:
             destination=str(destination),
             messages=dict(copy.saved),
             damage=tuple(copy.damage),
-            lossless=not (copy.lost or copy.cut),
+            lossless=copy.lossless,
             bytes_lost=copy.bytes_lost,
+            unverified=copy.unverified,
         )
         _sign(writer, recovery)
     return recovery
@@ -117,19 +122,34 @@ def recover_orphans(directory: str | Path = "/dev/shm") -> list[Orphan]:
 
     found: list[Orphan] = []
     for path in sorted(Path(directory).glob("pamctl-*.ring")):
-        # Another user's ring is that user's to recover: it says which file to write, and
-        # root, who may open it, must not be told by anyone which of its files to replace.
-        if path.is_symlink() or path.stat().st_uid != os.geteuid():
-            continue
         try:
+            if not _is_my_file(path):
+                continue
             with Ring.attach(path) as ring:
                 if ring.claim() and monotonic_ns() - ring.loop_beat_ns > _LOOP_DEAD_NS:
+                    _require_home(ring)
                     found.append(Orphan(path, _finish(ring), ""))
                     ring.unlink()
         # One bad ring must not keep a rig from starting, nor another log from being saved.
         except Exception as error:
-            found.append(Orphan(path, None, str(error)))
+            if path.exists():  # a run that ended meanwhile took its ring along
+                found.append(Orphan(path, None, str(error)))
     return found
+
+
+def _is_my_file(path: Path) -> bool:
+    """Another user's ring is that user's to recover: it says which file to write.
+
+    Root, who may open it, must not be told by anyone which of its files to replace.
+    """
+    return not path.is_symlink() and path.stat().st_uid == os.geteuid()
+
+
+def _require_home(ring: Ring) -> None:
+    folder = Path(ring.meta.log_path).parent
+    if not folder.is_dir():
+        told = f"{folder} is gone; make it again for the next start to finish the log in"
+        raise LogError(f"{told}, or give the log up: rm {ring.path}")
 
 
 def _finish(ring: Ring) -> Recovery:
@@ -159,6 +179,7 @@ def _finish(ring: Ring) -> Recovery:
             # Where the file was cut the ring goes on.
             lossless=not copy.lost,
             bytes_lost=copy.bytes_lost,
+            unverified=copy.unverified,
         )
         _sign(writer, recovery)
     ring.commit(rest.end_row)
@@ -190,28 +211,10 @@ def _sign(writer: LogWriter, recovery: Recovery) -> None:
             "source": recovery.source,
             "damage": "; ".join(recovery.damage),
             "lossless": str(recovery.lossless).lower(),
+            "unverified": ", ".join(recovery.unverified),
         },
     )
     writer.finish()
-
-
-@contextmanager
-def _new(path: Path) -> Iterator[BufferedWriter]:
-    """Open a file that must not exist; leave none behind on an error."""
-    try:
-        stream = path.open("xb")
-    except FileExistsError:
-        raise LogError(f"{path} exists, and a log is never overwritten") from None
-    except OSError as error:
-        raise LogError(f"cannot create {path}: {error.strerror}") from error
-    try:
-        with stream:
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
-    except BaseException:
-        path.unlink()
-        raise
 
 
 @contextmanager
@@ -219,7 +222,7 @@ def _replacing(target: Path, ring: Ring) -> Iterator[BufferedWriter]:
     """Open a file beside the target that takes its place when the block ends well."""
     draft = target.with_name(f"{target.name}.recovering")
     draft.unlink(missing_ok=True)
-    with _new(draft) as stream:
+    with new_file(draft) as stream:
         yield stream
         ring.mended_inode = os.fstat(stream.fileno()).st_ino
     draft.replace(target)
@@ -242,33 +245,48 @@ class _Copy:
         self.cut = True
         """The file has no end."""
         self.bytes_lost = 0
+        self._vouched = False
+        """Whether a checksum of the whole file says that there is no damage in the data."""
+        self._metadata: dict[str, None] = {}
         self.last_tick = -(1 << 62)
         self.last_row = -1
 
     def file(self, file: memoryview) -> None:
-        """Copy a file's data section as far as it goes; the summary is made anew."""
+        """Copy a file's data section as far as it is whole; the summary is made anew."""
+        self._vouched = data_vouched(file)
         self._learn_channels(file)
-        try:
-            for record in walk(file):
-                self._try(file, record)
-                self.cut = self.cut and record.opcode != Opcode.DATA_END
-        except Damage as damage:
-            self.damage.append(str(damage))
-            self.bytes_lost += len(file) - damage.offset if self.cut else 0
+        for part in salvage(file):
+            if isinstance(part, Hole):
+                self.damage.append(str(part.damage))
+                self.bytes_lost += part.bytes_lost
+                # Where the file was cut something else may go on: the ring.
+                self.lost = self.lost or (self.cut and not part.at_end)
+            else:
+                self._try(file, part)
+                self.cut = self.cut and part.opcode != Opcode.DATA_END
+
+    @property
+    def lossless(self) -> bool:
+        """Whether all that was ever in the file is saved."""
+        return not (self.lost or self.cut)
+
+    @property
+    def unverified(self) -> tuple[str, ...]:
+        """Names of metadata that were copied without any checksum's word for them."""
+        return () if self._vouched else tuple(self._metadata)
 
     def _learn_channels(self, file: memoryview) -> None:
-        """Learn from the summary what a damaged first chunk would not tell."""
-        with suppress(Damage):
-            for record in walk(file):
-                if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    with making_sense(record):
-                        self._copy(record)
+        """Learn from a whole summary what a damaged first chunk would not tell."""
+        for record in summary_of(file):
+            if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._copy(record)
 
     def _try(self, file: memoryview, record: Record) -> None:
         try:
             with making_sense(record):
                 verify(file, record)
-                self._copy(record)
+                if self.cut:  # what stands behind the data is made anew
+                    self._copy(record)
         except Damage as damage:
             self.damage.append(str(damage))
             self.lost = self.lost or self.cut
@@ -279,6 +297,8 @@ class _Copy:
         match record.opcode:
             case Opcode.CHUNK:
                 inside, at = unpack(record), 0
+                checked = Chunk.read(record.stream()).uncompressed_crc != 0
+                self._refuse_unchecked(record, checked)
                 while at < len(inside):
                     part = record_at(inside, at)
                     self._copy(part)
@@ -293,10 +313,17 @@ class _Copy:
                 self._copy_channel(Channel.read(record.stream()))
             case Opcode.ATTACHMENT:
                 a = Attachment.read(record.stream())
+                self._refuse_unchecked(record, record.body[-4:] != NO_CHECKSUM)
                 self._writer.attachment(a.name, a.data, a.log_time, a.media_type)
             case Opcode.METADATA:
                 metadata = Metadata.read(record.stream())
                 self._writer.metadata(metadata.name, metadata.metadata)
+                self._metadata[metadata.name] = None
+
+    def _refuse_unchecked(self, record: Record, checked: bool) -> None:
+        """Raise Damage for what has no checksum: where a block was zeroed, it looks like that."""
+        if not (checked or self._vouched):
+            raise Damage(record.start, "nothing says whether it is whole: it has no checksum")
 
     def _copy_channel(self, channel: Channel) -> None:
         schema = self._schemas.get(channel.schema_id)

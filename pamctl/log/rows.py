@@ -14,7 +14,7 @@ from pamctl.log.meta import RunMeta
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.text import from_json, to_json
 from pamctl.log.wire import TickLayout
-from pamctl.log.writer import LogWriter, begin
+from pamctl.log.writer import SEQUENCE, LogWriter, begin
 from pamctl.realtime.ring import ROW_BYTES, ROW_HEADER, Batch, Entry, RowKind
 from pamctl.signals import Field
 
@@ -24,8 +24,6 @@ _TOPICS = {
     RowKind.KEYFRAME: KEYFRAME_TOPIC,
 }
 _NUMPY_TYPES = {int: "<i8", float: "<f8", bool: "?"}
-_SEQUENCE = 0xFFFFFFFF
-"""MCAP's sequence has 32 bits: at 1 kHz the tick outgrows it after 49 days."""
 
 
 class RowLogger:
@@ -59,12 +57,12 @@ class RowLogger:
 
     def _write_ticks(self, rows: NDArray[Any]) -> None:
         rows = rows[rows["tick"] > self.last_tick]
-        data, size = self._layout.encode(rows["columns"]).tobytes(), self._layout.dtype.itemsize
-        times = np.maximum(rows["t_ns"] + self._wall_less_mono, 0).tolist()
-        sequences = (rows["tick"] & _SEQUENCE).tolist()
-        add, channel = self._writer.add, self._channels[TICK_TOPIC]
-        for at, time, sequence in zip(range(0, len(data), size), times, sequences, strict=True):
-            add(channel, time, data[at : at + size], time, sequence)
+        self._writer.add_run(
+            self._channels[TICK_TOPIC],
+            self._layout.encode(rows["columns"]).tobytes(),
+            np.maximum(rows["t_ns"] + self._wall_less_mono, 0).tolist(),
+            rows["tick"].tolist(),
+        )
         self.written[TICK_TOPIC] += len(rows)
 
     def _write_entry(self, entry: Entry) -> None:
@@ -77,7 +75,7 @@ class RowLogger:
         time = max(entry.t_ns + self._wall_less_mono, 0)
         topic = _TOPICS[entry.kind]
         data = to_json({**value, **where})
-        self._writer.add(self._channels[topic], time, data, time, entry.tick & _SEQUENCE)
+        self._writer.add(self._channels[topic], time, data, time, entry.tick & SEQUENCE)
         self.written[topic] += 1
 
     def _value(self, entry: Entry) -> dict[str, Any]:

@@ -8,7 +8,7 @@ its own descriptor, so that a reader of another version finds values by name.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from google.protobuf.descriptor_pb2 import (
     DescriptorProto,
@@ -28,6 +28,28 @@ EVENT_TOPIC = "/pam/event"
 GAINS_TOPIC = "/pam/gains"
 KEYFRAME_TOPIC = "/pam/keyframe"
 TICK_MESSAGE = "pamctl.Tick"
+
+IMPORTED = "imported"
+"""Value of `origin` in the metadata of the tick channel of a log that another system measured.
+
+Such a log has the columns of `imported_fields` and no others, an empty configuration, and
+the metadata record `import`: the source, how its columns were read, and what was wrong.
+"""
+IMPORTED_QUANTITIES = ("valve_v", "pressure_pa", "position_m", "force_n")
+"""What an imported log may hold beside its time, in order of the columns."""
+
+
+def imported_fields(quantities: Collection[str]) -> tuple[Field, ...]:
+    """Return the columns of an imported log that has these quantities.
+
+    `valve_v` is the command as it was really applied; `tick` counts nominal periods, so
+    that here too a gap in it is a run of `missed` ones.
+    """
+    grid = (Field("tick", int, "timing"), Field("t_s", float, "timing"))
+    steps = (Field("dt_s", float, "timing"), Field("missed", int, "timing"))
+    present = (name for name in IMPORTED_QUANTITIES if name in quantities)
+    return (*grid, *steps, *(Field(name, float, "measurement") for name in present))
+
 
 _PROTO_TYPES: dict[type, FieldDescriptorProto.Type.ValueType] = {
     float: FieldDescriptorProto.TYPE_DOUBLE,

@@ -7,7 +7,9 @@ decoded one by one, by the descriptor that the log carries.
 
 from __future__ import annotations
 
-from typing import Any
+import difflib
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.records import Schema
@@ -27,50 +29,130 @@ MESSAGE_HEADER = [
 _BODY_AT = np.dtype(MESSAGE_HEADER).itemsize
 
 
-class TickRuns:
-    """Collects the messages of the tick channel as columns."""
+def run_of(data: memoryview, first: Record, body: np.dtype[Any] | None = None) -> NDArray[Any]:
+    """Return the messages of one channel and length that begin with a record within `data`.
 
-    def __init__(self, schema: Schema) -> None:
-        """Raise UnknownLayout if the schema describes no row of numbers."""
+    Since the first begins a record and all are of its length, each begins one.
+    """
+    form = np.dtype([*MESSAGE_HEADER, ("body", body or f"V{_body_bytes(first)}")])
+    count = (len(data) - first.start) // form.itemsize
+    messages = np.frombuffer(data, form, count, first.start)
+    alike = np.ones(count, bool)
+    for name in ("opcode", "length", "channel"):
+        alike &= messages[name] == messages[name][0]
+    return messages if alike.all() else messages[: int(alike.argmin())]
+
+
+def _body_bytes(message: Record) -> int:
+    return message.end - message.start - _BODY_AT
+
+
+class TickBatch(NamedTuple):
+    """Ticks that follow one another in the file, n of them."""
+
+    log_time_ns: NDArray[np.uint64]
+    sequence: NDArray[np.uint32]
+    columns: Mapping[str, NDArray[Any]]
+    """Each of shape (n,), by name."""
+
+
+class TickDecoder:
+    """Makes columns of the messages of the tick channel."""
+
+    def __init__(
+        self,
+        schema: Schema,
+        take: Callable[[TickBatch], None] | None,
+        fields: Collection[str] | None = None,
+    ) -> None:
+        """`take` gets each batch, with these fields or all; without it ticks are only counted.
+
+        Raise UnknownLayout if the schema describes no row of numbers.
+        """
         self._layout = TickLayout.of_descriptor(schema.data, schema.name)
         self._decode = one_by_one(schema.data, schema.name)
-        self._times: list[NDArray[np.uint64]] = [np.zeros(0, np.uint64)]
-        self._columns = [self._decode([])]
+        self._take = take
+        self._fields = fields
+        self.none = self._decode([])
+        """Every column of no tick at all, each of its type."""
 
-    def take(self, data: memoryview, first: Record, *, keep: bool) -> tuple[int, int]:
-        """Take the run that begins with `first`, a record within `data`; return its ticks and end.
+    def run(self, data: memoryview, first: Record) -> tuple[int, int]:
+        """Decode the run that begins with `first`, a record within `data`; return its ticks, end.
 
-        Since the first begins a record and all are of its length, each begins one.
-        Raise UnknownLayout where a tick lacks an integer. Not to `keep` is to count only.
+        Raise UnknownLayout where a tick lacks an integer.
         """
-        form = self._form(first.end - first.start - _BODY_AT)
-        count = (len(data) - first.start) // form.itemsize
-        messages = np.frombuffer(data, form, count, first.start)
-        alike = np.ones(count, bool)
-        for name in ("opcode", "length", "channel"):
-            alike &= messages[name] == messages[name][0]
-        run = messages if alike.all() else messages[: int(alike.argmin())]
-        if keep:
-            self._times.append(run["log_time"].copy())
-            self._columns.append(self._decoded(run["body"]))
-        return len(run), first.start + run.nbytes
+        messages = run_of(data, first, self._body(_body_bytes(first)))
+        if self._take is not None:
+            columns = self._decoded(messages)
+            self._take(TickBatch(messages["log_time"].copy(), messages["sequence"].copy(), columns))
+        return len(messages), first.start + messages.nbytes
 
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Return every field of the schema by name."""
-        names = self._columns[0]
-        return {name: np.concatenate([run[name] for run in self._columns]) for name in names}
+    def _body(self, size: int) -> np.dtype[Any] | None:
+        fixed = self._layout is not None and self._layout.dtype.itemsize == size
+        return self._layout.dtype if self._layout is not None and fixed else None
+
+    def _decoded(self, messages: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        layout, bodies = self._layout, messages["body"]
+        if layout is not None and bodies.dtype == layout.dtype:
+            octets = messages.view(np.uint8).reshape(len(messages), messages.itemsize)
+            if layout.fits(octets[:, _BODY_AT:]):
+                return layout.decode(bodies, self._fields)
+        return self._chosen(self._decode(body.tobytes() for body in bodies))
+
+    def _chosen(self, columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        if self._fields is None:
+            return columns
+        return {name: column for name, column in columns.items() if name in self._fields}
+
+
+def nearest(name: str, columns: Collection[str]) -> str:
+    """Return the hint at the name that was probably meant, nothing if none is near."""
+    near = difflib.get_close_matches(name, columns, 1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+_FOLD_TICKS = 1 << 16
+"""So many ticks of a column are half a megabyte: freed, they go back to the system."""
+
+
+class TickColumns:
+    """Collects batches as whole columns."""
+
+    def __init__(self) -> None:
+        self._times: list[NDArray[np.uint64]] = [np.zeros(0, np.uint64)]
+        self._columns: dict[str, list[NDArray[Any]]] = {}
+        self._fresh: list[TickBatch] = []
+        self._fresh_ticks = 0
+
+    def take(self, batch: TickBatch) -> None:
+        """Add a batch."""
+        self._fresh.append(batch)
+        self._fresh_ticks += len(batch.sequence)
+        if self._fresh_ticks >= _FOLD_TICKS:
+            self._fold()
+
+    def _fold(self) -> None:
+        """Make blocks of the many small arrays, which would leave the memory in crumbs."""
+        if not self._fresh:
+            return
+        self._times.append(np.concatenate([batch.log_time_ns for batch in self._fresh]))
+        for name in self._fresh[0].columns:
+            block = np.concatenate([batch.columns[name] for batch in self._fresh])
+            self._columns.setdefault(name, []).append(block)
+        self._fresh, self._fresh_ticks = [], 0
 
     def times(self) -> NDArray[np.uint64]:
-        """Return the log time of each message, in ns."""
+        """Return the log time of each tick, in ns."""
+        self._fold()
         return np.concatenate(self._times)
 
-    def _form(self, body_bytes: int) -> np.dtype[Any]:
-        fixed = self._layout is not None and self._layout.dtype.itemsize == body_bytes
-        body = self._layout.dtype if self._layout is not None and fixed else f"V{body_bytes}"
-        return np.dtype([*MESSAGE_HEADER, ("body", body)])
+    def columns(self, none: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Give the columns named in `none` away; as they are there, if there was no batch.
 
-    def _decoded(self, bodies: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        layout = self._layout
-        if layout is not None and bodies.dtype == layout.dtype and layout.fits(bodies):
-            return layout.decode(bodies)
-        return self._decode(body.tobytes() for body in bodies)
+        A column's parts go as soon as it is whole: an hour's ticks are a gigabyte once, not twice.
+        """
+        self._fold()
+        return {
+            name: np.concatenate([empty, *self._columns.pop(name, [])])
+            for name, empty in none.items()
+        }

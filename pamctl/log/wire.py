@@ -6,8 +6,9 @@ length, so that the wire format is a structured array: tag, value, tag, value.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -91,18 +92,36 @@ class TickLayout:
             messages[name] = columns[name]
         return messages
 
-    def fits(self, messages: NDArray[Any]) -> bool:
-        """Tell whether every message of shape (n,) has all its tags where we expect them."""
-        return all(
-            bool((messages[f"{name}.tag"] == self.blank[f"{name}.tag"]).all())
-            for name in self.names
-        ) and all(bool((messages[name] <= 1).all()) for name in self.bools)
+    def fits(self, octets: NDArray[np.uint8]) -> bool:
+        """Tell whether messages as bytes, shape (n, size), have all tags where we expect them."""
+        at, tags = self._tags
+        return bool((octets[:, at] == tags).all()) and bool((octets[:, self._truths] <= 1).all())
 
-    def decode(self, messages: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """Return the columns, each of shape (n,), of messages that fit."""
+    @cached_property
+    def _tags(self) -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
+        """Where in a message its tags are, and what they are."""
+        at = self._bytes_of(f"{name}.tag" for name in self.names)
+        return at, np.frombuffer(self.blank.tobytes(), np.uint8)[at]
+
+    @cached_property
+    def _truths(self) -> NDArray[np.intp]:
+        """Where in a message its bools are."""
+        return self._bytes_of(self.bools)
+
+    def _bytes_of(self, parts: Iterable[str]) -> NDArray[np.intp]:
+        marked = np.zeros((), self.dtype)
+        for part in parts:
+            marked[part] = 1
+        return np.flatnonzero(np.frombuffer(marked.tobytes(), np.uint8))
+
+    def decode(
+        self, messages: NDArray[Any], fields: Collection[str] | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Return the columns, or these of them, each of shape (n,), of messages that fit."""
         return {
             name: messages[name].astype(bool) if name in self.bools else messages[name].copy()
             for name in self.names
+            if fields is None or name in fields
         }
 
 

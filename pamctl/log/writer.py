@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BufferedWriter
@@ -31,6 +31,8 @@ LIBRARY = f"pamctl/{pamctl.__version__} mcap-python/{version('mcap')}"
 _NO_LIMIT = 1 << 40
 _MEDIA_TYPES = {".json": "application/json", ".yaml": "application/yaml"}
 
+SEQUENCE = 0xFFFFFFFF
+"""MCAP's sequence has 32 bits: at 1 kHz the tick outgrows it after 49 days."""
 
 NO_SCHEMA = ("", "", b"")
 
@@ -71,6 +73,15 @@ class LogWriter:
             )
         return self._channels[key]
 
+    def add_run(
+        self, channel: int, messages: bytes, times_ns: Sequence[int], sequences: Sequence[int]
+    ) -> None:
+        """Add messages of one length, that lie one behind the other, with a time each."""
+        size, add = len(messages) // max(1, len(times_ns)), self.add
+        ends = range(size, len(messages) + 1, size) if size else ()
+        for end, time_ns, sequence in zip(ends, times_ns, sequences, strict=True):
+            add(channel, time_ns, messages[end - size : end], time_ns, sequence & SEQUENCE)
+
     def attachment(self, name: str, data: bytes, time_ns: int = 0, media_type: str = "") -> None:
         """Attach a file, the first one of each name; its media type goes by its suffix."""
         if name not in self._attached:
@@ -109,6 +120,7 @@ def begin(writer: LogWriter, meta: RunMeta) -> dict[str, int]:
     tick_metadata = {
         "schema_version": str(SCHEMA_VERSION),
         "units": to_json(units(meta.tick_fields)).decode(),
+        **({"origin": meta.origin} if meta.origin else {}),
     }
     return {
         TICK_TOPIC: writer.channel(TICK_TOPIC, "protobuf", tick_schema, tick_metadata),
@@ -129,4 +141,5 @@ def _origin(meta: RunMeta) -> dict[str, str]:
         "machine": platform.machine(),
         "python": sys.version.split()[0],
         **{name: version(name) for name in ("mcap", "numpy", "protobuf")},
+        **({"origin": meta.origin} if meta.origin else {}),
     }

@@ -1,0 +1,86 @@
+"""`pamctl log import`: a log of what another system measured."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pamctl.cli.config import JsonOption, config_errors_exit
+from pamctl.cli.log import log_errors_exit
+from pamctl.realtime.ending import ExitCode
+
+if TYPE_CHECKING:
+    from pamctl.log.importing.mapping import ImportMap
+    from pamctl.log.importing.pipeline import Imported
+
+
+def import_file(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="A CSV file, or a MAT file.")],
+    destination: Annotated[Path, typer.Argument(metavar="OUT")],
+    map_path: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="FILE", help="What the columns hold; else their names say."),
+    ] = None,
+    resample_hz: Annotated[
+        float | None, typer.Option("--resample", metavar="HZ", min=1e-3, help="Onto an even grid.")
+    ] = None,
+    accept_units: Annotated[
+        bool, typer.Option("--accept-units", help="Import though a unit looks wrong.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Import a measurement: t_s, valve_v, pressure_pa, position_m, force_n, or other units.
+
+    A name says quantity and unit: time_ms, pressure_gauge_kpa, position_mm. Errors stop the
+    import (65); warnings go into the log.
+    """
+    from pamctl.log.importing.pipeline import import_log
+
+    with config_errors_exit(as_json=as_json):
+        import_map = _map(map_path) if map_path else None
+    with log_errors_exit(as_json=as_json):
+        done = import_log(
+            source,
+            destination,
+            import_map,
+            resample_hz=resample_hz,
+            accept_units=accept_units,
+        )
+    typer.echo(json.dumps(_document(done), indent=2) if as_json else "\n".join(_lines(done)))
+    raise typer.Exit(ExitCode.OK if done.written else ExitCode.BAD_DATA)
+
+
+def _map(path: Path) -> ImportMap:
+    from pydantic import TypeAdapter
+
+    from pamctl.log.importing.mapping import ImportMap
+    from pamctl.settings import Raw, validated
+
+    return validated(TypeAdapter(ImportMap), Raw.read(path))
+
+
+def _document(done: Imported) -> dict[str, Any]:
+    return {**asdict(done), "findings": [finding._asdict() for finding in done.findings]}
+
+
+def _lines(done: Imported) -> list[str]:
+    if done.written:
+        head = f"{done.destination}: {done.ticks} ticks, one every {done.period_s:.6g} s"
+    else:
+        head = f"{done.source}: not imported"
+    return [
+        head,
+        *(f"  {reading.quantity:<12}from {_told(asdict(reading))}" for reading in done.readings),
+        *(f"  {f.severity:<9}{f.kind:<12}{f.message}" for f in done.findings),
+    ]
+
+
+def _told(reading: dict[str, Any]) -> str:
+    scaled = f" x {reading['gain']:g}" if reading["gain"] != 1.0 else ""
+    moved = f" {reading['offset']:+g}" if reading["offset"] else ""
+    gauge = ", gauge" if reading["gauge"] else ""
+    return f"{reading['column']}{scaled}{moved} in {reading['unit']}{gauge}"

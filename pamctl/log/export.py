@@ -1,0 +1,136 @@
+"""Write the ticks of a log for other tools: CSV, MAT, NPZ, Parquet.
+
+Names carry the units in every format; MAT, NPZ and Parquet say them once more apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from io import BufferedWriter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.log.newfile import NewFileError, new_file
+from pamctl.log.reader import read
+from pamctl.log.schema import TICK_TOPIC, unit_of
+from pamctl.log.text import to_json
+
+Columns = Mapping[str, NDArray[Any]]
+
+_CSV_ROWS = 4096
+
+
+class ExportError(NewFileError):
+    """A log cannot be exported as was asked. The message says why, and what to do."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written."""
+
+    source: str
+    destination: str
+    ticks: int
+    fields: tuple[str, ...]
+
+
+def export(
+    source: str | Path,
+    destination: str | Path,
+    *,
+    fields: Sequence[str] | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    every: int = 1,
+) -> Exported:
+    """Write every `every`-th tick with from_s <= t_s <= to_s into a new file.
+
+    The suffix of the destination names the format; `fields` the columns, in this order, all
+    by default. Raise ExportError for what cannot be written, LogError for a log that cannot
+    be read.
+    """
+    destination = Path(destination)
+    write = _writer(destination)
+    wanted = None if fields is None else {*fields, "t_s"}
+    log = read(source, TICK_TOPIC, fields=wanted)
+    kept = _kept(log["t_s"], from_s, to_s, every)
+    columns = {name: log[name][kept] for name in fields or log.columns}
+    with new_file(destination) as stream:
+        write(stream, columns, Path(source).name)
+    ticks = len(next(iter(columns.values())))
+    return Exported(str(source), str(destination), ticks, tuple(columns))
+
+
+def _kept(t_s: NDArray[np.float64], from_s: float | None, to_s: float | None, every: int) -> slice:
+    first = 0 if from_s is None else int(np.searchsorted(t_s, from_s, side="left"))
+    last = len(t_s) if to_s is None else int(np.searchsorted(t_s, to_s, side="right"))
+    if last <= first:
+        span = f"the log is from {t_s[0]:g} s to {t_s[-1]:g} s" if len(t_s) else "the log has none"
+        raise ExportError(f"there are no ticks to export there; {span}")
+    return slice(first, last, every)
+
+
+def _writer(destination: Path) -> Callable[[BufferedWriter, Columns, str], None]:
+    suffix = destination.suffix.lower()
+    if suffix not in _WRITERS:
+        known = ", ".join(_WRITERS)
+        raise ExportError(f"{destination}: no such format {suffix!r}; there are {known}")
+    if suffix == ".parquet":
+        _require_pyarrow()
+    return _WRITERS[suffix]
+
+
+def _require_pyarrow() -> None:
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        told = "Parquet needs the package pyarrow; install it with pip install 'pamctl[parquet]'"
+        raise ExportError(told) from None
+
+
+def _units(columns: Columns) -> dict[str, str]:
+    return {name: unit_of(name) for name in columns}
+
+
+def _csv(stream: BufferedWriter, columns: Columns, source: str) -> None:
+    """Write the shortest digits that read back to the same float; truth as 1 and 0."""
+    stream.write((",".join(columns) + "\r\n").encode())
+    plain = [c.astype(np.int8) if c.dtype == np.bool_ else c for c in columns.values()]
+    for start in range(0, len(plain[0]), _CSV_ROWS):
+        cells = (map(repr, column[start : start + _CSV_ROWS].tolist()) for column in plain)
+        rows = (",".join(row) for row in zip(*cells, strict=True))
+        stream.write(("\r\n".join(rows) + "\r\n").encode())
+
+
+def _npz(stream: BufferedWriter, columns: Columns, source: str) -> None:
+    story = {"units": to_json(_units(columns)).decode(), "source": source}
+    np.savez_compressed(stream, allow_pickle=False, **columns, **story)
+
+
+def _mat(stream: BufferedWriter, columns: Columns, source: str) -> None:
+    """Write `log.NAME`, columns of a struct, and `units.NAME`."""
+    from scipy.io import savemat
+
+    content = {"log": dict(columns), "units": _units(columns), "source": source}
+    savemat(stream, content, long_field_names=True, do_compression=True, oned_as="column")
+
+
+def _parquet(stream: BufferedWriter, columns: Columns, source: str) -> None:
+    """Write each field with its unit as metadata, `unit`."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    fields = [
+        pa.field(name, pa.from_numpy_dtype(column.dtype), metadata={"unit": unit_of(name)})
+        for name, column in columns.items()
+    ]
+    schema = pa.schema(fields, metadata={"pamctl.source": source})
+    table = pa.table([pa.array(column) for column in columns.values()], schema=schema)
+    parquet.write_table(table, stream)
+
+
+_WRITERS = {".csv": _csv, ".mat": _mat, ".npz": _npz, ".parquet": _parquet}

@@ -1,0 +1,96 @@
+"""Read a CSV file of numbers: comma, semicolon or tab, one line of names above them."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pamctl.log.importing.table import ImportRefused, Table
+
+_DELIMITERS = ("\t", ";", ",")
+_COMMENTS = ("#", "%")
+_EMPTY = ' \t;,"'
+_SEPARATOR = re.compile(r"sep=.\s*", re.IGNORECASE)
+
+
+def read_csv(path: Path) -> Table:
+    """Read a file; an empty cell is NaN. Raise ImportRefused, with the line, where it is no table.
+
+    With semicolons between cells, a comma within one is a decimal comma.
+    """
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            return _table(path, _numbered(file))
+    except OSError as error:
+        raise ImportRefused(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        told = "is no text in UTF-8; save it as such (Excel: CSV UTF-8)"
+        raise ImportRefused(f"{path} {told}") from error
+
+
+def _table(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
+    first = next(lines, None)
+    if first is None:
+        raise ImportRefused(f"{path} is empty")
+    delimiter = next((mark for mark in _DELIMITERS if mark in first[1]), ",")
+    names = _names(path, first[1], delimiter)
+    numbers, rows = _numbers(path, lines, names, delimiter)
+    table = np.array(numbers, float).reshape(len(rows), len(names))
+    columns = {name: table[:, index].copy() for index, name in enumerate(names)}
+    return Table(columns, np.array(rows, np.int64))
+
+
+def _numbered(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
+    """Return the lines that say something, each with its number.
+
+    Excel leaves lines of empty cells below a table, and may put `sep=;` above it.
+    """
+    for number, line in enumerate((line.rstrip("\n") for line in lines), 1):
+        says_nothing = not line.strip(_EMPTY) or (number == 1 and _SEPARATOR.fullmatch(line))
+        if not says_nothing and not line.lstrip().startswith(_COMMENTS):
+            yield number, line
+
+
+def _names(path: Path, line: str, delimiter: str) -> list[str]:
+    names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
+    if all(_is_number(name) for name in names):
+        raise ImportRefused(f"{path} has no line of names above its numbers; add one")
+    twice = {name for name in names if names.count(name) > 1 and name}
+    if twice:
+        raise ImportRefused(f"{path} has more than one column {', '.join(sorted(twice))}")
+    return names
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(
+    path: Path, lines: Iterator[tuple[int, str]], names: Sequence[str], delimiter: str
+) -> tuple[array[float], array[int]]:
+    """Return all numbers, row behind row, and the line of each row."""
+    numbers, rows = array("d"), array("q")
+    for number, line in lines:
+        cells = next(csv.reader([line], delimiter=delimiter))
+        if len(cells) != len(names):
+            told = f"has {len(cells)} cells, its line of names {len(names)}"
+            raise ImportRefused(f"{path}:{number}: the line {told}")
+        decimal = [cell.replace(",", ".") if delimiter == ";" else cell for cell in cells]
+        try:
+            numbers.extend([float(cell) if cell.strip() else math.nan for cell in decimal])
+        except ValueError:
+            index = next(i for i, c in enumerate(decimal) if c.strip() and not _is_number(c))
+            told = f"{names[index]} is {cells[index]!r}, and must be a number"
+            raise ImportRefused(f"{path}:{number}: {told}") from None
+        rows.append(number)
+    return numbers, rows

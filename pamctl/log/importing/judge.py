@@ -1,0 +1,124 @@
+"""Look a measurement over before it is believed: times, holes, and units that cannot be.
+
+Errors stop an import. What looks like a wrong unit is one of them, of the kind `unit`,
+and the user may overrule it; a warning goes into the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.log.findings import Findings
+from pamctl.log.imported import nominal_period_s
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+GAP_PERIODS = 1.5
+JITTER = 0.05
+"""Share of the period by which rows may be off the grid before it is worth a word."""
+_SHOWN_ROWS = 5
+
+
+def judge_time(t_s: Floats, rows: Rows, findings: Findings) -> None:
+    """Check times of shape (n,): what is not an error here rises strictly."""
+    if len(t_s) < 2:
+        there = "is 1 row" if len(t_s) else "are 0 rows"
+        findings.error("rows", f"there {there}; a measurement needs two at least")
+        return
+    if not np.isfinite(t_s).all():
+        where = _rows(rows, ~np.isfinite(t_s))
+        findings.error("time", f"the time is missing or not finite in {where}")
+        return
+    step = np.diff(t_s)
+    if (step < 0).any():
+        findings.error("time", f"the time goes backwards at {_rows(rows[1:], step < 0)}")
+    if (step == 0).any():
+        told = f"the time of the row before is repeated at {_rows(rows[1:], step == 0)}"
+        findings.error("time", f"{told}; drop those rows, or export more digits of the time")
+    if findings.kinds["time"]:
+        return
+    period_s = nominal_period_s(t_s)
+    gap = step > GAP_PERIODS * period_s
+    if gap.any():
+        told = f"of up to {step.max():.6g} s before {_rows(rows[1:], gap)}"
+        findings.warning("gap", f"{np.count_nonzero(gap)} gaps {told}; they count as missed ticks")
+    off = np.abs(step[~gap] - period_s).max() / period_s
+    if off > JITTER:
+        told = f"the steps of time differ from {period_s:.6g} s by up to {off:.0%}"
+        findings.warning("jitter", f"{told}; --resample puts them on a grid")
+    if period_s >= 0.1:
+        findings.error("unit", f"a row every {period_s:.6g} s: is the time in ms?")
+
+
+def judge_values(quantities: Mapping[str, Floats], rows: Rows, findings: Findings) -> None:
+    """Check quantities in SI, each of shape (n,)."""
+    for name, values in quantities.items():
+        good = np.isfinite(values)
+        if not good.any():
+            findings.error("not-finite", f"{name} has no value at all")
+            continue
+        if not good.all():
+            where = _rows(rows, ~good)
+            findings.warning("not-finite", f"{name} is missing or not finite in {where}")
+        if np.ptp(values[good]) == 0.0:
+            findings.warning("constant", f"{name} is {values[good][0]:.6g} throughout")
+        if name in _DOUBTS and (doubt := _DOUBTS[name](values[good])):
+            findings.error("unit", f"{name} is {_range(values[good])}: {doubt}")
+
+
+def judge_sign(quantities: Mapping[str, Floats], findings: Findings) -> None:
+    """Check that the muscle contracts with pressure, where both were measured."""
+    if not {"pressure_pa", "position_m"} <= quantities.keys():
+        return
+    pressure, position = quantities["pressure_pa"], quantities["position_m"]
+    good = np.isfinite(pressure) & np.isfinite(position)
+    if np.count_nonzero(good) < 2 or min(np.ptp(pressure[good]), np.ptp(position[good])) == 0.0:
+        return
+    if np.corrcoef(pressure[good], position[good])[0, 1] < -0.5:
+        told = "position_m falls as pressure_pa rises; contraction must be positive"
+        findings.warning("sign", f"{told}: map it with gain: -1")
+
+
+def _doubt_valve(values: Floats) -> str:
+    low, high = values.min(), values.max()
+    if low >= -0.05 and (high > 5.05 or 4.0 < np.median(values) < 6.0):
+        return "are these the driver's 0..10 V? The command is -5..5 V; map it with offset: -5.0"
+    return "the command is within -5..5 V" if max(-low, high) > 5.05 else ""
+
+
+def _doubt_pressure(values: Floats) -> str:
+    low, high = values.min(), values.max()
+    if low >= 80e3:
+        return "more than any such muscle bears" if high > 2e6 else ""
+    if low > 0.0 and high < 20.0:
+        return "is this bar? Then call it pressure_bar, or pressure_gauge_bar"
+    if high < 2e3:
+        return "is this kPa? Then call it pressure_kpa, or pressure_gauge_kpa"
+    return "below the atmosphere's; is this gauge pressure? Then call it pressure_gauge_..."
+
+
+def _doubt_position(values: Floats) -> str:
+    return "is this mm? Then call it position_mm" if np.abs(values).max() > 0.5 else ""
+
+
+_DOUBTS = {
+    "valve_v": _doubt_valve,
+    "pressure_pa": _doubt_pressure,
+    "position_m": _doubt_position,
+}
+
+
+def _range(values: Floats) -> str:
+    return f"{values.min():.6g} to {values.max():.6g}"
+
+
+def _rows(rows: Rows, where: NDArray[np.bool_]) -> str:
+    """Name the rows where something is, the first of them if they are many."""
+    found = rows[where]
+    listed = ", ".join(str(row) for row in found[:_SHOWN_ROWS].tolist())
+    more = f" and {len(found) - _SHOWN_ROWS} more" if len(found) > _SHOWN_ROWS else ""
+    return f"row{'s' if len(found) > 1 else ''} {listed}{more}"

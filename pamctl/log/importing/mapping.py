@@ -1,0 +1,107 @@
+"""The map of an import, for files whose column names do not say what they hold.
+
+    time: {column: Time, unit: ms}           # or {rate_hz: 1000} where there is no such column
+    valve: {column: u, offset: -5.0}         # driver volts 0..10 to the command -5..5
+    pressure: {column: P1, unit: kPa, gauge: true}
+    position: {column: enc, unit: mm, gain: -1.0}
+
+A value is (column x gain + offset), in the unit given.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from hal.configured import Configured
+from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, Reading
+
+Column = Annotated[
+    str, Field(min_length=1, description="name in the file; in a matrix of a MAT file, yout(:,2)")
+]
+Gain = Annotated[float, Field(description="multiplies the column")]
+Offset = Annotated[float, Field(description="added to column x gain, in the unit given here")]
+
+
+class TimeMap(Configured):
+    """Where the time of a row comes from."""
+
+    column: Column | None = None
+    unit: Literal["s", "ms", "us", "ns", "min"] = "s"
+    rate_hz: Annotated[
+        float | None, Field(gt=0, description="of the rows, where the file has no time column")
+    ] = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> TimeMap:
+        if (self.column is None) == (self.rate_hz is None):
+            raise ValueError("give either a column or, where there is none, rate_hz")
+        return self
+
+
+class ValveMap(Configured):
+    """The valve command as it was really applied, -5..5 V, positive fills."""
+
+    column: Column
+    unit: Literal["V", "mV"] = "V"
+    gain: Gain = 1.0
+    offset: Offset = 0.0
+
+
+class PressureMap(Configured):
+    """The pressure in the muscle."""
+
+    column: Column
+    unit: Literal["Pa", "kPa", "MPa", "bar", "mbar", "psi"]
+    gauge: Annotated[bool, Field(description="above the atmosphere's; else absolute")]
+    gain: Gain = 1.0
+    offset: Offset = 0.0
+
+
+class PositionMap(Configured):
+    """The displacement; contraction is positive."""
+
+    column: Column
+    unit: Literal["m", "mm", "cm", "um", "in"]
+    gain: Gain = 1.0
+    offset: Offset = 0.0
+
+
+class ForceMap(Configured):
+    """The pull at the muscle's end."""
+
+    column: Column
+    unit: Literal["N", "kN"] = "N"
+    gain: Gain = 1.0
+    offset: Offset = 0.0
+
+
+class ImportMap(Configured):
+    """What the columns of a measured file hold; what is not measured is left out."""
+
+    time: TimeMap
+    valve: ValveMap | None = None
+    pressure: PressureMap | None = None
+    position: PositionMap | None = None
+    force: ForceMap | None = None
+    atmospheric_pressure_pa: Annotated[
+        float, Field(gt=5e4, lt=1.2e5, description="what a gauge pressure is counted from")
+    ] = ATMOSPHERIC_PRESSURE_PA
+
+    def readings(self) -> list[Reading]:
+        """Return how each column is read, time first if there is a column of it."""
+        found = []
+        if self.time.column is not None:
+            found.append(Reading(TIME, self.time.column, self.time.unit))
+        for quantity, part in (
+            ("valve_v", self.valve),
+            ("position_m", self.position),
+            ("force_n", self.force),
+        ):
+            if part is not None:
+                found.append(Reading(quantity, part.column, part.unit, part.gain, part.offset))
+        if (p := self.pressure) is not None:
+            place = (p.column, p.unit, p.gain, p.offset, p.gauge, self.atmospheric_pressure_pa)
+            found.append(Reading("pressure_pa", *place))
+        return found

@@ -1,0 +1,180 @@
+"""Import a measured file: read it, understand its columns, judge them, write the log."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.log.findings import Finding, Findings, Severity
+from pamctl.log.imported import nominal_period_s, write_imported
+from pamctl.log.importing.csv_table import read_csv
+from pamctl.log.importing.judge import judge_sign, judge_time, judge_values
+from pamctl.log.importing.mapping import ImportMap
+from pamctl.log.importing.quantities import TIME, Reading, understood
+from pamctl.log.importing.resample import resampled
+from pamctl.log.importing.table import ImportRefused, Table
+from pamctl.log.text import to_json
+
+Floats = NDArray[np.float64]
+
+MOST_TICKS = 50_000_000
+"""Half a day at 1 kHz; far more than a mistyped rate should be allowed to make."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What became of a measured file."""
+
+    source: str
+    destination: str
+    written: bool
+    """False where an error stopped it: then there is no log."""
+    ticks: int
+    period_s: float | None
+    """The nominal one, by the median of the steps."""
+    readings: tuple[Reading, ...]
+    findings: tuple[Finding, ...]
+
+
+def import_log(
+    source: str | Path,
+    destination: str | Path,
+    import_map: ImportMap | None = None,
+    *,
+    resample_hz: float | None = None,
+    accept_units: bool = False,
+) -> Imported:
+    """Make a log of a CSV or MAT file, unless something in it stops that: see `findings`.
+
+    `accept_units` makes warnings of units that look wrong. Raise ImportRefused where the
+    file cannot be read or its columns cannot be found, LogError if the log exists.
+    """
+    source, destination = Path(source), Path(destination)
+    table = _table(source)
+    findings = Findings()
+    readings = import_map.readings() if import_map else _by_names(table, findings)
+    quantities = _in_si(table, readings)
+    t_s = quantities.pop(TIME, None)
+    if t_s is None:
+        t_s = _even_time(quantities, import_map)
+    rows = table.rows[: len(t_s)]
+    judge_time(t_s, rows, findings)
+    judge_values(quantities, rows, findings)
+    judge_sign(quantities, findings)
+    _judge_whole(quantities, findings)
+    if accept_units:
+        findings.soften("unit")
+    stopped = findings.any(Severity.ERROR)
+    if not stopped:
+        if resample_hz is not None:
+            _tell_resampling(t_s, resample_hz, findings)
+            t_s, quantities = resampled(t_s, quantities, resample_hz)
+        story = _story(source, table, readings, findings, float(t_s[0]), resample_hz)
+        write_imported(destination, t_s - t_s[0], quantities, story)
+    return Imported(
+        source=str(source),
+        destination=str(destination),
+        written=not stopped,
+        ticks=0 if stopped else len(t_s),
+        period_s=None if stopped else nominal_period_s(t_s),
+        readings=tuple(readings),
+        findings=tuple(findings.told()),
+    )
+
+
+def _table(source: Path) -> Table:
+    if source.suffix.lower() != ".mat":
+        return read_csv(source)
+    # SciPy is slow to load, and nobody with a CSV file should wait for it.
+    from pamctl.log.importing.mat_table import read_mat
+
+    return read_mat(source)
+
+
+def _by_names(table: Table, findings: Findings) -> list[Reading]:
+    """Return the columns whose names say what they hold."""
+    found: dict[str, Reading] = {}
+    ignored = []
+    for column in table.columns:
+        reading = understood(column) or understood(column, table.called.get(column, ""))
+        if reading is None:
+            ignored.append(column)
+        elif reading.quantity not in found:
+            found[reading.quantity] = reading
+        elif reading.quantity != TIME or not _same(table, found[TIME], reading):
+            both = f"{found[reading.quantity].column} and {column}"
+            raise ImportRefused(f"both {both} give {reading.quantity}; choose one with --map")
+    if TIME not in found:
+        listed = ", ".join(list(table.columns)[:20])
+        told = "no column is called t_s, time_s, time_ms or the like, with the unit in its name"
+        raise ImportRefused(f"{told}; there are {listed}; say with --map which is the time")
+    if ignored:
+        findings.note("ignored", f"not understood, and left out: {', '.join(ignored[:20])}")
+    return list(found.values())
+
+
+def _same(table: Table, one: Reading, other: Reading) -> bool:
+    first, second = table[one.column], table[other.column]
+    return len(first) == len(second) and bool((one.to_si(first) == other.to_si(second)).all())
+
+
+def _in_si(table: Table, readings: Sequence[Reading]) -> dict[str, Floats]:
+    """Return the quantities in SI, all of one length."""
+    columns = {reading.quantity: reading.to_si(table[reading.column]) for reading in readings}
+    lengths = {reading.column: len(table[reading.column]) for reading in readings}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise ImportRefused(f"the columns differ in length: {listed}")
+    return columns
+
+
+def _even_time(quantities: dict[str, Floats], import_map: ImportMap | None) -> Floats:
+    rate_hz = import_map.time.rate_hz if import_map else None
+    if rate_hz is None or not quantities:
+        raise ImportRefused("no column of a measured quantity is named; there is nothing to import")
+    return np.arange(len(next(iter(quantities.values())))) / rate_hz
+
+
+def _judge_whole(quantities: dict[str, Floats], findings: Findings) -> None:
+    if not {"pressure_pa", "position_m"} & quantities.keys():
+        findings.error("columns", "neither pressure nor position: nothing was measured")
+    elif not quantities.keys() >= {"valve_v", "pressure_pa", "position_m"}:
+        missing = {"valve_v", "pressure_pa", "position_m"} - quantities.keys()
+        told = f"no {', '.join(sorted(missing))}: it serves only for what can be driven without"
+        findings.warning("columns", told)
+
+
+def _tell_resampling(t_s: Floats, rate_hz: float, findings: Findings) -> None:
+    ticks = (t_s[-1] - t_s[0]) * rate_hz
+    if ticks > MOST_TICKS:
+        raise ImportRefused(f"--resample {rate_hz:g} would make {ticks:.3g} ticks: is it in Hz?")
+    was_hz = 1.0 / nominal_period_s(t_s)
+    findings.note("resampled", f"from {was_hz:.6g} to {rate_hz:.6g} Hz, linear, the command held")
+    if rate_hz < 0.9 * was_hz:
+        told = f"what is faster than {rate_hz / 2:.6g} Hz is folded down: nothing filters it out"
+        findings.warning("aliasing", told)
+
+
+def _story(
+    source: Path,
+    table: Table,
+    readings: Sequence[Reading],
+    findings: Findings,
+    first_t_s: float,
+    resample_hz: float | None,
+) -> dict[str, str]:
+    """Return the metadata record `import`: where the log comes from and how it was made."""
+    return {
+        "source": source.name,
+        "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+        "rows": str(len(table.rows)),
+        "first_t_s": repr(first_t_s),
+        "map": to_json([asdict(reading) for reading in readings]).decode(),
+        "resampled_hz": "" if resample_hz is None else repr(resample_hz),
+        "report": to_json([finding._asdict() for finding in findings.told()]).decode(),
+    }

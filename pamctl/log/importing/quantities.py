@@ -1,0 +1,84 @@
+"""What a column may hold, and in which units: the suffix of a name says both."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hal.calibration import CalibrationSettings
+
+if TYPE_CHECKING:  # settings know the map, and the loop's process must not pay for numpy
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+ATMOSPHERIC_PRESSURE_PA = CalibrationSettings().atmospheric_pressure_pa
+
+TIME = "t_s"
+UNITS: Mapping[str, Mapping[str, float]] = {
+    TIME: {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "valve_v": {"V": 1.0, "mV": 1e-3},
+    "pressure_pa": {
+        "Pa": 1.0,
+        "kPa": 1e3,
+        "MPa": 1e6,
+        "bar": 1e5,
+        "mbar": 1e2,
+        "psi": 6894.757293168,
+    },
+    "position_m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 25.4e-3},
+    "force_n": {"N": 1.0, "kN": 1e3},
+}
+"""SI value of each unit that a quantity may come in."""
+
+_WORDS = {
+    "t": TIME,
+    "time": TIME,
+    "valve": "valve_v",
+    "pressure": "pressure_pa",
+    "pressure_gauge": "pressure_pa",
+    "pressure_absolute": "pressure_pa",
+    "position": "position_m",
+    "displacement": "position_m",
+    "force": "force_n",
+}
+_NAME = re.compile(rf"({'|'.join(sorted(_WORDS, key=len, reverse=True))})_([a-z]+)")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a column of the source becomes a column of the log."""
+
+    quantity: str
+    column: str
+    unit: str
+    gain: float = 1.0
+    offset: float = 0.0
+    """In `unit`, added to what the gain makes of the column."""
+    gauge: bool = False
+    """Pressure above the atmosphere's."""
+    atmospheric_pressure_pa: float = ATMOSPHERIC_PRESSURE_PA
+
+    def to_si(self, raw: Floats) -> Floats:
+        """Return the quantity in SI, pressure absolute, for a column of shape (n,)."""
+        value = UNITS[self.quantity][self.unit] * (self.gain * raw + self.offset)
+        return value + self.atmospheric_pressure_pa if self.gauge else value
+
+
+def understood(column: str, name: str = "") -> Reading | None:
+    """Return what a column holds by its name, None if that does not say it.
+
+    `name` is where the column is called otherwise than it is found.
+    """
+    match = _NAME.fullmatch((name or column).strip().lower())
+    if match is None:
+        return None
+    word, suffix = match.groups()
+    quantity = _WORDS[word]
+    unit = next((unit for unit in UNITS[quantity] if unit.lower() == suffix), None)
+    if unit is None:
+        return None
+    return Reading(quantity, column, unit, gauge=word == "pressure_gauge")

@@ -1,0 +1,39 @@
+"""Put a measurement on an even grid of time, where the user asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.log.imported import nominal_period_s
+from pamctl.log.importing.judge import GAP_PERIODS
+
+Floats = NDArray[np.float64]
+
+
+def resampled(
+    t_s: Floats, quantities: Mapping[str, Floats], rate_hz: float
+) -> tuple[Floats, dict[str, Floats]]:
+    """Return times at `rate_hz` from the first on, and the quantities there.
+
+    Between two rows what was measured is a straight line, and the valve's command holds.
+    Within a gap nothing is made up: those grid points are left out, and count as missed.
+    """
+    # The last row is on the grid if rounding alone keeps it off.
+    count = int(np.floor((t_s[-1] - t_s[0]) * rate_hz * (1 + 1e-12) + 1e-9)) + 1
+    grid = t_s[0] + np.arange(count) / rate_hz
+    before = np.clip(np.searchsorted(t_s, grid, side="right") - 1, 0, len(t_s) - 2)
+    step = np.diff(t_s)
+    in_gap = step[before] > GAP_PERIODS * max(nominal_period_s(t_s), 1.0 / rate_hz)
+    on_edge = (grid == t_s[before]) | (grid >= t_s[before + 1])
+    kept = grid[~in_gap | on_edge]
+    return kept, {name: _at(kept, t_s, values, name) for name, values in quantities.items()}
+
+
+def _at(grid: Floats, t_s: Floats, values: Floats, name: str) -> Floats:
+    if name == "valve_v":
+        held: Floats = values[np.searchsorted(t_s, grid, side="right") - 1]
+        return held
+    return np.interp(grid, t_s, values)

@@ -1,0 +1,19 @@
+"""Names of logs: when, and what."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+
+def dated_name(directory: Path, what: str) -> Path:
+    """Return a path in `directory` that does not exist yet."""
+    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
+    names = (f"{stamp}{again}-{what}.mcap" for again in ("", *range(-2, -100, -1)))
+    return next(path for name in names if not (path := directory / name).exists())
+
+
+def bare(name: str) -> str:
+    """Return the name that a shipped name or a path means: `square-0.25` is no file ending."""
+    last = Path(name).name
+    return last.removesuffix(".yaml").removesuffix(".yml")

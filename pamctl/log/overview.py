@@ -1,0 +1,85 @@
+"""Say what a log holds, in bounded memory however long it is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pamctl.log.contents import Contents
+from pamctl.log.reader import scan
+from pamctl.log.records import LogError
+from pamctl.log.schema import EVENT_TOPIC, IMPORTED
+from pamctl.log.ticks import TickBatch
+from pamctl.signals import Phase
+
+
+def info(path: str | Path) -> dict[str, Any]:
+    """Summarise a log as far as it is whole; raise LogError if nothing of it is."""
+    path = Path(path)
+    ticks = _Tally()
+    contents = Contents((), ticks.take, ("tick", "t_s", "phase"))
+    damage = scan(path, contents)
+    if damage is not None and not contents.metadata:
+        raise LogError(f"{path} is no log, or nothing of it is left: {damage}")
+    run, origin = contents.metadata.get("run", {}), contents.metadata.get("pamctl", {})
+    size = path.stat().st_size
+    config: dict[str, Any] = {}
+    with suppress(LogError):
+        config = contents.config()
+    events = contents.values[EVENT_TOPIC]
+    return {
+        "path": str(path),
+        "complete": damage is None,
+        "damage": damage and str(damage),
+        "bytes": size,
+        "bytes_per_tick": size / ticks.count if ticks.count else None,
+        "ticks": ticks.count,
+        "duration_s": ticks.last_t_s - ticks.first_t_s,
+        "gaps": ticks.gaps,
+        "missed_ticks": ticks.missed,
+        "phases": ticks.phases(),
+        "channels": dict(contents.counts),
+        "origin": IMPORTED if contents.is_imported else "recorded",
+        "source": contents.metadata.get("import", {}).get("source"),
+        **{key: run.get(key) for key in ("law", "controller", "experiment", "plant", "backend")},
+        "seed": config.get("seed"),
+        "timing_setup": dict(contents.metadata.get("timing_setup", {})),
+        **{key: origin.get(key) for key in ("version", "host")},
+        "start": None if contents.is_imported else origin.get("start"),
+        "outcome": next((e for e in reversed(events) if e.get("event") == "outcome"), None),
+    }
+
+
+class _Tally:
+    """What is told of the ticks, kept up batch by batch."""
+
+    def __init__(self) -> None:
+        self.count = self.gaps = self.missed = 0
+        self.first_t_s = self.last_t_s = 0.0
+        self._last_tick: int | None = None
+        self._phases: Counter[int] = Counter()
+
+    def take(self, batch: TickBatch) -> None:
+        if not len(batch.log_time_ns):
+            return
+        tick, t_s = batch.columns["tick"], batch.columns["t_s"]
+        before = tick[0] - 1 if self._last_tick is None else self._last_tick
+        skipped = np.diff(tick, prepend=before) - 1
+        if self.count == 0:
+            self.first_t_s = float(t_s[0])
+        self.count += len(tick)
+        self.gaps += int(np.count_nonzero(skipped))
+        self.missed += int(skipped.sum())
+        self._last_tick, self.last_t_s = int(tick[-1]), float(t_s[-1])
+        if "phase" in batch.columns:
+            phases, counts = np.unique(batch.columns["phase"], return_counts=True)
+            self._phases.update(dict(zip(phases.tolist(), counts.tolist(), strict=True)))
+
+    def phases(self) -> dict[str, int]:
+        """Return the ticks spent in each phase."""
+        names = {phase.value: phase.name.lower() for phase in Phase}
+        return {names.get(p, str(p)): count for p, count in sorted(self._phases.items())}

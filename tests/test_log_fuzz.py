@@ -1,0 +1,107 @@
+"""Whatever happens to a file: no traceback, and no wrong value that is passed off as good."""
+
+from __future__ import annotations
+
+import os
+import random
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_log import CHUNK_TICKS, write_small
+
+from pamctl.log import Log, LogError, info, read
+from pamctl.log.check import check
+from pamctl.log.recover import Recovery, recover
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    return write_small(tmp_path_factory.mktemp("fuzz") / "whole.mcap")
+
+
+@pytest.fixture(autouse=True)
+def _thousands_of_files_need_not_reach_the_disk(monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda fd: None)
+
+
+def rows(log: Log) -> dict[int, dict[str, Any]]:
+    """Return the ticks of a log by number."""
+    columns = [column.tolist() for column in log.columns.values()]
+    return {row[0]: dict(zip(log.columns, row, strict=True)) for row in zip(*columns, strict=True)}
+
+
+def assert_nothing_wrong_is_passed_as_good(original: Log, damaged: Path) -> Recovery | None:
+    """Put a damaged file to every tool that reads logs; return what `recover` says."""
+    with pytest.raises(LogError):
+        read(damaged)
+    with suppress(LogError):
+        assert not info(damaged)["complete"]
+    with suppress(LogError):
+        assert not check(damaged).ok
+    saved = damaged.with_name("saved.mcap")
+    saved.unlink(missing_ok=True)
+    try:
+        recovery = recover(damaged, saved)
+    except LogError:
+        assert not saved.exists()
+        return None
+    assert_true_of(original, read(saved, *recovery.messages), recovery)
+    if "/pam/tick" in recovery.messages:
+        assert check(saved).ok, check(saved)
+    return recovery
+
+
+def assert_true_of(original: Log, saved: Log, recovery: Recovery) -> None:
+    """Everything that was saved is what it was."""
+    truth = rows(original)
+    assert all(row == truth[tick] for tick, row in rows(saved).items())
+    assert all(event in original.events for event in saved.events)
+    for name, data in saved.attachments.items():
+        assert original.attachments[name] == data
+    for name, values in saved.metadata.items():
+        if name != "recovery" and name not in recovery.unverified:
+            assert original.metadata[name] == values
+    if recovery.lossless:
+        assert rows(saved) == truth
+        assert saved.events == original.events
+
+
+def test_a_log_cut_anywhere_is_refused_and_what_is_saved_of_it_is_true(whole, tmp_path):
+    original, content = read(whole), whole.read_bytes()
+    saved = -1
+    for end in range(len(content)):
+        (tmp_path / "a.mcap").write_bytes(content[:end])
+        recovery = assert_nothing_wrong_is_passed_as_good(original, tmp_path / "a.mcap")
+        ticks = recovery.messages.get("/pam/tick", 0) if recovery else 0
+        assert ticks >= saved  # a byte more is never worth less
+        saved = ticks
+    assert saved == len(original)
+
+
+def test_a_flipped_bit_is_refused_and_what_is_saved_is_true(whole, tmp_path):
+    original, content = read(whole), whole.read_bytes()
+    chance = random.Random(7)
+    fewest = len(original)
+    for _ in range(1000):
+        flipped = bytearray(content)
+        flipped[chance.randrange(len(content))] ^= 1 << chance.randrange(8)
+        (tmp_path / "a.mcap").write_bytes(flipped)
+        recovery = assert_nothing_wrong_is_passed_as_good(original, tmp_path / "a.mcap")
+        fewest = min(fewest, recovery.messages.get("/pam/tick", 0) if recovery else 0)
+    # One bit costs one chunk: the rest is found behind it, wherever the bit was.
+    assert fewest == len(original) - CHUNK_TICKS
+
+
+def test_a_hole_costs_no_more_than_the_chunks_that_it_touches(whole, tmp_path):
+    original, content = read(whole), whole.read_bytes()
+    chance = random.Random(8)
+    for _ in range(100):
+        at = chance.randrange(len(content) - 40)
+        (tmp_path / "a.mcap").write_bytes(content[:at] + bytes(40) + content[at + 40 :])
+        if (tmp_path / "a.mcap").read_bytes() == content:
+            continue
+        recovery = assert_nothing_wrong_is_passed_as_good(original, tmp_path / "a.mcap")
+        assert recovery is not None
+        assert recovery.messages["/pam/tick"] >= len(original) - 2 * CHUNK_TICKS

@@ -1,0 +1,381 @@
+"""Importing what other systems measured: into SI exactly, and nothing doubtful in silence."""
+
+from __future__ import annotations
+
+import json
+import random
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.io import savemat
+from typer.testing import CliRunner
+
+import pamctl.log
+from pamctl.cli.app import app
+from pamctl.log.importing.pipeline import import_log
+from pamctl.log.importing.resample import resampled
+
+T_S = np.arange(400) * 1e-3
+VALVE_V = np.where(np.sin(20 * T_S) > 0, 1.5, -1.5)
+GAUGE_PA = 2e5 + 5e4 * np.sin(10 * T_S)
+POSITION_M = 0.012 + 0.004 * np.sin(10 * T_S)
+ATMOSPHERE_PA = 101.3e3
+GOOD = {
+    "t_s": T_S,
+    "valve_v": VALVE_V,
+    "pressure_pa": GAUGE_PA + ATMOSPHERE_PA,
+    "position_m": POSITION_M,
+}
+
+
+def write_csv(path: Path, columns: dict[str, Any], delimiter: str = ",") -> Path:
+    rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
+    lines = [delimiter.join(columns), *(delimiter.join(map(repr, row)) for row in rows)]
+    path.write_text("\n".join(lines))
+    return path
+
+
+class Outcome:
+    """What the command said and left behind."""
+
+    def __init__(self, source: Path, *options: str) -> None:
+        self.path = source.with_suffix(".mcap")
+        arguments = ["log", "import", str(source), str(self.path), "--json", *options]
+        done = CliRunner().invoke(app, arguments)
+        self.code, self.stderr = done.exit_code, done.stderr
+        self.report = json.loads(done.stdout)
+        found = self.report.get("findings", [])
+        self.said = {(f["severity"], f["kind"]): f["message"] for f in found}
+
+    @property
+    def signals(self) -> pamctl.log.Signals:
+        assert self.code == 0, self.report
+        return pamctl.log.signals(pamctl.log.read(self.path))
+
+
+def changed(**columns: Any) -> dict[str, Any]:
+    return {**GOOD, **columns}
+
+
+def with_one(values: Any, index: int, value: float) -> Any:
+    copy = np.array(values, float)
+    copy[index] = value
+    return copy
+
+
+# What is understood.
+
+
+def test_the_standard_header_needs_no_map_and_every_number_survives_to_the_bit(tmp_path):
+    done = Outcome(write_csv(tmp_path / "a.csv", GOOD))
+    measured = done.signals
+    for name, column in GOOD.items():
+        assert np.array_equal(getattr(measured, name), column), name
+    assert done.said == {}
+    assert measured.force_n is None
+    assert (measured.phase == pamctl.log.NO_PHASE).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("pressure_gauge_pa", GAUGE_PA),
+        ("pressure_gauge_kPa", GAUGE_PA / 1e3),
+        ("pressure_kpa", (GAUGE_PA + ATMOSPHERE_PA) / 1e3),
+        ("pressure_absolute_mpa", (GAUGE_PA + ATMOSPHERE_PA) / 1e6),
+        ("pressure_bar", (GAUGE_PA + ATMOSPHERE_PA) / 1e5),
+        ("pressure_gauge_bar", GAUGE_PA / 1e5),
+    ],
+)
+def test_a_pressure_is_understood_by_its_suffix_and_becomes_absolute_pascals(
+    tmp_path, name, values
+):
+    columns = {key: column for key, column in GOOD.items() if key != "pressure_pa"}
+    done = Outcome(write_csv(tmp_path / "a.csv", {**columns, name: values}))
+    assert done.signals.pressure_pa == pytest.approx(GOOD["pressure_pa"], rel=1e-12)
+
+
+def test_milliseconds_and_millimetres_and_a_force_are_understood(tmp_path):
+    columns = {"time_ms": T_S * 1e3, "Position_mm": POSITION_M * 1e3, "force_n": 100 * T_S}
+    measured = Outcome(write_csv(tmp_path / "a.csv", columns)).signals
+    assert measured.t_s == pytest.approx(T_S)
+    assert measured.position_m == pytest.approx(POSITION_M)
+    assert measured.force_n == pytest.approx(100 * T_S)
+    assert measured.valve_v is None
+    assert measured.pressure_pa is None
+
+
+def test_a_european_file_with_semicolons_and_decimal_commas_is_understood(tmp_path):
+    path = write_csv(tmp_path / "a.csv", GOOD, ";")
+    path.write_text("% from the lab\n" + path.read_text().replace(".", ","), "utf-8-sig")
+    assert np.array_equal(Outcome(path).signals.position_m, POSITION_M)
+
+
+def test_what_excel_puts_around_a_table_is_no_part_of_it(tmp_path):
+    text = write_csv(tmp_path / "plain.csv", GOOD, ";").read_text().replace(".", ",")
+    source = tmp_path / "excel.csv"
+    framed = "sep=;\n" + text + "\n;;;\n;;;\n"
+    source.write_bytes(b"\xef\xbb\xbf" + framed.replace("\n", "\r\n").encode())
+    log = Outcome(source)
+    assert (log.code, log.said) == (0, {})
+    np.testing.assert_array_equal(log.signals.valve_v, VALVE_V)
+
+
+def test_a_file_of_another_encoding_is_refused_with_what_to_do(tmp_path):
+    source = tmp_path / "latin.csv"
+    source.write_bytes("t_s,valve_v,pressure_pa,temperature_°C\n".encode("latin-1"))
+    log = Outcome(source)
+    assert log.code == 65
+    assert "save it as such (Excel: CSV UTF-8)" in log.report["reason"]
+
+
+def test_time_starts_at_zero_and_the_log_says_where_it_started(tmp_path):
+    done = Outcome(write_csv(tmp_path / "a.csv", changed(t_s=T_S + 12.5)))
+    assert done.signals.t_s == pytest.approx(T_S)
+    log = pamctl.log.read(done.path)
+    assert log.metadata["import"]["first_t_s"] == "12.5"
+    assert log.metadata["import"]["source"] == "a.csv"
+
+
+def test_an_import_of_the_same_file_gives_the_same_bytes(tmp_path):
+    first = Outcome(write_csv(tmp_path / "a.csv", GOOD)).path.read_bytes()
+    (tmp_path / "a.mcap").unlink()
+    assert Outcome(tmp_path / "a.csv").path.read_bytes() == first
+
+
+def test_a_column_that_is_not_understood_is_named_and_left_out(tmp_path):
+    done = Outcome(write_csv(tmp_path / "a.csv", changed(temperature_c=T_S)))
+    assert "temperature_c" in done.said["note", "ignored"]
+
+
+# MAT files, as Simulink and its users write them.
+
+
+def structure_with_time(**signals: Any) -> dict[str, Any]:
+    fields = [("values", "O"), ("label", "O")]
+    each = [(values[:, None], label) for label, values in signals.items()]
+    return {"time": T_S[:, None], "signals": np.array(each, fields)}
+
+
+MAT_FILES = {
+    "arrays": GOOD,
+    "a struct": {"run": GOOD},
+    "a structure with time": {
+        "scope": structure_with_time(**{k: v for k, v in GOOD.items() if k != "t_s"})
+    },
+    "tout and a structure a signal": {
+        "tout": T_S[:, None],
+        **{name: structure_with_time(x=GOOD[name]) for name in list(GOOD)[1:]},
+    },
+    "timeseries as structs": {
+        name: {"Time": T_S[:, None], "Data": GOOD[name][:, None]} for name in list(GOOD)[1:]
+    },
+}
+
+
+@pytest.mark.parametrize("content", MAT_FILES.values(), ids=MAT_FILES)
+def test_a_mat_file_is_read_as_it_was_saved(tmp_path, content):
+    savemat(tmp_path / "a.mat", content)
+    measured = Outcome(tmp_path / "a.mat").signals
+    for name, column in GOOD.items():
+        assert np.array_equal(getattr(measured, name), column), name
+
+
+def test_columns_of_a_matrix_are_chosen_with_a_map(tmp_path):
+    savemat(tmp_path / "a.mat", {"yout": np.c_[VALVE_V + 5.0, GAUGE_PA / 1e3, POSITION_M * 1e3]})
+    (tmp_path / "map.yaml").write_text(
+        "time: {rate_hz: 1000}\n"
+        'valve: {column: "yout(:,1)", offset: -5.0}\n'
+        'pressure: {column: "yout(:,2)", unit: kPa, gauge: true}\n'
+        'position: {column: "yout(:,3)", unit: mm, gain: -1.0}\n'
+    )
+    measured = Outcome(tmp_path / "a.mat", "--map", str(tmp_path / "map.yaml")).signals
+    assert measured.t_s == pytest.approx(T_S)
+    assert measured.valve_v == pytest.approx(VALVE_V)
+    assert measured.pressure_pa == pytest.approx(GOOD["pressure_pa"])
+    assert measured.position_m == pytest.approx(-POSITION_M)
+
+
+def test_a_mat_file_of_version_7_3_is_refused_with_what_to_do(tmp_path):
+    header = b"MATLAB 7.3 MAT-file".ljust(116) + bytes(8) + b"\x00\x02IM"
+    (tmp_path / "a.mat").write_bytes(header.ljust(512, b"\0") + b"\x89HDF\r\n\x1a\n")
+    done = Outcome(tmp_path / "a.mat")
+    assert done.code == 65
+    assert "'-v7'" in done.stderr
+
+
+def test_a_damaged_mat_file_is_refused_or_read_and_never_a_traceback(tmp_path):
+    savemat(tmp_path / "whole.mat", MAT_FILES["a structure with time"])
+    whole = (tmp_path / "whole.mat").read_bytes()
+    chance = random.Random(1)
+    for _ in range(200):
+        flipped = bytearray(whole)
+        flipped[chance.randrange(len(whole) // 4)] ^= 1 << chance.randrange(8)
+        (tmp_path / "a.mat").write_bytes(flipped)
+        with suppress(pamctl.log.LogError):
+            import_log(tmp_path / "a.mat", tmp_path / "a.mcap")
+            (tmp_path / "a.mcap").unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("content", [b"", b"rubbish" * 100])
+def test_a_mat_file_that_is_none_is_refused(tmp_path, content):
+    (tmp_path / "a.mat").write_bytes(content)
+    assert Outcome(tmp_path / "a.mat").code == 65
+
+
+# What stops an import.
+
+
+@pytest.mark.parametrize(
+    ("columns", "kind", "told"),
+    [
+        (changed(t_s=with_one(T_S, 10, np.nan)), "time", "row 12"),
+        (changed(t_s=with_one(T_S, 10, 0.005)), "time", "backwards at row 12"),
+        (changed(t_s=with_one(T_S, 10, T_S[9])), "time", "repeated at row 12"),
+        (changed(t_s=T_S * 1e3), "unit", "time in ms"),
+        (changed(pressure_pa=GAUGE_PA / 1e3), "unit", "pressure_kpa"),
+        (changed(pressure_pa=GAUGE_PA - 1.8e5), "unit", "gauge"),
+        (changed(pressure_pa=GAUGE_PA / 1e5), "unit", "bar"),
+        (changed(position_m=POSITION_M * 1e3), "unit", "position_mm"),
+        (changed(valve_v=VALVE_V + 5.0), "unit", "0..10 V"),
+        (changed(position_m=np.full_like(T_S, np.nan)), "not-finite", "no value at all"),
+        ({"t_s": T_S, "valve_v": VALVE_V}, "columns", "nothing was measured"),
+        ({name: column[:1] for name, column in GOOD.items()}, "rows", "there is 1 row"),
+        ({name: column[:0] for name, column in GOOD.items()}, "rows", "there are 0 rows"),
+    ],
+)
+def test_what_cannot_be_believed_stops_the_import_with_its_rows(tmp_path, columns, kind, told):
+    done = Outcome(write_csv(tmp_path / "a.csv", columns))
+    assert done.code == 65
+    assert told in done.said["error", kind]
+    assert not done.report["written"]
+    assert not done.path.exists()
+
+
+def test_a_unit_that_looks_wrong_can_be_accepted_and_the_log_remembers(tmp_path):
+    path = write_csv(tmp_path / "a.csv", changed(position_m=POSITION_M * 1e3))
+    done = Outcome(path, "--accept-units")
+    assert np.array_equal(done.signals.position_m, POSITION_M * 1e3)
+    assert "position_mm" in pamctl.log.read(done.path).metadata["import"]["report"]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "is empty"),
+        ("0.0,1.0\n0.1,2.0\n", "no line of names"),
+        ("t_s,position_m\n0.0,0.01\n0.001,abc\n", ":3: position_m is 'abc'"),
+        ("t_s,position_m\n0.0,0.01\n0.001\n", ":3: the line has 1 cells"),
+        ("t_s,t_s\n0.0,0.01\n", "more than one column t_s"),
+        ("zeit,position_m\n0.0,0.01\n", "no column is called t_s"),
+        ("t_s,position_m,position_mm\n0,0.01,10\n0.001,0.01,10\n", "both position_m and"),
+    ],
+)
+def test_a_table_that_is_none_is_refused_with_its_line(tmp_path, text, told):
+    (tmp_path / "a.csv").write_text(text)
+    done = Outcome(tmp_path / "a.csv")
+    assert done.code == 65
+    assert told in done.stderr
+
+
+def test_a_map_with_a_slip_is_bad_configuration_with_its_line(tmp_path):
+    write_csv(tmp_path / "a.csv", GOOD)
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: t_s}\nposition: {column: x, unit: mm, offest: 1}\n"
+    )
+    done = Outcome(tmp_path / "a.csv", "--map", str(tmp_path / "map.yaml"))
+    assert done.code == 78
+    assert "map.yaml:2:" in done.stderr
+    assert "did you mean 'offset'" in done.stderr
+
+
+def test_a_map_is_a_configuration_file_that_is_known_by_its_keys(tmp_path):
+    (tmp_path / "mine.yaml").write_text(
+        "time: {column: t, unit: ms}\npressure: {column: p, unit: kPa, gauge: true}\n"
+    )
+    done = CliRunner().invoke(app, ["config", "check", str(tmp_path / "mine.yaml")])
+    assert (done.exit_code, done.stdout.rsplit(": ", 1)[1]) == (0, "ok (import-map)\n")
+
+
+def test_a_map_to_a_column_that_is_not_there_names_the_nearest(tmp_path):
+    write_csv(tmp_path / "a.csv", GOOD)
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: t_s}\nposition: {column: positon_m, unit: m}\n"
+    )
+    done = Outcome(tmp_path / "a.csv", "--map", str(tmp_path / "map.yaml"))
+    assert done.code == 65
+    assert "did you mean position_m?" in done.stderr
+
+
+def test_an_import_never_overwrites(tmp_path):
+    write_csv(tmp_path / "a.csv", GOOD)
+    (tmp_path / "a.mcap").write_bytes(b"precious")
+    assert Outcome(tmp_path / "a.csv").code == 2
+    assert (tmp_path / "a.mcap").read_bytes() == b"precious"
+
+
+# What is worth a warning.
+
+
+@pytest.mark.parametrize(
+    ("columns", "kind", "told"),
+    [
+        (changed(t_s=np.where(np.arange(400) < 50, T_S, T_S + 0.02)), "gap", "before row 52"),
+        (changed(t_s=T_S + 2e-4 * np.sin(T_S * 997)), "jitter", "--resample"),
+        (changed(position_m=with_one(POSITION_M, 7, np.nan)), "not-finite", "row 9"),
+        (changed(position_m=-POSITION_M), "sign", "gain: -1"),
+        (changed(valve_v=np.full_like(T_S, 1.0)), "constant", "valve_v is 1 throughout"),
+        ({"t_s": T_S, "position_m": POSITION_M}, "columns", "no pressure_pa, valve_v"),
+    ],
+)
+def test_what_a_user_should_know_is_a_warning_and_goes_into_the_log(tmp_path, columns, kind, told):
+    done = Outcome(write_csv(tmp_path / "a.csv", columns))
+    assert done.code == 0
+    assert told in done.said["warning", kind]
+    report = json.loads(pamctl.log.read(done.path).metadata["import"]["report"])
+    assert kind in {finding["kind"] for finding in report}
+    assert CliRunner().invoke(app, ["log", "check", str(done.path)]).exit_code == 0
+
+
+# Resampling.
+
+
+def test_a_rate_that_would_fill_the_memory_is_refused(tmp_path):
+    done = Outcome(write_csv(tmp_path / "a.csv", GOOD), "--resample", "1e12")
+    assert done.code == 65
+    assert "is it in Hz?" in done.stderr
+
+
+def test_resampling_is_a_straight_line_for_what_was_measured_and_a_hold_for_the_command(tmp_path):
+    t_s = np.sort(np.random.default_rng(1).uniform(0, 1, 1000))
+    columns = {"t_s": t_s, "valve_v": np.where(t_s > 0.5, 2.0, -1.0), "position_m": 0.01 * t_s}
+    path = write_csv(tmp_path / "a.csv", columns)
+    measured = Outcome(path, "--resample", "400").signals
+    kept = measured.t_s + t_s[0]
+    assert measured.position_m == pytest.approx(0.01 * kept, rel=1e-9)
+    assert set(measured.valve_v) == {2.0, -1.0}
+    assert np.array_equal(measured.valve_v > 0, kept >= t_s[t_s > 0.5][0])
+
+
+def test_resampling_makes_nothing_up_within_a_gap(tmp_path):
+    t_s = np.concatenate([np.arange(100), np.arange(150, 250)]) * 1e-3
+    path = write_csv(tmp_path / "a.csv", {"t_s": t_s, "position_m": 0.01 + 0.1 * t_s})
+    measured = Outcome(path, "--resample", "2000").signals
+    assert not ((measured.t_s > 0.0995) & (measured.t_s < 0.1495)).any()
+    assert measured.missed.max() == pytest.approx(101, abs=1)
+
+
+@given(st.integers(2, 300), st.floats(10.0, 5000.0), st.floats(0.1, 20.0))
+def test_a_resampled_time_is_an_even_grid_within_what_was_measured(rows, rate_hz, ratio):
+    t_s = np.arange(rows) / (rate_hz * ratio)
+    kept, values = resampled(t_s, {"position_m": t_s}, rate_hz)
+    assert kept[0] == t_s[0]
+    assert kept[-1] <= t_s[-1] * (1 + 1e-9) + 1e-12
+    steps = np.diff(kept) * rate_hz
+    assert steps == pytest.approx(np.rint(steps), abs=1e-6)
+    assert values["position_m"] == pytest.approx(np.minimum(kept, t_s[-1]))

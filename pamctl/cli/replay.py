@@ -1,0 +1,123 @@
+"""`pamctl replay`: is the log what this code makes of its samples?"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pamctl.cli.config import JsonOption, config_errors_exit
+from pamctl.cli.offline import bad_data_exits, print_json, require_new
+from pamctl.realtime.ending import ExitCode
+
+if TYPE_CHECKING:
+    from pamctl.log import Log
+    from pamctl.replay.tolerance import Tolerances
+
+
+def replay(
+    path: Annotated[Path, typer.Argument(metavar="LOG")],
+    from_s: Annotated[
+        float | None,
+        typer.Option("--from", metavar="T", help="Start from the last frozen state before T s."),
+    ] = None,
+    tolerance: Annotated[
+        str | None,
+        typer.Option(
+            "--tolerance",
+            metavar="FILE|default-for-other-cpu",
+            help="How far fields may lie apart; not at all.",
+        ),
+    ] = None,
+    plain: Annotated[
+        bool, typer.Option("--plain", help="Run the tick in plain Python, as the loop does.")
+    ] = False,
+    controller: Annotated[
+        str | None,
+        typer.Option("--controller", metavar="NAME|FILE", help="What-if: ask another law."),
+    ] = None,
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="What-if: as in controller.eta=0; repeats."
+        ),
+    ] = None,
+    csv: Annotated[
+        Path | None,
+        typer.Option("--csv", metavar="FILE", help="Of a what-if: both commands, tick by tick."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the tick over a log's raw samples, and compare every stage with the log.
+
+    With --controller or --set it shows what another law or other gains would have
+    commanded, open loop: the muscle did not follow them.
+    """
+    is_what_if = controller is not None or bool(overrides)
+    if csv is not None and not is_what_if:
+        message = "belongs to a what-if: with --controller or --set"
+        raise typer.BadParameter(message, param_hint="--csv")
+    if tolerance is not None and is_what_if:
+        message = "belongs to a comparison: without --controller and --set"
+        raise typer.BadParameter(message, param_hint="--tolerance")
+    require_new(csv, "--csv")
+    if from_s is not None and not 0.0 <= from_s < math.inf:
+        raise typer.BadParameter("must be seconds, 0 or more", param_hint="--from")
+    with bad_data_exits(as_json=as_json), config_errors_exit(as_json=as_json):
+        from pamctl.log import read
+
+        log = read(path)
+        if is_what_if:
+            code = _what_if(log, controller, overrides or [], from_s, csv, as_json=as_json)
+        else:
+            code = _compared(log, tolerance, from_s, plain=plain, as_json=as_json)
+    raise typer.Exit(code)
+
+
+def _compared(
+    log: Log, tolerance: str | None, from_s: float | None, *, plain: bool, as_json: bool
+) -> ExitCode:
+    from pamctl.cli.replay_text import as_document, as_text
+    from pamctl.replay import replay as replayed
+
+    found = replayed(log, from_s=from_s, plain=plain, tolerances=_tolerances(tolerance))
+    if as_json:
+        print_json(as_document(found, tolerance))
+    else:
+        typer.echo(as_text(found))
+    return ExitCode.OK if found.is_equal and found.is_whole else ExitCode.CHECK_FAILED
+
+
+def _tolerances(name: str | None) -> Tolerances:
+    from pamctl.replay import compared_fields
+    from pamctl.replay.tolerance import EXACT, OTHER_CPU, OTHER_CPU_NAME, read_tolerances
+
+    if name is None:
+        return EXACT
+    return OTHER_CPU if name == OTHER_CPU_NAME else read_tolerances(Path(name), compared_fields())
+
+
+def _what_if(
+    log: Log,
+    controller: str | None,
+    overrides: list[str],
+    from_s: float | None,
+    csv: Path | None,
+    *,
+    as_json: bool,
+) -> ExitCode:
+    from pamctl.cli.replay_text import what_if_document, what_if_text
+    from pamctl.replay import recording_of
+    from pamctl.replay.what_if import what_if, with_other_law
+
+    settings = with_other_law(recording_of(log).settings, controller, overrides)
+    answer = what_if(log, settings, from_s=from_s)
+    if csv is not None:
+        answer.write_csv(csv)
+    if as_json:
+        print_json({**what_if_document(log, settings, answer), "csv": csv and str(csv)})
+    else:
+        typer.echo(what_if_text(controller or "the changed law", answer))
+    return ExitCode.OK

@@ -1,0 +1,219 @@
+"""Compare: the model driven by what a log says was applied, against what was measured.
+
+    coupled         command            -> position, pressure
+    pressure block  command, position  -> pressure
+    mechanics       pressure           -> position
+
+The coupled model is how far a simulation would have been from this run. Each block is driven
+by the other's measured signal, so that a fault of the one does not look like one of the other:
+that is where a diagnosis begins. Works on imported logs as well, with what they hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.log import NO_PHASE, Log, LogError, Signals, signals
+from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
+from pamctl.plant.parameters import PlantParameters, PlantState, at_rest
+from pamctl.signals import Phase
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+NEAR_NULL_V = 0.1
+"""A valve that is open by less is near its null, where dead bands and leaks show."""
+AT_REST_M_PER_S = 1e-4
+_MOTION_S = 0.02
+"""Over how long the measured speed is taken: some counts of the encoder."""
+_SHORTEST = 20
+"""Stretches with fewer ticks say nothing."""
+_START_TICKS = 20
+
+
+class Gap(NamedTuple):
+    """Model minus measurement, in the unit of the signal; NaN where there is none."""
+
+    rms: float
+    max: float
+
+
+class Modelled(NamedTuple):
+    """What the model says, shape (n,) each; NaN where it was not driven, None where it cannot."""
+
+    way: str
+    position_m: Floats | None
+    pressure_pa: Floats | None
+
+
+class Regime(NamedTuple):
+    """Part of a run: position by the mechanics alone, pressure by the pressure block alone."""
+
+    name: str
+    ticks: int
+    position_m: Gap
+    pressure_pa: Gap
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A model against a log, over the ticks that can be compared."""
+
+    measured: Signals
+    coupled: Modelled
+    pressure_block: Modelled
+    mechanics: Modelled
+
+    @property
+    def ways(self) -> tuple[Modelled, Modelled, Modelled]:
+        """Every way of driving the model."""
+        return self.coupled, self.pressure_block, self.mechanics
+
+    def gap(self, modelled: Modelled, signal: str, where: Mask | slice = slice(None)) -> Gap:
+        """Return how far one way is from the measurement in `position_m` or `pressure_pa`."""
+        return gap_of(getattr(modelled, signal), getattr(self.measured, signal), where)
+
+    def regimes(self) -> list[Regime]:
+        """Return the blocks' gaps by phase, by the valve, and by the motion."""
+        return [
+            Regime(
+                name,
+                int(where.sum()),
+                self.gap(self.mechanics, "position_m", where),
+                self.gap(self.pressure_block, "pressure_pa", where),
+            )
+            for name, where in regimes_of(self.measured)
+            if where.any()
+        ]
+
+
+def compare(log: Log, plant: PlantParameters) -> Comparison:
+    """Drive a model by a log; raise LogError where the log has nothing to drive it with."""
+    measured = comparable(log)
+    stretches = list(_stretches(measured))
+    if not stretches:
+        raise LogError(f"{log.path} has no {_SHORTEST} ticks in a row that are whole")
+    rows = {name: np.full(len(measured), np.nan) for name in ("x", "p", "block_p", "block_x")}
+    commanded = measured.valve_v is not None
+    for stretch in stretches:
+        part = measured[stretch]
+        start = _start(plant, part, follows_homing=stretch.start == 0 and _was_homed(log))
+        if part.valve_v is not None:
+            driven = drive_coupled(plant, part.valve_v, part.dt_s[1:], start=start)
+            rows["x"][stretch], rows["p"][stretch] = driven.position_m, driven.pressure_pa
+        if part.valve_v is not None and part.position_m is not None:
+            rows["block_p"][stretch] = drive_pressure(
+                plant, part.valve_v, part.position_m, part.dt_s[1:], start=start
+            ).pressure_pa
+        if part.pressure_pa is not None:
+            rows["block_x"][stretch] = drive_mechanics(
+                plant, part.pressure_pa, part.dt_s[1:], start=start
+            ).position_m
+    drives_block = commanded and measured.position_m is not None
+    return Comparison(
+        measured,
+        Modelled("coupled", *((rows["x"], rows["p"]) if commanded else (None, None))),
+        Modelled("pressure block", None, rows["block_p"] if drives_block else None),
+        Modelled("mechanics", rows["block_x"] if measured.pressure_pa is not None else None, None),
+    )
+
+
+def comparable(log: Log) -> Signals:
+    """Return the signals of a log from the end of homing on: before it the zeros are others.
+
+    Raises LogError where the model cannot be driven or held against anything.
+    """
+    measured = signals(log)
+    here = [
+        name
+        for name in ("valve_v", "pressure_pa", "position_m")
+        if getattr(measured, name) is not None
+    ]
+    if len(here) < 2:
+        raise LogError(
+            f"{log.path} holds {' and '.join(here) or 'no signal'} only: a model needs one signal "
+            "of valve_v, pressure_pa, position_m to be driven by, and another to be held against"
+        )
+    homing = np.flatnonzero(measured.phase == Phase.HOMING)
+    return measured[int(homing[-1]) + 1 if len(homing) else 0 :]
+
+
+def gap_of(model: Floats | None, measured: Floats | None, where: Mask | slice) -> Gap:
+    """Return the gap over some ticks."""
+    if model is None or measured is None:
+        return Gap(np.nan, np.nan)
+    apart = np.abs(model[where] - measured[where])
+    apart = apart[np.isfinite(apart)]
+    if not len(apart):
+        return Gap(np.nan, np.nan)
+    return Gap(float(np.sqrt(np.mean(apart**2))), float(apart.max()))
+
+
+def regimes_of(measured: Signals) -> Iterator[tuple[str, Mask]]:
+    """Name the parts of a run, each with the ticks that belong to it; they overlap."""
+    for phase in np.unique(measured.phase).tolist():
+        if phase != NO_PHASE:
+            yield Phase(phase).name.lower().replace("_", " "), measured.phase == phase
+    if measured.valve_v is not None:
+        # What a sample shows is what the command of the tick before it has done.
+        held_v = np.concatenate((measured.valve_v[:1], measured.valve_v[:-1]))
+        yield "valve fills", held_v > NEAR_NULL_V
+        yield "valve exhausts", held_v < -NEAR_NULL_V
+        yield "valve near null", np.abs(held_v) <= NEAR_NULL_V
+    if measured.position_m is not None and len(measured) > 1:
+        speed = _speed_m_per_s(measured.t_s, measured.position_m)
+        yield "contracting", speed > AT_REST_M_PER_S
+        yield "extending", speed < -AT_REST_M_PER_S
+        yield "at rest", np.abs(speed) <= AT_REST_M_PER_S
+
+
+def _speed_m_per_s(t_s: Floats, position_m: Floats) -> Floats:
+    """Return the measured speed, over a time in which a slow motion still passes some counts."""
+    before = np.interp(t_s - 0.5 * _MOTION_S, t_s, position_m)
+    after = np.interp(t_s + 0.5 * _MOTION_S, t_s, position_m)
+    return np.asarray((after - before) / _MOTION_S)
+
+
+def _stretches(measured: Signals) -> Iterator[slice]:
+    """Yield the longest runs of ticks that are all there, with every signal a number."""
+    whole = np.ones(len(measured), bool)
+    for name in ("valve_v", "pressure_pa", "position_m"):
+        signal = getattr(measured, name)
+        if signal is not None:
+            whole &= np.isfinite(signal)
+    # Ticks that the log lost: what was applied meanwhile is not known.
+    lost = np.abs(np.diff(measured.t_s) - measured.dt_s[1:]) > 0.5 * np.median(measured.dt_s)
+    breaks = {0, len(measured), *(np.flatnonzero(lost) + 1).tolist()}
+    breaks |= set((np.flatnonzero(np.diff(whole.astype(np.int8))) + 1).tolist())
+    for begin, end in pairwise(sorted(breaks)):
+        if whole[begin] and end - begin >= _SHORTEST:
+            yield slice(begin, end)
+
+
+def _was_homed(log: Log) -> bool:
+    return not log.is_imported and bool(np.any(log["phase"] == Phase.HOMING))
+
+
+def _start(plant: PlantParameters, part: Signals, *, follows_homing: bool) -> PlantState:
+    """Return the state at the first sample: vented after homing, else as measured, at rest."""
+    if follows_homing:
+        return at_rest(plant, 0.0, plant.atmospheric_pressure_pa)
+    quiet = part.valve_v is not None and bool(
+        np.all(np.abs(part.valve_v[:_START_TICKS]) < NEAR_NULL_V)
+    )
+    samples = slice(0, _START_TICKS if quiet else 1)
+
+    def level(signal: Floats | None, otherwise: float) -> float:
+        return otherwise if signal is None else float(np.mean(signal[samples]))
+
+    return at_rest(
+        plant,
+        level(part.position_m, 0.0),
+        level(part.pressure_pa, plant.atmospheric_pressure_pa),
+    )

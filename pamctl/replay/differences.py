@@ -1,0 +1,144 @@
+"""Where a replay and its log differ: first, how often, and by how much, field by field."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.replay.tolerance import Tolerance, Tolerances
+
+Floats = NDArray[np.float64]
+
+STAGES = (
+    "zero",
+    "measurement",
+    "reference",
+    "estimate",
+    "command",
+    "decision",
+    "outcome",
+    "keyframe",
+)
+"""In the order in which a tick goes through them: what differs in one may differ in those after.
+
+`zero` is what the sensors say of the vented muscle, `keyframe` the frozen state after a tick.
+"""
+
+_AROUND = 3
+_EXACTLY = Tolerance(0.0)
+
+
+class Place(NamedTuple):
+    """A field of a stage."""
+
+    stage: str
+    name: str
+
+
+class Pair(NamedTuple):
+    """A value of the log and of its replay."""
+
+    tick: int
+    """As the ticks stand in the log, from 0."""
+    logged: float
+    replayed: float
+
+
+class Difference(NamedTuple):
+    """What is known of a field that differs."""
+
+    place: Place
+    first: Pair
+    around: tuple[Pair, ...]
+    """The ticks around the first difference, as far as they were compared."""
+    ticks: int
+    """How many ticks differ."""
+    largest: float
+    """The largest difference; infinite where only one of the two is a number."""
+
+
+class Differences:
+    """Collects the differences of a replay, stretch by stretch."""
+
+    def __init__(self, tolerances: Tolerances) -> None:
+        """A field without a tolerance must be equal to the bit; NaN equals NaN."""
+        self._tolerances = tolerances
+        self._found: dict[Place, Difference] = {}
+        self._last: dict[Place, tuple[Pair, ...]] = {}
+        self.compared: dict[Place, None] = {}
+        """Every field that was compared, in the order of asking."""
+
+    def take(self, place: Place, tick: int, logged: Floats, replayed: Floats) -> None:
+        """Compare a field over the ticks from `tick` on; both of shape (n,)."""
+        self.compared[place] = None
+        wrong = differing(logged, replayed, self._tolerances.get(place.name, _EXACTLY))
+        if wrong is not None:
+            self._note(place, tick, logged, replayed, wrong)
+        else:
+            self._last[place] = _pairs(tick, logged, replayed, len(logged) - _AROUND, len(logged))
+
+    def _note(
+        self, place: Place, tick: int, logged: Floats, replayed: Floats, wrong: NDArray[np.bool_]
+    ) -> None:
+        ticks, largest = int(wrong.sum()), _largest(logged[wrong], replayed[wrong])
+        before = self._found.get(place)
+        if before is not None:
+            self._found[place] = before._replace(
+                ticks=before.ticks + ticks, largest=max(before.largest, largest)
+            )
+            return
+        at = int(wrong.argmax())
+        first = Pair(tick + at, float(logged[at]), float(replayed[at]))
+        near = _pairs(tick, logged, replayed, at - _AROUND, at + _AROUND + 1)
+        earlier = self._last.get(place, ())
+        around = tuple(pair for pair in (*earlier, *near) if abs(pair.tick - first.tick) <= _AROUND)
+        self._found[place] = Difference(place, first, around, ticks, largest)
+
+    def all(self) -> tuple[Difference, ...]:
+        """Return the differences in the order in which they begin, within a tick by stage."""
+        asked = list(self.compared)
+
+        def order(difference: Difference) -> tuple[int, int, int]:
+            place = difference.place
+            return difference.first.tick, STAGES.index(place.stage), asked.index(place)
+
+        return tuple(sorted(self._found.values(), key=order))
+
+
+def differing(
+    logged: Floats, replayed: Floats, tolerance: Tolerance = _EXACTLY
+) -> NDArray[np.bool_] | None:
+    """Tell for each of n values whether the two lie too far apart; None where none do."""
+    same_bits = logged.view(np.int64) == replayed.view(np.int64)
+    if same_bits.all():
+        return None
+    both_nan = np.isnan(logged) & np.isnan(replayed)
+    wrong = ~(same_bits | both_nan)
+    if tolerance != _EXACTLY:
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(logged - replayed)
+            wrong &= ~(apart <= tolerance.absolute + tolerance.relative * np.abs(logged))
+    return wrong if wrong.any() else None
+
+
+def _largest(logged: Floats, replayed: Floats) -> float:
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(logged - replayed)
+    return float(np.where(np.isnan(apart), np.inf, apart).max())
+
+
+def _pairs(tick: int, logged: Floats, replayed: Floats, begin: int, end: int) -> tuple[Pair, ...]:
+    near = slice(max(0, begin), end)
+    values = zip(logged[near].tolist(), replayed[near].tolist(), strict=True)
+    return tuple(Pair(tick + near.start + i, *pair) for i, pair in enumerate(values))
+
+
+def within(tolerances: Tolerances, differences: Iterable[Difference]) -> bool:
+    """Tell whether these absolute tolerances would have forgiven all of the differences."""
+    return all(
+        difference.largest <= tolerances.get(difference.place.name, _EXACTLY).absolute
+        for difference in differences
+    )

@@ -1,0 +1,170 @@
+"""The program of a run once more: what it asks for at the log's times, and the zeros it finds.
+
+Homing is fed the log's raw samples, and a stop begins in the tick in which it began: what
+remains is decided by the settings alone.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.calibration import Zero
+from hal.rig import RawSample
+from pamctl.control.experiment import held
+from pamctl.control.homing import HomingError
+from pamctl.realtime.program import Program
+from pamctl.replay.differences import differing
+from pamctl.replay.recording import Recording
+from pamctl.replay.retrace import retraced
+from pamctl.setup import nominal_zero_of, ordered_program, program_of
+from pamctl.signals import Phase, Reference
+
+_NOTHING = (-1.0, math.nan, math.nan, math.nan, math.nan, math.nan)
+"""What a program that is over, or refuses to home, asks for; -1 is no phase."""
+
+_BY_HISTORY = (Phase.HOMING, Phase.STOPPING)
+"""Phases that depend on the ticks before; all others go by time alone."""
+
+
+class Asked(NamedTuple):
+    """What the program said in a stretch of ticks."""
+
+    references: NDArray[np.float64]
+    """Shape (fields of Reference, n)."""
+    zeros: dict[int, Zero]
+    """Zeros that it found, by the tick that they hold from."""
+
+
+class Reasking:
+    """Walks through the ticks of a recording in order, from any tick on."""
+
+    def __init__(self, recording: Recording, begin: int, *, plain: bool = False) -> None:
+        """The program of a run whose homing lies before `begin` is taken up after it.
+
+        `plain` asks tick by tick, as the loop does.
+        """
+        self._recording = recording
+        self._plain = plain
+        self._phase = recording.log["phase"]
+        self._valve_v = recording.log["valve_v"]
+        self._safe_v = recording.setup_at(0).limits.safe_valve_v
+        self._parked = held(Phase.OPEN_LOOP, self._safe_v)
+        self._is_first = begin == 0 and 0 not in recording.losses and not recording.orders
+        self._program = program_of(recording.settings) if self._is_first else self._taken_up(begin)
+
+    def ask(self, begin: int, end: int) -> Asked | None:
+        """Return what is asked from `begin` to before `end`; None where nobody can tell.
+
+        Stretches come in order, without one left out.
+        """
+        if begin in self._recording.orders:
+            self._program = self._ordered(begin)
+        if begin in self._recording.losses and begin > 0 and self._depends_on_history(begin):
+            self._program = None
+        if self._program is None:
+            self._program = self._taken_up(begin)
+        if self._program is None:
+            return None
+        asked = None if self._plain else self._retraced(self._program, begin, end)
+        return asked or self._walk(self._program, begin, end)
+
+    def _retraced(self, program: Program, begin: int, end: int) -> Asked | None:
+        """Return what a course asks for in one go, where that is what the log says."""
+        if program.running is None or self._recording.stops & set(range(begin, end)):
+            return None
+        course, course_begin_s = program.running
+        t_s = self._recording.log.t[begin:end]
+        rows = retraced(course.segments, course.duration_s, course_begin_s, t_s)
+        if rows is None or any(
+            differing(self._recording.log[name][begin:end].astype(np.float64), row) is not None
+            for name, row in zip(Reference._fields, rows, strict=True)
+        ):
+            return None  # plain Python, in which the log was made, has the last word
+        return Asked(rows, {})
+
+    def _depends_on_history(self, tick: int) -> bool:
+        return self._phase[tick - 1] in _BY_HISTORY or self._phase[tick] in _BY_HISTORY
+
+    def _taken_up(self, begin: int) -> Program | None:
+        """Return a program that has come as far as `begin`, None if the log does not say how."""
+        recording, times_s = self._recording, self._recording.log.t
+        if recording.orders:
+            return self._ordered(begin)
+        if not recording.settings.rig.homing.enabled:
+            course_begin_s = 0.0
+        elif homed := [tick for tick in recording.zeros if 0 < tick <= begin]:
+            course_begin_s = float(times_s[max(homed)])
+        else:
+            return None
+        program = program_of(recording.settings, course_begin_s=course_begin_s)
+        for stop in (tick for tick in recording.stops if tick < begin):
+            # Asked for in the tick before, or, where the course was over, in this very tick.
+            at_once = self._phase[stop] == Phase.STOPPING
+            last_v = self._valve_v_before(stop) if at_once else float(self._valve_v[stop])
+            self._begin_stop(program, float(times_s[stop]), last_v)
+        if self._phase[begin] == Phase.STOPPING and begin not in recording.stops:
+            return program if program.is_stopping else None
+        return program
+
+    def _ordered(self, begin: int) -> Program | None:
+        """Ask the program that was ordered last all that it was asked up to `begin`."""
+        ordered_at = max((tick for tick in self._recording.orders if tick <= begin), default=None)
+        if ordered_at is None or self._recording.losses & set(range(ordered_at, begin + 1)):
+            return None
+        program = ordered_program(self._recording.settings, self._recording.orders[ordered_at])
+        if ordered_at < begin:
+            self._walk(program, ordered_at, begin)
+        return program
+
+    def _walk(self, program: Program, begin: int, end: int) -> Asked:
+        inputs = self._recording.inputs(begin, end)
+        samples = map(
+            RawSample,
+            inputs.pressure_v.tolist(),
+            inputs.encoder_counts.tolist(),
+            inputs.pressure_t_ns.tolist(),
+            inputs.encoder_t_ns.tolist(),
+        )
+        written_v = self._valve_v[begin:end].tolist()
+        last_v = self._valve_v_before(begin)
+        rows: list[tuple[float, ...]] = []
+        zeros: dict[int, Zero] = {}
+        for tick, t_s, sample, valve_v in zip(
+            range(begin, end), inputs.t_s.tolist(), samples, written_v, strict=True
+        ):
+            if self._is_first:
+                zeros[tick] = nominal_zero_of(self._recording.settings)(sample)
+                self._is_first = False
+            reference, zero = self._asked(program, t_s, sample, last_v)
+            if reference is None and self._recording.orders and program.is_stopping:
+                reference = self._parked  # the loop goes on when a run is over
+            rows.append(_NOTHING if reference is None else reference)
+            if zero is not None:
+                zeros[tick] = zero
+            last_v = valve_v
+            if tick in self._recording.stops:
+                self._begin_stop(program, t_s, last_v)
+        return Asked(np.array(rows, dtype=np.float64).reshape(-1, len(Reference._fields)).T, zeros)
+
+    def _asked(
+        self, program: Program, t_s: float, sample: RawSample, last_v: float
+    ) -> tuple[Reference | None, Zero | None]:
+        """Ask as the loop does: a course that is over begins its stop at once."""
+        try:
+            reference, zero = program.next(t_s, sample)
+        except HomingError:
+            return None, None
+        if reference is None and not program.is_stopping:
+            self._begin_stop(program, t_s, last_v)
+            reference, _ = program.next(t_s, sample)
+        return reference, zero
+
+    def _valve_v_before(self, tick: int) -> float:
+        return self._safe_v if tick == 0 else float(self._valve_v[tick - 1])
+
+    def _begin_stop(self, program: Program, t_s: float, valve_v: float) -> None:
+        program.begin_stop(t_s, self._safe_v if math.isnan(valve_v) else valve_v)

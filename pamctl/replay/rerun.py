@@ -1,0 +1,127 @@
+"""A replay under way: stretch by stretch, what the log says beside what comes out now."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hal.calibration import Zero
+from pamctl.realtime.keyframe import frozen, keyframe_fields
+from pamctl.realtime.tick import TickState, first_state
+from pamctl.replay.differences import Differences, Floats, Place, differing
+from pamctl.replay.reask import Asked, Reasking
+from pamctl.replay.recording import Recording
+from pamctl.replay.retick import RETICKED, reticked
+from pamctl.signals import TICK_FIELDS
+
+
+def compared_fields() -> list[str]:
+    """Name every field that a replay compares: of the zeros, of a tick, and of a keyframe."""
+    return [
+        *Zero._fields,
+        *_REFERENCE,
+        *(field.name for field in RETICKED),
+        *(name for _, name in _REMEMBERED),
+    ]
+
+
+_REFERENCE = [field.name for field in TICK_FIELDS if field.stage == "reference"]
+_REMEMBERED = tuple(
+    (index, name)
+    for index, name in enumerate(keyframe_fields(first_state(Zero(0.0, 0.0), 0.0)))
+    if name.startswith(("filters.", "law.", "safety."))
+)
+"""What a keyframe has beside the tick: the memory of filters, law and safety."""
+
+
+class Rerun:
+    """A replay under way: the state, and what was found so far."""
+
+    def __init__(
+        self, recording: Recording, begin: int, differences: Differences, *, plain: bool
+    ) -> None:
+        """Begin before the tick `begin`; stretches come in order from there."""
+        self.differences = differences
+        self.skipped = 0
+        """Ticks so far whose state nobody knows."""
+        self.unasked = 0
+        """Ticks so far whose reference nobody knows."""
+        self._recording = recording
+        self._reasking = Reasking(recording, begin, plain=plain)
+        self._state = recording.keyframes.get(begin - 1)
+        self._plain = plain
+        self._parted = False
+
+    def take(self, begin: int, end: int) -> None:
+        """Replay a stretch and compare it."""
+        self._state = self._recording.state_at(begin, self._state)
+        asked = self._reasking.ask(begin, end)
+        if self._state is None:
+            self.skipped += end - begin
+            self._state = self._recording.keyframes.get(end - 1)
+            return
+        if asked is None:
+            self.unasked += end - begin
+        else:
+            self._compare_asked(asked, begin, end)
+        self._state, rows = self._reticked(self._state, begin, end)
+        for field, row in zip(RETICKED, rows, strict=True):
+            if field.name in self._recording.log.columns:
+                logged = self._logged(field.name, begin, end)
+                self.differences.take(Place(field.stage, field.name), begin, logged, row)
+        self._compare_keyframe(self._state, end - 1)
+
+    def _reticked(self, state: TickState, begin: int, end: int) -> tuple[TickState, Floats]:
+        recording = self._recording
+        setup = recording.setup_at(begin)
+        inputs = recording.inputs(begin, end)
+        after, rows = reticked(setup, recording.output, state, inputs, plain=self._plain)
+        self._forget_failed_writes(rows, begin, end)
+        if not self._plain and not self._parted and self._differs(after, rows, begin, end):
+            after, rows = reticked(setup, recording.output, state, inputs, plain=True)
+            self._forget_failed_writes(rows, begin, end)
+            # From its first real difference on a replay only has to be told apart, not judged.
+            self._parted = self._differs(after, rows, begin, end)
+        return after, rows
+
+    def _forget_failed_writes(self, rows: Floats, begin: int, end: int) -> None:
+        """A write that failed is on record as NaN: nobody knows what it did."""
+        failed = np.isnan(self._logged("applied_v", begin, end))
+        rows[-1, failed] = np.nan
+
+    def _differs(self, after: TickState, rows: Floats, begin: int, end: int) -> bool:
+        keyframe = self._recording.keyframes.get(end - 1)
+        return any(
+            differing(self._logged(field.name, begin, end), row) is not None
+            for field, row in zip(RETICKED, rows, strict=True)
+            if field.name in self._recording.log.columns
+        ) or (keyframe is not None and differing(_flat(keyframe), _flat(after)) is not None)
+
+    def _compare_asked(self, asked: Asked, begin: int, end: int) -> None:
+        for name, row in zip(_REFERENCE, asked.references, strict=True):
+            logged = self._logged(name, begin, end)
+            self.differences.take(
+                Place("reference", name), begin, logged, np.ascontiguousarray(row)
+            )
+        nowhere = Zero(np.nan, np.nan)
+        for tick in sorted({begin} & self._recording.zeros.keys() | asked.zeros.keys()):
+            logged_zero = self._recording.zeros.get(tick, nowhere)
+            found = asked.zeros.get(tick, nowhere)
+            for name, logged_v, found_v in zip(Zero._fields, logged_zero, found, strict=True):
+                self.differences.take(
+                    Place("zero", name), tick, np.array([logged_v]), np.array([found_v])
+                )
+
+    def _compare_keyframe(self, after: TickState, tick: int) -> None:
+        keyframe = self._recording.keyframes.get(tick)
+        if keyframe is None:
+            return
+        logged, ours = _flat(keyframe)[:, None], _flat(after)[:, None]  # rows of one tick each
+        for index, name in _REMEMBERED:
+            self.differences.take(Place("keyframe", name), tick, logged[index], ours[index])
+
+    def _logged(self, name: str, begin: int, end: int) -> Floats:
+        return self._recording.log[name][begin:end].astype(np.float64)
+
+
+def _flat(state: TickState) -> Floats:
+    return np.array(frozen(state), dtype=np.float64)

@@ -1,0 +1,108 @@
+"""The tick once more, over a stretch of a log: the very function that the loop process calls."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from hal.calibration import output_v
+from hal.converter import Output, applied_v
+from hal.rig import RawSample
+from pamctl.compiled import compiled
+from pamctl.realtime.tick import TickSetup, TickState, step
+from pamctl.signals import TICK_FIELDS, Field, Reference, Timing
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+RETICKED: tuple[Field, ...] = tuple(
+    field
+    for field in TICK_FIELDS
+    if field.stage in ("measurement", "estimate", "command", "decision")
+    or field.name == "applied_v"
+)
+"""What `retick` computes, in the order of its rows."""
+
+
+class Inputs(NamedTuple):
+    """All that a tick is fed, as columns of shape (n,): timing, raw sample, reference."""
+
+    tick: NDArray[np.int64]
+    t_s: NDArray[np.float64]
+    dt_s: NDArray[np.float64]
+    late_s: NDArray[np.float64]
+    missed: NDArray[np.int64]
+    pressure_v: NDArray[np.float64]
+    encoder_counts: NDArray[np.int64]
+    pressure_t_ns: NDArray[np.int64]
+    encoder_t_ns: NDArray[np.int64]
+    phase: NDArray[np.int64]
+    reference_m: NDArray[np.float64]
+    reference_velocity_m_per_s: NDArray[np.float64]
+    reference_acceleration_m_per_s2: NDArray[np.float64]
+    reference_jerk_m_per_s3: NDArray[np.float64]
+    reference_valve_v: NDArray[np.float64]
+
+
+def inputs_of(columns: Mapping[str, NDArray[Any]], begin: int, end: int) -> Inputs:
+    """Return views of a log's columns; `begin` and `end` count ticks of the log."""
+    return Inputs._make(columns[name][begin:end] for name in Inputs._fields)
+
+
+def retick(
+    setup: TickSetup, output: Output, state: TickState, inputs: Inputs, rows: NDArray[np.float64]
+) -> TickState:
+    """Kernel: fill `rows`, of shape (fields of RETICKED, n); return the state after the last tick.
+
+    It is fed the reference of the log: a program that asks for something else is a finding
+    of its own, and must not hide what the tick makes of the same reference.
+    """
+    for i in range(len(inputs.tick)):
+        raw = RawSample(
+            inputs.pressure_v[i],
+            inputs.encoder_counts[i],
+            inputs.pressure_t_ns[i],
+            inputs.encoder_t_ns[i],
+        )
+        reference = Reference(
+            inputs.phase[i],
+            inputs.reference_m[i],
+            inputs.reference_velocity_m_per_s[i],
+            inputs.reference_acceleration_m_per_s2[i],
+            inputs.reference_jerk_m_per_s3[i],
+            inputs.reference_valve_v[i],
+        )
+        timing = Timing(
+            inputs.tick[i], inputs.t_s[i], inputs.dt_s[i], inputs.late_s[i], inputs.missed[i]
+        )
+        state, decision = step(setup, state, raw, reference, timing)
+        rows[0, i], rows[1, i] = state.measurement
+        rows[2, i], rows[3, i], rows[4, i], rows[5, i], rows[6, i] = state.estimate
+        rows[7, i], rows[8, i], rows[9, i], rows[10, i], rows[11, i] = state.command
+        rows[12, i], rows[13, i], rows[14, i] = decision
+        rows[15, i] = applied_v(output, output_v(setup.calibration, decision.valve_v))
+    return state
+
+
+def reticked(
+    setup: TickSetup, output: Output, state: TickState, inputs: Inputs, *, plain: bool = False
+) -> tuple[TickState, NDArray[np.float64]]:
+    """Run the ticks of a stretch, compiled or, as the loop process does, in plain Python.
+
+    Returns the state after the last one, and the rows, of shape (fields of RETICKED, n).
+    """
+    rows = np.empty((len(RETICKED), len(inputs.tick)))
+    if plain:
+        # As Python's own numbers: numpy's would take its powers by another library.
+        inputs = Inputs._make(column.tolist() for column in inputs)
+        return retick(setup, output, state, inputs, rows), rows
+    return _compiled_retick()(setup, output, state, inputs, rows), rows
+
+
+@cache
+def _compiled_retick() -> Callable[..., TickState]:
+    return compiled(retick)

@@ -1,0 +1,107 @@
+"""How far a field of a replay may lie from the log's: not at all, unless told otherwise.
+
+On the machine that made a log every field must be equal to the bit. Another CPU, or another
+C library, rounds `tan`, `pow` and `acos` differently in the last bit (IEEE 754 binds the
+four operations and the square root only). These are where the tick takes them:
+
+    tan   the filters' warped cut-offs: every estimate, and so all that a law makes of it
+    pow   lambda^q of a gains file; Psi of the valve in safety's model of the pressure
+    acos  the braid's angle in the model within SMC
+
+Zeros, measurements and references go through none of them and stay exact; so do phases,
+verdicts and flags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+from pydantic import Field, TypeAdapter
+
+from hal.configured import Configured
+from pamctl.problems import ConfigError, Problem
+from pamctl.settings import Raw, validated
+
+
+class Tolerance(NamedTuple):
+    """A replayed value may lie `absolute + relative * |logged|` from the logged one."""
+
+    absolute: float
+    relative: float = 0.0
+
+
+Tolerances = Mapping[str, Tolerance]
+
+EXACT: Tolerances = {}
+"""Every field equal to the bit; NaN equals NaN."""
+
+OTHER_CPU_NAME = "default-for-other-cpu"
+"""What the command line calls `OTHER_CPU`."""
+
+OTHER_CPU: Tolerances = {
+    name: Tolerance(absolute)
+    for name, absolute in {
+        "position_filtered_m": 1e-14,
+        "error_m": 1e-14,
+        "error_rate_m_per_s": 1e-11,
+        "error_acceleration_m_per_s2": 1e-8,
+        "surface_m_per_s2": 1e-8,
+        "command_v": 1e-9,
+        "equivalent_v": 1e-9,
+        "robust_v": 1e-9,
+        "valve_v": 1e-9,
+        # A command on the edge between two codes of the output may go to either.
+        "applied_v": 20.0 / 65536.0,
+        "filters.position.pole": 1e-14,
+        "filters.position.pair_rate": 1e-14,
+        "filters.position.pair_level": 1e-14,
+        "filters.rate.pole": 1e-11,
+        "filters.rate.pair_rate": 1e-11,
+        "filters.rate.pair_level": 1e-11,
+        "filters.acceleration.pole": 1e-8,
+        "filters.acceleration.pair_rate": 1e-8,
+        "filters.acceleration.pair_level": 1e-8,
+        "filters.error_m": 1e-14,
+        "filters.error_rate_m_per_s": 1e-11,
+        "law.absement_m_s": 1e-15,
+        "safety.valve_v": 1e-9,
+        "safety.model_pressure_pa": 1e-6,
+    }.items()
+}
+"""Some thousand times what one wrong last bit in each of these functions makes of runs of 40 s,
+under every law; a hundredth of a count of the encoder is 3e-8 m. `tests/test_replay.py` holds
+the golden logs to it with such functions."""
+
+
+class ToleranceSettings(Configured):
+    """One field of a tolerance file."""
+
+    absolute: Annotated[float, Field(ge=0, description="in the field's unit")] = 0.0
+    relative: Annotated[float, Field(ge=0, description="of the logged value")] = 0.0
+
+
+_FILE: TypeAdapter[dict[str, ToleranceSettings]] = TypeAdapter(dict[str, ToleranceSettings])
+
+
+def read_tolerances(path: Path, fields: Collection[str]) -> Tolerances:
+    """Read a tolerance file: `field: {absolute: 1e-9, relative: 0}`, for these fields.
+
+    Raises ConfigError.
+    """
+    raw = Raw.read(path)
+    unknown = [name for name in raw.data if name not in fields]
+    if unknown:
+        raise ConfigError(
+            Problem(raw.origin((name,)), name, _not_compared(name, fields)) for name in unknown
+        )
+    found = validated(_FILE, raw)
+    return {name: Tolerance(one.absolute, one.relative) for name, one in found.items()}
+
+
+def _not_compared(name: str, fields: Collection[str]) -> str:
+    near = get_close_matches(name, fields, n=1)
+    hint = f"; did you mean '{near[0]}'?" if near else ""
+    return f"no field of this name is compared{hint}"

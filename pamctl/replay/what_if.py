@@ -1,0 +1,138 @@
+"""What another law, or other gains, would have commanded on the same samples: open loop.
+
+The muscle did not follow these commands, so they say how the law answers to this very
+error, and nothing of how well it would have tracked: for that, run it.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.log import Log
+from pamctl.problems import ConfigError, Problem
+from pamctl.realtime.tick import TickState
+from pamctl.replay.recording import NotReplayable
+from pamctl.replay.retick import RETICKED, reticked
+from pamctl.replay.taken import recording_of
+from pamctl.settings import RUN, Raw, RunSettings, to_data, validated
+from pamctl.setup import setup_of
+from pamctl.signals import Phase
+
+Floats = NDArray[np.float64]
+
+_COMMAND = [field.name for field in RETICKED].index("command_v")
+_SATURATED = [field.name for field in RETICKED].index("saturated")
+
+
+class PhaseFigures(NamedTuple):
+    """Two commands in one phase of a run, in V."""
+
+    phase: str
+    ticks: int
+    logged_rms_v: float
+    other_rms_v: float
+    difference_rms_v: float
+    difference_max_v: float
+    logged_saturated: float
+    """Share of the ticks in which the law met its own limit."""
+    other_saturated: float
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """The commands of a log and those of another law, over the ticks in which a law ran."""
+
+    ticks: NDArray[np.int64]
+    """As they stand in the log, from 0; shape (n,), like all that follows."""
+    t_s: Floats
+    phase: NDArray[np.int64]
+    logged_v: Floats
+    other_v: Floats
+    phases: tuple[PhaseFigures, ...]
+
+    def write_csv(self, path: Path) -> None:
+        """Write both commands, a row a tick."""
+        with path.open("w", newline="") as file:
+            table = csv.writer(file)
+            table.writerow(("tick", "t_s", "phase", "command_v", "what_if_command_v"))
+            columns = (self.ticks, self.t_s, self.phase, self.logged_v, self.other_v)
+            table.writerows(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def with_other_law(
+    settings: RunSettings, controller: str | None, overrides: Sequence[str]
+) -> RunSettings:
+    """Return a run's settings under another gains file, and `controller.*` overrides.
+
+    Raises ConfigError.
+    """
+    raw = Raw(to_data(settings), {(): "the log's configuration"})
+    if controller is not None:
+        raw.add_section("controller", controller)
+    for override in overrides:
+        if not override.strip().startswith("controller."):
+            message = "a what-if asks another law; only controller.* can be set"
+            raise ConfigError([Problem(f"--set {override}", "", message)])
+        raw.override(override)
+    return validated(RUN, raw)
+
+
+def what_if(log: Log, settings: RunSettings, *, from_s: float | None = None) -> WhatIf:
+    """Run the law of `settings` over the samples of a log; raise NotReplayable.
+
+    It begins where `replay` would; gains that the run took over on its way are left out.
+    """
+    recording = recording_of(log)
+    begin = 0 if from_s is None else recording.tick_before(from_s) + 1
+    setup = setup_of(settings)
+    rows = np.full((2, len(recording)), math.nan)
+    after: TickState | None = recording.keyframes.get(begin - 1)
+    for start, end in recording.stretches(begin):
+        state = recording.state_at(start, after)
+        if state is None:
+            after = recording.keyframes.get(end - 1)
+            continue
+        after, stretch = reticked(setup, recording.output, state, recording.inputs(start, end))
+        rows[:, start:end] = stretch[[_COMMAND, _SATURATED]]
+    by_law = np.flatnonzero(np.isfinite(rows[0]) & np.isnan(log["reference_valve_v"]))
+    if not len(by_law):
+        raise NotReplayable(f"{log.path} has no tick in which a law ran: nothing to ask another")
+    return _answer(log, by_law, *rows[:, by_law])
+
+
+def _answer(log: Log, ticks: NDArray[np.int64], other_v: Floats, saturated: Floats) -> WhatIf:
+    phase, logged_v = log["phase"][ticks], log["command_v"][ticks]
+    logged_saturated = log["saturated"][ticks]
+    return WhatIf(
+        ticks=ticks,
+        t_s=log.t[ticks],
+        phase=phase,
+        logged_v=logged_v,
+        other_v=other_v,
+        phases=tuple(
+            PhaseFigures(
+                phase=Phase(number).name.lower(),
+                ticks=int(there.sum()),
+                logged_rms_v=_rms(logged_v[there]),
+                other_rms_v=_rms(other_v[there]),
+                difference_rms_v=_rms(other_v[there] - logged_v[there]),
+                difference_max_v=float(np.abs(other_v[there] - logged_v[there]).max()),
+                logged_saturated=float(logged_saturated[there].mean()),
+                other_saturated=float(saturated[there].mean()),
+            )
+            for number in np.unique(phase).tolist()
+            for there in [phase == number]
+        ),
+    )
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

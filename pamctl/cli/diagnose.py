@@ -1,0 +1,125 @@
+"""`pamctl diagnose`: which effect does the model lack?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pamctl.cli.config import JsonOption, PlantOption, config_errors_exit
+from pamctl.cli.offline import bad_data_exits, print_json
+from pamctl.realtime.ending import ExitCode
+
+if TYPE_CHECKING:
+    from pamctl.diagnose import Diagnosis, Record
+    from pamctl.plant.model import PlantSettings
+
+
+def diagnose(
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Fitted on.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Made, or empty.")],
+    holdout: Annotated[
+        list[Path] | None,
+        typer.Option("--holdout", metavar="LOG", help="Judged by; repeats. Else the logs are cut."),
+    ] = None,
+    plant: PlantOption = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option("--without", metavar="EFFECT", help="Leave it out of the catalogue; repeats."),
+    ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Find where model and measurement disagree, name the missing effect, add it to the model.
+
+    DIR gets diagnosis.json, plant.yaml (for --plant of run, tune, compare and a next
+    diagnose) and report.html. Exit code 0 whatever the verdict, 65 if the data are no good.
+    """
+    with bad_data_exits(as_json=as_json), config_errors_exit(as_json=as_json):
+        _require_room(out)
+        start = plant_named(plant)
+        _require_known(without or [])
+        from pamctl.diagnose import diagnose as diagnosed
+        from pamctl.diagnose.logs import record_of
+
+        train = [record_of(path) for path in logs]
+        held = [record_of(path) for path in holdout or []]
+        if not held:
+            how = "the runs are split" if len(train) > 1 else "long stretches of it are held out"
+            typer.echo(f"no --holdout: {how}", err=True)
+        with _workers(jobs) as executor:
+            diagnosis = diagnosed(
+                train,
+                held,
+                start,
+                without=without or (),
+                executor=executor,
+                progress=lambda line: typer.echo(line, err=True),
+            )
+        _write(diagnosis, out, [*logs, *(holdout or [])], [*train, *held])
+    if as_json:
+        print_json(diagnosis.document())
+    else:
+        typer.echo(diagnosis.summary)
+        typer.echo(f"\n{out}: {', '.join(sorted(p.name for p in out.iterdir()))}")
+    raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
+
+
+def plant_named(name: str | None) -> PlantSettings:
+    """Read a plant file by name or path; raise `ConfigError`."""
+    from pamctl.settings import DEFAULT_NAMES, SECTIONS, Raw, find, validated
+
+    file = find("plant", name or DEFAULT_NAMES["plant"])
+    settings: PlantSettings = validated(SECTIONS["plant"], Raw.read(file), title="plant")
+    return settings
+
+
+def _require_room(out: Path) -> None:
+    """A former diagnosis is not overwritten, nor anything else."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise typer.BadParameter(
+            f"{out} exists and is not an empty folder; choose another", param_hint="--out"
+        )
+
+
+def _require_known(names: Sequence[str]) -> None:
+    from difflib import get_close_matches
+
+    from pamctl.plant.effects import CATALOGUE
+
+    for name in names:
+        if name not in CATALOGUE:
+            near = get_close_matches(name, CATALOGUE, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise typer.BadParameter(
+                f"there is no effect {name} in the catalogue{hint}", param_hint="--without"
+            )
+
+
+@contextmanager
+def _workers(jobs: int) -> Iterator[Executor | None]:
+    if jobs == 1:
+        yield None
+        return
+    with ProcessPoolExecutor(jobs) as executor:
+        yield executor
+
+
+def _write(
+    diagnosis: Diagnosis, out: Path, logs: Sequence[Path], records: Sequence[Record]
+) -> None:
+    from pamctl.diagnose.page import page_of
+    from pamctl.diagnose.plantfile import plant_file
+
+    out.mkdir(parents=True, exist_ok=True)
+    document = json.dumps(diagnosis.document(), indent=2, allow_nan=False) + "\n"
+    (out / "diagnosis.json").write_text(document)
+    if not diagnosis.reason:
+        (out / "plant.yaml").write_text(plant_file(diagnosis, [p.name for p in logs]))
+    page = page_of(diagnosis, records).html()
+    (out / "report.html").write_text(page, encoding="utf-8")

@@ -1,0 +1,218 @@
+"""What an excitation cannot see, and what it cannot tell apart, before any fit.
+
+Every effect is dosed at its smallest size of interest, recalibration takes what it can,
+and the rest is held against the floor: below the limit the effect is in a blind spot. Of
+two effects, the one is hidden and the other fitted: if less than the limit is left, this
+excitation does not tell them apart. The paper's full-scale squares, for instance, cannot
+see a dead band of the valve at all: |u| is always 5 V, and the valve's gain absorbs it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from pamctl.diagnose.blocks import MECHANICS, PRESSURE
+from pamctl.diagnose.candidates import Candidate, candidates, dosed
+from pamctl.diagnose.evidence import prepared, with_modelled_pressure
+from pamctl.diagnose.experiments import separating
+from pamctl.diagnose.fit import Fit
+from pamctl.diagnose.models import Model, alone, recalibrated
+from pamctl.diagnose.quality import check, check_sensors
+from pamctl.diagnose.records import Array, Record
+from pamctl.diagnose.score import beside, secant
+from pamctl.diagnose.values import Free, described, value_of
+from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.model import PlantSettings
+
+UNIDENTIFIABLE = {
+    "moving_mass": "it acts within 0.1 ms, a tenth of a sample: no experiment at 1 kHz shows it",
+}
+
+
+@dataclass(frozen=True)
+class BlindSpot:
+    """An effect that the excitation does not show at its smallest size of interest."""
+
+    name: str
+    why: str
+    experiment: str
+    """What would show it; empty where nothing would."""
+    visible_from: tuple[float, str] | None
+    """Size and unit from which it would show, if it grows in proportion; None for never."""
+
+    @property
+    def visible(self) -> str:
+        """Say from which size on it shows."""
+        if self.visible_from is None:
+            return "it does not show at any size"
+        return f"it shows from about {self.visible_from[0]:.2g} {self.visible_from[1]}"
+
+    def as_dict(self) -> dict[str, object]:
+        """Return what the document holds."""
+        size, unit = self.visible_from or (None, None)
+        return {
+            "name": self.name,
+            "why": f"{self.why}; {self.visible}",
+            "experiment": self.experiment,
+            "visible_from": size,
+            "unit": unit,
+        }
+
+
+@dataclass(frozen=True)
+class Inseparable:
+    """Two effects of which one explains the other down to the floor."""
+
+    names: tuple[str, str]
+    experiment: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What an excitation is good for."""
+
+    sees: tuple[str, ...]
+    blind_spots: tuple[BlindSpot, ...]
+    inseparable: tuple[Inseparable, ...]
+
+    def document(self) -> dict[str, object]:
+        """Return plain values, for `--json`."""
+        return {
+            "schema": 1,
+            "sees": list(self.sees),
+            "blind_spots": [spot.as_dict() for spot in self.blind_spots],
+            "inseparable": [
+                {"names": list(p.names), "experiment": p.experiment, "why": p.why}
+                for p in self.inseparable
+            ],
+        }
+
+
+def audit_of(record: Record, plant: PlantSettings) -> Audit:
+    """Audit one record, measured or simulated; raises `BadData`."""
+    check([record], plant)
+    evidence = prepared([record], [record], plant)
+    check_sensors([record], evidence.noises)
+    found = candidates(evidence)
+    model = recalibrated(evidence)
+    if {*evidence.blocks} == {PRESSURE, MECHANICS}:
+        clean = model.fit_of(PRESSURE).settings
+        trusted = model.is_explained(PRESSURE)
+        evidence = with_modelled_pressure(evidence, [record], [record], clean, trusted=trusted)
+        model = recalibrated(evidence)
+    return audited(model, found)
+
+
+def audited(model: Model, found: Sequence[Candidate], *, pairs: bool = True) -> Audit:
+    """Audit the training records of a model that is at, or near, its floor.
+
+    Of an effect with several forms the first stands for all.
+    """
+    firsts = {c.name: c for c in reversed(found)}
+    doses = {block: _doses(model, block, firsts.values()) for block in model.evidence.blocks}
+    spare = {block: _spare(model, block) for block in model.evidence.blocks}
+    powers = {
+        name: max(
+            (_rms(d[name]).min() / spare[block] for block, d in doses.items() if name in d),
+            default=0.0,
+        )
+        for name in firsts
+    }
+    sees = tuple(name for name, power in powers.items() if power > 1.0)
+    blind = tuple(_blind_spot(c, powers[n]) for n, c in firsts.items() if n not in sees)
+    alike = _alike(doses, spare, sees) if pairs else []
+    return Audit(sees, (*blind, *_never_seen(model, found)), tuple(map(_inseparable, alike)))
+
+
+def _alike(
+    doses: Mapping[str, Mapping[str, Array]], spare: Mapping[str, float], sees: Sequence[str]
+) -> list[tuple[str, str]]:
+    """Find pairs of which one explains all that the other does above the limits."""
+
+    def explains(other: str, one: str) -> bool:
+        return all(
+            _rest(d[one], d.get(other)) <= spare[block] for block, d in doses.items() if one in d
+        )
+
+    return [(a, b) for a, b in combinations(sees, 2) if explains(a, b) or explains(b, a)]
+
+
+def _rest(hidden: Array, fitted: Array | None) -> float:
+    """RMS of what is left of an effect's strongest dose when another is fitted to it."""
+    strongest = hidden[:, int(np.argmax(_rms(hidden)))]
+    if fitted is None:
+        return float(np.sqrt(np.mean(strongest**2)))
+    return float(np.sqrt(np.mean(beside(np.linalg.qr(fitted)[0], strongest) ** 2)))
+
+
+def _rms(columns: Array) -> Array:
+    values: Array = np.sqrt(np.mean(columns**2, axis=0))
+    return values
+
+
+def _inseparable(pair: tuple[str, str]) -> Inseparable:
+    advice = separating(pair)
+    return Inseparable(pair, str(advice["name"]), str(advice["why"]))
+
+
+def _spare(model: Model, block: str) -> float:
+    """How much a misfit adds before the limit is passed, in deviations of the sensor."""
+    floor = model.floors[block]
+    return float(np.sqrt(floor.limit**2 - floor.mean**2))
+
+
+def _doses(model: Model, block: str, found: Iterable[Candidate]) -> dict[str, Array]:
+    """Dose the switches by their smallest sizes of interest, beside what recalibration can do.
+
+    Arrays of shape (n, doses) by name, in deviations of the sensor.
+    """
+    fitted = alone(model.fit_of(block), block)
+    basis = np.linalg.qr(fitted.jacobian)[0] if fitted.free else np.zeros((len(fitted.residual), 0))
+    return {
+        c.name: beside(basis, np.column_stack([secant(fitted, d) for d in _smallest(c, fitted)]))
+        for c in found
+        if block in c.blocks
+    }
+
+
+def _smallest(candidate: Candidate, fitted: Fit) -> list[dict[str, float]]:
+    """Each switch alone, and all together: two widths alike may hide where one would show."""
+    held = dict(candidate.held)
+    sizes = {s.name: dosed(s, 1.0, value_of(fitted.settings, s.name)) for s in candidate.switches}
+    alone_each = [{**held, name: size} for name, size in sizes.items()]
+    return [*alone_each, {**held, **sizes}] if len(sizes) > 1 else alone_each
+
+
+def _blind_spot(candidate: Candidate, power: float) -> BlindSpot:
+    switch = candidate.switches[0]
+    size = described(switch).smallest_of_interest
+    effect = CATALOGUE[candidate.name]
+    why = f"at {size:g} {described(switch).unit} it stays below the floor's limit"
+    return BlindSpot(candidate.name, why, effect.best_experiment, _from(switch, size, power))
+
+
+def _from(switch: Free, size: float, power: float) -> tuple[float, str] | None:
+    """In proportion: a size that would just pass the limit, where the range allows it."""
+    if power <= 0.0 or size / power > max(abs(switch.high), abs(switch.low)):
+        return None
+    return size / power, described(switch).unit
+
+
+def _never_seen(model: Model, found: Sequence[Candidate]) -> list[BlindSpot]:
+    """Effects that reach none of the blocks that these records drive, and the moving mass."""
+    asked = {c.name for c in found} | {*model.names}
+    spots = [
+        BlindSpot(name, why, "", None) for name, why in UNIDENTIFIABLE.items() if name in CATALOGUE
+    ]
+    for name, effect in CATALOGUE.items():
+        if name in asked or name in UNIDENTIFIABLE or name == "drift":
+            continue
+        if effect.block not in (*model.evidence.blocks, "sensors"):
+            why = "these records do not drive its block"
+            spots.append(BlindSpot(name, why, effect.best_experiment, None))
+    return spots

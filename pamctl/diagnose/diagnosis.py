@@ -1,0 +1,179 @@
+"""What a diagnosis found, in one object: verdict, names, numbers, the extended plant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pamctl.diagnose.audit import Audit, audited
+from pamctl.diagnose.candidates import Candidate
+from pamctl.diagnose.doubt import any_doubtful
+from pamctl.diagnose.evidence import SMALLEST_POSITION_M, SMALLEST_PRESSURE_PA
+from pamctl.diagnose.extend import extended_plant, whole_plant
+from pamctl.diagnose.intervals import Estimate, estimates
+from pamctl.diagnose.locate import Cell, cells, where
+from pamctl.diagnose.models import Model
+from pamctl.diagnose.name import Search, rank
+from pamctl.diagnose.records import Record
+from pamctl.diagnose.remainder import Remainder, remainder
+from pamctl.diagnose.rivals import Standing
+from pamctl.diagnose.show import Gap, gaps
+from pamctl.diagnose.values import value_of
+from pamctl.diagnose.verdict import Judgement, Verdict, after_rivals
+from pamctl.plant.model import PlantSettings
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One set of effects that was fitted."""
+
+    names: tuple[str, ...]
+    ratios: Mapping[str, float]
+    """Held-out RMS over the floor, by block."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The outcome of `diagnose`."""
+
+    verdict: Verdict
+    nominal: PlantSettings
+    plant: PlantSettings
+    """The model to go on with: recalibrated, and extended by what was named."""
+    reason: str = ""
+    """Of bad data."""
+    model: Model | None = None
+    base: Model | None = None
+    standings: tuple[Standing, ...] = ()
+    numbers: tuple[Estimate, ...] = ()
+    gap: dict[str, Gap] | None = None
+    cells: tuple[Cell, ...] = ()
+    """What is left, by regime."""
+    regimes: tuple[Cell, ...] = ()
+    """The misfit of the recalibrated model, by regime."""
+    tried: tuple[Trial, ...] = ()
+    """What was fitted, the best first."""
+    remainder: Remainder | None = None
+    train: tuple[Record, ...] = ()
+    holdout: tuple[Record, ...] = ()
+    explained: float = 0.0
+    audit: Audit | None = None
+    """What these records could not have shown."""
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document, schema 1."""
+        from pamctl.diagnose.document import document
+
+        return document(self)
+
+    def started(self, name: str) -> float:
+        """Return a number of the start model."""
+        return value_of(self.nominal, name)
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in plain words."""
+        from pamctl.diagnose.words import sentence
+
+        return sentence(self)
+
+    @property
+    def summary(self) -> str:
+        """The verdict with its figures, for a terminal."""
+        from pamctl.diagnose.words import summary
+
+        return summary(self)
+
+
+def refused(plant: PlantSettings, reason: str) -> Diagnosis:
+    """Return the diagnosis of data that cannot be diagnosed."""
+    return Diagnosis(Verdict.BAD_DATA, plant, plant, reason)
+
+
+def concluded(
+    judgement: Judgement,
+    heard: Sequence[Standing],
+    search: Search,
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    asked: Sequence[Candidate],
+) -> Diagnosis:
+    """Draw up the diagnosis; take back names that make the coupled model worse."""
+    model = judgement.model
+    evidence = model.evidence
+    verdict = after_rivals(judgement, heard)
+    plants = {
+        "nominal": evidence.nominal,
+        "recalibrated": whole_plant(search.base),
+        "extended": whole_plant(model),
+    }
+    gap = gaps(evidence, holdout, plants)
+    numbers = _numbers(model)
+    doubtful = verdict is not Verdict.PARTIAL and any_doubtful(model, search, numbers)
+    taken_back = model.effects and (doubtful or verdict is Verdict.NONE_KNOWN)
+    if taken_back or (model.effects and not _better(gap)):
+        verdict, model, heard = Verdict.NONE_KNOWN, search.base, ()
+        gap = gaps(evidence, holdout, {**plants, "extended": plants["recalibrated"]})
+    return Diagnosis(
+        verdict,
+        evidence.nominal,
+        extended_plant(verdict, model),
+        model=model,
+        base=search.base,
+        standings=tuple(heard),
+        numbers=numbers if model is judgement.model else _numbers(model),
+        gap=gap,
+        cells=tuple(cells(model)),
+        regimes=tuple(cells(search.base)),
+        tried=tuple(_tried(search)),
+        remainder=_remainder(verdict, model),
+        train=tuple(train),
+        holdout=tuple(holdout),
+        explained=judgement.explained if model.effects else 0.0,
+        audit=audited(model, [c for c in asked if c.name not in model.names], pairs=False),
+    )
+
+
+def _better(gap: dict[str, Gap]) -> bool:
+    """An overlay must not make any signal's coupled gap worse than it was without.
+
+    A twentieth, and what is too small to matter, count as equal.
+    """
+    smallest = {"position_m": SMALLEST_POSITION_M, "pressure_pa": SMALLEST_PRESSURE_PA}
+    return all(
+        g.extended <= 1.05 * min(g.nominal, g.recalibrated) + smallest[name]
+        for name, g in gap.items()
+    )
+
+
+def _numbers(model: Model) -> tuple[Estimate, ...]:
+    found: dict[str, Estimate] = {}
+    for block in sorted(model.evidence.blocks, reverse=True):
+        fitted = model.fit_of(block)
+        floors = [model.floors[b] for b in model.evidence.blocks if model.fit_of(b) is fitted]
+        for name, estimate in estimates(fitted, floors).items():
+            found.setdefault(name, estimate)
+    return tuple(found.values())
+
+
+def _tried(search: Search) -> Iterator[Trial]:
+    models = [model for level in search.levels for model in level]
+    for model in sorted(models, key=rank):
+        yield Trial(model.names, {b: model.ratio(b) for b in model.evidence.blocks})
+
+
+def _remainder(verdict: Verdict, model: Model) -> Remainder | None:
+    """Look at the shape of what is left, where something is."""
+    if verdict not in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
+        return None
+    return remainder(model, max(model.evidence.blocks, key=model.ratio))
+
+
+def where_left(diagnosis: Diagnosis) -> tuple[str, float, str]:
+    """Return block, residual over floor and regimes of what is left most."""
+    model = diagnosis.model
+    if model is None:
+        return "", 0.0, ""
+    block = max(model.evidence.blocks, key=model.ratio)
+    return block, model.ratio(block), where(model, block)

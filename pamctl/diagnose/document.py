@@ -1,0 +1,99 @@
+"""`diagnosis.json`, schema 1: the diagnosis for programs. Stable: keys are only ever added."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pamctl.diagnose.diagnosis import Diagnosis, where_left
+from pamctl.diagnose.experiments import separating, showing
+from pamctl.diagnose.rivals import Standing
+from pamctl.diagnose.verdict import Verdict
+from pamctl.plant.effects import CATALOGUE
+
+SCHEMA = 1
+
+
+def document(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the document as plain values."""
+    if diagnosis.verdict is Verdict.BAD_DATA:
+        return {
+            "schema": SCHEMA,
+            "verdict": diagnosis.verdict.value,
+            "reason": diagnosis.reason,
+            "sentence": diagnosis.sentence,
+            "effects": [],
+            "ambiguous": [],
+            "recalibrated": {},
+            "blind_spots": [],
+            "next_experiment": None,
+            "gap": {},
+            "unexplained": None,
+        }
+    block, ratio, regimes = where_left(diagnosis)
+    return {
+        "schema": SCHEMA,
+        "verdict": diagnosis.verdict.value,
+        "sentence": diagnosis.sentence,
+        "effects": [_effect(diagnosis, s) for s in diagnosis.standings],
+        "ambiguous": ambiguous(diagnosis),
+        "recalibrated": {n.name: n.as_dict() for n in diagnosis.numbers if "." not in n.name},
+        "blind_spots": blind_spots(diagnosis),
+        "next_experiment": next_experiment(diagnosis),
+        "gap": {name: gap.as_dict() for name, gap in (diagnosis.gap or {}).items()},
+        "explained": diagnosis.explained,
+        "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
+        "correction": diagnosis.remainder.as_dict() if diagnosis.remainder else None,
+        "regimes": [
+            {
+                "block": c.block,
+                "regime": c.regime,
+                "share": c.share,
+                "residual_over_floor": c.residual_over_floor,
+            }
+            for c in diagnosis.cells
+        ],
+    }
+
+
+def _effect(diagnosis: Diagnosis, standing: Standing) -> dict[str, Any]:
+    name = standing.effect.name
+    return {
+        "name": name,
+        "block": CATALOGUE[name].block,
+        "form": standing.effect.form,
+        "parameters": {
+            n.name.split(".")[1]: n.as_dict()
+            for n in diagnosis.numbers
+            if n.name.startswith(f"{name}.")
+        },
+        "rivals": [
+            {"name": r.name, "residual_over_floor": r.residual_over_floor} for r in standing.rivals
+        ],
+        "confidence": standing.confidence,
+    }
+
+
+def ambiguous(diagnosis: Diagnosis) -> list[list[str]]:
+    """Return the sets of effects that the data do not tell apart."""
+    return [[s.effect.name, *s.equals] for s in diagnosis.standings if s.equals]
+
+
+def blind_spots(diagnosis: Diagnosis) -> list[dict[str, object]]:
+    """Return what these records could not have shown."""
+    audit = diagnosis.audit
+    return [spot.as_dict() for spot in audit.blind_spots] if audit else []
+
+
+def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """Return the experiment that would tell more, if there is one."""
+    sets = ambiguous(diagnosis)
+    if sets:
+        return separating(sets[0])
+    if diagnosis.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
+        return {
+            "name": "diagnosis",
+            "separates": [],
+            "why": "the whole program, to see in which regime the remainder lies",
+        }
+    spots = [s for s in diagnosis.audit.blind_spots if s.experiment] if diagnosis.audit else []
+    return showing(spots[0].name) if spots else None

@@ -1,0 +1,112 @@
+"""What a diagnosis goes by: the drives of both blocks, and how well the sensors see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+from pamctl.diagnose.blocks import (
+    MECHANICS,
+    MODELLED_HZ,
+    PRESSURE,
+    SMOOTH_HZ,
+    Drive,
+    force_drive,
+    mechanics_drive,
+    pressure_drive,
+)
+from pamctl.diagnose.noise import Noise, estimate
+from pamctl.diagnose.records import CHANNELS, Record
+from pamctl.plant.model import PlantSettings
+
+SMALLEST_PRESSURE_PA = 60.0
+"""A misfit below is of no interest, however significant."""
+SMALLEST_POSITION_M = 3.2e-6
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Records prepared for every block that they can drive."""
+
+    nominal: PlantSettings
+    train: dict[str, tuple[Drive, ...]]
+    """Drives to fit on, by block."""
+    holdout: dict[str, tuple[Drive, ...]]
+    """Drives to judge by."""
+    noises: dict[str, Noise]
+    """By channel."""
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The blocks that these records can drive."""
+        return tuple(self.train)
+
+    def margin(self, block: str) -> float:
+        """Return the smallest misfit that matters, in deviations of the block's sensor."""
+        drive = self.train[block][0]
+        smallest = SMALLEST_PRESSURE_PA if block == PRESSURE else SMALLEST_POSITION_M
+        # Of a poor sensor a fifth of its noise.
+        return max(smallest / drive.deviation, 0.2)
+
+    def only(self, blocks: Collection[str]) -> Evidence:
+        """Return the evidence of some of the blocks."""
+        return replace(
+            self,
+            train={b: d for b, d in self.train.items() if b in blocks},
+            holdout={b: d for b, d in self.holdout.items() if b in blocks},
+        )
+
+
+def prepared(
+    train: Sequence[Record], holdout: Sequence[Record], nominal: PlantSettings
+) -> Evidence:
+    """Prepare records; noise is estimated from all of them together."""
+    everything = [*train, *holdout]
+    noises = {
+        channel: estimate(everything, channel)
+        for channel in CHANNELS
+        if channel != "valve_v" and channel in everything[0].channels
+    }
+    measured = everything[0].channels
+    evidence = Evidence(nominal, {}, {}, noises)
+    drivers: dict[str, Callable[[Record], Drive]] = {}
+    atmosphere_pa = nominal.parameters.atmospheric_pressure_pa
+    if nominal.actuator == "direct":
+        if {"force_n", "position_m"} <= {*measured}:
+            drivers[MECHANICS] = lambda record: force_drive(record, noises)
+    else:
+        if {"valve_v", "pressure_pa"} <= {*measured}:
+            drivers[PRESSURE] = lambda record: pressure_drive(record, noises, atmosphere_pa)
+        if {"position_m", "pressure_pa"} <= {*measured}:
+            drivers[MECHANICS] = lambda record: mechanics_drive(record, noises)
+    for block, driver in drivers.items():
+        evidence.train[block] = tuple(map(driver, train))
+        evidence.holdout[block] = tuple(map(driver, holdout))
+    return evidence
+
+
+def with_modelled_pressure(
+    evidence: Evidence,
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    pressure_model: PlantSettings,
+    *,
+    trusted: bool,
+) -> Evidence:
+    """Drive the mechanics by the pressure block's account of the measured pressure.
+
+    Where the account is trusted, being at its floor, hardly any sensor noise is left.
+    """
+    cutoff_hz = MODELLED_HZ if trusted else SMOOTH_HZ
+
+    def driven(records: Sequence[Record], drives: Sequence[Drive]) -> tuple[Drive, ...]:
+        return tuple(
+            mechanics_drive(r, evidence.noises, d.simulated(pressure_model), cutoff_hz)
+            for r, d in zip(records, drives, strict=True)
+        )
+
+    return replace(
+        evidence,
+        train={**evidence.train, MECHANICS: driven(train, evidence.train[PRESSURE])},
+        holdout={**evidence.holdout, MECHANICS: driven(holdout, evidence.holdout[PRESSURE])},
+    )

@@ -1,0 +1,24 @@
+"""The model to go on with: a plant file's settings with fitted numbers and effects."""
+
+from __future__ import annotations
+
+from pamctl.diagnose.models import Model
+from pamctl.diagnose.values import with_values
+from pamctl.diagnose.verdict import Verdict
+from pamctl.plant.model import PlantSettings
+
+
+def whole_plant(model: Model) -> PlantSettings:
+    """Put the fits of the blocks together; the geometry is the mechanics' where they differ."""
+    values: dict[str, float] = {}
+    for block in sorted(model.evidence.blocks, reverse=True):
+        values |= model.fit_of(block).values
+    values |= {name: value for effect in model.effects for name, value in effect.held_alone}
+    return with_values(model.evidence.nominal, values)
+
+
+def extended_plant(verdict: Verdict, model: Model) -> PlantSettings:
+    """Return the plant that the verdict stands for."""
+    if verdict is Verdict.NO_DISCREPANCY:
+        return model.evidence.nominal
+    return whole_plant(model)

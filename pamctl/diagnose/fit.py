@@ -1,0 +1,144 @@
+"""Fit numbers of the plant to records, block by block, through the simulation's own integrator.
+
+Output-error form: a block runs freely from the vented rest, driven by the other block's
+measured signal, and its output is compared with the sensor. Residuals are counted in
+deviations of the sensor, so that both blocks weigh alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pamctl.diagnose.blocks import Drive, stacked
+from pamctl.diagnose.records import Array
+from pamctl.diagnose.values import Free, value_of, with_values
+from pamctl.plant.flat import NEUTRAL
+from pamctl.plant.model import PlantSettings
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far a fit is driven."""
+
+    evaluations: int
+    tolerance: float
+
+
+QUICK = Effort(8, 1e-3)
+"""To compare candidates."""
+FULL = Effort(15, 1e-6)
+"""For numbers that are reported."""
+ROBUST = 10.0
+"""Residuals beyond so many times the usual one pull linearly only."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A plant fitted to training drives."""
+
+    settings: PlantSettings
+    free: tuple[Free, ...]
+    drives: tuple[Drive, ...]
+    residual: Array
+    """At the solution, all drives one behind the other."""
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """Derivatives of the residual by the free numbers in their scales, shape (n, p)."""
+        return sensitivity(self.drives, self.settings, self.free, self.residual)
+
+    @cached_property
+    def mean_square(self) -> float:
+        """Of the residual, in deviations of the sensor."""
+        return float(np.mean(self.residual**2))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The fitted numbers by name."""
+        return {free.name: value_of(self.settings, free.name) for free in self.free}
+
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Numbers that ended at an end of their range, a neutral value left out."""
+        return tuple(
+            free.name
+            for free in self.free
+            if min(self.values[free.name] - free.low, free.high - self.values[free.name])
+            < 1e-3 * (free.high - free.low)
+            and not (free.effect and abs(self.values[free.name] - NEUTRAL[free.name]) < free.scale)
+        )
+
+
+def fit(
+    drives: Sequence[Drive],
+    start: PlantSettings,
+    free: Sequence[Free],
+    effort: Effort = FULL,
+) -> Fit:
+    """Fit `free` from where `start` stands; robust against what the model cannot show."""
+    drives, free = tuple(drives), tuple(free)
+    if not free:
+        return Fit(start, (), drives, stacked(drives, start))
+    scale = np.array([f.scale for f in free])
+    low = np.array([f.low for f in free]) / scale
+    high = np.array([f.high for f in free]) / scale
+    first = np.array([value_of(start, f.name) for f in free]) / scale
+    first = np.clip(first, low, high)
+    begun = stacked(drives, start)
+    knee = ROBUST * max(float(np.median(np.abs(begun))) / 0.6745, 1.0)
+
+    def settings_at(vector: Array) -> PlantSettings:
+        numbers = dict(zip((f.name for f in free), np.clip(vector, low, high) * scale, strict=True))
+        return with_values(start, numbers)
+
+    def residual_at(vector: Array) -> Array:
+        return stacked(drives, settings_at(vector))
+
+    def jacobian_at(vector: Array) -> Array:
+        settings = settings_at(vector)
+        return sensitivity(drives, settings, free, stacked(drives, settings))
+
+    found = least_squares(
+        residual_at,
+        first,
+        jacobian_at,
+        bounds=(low, high),
+        method="dogbox",
+        loss="soft_l1",
+        f_scale=knee,
+        ftol=effort.tolerance,
+        xtol=1e-6,
+        gtol=1e-10,
+        max_nfev=effort.evaluations,
+    )
+    settings = settings_at(found.x)
+    return Fit(settings, free, drives, stacked(drives, settings))
+
+
+def sensitivity(
+    drives: Sequence[Drive], settings: PlantSettings, free: Sequence[Free], residual: Array
+) -> Array:
+    """Derivatives of the stacked residual by each number in units of its scale, shape (n, p)."""
+    columns = [_derivative(drives, settings, f, residual) for f in free]
+    return np.column_stack(columns) if columns else np.zeros((len(residual), 0))
+
+
+def _derivative(
+    drives: Sequence[Drive], settings: PlantSettings, free: Free, residual: Array
+) -> Array:
+    value = value_of(settings, free.name)
+    step = 0.1 * free.scale
+    if value + step > free.high:
+        step = -step
+    moved = with_values(settings, {free.name: value + step})
+    return (stacked(drives, moved) - residual) * (free.scale / step)
+
+
+def rms(residual: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(residual**2)))

@@ -1,0 +1,113 @@
+"""The floor: the residual that this very model leaves on data that it generated itself.
+
+A p-value would call every trifle significant: residuals are autocorrelated, and the noise
+of the pressure is rectified by friction. So the model is simulated on the same commands,
+given the same noise and converters, put through the same smoothing and refitted; what then
+remains on the held-out records is what a perfect model leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pamctl.diagnose.blocks import MECHANICS, Drive
+from pamctl.diagnose.fit import Fit, rms, sensitivity
+from pamctl.diagnose.noise import Noise
+from pamctl.diagnose.records import Array
+from pamctl.plant.model import PlantSettings
+
+REPLICAS = 12
+SENSOR_ONLY = 1.5
+"""The floor may not exceed the sensor's own noise by more, or a coarse fit would hide itself."""
+
+
+@dataclass(frozen=True)
+class Floor:
+    """What a perfect model would leave of one block on the held-out drives."""
+
+    mean: float
+    """RMS in deviations of the sensor."""
+    scatter: float
+    limit: float
+    """What lies above is a discrepancy: the 95 % quantile, and a practical margin."""
+    shifts: Array
+    """How far noise alone moved the fitted numbers, in their scales, (replicas, p)."""
+    spread: Array
+    """RMS of each replica on the held-out drives."""
+
+
+def floor(
+    fitted: Fit,
+    holdout: Sequence[Drive],
+    noises: dict[str, Noise],
+    *,
+    margin: float,
+    replicas: int = REPLICAS,
+    seed: int = 1,
+) -> Floor:
+    """Simulate the fitted plant with noise, refit, and measure the rest on `holdout`.
+
+    `margin` is the smallest excess that matters, in deviations of the sensor. The refit is
+    one Gauss-Newton step on the fit's own derivatives: noise moves the numbers but little.
+    """
+    random = np.random.default_rng(seed)
+    rests, shifts = [], []
+    ideal_train = [d.simulated(fitted.settings) for d in fitted.drives]
+    ideal_hold = [d.simulated(fitted.settings) for d in holdout]
+    hold_slope = sensitivity(
+        holdout,
+        fitted.settings,
+        fitted.free,
+        np.concatenate([d.compared(ideal) for d, ideal in zip(holdout, ideal_hold, strict=True)]),
+    )
+    inverse = np.linalg.pinv(fitted.jacobian) if fitted.free else np.zeros((0, 1))
+    for _ in range(replicas):
+        train = _replica(fitted.drives, ideal_train, fitted.settings, noises, random)
+        hold = _replica(holdout, ideal_hold, fitted.settings, noises, random)
+        shift = -(inverse @ train) if fitted.free else np.zeros(0)
+        rests.append(rms(hold + hold_slope @ shift))
+        shifts.append(shift)
+    spread = np.array(rests)
+    mean = float(spread.mean())
+    scatter = float(spread.std(ddof=1))
+    sensor = noises["position_m" if fitted.drives[0].block == MECHANICS else "pressure_pa"]
+    high = max(float(np.quantile(spread, 0.95)), mean + 2.0 * scatter)
+    high *= 1.0 + 2.0 * sensor.uncertainty
+    return Floor(mean, scatter, float(np.hypot(high, margin)), np.array(shifts), spread)
+
+
+def _replica(
+    drives: Sequence[Drive],
+    ideals: Sequence[Array],
+    settings: PlantSettings,
+    noises: dict[str, Noise],
+    random: np.random.Generator,
+) -> Array:
+    """Residuals that noise alone would leave."""
+    return np.concatenate(
+        [
+            _noisy(drive, ideal, settings, noises, random).residual(settings)
+            for drive, ideal in zip(drives, ideals, strict=True)
+        ]
+    )
+
+
+def _noisy(
+    drive: Drive,
+    ideal: Array,
+    settings: PlantSettings,
+    noises: dict[str, Noise],
+    random: np.random.Generator,
+) -> Drive:
+    """Take the drive's inputs for the truth, and let the sensors see it anew."""
+    inner, outer = "position_m", "pressure_pa"
+    if drive.block == MECHANICS:
+        inner, outer = ("force_n" if settings.actuator == "direct" else "pressure_pa"), inner
+    driven = drive.driven
+    if inner in noises:
+        driven = driven + drive.smoothed(noises[inner].sensed(np.zeros(len(driven)), random))
+    measured = noises[outer].sensed(ideal, random)
+    return replace(drive, driven=driven, measured=measured)

@@ -1,0 +1,139 @@
+"""Where simulation and measurement disagree: by block, and by regime within it.
+
+A misfit over a whole run may hide in a rare regime (the valve near null, a reversal), or be
+carried by one. Each regime is compared with the same regime of the replicas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+from scipy.signal import savgol_filter
+
+from pamctl.diagnose.blocks import MECHANICS, Drive
+from pamctl.diagnose.models import Model
+from pamctl.diagnose.records import Array
+
+Rows = NDArray[np.bool_]
+
+FEWEST = 100
+"""Samples that make a regime."""
+NULL_V = 0.5
+SLOW_M_PER_S = 5e-4
+CHOKED = 0.528
+EVENLY = "spread evenly"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One regime of one block on the held-out records."""
+
+    block: str
+    regime: str
+    share: float
+    """Of the samples."""
+    rms: float
+    """In deviations of the sensor."""
+    residual_over_floor: float
+    excess_share: float
+    """Share of the block's whole misfit (square above the floor's) that lies here."""
+
+
+def cells(model: Model) -> list[Cell]:
+    """Return every regime of every block, the worst of each block first."""
+    return [cell for block in model.evidence.blocks for cell in _cells(model, block)]
+
+
+def _cells(model: Model, block: str) -> list[Cell]:
+    drives = model.evidence.holdout[block]
+    residual = model.residuals[block]
+    floor = model.floors[block].mean
+    excess = float(np.sum(np.maximum(residual**2 - floor**2, 0.0))) or 1.0
+    masks: dict[str, list[Rows]] = {}
+    for drive in drives:
+        for name, rows in regimes(drive, model).items():
+            masks.setdefault(name, []).append(rows if drive.rows is None else rows[drive.rows])
+    found = []
+    for name, parts in masks.items():
+        rows = np.concatenate(parts)
+        if rows.sum() < FEWEST:
+            continue
+        part = residual[rows]
+        level = float(np.sqrt(np.mean(part**2)))
+        inside = float(np.sum(np.maximum(part**2 - floor**2, 0.0))) / excess
+        found.append(Cell(block, name, float(rows.mean()), level, level / floor, inside))
+    return sorted(found, key=lambda c: -c.residual_over_floor)
+
+
+def regimes(drive: Drive, model: Model) -> Mapping[str, Rows]:
+    """Return the regimes of a drive, each as the samples that are in it."""
+    p = model.evidence.nominal.parameters
+    period_s = float(np.median(drive.step_s))
+    if drive.block == MECHANICS:
+        gauge = drive.driven - p.atmospheric_pressure_pa
+        return {
+            **_motion(drive.measured, period_s),
+            **_thirds(gauge, p.tank_pressure_pa - p.atmospheric_pressure_pa),
+        }
+    command = drive.valve_v
+    ratio = np.where(
+        command > 0.0,
+        drive.measured / p.tank_pressure_pa,
+        p.atmospheric_pressure_pa / np.maximum(drive.measured, 1.0),
+    )
+    stepped = np.abs(np.diff(command, prepend=command[0])) > NULL_V
+    window = max(int(0.01 / period_s), 1)
+    after = maximum_filter1d(stepped.astype(np.int8), 2 * window + 1, origin=-window) > 0
+    closed = np.abs(command) < 0.02
+    near = (np.abs(command) < NULL_V) & ~closed
+    return {
+        "valve closed": closed,
+        "valve near null": near,
+        "filling": (command >= NULL_V) & ~after,
+        "exhausting": (command <= -NULL_V) & ~after,
+        "within 10 ms of a step of the command": after,
+        "choked flow": (ratio <= CHOKED) & ~closed,
+        "flow not choked": (ratio > CHOKED) & ~closed,
+        **_thirds(
+            drive.measured - p.atmospheric_pressure_pa,
+            p.tank_pressure_pa - p.atmospheric_pressure_pa,
+        ),
+    }
+
+
+def _motion(position_m: Array, period_s: float) -> dict[str, Rows]:
+    velocity = savgol_filter(position_m, 31, 2, deriv=1, delta=period_s)
+    up, down = velocity > SLOW_M_PER_S, velocity < -SLOW_M_PER_S
+    rest = ~up & ~down
+    sign = np.sign(np.where(rest, 0.0, velocity))
+    moving = sign[sign != 0.0]
+    turned = np.zeros(len(sign), dtype=bool)
+    turned[np.flatnonzero(sign != 0.0)[1:]] = np.diff(moving) != 0.0
+    window = max(int(0.05 / period_s), 1)
+    reversal = maximum_filter1d(turned.astype(np.int8), 2 * window + 1) > 0
+    return {
+        "contracting": up & ~reversal,
+        "lengthening": down & ~reversal,
+        "rest": rest & ~reversal,
+        "reversal of the motion": reversal,
+    }
+
+
+def _thirds(gauge_pa: Array, full_pa: float) -> dict[str, Rows]:
+    return {
+        "low pressure": gauge_pa < full_pa / 3.0,
+        "middle pressure": (gauge_pa >= full_pa / 3.0) & (gauge_pa < full_pa * 2.0 / 3.0),
+        "high pressure": gauge_pa >= full_pa * 2.0 / 3.0,
+    }
+
+
+def where(model: Model, block: str) -> str:
+    """Say in words in which regimes a block's misfit lies."""
+    worst = [c for c in _cells(model, block) if c.residual_over_floor > 1.1][:2]
+    if not worst:
+        return EVENLY
+    return ", ".join(f"{c.regime} ({c.residual_over_floor:.1f} x floor)" for c in worst)

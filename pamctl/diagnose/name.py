@@ -1,0 +1,213 @@
+"""Which effects are missing: the smallest set that brings every block to its floor.
+
+Shortlist by score test, refit, judge on held-out records. A set of effects is complete
+when nothing is left above the floor's limit. Sets grow one effect at a time from the
+best few of the level before: two effects can each look poor alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import TypeVar
+
+from pamctl.diagnose.candidates import Candidate, reaching
+from pamctl.diagnose.models import Model, extended, joined, polished
+from pamctl.diagnose.score import Score, inside, scores
+from pamctl.diagnose.values import value_of
+
+SHORTLIST = 6
+"""Candidates refitted for each unexplained block, and as many again that reach both."""
+BEAM = 3
+"""Models of a level that the next one grows from."""
+NEAR = 4.0
+"""A quick fit within so many limits is driven on."""
+FINISHED = 3
+"""So many of a level, at most."""
+AS_WELL = 1.02
+HOPELESS = 0.2
+"""Beyond the third a candidate must promise so much of what the first one does."""
+WORTH = 1.15
+"""Another effect is asked for where so many limits are left: below, it would mend a form."""
+TWO_STARTS = 2
+"""So many of a shortlist are fitted from two starts."""
+MOST = 3
+MOST_IN_BLOCK = 2
+"""Three free structures in one block fit anything."""
+NEAR_FORM = 0.15
+"""A form of an effect that promises less than its best one by more is not fitted."""
+PROMISE = 0.02
+"""Share of the residual that a candidate must promise."""
+
+Progress = Callable[[str], None]
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Search:
+    """What was tried: models of every level, the best first within each."""
+
+    base: Model
+    levels: tuple[tuple[Model, ...], ...]
+
+    @property
+    def complete(self) -> tuple[Model, ...]:
+        """Models that leave nothing, of the fewest effects that can."""
+        for level in ((self.base,), *self.levels):
+            done = tuple(m for m in level if m.is_complete)
+            if done:
+                return done
+        return ()
+
+    @property
+    def best(self) -> Model:
+        """The model that leaves least; of those that leave nothing, the best fit."""
+        if self.complete:
+            return _simplest(self.complete)
+        return min((self.base, *(m for level in self.levels for m in level)), key=rank)
+
+
+def _simplest(complete: Sequence[Model]) -> Model:
+    """Of the forms of the best names the one with the fewest numbers that does as well."""
+    best = complete[0]
+    good = [
+        m for m in complete if {*m.names} == {*best.names} and rank(m)[1] <= AS_WELL * rank(best)[1]
+    ]
+    return min(good, key=lambda m: sum(len(c.free) for c in m.effects))
+
+
+def rank(model: Model) -> tuple[float, float]:
+    """Order models: what is left above the limits, then what is left at all."""
+    return model.misfit, sum(model.ratio(b) for b in model.evidence.blocks)
+
+
+def searched(
+    base: Model,
+    found: Sequence[Candidate],
+    executor: Executor | None = None,
+    progress: Progress = lambda line: None,
+    width: int = SHORTLIST,
+) -> Search:
+    """Grow models from `base` until one is complete, or none can be."""
+    levels: list[tuple[Model, ...]] = []
+    base = proven(base)
+    beam = [base]
+    while len(levels) < MOST and not any(m.is_complete for m in beam):
+        grown = _level(beam, found, executor, max(width - 2 * len(levels), 2))
+        if not grown:
+            break
+        grown = (*map(finished, grown[:FINISHED]), *grown[FINISHED:])
+        grown = tuple(sorted(map(proven, grown), key=rank))
+        levels.append(grown)
+        progress(_told(grown))
+        beam = _best_of_each(grown)[: BEAM - len(levels) + 1]
+    return Search(base, tuple(levels))
+
+
+def _best_of_each(grown: Sequence[Model]) -> list[Model]:
+    """Keep the best form of each set of names."""
+    best: dict[frozenset[str], Model] = {}
+    for model in grown:
+        best.setdefault(frozenset(model.names), model)
+    return [*best.values()]
+
+
+def finished(model: Model) -> Model:
+    """Fit a model to the end that is near its floor: a quick fit may have stopped short of it."""
+    near = not model.is_complete and all(
+        model.rms[b] < NEAR * model.floors[b].limit for b in model.evidence.blocks
+    )
+    return polished(model) if near else model
+
+
+def proven(model: Model) -> Model:
+    """Return a model that is complete in its parts with one geometry for all of them."""
+    if not model.is_complete:
+        return model
+    return polished(model) if len(model.evidence.blocks) < 2 else joined(model)
+
+
+def _level(
+    beam: Sequence[Model],
+    found: Sequence[Candidate],
+    executor: Executor | None,
+    width: int,
+) -> tuple[Model, ...]:
+    """Extend every model of the beam by its shortlist."""
+    jobs: dict[frozenset[Candidate], tuple[Model, Score, bool]] = {}
+    for model in beam:
+        for place, score in enumerate(shortlist(model, found, width)):
+            key = frozenset({*model.effects, score.candidate})
+            jobs.setdefault(key, (model, score, place < TWO_STARTS))
+    grown = mapped(_grown, jobs.values(), executor)
+    return tuple(sorted(grown, key=rank))
+
+
+def _grown(job: tuple[Model, Score, bool]) -> Model:
+    model, score, twice = job
+    starts = [score.start, *(other_starts(model, score) if twice else ())]
+    return extended(model, (*model.effects, score.candidate), starts)
+
+
+def other_starts(model: Model, score: Score) -> Iterator[dict[str, float]]:
+    """A second start: three times as far from neutral, so that a valley beyond is found."""
+    second = dict(score.start)
+    for number in score.candidate.switches:
+        neutral = value_of(model.evidence.nominal, number.name)
+        far = neutral + 3.0 * (second[number.name] - neutral)
+        second[number.name] = inside(far, number.low, number.high, number.scale)
+    yield second
+
+
+def shortlist(model: Model, found: Sequence[Candidate], width: int = SHORTLIST) -> list[Score]:
+    """Return the most promising candidates for what a model leaves, the best first."""
+    chosen: dict[Candidate, Score] = {}
+    for block in model.unexplained:
+        if model.effects and model.rms[block] < WORTH * model.floors[block].limit:
+            continue
+        open_to = [
+            c for c in reaching(found, {block}) if c.name not in model.names and _has_room(model, c)
+        ]
+        for score in promising(scores(model.fit_of(block), open_to, block), width):
+            known = chosen.get(score.candidate)
+            if known is None or known.explained < score.explained:
+                chosen[score.candidate] = score
+    return sorted(chosen.values(), key=lambda s: -s.explained)
+
+
+def promising(ranked: Sequence[Score], width: int) -> list[Score]:
+    """Take the first names of a ranking; of a name, every form that is near its best."""
+    best: dict[str, float] = {}
+    for score in ranked:
+        best.setdefault(score.candidate.name, score.explained)
+    hopeless = HOPELESS * max(best.values(), default=0.0)
+    names = [n for place, n in enumerate(best) if place < 3 or best[n] > hopeless][:width]
+    return [
+        s
+        for s in ranked
+        if s.candidate.name in names
+        and s.explained >= max(PROMISE, best[s.candidate.name] - NEAR_FORM)
+    ]
+
+
+def _has_room(model: Model, candidate: Candidate) -> bool:
+    return all(
+        sum(block in c.blocks for c in model.effects) < MOST_IN_BLOCK for block in candidate.blocks
+    )
+
+
+def mapped(
+    work: Callable[[Job], Result], jobs: Iterable[Job], executor: Executor | None
+) -> list[Result]:
+    """Do the jobs, in the executor's workers if there is one."""
+    if executor is None:
+        return [work(job) for job in jobs]
+    return [future.result() for future in [executor.submit(work, job) for job in jobs]]
+
+
+def _told(level: Sequence[Model]) -> str:
+    best = level[0]
+    left = ", ".join(f"{b} {best.ratio(b):.2f}x floor" for b in best.evidence.blocks)
+    return f"best with {len(best.effects)}: {' + '.join(best.names)} ({left})"

@@ -1,0 +1,135 @@
+"""One measured run as the diagnosis wants it: arrays in SI, sampled together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+CHANNELS: Mapping[str, str] = {
+    "valve_v": "V",
+    "pressure_pa": "Pa",
+    "position_m": "m",
+    "force_n": "N",
+}
+"""What a record may hold, and in which unit."""
+
+REST_V = 0.05
+"""Commands that differ by less leave the valve where it is (V)."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A run: `pressure_pa[k]` and `position_m[k]` were sampled at `t_s[k]`.
+
+    `valve_v[k]` acts from `t_s[k]` to `t_s[k + 1]`. Pressure is absolute. A channel that
+    was not measured is None. The run should begin vented and at rest.
+    """
+
+    name: str
+    t_s: Array
+    valve_v: Array | None = None
+    pressure_pa: Array | None = None
+    position_m: Array | None = None
+    force_n: Array | None = None
+    notes: tuple[str, ...] = field(default=(), compare=False)
+
+    def __post_init__(self) -> None:
+        """Take any sequence of numbers; raise ValueError where lengths differ."""
+        object.__setattr__(self, "t_s", _column(self.t_s))
+        for channel in CHANNELS:
+            values = getattr(self, channel)
+            if values is None:
+                continue
+            column = _column(values)
+            if column.shape != self.t_s.shape:
+                raise ValueError(
+                    f"{self.name}: {channel} has {len(column)} samples, t_s has {len(self.t_s)}"
+                )
+            object.__setattr__(self, channel, column)
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.t_s)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first sample to the last."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+    @cached_property
+    def step_s(self) -> Array:
+        """Time from each sample to the next, shape (n - 1,)."""
+        return np.diff(self.t_s)
+
+    @cached_property
+    def period_s(self) -> float:
+        """The usual time between two samples."""
+        return float(np.median(self.step_s))
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that were measured."""
+        return tuple(name for name in CHANNELS if getattr(self, name) is not None)
+
+    def __getitem__(self, channel: str) -> Array:
+        """Return a channel; raise KeyError where it was not measured."""
+        values = getattr(self, channel) if channel in CHANNELS else None
+        if values is None:
+            raise KeyError(f"{self.name} has no {channel}")
+        column: Array = values
+        return column
+
+    def between(self, start: int, stop: int, name: str) -> Record:
+        """Return the samples [start, stop) as a record of their own."""
+        return Record(
+            name,
+            self.t_s[start:stop],
+            **{channel: self[channel][start:stop] for channel in self.channels},
+            notes=self.notes,
+        )
+
+    @cached_property
+    def rest_samples(self) -> int:
+        """How many samples at the start precede the first change that the rig can answer."""
+        moved = np.zeros(len(self), dtype=bool)
+        if self.valve_v is not None:
+            moved |= np.abs(self.valve_v - self.valve_v[0]) > REST_V
+            if self.valve_v[0] > REST_V:
+                return 0
+        if self.position_m is not None:
+            moved |= np.abs(self.position_m - self.position_m[0]) > 5e-5
+        if self.pressure_pa is not None:
+            # 3 kPa is ten times the noise of the paper's sensor.
+            start_pa = np.median(self.pressure_pa[:5])
+            moved |= np.abs(self.pressure_pa - start_pa) > 3e3
+        if self.force_n is not None:
+            moved |= np.abs(self.force_n - self.force_n[0]) > 2.0
+        return int(np.argmax(moved)) if moved.any() else len(self)
+
+
+def _column(values: ArrayLike) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
+
+
+def resolution(values: Array) -> float:
+    """Return the step in which a channel was digitised; 0 where none can be seen.
+
+    The step is the smallest difference that occurs, if the others are whole multiples.
+    """
+    steps = np.abs(np.diff(values))
+    span = float(np.ptp(values))
+    steps = steps[steps > 1e-9 * max(span, 1e-30)]
+    if len(steps) < 20:
+        return 0.0
+    # The smallest ones are one step each, apart from rounding.
+    smallest = float(np.quantile(steps, 0.01))
+    step = float(np.median(steps[steps < 1.5 * smallest]))
+    multiples = steps[steps < 30.0 * step] / step
+    off = np.abs(multiples - np.round(multiples))
+    return step if float(np.quantile(off, 0.95)) < 0.1 else 0.0

@@ -1,0 +1,119 @@
+"""The shape of what no known effect explains: a sparse sum of terms, never a cause.
+
+The missing pull on the muscle (or flow into it) is found by shifting the model until it
+follows the measurement, and regressed on a few signals. What comes out says in which
+direction to think; it is printed as an unnamed correction and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from pamctl.diagnose.blocks import MECHANICS, Drive
+from pamctl.diagnose.models import Model
+from pamctl.diagnose.records import Array
+
+MOST_TERMS = 3
+LEAST_GAIN = 0.05
+"""Of the remaining square: a term that gains less is left out."""
+SMOOTH = 41
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """An unnamed correction: the residual of a block as a sum of terms."""
+
+    block: str
+    unit: str
+    terms: tuple[tuple[str, float], ...]
+    """Term and coefficient, on signals scaled to their largest magnitude."""
+    explained: float
+    """Share of the residual's square."""
+
+    @property
+    def sentence(self) -> str:
+        """Say what was found, as what it is."""
+        if not self.terms:
+            return f"Unnamed correction of the {self.block}: no simple shape fits what is left."
+        shown = " ".join(f"{value:+.3g} {term}" for term, value in self.terms)
+        return (
+            f"Unnamed correction, not a cause: what is left of the {self.block} looks like "
+            f"{shown} {self.unit} ({100.0 * self.explained:.0f} % of its square; signals scaled "
+            "to their largest magnitude)."
+        )
+
+    def as_dict(self) -> dict[str, object]:
+        """Return what the document holds."""
+        return {
+            "block": self.block,
+            "label": "unnamed correction, not a cause",
+            "terms": [{"term": term, "coefficient": value} for term, value in self.terms],
+            "unit": self.unit,
+            "explained": self.explained,
+        }
+
+
+def remainder(model: Model, block: str) -> Remainder:
+    """Regress what is left of a block on its signals, the best few terms one by one."""
+    rows: dict[str, list[Array]] = {}
+    target = []
+    for drive in model.evidence.train[block]:
+        for term, values in _terms(drive).items():
+            rows.setdefault(term, []).append(values if drive.rows is None else values[drive.rows])
+        target.append(drive.residual(model.fit_of(block).settings) * drive.deviation)
+    library = {term: np.concatenate(parts) for term, parts in rows.items()}
+    unit, factor = ("um", 1e6) if block == MECHANICS else ("kPa", 1e-3)
+    terms, explained = _greedy(library, factor * np.concatenate(target))
+    return Remainder(block, unit, terms, explained)
+
+
+def _terms(drive: Drive) -> dict[str, Array]:
+    """Signals and their simplest products, each scaled to its largest magnitude."""
+    period_s = float(np.median(drive.step_s))
+    if drive.block == MECHANICS:
+        position, load = drive.measured, drive.driven - drive.driven[0]
+        rate = savgol_filter(position, SMOOTH, 2, deriv=1, delta=period_s)
+        base = {"x": position, "P": load, "v": rate}
+        extra = {"sgn v": np.tanh(rate / 1e-3), "|v|": np.abs(rate)}
+    else:
+        rate = savgol_filter(drive.measured, SMOOTH, 2, deriv=1, delta=period_s)
+        base = {"u": drive.valve_v, "P": drive.measured - drive.measured[0], "x": drive.driven}
+        extra = {"dP/dt": rate, "|u|": np.abs(drive.valve_v), "sgn u": np.sign(drive.valve_v)}
+    one = {name: _scaled(values) for name, values in {**base, **extra}.items()}
+    names = list(base)
+    products = {
+        f"{a} {b}": one[a] * one[b] for i, a in enumerate(names) for b in [*names[i:], *extra]
+    }
+    return {"1": np.ones(len(drive.measured)), **one, **products}
+
+
+def _scaled(values: Array) -> Array:
+    largest = float(np.abs(values).max())
+    return values / largest if largest > 0.0 else values
+
+
+def _greedy(
+    library: Mapping[str, Array], target: Array
+) -> tuple[tuple[tuple[str, float], ...], float]:
+    chosen: list[str] = []
+    total = float(target @ target) or 1.0
+    left = total
+    weights: Array = np.zeros(0)
+    for _ in range(MOST_TERMS):
+        tried = {}
+        for term in library:
+            if term not in chosen:
+                columns = np.column_stack([library[t] for t in (*chosen, term)])
+                found = np.linalg.lstsq(columns, target, rcond=None)[0]
+                tried[term] = (float(np.sum((target - columns @ found) ** 2)), found)
+        best = min(tried, key=lambda term: tried[term][0])
+        if left - tried[best][0] < LEAST_GAIN * left:
+            break
+        left, weights = tried[best][0], np.asarray(tried[best][1], dtype=np.float64)
+        chosen.append(best)
+    terms = tuple((term, float(w)) for term, w in zip(chosen, weights, strict=True))
+    return terms, 1.0 - left / total

@@ -1,0 +1,129 @@
+"""The numbers of a plant file that a fit may move, by dotted name."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.effects.description import EffectParameter
+from pamctl.plant.flat import NEUTRAL
+from pamctl.plant.model import PlantSettings, settings_of, values_of
+
+
+@dataclass(frozen=True)
+class Free:
+    """One number that a fit may move: `stiffness_n_per_m`, or `valve_spool.time_constant_s`."""
+
+    name: str
+    low: float
+    high: float
+    scale: float
+    """A step of this size is small but visible."""
+    is_nuisance: bool = False
+    """Always free, within what no homing can avoid, and never named."""
+
+    @property
+    def effect(self) -> str | None:
+        """The effect that the number belongs to; None for the muscle's own and for nuisances."""
+        return self.name.split(".")[0] if "." in self.name and not self.is_nuisance else None
+
+
+_CALIBRATION = {
+    "valve_gain_m2_per_v": (0.5, 2.0),
+    "tank_pressure_pa": (0.8, 1.25),
+    "damping_n_s_per_m": (0.3, 3.0),
+    "stiffness_n_per_m": (0.6, 1.6),
+    "kinetic_friction_per_m": (0.0, 3.0),
+    "braid_length_m": (0.99, 1.01),
+}
+"""What is recalibrated before any effect is asked for, and how far it may go from the plant file.
+
+The braid's length is measured with a tape, to 1 %. Rest length and turns are not among them:
+they would say the same as the braid's length and the stiffness.
+"""
+
+CALIBRATED: Mapping[str, tuple[str, ...]] = {
+    "pressure": ("valve_gain_m2_per_v", "tank_pressure_pa", "braid_length_m"),
+    "mechanics": (
+        "damping_n_s_per_m",
+        "stiffness_n_per_m",
+        "kinetic_friction_per_m",
+        "braid_length_m",
+    ),
+}
+"""The numbers that each block is recalibrated by; geometry is in both."""
+
+SENSOR_ZERO = "pressure_sensor_offset.offset_pa"
+ZERO_PA = 250.0
+"""A quarter of the smallest offset of interest."""
+
+
+def calibration_of(block: str, nominal: PlantSettings) -> tuple[str, ...]:
+    """Return the numbers that a block is recalibrated by.
+
+    A mechanism without a muscle has no braid; its dry friction, where known, takes its place.
+    """
+    if nominal.actuator == "muscle":
+        return CALIBRATED[block]
+    dry = (DRY_FRICTION,) if nominal.effects.model_dump().get("coulomb_friction") else ()
+    return ("damping_n_s_per_m", "stiffness_n_per_m", *dry)
+
+
+DRY_FRICTION = "coulomb_friction.force_n"
+
+UNITS: Mapping[str, str] = {
+    "valve_gain_m2_per_v": "m^2/V",
+    "tank_pressure_pa": "Pa",
+    "damping_n_s_per_m": "N s/m",
+    "stiffness_n_per_m": "N/m",
+    "kinetic_friction_per_m": "1/m",
+    "braid_length_m": "m",
+}
+
+
+def calibrated(name: str, nominal: PlantSettings) -> Free:
+    """Return one of the muscle's numbers with its range about the plant file's value."""
+    value = value_of(nominal, name)
+    if name == DRY_FRICTION:
+        return Free(name, 0.0, 3.0 * value, 0.01 * value, is_nuisance=True)
+    low, high = _CALIBRATION[name]
+    scale = 2e-4 if name == "braid_length_m" else 1e-2
+    return Free(name, low * value, high * value, scale * value)
+
+
+def sensor_zero(nominal: PlantSettings) -> Free:
+    """Return the pressure sensor's zero: homing leaves 100 Pa, which is 11 um of the muscle."""
+    value = value_of(nominal, SENSOR_ZERO)
+    return Free(SENSOR_ZERO, value - ZERO_PA, value + ZERO_PA, 50.0, is_nuisance=True)
+
+
+def of_effect(effect: str, names: Collection[str]) -> tuple[Free, ...]:
+    """Return numbers of an effect with the ranges of the catalogue."""
+    return tuple(
+        Free(f"{effect}.{p.name}", p.low, p.high, p.smallest_of_interest)
+        for p in CATALOGUE[effect].parameters
+        if p.name in names
+    )
+
+
+def described(free: Free) -> EffectParameter:
+    """Return what the catalogue says of an effect's number; raise KeyError for a muscle's own."""
+    effect, name = free.name.split(".")
+    return next(p for p in CATALOGUE[effect].parameters if p.name == name)
+
+
+def unit_of(free: Free) -> str:
+    """Return the unit that a report gives."""
+    return described(free).unit if "." in free.name else UNITS[free.name]
+
+
+def value_of(settings: PlantSettings, name: str) -> float:
+    """Return a number of a plant; an effect that is off has its neutral values."""
+    values = values_of(settings)
+    return values[name] if name in values else NEUTRAL[name]
+
+
+def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSettings:
+    """Return the plant with these numbers; raises pydantic's ValidationError out of range."""
+    return settings_of({**values_of(settings), **values})

@@ -1,0 +1,107 @@
+"""The workflow: prepare, recalibrate, locate, name, hear the rivals, extend, show.
+
+from concurrent.futures import ProcessPoolExecutor
+from pamctl.diagnose import diagnose, record_of
+
+executor = ProcessPoolExecutor()  # or a Dask Client().get_executor()
+diagnosis = diagnose(train, holdout, plant, executor=executor)
+print(diagnosis.sentence)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Executor
+
+from pamctl.diagnose.blocks import MECHANICS, PRESSURE
+from pamctl.diagnose.candidates import Candidate, candidates
+from pamctl.diagnose.diagnosis import Diagnosis, concluded, refused
+from pamctl.diagnose.evidence import Evidence, prepared, with_modelled_pressure
+from pamctl.diagnose.models import Model, asis, recalibrated
+from pamctl.diagnose.name import searched
+from pamctl.diagnose.quality import BadData, check, check_sensors
+from pamctl.diagnose.records import Record
+from pamctl.diagnose.rivals import Standing, standings
+from pamctl.diagnose.split import by_run, by_stretch
+from pamctl.diagnose.verdict import Verdict, judged
+from pamctl.plant.model import PlantSettings
+
+Progress = Callable[[str], None]
+
+
+def diagnose(
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    plant: PlantSettings,
+    *,
+    without: Collection[str] = (),
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say what the plant's model lacks to explain these runs.
+
+    Fits on `train`, judges by `holdout`; where that is empty, `train` is split by run, or
+    by long stretches if there is one only. `without` leaves effects out of the catalogue.
+    Candidates are fitted in `executor`'s workers if one is given, any with the standard
+    library's `submit`. Data that cannot be diagnosed give the verdict `bad_data`.
+    """
+    tell = progress or (lambda line: None)
+    try:
+        evidence, train, holdout = _evidence(train, holdout, plant)
+    except BadData as error:
+        return refused(plant, str(error))
+    found = candidates(evidence, without)
+    effects = len({candidate.name for candidate in found})  # some in several forms
+    tell(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue can be asked for")
+    evidence = _with_clean_pressure(evidence, found, train, holdout, executor, tell)
+    base = recalibrated(evidence)
+    tell("recalibrated: " + ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks))
+    search = searched(base, found, executor, tell)
+    nominal = asis(evidence)
+    judgement = judged(search, nominal)
+    heard: tuple[Standing, ...] = ()
+    if judgement.verdict in (Verdict.NAMED, Verdict.PARTIAL):
+        tell("hearing the rivals of " + " and ".join(judgement.model.names))
+        heard = standings(judgement.model, search, found, executor)
+    return concluded(judgement, heard, search, train, holdout, found)
+
+
+def _evidence(
+    train: Sequence[Record], holdout: Sequence[Record], plant: PlantSettings
+) -> tuple[Evidence, list[Record], list[Record]]:
+    records = [*train, *holdout]
+    if not records:
+        raise BadData("no records; give at least one log")
+    check(records, plant)
+    split = not holdout
+    fitted, held = by_run(train) if split else ([*train], [*holdout])
+    evidence = prepared(fitted, held, plant)
+    if not evidence.blocks:
+        held_channels = ", ".join(records[0].channels) or "nothing"
+        raise BadData(
+            f"the records hold {held_channels}: wanted are pressure_pa with valve_v or "
+            "position_m; or, with `actuator: direct` in the plant file, force_n with position_m"
+        )
+    check_sensors(records, evidence.noises)
+    if split and len(train) == 1:
+        evidence = by_stretch(evidence)
+    return evidence, fitted, held
+
+
+def _with_clean_pressure(
+    evidence: Evidence,
+    found: Sequence[Candidate],
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    executor: Executor | None,
+    tell: Progress,
+) -> Evidence:
+    """Let the pressure block, with whatever it takes, tell noise from pressure."""
+    if {*evidence.blocks} != {PRESSURE, MECHANICS}:
+        return evidence
+    alone = evidence.only({PRESSURE})
+    tell("pressure block alone, for a clean pressure to drive the mechanics")
+    best: Model = searched(recalibrated(alone), found, executor, width=2).best
+    return with_modelled_pressure(
+        evidence, train, holdout, best.fit_of(PRESSURE).settings, trusted=best.is_complete
+    )

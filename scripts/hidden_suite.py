@@ -1,0 +1,171 @@
+"""Examine `pamctl diagnose` on rigs in which an effect is hidden, and print how it did.
+
+    python scripts/hidden_suite.py --subset quick|all|GROUP[,GROUP...] [--only TEXT]
+        [--program short] [--null-each 100] [--seeds 1] [--workers 2] [--results FILE] [--json]
+    python scripts/hidden_suite.py --oracle
+
+Results are appended to a JSONL file, one line a case, and cases found there are not run again: an
+examination of hours can be stopped and taken up. The table, the confusion matrix and every miss
+go to stdout (markdown, or one JSON document), progress to stderr. `--oracle` computes again what
+each program of excitation can show at all (`tests/hidden/oracle.json`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+import traceback
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+
+from hidden.cases import Case, all_cases, quick_cases  # noqa: E402
+from hidden.examine import examine  # noqa: E402
+from hidden.excitations import PROGRAMS  # noqa: E402
+from hidden.oracle import oracle  # noqa: E402
+from hidden.scoring import ORACLE, Result, confusion, figures, table  # noqa: E402
+
+GOOD = ("right", "right_set", "silent", "honest", "twin")
+ORACLE_PROGRAMS = ("standard", "short", "squares", "closed_loop")
+
+
+def chosen(options: argparse.Namespace) -> list[Case]:
+    """Return the cases asked for."""
+    if options.subset == "quick":
+        cases: Iterable[Case] = quick_cases()
+    else:
+        groups = options.subset.split(",")
+        cases = [
+            case
+            for case in all_cases(options.null_each, options.seeds)
+            if options.subset == "all" or case.group in groups
+        ]
+    wanted = [case for case in cases if options.only in case.id]
+    return (
+        [replace(case, program=options.program) for case in wanted] if options.program else wanted
+    )
+
+
+def key(case: Case) -> str:
+    """Return what a case is known by in the results."""
+    return f"{case.id}#{case.repeat}@{case.program}"
+
+
+def examined(case: Case) -> dict[str, Any]:
+    """Run one case; a crash of the diagnosis is a result too."""
+    try:
+        return {"key": key(case), **examine(case)}
+    except Exception:
+        return {"key": key(case), "error": traceback.format_exc(limit=-4)}
+
+
+def stored(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the results so far; a line cut short by a kill is run again."""
+    found = {}
+    if path.exists():
+        for line in path.read_text().splitlines():
+            try:
+                result = json.loads(line)
+            except json.JSONDecodeError:
+                continue
+            if "error" not in result:
+                found[result["key"]] = result
+    return found
+
+
+def run(cases: list[Case], path: Path, workers: int) -> dict[str, dict[str, Any]]:
+    """Run what is not stored yet, and store it."""
+    found = stored(path)
+    left = [case for case in cases if key(case) not in found]
+    began = time.perf_counter()
+    with path.open("a") as file:
+        for done, result in enumerate(_results(left, workers), 1):
+            file.write(json.dumps(result) + "\n")
+            file.flush()
+            found[result["key"]] = result
+            spent = time.perf_counter() - began
+            what = result.get("document", {}).get("verdict", "CRASH")
+            print(f"{done}/{len(left)} {spent:6.0f} s  {result['key']}: {what}", file=sys.stderr)
+    return found
+
+
+def _results(cases: list[Case], workers: int) -> Iterator[dict[str, Any]]:
+    if workers == 1:
+        yield from map(examined, cases)
+        return
+    with ProcessPoolExecutor(workers) as pool:
+        for future in as_completed([pool.submit(examined, case) for case in cases]):
+            yield future.result()
+
+
+def written(every: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
+    """Return the oracle as JSON, one line for each size of an effect."""
+    programs = []
+    for program, effects in every.items():
+        rows = []
+        for name, sizes in effects.items():
+            lines = ",\n".join(f'   "{size}": {json.dumps(row)}' for size, row in sizes.items())
+            rows.append(f'  "{name}": {{\n{lines}\n  }}')
+        programs.append(f' "{program}": {{\n' + ",\n".join(rows) + "\n }")
+    return "{\n" + ",\n".join(programs) + "\n}\n"
+
+
+def report(results: list[Result], crashed: list[str]) -> str:
+    """Return the whole account in markdown, losses included."""
+    parts = [table(figures(results)), confusion(results), "Not right:"]
+    for result in results:
+        if result.mark not in GOOD:
+            answer = result.answer
+            said = f"{answer.verdict} {sorted(answer.names)}"
+            groups = [sorted(group) for group in answer.ambiguous]
+            parts.append(
+                f"- `{key(result.case)}` {sorted(result.case.effects)}: {result.mark}: "
+                f"{said}{f', sets {groups}' if groups else ''}"
+            )
+    parts += [f"- `{name}`: the diagnosis crashed" for name in crashed]
+    return "\n\n".join(parts[:3]) + "\n" + "\n".join(parts[3:])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--subset", default="quick")
+    parser.add_argument("--only", default="", help="run only cases whose id contains this")
+    parser.add_argument(
+        "--program", choices=PROGRAMS, help="another excitation than the cases' own"
+    )
+    parser.add_argument("--null-each", type=int, default=100)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--results", type=Path, default=Path("logs/hidden.jsonl"))
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--oracle", action="store_true")
+    options = parser.parse_args()
+    if options.oracle:
+        ORACLE.write_text(written({program: oracle(program) for program in ORACLE_PROGRAMS}))
+        return
+    cases = chosen(options)
+    options.results.parent.mkdir(parents=True, exist_ok=True)
+    found = run(cases, options.results, options.workers)
+    results = [
+        Result(case, found[key(case)]["document"], found[key(case)]["seconds"])
+        for case in cases
+        if "document" in found[key(case)]
+    ]
+    crashed = [key(case) for case in cases if "error" in found[key(case)]]
+    if options.json:
+        print(json.dumps({"figures": [asdict(f) for f in figures(results)],
+                          "marks": {key(r.case): r.mark for r in results},
+                          "crashed": crashed}, indent=2))  # fmt: skip
+    else:
+        print(report(results, crashed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""`pamctl diagnose` on a few hidden rigs; `scripts/hidden_suite.py` asks for all of them."""
+
+from __future__ import annotations
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hidden.cases import Case, damaged_cases, quick_cases, single_cases
+from hidden.examine import examine
+from hidden.scoring import Result
+
+ROOT = Path(__file__).resolve().parents[2]
+BRIEF = {case.id: case for case in quick_cases()}
+REFUSED = [replace(c, program="brief") for c in damaged_cases() if c.group == "bad"]
+
+
+def test_where_only_parameters_are_off_no_effect_is_named() -> None:
+    document = examine(BRIEF["null/parameters"])["document"]
+    assert document["verdict"] == "miscalibrated"
+    assert document["effects"] == []
+
+
+def test_a_hidden_effect_is_named_and_its_gap_closed() -> None:
+    case = BRIEF["single/valve_deadband/3"]
+    result = Result(case, **examine(case))
+    assert result.mark == "right"
+    assert result.closed is not None
+    assert result.closed > 0.95
+
+
+def test_an_effect_that_explains_nothing_and_has_no_size_is_not_named() -> None:
+    """A stretched encoder scale once passed for a dead volume of (2.7 +- 2.3) ml."""
+    found = [case for case in single_cases() if case.id == "single/encoder_scale/3"]
+    document = examine(replace(found[0], program="brief"))["document"]
+    assert document["verdict"] != "named"
+    assert "dead_volume" not in [effect["name"] for effect in document["effects"]]
+
+
+@pytest.mark.parametrize("case", REFUSED, ids=lambda case: case.id)
+def test_what_nobody_should_diagnose_is_refused_with_the_reason(case: Case) -> None:
+    document = examine(case)["document"]
+    assert document["verdict"] == "bad_data"
+    assert document["reason"]
+    assert document["effects"] == []
+
+
+def test_an_examination_that_was_cut_short_is_taken_up(tmp_path: Path) -> None:
+    suite = runpy.run_path(str(ROOT / "scripts" / "hidden_suite.py"))
+    results = tmp_path / "results.jsonl"
+    first, second = REFUSED[:2]
+    suite["run"]([first], results, workers=1)
+    done = results.read_text()
+    with results.open("a") as file:
+        file.write(done[: len(done) // 2] + "\n")  # what a kill leaves of a line
+    found = suite["run"]([first, second], results, workers=1)
+    assert {value["document"]["verdict"] for value in found.values()} == {"bad_data"}
+    assert results.read_text().startswith(done)
+    assert len(results.read_text().splitlines()) == 3, "the first case was not run again"

@@ -1,0 +1,144 @@
+"""A hidden rig gives what a user would have measured, and no more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hidden.excitations import PROGRAMS, fill_and_hold, multisine, pulling, square, tracking
+from hidden.plant import HiddenPlant
+from hidden.rig import hidden_rig
+from hidden.sensors import ADC_STEP_PA, AO_STEP_V, ENCODER_STEP_M
+
+
+def test_the_same_seed_measures_the_same_and_another_one_does_not() -> None:
+    excitation = square(1.0, 1.0)
+    first, again = (hidden_rig({"creep": 3}, seed=8).run(excitation).record for _ in range(2))
+    other = hidden_rig({"creep": 3}, seed=9).run(excitation).record
+    for name, column in first.columns().items():
+        assert np.array_equal(column, again.columns()[name])
+    assert not np.array_equal(first.position_m, other.position_m)
+
+
+def test_a_rig_is_read_in_counts_and_adc_steps_at_times_that_jitter() -> None:
+    record = hidden_rig({}, seed=2).run(square(1.0, 1.0)).record
+    assert record.position_m is not None
+    assert record.pressure_pa is not None
+    counts = record.position_m / ENCODER_STEP_M
+    codes = record.pressure_pa / ADC_STEP_PA
+    assert np.allclose(counts, np.round(counts), atol=1e-6)
+    assert np.allclose(codes, np.round(codes), atol=1e-6)
+    steps = np.diff(record.t_s)
+    assert steps.min() > 0.4e-3
+    assert steps.max() < 1.6e-3
+    assert 2e-6 < steps.std() < 60e-6
+
+
+def test_the_noise_at_rest_is_the_one_ordered_and_a_part_of_it_is_slow() -> None:
+    rig = hidden_rig({}, seed=5)
+    rig = replace(rig, sensors=replace(rig.sensors, pressure_noise_pa=300.0, coloured_share=0.4))
+    still = fill_and_hold(1, 20.0, seed=1)
+    passage = rig.run(still)
+    assert passage.record.pressure_pa is not None
+    noise = (passage.record.pressure_pa - passage.true_pressure_pa)[2000:20000]
+    assert 285.0 < noise.std() < 315.0
+    alike = np.corrcoef(noise[:-1], noise[1:])[0, 1]
+    assert 0.25 < alike < 0.40
+
+
+def test_every_record_begins_at_rest_and_vented() -> None:
+    for name, make in PROGRAMS.items():
+        train, held_out = make(1)
+        for excitation in [*train[:2], *held_out[:1]]:
+            actuator = "direct" if name == "direct" else "muscle"
+            rig = hidden_rig({"valve_leak": 10}, seed=1, actuator=actuator)
+            record = rig.run(excitation).record
+            assert record.position_m is not None
+            resting = record.position_m[:500]
+            assert np.ptp(resting) <= ENCODER_STEP_M
+            if record.pressure_pa is not None:
+                assert abs(record.pressure_pa[:500].mean() - 101.3e3) < 2e3
+
+
+def test_training_and_held_out_records_are_different_runs() -> None:
+    for make in PROGRAMS.values():
+        train, held_out = make(3)
+        for run in held_out:
+            for other in train:
+                assert run.volts is None or not np.array_equal(run.volts, other.volts)
+
+
+def test_in_a_closed_loop_the_command_carries_the_noise() -> None:
+    rig = hidden_rig({}, seed=4)
+    excitation = tracking(4.0, seed=1)
+    quiet = replace(rig, sensors=replace(rig.sensors, pressure_noise_pa=1.0))
+    record, calm = rig.run(excitation).record, quiet.run(excitation).record
+    assert record.valve_v is not None
+    assert calm.valve_v is not None
+    assert record.position_m is not None
+    assert excitation.wanted_m is not None
+    assert np.abs(record.valve_v - calm.valve_v).max() > 1e-3
+    settled = np.abs(record.position_m - excitation.wanted_m)
+    assert np.median(settled[1500:]) < 1e-3, "the loop tracks"
+
+
+def test_an_unhomed_encoder_shows_the_load_and_a_homed_one_does_not() -> None:
+    rig = hidden_rig({"external_load": 10}, seed=1)
+    absolute = replace(rig, sensors=replace(rig.sensors, encoder_homed=False))
+    for made, low, high in ((rig, -5e-6, 5e-6), (absolute, -0.7e-3, -0.3e-3)):
+        position = made.run(square(1.0, 0.5)).record.position_m
+        assert position is not None
+        assert low < position[0] < high
+
+
+def test_a_pulled_mechanism_is_measured_by_force_and_position_alone() -> None:
+    record = (
+        hidden_rig({"coulomb_friction": 3}, seed=1, actuator="direct").run(pulling(4.0, 1)).record
+    )
+    assert list(record.columns()) == ["t_s", "position_m", "force_n"]
+    assert record.position_m is not None
+    assert np.ptp(record.position_m) > 1e-3
+
+
+def test_a_record_comes_back_from_its_files(tmp_path: Path) -> None:
+    record = hidden_rig({}, seed=1).run(multisine(1.2, 0.3, 60.0, 0.5, seed=1)).record
+    record.write_csv(tmp_path / "run.csv")
+    record.write_npz(tmp_path / "run.npz")
+    with (tmp_path / "run.csv").open() as file:
+        assert file.readline().strip() == "t_s,valve_v,pressure_pa,position_m"
+    table = np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1)
+    archive = np.load(tmp_path / "run.npz")
+    for k, (name, column) in enumerate(record.columns().items()):
+        assert np.allclose(table[:, k], column, rtol=1e-9)
+        assert np.array_equal(archive[name], column)
+
+
+def test_an_overrun_leaves_a_gap_in_the_record() -> None:
+    rig = hidden_rig({}, seed=3)
+    record = replace(rig, sensors=replace(rig.sensors, missed_ticks=3)).run(square(1.0, 2.0)).record
+    steps = np.diff(record.t_s)
+    assert 1 <= np.sum(steps > 1.7e-3) <= 3
+
+
+def test_a_loop_that_drives_the_rig_sees_what_a_record_shows() -> None:
+    rig = hidden_rig({"command_delay": 10, "creep": 10, "pressure_sensor_gain": 10}, seed=6)
+    rig = replace(rig, sensors=replace(rig.sensors, perfect=True))
+    excitation = replace(square(1.0, 1.0), rest_v=0.0)
+    assert excitation.volts is not None
+    volts = np.where(excitation.volts == -1.0, 0.0, excitation.volts)
+    record = rig.run(replace(excitation, volts=volts)).record
+    plant = HiddenPlant(rig)
+    assert record.position_m is not None
+    assert record.pressure_pa is not None
+    for k, command in enumerate(volts):
+        assert abs(plant.position_m - record.position_m[k]) < 1e-8
+        assert abs(plant.pressure_pa - record.pressure_pa[k]) < 0.1
+        plant.advance(float(np.round(command / AO_STEP_V) * AO_STEP_V), 1e-3)
+
+
+def test_a_rig_without_a_sensor_has_a_record_without_the_column() -> None:
+    record = hidden_rig({}, seed=3).run(square(1.0, 0.3)).record
+    assert list(record.without("valve_v").columns()) == ["t_s", "pressure_pa", "position_m"]
+    assert list(record.without("position_m").columns()) == ["t_s", "valve_v", "pressure_pa"]

@@ -1,0 +1,207 @@
+"""The diagnosis on records in which something is hidden: it says what, or that it cannot."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from made_records import PERIOD_S, measured, pair
+
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose
+from pamctl.diagnose.audit import audit_of
+from pamctl.diagnose.noise import estimate
+from pamctl.diagnose.plantfile import plant_file
+from pamctl.diagnose.records import resolution
+from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.model import PlantSettings
+from pamctl.settings import SECTIONS, Raw, validated
+
+PAPER = PlantSettings()
+
+
+@cache
+def diagnosed(**hidden: float) -> Diagnosis:
+    return diagnose(*pair(**hidden), PAPER)
+
+
+@cache
+def of_a_dead_band() -> Diagnosis:
+    return diagnosed(valve_deadband__fill_width_v=0.25, valve_deadband__exhaust_width_v=0.2)
+
+
+def all_but(*names: str) -> set[str]:
+    """Leave out the rest of the catalogue, where a test does not need it."""
+    return {*CATALOGUE} - {*names}
+
+
+def test_of_the_model_itself_it_says_that_nothing_is_missing() -> None:
+    found = diagnosed()
+    assert found.verdict is Verdict.NO_DISCREPANCY
+    assert found.plant == PAPER
+    assert found.document()["effects"] == []
+
+
+def test_numbers_that_are_off_are_found_and_no_effect_is_made_of_them() -> None:
+    off = {"stiffness_n_per_m": 9200.0, "valve_gain_m2_per_v": 1.1e-6, "damping_n_s_per_m": 600.0}
+    found = diagnosed(**off)
+    assert found.verdict is Verdict.MISCALIBRATED
+    for name, value in off.items():
+        assert found.document()["recalibrated"][name]["value"] == pytest.approx(value, rel=5e-3)
+    assert "stiffness_n_per_m -4.9 %" in found.sentence
+
+
+def test_a_hidden_dead_band_is_named_and_measured_on_both_sides() -> None:
+    found = of_a_dead_band()
+    assert found.verdict is Verdict.NAMED
+    (effect,) = found.document()["effects"]
+    assert effect["name"] == "valve_deadband"
+    assert effect["parameters"]["fill_width_v"]["value"] == pytest.approx(0.25, rel=0.02)
+    assert effect["parameters"]["exhaust_width_v"]["value"] == pytest.approx(0.20, rel=0.02)
+    assert all(rival["residual_over_floor"] > 2.0 for rival in effect["rivals"])
+
+
+def test_the_gap_of_the_coupled_model_shrinks_to_the_sensors_noise() -> None:
+    gap = of_a_dead_band().gap
+    assert gap is not None
+    for signal in ("position_m", "pressure_pa"):
+        assert gap[signal].extended < 1.2 * gap[signal].floor
+        assert gap[signal].recalibrated > 10.0 * gap[signal].floor
+
+
+def test_the_plant_file_holds_the_effect_and_is_read_again(tmp_path) -> None:
+    found = of_a_dead_band()
+    path = tmp_path / "plant.yaml"
+    path.write_text(plant_file(found, ["a.mcap"]))
+    again = validated(SECTIONS["plant"], Raw.read(path), title="plant")
+    assert again == found.plant
+    assert again.effects.valve_deadband.fill_width_v == pytest.approx(0.25, rel=0.02)
+
+
+def test_a_next_diagnosis_from_the_extended_plant_finds_nothing_more() -> None:
+    hidden = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}
+    again = diagnose(*pair(**hidden), of_a_dead_band().plant)
+    assert again.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
+
+
+def test_an_offset_of_the_sensor_is_no_threshold_of_the_bladder() -> None:
+    found = diagnosed(pressure_sensor_offset__offset_pa=4000.0)
+    assert [s.effect.name for s in found.standings] == ["pressure_sensor_offset"]
+    assert found.verdict is Verdict.NAMED
+
+
+def test_without_its_name_in_the_catalogue_no_other_effect_is_blamed() -> None:
+    hidden = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}
+    found = diagnose(*pair(**hidden), PAPER, without=all_but("valve_curve", "valve_leak", "creep"))
+    assert found.verdict is Verdict.NONE_KNOWN
+    assert found.document()["correction"]["label"] == "unnamed correction, not a cause"
+
+
+def test_pressure_and_position_alone_serve_the_mechanics() -> None:
+    train, held = pair(cubic_stiffness__n_per_m3=2e6)
+    found = diagnose(*[[replace(r, valve_v=None) for r in part] for part in (train, held)], PAPER)
+    assert [s.effect.name for s in found.standings] == ["cubic_stiffness"]
+    assert set(found.document()["gap"]) == {"position_m"}
+
+
+def test_candidates_fitted_by_workers_give_the_same_document() -> None:
+    records = pair(valve_spool__time_constant_s=1.5e-3)
+    few = all_but("valve_spool", "valve_leak", "dead_volume")
+    with ThreadPoolExecutor(2) as executor:
+        by_workers = diagnose(*records, PAPER, without=few, executor=executor)
+    assert by_workers.document() == diagnose(*records, PAPER, without=few).document()
+    assert [s.effect.name for s in by_workers.standings] == ["valve_spool"]
+
+
+def test_the_document_is_json_with_every_key_of_the_schema() -> None:
+    for found in (diagnosed(), of_a_dead_band()):
+        document = json.loads(json.dumps(found.document(), allow_nan=False))
+        assert document["schema"] == 1
+        assert {
+            "verdict",
+            "effects",
+            "ambiguous",
+            "recalibrated",
+            "blind_spots",
+            "next_experiment",
+            "gap",
+            "unexplained",
+        } <= document.keys()
+        assert {"nominal", "recalibrated", "extended", "floor"} == document["gap"][
+            "pressure_pa"
+        ].keys()
+
+
+def test_full_scale_squares_are_said_to_be_blind_to_a_dead_band() -> None:
+    audit = audit_of(measured("squares"), PAPER)
+    assert "valve_deadband" in {spot.name for spot in audit.blind_spots}
+    assert "valve_deadband" in audit_of(measured("fit"), PAPER).sees
+
+
+def test_the_moving_mass_is_reported_as_unidentifiable() -> None:
+    spots = {spot.name: spot for spot in audit_of(measured("fit"), PAPER).blind_spots}
+    assert spots["moving_mass"].experiment == ""
+
+
+# --- what is refused -------------------------------------------------------------------
+
+
+def spoilt(**changes: object) -> str:
+    """Return why a record with these columns is refused."""
+    record = replace(measured("fit", 1), **changes)  # type: ignore[arg-type]
+    found = diagnose([record], [measured("judge", 2)], PAPER)
+    assert found.verdict is Verdict.BAD_DATA
+    assert found.document()["reason"] == found.reason
+    return found.reason
+
+
+def test_data_that_would_mislead_are_refused_with_the_reason() -> None:
+    good = measured("fit", 1)
+    pressure, position, command = good["pressure_pa"], good["position_m"], good["valve_v"]
+    assert "kPa" in spoilt(pressure_pa=pressure * 1e-3)
+    assert "gauge" in spoilt(pressure_pa=pressure - 101.3e3)
+    assert "mm or counts" in spoilt(position_m=position * 1e3)
+    assert "driver's offset" in spoilt(valve_v=command + 5.0)
+    assert "clipped" in spoilt(pressure_pa=np.minimum(pressure, 350e3))
+    t_s = good.t_s.copy()
+    t_s[2000:] += 0.3
+    assert "a gap of 0.301 s after row 1999" in spoilt(t_s=t_s)
+    broken = position.copy()
+    broken[77] = np.nan
+    assert "row 77" in spoilt(position_m=broken)
+
+
+def test_a_channel_that_stands_still_is_refused() -> None:
+    still = [replace(r, position_m=np.full(len(r), 1e-3)) for r in pair()[0]]
+    assert "not excited" in diagnose(still, still, PAPER).reason
+
+
+def test_columns_of_different_lengths_are_an_error_of_the_caller() -> None:
+    with pytest.raises(ValueError, match="3 samples"):
+        Record("short", np.arange(4) * PERIOD_S, valve_v=np.zeros(3))
+
+
+# --- the sensors -----------------------------------------------------------------------
+
+
+def test_noise_and_resolution_are_read_off_a_record() -> None:
+    record = measured("fit", 5)
+    assert resolution(record["position_m"]) == pytest.approx(3.175e-6)
+    assert resolution(record["pressure_pa"]) == pytest.approx(47.5)
+    assert estimate([record], "pressure_pa").deviation == pytest.approx(300.0, rel=0.05)
+
+
+def test_noise_with_a_memory_is_drawn_with_that_memory() -> None:
+    random = np.random.default_rng(3)
+    coloured = np.convolve(random.normal(0.0, 300.0, 4010), np.ones(8) / np.sqrt(8.0))[8:4008]
+    still = np.zeros(4000)
+    record = Record(
+        "rest", np.arange(4000) * PERIOD_S, valve_v=still - 5.0, pressure_pa=1.013e5 + coloured
+    )
+    drawn = estimate([record], "pressure_pa").draw(20_000, random)
+    wanted, found = (np.corrcoef(v[1:], v[:-1])[0, 1] for v in (coloured, drawn))
+    assert drawn.std() == pytest.approx(coloured.std(), rel=0.1)
+    assert found == pytest.approx(wanted, abs=0.05)

@@ -1,135 +1,105 @@
-"""The pictures of the README, from logs of real runs on the simulated rig.
+"""The pictures of the README: pages of `pamctl report`, `reproduce`, `diagnose`, photographed.
 
     python scripts/readme_figures.py
 
-Writes into .readme/. Needs the development packages.
+Writes into .readme/. Needs Chromium (apt-get install chromium).
 """
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-import matplotlib
-import numpy as np
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-from matplotlib.axes import Axes
-
-from pamctl.log.reader import Log, read
+from pamctl.log import read
+from pamctl.report.compose import report
+from pamctl.report.page import Page
+from pamctl.report.svg import Axis, Plot
+from pamctl.reproduce.cases import PRINTED_QSMC, TUNED
+from pamctl.reproduce.document import reproduce
 from pamctl.signals import Phase
 
 PICTURES = Path(__file__).resolve().parents[1] / ".readme"
-SERIES = ("#2a6fbb", "#d1732c", "#4f8f3a", "#8b5fbf")
-REFERENCE = "#8a8a8a"
+BESIDE = """<!doctype html><body style="margin:0;display:flex;gap:24px;background:#d9dde2">
+<iframe src="{page}" style="width:920px;height:{height}px;border:0"></iframe>
+<iframe src="{page}" style="width:390px;height:{height}px;border:0"></iframe>"""
 
 
-def simulated(folder: Path, name: str, *options: str) -> Log:
-    """Log of one run without a clock."""
-    path = folder / f"{name}.mcap"
-    command = [sys.executable, "-m", "pamctl", "run", "--fast", "--quiet"]
-    subprocess.run([*command, "--log", str(path), *options], check=True, stdout=subprocess.DEVNULL)
-    return read(path)
+def logged(folder: Path) -> Path:
+    """The log of a run in real time, timing and all."""
+    log = folder / "run.mcap"
+    device = "rig.sim.device=sim-readme"
+    command = [sys.executable, "-m", "pamctl", "run", "--quiet", "--set", device]
+    subprocess.run([*command, "--log", str(log)], check=True, stdout=subprocess.DEVNULL)
+    return log
 
 
-def since_homing(log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """Ticks after homing and before the stop, and their times from the end of homing."""
-    kept = (log["phase"] != Phase.HOMING) & (log["phase"] != Phase.STOPPING)
-    t_s = log.t[kept]
-    return kept, t_s - t_s[0]
+def diagnosed(folder: Path) -> Path:
+    """The page of a rig whose valve has a dead band that the model does not have."""
+    plant, out = folder / "mine.yaml", folder / "diagnosis"
+    plant.write_text("effects: {valve_deadband: {fill_width_v: 0.25, exhaust_width_v: 0.2}}\n")
+    logs = [folder / f"run-{seed}.mcap" for seed in (1, 2)]
+    pamctl = [sys.executable, "-m", "pamctl"]
+    run = [*pamctl, "run", "--experiment", "diagnosis", "--plant", str(plant), "--fast", "--quiet"]
+    for seed, log in enumerate(logs, 1):
+        varied = ["--seed", str(seed), "--set", f"experiment.seed={seed}", "--log", str(log)]
+        subprocess.run([*run, *varied], check=True, stdout=subprocess.DEVNULL)
+    held_out = ["--holdout", str(logs[1]), "--out", str(out)]
+    subprocess.run([*pamctl, "diagnose", str(logs[0]), *held_out], check=True)
+    return out / "report.html"
 
 
-def plain(axes: Axes, label: str) -> None:
-    axes.set_ylabel(label)
-    axes.grid(color="#e4e4e4", linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
+def laws() -> Page:
+    """The error of four gains files in experiment 2, one plot each, on the same axes."""
+    page = Page("True error in experiment 2", "On the model of Tables I and II", numbered=False)
+    time, plots = Axis("time since the end of the approach", "s", tight=True), []
+    for colour, case in enumerate((PRINTED_QSMC, *TUNED[:3])):
+        run = case.run("tracking-2", "paper", 0)
+        shown = (run["phase"] == Phase.TRACK) | (run["phase"] == Phase.REST)
+        error_um = (run["true_position_m"] - run["reference_m"])[shown] * 1e6
+        t_s = run.t_s[shown] - run.t_s[shown][0]
+        axis = Axis("x \N{MINUS SIGN} x_D", "µm", low=-100.0, high=200.0)
+        plots.append(Plot(case.name, time, axis, height_px=90).line(t_s, error_um, colour=colour))
+    page.figure(*plots)
+    return page
 
 
-def tracking(log: Log) -> None:
-    """Experiment 1: what was asked, what came, and at what command."""
-    kept, t_s = since_homing(log)
-    rows = (
-        ("displacement\nmm", 1e3, ("reference_m", "position_m")),
-        ("error\nµm", 1e6, ("error",)),
-        ("pressure\nkPa", 1e-3, ("pressure_pa",)),
-        ("command\nV", 1.0, ("valve_v",)),
-    )
-    figure, stack = plt.subplots(len(rows), 1, figsize=(9, 7), sharex=True)
-    for axes, (label, scale, names) in zip(stack, rows, strict=True):
-        for name in names:
-            asked = name == "reference_m"
-            values = log["position_m"] - log["reference_m"] if name == "error" else log[name]
-            axes.plot(
-                t_s,
-                values[kept] * scale,
-                color=REFERENCE if asked else SERIES[0],
-                linewidth=2.5 if asked else 0.8,
-                label="reference" if asked else "measured",
-            )
-        plain(axes, label)
-    stack[0].legend(frameon=False, loc="lower right", bbox_to_anchor=(1, 1), ncols=2)
-    stack[-1].set_xlabel("time since homing, s")
-    figure.suptitle("qSMC on the simulated rig, experiment 1", x=0.02, ha="left")
-    save(figure, "tracking")
+def photographed(page: Path, name: str, width: int, height: int) -> None:
+    """Take a picture of the top of a page."""
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        sys.exit("error: no Chromium; apt-get install chromium")
+    look = ["--headless", "--no-sandbox", "--hide-scrollbars", f"--window-size={width},{height}"]
+    taken = [f"--screenshot={PICTURES / name}.png", page.as_uri()]
+    subprocess.run([browser, *look, *taken], check=True, capture_output=True)
 
 
-def squares(logs: dict[str, Log]) -> None:
-    """Fig. 3's experiment on the model: full-scale squares, displacement and pressure."""
-    figure, grid = plt.subplots(2, len(logs), figsize=(10, 4.5), sharey="row")
-    for column, (frequency, log) in zip(grid.T, logs.items(), strict=True):
-        kept, t_s = since_homing(log)
-        shown = t_s < min(4.0, 2.0 / float(frequency))
-        for axes, name, scale in zip(
-            column, ("position_m", "pressure_pa"), (1e3, 1e-3), strict=True
-        ):
-            axes.plot(t_s[shown], log[name][kept][shown] * scale, color=SERIES[0], linewidth=1)
-            plain(axes, "")
-        column[0].set_title(f"{frequency} Hz", fontsize=10)
-        column[1].set_xlabel("s")
-    grid[0, 0].set_ylabel("displacement, mm")
-    grid[1, 0].set_ylabel("pressure, kPa absolute")
-    save(figure, "squares")
-
-
-def laws(logs: dict[str, Log]) -> None:
-    """The error of each law in experiment 2, on the same axes."""
-    figure, axes = plt.subplots(figsize=(9, 3.2))
-    for (law, log), colour in zip(logs.items(), SERIES, strict=False):
-        kept, t_s = since_homing(log)
-        error_um = (log["true_position_m"] - log["reference_m"])[kept] * 1e6
-        axes.plot(t_s, error_um, color=colour, linewidth=0.8, label=law)
-    plain(axes, "true error, µm")
-    axes.set_xlabel("time since homing, s")
-    axes.legend(frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1, 1))
-    save(figure, "laws")
-
-
-def save(figure: plt.Figure, name: str) -> None:
-    figure.tight_layout()
-    figure.savefig(PICTURES / f"{name}.png", dpi=110, metadata={"Software": None})
-    plt.close(figure)
+def photographed_beside(page: Path, name: str, height: int) -> None:
+    """Take a picture of the top of a page, on a screen and on a phone."""
+    both = page.with_name("both.html")
+    both.write_text(BESIDE.format(page=page.name, height=height))
+    photographed(both, name, 1334, height)
 
 
 def main() -> None:
     PICTURES.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        tracking(simulated(folder, "one", "--experiment", "tracking-1"))
-        squares(
-            {
-                f: simulated(folder, f"square-{f}", "--experiment", f"square-{f}")
-                for f in ("0.25", "0.5", "1", "2")
-            }
-        )
-        laws(
-            {
-                law: simulated(folder, law, "--controller", law)
-                for law in ("qsmc", "smc", "pid", "paper-table3-qsmc")
-            }
-        )
+        for name, page, height in (
+            ("report", report([read(logged(folder))]), 1500),
+            ("fig3", reproduce(["fig3"], 0).page, 1310),
+            ("fig5", reproduce(["fig5"], 0).page, 1245),
+            ("laws", laws(), 720),
+        ):
+            file = folder / f"{name}.html"
+            file.write_text(page.html(), encoding="utf-8")
+            if name == "report":
+                photographed_beside(file, name, height)
+            else:
+                photographed(file, name, 920, height)
+        photographed_beside(diagnosed(folder), "diagnosis", 1500)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
-"""The README's table of tracking errors: every shipped gains file on four plants.
+"""The README's tables of tracking errors: every shipped gains file on four plants.
 
-    python scripts/tracking_table.py [--json]
+    python scripts/tracking_table.py            # shows them
+    python scripts/tracking_table.py --readme   # and puts them into the README
+    python scripts/tracking_table.py --json
 
 Runs the compiled closed loop: the loop's own tick on the plant of the simulated rig.
 """
@@ -10,9 +12,10 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from typing import Any
 
-from pamctl.cli.batch import tracked
+from readme_table import table, write_between
+
+from pamctl.batch import tracked
 from pamctl.merit import TABLE_IV, Merit
 from pamctl.settings import names, resolve
 
@@ -23,14 +26,28 @@ PLANTS = {
     "109 Hz +1 tick": ("paper-valve109", 1),
 }
 """Plant file and output delay in ticks."""
+EXPERIMENTS = {"experiment 1": "tracking-1", "experiment 2": "tracking-2"}
+
+Found = dict[str, dict[str, dict[str, Merit | None]]]
 
 
 def figures(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
-    """Simulate one cell of the table; None where safety ended it."""
+    """Simulate one cell of a table; None where safety ended it."""
     delay = f"rig.sim.output_delay_ticks={delay_ticks}"
     return tracked(
         resolve(controller=controller, experiment=experiment, plant=plant, overrides=[delay])
     )
+
+
+def measured() -> Found:
+    """Every cell: by experiment, gains file and plant."""
+    return {
+        experiment: {
+            controller: {p: figures(controller, experiment, *PLANTS[p]) for p in PLANTS}
+            for controller in names("controller")
+        }
+        for experiment in EXPERIMENTS.values()
+    }
 
 
 def cell(found: Merit | None) -> str:
@@ -40,31 +57,40 @@ def cell(found: Merit | None) -> str:
     return " / ".join(f"{m * 1e6:.1f}" for m in found if not math.isnan(m))
 
 
+def laid_out(found: Found) -> str:
+    """Both tables as Markdown."""
+    return "\n\n".join(
+        table(
+            [f"{title}: max / RMS{' / steady' if title.endswith('1') else ''}", *PLANTS],
+            [
+                *([f"`{c}`", *map(cell, row.values())] for c, row in found[experiment].items()),
+                *(
+                    [f"paper's {row.law.upper()} on its rig, Table IV", cell(row.merit), "", "", ""]
+                    for row in TABLE_IV
+                    if row.experiment == experiment
+                ),
+            ],
+        )
+        for title, experiment in EXPERIMENTS.items()
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--json", action="store_true")
-    as_json = parser.parse_args().json
-    document: dict[str, Any] = {}
-    for number, experiment in ((1, "tracking-1"), (2, "tracking-2")):
-        print_header = [f"experiment {number}: max / RMS / steady", *PLANTS]
-        rows = []
-        for controller in names("controller"):
-            found = {p: figures(controller, experiment, *PLANTS[p]) for p in PLANTS}
-            document.setdefault(experiment, {})[controller] = {
-                p: m and m._asdict() for p, m in found.items()
-            }
-            rows.append([f"`{controller}`", *(cell(m) for m in found.values())])
-        rows += [
-            [f"paper's {row.law.upper()} on its rig, Table IV", cell(row.merit), "", "", ""]
-            for row in TABLE_IV
-            if row.experiment == experiment
-        ]
-        if not as_json:
-            for line in (print_header, ["---"] * 5, *rows):
-                print("| " + " | ".join(line) + " |")
-            print()
-    if as_json:
-        print(json.dumps(document, indent=1))
+    parser.add_argument("--readme", action="store_true", help="write the tables into the README")
+    options = parser.parse_args()
+    found = measured()
+    if options.json:
+        plain = {
+            e: {c: {p: m and m._asdict() for p, m in row.items()} for c, row in rows.items()}
+            for e, rows in found.items()
+        }
+        print(json.dumps(plain, indent=1))
+    else:
+        print(laid_out(found))
+    if options.readme:
+        write_between("tracking_table", laid_out(found))
 
 
 if __name__ == "__main__":

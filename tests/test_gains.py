@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 
-from pamctl.cli.batch import tracked
+from pamctl.batch import tracked
 from pamctl.merit import TABLE_IV, Merit
 from pamctl.settings import resolve
 

@@ -1,0 +1,228 @@
+"""A rig in a person's hands: commands for a while, samples back, limits watched all the time.
+
+What `doctor --actuate` and `calibrate` do is slow, small and open to the eye, and needs
+neither law nor log nor a loop process. It keeps the limits of the rig file all the same.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+from hal.calibration import CalibrationSettings, Zero, calibration, output_v, pressure_pa, valve_v
+from hal.rig import RawSample, Rig
+from pamctl.control.homing import HomingSettings
+from pamctl.realtime.clock import Clock
+from pamctl.safety import LimitSettings
+
+HOLD_V_PER_PA = 1e-4
+"""Gain of the pressure's hold. The valve fills some 1.5 MPa a second and volt: a pole at 150 1/s,
+below the valve's own, and 5 kPa of error where the valve's null is off by half a volt."""
+NEAR_PA = 10e3
+"""As near as a hold comes, with the valve's null not yet known."""
+
+
+class LimitMet(Exception):
+    """The rig left a limit of its file; the message says which, and what to check."""
+
+
+class Rest(NamedTuple):
+    """What the sensors said over a while."""
+
+    samples: int
+    sensor_v: float
+    """Mean."""
+    noise_v: float
+    """Standard deviation of a single sample."""
+    counts: float
+    """Mean."""
+    counts_span: int
+    """Highest minus lowest."""
+    counts_jump: int
+    """Largest change from one sample to the next."""
+
+    @property
+    def mean_noise_v(self) -> float:
+        """Standard deviation of the mean, samples taken as independent."""
+        return self.noise_v / math.sqrt(self.samples)
+
+
+def rest_of(samples: Sequence[RawSample]) -> Rest:
+    """Sum up at least one sample."""
+    volts = [sample.pressure_v for sample in samples]
+    counts = [sample.encoder_counts for sample in samples]
+    steps = [abs(b - a) for a, b in pairwise(counts)]
+    return Rest(
+        samples=len(samples),
+        sensor_v=statistics.fmean(volts),
+        noise_v=statistics.pstdev(volts),
+        counts=statistics.fmean(counts),
+        counts_span=max(counts) - min(counts),
+        counts_jump=max(steps, default=0),
+    )
+
+
+class Bench:
+    """An open rig, a clock that paces it, and the limits that every sample is held against.
+
+    Every method leaves the last command on the valve: whoever opened the rig makes it safe.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        clock: Clock,
+        calibration_settings: CalibrationSettings,
+        limits: LimitSettings,
+        homing: HomingSettings,
+        safe_volts: float,
+    ) -> None:
+        """`rig` is open already; `homing` says how hard it may be filled and what rest is."""
+        self.rig = rig
+        self.limits = limits
+        self.homing = homing
+        self.safe_volts = safe_volts
+        self.settings = calibration_settings
+        self.calibration = calibration(calibration_settings)
+        self.safe_valve_v = valve_v(self.calibration, safe_volts)
+        self._clock = clock
+        self._command_v = self.safe_valve_v
+        self._zero = Zero(calibration_settings.sensor_zero_v, 0.0)
+        self._lowest_counts = math.inf
+        self._highest_counts = -math.inf
+        self._bad_since_ns: int | None = None
+
+    @property
+    def period_s(self) -> float:
+        """Time between two samples."""
+        return self._clock.period_ns * 1e-9
+
+    @property
+    def vents_when_safe(self) -> bool:
+        """Tell whether the safe voltage opens the exhaust, by the file's word."""
+        return self.safe_valve_v < -0.5
+
+    def pressure_pa(self, sensor_v: float) -> float:
+        """Absolute pressure by the file's calibration."""
+        return pressure_pa(self.calibration, self._zero, sensor_v)
+
+    def step(self, command_v: float) -> RawSample:
+        """Wait for the next sample, hold it against the limits, and command the valve (V)."""
+        self._clock.wait()
+        sample = self.rig.read()
+        self._watch(sample)
+        limit_v = self.limits.command_v
+        self._command_v = command_v = min(max(command_v, -limit_v), limit_v)
+        self.rig.write(output_v(self.calibration, command_v))
+        return sample
+
+    def hold(self, command_v: float, duration_s: float) -> list[RawSample]:
+        """Command the valve for a while; return all samples, at least one."""
+        return [self.step(command_v) for _ in range(max(1, round(duration_s / self.period_s)))]
+
+    def hold_unwatched(self, command_v: float, duration_s: float) -> list[RawSample]:
+        """As `hold`, for a command that is safe whatever the sensors say: no limit is heeded."""
+        self.rig.write(output_v(self.calibration, command_v))
+        samples = []
+        for _ in range(max(1, round(duration_s / self.period_s))):
+            self._clock.wait()
+            samples.append(self.rig.read())
+        return samples
+
+    def hold_pressure(
+        self, target_pa: float, until: Callable[[list[RawSample]], bool]
+    ) -> list[RawSample]:
+        """Hold a pressure (absolute, Pa) until `until` says so of the samples so far."""
+        samples: list[RawSample] = []
+        while not until(samples):
+            sample = self.step(self._command_v)
+            samples.append(sample)
+            self._command_v = self._holding_v(target_pa, sample.pressure_v)
+        return samples
+
+    def bring_to(self, target_pa: float, patience_s: float = 5.0) -> None:
+        """Bring the pressure near a target (absolute, Pa); raise `LimitMet` where it stays away."""
+        most = round(patience_s / self.period_s)
+        recent = 20
+
+        def near(samples: list[RawSample]) -> bool:
+            if len(samples) < recent:
+                return False
+            mean_v = statistics.fmean(s.pressure_v for s in samples[-recent:])
+            return abs(self.pressure_pa(mean_v) - target_pa) < NEAR_PA or len(samples) >= most
+
+        samples = self.hold_pressure(target_pa, near)
+        mean_pa = self.pressure_pa(statistics.fmean(s.pressure_v for s in samples[-recent:]))
+        if abs(mean_pa - target_pa) > 2 * NEAR_PA:
+            raise LimitMet(
+                f"the pressure stays at {self.gauge_kpa(mean_pa):.0f} kPa gauge and does not reach "
+                f"{self.gauge_kpa(target_pa):.0f} kPa within {patience_s:g} s; check the supply, "
+                "and the valve with `pamctl doctor --actuate`"
+            )
+
+    def settle(self, command_v: float, averaged_s: float = 0.5) -> Rest:
+        """Hold a command until pressure and encoder rest; return what they then say.
+
+        Rest is what homing calls so. Raises `LimitMet` where there is none.
+        """
+        homing = self.homing
+        before = rest_of(self.hold(command_v, 0.5 * homing.steady_s))
+        for _ in range(round(2.0 * homing.timeout_s / homing.steady_s)):
+            after = rest_of(self.hold(command_v, 0.5 * homing.steady_s))
+            drift_v = abs(after.sensor_v - before.sensor_v)
+            moved = abs(after.counts - before.counts) + after.counts_span
+            if drift_v <= homing.steady_v and moved <= homing.steady_counts + 1:
+                return rest_of(self.hold(command_v, averaged_s))
+            before = after
+        raise LimitMet(
+            f"pressure or encoder does not come to rest within {homing.timeout_s:g} s "
+            f"(sensor drift {drift_v * 1e3:.1f} mV, encoder {moved:.0f} counts in "
+            f"{homing.steady_s / 2:g} s); check the exhaust, the valve and the encoder"
+        )
+
+    def gauge_kpa(self, absolute_pa: float) -> float:
+        """Pressure above the atmosphere, for people."""
+        return (absolute_pa - self.settings.atmospheric_pressure_pa) * 1e-3
+
+    def absolute_pa(self, gauge_kpa: float) -> float:
+        """Return the inverse of `gauge_kpa`."""
+        return self.settings.atmospheric_pressure_pa + gauge_kpa * 1e3
+
+    def _holding_v(self, target_pa: float, sensor_v: float) -> float:
+        wanted_v = HOLD_V_PER_PA * (target_pa - self.pressure_pa(sensor_v))
+        return min(max(wanted_v, -self.homing.fill_v), self.homing.fill_v)
+
+    def _watch(self, sample: RawSample) -> None:
+        limits, cal = self.limits, self.calibration
+        sensor_v = sample.pressure_v
+        absolute_pa = self.pressure_pa(sensor_v)
+        if absolute_pa > limits.pressure_pa:
+            raise LimitMet(
+                f"{absolute_pa * 1e-3:.0f} kPa absolute is above limits.pressure_pa "
+                f"({limits.pressure_pa * 1e-3:.0f} kPa); check the supply's regulator"
+            )
+        self._lowest_counts = min(self._lowest_counts, sample.encoder_counts)
+        self._highest_counts = max(self._highest_counts, sample.encoder_counts)
+        travel_mm = (
+            (self._highest_counts - self._lowest_counts) * abs(cal.encoder_m_per_count) * 1e3
+        )
+        # Where the muscle stood at first is not known: only its whole way can be judged.
+        if travel_mm > limits.stroke_high_mm - limits.stroke_low_mm:
+            raise LimitMet(
+                f"the encoder has gone {travel_mm:.1f} mm, more than the stroke's limits leave; "
+                "check limits.stroke_high_mm, the encoder and its scale"
+            )
+        if limits.sensor_low_v <= sensor_v <= limits.sensor_high_v:
+            self._bad_since_ns = None
+            return
+        now_ns = self._clock.now_ns()
+        if self._bad_since_ns is None:
+            self._bad_since_ns = now_ns
+        if (now_ns - self._bad_since_ns) * 1e-9 >= limits.patience_s:
+            raise LimitMet(
+                f"the pressure sensor gives {sensor_v:.3f} V, outside {limits.sensor_low_v:g} to "
+                f"{limits.sensor_high_v:g} V; check its wire and its supply"
+            )

@@ -1,0 +1,62 @@
+"""`pamctl tune`: gains for a law, for one plant or for an ensemble of plants."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pamctl.cli.config import JsonOption, config_errors_exit
+
+
+def tune(
+    law: Annotated[
+        str | None, typer.Option("--law", metavar="qsmc|smc|pid", help="Whose gains are sought.")
+    ] = None,
+    plants: Annotated[
+        list[str] | None,
+        typer.Option("--plant", metavar="NAME|FILE", help="Tune for this one; repeats."),
+    ] = None,
+    size: Annotated[
+        int | None,
+        typer.Option("--ensemble", metavar="N", min=2, max=1000, help="Tune for N drawn plants."),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of plants and search.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="GAINS.yaml", help="Where the gains go.")
+    ] = None,
+    generations: Annotated[
+        int, typer.Option("--generations", min=1, max=100_000, help="Stop after so many.")
+    ] = 40,
+    quantile: Annotated[
+        float, typer.Option("--quantile", min=0.5, max=1.0, help="1: the worst plant counts.")
+    ] = 1.0,
+    held_out: Annotated[
+        int, typer.Option("--held-out", min=1, max=10_000, help="Fresh plants for the score.")
+    ] = 200,
+    check: Annotated[
+        str | None,
+        typer.Option("--check", metavar="GAINS", help="Only score these gains, on fresh plants."),
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option("--start", metavar="GAINS", help="Begin beside these gains.")
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", min=1, help="Processes; as many as CPUs.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Seek gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
+    from pamctl.cli.tuning import Asked, check_gains, seek_gains  # slow imports, for this verb
+
+    with config_errors_exit(as_json=as_json):
+        asked = Asked.of(law, plants or [], size, seed, quantile, held_out, out, check, start)
+    if asked.checked is not None:
+        code = check_gains(asked, jobs, as_json=as_json)
+    else:
+        command = f"pamctl {shlex.join(sys.argv[1:])}"
+        code = seek_gains(asked, jobs, generations, command, as_json=as_json)
+    raise typer.Exit(int(code))

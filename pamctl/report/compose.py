@@ -1,0 +1,43 @@
+"""`pamctl report`: the page of one run, or of several side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pamctl.log import Log
+from pamctl.report.filtering import write_filtering
+from pamctl.report.law import write_law
+from pamctl.report.motion import write_motion
+from pamctl.report.page import Page
+from pamctl.report.record import write_differences, write_events, write_safety, write_settings
+from pamctl.report.run import Run, runs_of
+from pamctl.report.summary import write_summary
+from pamctl.report.timing import write_timing
+
+
+def report(logs: Sequence[Log]) -> Page:
+    """Return the page of these logs, at least one: whatever they lack is left out, or said."""
+    runs = runs_of(logs)
+    page = Page(_title(runs), ", ".join(str(run.log.path.name) for run in runs))
+    write_summary(page, runs)
+    if len(runs) > 1:
+        write_differences(page, runs)
+    measured = [run for run in runs if len(run)]
+    for run in runs:
+        if not len(run):
+            page.note(f"{run.name} holds no tick: the run ended before its first.", kind="bad")
+    if measured:
+        for write in (write_motion, write_law, write_filtering, write_timing, write_safety):
+            write(page, measured)
+    write_events(page, runs)
+    write_settings(page, runs)
+    return page
+
+
+def _title(runs: Sequence[Run]) -> str:
+    if len(runs) > 1:
+        return f"{len(runs)} runs side by side"
+    meta = runs[0].meta
+    if runs[0].log.is_imported:
+        return f"Imported measurement {runs[0].name}"
+    return f"{meta.get('controller', 'a run')} in {meta.get('experiment', 'an experiment')}"

@@ -1,0 +1,162 @@
+"""What a figure is made of: lines, bands, points, bars, cells, marked places.
+
+Each function turns data into SVG within a frame of `FRAME_WIDTH` by the
+frame's height, in tenths of a pixel. The frame is stretched to the reader's screen, so
+strokes are kept from scaling by the page's style.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.report.decimate import extremes, one_of_each_cell, unbroken, without_repeats
+from pamctl.report.scale import Scale
+
+Floats = NDArray[np.float64]
+
+FRAME_WIDTH = 7200
+PIXEL = 10.0
+"""A frame is drawn in tenths of a pixel."""
+CURVE_CELL = 2.0 * PIXEL
+CLOUD_CELL = 3.0 * PIXEL
+
+
+class Frame(NamedTuple):
+    """Where a mark is drawn."""
+
+    x: Scale
+    y: Scale
+    height: float
+
+    def across(self, values: Floats) -> Floats:
+        """Return horizontal places; what lies far outside is drawn just outside."""
+        return np.clip(self.x.places(values), -1.0, 2.0) * FRAME_WIDTH
+
+    def down(self, values: Floats) -> Floats:
+        """Return vertical places, counted from the top."""
+        return (1.0 - np.clip(self.y.places(values), -1.0, 2.0)) * self.height
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Data in a plot: what the axes must show of it, what the legend says, how it is drawn."""
+
+    xs: Sequence[Floats]
+    ys: Sequence[Floats]
+    label: str
+    css: str
+    draw: Callable[[Frame], str]
+
+
+def line(frame: Frame, x: Floats, y: Floats, css: str, *, step: bool = False) -> str:
+    """Draw a line; x never falls. With `step` each value holds until the next point."""
+    across, down = frame.across(x), frame.down(y)
+    if step and len(across):
+        across, down = np.repeat(across, 2)[1:], np.repeat(down, 2)[:-1]
+    parts = []
+    for part in unbroken(across, down):
+        kept = extremes(across[part], down[part], PIXEL)
+        parts.append(path(across[part][kept], down[part][kept]))
+    return f'<path class="{css}" d="{"".join(parts)}"/>'
+
+
+def curve(frame: Frame, x: Floats, y: Floats, css: str) -> str:
+    """Draw a curve through a plane, in the order of its points."""
+    across, down = frame.across(x), frame.down(y)
+    parts = []
+    for part in unbroken(across, down):
+        kept = without_repeats(across[part], down[part], CURVE_CELL)
+        parts.append(path(across[part][kept], down[part][kept]))
+    return f'<path class="{css}" d="{"".join(parts)}"/>'
+
+
+def band(frame: Frame, x: Floats, low: Floats, high: Floats, css: str) -> str:
+    """Fill the area between two lines over the same x, which never falls."""
+    across, top, bottom = frame.across(x), frame.down(high), frame.down(low)
+    parts = []
+    for part in unbroken(across, top + bottom):
+        upper = extremes(across[part], top[part], PIXEL)
+        lower = extremes(across[part], bottom[part], PIXEL)[::-1]
+        round_x = np.concatenate((across[part][upper], across[part][lower]))
+        round_y = np.concatenate((top[part][upper], bottom[part][lower]))
+        parts.append(path(round_x, round_y) + "z")
+    return f'<path class="{css}" d="{"".join(parts)}"/>'
+
+
+def points(frame: Frame, x: Floats, y: Floats, css: str) -> str:
+    """Draw a cloud of points."""
+    across, down = frame.across(x), frame.down(y)
+    shown = np.isfinite(across) & np.isfinite(down)
+    across, down = across[shown], down[shown]
+    kept = one_of_each_cell(across, down, CLOUD_CELL)
+    columns, rows = np.rint(across[kept]).astype(int), np.rint(down[kept]).astype(int)
+    places = zip(columns.tolist(), rows.tolist(), strict=True)
+    # A line of no length with round ends is a dot, and stays round in a stretched frame.
+    return f'<path class="{css}" d="{"".join(f"M{x} {y}h0" for x, y in places)}"/>'
+
+
+def bars(frame: Frame, edges: Floats, counts: Floats, css: str) -> str:
+    """Draw a histogram: `counts` of shape (n,) between `edges` of shape (n + 1,)."""
+    sides, tops, bottom = frame.across(edges), frame.down(counts), frame.height
+    outline = "".join(
+        f"M{left:.0f} {bottom:.0f}V{top:.0f}H{right:.0f}V{bottom:.0f}z"
+        for left, right, top, count in zip(sides[:-1], sides[1:], tops, counts, strict=True)
+        if count > 0 and np.isfinite(left + right + top)
+    )
+    return f'<path class="{css}" d="{outline}"/>'
+
+
+class HeatRange(NamedTuple):
+    """The values that the ends of the colours stand for."""
+
+    low: float
+    high: float
+
+
+def cells(frame: Frame, x_edges: Floats, y_edges: Floats, values: Floats, shown: HeatRange) -> str:
+    """Draw a map: `values` of shape (rows, columns) over cell edges; NaN stays empty."""
+    across, down = frame.across(x_edges), frame.down(y_edges)
+    span = (shown.high - shown.low) or 1.0
+    return "".join(
+        f'<rect x="{across[column]:.0f}" y="{down[row + 1]:.0f}" '
+        f'width="{across[column + 1] - across[column]:.0f}" '
+        f'height="{down[row] - down[row + 1]:.0f}" '
+        f'fill="{heat_colour((value - shown.low) / span)}"><title>{value:.4g}</title></rect>'
+        for (row, column), value in np.ndenumerate(values)
+        if np.isfinite(value)
+    )
+
+
+HEAT = ((0, 34, 78), (65, 77, 107), (124, 123, 120), (188, 175, 111), (255, 234, 70))
+"""From low to high, even to eyes that see no red or no green: five stops of cividis."""
+
+
+def heat_colour(share: float) -> str:
+    """Return the colour of a share of the way from the lowest to the highest value."""
+    at = min(1.0, max(0.0, share)) * (len(HEAT) - 1)
+    index = min(int(at), len(HEAT) - 2)
+    mixed = (
+        round(a + (at - index) * (b - a)) for a, b in zip(HEAT[index], HEAT[index + 1], strict=True)
+    )
+    return "#" + "".join(f"{part:02x}" for part in mixed)
+
+
+def path(x: Floats, y: Floats) -> str:
+    """Return a polyline through points of shape (n,), n > 0, as short as SVG lets it be."""
+    columns, rows = np.rint(x).astype(int), np.rint(y).astype(int)
+    start = f"M{columns[0]} {rows[0]}"
+    if len(columns) == 1:
+        return start + "h0"
+    steps = zip(np.diff(columns).tolist(), np.diff(rows).tolist(), strict=True)
+    return start + "l" + "".join(_pair(right, down) for right, down in steps).lstrip()
+
+
+def _pair(right: int, down: int) -> str:
+    """Write two numbers; a minus sign parts them as well as a space does."""
+    first = str(right) if right < 0 else f" {right}"
+    return first + (str(down) if down < 0 else f" {down}")

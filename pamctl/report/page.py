@@ -1,0 +1,152 @@
+"""One HTML file that holds everything: no network, no script, light, dark and on paper.
+
+    page = Page("Run of qsmc", "tracking-2, 20 November")
+    page.section("Tracking")
+    page.text("...")
+    page.table(["", "max, um"], [["measured", "38.5"]])
+    page.figure(plot, another, caption="One time axis.")
+    page.fold("Configuration", text)
+    Path("run.html").write_text(page.html(), encoding="utf-8")
+
+Every text that is passed in is escaped.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Protocol
+
+from pamctl.report.style import STYLE
+from pamctl.report.svg import Plot, same_x
+
+_NUMBER = re.compile(r"^[\s<>\N{MINUS SIGN}+-]*[\d.][\d\s.,e/:%x\N{MULTIPLICATION SIGN}+-]*$")
+_NO_NUMBER = ("", "-", "nan", "trips")
+_CODE = re.compile("`([^`]+)`")
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+"""The browser itself refuses whatever would leave the file."""
+
+
+class Drawn(Protocol):
+    """What a figure may hold: a `Plot`, or `Levels`."""
+
+    def html(self) -> str:
+        """Return it as a part of a page, escaped."""
+        ...
+
+
+class Page:
+    """A page being written, from top to bottom."""
+
+    def __init__(self, title: str, subtitle: str = "", *, numbered: bool = True) -> None:
+        """`numbered` counts the figures: not where they have numbers of their own."""
+        self.title, self.subtitle = title, subtitle
+        self._body: list[str] = []
+        self._sections: list[str] = []
+        self._numbered, self._figures = numbered, 0
+
+    def section(self, heading: str) -> None:
+        """Begin a section; the table of contents at the top leads to it."""
+        self._sections.append(heading)
+        self._body.append(f'<h2 id="s{len(self._sections)}">{escape(heading)}</h2>')
+
+    def heading(self, heading: str) -> None:
+        """Begin a part of a section."""
+        self._body.append(f"<h3>{escape(heading)}</h3>")
+
+    def text(self, *paragraphs: str) -> None:
+        """Write paragraphs; here and in points and notes `between backticks` is code."""
+        self._body += [f"<p>{_inline(paragraph)}</p>" for paragraph in paragraphs]
+
+    def points(self, *items: str) -> None:
+        """Write a list."""
+        self._body.append("<ul>" + "".join(f"<li>{_inline(i)}</li>" for i in items) + "</ul>")
+
+    def note(self, text: str, *, kind: str = "note") -> None:
+        """Write what must not be overlooked: kind `note`, `good` or `bad`."""
+        self._body.append(f'<p class="callout {escape(kind)}">{_inline(text)}</p>')
+
+    def facts(self, facts: Mapping[str, object]) -> None:
+        """Write names and values beside each other."""
+        pairs = (
+            f"<div><dt>{escape(str(name))}</dt><dd>{escape(str(value))}</dd></div>"
+            for name, value in facts.items()
+        )
+        self._body.append(f'<dl class="facts">{"".join(pairs)}</dl>')
+
+    def table(
+        self, header: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str = ""
+    ) -> None:
+        """Write a table; every row is as long as the header."""
+        titled = f'<p class="caption">{escape(caption)}</p>' if caption else ""
+        # A column of numbers stands to the right, its heading and its dashes too.
+        columns = zip(*rows, strict=True) if rows else ([] for _ in header)
+        classes = [' class="num"' if _are_numbers(column) else "" for column in columns]
+        head = "".join(
+            f'<th scope="col"{css}>{escape(cell)}</th>'
+            for css, cell in zip(classes, header, strict=True)
+        )
+        body = "".join(
+            "<tr>"
+            + "".join(
+                f"<td{css}>{escape(cell)}</td>" for css, cell in zip(classes, row, strict=True)
+            )
+            + "</tr>"
+            for row in rows
+        )
+        self._body.append(
+            f'{titled}<div class="wide"><table><thead><tr>{head}</tr></thead>'
+            f"<tbody>{body}</tbody></table></div>"
+        )
+
+    def figure(self, *plots: Plot, caption: str = "", one_x: bool = True) -> None:
+        """Write a figure of plots above each other, on one x axis unless `one_x` is false."""
+        if one_x:
+            same_x(plots)
+        self._figure("".join(plot.html() for plot in plots), caption, "")
+
+    def grid(self, *plots: Drawn, caption: str = "") -> None:
+        """Write a figure of plots beside each other; on a narrow screen above each other."""
+        inside = "".join(plot.html() for plot in plots)
+        self._figure(f'<div class="grid2">{inside}</div>', caption, "")
+
+    def fold(self, heading: str, text: str) -> None:
+        """Write a text that is shown when it is asked for, and in print."""
+        self._body.append(
+            f"<details><summary>{escape(heading)}</summary><pre>{escape(text)}</pre></details>"
+        )
+
+    def html(self) -> str:
+        """Return the whole file."""
+        title = escape(self.title)
+        links = "".join(
+            f'<a href="#s{number}">{escape(heading)}</a>'
+            for number, heading in enumerate(self._sections, 1)
+        )
+        contents = f"<nav>{links}</nav>" if len(self._sections) > 1 else ""
+        under = f'<p class="subtitle">{escape(self.subtitle)}</p>' if self.subtitle else ""
+        return (
+            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">'
+            '<meta name="color-scheme" content="light dark">'
+            f"<title>{title}</title><style>{STYLE}</style></head>\n<body><main>"
+            f"<header><h1>{title}</h1>{under}{contents}</header>\n"
+            + "\n".join(self._body)
+            + "\n</main></body></html>\n"
+        )
+
+    def _figure(self, inside: str, caption: str, css: str) -> None:
+        self._figures += 1
+        number = f"<b>Figure {self._figures}.</b> " if self._numbered else ""
+        under = f"<figcaption>{number}{escape(caption)}</figcaption>" if caption else ""
+        self._body.append(f'<figure class="{css}">{inside}{under}</figure>')
+
+
+def _inline(text: str) -> str:
+    return _CODE.sub(r"<code>\1</code>", escape(text))
+
+
+def _are_numbers(column: Sequence[str]) -> bool:
+    return any(column) and all(cell in _NO_NUMBER or _NUMBER.match(cell) for cell in column)

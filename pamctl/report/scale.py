@@ -1,0 +1,137 @@
+"""From values to places on an axis, and the round numbers that stand beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_MARGIN = 0.04
+"""Share of the range that stays free on either side of the data."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What an axis says: `Axis("pressure", "kPa")`; `low` and `high` fix its ends."""
+
+    label: str
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    log: bool = False
+    tight: bool = False
+    """End where the data ends, without a margin: right for time."""
+
+    @property
+    def title(self) -> str:
+        """Label and unit."""
+        return ", ".join(part for part in (self.label, self.unit) if part)
+
+
+class Tick(NamedTuple):
+    """A round number on an axis; `place` runs from 0 to 1."""
+
+    place: float
+    text: str
+    spare: bool
+    """Every second number; zero is none of them. A narrow axis may leave them out."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """An axis with both ends known, `low < high`, both above zero on a log axis."""
+
+    low: float
+    high: float
+    log: bool = False
+
+    def places(self, values: Floats) -> Floats:
+        """Return where values lie, 0 at `low` and 1 at `high`; NaN where they have no place."""
+        with np.errstate(all="ignore"):
+            if self.log:
+                shown = np.where(values > 0.0, values, np.nan)
+                places = np.log(shown / self.low) / math.log(self.high / self.low)
+            else:
+                places = (values - self.low) / (self.high - self.low)
+        return np.where(np.isfinite(places), places, np.nan)
+
+    def place(self, value: float) -> float:
+        """Return where one value lies."""
+        return float(self.places(np.array([value], dtype=np.float64))[0])
+
+    def ticks(self, about: int = 6) -> list[Tick]:
+        """Return round numbers within the axis, at most one and a half times `about` of them."""
+        decades = self._decades(about) if self.log else []
+        if len(decades) > 1:
+            return [
+                Tick(self.place(value), tick_text(value, 0.0, value), index % 2 == 1)
+                for index, value in enumerate(decades)
+            ]
+        step = nice_step((self.high - self.low) / about)
+        first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+        largest = step * max(abs(first), abs(last), 1)
+        return [
+            Tick(self.place(index * step), tick_text(index * step, step, largest), index % 2 == 1)
+            for index in range(first, last + 1)
+        ]
+
+    def _decades(self, about: int) -> list[float]:
+        first, last = math.ceil(math.log10(self.low) - 1e-9), math.log10(self.high) + 1e-9
+        every = max(1, math.ceil((last - first) / about))
+        return [10.0**power for power in range(first, math.floor(last) + 1, every)]
+
+
+def scale_of(axis: Axis, data: Iterable[Floats]) -> Scale:
+    """Return the scale that shows all of the data, shape (n,) each; 0 to 1 where there is none."""
+    low, high = math.inf, -math.inf
+    for values in data:
+        shown = values[np.isfinite(values) & ((values > 0.0) | (not axis.log))]
+        if len(shown):
+            low, high = min(low, float(shown.min())), max(high, float(shown.max()))
+    if low > high:
+        low, high = (1.0, 10.0) if axis.log else (0.0, 1.0)
+    else:
+        low, high = _widened(low, high, log=axis.log, tight=axis.tight)
+    low = low if axis.low is None else axis.low
+    high = high if axis.high is None else axis.high
+    if not low < high:
+        low, high = _widened(low, low, log=axis.log, tight=True)
+    return Scale(low, high, axis.log)
+
+
+def _widened(low: float, high: float, *, log: bool, tight: bool) -> tuple[float, float]:
+    if log:
+        factor = 1.0 if tight and high > low else max(1.25, (high / low) ** _MARGIN)
+        return low / factor, high * factor
+    smallest = 1e-9 * max(abs(low), abs(high), 1e-300)
+    if high - low <= smallest:
+        half = abs(low) * 0.05 or 1.0
+        return low - half, high + half
+    margin = 0.0 if tight else _MARGIN * (high - low)
+    return low - margin, high + margin
+
+
+def nice_step(rough: float) -> float:
+    """Return the nearest of 1, 2, 5 times a power of ten that is at least `rough`."""
+    power = 10.0 ** math.floor(math.log10(rough))
+    return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= rough * 0.999)
+
+
+def tick_text(value: float, step: float, largest: float) -> str:
+    """Write a tick with as many digits as tell it from its neighbours; step 0 is a log axis."""
+    if step == 0.0:
+        text = f"{value:g}" if 1e-3 <= value < 1e5 else f"{value:.0e}".replace("e-0", "e-")
+        return text.replace("e+0", "e").replace("-", "\N{MINUS SIGN}")
+    if largest >= 1e6 or largest < 1e-3:
+        digits = max(0, math.floor(math.log10(largest)) - math.floor(math.log10(step) + 1e-9))
+        text = "0" if value == 0.0 else f"{value:.{digits}e}"
+        text = text.replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
+    else:
+        text = f"{value:.{max(0, -math.floor(math.log10(step) + 1e-9))}f}"
+    return text.replace("-", "\N{MINUS SIGN}")

@@ -1,0 +1,293 @@
+"""A plot: two axes, what is drawn between them, and its legend.
+
+    plot = Plot("Displacement", Axis("time", "s", tight=True), Axis("displacement", "mm"))
+    plot.line(t_s, reference_mm, "reference", colour=MUTED)
+    plot.line(t_s, position_mm, "measured")
+    page.figure(plot, caption="...")          # pamctl.report.page
+
+The frame of the data is stretched to the width of the screen or the paper while strokes,
+numbers and words keep their size: the same figure is readable on a phone and in print.
+Colours are names that the page's style fills in, for light and for dark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from html import escape
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pamctl.report import marks
+from pamctl.report.marks import FRAME_WIDTH, HEAT, PIXEL, Frame, HeatRange, Mark
+from pamctl.report.scale import Axis, Scale, scale_of
+
+__all__ = ["MUTED", "Axis", "Plot", "css_of", "same_x"]
+
+Floats = NDArray[np.float64]
+Draw = Callable[[Frame, Floats, Floats, str], str]
+
+COLOURS = 7
+"""How many colours there are; a further one begins anew."""
+MUTED = -1
+"""The colour of what is there for comparison: a reference, a limit."""
+
+_ROOM_ABOVE, _ROOM_BELOW, _ROOM_BELOW_UNNAMED = 8, 42, 24
+
+
+class Plot:
+    """One pair of axes. Data are array-likes of shape (n,) in the unit of their axis.
+
+    `colour` counts from 0 in the Okabe-Ito colours, or is `MUTED`. Points that are not
+    finite, and on a log axis not above zero, are left out: a line breaks there.
+    """
+
+    def __init__(self, title: str, x: Axis, y: Axis, *, height_px: int = 180) -> None:
+        self.title = title
+        self.x, self.y = x, y
+        self.height_px = height_px
+        self._marks: list[Mark] = []
+        self._lines: list[tuple[str, float, str, int]] = []
+        self._x_scale: Scale | None = None
+        self._names_x = True
+        self._heat: tuple[str, HeatRange] | None = None
+
+    def line(
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        label: str = "",
+        *,
+        colour: int = 0,
+        step: bool = False,
+        dashed: bool = False,
+        thick: bool = False,
+    ) -> Plot:
+        """Draw a line; x must not fall. With `step` each value holds until the next."""
+        css = f"l {css_of(colour)}{' dash' if dashed else ''}{' thick' if thick else ''}"
+        return self._add(x, y, label, css, partial(marks.line, step=step))
+
+    def curve(self, x: ArrayLike, y: ArrayLike, label: str = "", *, colour: int = 0) -> Plot:
+        """Draw a curve through the plane, in the order of its points: a phase portrait."""
+        return self._add(x, y, label, f"l thin {css_of(colour)}", marks.curve)
+
+    def points(self, x: ArrayLike, y: ArrayLike, label: str = "", *, colour: int = 0) -> Plot:
+        """Draw a cloud of points."""
+        return self._add(x, y, label, f"p {css_of(colour)}", marks.points)
+
+    def band(
+        self, x: ArrayLike, low: ArrayLike, high: ArrayLike, label: str = "", *, colour: int = 0
+    ) -> Plot:
+        """Fill the area between two lines; `low` and `high` may each be one number."""
+        across = _floats(x)
+        lower = np.broadcast_to(_floats(low), across.shape)
+        upper = np.broadcast_to(_floats(high), across.shape)
+        css = f"b {css_of(colour)}"
+
+        def draw(frame: Frame) -> str:
+            return marks.band(frame, across, lower, upper, css)
+
+        return self._put(Mark([across], [lower, upper], label, css, draw))
+
+    def bars(
+        self, edges: ArrayLike, counts: ArrayLike, label: str = "", *, colour: int = 0
+    ) -> Plot:
+        """Draw a histogram: n counts between n + 1 rising edges."""
+        sides, heights, css = _floats(edges), _floats(counts), f"b solid {css_of(colour)}"
+        if len(sides) != len(heights) + 1:
+            raise ValueError(f"{self.title}: a histogram has one edge more than counts")
+
+        def draw(frame: Frame) -> str:
+            return marks.bars(frame, sides, heights, css)
+
+        return self._put(Mark([sides], [heights], label, css, draw))
+
+    def heat(
+        self,
+        x_edges: ArrayLike,
+        y_edges: ArrayLike,
+        values: ArrayLike,
+        label: str,
+        *,
+        low: float | None = None,
+        high: float | None = None,
+    ) -> Plot:
+        """Draw a map: `values` of shape (m, n) between m + 1 y edges and n + 1 x edges."""
+        across, up, grid = _floats(x_edges), _floats(y_edges), _floats(values)
+        if grid.shape != (len(up) - 1, len(across) - 1):
+            raise ValueError(f"{self.title}: a map has one edge more than cells, both ways")
+        finite = grid[np.isfinite(grid)]
+        shown = HeatRange(
+            low if low is not None else float(min(finite, default=0.0)),
+            high if high is not None else float(max(finite, default=1.0)),
+        )
+        self._heat = label, shown
+
+        def draw(frame: Frame) -> str:
+            return marks.cells(frame, across, up, grid, shown)
+
+        return self._put(Mark([across], [up], "", "", draw))
+
+    def level(self, y: float, label: str = "", *, colour: int = MUTED) -> Plot:
+        """Mark a height with a horizontal line, which does not widen the axis."""
+        self._lines.append(("y", y, label, colour))
+        return self
+
+    def place(self, x: float, label: str = "", *, colour: int = MUTED) -> Plot:
+        """Mark a place with a vertical line, which does not widen the axis."""
+        self._lines.append(("x", x, label, colour))
+        return self
+
+    @property
+    def x_data(self) -> list[Floats]:
+        """All that the x axis must show."""
+        return [values for mark in self._marks for values in mark.xs]
+
+    def share_x(self, scale: Scale, *, names_x: bool = True) -> None:
+        """Take over an x scale, and leave its name to the plot below: figures then agree."""
+        self._x_scale, self._names_x = scale, names_x
+
+    def html(self) -> str:
+        """Return the plot with its legend: escaped, without any style of its own."""
+        whole = self._heat is not None  # a map ends where its cells end
+        x = self._x_scale or scale_of(replace(self.x, tight=self.x.tight or whole), self.x_data)
+        y = scale_of(
+            replace(self.y, tight=self.y.tight or whole),
+            [values for mark in self._marks for values in mark.ys],
+        )
+        frame = Frame(x, y, self.height_px * PIXEL)
+        name = escape(f"{self.title}: {self.y.title} over {self.x.title}")
+        drawn = "".join(mark.draw(frame) for mark in self._marks)
+        below = _ROOM_BELOW if self._names_x else _ROOM_BELOW_UNNAMED
+        return (
+            f'<div class="plot"><div class="ptitle">{escape(self.title)} '
+            f'<span class="unit">{escape(self._y_name())}</span></div>{self._legend()}'
+            f'<div class="frame"><svg role="img" aria-label="{name}" width="100%" '
+            f'height="{self.height_px + _ROOM_ABOVE + below}">'
+            f"<title>{name}</title>"
+            f'<svg y="{_ROOM_ABOVE}" width="100%" height="{self.height_px + below}" '
+            f'class="open">{self._grid(x, y)}'
+            f'<svg class="data" width="100%" height="{self.height_px}" '
+            f'viewBox="0 0 {FRAME_WIDTH} {self.height_px * PIXEL:.0f}" '
+            f'preserveAspectRatio="none">{drawn}{self._placed(frame)}</svg>'
+            f"{self._placed_texts(frame)}{self._nothing()}</svg></svg></div></div>"
+        )
+
+    def _y_name(self) -> str:
+        """Return what the title does not say already."""
+        same = self.title.casefold() == self.y.label.casefold()
+        return self.y.unit if same else self.y.title
+
+    def _grid(self, x: Scale, y: Scale) -> str:
+        """Return grid lines and numbers; every second number across may be left out."""
+        bottom = self.height_px
+        parts = [f'<rect class="paper" width="100%" height="{bottom}"/>']
+        for place, text, _ in y.ticks(max(4, bottom // 32)):
+            at = (1.0 - place) * bottom
+            parts.append(f'<line class="grid" x2="100%" y1="{at:.1f}" y2="{at:.1f}"/>')
+            parts.append(f'<text class="yt" x="-6" y="{at + 4:.1f}">{text}</text>')
+        for place, text, spare in x.ticks(8):
+            at_share = f"{place * 100:.2f}%"
+            parts.append(f'<line class="grid" x1="{at_share}" x2="{at_share}" y2="{bottom}"/>')
+            css = "xt spare" if spare else "xt"
+            parts.append(f'<text class="{css}" x="{at_share}" y="{bottom + 16}">{text}</text>')
+        if self._names_x:
+            title = escape(self.x.title)
+            parts.append(f'<text class="xl" x="100%" y="{bottom + 34}">{title}</text>')
+        return "".join(parts)
+
+    def _placed(self, frame: Frame) -> str:
+        return "".join(
+            f'<path class="l mark {css_of(colour)}" d="{_across_or_down(frame, axis, value)}"/>'
+            for axis, value, _, colour in self._lines
+            if _visible(frame, axis, value)
+        )
+
+    def _placed_texts(self, frame: Frame) -> str:
+        texts = []
+        for axis, value, label, _ in self._lines:
+            if not label or not _visible(frame, axis, value):
+                continue
+            if axis == "y":
+                down = (1.0 - frame.y.place(value)) * self.height_px
+                down = down - 4 if down > 16 else down + 13
+                texts.append(f'<text class="note end" x="99.5%" y="{down:.1f}">')
+            else:
+                place = frame.x.place(value)
+                side = " end" if place > 0.7 else ""
+                nudge = -4 if side else 4
+                texts.append(
+                    f'<text class="note{side}" x="{place * 100:.2f}%" dx="{nudge}" y="12">'
+                )
+            texts.append(f"{escape(label)}</text>")
+        return "".join(texts)
+
+    def _nothing(self) -> str:
+        shown = any(
+            np.isfinite(x).any() and np.isfinite(y).any()
+            for mark in self._marks
+            for x, y in zip(mark.xs, mark.ys, strict=False)
+        )
+        if shown:
+            return ""
+        middle = self.height_px // 2
+        return f'<text class="note mid" x="50%" y="{middle}">nothing was measured</text>'
+
+    def _legend(self) -> str:
+        entries = [
+            f'<li><svg class="swatch" viewBox="0 0 22 10"><path class="{mark.css}" '
+            f'd="{"M1 1h20v8h-20z" if mark.css.startswith("b") else "M1 5h20"}"/></svg>'
+            f"{escape(mark.label)}</li>"
+            for mark in self._marks
+            if mark.label
+        ]
+        if self._heat is not None:
+            label, (low, high) = self._heat
+            stops = ", ".join(f"rgb{stop}" for stop in HEAT)
+            entries.append(
+                f"<li>{escape(label)} {low:.4g} "
+                f'<i class="heat" style="background:linear-gradient(90deg, {stops})"></i> '
+                f"{high:.4g}</li>"
+            )
+        return f'<ul class="legend">{"".join(entries)}</ul>' if entries else ""
+
+    def _add(self, x: ArrayLike, y: ArrayLike, label: str, css: str, draw: Draw) -> Plot:
+        across, up = _floats(x), _floats(y)
+        if across.shape != up.shape or across.ndim != 1:
+            raise ValueError(f"{self.title}: x has shape {across.shape}, y {up.shape}")
+        return self._put(Mark([across], [up], label, css, lambda f: draw(f, across, up, css)))
+
+    def _put(self, mark: Mark) -> Plot:
+        self._marks.append(mark)
+        return self
+
+
+def same_x(plots: Sequence[Plot]) -> Sequence[Plot]:
+    """Give plots one x axis that shows the data of all: the first one's `Axis` rules."""
+    if plots:
+        scale = scale_of(plots[0].x, [values for plot in plots for values in plot.x_data])
+        for plot in plots:
+            plot.share_x(scale, names_x=plot is plots[-1])
+    return plots
+
+
+def css_of(colour: int) -> str:
+    """Return the style class of a colour."""
+    return "cm" if colour == MUTED else f"c{colour % COLOURS}"
+
+
+def _floats(values: ArrayLike) -> Floats:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _visible(frame: Frame, axis: str, value: float) -> bool:
+    place = (frame.x if axis == "x" else frame.y).place(value)
+    return 0.0 <= place <= 1.0
+
+
+def _across_or_down(frame: Frame, axis: str, value: float) -> str:
+    if axis == "x":
+        return f"M{frame.x.place(value) * FRAME_WIDTH:.0f} 0V{frame.height:.0f}"
+    return f"M0 {(1.0 - frame.y.place(value)) * frame.height:.0f}H{FRAME_WIDTH}"

@@ -20,10 +20,10 @@ from support import (
 
 from hal.faulty import FaultSettings
 from hal.rig import RigError
-from pamctl.cli.assembly import nominal_zero_of, program_of, setup_of
 from pamctl.realtime import loop
 from pamctl.realtime.ending import Ending, ExitCode
-from pamctl.realtime.loop import KEYFRAME_TICKS, keyframe_fields
+from pamctl.realtime.keyframe import keyframe_fields
+from pamctl.realtime.loop import KEYFRAME_TICKS
 from pamctl.safety import (
     ENCODER_JUMP,
     MEASUREMENT_NOT_FINITE,
@@ -34,6 +34,7 @@ from pamctl.safety import (
     TRACKING_ERROR,
     explain,
 )
+from pamctl.setup import nominal_zero_of, program_of, setup_of
 from pamctl.signals import Phase
 
 SHORT = (

@@ -39,7 +39,7 @@ def in_fresh_process(script: str) -> Any:
 PREAMBLE = """
 import gc, json, os, resource, subprocess, sys
 from pathlib import Path
-from pamctl.realtime.scheduling import SchedulingRefused, prepare
+from pamctl.realtime.scheduling import SchedulingRefused, on_watch, prepare
 
 def state():
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
@@ -236,3 +236,33 @@ def test_elsewhere_than_on_linux_every_step_says_so(monkeypatch: pytest.MonkeyPa
         refused = preparation.refused
     assert {step.detail for step in refused} == {"only Linux offers this"}
     assert Step("fifo", False, "only Linux offers this") in refused
+
+
+# The front.
+
+
+@root_only
+def test_a_front_preempts_ordinary_processes_while_it_watches_and_not_afterwards() -> None:
+    seen = in_fresh_process(
+        """
+seen = [state()["policy"]]
+for mode in ("auto", "off"):
+    with on_watch(mode):
+        seen.append(state()["policy"])
+    seen.append(state()["policy"])
+print(json.dumps(seen))
+"""
+    )
+    assert seen == [os.SCHED_OTHER, os.SCHED_FIFO, os.SCHED_OTHER, os.SCHED_OTHER, os.SCHED_OTHER]
+
+
+@root_only
+def test_a_front_without_privileges_watches_as_it_may() -> None:
+    seen = in_fresh_process(
+        """
+become_nobody()
+with on_watch("auto"):
+    print(json.dumps(state()["policy"]))
+"""
+    )
+    assert seen == os.SCHED_OTHER

@@ -1,7 +1,8 @@
 """When the tick runs: the only clock that a tick ever sees.
 
 `GridClock` wakes on an absolute grid of CLOCK_MONOTONIC, so that the lateness of one tick never
-delays the next one and the rate cannot drift. `VirtualClock` has no clock at all: it counts.
+delays the next one and the rate cannot drift. `SampleClock` is paced by hardware that samples on a
+clock of its own. `VirtualClock` has no clock at all: it counts.
 
 All times are whole nanoseconds in plain ints: exact, and free of the rounding of float seconds.
 """
@@ -14,6 +15,8 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
+
+from hal.edges import Edge
 
 PHASE_NS = 300_000
 """Where in the millisecond the grid lies. The kernel's own tick (250, 300 or 1000 times a second)
@@ -168,6 +171,48 @@ class GridClock:
         while now_ns < deadline_ns:
             now_ns = read_ns()
         return now_ns
+
+
+class SampleClock:
+    """The rig is the clock: a tick begins when the hardware has taken a sample.
+
+    The grid is the hardware's, as far as it can be seen from here: `deadline_ns` is when the
+    sample was taken. It may be moved by a few microseconds when a wait is more prompt than all
+    before it.
+
+    Args:
+        host: tells the time between the ticks, and the nominal period.
+        await_edge: waits for the next sample, and says when it was taken; what it raises goes
+            through `wait`.
+    """
+
+    __slots__ = ("_await_edge", "_host", "_tick")
+
+    def __init__(self, host: Clock, await_edge: Callable[[], Edge]) -> None:
+        """See the class."""
+        self._host = host
+        self._await_edge = await_edge
+        self._tick = -1
+
+    @property
+    def period_ns(self) -> int:
+        """Nominal distance of two samples."""
+        return self._host.period_ns
+
+    def now_ns(self) -> int:
+        """The host's time."""
+        return self._host.now_ns()
+
+    def wall_offset_ns(self) -> int:
+        """Unix time minus the host's."""
+        return self._host.wall_offset_ns()
+
+    def wait(self) -> Wake:
+        """Wait for the next sample; whatever passed before the first one was not missed."""
+        edge = self._await_edge()
+        missed = edge.elapsed - 1 if self._tick >= 0 else 0
+        self._tick += 1 + missed
+        return Wake(self._tick, edge.t_ns, edge.now_ns, missed)
 
 
 class VirtualClock:

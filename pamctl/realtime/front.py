@@ -11,11 +11,13 @@ front does, and passes it on to the loop alone.
 from __future__ import annotations
 
 import json
+import os
+import select
 import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from types import FrameType
 from typing import Any, NamedTuple
 
@@ -26,6 +28,7 @@ from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.guardianship import Guardianship
 from pamctl.realtime.last_words import outcome, speak_for_the_dead
 from pamctl.realtime.ring import RecorderFlag, Ring
+from pamctl.realtime.scheduling import Mode, on_watch
 from pamctl.realtime.supervision import STOP_SIGNALS
 
 _POLL_S = 0.05
@@ -51,16 +54,19 @@ class Commands(NamedTuple):
     guardian: Sequence[str] | None
 
 
-def conduct(ring: Ring, commands: Commands, rig: Rig, progress: Progress) -> FrontReport:
+def conduct(
+    ring: Ring, commands: Commands, rig: Rig, progress: Progress, mode: Mode
+) -> FrontReport:
     """Run the loop on a fresh ring to its end; return when the log is on disk.
 
     Takes over SIGINT and SIGTERM while it runs. `rig` is not opened here: it is made safe
-    where neither loop nor guardian is left to do it.
+    where neither loop nor guardian is left to do it. `mode` is for this process alone: it
+    says whether the front may be scheduled in real time while it watches.
     """
     with _Forwarding() as signals:
         # The loop inherits the block and lifts it when it can listen: a signal that comes
         # while it starts waits for it, instead of killing it.
-        with _blocked_signals():
+        with blocked_signals():
             recorder = spawn(ring.path)
             guardian = Guardianship(ring, commands.guardian, rig)
             loop = subprocess.Popen(
@@ -71,17 +77,19 @@ def conduct(ring: Ring, commands: Commands, rig: Rig, progress: Progress) -> Fro
             )
             ring.loop_pid = loop.pid
         signals.to(loop)
-        _watch(ring, loop, recorder, guardian, progress)
-        ending = guardian.verdict_on(_ending_of(loop))
+        with on_watch(mode):
+            _watch(ring, loop, recorder, guardian, progress)
+        ending = guardian.verdict_on(ending_of(loop))
         if not ring.loop_done:
             speak_for_the_dead(ring, outcome(ending))
             ring.loop_done = 1
         guardian.dismiss()
-        return _close_log(ring, recorder, ending)
+        return close_log(ring, recorder, ending)
 
 
 @contextmanager
-def _blocked_signals() -> Iterator[None]:
+def blocked_signals() -> Iterator[None]:
+    """Let a process that is started here inherit SIGINT and SIGTERM blocked."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
     try:
         yield
@@ -126,20 +134,38 @@ def _watch(
     progress: Progress,
 ) -> None:
     """Return when the loop has ended; end it when the recorder has."""
-    told = False
-    while loop.poll() is None:
-        if not told and recorder.poll() is not None:
-            # The loop sees the flag at its next tick, and stops smoothly.
-            ring.raise_flag(RecorderFlag.FAILED)
-            told = True
-        guardian.look()
-        tick = ring.latest_tick()
-        if tick is not None:
-            progress(tick, ring.worst_late_ns * 1e-9)
-        time.sleep(_POLL_S)
+    with closing(_Deaths([loop.pid, recorder.pid, guardian.pid])) as deaths:
+        while loop.poll() is None:
+            if recorder.poll() is not None:
+                ring.raise_flag(RecorderFlag.FAILED)
+            guardian.look()
+            tick = ring.latest_tick()
+            if tick is not None:
+                progress(tick, ring.worst_late_ns * 1e-9)
+            deaths.wait(_POLL_S)
 
 
-def _ending_of(loop: subprocess.Popen[bytes]) -> Ending:
+class _Deaths:
+    """Sleeps until one of the processes dies: each death wakes it once."""
+
+    def __init__(self, pids: Sequence[int | None]) -> None:
+        self._poll = select.poll()
+        # They are children not yet waited for: their ids cannot have gone to others.
+        self._fds = [os.pidfd_open(pid) for pid in pids if pid is not None]
+        for fd in self._fds:
+            self._poll.register(fd, select.POLLIN)
+
+    def wait(self, seconds: float) -> None:
+        for fd, _ in self._poll.poll(seconds * 1e3):
+            self._poll.unregister(fd)
+
+    def close(self) -> None:
+        for fd in self._fds:
+            os.close(fd)
+
+
+def ending_of(loop: subprocess.Popen[bytes]) -> Ending:
+    """Return how a loop process that has ended says it ended, or how it died."""
     said, _ = loop.communicate()
     try:
         report = json.loads(said)
@@ -150,7 +176,7 @@ def _ending_of(loop: subprocess.Popen[bytes]) -> Ending:
         return Ending(ExitCode.UNEXPECTED, f"the loop process {how}")
 
 
-def _close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:
+def close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:
     """Wait for the recorder; where it is dead, finish its work from the ring."""
     _await(recorder, ring)
     _, said = recorder.communicate()

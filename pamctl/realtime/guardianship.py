@@ -12,9 +12,6 @@ from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.guardian import Takeover, drive_safe
 from pamctl.realtime.ring import Ring
 
-_FROZEN_LOOKS = 20
-"""A guardian that has not moved while the front looked so often is frozen: about a second, in
-rounds of the front's own, so that a machine that stands still is no evidence."""
 _REPORT_PATIENCE_S = 1.0
 """From a guardian that takes longer the front takes the work over."""
 _LEAVE_PATIENCE_S = 2.0
@@ -27,27 +24,20 @@ class Guardianship:
         """Start the guardian of a run; `rig` is what the front can make safe itself."""
         self._ring = ring
         self._rig = rig
-        self._beats = 0
-        self._still = 0
         self._process = None if command is None else _spawn([*command, str(ring.path)])
 
     def look(self) -> None:
-        """See whether the guardian lives; if not, the loop stops safe at its next tick."""
-        if not self._process or self._ring.guardian_lost:
-            return
-        if self._is_frozen():
-            self._process.kill()
-            self._process.wait()
-        if self._process.poll() is not None:
+        """See whether the guardian lives; if not, the loop is safe within a few ticks.
+
+        Whether one that lives is frozen is for the loop to hear, from its heartbeat.
+        """
+        if self._process and self._process.poll() is not None:
             self._ring.guardian_lost = 1
 
-    def _is_frozen(self) -> bool:
-        beats = self._ring.guardian_beats
-        moved = beats != self._beats
-        # One that is not ready yet has no pulse to stand still.
-        self._still = 0 if moved or not self._ring.guardian_ready else self._still + 1
-        self._beats = beats
-        return self._still > _FROZEN_LOOKS
+    @property
+    def pid(self) -> int | None:
+        """The guardian's process, where there is one."""
+        return None if self._process is None else self._process.pid
 
     def verdict_on(self, ending: Ending) -> Ending:
         """Return how the run of a loop that is no more ended, the valve included."""
@@ -73,7 +63,7 @@ class Guardianship:
         """Do what the guardian cannot do any more."""
         failure = drive_safe(self._rig)
         if failure is not None:
-            return Ending(ExitCode.UNEXPECTED, _alarm(ending.reason, str(failure)))
+            return Ending(_worse(ending), _alarm(ending.reason, str(failure)))
         return ending
 
 
@@ -91,9 +81,14 @@ def _report_of(guardian: subprocess.Popen[bytes]) -> bytes:
 def _as_taken_over(takeover: Takeover, ending: Ending) -> Ending:
     reason = takeover.reason or ending.reason
     if takeover.failure:
-        return Ending(ExitCode.UNEXPECTED, _alarm(reason, takeover.failure))
+        return Ending(_worse(ending), _alarm(reason, takeover.failure))
     done = f"the guardian drove the safe voltage {takeover.latency_ms:.1f} ms later"
     return Ending(ExitCode.UNEXPECTED, f"{reason}; {done}")
+
+
+def _worse(ending: Ending) -> ExitCode:
+    """An output that is not safe is no success, whatever else was."""
+    return ending.code or ExitCode.UNEXPECTED
 
 
 def _alarm(reason: str, failure: str) -> str:

@@ -18,7 +18,7 @@ from hal.rig import RawSample, Rig, RigError, opened
 from pamctl.control.homing import HomingError
 from pamctl.realtime.clock import Clock, Wake
 from pamctl.realtime.ending import Ending, ExitCode
-from pamctl.realtime.program import Program
+from pamctl.realtime.keyframe import frozen
 from pamctl.realtime.tick import TickSetup, TickState, first_state, rezeroed, step
 from pamctl.safety import OVERRUNS, explain
 from pamctl.signals import Decision, Outcome, Reference, TickRecord, Timing, Truth
@@ -40,6 +40,45 @@ class Journal(Protocol):
 
     def no_more_ticks(self) -> None:
         """Learn that the valve is safe and will not be moved again."""
+
+
+class Helm(Protocol):
+    """Who may change what the tick needs to know, and what is asked next, between two ticks."""
+
+    def setup(self, t_s: float) -> TickSetup:
+        """Return what holds for the tick at `t_s`."""
+
+    def heed(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+        """Learn that a tick is done; what changes now holds from the next one on."""
+
+
+class Unsteered:
+    """The helm of a single run: nothing changes."""
+
+    def __init__(self, setup: TickSetup) -> None:
+        """`setup` holds for every tick."""
+        self._setup = setup
+
+    def setup(self, t_s: float) -> TickSetup:
+        """Return it."""
+        return self._setup
+
+    def heed(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+        """Let nobody interfere."""
+
+
+class Steerable(Protocol):
+    """What is asked of the muscle: `Program`, or a program that takes orders."""
+
+    @property
+    def is_stopping(self) -> bool:
+        """The smooth stop has begun."""
+
+    def next(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
+        """Return the reference at `t_s`, or None at the end; and the zeros just found."""
+
+    def begin_stop(self, t_s: float, valve_v: float) -> None:
+        """Go from the present valve command to the safe one on a ramp."""
 
 
 class Supervisor(Protocol):
@@ -64,21 +103,23 @@ def control(
     clock: Clock,
     setup: TickSetup,
     nominal_zero: Callable[[RawSample], Zero],
-    program: Program,
+    program: Steerable,
     journal: Journal,
     supervisor: Supervisor,
     truth: Callable[[], Truth],
+    helm: Helm | None = None,
 ) -> Ending:
     """Run the program to its end; leave the rig safe and closed on every path.
 
     `nominal_zero` gives the sensors' zeros until homing finds better ones; `truth` is what
-    a simulated plant knows. `RigError`, a safety trip and a failed homing become the
-    ending; anything else is an error of ours and is raised.
+    a simulated plant knows. Without a `helm` the set-up stays as it is. `RigError`, a safety
+    trip and a failed homing become the ending; anything else is an error of ours and is raised.
     """
     try:
         with opened(rig):
             journal.put_event(0, clock.now_ns(), {"event": "rig", **rig.describe()})
-            loop = _Loop(rig, clock, setup, nominal_zero, program, journal, supervisor, truth)
+            helm = helm or Unsteered(setup)
+            loop = _Loop(rig, clock, setup, helm, nominal_zero, program, journal, supervisor, truth)
             try:
                 return loop.run()
             finally:
@@ -101,8 +142,9 @@ class _Loop:
     rig: Rig
     clock: Clock
     setup: TickSetup
+    helm: Helm
     nominal_zero: Callable[[RawSample], Zero]
-    program: Program
+    program: Steerable
     journal: Journal
     supervisor: Supervisor
     truth: Callable[[], Truth]
@@ -125,7 +167,8 @@ class _Loop:
                 self._record_zero(timing.tick, raw, zero)
             if reference is None:
                 return self.ending
-            state, decision = step(self.setup, state, raw, reference, timing)
+            setup = self.helm.setup(timing.t_s)
+            state, decision = step(setup, state, raw, reference, timing)
             self._act(wake, sampled_ns, timing, raw, reference, state, decision)
             if decision.tripped:
                 return self._tripped(timing, raw, decision)
@@ -133,6 +176,7 @@ class _Loop:
             # in this tick and an abort in the next, and never an end without its reason.
             abort = self.supervisor.abort_wanted()
             self._heed_supervisor(timing, raw, decision)
+            self.helm.heed(timing, raw, state)
             if abort:
                 return self.ending
             wake = self.clock.wait()
@@ -224,23 +268,3 @@ def _timing(times: _Times, wake: Wake, raw: RawSample) -> Timing:
         (wake.now_ns - wake.deadline_ns) * 1e-9,
         wake.missed,
     )
-
-
-def frozen(state: object) -> list[float]:
-    """Flatten a tick's state, tuples in tuples, into the doubles of a keyframe."""
-    if isinstance(state, tuple):
-        return [number for part in state for number in frozen(part)]
-    return [float(state)]  # type: ignore[arg-type]
-
-
-def keyframe_fields(state: object, path: str = "") -> list[str]:
-    """Name the doubles that `frozen` makes: `filters.rate.pole` and the like."""
-    if isinstance(state, tuple):
-        names = getattr(state, "_fields", None) or map(str, range(len(state)))
-        prefix = f"{path}." if path else ""
-        return [
-            field
-            for name, part in zip(names, state, strict=True)
-            for field in keyframe_fields(part, prefix + name)
-        ]
-    return [path]

@@ -17,14 +17,20 @@ class Program:
     """
 
     def __init__(
-        self, homing: Homing | None, course: Course, *, safe_valve_v: float, stop_ramp_s: float
+        self,
+        homing: Homing | None,
+        course: Course,
+        *,
+        safe_valve_v: float,
+        stop_ramp_s: float,
+        course_begin_s: float | None = None,
     ) -> None:
-        """Without homing the experiment begins at once."""
+        """Without homing the experiment begins at once, or began at `course_begin_s`."""
         self._homing = homing
         self._course = course
         self._safe_valve_v = safe_valve_v
         self._stop_ramp_s = stop_ramp_s
-        self._course_begin_s: float | None = None
+        self._course_begin_s = course_begin_s
         self._stop_begin_s: float | None = None
         self._stop_from_v = safe_valve_v
 
@@ -44,6 +50,14 @@ class Program:
         if self._course_begin_s is None:
             self._course_begin_s = t_s
         return self._course.at(t_s - self._course_begin_s), zero
+
+    @property
+    def running(self) -> tuple[Course, float] | None:
+        """The course and when it began, while time alone decides what is asked; else None."""
+        begin_s = self._course_begin_s
+        if begin_s is None or self._homing is not None or self._stop_begin_s is not None:
+            return None
+        return self._course, begin_s
 
     @property
     def is_stopping(self) -> bool:

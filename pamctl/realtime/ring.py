@@ -200,6 +200,8 @@ class Ring:
     """The loop's worst wake-up so far."""
     loop_stage = _Word(36)
     """One of `LoopStage`. Written by the loop."""
+    missed_ticks = _Word(37)
+    """Grid points skipped so far. Written by the loop of a session."""
     guardian_ready = _Word(40)
     """Not zero once the guardian watches the loop. Written by the guardian."""
     guardian_beats = _Word(41)
@@ -388,6 +390,28 @@ class Ring:
             if self.head - head <= self.rows // 4:
                 return None if row is None else self._tick_columns(payload)
 
+    def recent_ticks(self, after: int, every: int = 1) -> list[dict[str, float]]:
+        """Return the ticks newer than tick `after` whose number `every` divides, oldest first.
+
+        Of the newest quarter of the ring: those beyond may be overwritten meanwhile.
+        """
+        while True:
+            head, payloads = self.head, []
+            for row in range(head - 1, max(-1, head - 1 - self.rows // 4), -1):
+                kind, _, tick, _ = self._row_header(row)
+                if kind == RowKind.TICK:
+                    if tick <= after:
+                        break
+                    if not tick % every:
+                        payloads.append(self._copy(row, row + 1)[ROW_HEADER.size :])
+            if self.head - head <= self.rows // 4:
+                return [self._tick_columns(payload) for payload in reversed(payloads)]
+
+    def _row_header(self, row: int) -> tuple[int, int, int, int]:
+        at = self._rows_at + row % self.rows * ROW_BYTES
+        kind, size, tick, t_ns = ROW_HEADER.unpack_from(self._buffer, at)
+        return kind, size, tick, t_ns
+
     def _tick_columns(self, payload: bytes) -> dict[str, float]:
         names = (field.name for field in self.meta.tick_fields)
         return dict(zip(names, self._tick.unpack_from(payload), strict=True))
@@ -424,12 +448,6 @@ class Ring:
     def __exit__(self, *_: object) -> None:
         """Close."""
         self.close()
-
-
-def is_orphan(path: str | Path) -> bool:
-    """Tell whether no living process holds the ring at `path`."""
-    with Ring.attach(path) as ring:
-        return ring.claim()
 
 
 assert tick_struct(TICK_FIELDS).size <= PAYLOAD_BYTES, "a tick must fit into one row"

@@ -11,7 +11,7 @@ import ctypes
 import gc
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Literal, NamedTuple
 
@@ -25,6 +25,9 @@ GUARDIAN_PRIORITY = PRIORITY + 1
 """Above the loop. The guardian has a CPU of its own where there are two; where there is one, a
 loop that spins for ever under SCHED_FIFO would otherwise never let it run. What it does takes
 tens of microseconds every 5 ms."""
+
+FRONT_PRIORITY = 1
+"""Below all others of a run, above whatever else keeps the PC busy."""
 
 _INDISPENSABLE = frozenset({"fifo", "mlock"})
 _DMA_LATENCY = "/dev/cpu_dma_latency"
@@ -100,6 +103,17 @@ class Preparation:
         self.release()
 
 
+def keep_single_threaded() -> None:
+    """Keep numpy's algebra, which a driver's package may load, from starting threads of its own.
+
+    Call it before anything is imported that might. A process that is killed is dead when its last
+    thread is, and an idle one at normal priority dies when a busy CPU gets round to it: 120 ms
+    were seen until a killed loop let go of the output, 5 ms without.
+    """
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        os.environ[f"{library}_NUM_THREADS"] = "1"
+
+
 def prepare(mode: Mode = "auto", cpu: int | None = None) -> Preparation:
     """Prepare this process, whose calling thread is the loop, for real time.
 
@@ -158,6 +172,29 @@ def stand_guard(mode: Mode, loop_cpu: int | None) -> tuple[Step, ...]:
             ),
         ]
     return tuple(steps)
+
+
+@contextlib.contextmanager
+def on_watch(mode: Mode) -> Iterator[None]:
+    """Let the front preempt ordinary processes within the block, where that is permitted.
+
+    Not for what it does, which is little and has time, but for its end: a process that was
+    killed needs the CPU for some milliseconds to die, and only then can the others see it.
+    On a busy PC it waits its turn for these, with the valve open. No child may be started
+    within the block: it would inherit the priority.
+    """
+    with ExitStack() as undo:
+        if mode != "off":
+            _attempt("fifo", _be_awake, _how_to_run_as_fifo, undo)
+        yield
+
+
+def _be_awake(undo: ExitStack) -> str:
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    # Without the reset on fork: only root may take that back, and the front has more to do.
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FRONT_PRIORITY))
+    undo.callback(_try, os.sched_setscheduler, 0, *before)
+    return f"SCHED_FIFO, priority {FRONT_PRIORITY}"
 
 
 def _attempt(

@@ -1,0 +1,56 @@
+"""`--live`: values for Foxglove while it runs, served by a process of its own."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Annotated
+
+import typer
+
+from pamctl.realtime.ending import ExitCode
+
+LiveOption = Annotated[
+    bool, typer.Option("--live", help="Serve Foxglove and Lichtblick; needs pamctl[live].")
+]
+LivePortOption = Annotated[
+    int, typer.Option("--live-port", metavar="PORT", min=0, max=65535, help="Of --live.")
+]
+DEFAULT_LIVE_PORT = 8765
+"""Foxglove's own."""
+
+
+def port_of(live: bool, port: int) -> int | None:
+    """Return where to serve, None where that is not wanted; leave where it cannot be done."""
+    if not live:
+        return None
+    if importlib.util.find_spec("foxglove") is None:
+        print(
+            "error: --live needs foxglove-sdk, which is not installed: pip install 'pamctl[live]'",
+            file=sys.stderr,
+        )
+        raise typer.Exit(int(ExitCode.UNAVAILABLE))
+    return port
+
+
+@contextmanager
+def live_view(port: int | None, *source: str) -> Iterator[None]:
+    """Let `pamctl.cli.live_process` serve `source` on `port` meanwhile; nothing with None."""
+    if port is None:
+        yield
+        return
+    command = [sys.executable, "-m", "pamctl.cli.live_process", str(port), *source]
+    # It hears no Ctrl-C, and leaves when its standard input ends, with this process.
+    viewer = subprocess.Popen(command, stdin=subprocess.PIPE, process_group=0)
+    try:
+        yield
+    finally:
+        assert viewer.stdin is not None
+        viewer.stdin.close()
+        with suppress(subprocess.TimeoutExpired):
+            viewer.wait(2.0)
+        viewer.kill()
+        viewer.wait()

@@ -1,0 +1,174 @@
+"""The clients of the daemon: `pamctl status start stop estop ack set gains goto mark`."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from pamctl.cli.config import JsonOption, config_errors_exit
+from pamctl.cli.progress import progress_text
+from pamctl.cli.socket_option import SocketOption
+from pamctl.daemon.client import Client, Declined, Unreachable, default_socket
+from pamctl.log.naming import bare
+from pamctl.realtime.ending import ExitCode
+from pamctl.realtime.tuning import DEFAULT_RAMP_S
+from pamctl.settings import SECTIONS, Raw, find, to_data, validated
+from pamctl.yamlfile import dump
+
+RampOption = Annotated[
+    float, typer.Option("--ramp", metavar="SECONDS", min=0, max=60, help="Of the change.")
+]
+
+_METRES = {"": 1e-3, "mm": 1e-3, "m": 1.0, "um": 1e-6, "in": 25.4e-3}
+
+gains_app = typer.Typer(no_args_is_help=True, help="Load, show and save the daemon's gains.")
+
+
+def ask(socket: Path | None, method: str, params: Mapping[str, object] | None = None) -> Any:
+    """Ask the daemon; leave with one line where it cannot be asked or says no."""
+    try:
+        with Client(socket or default_socket()) as client:
+            return client.call(method, params)
+    except Unreachable as error:
+        _leave(ExitCode.UNAVAILABLE, str(error))
+    except Declined as error:
+        _leave(ExitCode.CHECK_FAILED, str(error))
+
+
+def _leave(code: ExitCode, reason: str) -> NoReturn:
+    print(f"error: {reason}", file=sys.stderr)
+    raise typer.Exit(int(code))
+
+
+def status(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Say what the daemon is doing."""
+    told = ask(socket, "status")
+    typer.echo(json.dumps(told, indent=2) if as_json else status_text(told))
+
+
+def status_text(told: Mapping[str, Any]) -> str:
+    """Write a status for people."""
+    what = f": {told['fault']}" if told["fault"] else f" ({told['run']})" if told["run"] else ""
+    lines = [f"{told['state']}{what}, {told['backend']} {told['device']}"]
+    if told["tick"] is not None:
+        tick = {k: float("nan") if v is None else v for k, v in told["tick"].items()}
+        lines.append(progress_text(tick, told["worst_late_s"]).strip())
+    if told["log"]:
+        lines.append(f"log: {told['log']}")
+    lines.append(f"disk: {told['disk_free_bytes'] / 1e9:.1f} GB free")
+    return "\n".join(lines)
+
+
+def start(
+    experiment: Annotated[str, typer.Argument(metavar="NAME|FILE", help="As of pamctl run.")],
+    duration_s: Annotated[
+        float | None, typer.Option("--duration", metavar="SECONDS", help="End it early.")
+    ] = None,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run an experiment; home first if the muscle is not."""
+    data = _section("experiment", experiment)
+    params = {"experiment": data, "name": bare(experiment), "duration_s": duration_s}
+    _tell(ask(socket, "start", params), "log: {log}", as_json=as_json)
+
+
+def stop(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Stop what is running, smoothly; the muscle stays homed."""
+    _tell(ask(socket, "stop"), "stopping", as_json=as_json)
+
+
+def estop(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Emergency stop: the safe voltage within a tick; latched until `pamctl ack`."""
+    _tell(ask(socket, "estop"), "emergency stop", as_json=as_json)
+
+
+def ack(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Acknowledge a fault."""
+    _tell(ask(socket, "ack"), "acknowledged: {fault}", as_json=as_json)
+
+
+def disarm(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """End the session: idle, and the next run homes anew."""
+    _tell(ask(socket, "disarm"), "idle", as_json=as_json)
+
+
+def goto(
+    position: Annotated[str, typer.Argument(metavar="POSITION", help="12mm, 0.012m, 12")],
+    within_s: Annotated[
+        float | None, typer.Option("--in", metavar="SECONDS", help="4 mm/s if absent.")
+    ] = None,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Go to a position and hold it."""
+    params = {"position_m": metres(position), "within_s": within_s}
+    _tell(ask(socket, "goto", params), "log: {log}", as_json=as_json)
+
+
+def metres(text: str) -> float:
+    """Read a length; a bare number is in mm."""
+    found = re.fullmatch(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*([a-z]*)\s*", text)
+    try:
+        assert found is not None
+        return float(found[1]) * _METRES[found[2]]
+    except (AssertionError, KeyError, ValueError):
+        raise typer.BadParameter(f"'{text}' is no position; write 12mm or 0.012m") from None
+
+
+def set_keys(
+    changes: Annotated[
+        list[str], typer.Argument(metavar="KEY=VALUE...", help="controller.lambda_per_s=12")
+    ],
+    ramp_s: RampOption = DEFAULT_RAMP_S,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Change gains while the loop runs, on a ramp."""
+    gains = ask(socket, "set", {"changes": changes, "ramp_s": ramp_s})
+    typer.echo(json.dumps(gains, indent=2) if as_json else dump(gains).rstrip())
+
+
+def mark(
+    text: Annotated[str, typer.Argument(help="What to remember.")],
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Put a remark into the log of the run that goes on."""
+    _tell(ask(socket, "mark", {"text": text}), "marked", as_json=as_json)
+
+
+@gains_app.command("load")
+def load(
+    file: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A controller file.")],
+    ramp_s: RampOption = DEFAULT_RAMP_S,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Take the gains of a controller file, on a ramp; another law only between runs."""
+    data = _section("controller", file)
+    gains = ask(socket, "load", {"controller": data, "name": bare(file), "ramp_s": ramp_s})
+    typer.echo(json.dumps(gains, indent=2) if as_json else dump(gains).rstrip())
+
+
+@gains_app.command("show")
+def show(socket: SocketOption = None, as_json: JsonOption = False) -> None:
+    """Print the gains in use, as a controller file."""
+    gains = ask(socket, "status")["controller"]
+    typer.echo(json.dumps(gains, indent=2) if as_json else dump(gains).rstrip())
+
+
+def _section(section: str, name: str) -> dict[str, Any]:
+    """Read and check a file here, where its lines can be named."""
+    with config_errors_exit():
+        return to_data(validated(SECTIONS[section], Raw.read(find(section, name)), title=section))
+
+
+def _tell(answer: Any, text: str, *, as_json: bool) -> None:
+    typer.echo(json.dumps(answer, indent=2) if as_json else text.format(**(answer or {})))

@@ -1,0 +1,95 @@
+"""A client of the control socket: one request, one answer."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+_PATIENCE_S = 60.0
+"""Starting a session may take a driver several seconds."""
+
+
+class Unreachable(Exception):
+    """There is no daemon to talk to. The message says what to do."""
+
+
+class Declined(Exception):
+    """The daemon said no; the message is its own, the code that of the protocol."""
+
+    def __init__(self, message: str, code: int) -> None:
+        """`code` is one of `pamctl.daemon.protocol`."""
+        super().__init__(message)
+        self.code = code
+
+
+_SYSTEM_SOCKET = Path("/run/pamctl/control.sock")
+
+
+def own_socket() -> Path:
+    """Return where a daemon of this user listens; root's is the system's."""
+    if os.geteuid() == 0:
+        return _SYSTEM_SOCKET
+    return Path(os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{os.getuid()}") / "pamctl.sock"
+
+
+def default_socket() -> Path:
+    """Return where a client looks for a daemon: this user's own, or else the system's."""
+    own = own_socket()
+    return own if own.exists() or not _SYSTEM_SOCKET.exists() else _SYSTEM_SOCKET
+
+
+class Client:
+    """A connection to the daemon; a context manager."""
+
+    def __init__(self, path: Path, patience_s: float = _PATIENCE_S) -> None:
+        """Connect; raise `Unreachable`. An answer is waited for as long as `patience_s`."""
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(patience_s)
+        try:
+            self._socket.connect(str(path))
+        except OSError as error:
+            self._socket.close()
+            raise Unreachable(_advice(path, error)) from error
+        self._answers = self._socket.makefile("rb")
+        self._last_id = 0
+
+    def call(self, method: str, params: Mapping[str, object] | None = None) -> Any:
+        """Ask, and return the answer; raise `Declined`, or `Unreachable` where it is cut off."""
+        self._last_id += 1
+        request = {"jsonrpc": "2.0", "id": self._last_id, "method": method, "params": params or {}}
+        try:
+            self._socket.sendall(json.dumps(request).encode() + b"\n")
+            line = self._answers.readline()
+        except OSError as error:
+            raise Unreachable(f"the daemon does not answer: {error}") from error
+        if not line:
+            raise Unreachable("the daemon closed the connection")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise Declined(answer["error"]["message"], answer["error"]["code"])
+        return answer["result"]
+
+    def close(self) -> None:
+        """Hang up."""
+        self._answers.close()
+        self._socket.close()
+
+    def __enter__(self) -> Client:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Hang up."""
+        self.close()
+
+
+def _advice(path: Path, error: OSError) -> str:
+    if isinstance(error, PermissionError):
+        return f"{path}: not permitted; its group may: add yourself to it"
+    if isinstance(error, FileNotFoundError | ConnectionRefusedError):
+        return f"{path}: no daemon listens there; start one with `pamctl daemon`, or give --socket"
+    return f"{path}: {error.strerror or error}"

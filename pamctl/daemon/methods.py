@@ -1,0 +1,79 @@
+"""The methods of the control socket, each with its parameters. SI throughout."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from pamctl.daemon.protocol import Method, NoParams, Params
+from pamctl.daemon.service import Service
+from pamctl.realtime.tuning import DEFAULT_RAMP_S
+
+Ramp = Annotated[float, Field(ge=0, le=60, description="s")]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,60}$")]
+
+
+class Start(Params):
+    """An experiment, as its file holds it."""
+
+    experiment: dict[str, Any]
+    name: Name
+    duration_s: Annotated[float | None, Field(gt=0)] = None
+
+
+class Goto(Params):
+    """A position to hold."""
+
+    position_m: float
+    within_s: Annotated[float | None, Field(gt=0, le=3600)] = None
+
+
+class Change(Params):
+    """Keys of the controller: `controller.lambda_per_s=12`."""
+
+    changes: Annotated[list[str], Field(min_length=1, max_length=32)]
+    ramp_s: Ramp = DEFAULT_RAMP_S
+
+
+class Load(Params):
+    """A controller, as its file holds it."""
+
+    controller: dict[str, Any]
+    name: Name
+    ramp_s: Ramp = DEFAULT_RAMP_S
+
+
+class Mark(Params):
+    """A remark for the log."""
+
+    text: Annotated[str, Field(min_length=1, max_length=2000)]
+
+
+class Recent(Params):
+    """Ticks that are newer than one."""
+
+    after_tick: int = -1
+    every: Annotated[int, Field(ge=1, le=100_000)] = 10
+    fields: Annotated[list[str] | None, Field(max_length=100)] = None
+
+
+def methods_of(service: Service) -> dict[str, Method]:
+    """Return all that can be asked of a service."""
+    return {
+        "status": Method(NoParams, lambda _: service.status(), changes=False),
+        "recent": Method(
+            Recent, lambda p: service.recent(p.after_tick, p.every, p.fields), changes=False
+        ),
+        "estop": Method(NoParams, lambda _: service.estop(), changes=False),
+        "start": Method(
+            Start, lambda p: {"log": str(service.start(p.experiment, p.name, p.duration_s))}
+        ),
+        "stop": Method(NoParams, lambda _: service.stop()),
+        "disarm": Method(NoParams, lambda _: service.disarm()),
+        "ack": Method(NoParams, lambda _: {"fault": service.ack()}),
+        "set": Method(Change, lambda p: service.set_gains(p.changes, p.ramp_s)),
+        "load": Method(Load, lambda p: service.load_gains(p.controller, p.name, p.ramp_s)),
+        "goto": Method(Goto, lambda p: {"log": str(service.goto(p.position_m, p.within_s))}),
+        "mark": Method(Mark, lambda p: service.mark(p.text)),
+    }

@@ -1,0 +1,107 @@
+"""JSON-RPC 2.0, one document a line: what a request is, and every answer there is.
+
+Nothing here opens a socket or knows a rig; whatever bytes come in, an answer comes out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+LARGEST_REQUEST = 1 << 18
+"""Bytes of a line. The largest honest request is an experiment of a few thousand steps."""
+
+PARSE_ERROR = -32700
+INVALID_REQUEST = -32600
+METHOD_NOT_FOUND = -32601
+INVALID_PARAMS = -32602
+INTERNAL_ERROR = -32603
+REFUSED = 1
+TOO_MANY = 2
+
+
+class Params(BaseModel):
+    """Parameters of a method. An unknown one is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class NoParams(Params):
+    """A method that needs to know nothing."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """What can be asked."""
+
+    params: type[Params]
+    call: Callable[[Any], Any]
+    changes: bool = True
+    """It may block for a while, and is carried out after those before it."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """One request that is understood."""
+
+    id: int | str | None
+    name: str
+    method: Method
+    params: Params
+
+
+class RequestError(Exception):
+    """A request that is not carried out."""
+
+    def __init__(self, code: int, message: str, request_id: int | str | None = None) -> None:
+        """`message` is for people."""
+        super().__init__(message)
+        self.code = code
+        self.request_id = request_id
+
+
+def understood(line: bytes, methods: Mapping[str, Method]) -> Request:
+    """Parse one line; raise `RequestError`."""
+    try:
+        document = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise RequestError(PARSE_ERROR, f"not JSON: {error}") from None
+    if not isinstance(document, dict) or document.get("jsonrpc") != "2.0":
+        raise RequestError(INVALID_REQUEST, 'not a request: {"jsonrpc": "2.0", "method": ...}')
+    request_id = document.get("id")
+    if not isinstance(request_id, int | str | None) or isinstance(request_id, bool):
+        raise RequestError(INVALID_REQUEST, "id must be a number or a text")
+    name = document.get("method")
+    method = methods.get(name) if isinstance(name, str) else None
+    if method is None:
+        known = ", ".join(methods)
+        raise RequestError(METHOD_NOT_FOUND, f"no method {name!r}; there are {known}", request_id)
+    try:
+        params = method.params.model_validate(document.get("params", {}))
+    except ValidationError as error:
+        told = "; ".join(f"{_place(e['loc'])}{e['msg']}" for e in error.errors())
+        raise RequestError(INVALID_PARAMS, told, request_id) from None
+    return Request(request_id, str(name), method, params)
+
+
+def result(request_id: int | str | None, value: object) -> bytes:
+    """Write the answer to a request that was carried out."""
+    return _line({"jsonrpc": "2.0", "id": request_id, "result": value})
+
+
+def failure(error: RequestError) -> bytes:
+    """Write the answer to one that was not."""
+    said = {"code": error.code, "message": str(error)}
+    return _line({"jsonrpc": "2.0", "id": error.request_id, "error": said})
+
+
+def _line(document: Mapping[str, object]) -> bytes:
+    return json.dumps(document, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+
+
+def _place(location: tuple[int | str, ...]) -> str:
+    return f"{'.'.join(map(str, location))}: " if location else ""

@@ -1,0 +1,155 @@
+"""The control socket: many clients, none of whom can disturb the others, or the loop.
+
+The socket is of mode 0660: its group is who may steer. What a client sends is limited in
+size and rate; one that does not read its answers is let go.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import grp
+import os
+import socket
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+
+from pamctl.daemon.allowance import REQUESTS_PER_S, Allowance
+from pamctl.daemon.protocol import (
+    INTERNAL_ERROR,
+    INVALID_REQUEST,
+    LARGEST_REQUEST,
+    REFUSED,
+    TOO_MANY,
+    Method,
+    Request,
+    RequestError,
+    failure,
+    result,
+    understood,
+)
+from pamctl.daemon.refusal import Refused
+
+MOST_CLIENTS = 64
+_READS_WITHIN_S = 2.0
+_MOST_UNREAD_BYTES = 1 << 20
+
+Methods = dict[str, Method]
+
+
+class SocketError(Exception):
+    """The control socket cannot be made. The message says why, and the way out."""
+
+
+class Server:
+    """Answers requests on a Unix socket."""
+
+    def __init__(self, methods: Methods) -> None:
+        """`methods` are what can be asked; none may end the process."""
+        self._methods = methods
+        self._clients: set[asyncio.Task[None]] = set()
+        # One after the other, and in one thread: each thread would keep memory of its own.
+        self._worker = ThreadPoolExecutor(1, "orders")
+
+    async def listen(self, path: Path, group: str | None = None) -> asyncio.Server:
+        """Make the socket and answer from now on; raise `SocketError`."""
+        listening = _bound(path, group)
+        return await asyncio.start_unix_server(self._welcome, sock=listening, limit=LARGEST_REQUEST)
+
+    async def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        if len(self._clients) >= MOST_CLIENTS:
+            writer.write(failure(RequestError(TOO_MANY, f"{MOST_CLIENTS} clients are enough")))
+            writer.close()
+            return
+        self._clients.add(task)
+        try:
+            await self._serve(reader, writer)
+        except (ConnectionError, TimeoutError):
+            pass  # it went, or does not read
+        except asyncio.CancelledError:
+            pass  # the daemon ends
+        finally:
+            self._clients.discard(task)
+            writer.transport.abort()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        allowance = Allowance(time.monotonic())
+        writer.transport.set_write_buffer_limits(high=_MOST_UNREAD_BYTES)
+        while True:
+            try:
+                line = await reader.readuntil(b"\n")
+            except asyncio.IncompleteReadError:
+                return
+            except asyncio.LimitOverrunError:
+                message = f"a request is one line of at most {LARGEST_REQUEST} bytes"
+                writer.write(failure(RequestError(INVALID_REQUEST, message)))
+                await _drained(writer)
+                return
+            writer.write(await self._answer(line, allowance))
+            await _drained(writer)
+
+    async def _answer(self, line: bytes, allowance: Allowance) -> bytes:
+        try:
+            request = understood(line, self._methods)
+            # Whoever wants the emergency stop has it, however much they asked before.
+            if request.name != "estop" and not allowance.spend(time.monotonic()):
+                message = f"more than {REQUESTS_PER_S:g} requests a second"
+                raise RequestError(TOO_MANY, message, request.id)
+            return result(request.id, await self._carried_out(request))
+        except RequestError as error:
+            return failure(error)
+
+    async def _carried_out(self, request: Request) -> object:
+        try:
+            if not request.method.changes:
+                return request.method.call(request.params)
+            turn = asyncio.get_running_loop()
+            return await turn.run_in_executor(self._worker, request.method.call, request.params)
+        except Refused as error:
+            raise RequestError(REFUSED, str(error), request.id) from error
+        except Exception as error:  # ours: the client learns of it, the daemon goes on
+            message = f"{type(error).__name__}: {error}"
+            raise RequestError(INTERNAL_ERROR, message, request.id) from error
+
+
+async def _drained(writer: asyncio.StreamWriter) -> None:
+    async with asyncio.timeout(_READS_WITHIN_S):
+        await writer.drain()
+
+
+def _bound(path: Path, group: str | None) -> socket.socket:
+    """Make the socket, in the place of one that nobody answers any more."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            _require_stale(path)
+            path.unlink()
+        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        before = os.umask(0o117)
+        try:
+            listening.bind(str(path))
+        finally:
+            os.umask(before)
+        if group is not None:
+            os.chown(path, -1, grp.getgrnam(group).gr_gid)
+    except KeyError:
+        raise SocketError(f"--group {group}: there is no such group") from None
+    except OSError as error:
+        raise SocketError(
+            f"{path}: the control socket cannot be made: {error.strerror or error}; "
+            "give another place with --socket"
+        ) from error
+    return listening
+
+
+def _require_stale(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(1.0)
+        with suppress(ConnectionRefusedError, FileNotFoundError):
+            probe.connect(str(path))
+            raise SocketError(
+                f"{path}: a daemon answers there already; give another place with --socket"
+            )

@@ -1,0 +1,244 @@
+"""The processes behind the daemon: a loop that takes orders, its guardian, a recorder a run.
+
+    daemon - guardian
+           - loop      one for as long as the muscle stays homed
+           - recorder  one for each run
+
+The loop sees the daemon's death as the end of a pipe; the guardian sees the loop's.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hal.rig import Rig
+from pamctl.daemon.refusal import Refused
+from pamctl.log.meta import RunMeta
+from pamctl.log.recorder import RecorderError, await_ready, spawn
+from pamctl.realtime.ending import Ending, ExitCode
+from pamctl.realtime.front import FrontReport, blocked_signals, close_log, ending_of
+from pamctl.realtime.guardianship import Guardianship
+from pamctl.realtime.last_words import outcome, speak_for_the_dead
+from pamctl.realtime.orders import OrderError, Orders
+from pamctl.realtime.ring import LoopStage, Ring
+from pamctl.settings import RunSettings
+from pamctl.signals import Phase
+
+_ORDER_PATIENCE_S = 2.0
+_START_PATIENCE_S = 20.0
+_SESSION_ROWS = 4096
+"""Ticks between runs are read by nobody but who asks for the newest."""
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """What the composition root brings: how the processes of a rig are made."""
+
+    loop: Sequence[str]
+    """The command of the loop; the ring's path and the orders' descriptor are appended."""
+    guardian: Sequence[str]
+    """The command of the guardian; the ring's path is appended."""
+    rig: Rig
+    """Not opened here: made safe where neither loop nor guardian is left to do it."""
+    meta: Callable[[RunSettings, Mapping[str, str], Path], RunMeta]
+    device: str
+    """The name of the device."""
+    ring_path: Callable[[], Path]
+    """A new name in shared memory; one that is left behind is recovered at the next start."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: its log, and who writes it."""
+
+    name: str
+    log: Path
+    ring: Ring
+    recorder: subprocess.Popen[bytes]
+
+    @property
+    def is_over(self) -> bool:
+        """The loop has put its last row."""
+        with suppress(ValueError):  # closed just now
+            return bool(self.ring.loop_done)
+        return True
+
+
+class Session:
+    """A loop that lives, and the run that goes on in it."""
+
+    def __init__(self, workshop: Workshop, settings: RunSettings, names: Mapping[str, str]) -> None:
+        """Start loop and guardian; raise `Refused` where they do not come up."""
+        self._workshop = workshop
+        self.run: Run | None = None
+        self.runs_begun = 0
+        self._orders = Orders.create()
+        meta = workshop.meta(settings, names, Path("/nonexistent"))
+        path = workshop.ring_path().with_suffix(".session")
+        self._ring = Ring.create(path, meta, _SESSION_ROWS)
+        self._open_rings = [self._ring]
+        self._reading = threading.Lock()
+        with blocked_signals():
+            self._guardian = Guardianship(self._ring, workshop.guardian, workshop.rig)
+            self._loop = subprocess.Popen(
+                [*workshop.loop, str(path), str(self._orders.fd)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                pass_fds=[self._orders.fd],
+                process_group=0,
+            )
+            self._ring.loop_pid = self._loop.pid
+        self._await_ticks()
+        self._ring.unlink()  # those who hold it keep it, and nothing is left behind
+
+    def _await_ticks(self) -> None:
+        deadline_s = time.monotonic() + _START_PATIENCE_S
+        while self._ring.latest_tick() is None:
+            self.look()
+            if self._loop.poll() is not None or time.monotonic() > deadline_s:
+                self._loop.kill()
+                raise Refused(f"the loop did not start: {self.close().reason}")
+            time.sleep(2e-3)
+
+    # --- what is going on ---------------------------------------------------------------
+
+    @property
+    def is_alive(self) -> bool:
+        """The loop process lives."""
+        return self._loop.poll() is None
+
+    def look(self) -> None:
+        """See whether the guardian lives; call it every few milliseconds, from any thread."""
+        with self._reading:
+            if self._ring in self._open_rings:
+                self._guardian.look()
+
+    def latest_tick(self) -> dict[str, float] | None:
+        """Return the newest tick's columns by name."""
+        with self._reading:
+            newest = (ring.latest_tick() for ring in reversed(self._open_rings))
+            return next((tick for tick in newest if tick is not None), None)
+
+    def recent_ticks(self, after: int, every: int) -> list[dict[str, float]]:
+        """Return every so-manieth tick since tick `after`, oldest first."""
+        with self._reading:
+            ticks = [t for ring in self._open_rings for t in ring.recent_ticks(after, every)]
+        return sorted(ticks, key=lambda tick: tick["tick"])
+
+    def _close_ring(self, ring: Ring) -> None:
+        """Unmap a ring that nobody is reading just now."""
+        with self._reading:
+            self._open_rings.remove(ring)
+            ring.close()
+
+    @property
+    def phase(self) -> Phase | None:
+        """What the run that goes on is doing; None before its first tick, and between runs."""
+        with self._reading:
+            run = self.run
+            is_open = run is not None and run.ring in self._open_rings
+            tick = run.ring.latest_tick() if run is not None and is_open else None
+            return None if tick is None else Phase(int(tick["phase"]))
+
+    @property
+    def worst_late_s(self) -> float:
+        """The worst wake-up of the run, or of the session where none goes on."""
+        run = self.run
+        with suppress(ValueError):
+            return (self._ring if run is None else run.ring).worst_late_ns * 1e-9
+        return 0.0
+
+    @property
+    def missed_ticks(self) -> int:
+        """Ticks missed in the run, or between the runs where none goes on."""
+        run = self.run
+        with suppress(ValueError):
+            return (self._ring if run is None else run.ring).missed_ticks
+        return 0
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """The processes, by what they are."""
+        run = {} if self.run is None else {"recorder": self.run.recorder.pid}
+        return {"loop": self._loop.pid, **run}
+
+    # --- orders ---------------------------------------------------------------------------
+
+    def order(self, order: Mapping[str, Any]) -> None:
+        """Give an order, and return when the loop has taken it; raise `Refused` if it does not."""
+        try:
+            self._orders.wait_taken(_ORDER_PATIENCE_S, lambda: self.is_alive)
+            self._orders.send(order)
+            self._orders.wait_taken(_ORDER_PATIENCE_S, lambda: self.is_alive)
+        except OrderError as error:
+            raise Refused(str(error)) from error
+
+    def begin(self, name: str, meta: RunMeta, rows: int, order: Mapping[str, Any]) -> None:
+        """Begin a run with a log of its own; raise `Refused` where that cannot be written."""
+        ring = Ring.create(self._workshop.ring_path(), meta, rows)
+        self._open_rings.append(ring)
+        run = Run(name, Path(meta.log_path), ring, spawn(ring.path))
+        ring.loop_stage = LoopStage.SETTING_UP
+        before, self.run = self.run, run
+        self.runs_begun += 1
+        try:
+            await_ready(ring, run.recorder)
+            self.order({**order, "ring": str(ring.path)})
+        except (RecorderError, Refused) as error:
+            self.run = before
+            ring.loop_done = 1
+            close_log(ring, run.recorder, Ending(ExitCode.UNEXPECTED, str(error)))
+            if not ring.head:
+                run.log.unlink(missing_ok=True)  # nothing happened: leave nothing behind
+            self._close_ring(ring)
+            raise Refused(str(error)) from error
+        if before is not None:
+            self._finish(before, Ending(ExitCode.OK, "another run has begun"))
+
+    def stop_now(self) -> None:
+        """Demand the emergency stop; the loop ends."""
+        with suppress(ValueError):  # it has ended just now
+            self._orders.stop_now()
+
+    # --- ends -------------------------------------------------------------------------------
+
+    def finish_run(self) -> FrontReport | None:
+        """Return what became of the log of a run that is over; wait for its recorder."""
+        return None if self.run is None else self._finish(self.run, Ending(ExitCode.OK, ""))
+
+    def _finish(self, run: Run, ending: Ending) -> FrontReport:
+        report = close_log(run.ring, run.recorder, ending)
+        if self.run is run:
+            self.run = None  # not before its log is whole
+        self._close_ring(run.ring)
+        return report
+
+    def close(self) -> Ending:
+        """End the loop smoothly if it lives; return how it ended. The valve is safe then."""
+        if self.is_alive:
+            self._loop.send_signal(signal.SIGTERM)
+        while self.is_alive:
+            self.look()
+            time.sleep(5e-3)
+        ending = self._guardian.verdict_on(ending_of(self._loop))
+        if not self._ring.loop_done:
+            self._ring.loop_done = 1
+        self._guardian.dismiss()
+        run = self.run
+        if run is not None:
+            if not run.is_over:
+                speak_for_the_dead(run.ring, outcome(ending))
+                run.ring.loop_done = 1
+            self._finish(run, ending)
+        self._ring.unlink()
+        self._close_ring(self._ring)
+        self._orders.close()
+        return ending

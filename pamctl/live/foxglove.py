@@ -1,0 +1,74 @@
+"""Values for Foxglove and Lichtblick over the Foxglove WebSocket, as the log has them.
+
+Topic, schema and bytes of `/pam/tick` are the log's: one layout shows both. Loopback only, and
+nothing can be changed from there. Needs the package foxglove-sdk: `pamctl[live]`.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+
+import foxglove
+import numpy as np
+
+from pamctl.live.feed import Feed, Glimpse
+from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor, units
+from pamctl.log.wire import TickLayout
+from pamctl.signals import TICK_FIELDS
+
+STATUS_TOPIC = "/pam/status"
+LOOKS_PER_S = 20.0
+EVERY = 10
+"""Ticks, of those that are sent: 100 a second."""
+
+
+class Telemetry:
+    """The channels, and how a glimpse goes into them."""
+
+    def __init__(self) -> None:
+        """Announce them."""
+        descriptor = tick_descriptor(TICK_FIELDS)
+        self._layout = TickLayout.of_fields(TICK_FIELDS)
+        self._columns = np.zeros(1, [(field.name, field.kind) for field in TICK_FIELDS])
+        self._ticks = foxglove.Channel(
+            TICK_TOPIC,
+            message_encoding="protobuf",
+            schema=foxglove.Schema(name=TICK_MESSAGE, encoding="protobuf", data=descriptor),
+            metadata={"units": json.dumps(units(TICK_FIELDS))},
+        )
+        self._status = foxglove.Channel(
+            STATUS_TOPIC, message_encoding="json", schema={"type": "object"}
+        )
+
+    def send(self, glimpse: Glimpse) -> None:
+        """Send what is new."""
+        # The loop's times are those of the monotonic clock; viewers want the calendar's.
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        for tick in glimpse.ticks:
+            self._ticks.log(self._packed(tick), log_time=int(tick["encoder_t_ns"]) + offset_ns)
+        if glimpse.status is not None:
+            said = {k: v for k, v in glimpse.status.items() if k != "tick"}
+            self._status.log(said)
+
+    def _packed(self, tick: Mapping[str, float]) -> bytes:
+        for name, value in tick.items():
+            self._columns[name] = value
+        return self._layout.encode(self._columns).tobytes()
+
+
+def serve(feed: Feed, port: int, goes_on: Callable[[float], bool]) -> None:
+    """Send what the feed sees for as long as `goes_on`, which sleeps so many seconds, says so.
+
+    Raises `RuntimeError` where the port cannot be had.
+    """
+    server = foxglove.start_server(name="pamctl", host="127.0.0.1", port=port)
+    print(f"live: ws://127.0.0.1:{server.port} (Foxglove, Lichtblick)", flush=True)
+    telemetry = Telemetry()
+    try:
+        while goes_on(1.0 / LOOKS_PER_S):
+            telemetry.send(feed.look())
+        telemetry.send(feed.look())
+    finally:
+        server.stop()

@@ -1,0 +1,190 @@
+"use strict";
+// The page of `pamctl watch --web`. Metres and pascals come in; millimetres and kilopascals are shown.
+
+const token = location.hash.slice(1);
+const PHASES = ["homing", "approach", "track", "rest", "open loop", "stopping"];
+const LONGEST_S = 60;
+const SHORTEST_S = 2;
+const HEIGHT = 180;
+const byId = (id) => document.getElementById(id);
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const scaled = (value, factor) => (value === null ? null : value * factor);
+
+// --- plots -----------------------------------------------------------------------------------
+
+const series = { t: [], position: [], reference: [], error: [], pressure: [], command: [] };
+const PLOTS = [
+  { title: "displacement", unit: "mm", lines: [["reference", "--c1", "k1"], ["position", "--c0", "k0"]] },
+  { title: "error", unit: "\u00b5m", lines: [["error", "--c0", "k0"]] },
+  { title: "pressure", unit: "kPa", lines: [["pressure", "--c2", "k2"]] },
+  { title: "valve command", unit: "V", lines: [["command", "--c3", "k3"]] },
+];
+let shownS = 30;
+
+function element(kind, className, text) {
+  const made = document.createElement(kind);
+  made.className = className;
+  made.textContent = text;
+  return made;
+}
+
+function xRange() {
+  if (!series.t.length) return [0, 1];
+  const end = series.t[series.t.length - 1];
+  return [Math.max(end - shownS, Math.min(series.t[0], end - SHORTEST_S)), end];
+}
+
+function yRange(_, low, high) {
+  if (low === null) return [0, 1];
+  const room = Math.max((high - low) * 0.08, Math.abs(high) * 1e-6, 1e-3);
+  return [low - room, high + room];
+}
+
+function axis(options) {
+  return { stroke: () => colour("--dim"), font: "12px system-ui, sans-serif",
+    grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { show: false }, ...options };
+}
+
+function madePlot(plot) {
+  const box = element("div", "plot", "");
+  const title = element("div", "ptitle", plot.title);
+  title.append(element("span", "unit", plot.unit));
+  if (plot.lines.length > 1) for (const [name, , key] of plot.lines) title.append(element("span", `key ${key}`, name));
+  box.append(title);
+  byId("plots").append(box);
+  const chart = new uPlot({
+    width: box.clientWidth, height: HEIGHT, legend: { show: false }, pxAlign: 0,
+    cursor: { sync: { key: "all" }, drag: { x: false, y: false }, y: false },
+    scales: { x: { time: false, range: xRange }, y: { range: yRange } },
+    series: [{}, ...plot.lines.map(([name, line]) => ({ label: name, stroke: () => colour(line), width: 1.5, points: { show: false } }))],
+    axes: [axis({ size: 26, values: (_, at) => at.map((v) => `${v} s`) }), axis({ size: 56 })],
+  }, [[], ...plot.lines.map(() => [])], box);
+  new ResizeObserver(() => chart.setSize({ width: box.clientWidth, height: HEIGHT })).observe(box);
+  return { chart, names: plot.lines.map(([name]) => name) };
+}
+
+const charts = PLOTS.map(madePlot);
+
+function draw() {
+  for (const { chart, names } of charts) chart.setData([series.t, ...names.map((name) => series[name])]);
+}
+
+function forgetAll() {
+  for (const values of Object.values(series)) values.length = 0;
+}
+
+function keep(fields, ticks) {
+  const at = Object.fromEntries(fields.map((name, index) => [name, index]));
+  for (const tick of ticks) {
+    const t = tick[at.t_s], x = tick[at.position_m], ref = tick[at.reference_m];
+    if (series.t.length && t < series.t[series.t.length - 1]) forgetAll(); // another session
+    series.t.push(t);
+    series.position.push(scaled(x, 1e3));
+    series.reference.push(scaled(ref, 1e3));
+    series.error.push(x === null || ref === null ? null : (x - ref) * 1e6);
+    series.pressure.push(scaled(tick[at.pressure_pa], 1e-3));
+    series.command.push(tick[at.valve_v]);
+  }
+  const end = series.t[series.t.length - 1];
+  let old = 0;
+  while (series.t[old] < end - LONGEST_S) old++;
+  if (old) for (const values of Object.values(series)) values.splice(0, old);
+}
+
+// --- figures and events ----------------------------------------------------------------------
+
+function figure(id, value, digits, unit, signed) {
+  const known = value !== null && value !== undefined;
+  const text = known ? value.toFixed(digits).replace(/^-/, "\u2212") : "-";
+  byId(id).textContent = known ? `${signed && value >= 0 ? "+" : ""}${text} ${unit}` : "-";
+}
+
+function showNewest(fields, ticks, isLive) {
+  if (!ticks.length) {
+    if (!isLive) for (const cell of document.querySelectorAll("#figures dd")) cell.textContent = "-";
+    return;
+  }
+  const last = series.t.length - 1;
+  figure("reference", series.reference[last], 3, "mm");
+  figure("position", series.position[last], 3, "mm");
+  figure("error", series.error[last], 1, "\u00b5m", true);
+  figure("pressure", series.pressure[last], 1, "kPa");
+  figure("command", series.command[last], 3, "V", true);
+  byId("phase").textContent = PHASES[ticks[ticks.length - 1][fields.indexOf("phase")]] ?? "-";
+}
+
+function showStatus(status, problem) {
+  const state = status ? status.state : "away";
+  byId("state").textContent = state;
+  byId("state").dataset.state = state;
+  byId("what").textContent = status ? status.fault || status.run || "" : problem;
+  byId("where").textContent = status ? `${status.backend} ${status.device}` : "";
+  document.title = `${state} \u00b7 pamctl`;
+  if (!status) return;
+  figure("late", scaled(status.worst_late_s, 1e6), 1, "\u00b5s");
+  byId("missed").textContent = status.missed_ticks ?? "-";
+  byId("log").textContent = status.log ? `log: ${status.log}` : "";
+  byId("events").replaceChildren(...[...status.events].reverse().map(eventItem));
+}
+
+function eventItem(event) {
+  const { event: what, time_s: at, log, ...details } = event;
+  const item = document.createElement("li");
+  const when = document.createElement("time");
+  when.textContent = new Date(at * 1e3).toLocaleTimeString();
+  const told = Object.entries(details).filter(([, value]) => value !== "").map(([name, value]) => `${name} ${value}`);
+  item.append(when, [what, told.join(", ")].filter(Boolean).join(": "));
+  return item;
+}
+
+// --- what is new -----------------------------------------------------------------------------
+
+const stream = new EventSource("/stream");
+stream.addEventListener("hello", (message) => {
+  const { control } = JSON.parse(message.data);
+  const may = control && token !== "";
+  byId("estop").disabled = !may;
+  byId("controls").hidden = !may;
+  byId("mode").textContent = may ? "" : control
+    ? "read-only: open the page by its whole address, with the token behind #"
+    : "read-only: in a terminal, pamctl estop stops; with --allow-control this page does";
+  forgetAll(); // all of the last minute follows
+});
+stream.onmessage = (message) => {
+  const { status, problem, fields, ticks } = JSON.parse(message.data);
+  keep(fields, ticks);
+  showStatus(status, problem);
+  showNewest(fields, ticks, status !== null && status.state !== "idle" && status.state !== "fault");
+  if (ticks.length) draw();
+};
+stream.onerror = () => showStatus(null, "pamctl watch does not answer");
+
+byId("window").addEventListener("change", (event) => {
+  shownS = Number(event.target.value);
+  draw();
+});
+
+// --- orders ----------------------------------------------------------------------------------
+
+async function order(what) {
+  const notice = byId("notice");
+  try {
+    const answer = await fetch("/do", {
+      method: "POST", body: JSON.stringify(what),
+      headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
+    });
+    const told = await answer.json();
+    notice.hidden = answer.ok;
+    notice.textContent = answer.ok ? "" : `${what.do}: ${told.error}`;
+  } catch (error) {
+    notice.hidden = false;
+    notice.textContent = `${what.do} did not get through (${error.message}); in a terminal: pamctl ${what.do}`;
+  }
+}
+
+byId("estop").addEventListener("click", () => order({ do: "estop" }));
+byId("stop").addEventListener("click", () => order({ do: "stop" }));
+byId("controls").addEventListener("submit", (event) => {
+  event.preventDefault();
+  order({ do: "goto", position_mm: Number(byId("target").value) });
+});

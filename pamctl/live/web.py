@@ -1,0 +1,267 @@
+"""`pamctl watch --web`: a page for the browsers of this PC, and of no other.
+
+    GET /            the page, its script, its style, uPlot
+    GET /stream      what is new, ten times a second (server-sent events)
+    POST /do         stop, goto, estop; only with --allow-control and its token
+
+A process of its own and a client of the control socket like any other: neither it nor what
+browsers do to it touches the loop. Loopback alone is no protection from the pages of other
+sites in the same browser: Host and Origin are checked, and the token travels in the part of
+the address that is never sent.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import secrets
+import sys
+import threading
+import time
+from contextlib import suppress
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pamctl.daemon.allowance import Allowance
+from pamctl.daemon.client import Client, Declined, Unreachable
+from pamctl.live.broadcast import Broadcast
+
+LARGEST_BODY = 4096
+MOST_CONNECTIONS = 32
+_PATIENCE_S = 10.0
+_STILL_THERE_S = 2.0
+
+_PAGE = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/page.css": ("page.css", "text/css; charset=utf-8"),
+    "/uplot.js": ("uplot/uplot.js", "text/javascript; charset=utf-8"),
+    "/uplot.css": ("uplot/uplot.css", "text/css; charset=utf-8"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+        "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+def serve_page(socket: Path, port: int, *, allow_control: bool) -> None:
+    """Serve until Ctrl-C; print the address. Raises `OSError` where the port is taken."""
+    token = secrets.token_urlsafe(24) if allow_control else ""
+    server = PageServer(socket, port, token)
+    print(f"http://127.0.0.1:{server.server_port}/{'#' + token if token else ''}", flush=True)
+    how = "who has this address may stop and move the muscle" if token else "read-only"
+    print(f"pamctl watch: {how}; Ctrl-C ends it", file=sys.stderr, flush=True)
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.server_close()
+
+
+class PageServer(ThreadingHTTPServer):
+    """Listens on the loopback address; a thread for each browser."""
+
+    daemon_threads = True
+    request_queue_size = MOST_CONNECTIONS
+
+    def __init__(self, socket: Path, port: int, token: str) -> None:
+        """Begin to look at the daemon behind `socket`; without a `token` nothing can be done."""
+        self.broadcast = Broadcast(socket)  # first: it is ended where the port cannot be had
+        super().__init__(("127.0.0.1", port), _Handler)
+        self.token = token
+        self.control_socket = socket
+        self.pages = {at: _part(name) for at, (name, _) in _PAGE.items()}
+        self._allowance = Allowance(time.monotonic())
+        self._asking = threading.Lock()
+        self._room = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
+
+    def may_ask(self) -> bool:
+        """Spend one of the requests that browsers together may make."""
+        with self._asking:
+            return self._allowance.spend(time.monotonic())
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Give a thread to a connection if there are not too many."""
+        if not self._room.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve one connection to its end."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._room.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Stay silent of browsers that went away, and of nothing else."""
+        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
+            super().handle_error(request, client_address)
+
+    def server_close(self) -> None:
+        """Look no more."""
+        super().server_close()
+        self.broadcast.end()
+
+
+class _Refusal(Exception):
+    """A request that is not answered with what it asks for."""
+
+    def __init__(self, status: HTTPStatus, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One connection."""
+
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "pamctl", ""
+    timeout = _PATIENCE_S
+    server: PageServer
+
+    def do_GET(self) -> None:
+        try:
+            self._require_own_page()
+            if self.path == "/stream":
+                self._stream()
+            elif self.path in _PAGE:
+                self._answer(HTTPStatus.OK, self.server.pages[self.path], _PAGE[self.path][1])
+            else:
+                raise _Refusal(HTTPStatus.NOT_FOUND, "there is no such page")
+        except _Refusal as refusal:
+            self._refuse(refusal)
+
+    def do_POST(self) -> None:
+        try:
+            self._require_own_page()
+            if self.path != "/do":
+                raise _Refusal(HTTPStatus.NOT_FOUND, "there is no such page")
+            told = self._carried_out(self._order())
+            self._answer(HTTPStatus.OK, json.dumps(told).encode(), "application/json")
+        except _Refusal as refusal:
+            self._refuse(refusal)
+
+    # --- who may ask what ------------------------------------------------------------------
+
+    def _require_own_page(self) -> None:
+        """Keep out other sites: those that borrow our address, and those that ask across."""
+        if self.headers.get("Host") not in self.server.hosts:
+            raise _Refusal(HTTPStatus.MISDIRECTED_REQUEST, "this is not the host you asked for")
+        origin = self.headers.get("Origin")
+        if origin is not None and origin.removeprefix("http://") not in self.server.hosts:
+            raise _Refusal(HTTPStatus.FORBIDDEN, "other sites may not ask here")
+        if self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
+            raise _Refusal(HTTPStatus.FORBIDDEN, "other sites may not ask here")
+
+    def _order(self) -> dict[str, Any]:
+        """Read an order; raise `_Refusal` for one that is not permitted, or makes no sense."""
+        body = self._body()
+        told = self.headers.get("Authorization", "").removeprefix("Bearer ")
+        is_known = hmac.compare_digest(told.encode(), self.server.token.encode())
+        order = _parsed(body)
+        # Whoever may demand the emergency stop has it, however much was asked before.
+        is_estop = bool(self.server.token) and is_known and order.get("do") == "estop"
+        if not is_estop and not self.server.may_ask():
+            raise _Refusal(HTTPStatus.TOO_MANY_REQUESTS, "too many requests")
+        if not self.server.token:
+            raise _Refusal(HTTPStatus.FORBIDDEN, "read-only: start it with --allow-control")
+        if not is_known:
+            raise _Refusal(HTTPStatus.UNAUTHORIZED, "open the page by its whole address, with #...")
+        return order
+
+    def _body(self) -> bytes:
+        if self.headers.get_content_type() != "application/json":
+            raise _Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "an order is application/json")
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal():
+            raise _Refusal(HTTPStatus.LENGTH_REQUIRED, "an order has a length")
+        if int(length) > LARGEST_BODY:
+            raise _Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {LARGEST_BODY} bytes")
+        return self.rfile.read(int(length))
+
+    def _carried_out(self, order: dict[str, Any]) -> Any:
+        method, params = _asked(order)
+        try:
+            with Client(self.server.control_socket, _PATIENCE_S) as client:
+                return client.call(method, params)
+        except Declined as error:
+            raise _Refusal(HTTPStatus.CONFLICT, str(error)) from None
+        except Unreachable as error:
+            raise _Refusal(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+
+    # --- answers -----------------------------------------------------------------------------
+
+    def _stream(self) -> None:
+        """Send what is new for as long as the browser listens."""
+        self._begin(HTTPStatus.OK, "text/event-stream", None)
+        may_control = json.dumps({"control": bool(self.server.token)})
+        self.wfile.write(f"event: hello\ndata: {may_control}\n\n".encode())
+        seen = 0
+        while True:
+            seen, told = self.server.broadcast.after(seen, _STILL_THERE_S)
+            self.wfile.write(f"data: {told}\n\n".encode())
+
+    def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
+        self._begin(status, kind, len(body))
+        self.wfile.write(body)
+
+    def _refuse(self, refusal: _Refusal) -> None:
+        self.close_connection = True  # its body may not have been read
+        body = json.dumps({"error": str(refusal)}).encode()
+        with suppress(ConnectionError, TimeoutError):
+            self._answer(refusal.status, body, "application/json")
+
+    def _begin(self, status: HTTPStatus, kind: str, length: int | None) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        for name, value in _HEADERS.items():
+            self.send_header(name, value)
+        if length is None:
+            self.close_connection = True
+        else:
+            self.send_header("Content-Length", str(length))
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.end_headers()
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Write no line for each request."""
+
+
+def _part(name: str) -> bytes:
+    return (files("pamctl.live") / "page").joinpath(name).read_bytes()
+
+
+def _parsed(body: bytes) -> dict[str, Any]:
+    try:
+        order = json.loads(body)
+    except (ValueError, RecursionError):
+        raise _Refusal(HTTPStatus.BAD_REQUEST, "not JSON") from None
+    if not isinstance(order, dict):
+        raise _Refusal(HTTPStatus.BAD_REQUEST, 'an order is {"do": ...}')
+    return order
+
+
+def _asked(order: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return method and parameters; what they may be is the daemon's business."""
+    match order:
+        case {"do": "estop" | "stop" as do}:
+            return do, {}
+        case {"do": "goto", "position_mm": int() | float() as position_mm}:
+            return "goto", {"position_m": position_mm * 1e-3}
+    raise _Refusal(HTTPStatus.BAD_REQUEST, "there are estop, stop, and goto with position_mm")

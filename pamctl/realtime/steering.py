@@ -1,0 +1,202 @@
+"""A loop that takes orders: run this, change gains, stop.
+
+Takes the place of the one-run `Program`. Between runs the loop goes on at the safe valve
+command: parked. Orders are taken in the slack after a tick, and hold from the next one on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+from pydantic import TypeAdapter
+
+from hal.calibration import Zero
+from hal.rig import RawSample
+from pamctl.control.experiment import held
+from pamctl.control.law import ControllerSettings
+from pamctl.realtime.ending import Ending, ExitCode
+from pamctl.realtime.keyframe import frozen
+from pamctl.realtime.program import Program
+from pamctl.realtime.session_journal import SessionJournal
+from pamctl.realtime.tick import TickSetup, TickState
+from pamctl.realtime.tuning import SHORTEST_RAMP_S, Tuning
+from pamctl.signals import Phase, Reference, Timing
+
+_CONTROLLER: TypeAdapter[Any] = TypeAdapter(ControllerSettings)
+
+_COMPLETE = Ending(ExitCode.OK, "the experiment is complete")
+
+
+class OrderSlot(Protocol):
+    """Where orders come from."""
+
+    def take(self) -> dict[str, Any] | None:
+        """Return the next order, or None."""
+
+
+class Steered:
+    """Program and tuning of a loop that outlives its runs."""
+
+    def __init__(
+        self,
+        orders: OrderSlot,
+        journal: SessionJournal,
+        setup: TickSetup,
+        controller: Mapping[str, object],
+        program_of: Callable[[Mapping[str, Any]], Program],
+    ) -> None:
+        """Begin parked and not homed.
+
+        `controller` holds the gains of `setup` as a file has them; `program_of` makes the
+        program of an order.
+        """
+        self._orders = orders
+        self._journal = journal
+        self._tuning = Tuning(setup)
+        self._gains_said: list[Mapping[str, object]] = [controller]
+        self._program_of = program_of
+        self._safe_valve_v = setup.limits.safe_valve_v
+        self._run: Program | None = None
+        self._run_ending = _COMPLETE
+        self._is_over = False
+        self._is_homed = False
+        self._reference = self._parked()
+        self._valve_v = self._safe_valve_v
+        self._is_leaving = False
+
+    # --- what the loop asks in each tick ----------------------------------------------
+
+    def setup(self, t_s: float) -> TickSetup:
+        """Return the gains of the moment, and all that does not change."""
+        return self._tuning.at(t_s)
+
+    def next(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
+        """Return what is asked of the muscle at `t_s`; None when the loop is to end.
+
+        Raises `HomingError`.
+        """
+        reference, zero = self._asked(t_s, sample)
+        if zero is not None:
+            self._is_homed = True
+        if reference is not None:
+            self._reference = reference
+        return reference, zero
+
+    def _asked(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
+        run = self._run
+        if run is None:
+            return (None if self._is_leaving else self._parked()), None
+        reference, zero = run.next(t_s, sample)
+        if reference is None and not run.is_stopping:
+            run.begin_stop(t_s, self._valve_v)
+            reference, _ = run.next(t_s, sample)
+        if reference is None:
+            if self._is_leaving:
+                return None, zero
+            self._is_over = True
+            reference = self._parked()
+        return reference, zero
+
+    def _parked(self) -> Reference:
+        return held(Phase.OPEN_LOOP, self._safe_valve_v)
+
+    # --- the end of the loop itself ------------------------------------------------------
+
+    @property
+    def is_stopping(self) -> bool:
+        """The smooth stop of the loop has begun."""
+        return self._is_leaving
+
+    def begin_stop(self, t_s: float, valve_v: float) -> None:
+        """End the loop: smoothly where a run goes on, at once where it is parked."""
+        self._is_leaving = True
+        if self._run is not None:
+            self._run.begin_stop(t_s, valve_v)
+
+    # --- what the loop lets happen after each tick -----------------------------------------
+
+    def heed(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+        """Close a run that is over, and take an order if there is one."""
+        self._valve_v = state.safety.valve_v
+        if self._is_over:
+            self._end_run(timing, raw)
+        order = self._orders.take()
+        if order is not None:
+            self._obey(order, timing, raw, state)
+
+    def _obey(
+        self, order: Mapping[str, Any], timing: Timing, raw: RawSample, state: TickState
+    ) -> None:
+        match order["do"]:
+            case "run":
+                self._begin_run(order, timing, raw, state)
+            case "gains":
+                self._change_gains(order, timing, raw)
+            case "stop":
+                self._stop_run(order["reason"], timing, raw)
+            case "mark":
+                event = {"event": "mark", "text": order["text"]}
+                self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
+
+    def _begin_run(
+        self, order: Mapping[str, Any], timing: Timing, raw: RawSample, state: TickState
+    ) -> None:
+        """Begin a run with a log of its own; without a ring it goes on in the present one."""
+        now = (timing.tick, raw.encoder_t_ns)
+        if order["ring"] is not None:
+            self._end_run(timing, raw)  # a position that was held gives way
+            self._journal.begin_run(order["ring"], *now, self._gains_of_the_moment(), frozen(state))
+        # All that the program depends on goes on record: a replay asks it again.
+        resolved = {
+            "experiment": order["experiment"],
+            "duration_s": order["duration_s"],
+            "start_m": self._position_m(state),
+            "homes": not self._is_homed,
+        }
+        self._journal.put_event(*now, {"event": "order", "do": "run", **resolved})
+        self._run = self._program_of(resolved)
+        self._run_ending = _COMPLETE
+        self._is_homed = True  # a homing that fails ends the loop
+
+    def _change_gains(self, order: Mapping[str, Any], timing: Timing, raw: RawSample) -> None:
+        settings = _CONTROLLER.validate_python(order["controller"])
+        if self._run is None:
+            self._tuning.replace(settings)
+            self._gains_said = [order["controller"]]
+            return
+        said = {
+            **order["controller"],
+            "from_t_s": timing.t_s,
+            "ramp_s": max(order["ramp_s"], SHORTEST_RAMP_S),
+        }
+        self._gains_said = [*self._gains_of_the_moment(), said]
+        self._tuning.change(settings, timing.t_s, said["ramp_s"])
+        self._journal.put_gains(timing.tick, raw.encoder_t_ns, said)
+
+    def _gains_of_the_moment(self) -> list[Mapping[str, object]]:
+        """Return the gains of the last rest, and every change that is still on its way."""
+        if self._tuning.is_settled:
+            last = dict(self._gains_said[-1])
+            self._gains_said = [{k: v for k, v in last.items() if k not in ("from_t_s", "ramp_s")}]
+        return self._gains_said
+
+    def _stop_run(self, reason: str, timing: Timing, raw: RawSample) -> None:
+        if self._run is None or self._run.is_stopping:
+            return
+        self._run_ending = Ending(ExitCode.OK, reason)
+        self._run.begin_stop(timing.t_s, self._valve_v)
+        event = {"event": "stopping", "reason": reason}
+        self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
+
+    def _end_run(self, timing: Timing, raw: RawSample) -> None:
+        self._journal.end_run(timing.tick, raw.encoder_t_ns, self._run_ending)
+        self._run, self._is_over = None, False
+
+    def _position_m(self, state: TickState) -> float:
+        """Return where a motion begins: where the reference stands, or else the muscle."""
+        here_m = self._reference.reference_m
+        if not math.isnan(here_m):
+            return here_m
+        return state.measurement.position_m if self._is_homed else 0.0

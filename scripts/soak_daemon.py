@@ -1,0 +1,344 @@
+"""A long day of the daemon in half an hour: random commands, faults and kills; then look for leaks.
+
+    python scripts/soak_daemon.py --minutes 30 > soak.json
+
+JSON on stdout, progress on stderr; exit code 3 if anything was not as it must be. For most of the
+time one daemon lives, while its loops, recorders and guardians are killed and frozen: its memory
+and file descriptors are compared between moments at which it was idle. Then it is itself killed
+and restarted again and again. At the end no process and nothing in shared memory may be left, and
+every log must pass `pamctl log check` and `pamctl replay`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hal.register import peek_v
+from pamctl.cli.assembly import SHARED_MEMORY, ao_path
+from pamctl.daemon.client import Client, Declined, Unreachable
+from pamctl.daemon.protocol import INTERNAL_ERROR
+from pamctl.log import read
+from pamctl.replay import replay
+from pamctl.settings import resolve, to_data
+
+SHARE_OF_ONE_LIFE = 0.75
+SAMPLE_EVERY_S = 10.0
+WARM_UP_SHARE = 0.25
+MOST_LATE_GROWTH_BYTES = 2e6
+"""From the third quarter to the last: an allocator's steps come to an end, a leak does not."""
+PATIENCE_S = 60.0
+AO_STEP_V = 20.0 / 65536.0
+SETTINGS = ["rig.homing.steady_s=0.05", "rig.homing.fills=1"]
+EXPERIMENTS: list[dict[str, Any]] = [
+    {"kind": "square", "frequency_hz": 2.0, "cycles": 2},
+    {
+        "kind": "tracking", "offset_mm": 8.0, "amplitude_mm": 3.0, "transition_s": 1.0,
+        "approach_s": 1.0, "settle_s": 0.2, "cycles": 1,
+    },
+]  # fmt: skip
+CONTROLLERS = {name: to_data(resolve(controller=name).controller) for name in ("qsmc", "pid")}
+
+
+class Amiss(Exception):
+    """Something was not as it must be."""
+
+
+class Rig:
+    """The daemon under test, and what is done to it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.device = f"soak{os.getpid()}"
+        self.socket, self.logs = folder / "control.sock", folder / "logs"
+        self._errors = (folder / "daemon.err").open("wb")
+        self.process = self._started()
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "pamctl", "daemon", "--socket", str(self.socket)]
+        command += ["--logs", str(self.logs)]
+        settings = [f"rig.sim.device={self.device}", *SETTINGS]
+        command += [part for setting in settings for part in ("--set", setting)]
+        process = subprocess.Popen(command, stderr=self._errors)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while True:
+            with suppress(Unreachable), Client(self.socket) as client:
+                client.call("status")
+                return process
+            if process.poll() is not None or time.monotonic() > deadline_s:
+                raise Amiss(f"the daemon does not come up, code {process.poll()}")
+            time.sleep(0.05)
+
+    def ask(self, method: str, **params: Any) -> Any:
+        """Ask; a refusal is an answer like any other, an error of the daemon's is not."""
+        try:
+            with Client(self.socket) as client:
+                return client.call(method, params)
+        except Declined as error:
+            if error.code == INTERNAL_ERROR:
+                raise Amiss(f"{method}: {error}") from error
+            return None
+
+    def status(self) -> dict[str, Any]:
+        """Ask for it."""
+        status: dict[str, Any] = self.ask("status")
+        return status
+
+    def kill(self, which: str, number: signal.Signals) -> None:
+        """Send a signal to one of the daemon's processes, if it is there."""
+        for pid in children(self.process.pid):
+            with suppress(OSError):
+                if which in Path(f"/proc/{pid}/cmdline").read_text():
+                    os.kill(pid, number)
+
+    def restart(self, number: signal.Signals) -> None:
+        """End the daemon itself, and start it again."""
+        left = children(self.process.pid)
+        self.process.send_signal(number)
+        code = self.process.wait(PATIENCE_S)
+        if number == signal.SIGTERM and code:
+            raise Amiss(f"the daemon left with {code} on SIGTERM")
+        await_that(lambda: not any(map(lives, left)), f"processes left behind: {left}")
+        self.require_safe()
+        self.process = self._started()
+
+    def to_idle(self) -> None:
+        """Acknowledge what is latched, end what goes on, and wait until nothing does."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while (status := self.status())["state"] != "idle":
+            self.ask("ack" if status["state"] == "fault" else "disarm")
+            if time.monotonic() > deadline_s:
+                raise Amiss(f"it does not become idle: {status}")
+            time.sleep(0.05)
+        self.require_safe()
+
+    def require_safe(self) -> None:
+        """Look at the output, as with a voltmeter."""
+        volts = peek_v(ao_path(self.device))
+        if volts is None or abs(volts) > AO_STEP_V:
+            raise Amiss(f"{volts} V where nothing runs")
+
+    def sample(self) -> dict[str, float]:
+        """What an idle daemon holds."""
+        self.to_idle()
+        await_that(lambda: not children(self.process.pid), "processes left behind when idle")
+        pid = self.process.pid
+        return {
+            "t_s": time.monotonic(),
+            "rss_bytes": resident_bytes(pid),
+            "fds": len(os.listdir(f"/proc/{pid}/fd")),
+            "threads": len(os.listdir(f"/proc/{pid}/task")),
+            "shared_memory": len(self.shared_memory()),
+        }
+
+    def shared_memory(self) -> list[str]:
+        """What lies in shared memory by our doing; output and lock of the device are meant to."""
+        rings = SHARED_MEMORY.glob(f"pamctl-{self.process.pid}-*")
+        device = SHARED_MEMORY.glob(f"pamctl-{self.device}.*")
+        return [p.name for p in (*rings, *device) if p.suffix not in (".ao", ".lock")]
+
+    def end(self) -> None:
+        """Stop it as a service manager does."""
+        self.process.send_signal(signal.SIGTERM)
+        code = self.process.wait(PATIENCE_S)
+        self._errors.close()
+        if code:
+            raise Amiss(f"it left with {code} on SIGTERM")
+
+
+def children(pid: int) -> list[int]:
+    """All processes below one, whichever thread of it started them."""
+    found: list[int] = []
+    for tasks in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):
+            found += [int(child) for child in tasks.read_text().split() if lives(int(child))]
+    return found
+
+
+def lives(pid: int) -> bool:
+    """Tell whether a process is there, and no zombie."""
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    return False
+
+
+def resident_bytes(pid: int) -> int:
+    """Memory that is its own: maps of files and of shared memory are not."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("RssAnon:"):
+            return int(line.split()[1]) * 1024
+    raise Amiss("no RssAnon")
+
+
+def await_that(holds: Any, otherwise: str) -> None:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not holds():
+        if time.monotonic() > deadline_s:
+            raise Amiss(otherwise)
+        time.sleep(0.02)
+
+
+def acts(rig: Rig, dice: random.Random) -> dict[str, tuple[int, Any]]:
+    """What may happen: how often, and how."""
+
+    def start() -> None:
+        rig.ask("start", experiment=dice.choice(EXPERIMENTS), name="soak")
+
+    def load() -> None:
+        name = dice.choice(list(CONTROLLERS))
+        rig.ask("load", controller=CONTROLLERS[name], name=name)
+
+    def set_gain() -> None:
+        change = f"controller.lpf1_hz={dice.uniform(60, 120):.3f}"
+        rig.ask("set", changes=[change], ramp_s=dice.choice([0.0, 0.2, 1.0]))
+
+    return {
+        "start": (10, start),
+        "goto": (10, lambda: rig.ask("goto", position_m=dice.uniform(2e-3, 14e-3))),
+        "stop": (6, lambda: rig.ask("stop")),
+        "set": (6, set_gain),
+        "load": (3, load),
+        "mark": (4, lambda: rig.ask("mark", text="soak")),
+        "status": (4, lambda: rig.ask("status")),
+        "recent": (4, lambda: rig.ask("recent", every=dice.choice([1, 10]))),
+        "ack": (8, lambda: rig.ask("ack")),
+        "estop": (2, lambda: rig.ask("estop")),
+        "disarm": (2, lambda: rig.ask("disarm")),
+        "kill loop": (1, lambda: rig.kill("session_process", signal.SIGKILL)),
+        "freeze loop": (1, lambda: rig.kill("session_process", signal.SIGSTOP)),
+        "kill recorder": (1, lambda: rig.kill("log.recorder", signal.SIGKILL)),
+        "kill guardian": (1, lambda: rig.kill("guardian_process", signal.SIGKILL)),
+    }
+
+
+def one_life(rig: Rig, dice: random.Random, seconds: float, done: Counter[str]) -> list[Any]:
+    """Random acts on one daemon; what it held at the moments when it was idle."""
+    samples = [rig.sample()]
+    choice = acts(rig, dice)
+    weights = [weight for weight, _ in choice.values()]
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        (name,) = dice.choices(list(choice), weights)
+        choice[name][1]()
+        done[name] += 1
+        time.sleep(dice.choice([0.0, 0.05, 0.3, 1.0]))
+        if time.monotonic() - samples[-1]["t_s"] > SAMPLE_EVERY_S:
+            samples.append(rig.sample())
+            print(f"{sum(done.values())} acts, {samples[-1]}", file=sys.stderr)
+    samples.append(rig.sample())
+    return samples
+
+
+def many_lives(rig: Rig, dice: random.Random, seconds: float, done: Counter[str]) -> None:
+    """The daemon itself is ended, while it does something or nothing, and restarted."""
+    choice = acts(rig, dice)
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        for name in dice.choices(["start", "goto", "ack", "set", "mark"], k=4):
+            choice[name][1]()
+            done[name] += 1
+            time.sleep(dice.choice([0.05, 0.5, 1.0]))
+        number = dice.choice([signal.SIGKILL, signal.SIGTERM])
+        done[f"daemon {number.name}"] += 1
+        rig.restart(number)
+        print(f"{sum(done.values())} acts, restarted after {number.name}", file=sys.stderr)
+
+
+def judged_logs(folder: Path) -> tuple[int, int, list[str]]:
+    """How many logs and ticks there are, and what is wrong with which."""
+    logs, ticks, wrong = sorted(folder.glob("*.mcap")), 0, []
+    left = [path.name for path in folder.iterdir() if path.suffix != ".mcap"]
+    if left:
+        wrong.append(f"left behind: {left}")
+    for path in logs:
+        command = [sys.executable, "-m", "pamctl", "log", "check", str(path)]
+        checked = subprocess.run(command, capture_output=True, text=True)
+        if checked.returncode:
+            wrong.append(f"{path.name}: {checked.stdout}{checked.stderr}")
+            continue
+        log = read(path)
+        ticks += len(log)
+        replayed = replay(log) if len(log) else None
+        if replayed is not None and not replayed.is_equal:
+            wrong.append(f"{path.name}: replay differs: {replayed.differences[:1]}")
+    return len(logs), ticks, wrong
+
+
+def growth(samples: list[dict[str, float]]) -> dict[str, float]:
+    """Slope of memory over time, the warm-up left out; change of all else since then."""
+    settled = samples[int(len(samples) * WARM_UP_SHARE) :]
+    t_h = np.array([sample["t_s"] for sample in settled]) / 3600.0
+    rss = np.array([sample["rss_bytes"] for sample in settled])
+    quarters = np.array_split(np.array([sample["rss_bytes"] for sample in samples]), 4)
+    return {
+        "rss_bytes_per_h": float(np.polyfit(t_h - t_h[0], rss, 1)[0]),
+        "rss_late_growth_bytes": float(np.median(quarters[3]) - np.median(quarters[2])),
+        "rss_first_bytes": float(rss[0]),
+        "rss_last_bytes": float(rss[-1]),
+        "fds": settled[-1]["fds"] - settled[0]["fds"],
+        "threads": settled[-1]["threads"] - settled[0]["threads"],
+        "shared_memory": settled[-1]["shared_memory"],
+        "samples": len(settled),
+    }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="a directory for logs and messages")
+    options = parser.parse_args()
+    if options.minutes < 2.0:
+        parser.error("less than two minutes show no leak")
+    dice, done, wrong = random.Random(options.seed), Counter[str](), list[str]()
+    seconds = options.minutes * 60.0
+    report: dict[str, Any] = {"minutes": options.minutes, "seed": options.seed}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.keep or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        rig = Rig(folder)
+        try:
+            samples = one_life(rig, dice, SHARE_OF_ONE_LIFE * seconds, done)
+            report["growth"] = found = growth(samples)
+            if found["rss_late_growth_bytes"] > MOST_LATE_GROWTH_BYTES:
+                wrong.append("memory grows")
+            if found["fds"] > 0 or found["threads"] > 1 or found["shared_memory"]:
+                wrong.append("file descriptors, threads or shared memory grow")
+            many_lives(rig, dice, (1.0 - SHARE_OF_ONE_LIFE) * seconds, done)
+            rig.to_idle()
+            rig.end()
+            if rig.shared_memory():
+                wrong.append(f"left in shared memory: {rig.shared_memory()}")
+        except (Amiss, Unreachable, subprocess.TimeoutExpired) as amiss:
+            wrong.append(f"{type(amiss).__name__}: {amiss}")
+        finally:
+            rig.process.kill()
+            for left in SHARED_MEMORY.glob(f"pamctl-{rig.device}.*"):
+                left.unlink()
+        report["logs"], report["ticks"], wrong_logs = judged_logs(rig.logs)
+        said = (folder / "daemon.err").read_text()
+        if "Traceback" in said:
+            wrong.append(said[said.index("Traceback") :][:2000])
+    report |= {"acts": dict(done), "amiss": wrong + wrong_logs}
+    print(json.dumps(report, indent=1))
+    print(
+        f"{report['logs']} logs, {sum(done.values())} acts, amiss: {len(report['amiss'])}",
+        file=sys.stderr,
+    )
+    return 3 if report["amiss"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,441 @@
+"""The daemon: its life cycle, what it refuses, and what becomes of it when something dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from daemons import Daemon, daemon
+
+from pamctl.cli.assembly import ao_path
+from pamctl.daemon.client import Client, Declined, Unreachable
+from pamctl.log import read
+from pamctl.log.check import check
+from pamctl.replay import replay
+
+SQUARE: dict[str, Any] = {"kind": "square", "frequency_hz": 4.0, "cycles": 1}
+TRACKING: dict[str, Any] = {
+    "kind": "tracking", "offset_mm": 8.0, "amplitude_mm": 2.0, "transition_s": 0.5,
+    "approach_s": 0.5, "settle_s": 0.1, "cycles": 1,
+}  # fmt: skip
+
+NOT_HOMED = "rig.homing.enabled=false"
+
+
+@pytest.fixture(scope="module")
+def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """A daemon that is shared by tests which leave it as they found it: parked or idle."""
+    with daemon(tmp_path_factory.mktemp("up"), "up") as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def shared_hurt(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    settings = (NOT_HOMED, "rig.loop.heartbeat_ms=300")
+    with daemon(tmp_path_factory.mktemp("hurt"), "hurt", *settings) as made:
+        yield made
+
+
+@pytest.fixture
+def hurt(shared_hurt: Daemon) -> Iterator[Daemon]:
+    """A daemon whose processes are hurt, and which has to recover from that."""
+    yield shared_hurt
+    if shared_hurt.state() == "fault":
+        shared_hurt.wait_until(lambda status: not status["pids"])
+        shared_hurt.ask("ack")
+    shared_hurt.ask("disarm")
+    assert shared_hurt.state() == "idle"
+
+
+@pytest.fixture
+def own(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
+    """A daemon for one test that will end it."""
+    name = f"own{abs(hash(request.node.name)) % 10**6}"
+    with daemon(tmp_path, name, NOT_HOMED) as made:
+        yield made
+
+
+def parked(made: Daemon) -> dict[str, Any]:
+    return made.wait_until(
+        lambda status: status["state"] in ("idle", "ready") and not status["log"]
+    )
+
+
+def run_to_its_end(made: Daemon, experiment: dict[str, Any], name: str = "test") -> Path:
+    log = Path(made.ask("start", experiment=experiment, name=name)["log"])
+    parked(made)
+    return log
+
+
+# --- the life cycle ------------------------------------------------------------------
+
+
+def test_it_starts_idle_with_the_valve_safe(own: Daemon) -> None:
+    status = own.ask("status")
+    assert (status["state"], status["tick"], status["log"]) == ("idle", None, None)
+    assert own.is_safe()
+
+
+def test_a_run_homes_runs_stops_and_leaves_the_muscle_parked(up: Daemon) -> None:
+    if up.state() == "ready":
+        up.ask("disarm")
+    up.ask("start", experiment=SQUARE, name="square")
+    seen = []
+    while not seen or seen[-1] != "ready":
+        state = up.state()
+        if not seen or state != seen[-1]:
+            seen.append(state)
+    assert seen == ["homing", "running", "stopping", "ready"]
+    parked(up)
+    assert up.is_safe()
+
+
+def test_each_run_has_a_whole_log_of_its_own_that_replays_to_the_bit_and_the_first_one_homes(
+    up: Daemon,
+) -> None:
+    if up.state() == "ready":
+        up.ask("disarm")
+    first = run_to_its_end(up, SQUARE, "first")
+    second = run_to_its_end(up, TRACKING, "second")
+    assert first != second
+    for path, name in ((first, "first"), (second, "second")):
+        log = read(path)
+        assert log.metadata["run"]["experiment"] == name
+        assert log.events[-1]["event"] == "outcome"
+        assert log.events[-1]["code"] == 0
+        replayed = replay(log)
+        assert replayed.is_equal, replayed.differences
+        assert replayed.is_whole
+        assert check(path).ok
+    assert 0 in read(first)["phase"]
+    assert 0 not in read(second)["phase"]
+    assert read(second)["tick"][0] > read(first)["tick"][-1], "the loop went on between the runs"
+
+
+def test_a_position_is_held_until_another_is_asked_for_or_it_is_stopped(up: Daemon) -> None:
+    log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+    held = up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+    assert held["tick"]["reference_m"] == pytest.approx(8e-3)
+    assert up.ask("goto", position_m=5e-3, within_s=0.5)["log"] == log
+    up.wait_until(lambda s: s["tick"]["reference_m"] == pytest.approx(5e-3))
+    up.ask("stop")
+    parked(up)
+    ran = read(log)
+    moved = np.isfinite(ran["reference_m"])
+    speed = np.abs(np.diff(ran["reference_m"][moved]) / np.diff(ran.t[moved]))
+    assert speed.max() < 2.2 * 8e-3 / 0.5, "the reference never jumps"
+    assert replay(ran).is_equal
+
+
+def test_a_run_from_a_held_position_begins_there(up: Daemon) -> None:
+    up.ask("goto", position_m=9e-3, within_s=0.5)
+    up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+    log = run_to_its_end(up, TRACKING)
+    ran = read(log)
+    assert ran["reference_m"][0] == pytest.approx(9e-3, abs=1e-5)
+    assert replay(ran).is_equal
+
+
+def test_a_stop_is_smooth_and_says_so_in_the_log(up: Daemon) -> None:
+    log = up.ask("start", experiment=TRACKING | {"cycles": 50}, name="long")["log"]
+    up.wait_for("running")
+    up.ask("stop")
+    parked(up)
+    ran = read(log)
+    assert [e["reason"] for e in ran.events if e["event"] == "stopping"] == ["stopped by request"]
+    stopping = ran["valve_v"][ran["phase"] == 5]
+    assert len(stopping) > 150
+    assert np.all(np.diff(stopping) <= 1e-12), "a ramp down to the safe command"
+
+
+def test_a_remark_stands_in_the_log_where_it_was_made(up: Daemon) -> None:
+    log = up.ask("start", experiment=SQUARE | {"cycles": 50}, name="marked")["log"]
+    up.wait_for("running")
+    up.ask("mark", text="a bump")
+    up.ask("stop")
+    parked(up)
+    assert [e["text"] for e in read(log).events if e["event"] == "mark"] == ["a bump"]
+
+
+# --- gains ---------------------------------------------------------------------------
+
+
+def test_gains_change_while_it_holds_without_a_jump_and_replay_honours_them(up: Daemon) -> None:
+    log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+    up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+    before = up.ask("status")["controller"]["lambda_per_s"]
+    up.ask("set", changes=["controller.lambda_per_s=25"], ramp_s=0.2)
+    time.sleep(0.5)
+    up.ask("set", changes=[f"controller.lambda_per_s={before}"], ramp_s=0.2)
+    time.sleep(0.5)
+    up.ask("stop")
+    parked(up)
+    ran = read(log)
+    assert [g["lambda_per_s"] for g in ran.gains] == [before, 25, before]
+    resting = ran["phase"] == 3
+    changed_at = ran.gains[1]["tick"]
+    near = resting & (np.abs(ran["tick"] - changed_at) < 50)
+    usual = resting & (ran["tick"] < changed_at)
+    step_v = np.abs(np.diff(ran["command_v"]))
+    assert step_v[near[1:]].max() <= 1.5 * step_v[usual[1:]][-200:].max() + 0.02
+    replayed = replay(ran)
+    assert replayed.is_equal, replayed.differences
+
+
+def test_a_replay_with_the_gains_left_as_they_were_would_differ(up: Daemon) -> None:
+    """Or the test above would prove nothing."""
+    log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+    up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+    up.ask("set", changes=["controller.kp_v_s3_per_length=5e-8"], ramp_s=0.1)
+    time.sleep(0.3)
+    up.ask("set", changes=["controller.kp_v_s3_per_length=9.95e-08"], ramp_s=0.1)
+    up.ask("stop")
+    parked(up)
+    ran = read(log)
+    del ran.gains[1:]
+    replayed = replay(ran)
+    assert replayed.differences[0].place.stage == "command"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["controller.lambda_per_s=-1"], "^controller.lambda_per_s.* greater than 0"),
+        (["controller.lambda_per_s"], "KEY=VALUE"),
+        (["controller.eta=-0.1"], "at least 0"),
+        (["controller.lambda=12"], "lambda_per_s"),
+        (["controller.lambda_per_s=fast"], "number"),
+        (["controller.lpf1_hz=499"], "0.45"),
+        (["rig.limits.pressure_pa=9e9"], "only keys of the controller"),
+    ],
+)
+def test_a_gain_out_of_bounds_is_refused_with_the_bound_and_changes_nothing(
+    up: Daemon, changes: list[str], said: str
+) -> None:
+    before = up.ask("status")["controller"]
+    with pytest.raises(Declined, match=said):
+        up.ask("set", changes=changes)
+    assert up.ask("status")["controller"] == before
+
+
+def test_another_law_is_refused_while_a_run_goes_on_and_taken_between_runs(up: Daemon) -> None:
+    from pamctl.settings import resolve, to_data
+
+    pid, qsmc = (to_data(resolve(controller=name).controller) for name in ("pid", "qsmc"))
+    up.ask("start", experiment=SQUARE | {"cycles": 50}, name="square")
+    up.wait_for("running")
+    with pytest.raises(Declined, match="another law"):
+        up.ask("load", controller=pid, name="pid")
+    up.ask("stop")
+    parked(up)
+    up.ask("load", controller=pid, name="pid")
+    log = run_to_its_end(up, TRACKING)
+    up.ask("load", controller=qsmc, name="qsmc")
+    assert read(log).metadata["run"]["law"] == "pid"
+    assert replay(read(log)).is_equal
+
+
+# --- refusals ------------------------------------------------------------------------
+
+
+def test_a_second_run_is_refused_while_one_goes_on(up: Daemon) -> None:
+    up.ask("start", experiment=SQUARE | {"cycles": 50}, name="square")
+    up.wait_for("running")
+    with pytest.raises(Declined, match="the state is running"):
+        up.ask("start", experiment=SQUARE, name="again")
+    with pytest.raises(Declined, match="stop it first"):
+        up.ask("goto", position_m=5e-3)
+    up.ask("stop")
+    parked(up)
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "said"),
+    [
+        ("start", {"experiment": {"kind": "square"}, "name": "x"}, "frequency_hz"),
+        ("start", {"experiment": {"kind": "dance"}, "name": "x"}, "kind"),
+        ("start", {"experiment": SQUARE, "name": "../../etc/passwd"}, "name"),
+        ("start", {"experiment": SQUARE, "name": "x", "duration_s": 0}, "duration_s"),
+        ("goto", {"position_m": 0.5}, "outside the stroke"),
+        ("goto", {"position_m": "far"}, "position_m"),
+        ("stop", {}, "nothing is running"),
+        ("ack", {}, "no fault"),
+        ("mark", {"text": "x"}, "nothing is being logged"),
+        ("mark", {}, "text"),
+        ("explode", {}, "no method"),
+        ("status", {"verbose": True}, "verbose"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_the_reason(
+    up: Daemon, method: str, params: dict[str, Any], said: str
+) -> None:
+    parked(up)
+    with pytest.raises(Declined, match=said):
+        up.ask(method, **params)
+
+
+def test_a_second_daemon_on_the_device_or_the_socket_is_refused(up: Daemon, tmp_path: Path) -> None:
+    def another(*options: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "pamctl", "daemon", "--logs", str(tmp_path), *options]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+    here = another("--socket", str(tmp_path / "s"), "--set", f"rig.sim.device={up.device}")
+    assert here.returncode == 69
+    assert "is held by process" in here.stderr
+    there = another("--socket", str(up.socket), "--set", f"rig.sim.device={up.device}-2")
+    for suffix in (".ao", ".lock"):
+        ao_path(f"{up.device}-2").with_suffix(suffix).unlink(missing_ok=True)
+    assert there.returncode == 69
+    assert "a daemon answers there already" in there.stderr
+    assert up.state() in ("idle", "ready")
+
+
+def test_without_a_daemon_a_client_says_how_to_start_one(tmp_path: Path) -> None:
+    with pytest.raises(Unreachable, match="pamctl daemon"):
+        Client(tmp_path / "nothing")
+
+
+def test_only_user_and_group_may_steer(up: Daemon) -> None:
+    assert stat.S_IMODE(up.socket.stat().st_mode) == 0o660
+
+
+# --- stops and deaths ----------------------------------------------------------------
+
+
+def holding(made: Daemon) -> Path:
+    """Bring the muscle under pressure, so that the safe voltage is a change."""
+    log = made.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+    made.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+    assert not made.is_safe()
+    return Path(log)
+
+
+def test_an_emergency_stop_is_safe_within_a_few_ticks_and_latched(hurt: Daemon) -> None:
+    log = holding(hurt)
+    hurt.ask("estop")
+    hurt.wait_safe()
+    status = hurt.wait_for("fault")
+    assert status["fault"] == "emergency stop"
+    hurt.wait_until(lambda s: not s["pids"])
+    with pytest.raises(Declined, match="acknowledge"):
+        hurt.ask("start", experiment=SQUARE, name="square")
+    assert hurt.ask("ack")["fault"] == "emergency stop"
+    ran = read(log)
+    assert ran.events[-1]["reason"] == "emergency stop"
+    assert replay(ran).is_equal
+    run_to_its_end(hurt, SQUARE)
+
+
+def test_a_daemon_that_is_restarted_remembers_its_fault_until_it_is_acknowledged(
+    tmp_path: Path,
+) -> None:
+    with daemon(tmp_path, "latch", NOT_HOMED, forget=False) as first:
+        first.ask("estop")
+        first.process.kill()
+        first.process.wait()
+    with daemon(tmp_path, "latch", NOT_HOMED) as again:
+        assert again.ask("status")["fault"] == "emergency stop"
+        with pytest.raises(Declined, match="acknowledge"):
+            again.ask("start", experiment=SQUARE, name="square")
+        again.ask("ack")
+    with daemon(tmp_path, "latch", NOT_HOMED) as third:
+        assert third.state() == "idle"
+
+
+def test_a_safety_trip_is_latched_with_its_reason(tmp_path: Path) -> None:
+    with daemon(tmp_path, "trip", NOT_HOMED, "rig.limits.stroke_high_mm=6") as made:
+        made.ask("start", experiment=SQUARE, name="square")
+        status = made.wait_for("fault")
+        assert "stroke" in status["fault"] or "displacement" in status["fault"]
+        made.wait_safe()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_loop_that_dies_or_freezes_is_a_fault_and_the_log_is_whole(
+    hurt: Daemon, number: signal.Signals
+) -> None:
+    log = holding(hurt)
+    os.kill(hurt.ask("status")["pids"]["loop"], number)
+    hurt.wait_safe()
+    status = hurt.wait_for("fault")
+    assert "loop" in status["fault"]
+    hurt.wait_until(lambda s: not s["pids"])
+    ran = read(log)
+    assert ran.events[-1]["event"] == "outcome"
+    assert replay(ran).is_equal
+    hurt.ask("ack")
+    run_to_its_end(hurt, SQUARE)
+
+
+def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt: Daemon) -> None:
+    log = holding(hurt)
+    os.kill(hurt.ask("status")["pids"]["recorder"], signal.SIGKILL)
+    hurt.wait_safe()
+    assert "recorder" in hurt.wait_for("fault")["fault"]
+    hurt.wait_until(lambda s: not s["pids"])
+    finished = [path for path in hurt.finished_logs() if path.name.startswith(log.stem)]
+    assert any(read(path).events[-1]["event"] == "outcome" for path in finished)
+
+
+def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_log_whole(own: Daemon) -> None:
+    log = holding(own)
+    pids = own.ask("status")["pids"]
+    own.process.kill()
+    own.wait_safe()
+    own.process.wait()
+    deadline_s = time.monotonic() + 30
+    while any(_lives(pid) for pid in pids.values()):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    ran = read(log)
+    assert ran.events[-1]["event"] == "outcome"
+    assert "commanding process" in ran.events[-1]["reason"]
+
+
+def test_sigterm_stops_smoothly_and_exits_with_0(own: Daemon) -> None:
+    log = holding(own)
+    own.process.send_signal(signal.SIGTERM)
+    assert own.process.wait(30) == 0
+    assert own.is_safe()
+    assert np.count_nonzero(read(log)["phase"] == 5) > 150
+    assert not own.socket.exists()
+
+
+def test_a_session_that_is_parked_for_long_ends(tmp_path: Path) -> None:
+    with daemon(tmp_path, "idle", NOT_HOMED, options=["--idle-after", "1"]) as made:
+        made.ask("start", experiment=SQUARE, name="square")
+        made.wait_for("ready")
+        assert made.wait_for("idle")["pids"] == {}
+
+
+def test_only_the_newest_logs_are_kept_where_that_was_asked_for(tmp_path: Path) -> None:
+    with daemon(tmp_path, "keep", NOT_HOMED, options=["--keep", "2"]) as made:
+        logs = [run_to_its_end(made, SQUARE, f"run{n}") for n in range(3)]
+        assert made.finished_logs() == logs[1:]
+
+
+def _lives(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as status:
+            return status.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_sockets_of_the_dead_are_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "control.sock"
+    dead = socket.socket(socket.AF_UNIX)
+    dead.bind(str(path))
+    dead.close()
+    with daemon(tmp_path, "stale") as made:
+        assert made.state() == "idle"

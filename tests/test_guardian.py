@@ -38,14 +38,19 @@ from pamctl.realtime.guardian import (
     patience_ns,
 )
 from pamctl.realtime.guardianship import Guardianship
-from pamctl.realtime.ring import LoopStage, Ring
+from pamctl.realtime.pace import LoopSettings
+from pamctl.realtime.ring import LoopStage, RecorderFlag, Ring
+from pamctl.realtime.supervision import LoopSupervisor
 from pamctl.settings import ConfigError, resolve
+from pamctl.signals import Phase
 
 MS = 1_000_000
 LIMIT_NS = 50 * MS
 SAFE_V = 0.0
 AO_STEP_V = 20.0 / 65536.0
 PYTHON = [sys.executable, "-m"]
+QUICK_HOMING = ["rig.homing.steady_s=0.05", "rig.homing.fills=1"]
+"""In one second instead of three."""
 
 
 # --- how silence is measured -------------------------------------------------------------
@@ -203,28 +208,84 @@ def test_what_cannot_be_made_safe_says_why_when_patience_ends() -> None:
     assert "reserved" in str(failure)
 
 
-def test_a_guardian_that_starts_slowly_is_not_frozen_and_one_that_stands_still_is(
+def test_a_guardian_that_dies_is_lost_when_the_front_looks(ring: Ring) -> None:
+    front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], StubRig())  # type: ignore[arg-type]
+    front.look()
+    assert not ring.guardian_lost
+    assert front.pid
+    os.kill(front.pid, signal.SIGKILL)
+    os.waitid(os.P_PID, front.pid, os.WEXITED | os.WNOWAIT)
+    front.look()
+    assert ring.guardian_lost
+    front.dismiss()
+
+
+# --- what the loop hears of the others ----------------------------------------------------
+
+
+def supervised(ring: Ring, front_fd: int | None = None, *, patient: bool = False) -> LoopSupervisor:
+    return LoopSupervisor(
+        ring, front_fd, LoopSettings(ring_rows=256, stop_ramp_s=0.01), patient=patient
+    )
+
+
+def asked(supervisor: LoopSupervisor, ms: int) -> tuple[str, bool] | None:
+    """Ask at 1 kHz for so long; return the reason to stop, and whether at once."""
+    for tick in range(ms):
+        at_once = supervisor.abort_wanted()
+        wanted = supervisor.stop_wanted(tick)
+        if wanted is not None:
+            return wanted.reason, at_once
+    return None
+
+
+def test_a_guardian_that_stands_still_is_found_within_the_heartbeat_and_ends_the_run_at_once(
     ring: Ring,
 ) -> None:
-    front = Guardianship(ring, ["sh", "-c", "sleep 60", "guardian"], StubRig())  # type: ignore[arg-type]
-    try:
-        looks(front, 100)
-        assert not ring.guardian_lost
-        ring.guardian_ready = 1
-        looks(front, 10)
-        assert not ring.guardian_lost
+    supervisor = supervised(ring)
+    for _ in range(100):
         ring.guardian_beats += 1
-        looks(front, 20)
-        assert not ring.guardian_lost
-        looks(front, 2)
-        assert ring.guardian_lost
-    finally:
-        front.dismiss()
+        assert asked(supervisor, 8) is None
+    assert asked(supervisor, 40) is None
+    assert asked(supervisor, 24) == ("the guardian gives no sign of life", True)
 
 
-def looks(front: Guardianship, times: int) -> None:
-    for _ in range(times):
-        front.look()
+def test_where_there_is_no_clock_there_is_no_guardian_to_miss(ring: Ring) -> None:
+    assert asked(supervised(ring, patient=True), 2000) is None
+
+
+@pytest.mark.parametrize("who", ["guardian", "front", "recorder"])
+def test_the_death_of_any_other_process_ends_the_run_at_once(ring: Ring, who: str) -> None:
+    ours, theirs = os.pipe()
+    supervisor = supervised(ring, ours)
+    assert asked(supervisor, 8) is None
+    match who:
+        case "guardian":
+            ring.guardian_lost = 1
+        case "front":
+            os.close(theirs)
+        case "recorder":
+            ring.raise_flag(RecorderFlag.FAILED)
+    found = asked(supervisor, 8)
+    assert found is not None
+    assert found[1]
+    os.close(ours)
+    if who != "front":
+        os.close(theirs)
+
+
+def test_during_a_smooth_stop_a_death_still_ends_the_run_at_once(ring: Ring) -> None:
+    supervisor = supervised(ring)
+    supervisor._on_signal(signal.SIGINT, None)
+    assert asked(supervisor, 8) == ("stopped by SIGINT", False)
+    ring.guardian_lost = 1
+    assert any(supervisor.abort_wanted() for _ in range(8))
+
+
+def test_a_full_disk_leaves_time_for_a_smooth_stop(ring: Ring) -> None:
+    supervisor = supervised(ring)
+    ring.raise_flag(RecorderFlag.FAILED | RecorderFlag.DISK_FULL)
+    assert asked(supervisor, 8) == ("the log's disk is full", False)
 
 
 # --- the shared output --------------------------------------------------------------------
@@ -320,7 +381,9 @@ class Run(NamedTuple):
 
 
 def run_command(device: str, *arguments: str) -> list[str]:
-    return [*PYTHON, "pamctl", "run", "--set", f"rig.sim.device={device}", *arguments]
+    settings = [f"rig.sim.device={device}", *QUICK_HOMING]
+    options = [part for setting in settings for part in ("--set", setting)]
+    return [*PYTHON, "pamctl", "run", *options, *arguments]
 
 
 @contextmanager
@@ -366,8 +429,8 @@ def await_motion(run: Run) -> None:
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
     with Ring.attach(path) as ring:
-        while ring.head < 2600:
-            assert time.monotonic() < deadline_s, "the loop does not tick"
+        while (tick := ring.latest_tick()) is None or tick["phase"] == Phase.HOMING:
+            assert time.monotonic() < deadline_s, "the loop does not tick, or homes for ever"
             time.sleep(0.02)
     time.sleep(random.uniform(0.0, 0.5))
     assert run.output_v > 1.0
@@ -437,7 +500,8 @@ def test_without_its_guardian_a_loop_stops_safe(
         run.await_safe(within_s=5.0)
         _, said = run.front.communicate(timeout=20)
     assert run.front.returncode == 1
-    assert "the guardian is gone" in said
+    assert "the guardian " in said  # is gone, or gives no sign of life: who notices first
+    assert_stopped_at_once(run)
     assert_log_complete_to(run, before)
     assert_next_start_is_clean(tmp_path, device)
 
@@ -454,8 +518,31 @@ def test_without_its_front_a_loop_stops_safe_and_the_guardian_leaves_after_it(
         run.await_safe(within_s=3.0)
         await_gone(run.pids["loop_process"], run.pids["guardian_process"], run.pids["recorder"])
         assert not takeovers(run)
+    assert_stopped_at_once(run)
     assert_log_complete_to(run, before)
     assert_next_start_is_clean(tmp_path, device)
+
+
+@twice
+def test_without_its_recorder_a_loop_stops_safe_and_the_front_finishes_the_log(
+    tmp_path: Path, device: str, round_: int
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        os.kill(run.pids["recorder"], signal.SIGKILL)
+        run.await_safe(within_s=3.0)
+        _, said = run.front.communicate(timeout=20)
+    assert run.front.returncode == 1
+    assert "finished from the ring" in said
+    assert_stopped_at_once(run)
+    assert_log_complete_to(run, before)
+    assert_next_start_is_clean(tmp_path, device)
+
+
+def assert_stopped_at_once(run: Run) -> None:
+    """See that nobody took the time for the ramp of a smooth stop, which is 500 ticks long."""
+    assert np.count_nonzero(read(run.log)["phase"] == Phase.STOPPING) == 0
 
 
 def await_gone(*pids: int) -> None:
@@ -517,7 +604,9 @@ def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
     with running(tmp_path, device) as run:
         await_motion(run)
         before = last_tick_put(run)
-        # Not in the loop's order, or the guardian would be faster than we are.
+        # First the two that would close the valve are held still: they are faster than we are.
+        for name in ("loop_process", "guardian_process"):
+            os.kill(run.pids[name], signal.SIGSTOP)
         for name in ("guardian_process", "front", "recorder", "loop_process"):
             os.kill(run.pids[name], signal.SIGKILL)
         run.front.wait()

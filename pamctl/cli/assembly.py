@@ -7,21 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from hal.calibration import Calibration, Zero, calibration, valve_v
 from hal.faulty import FaultyRig
 from hal.register import SharedRegister
-from hal.rig import RawSample, Rig, RigError
+from hal.rig import Rig, RigError
 from hal.sim import SimRig, sensor_chain
-from pamctl.control.experiment import Course, segments
-from pamctl.control.homing import Homing
-from pamctl.control.law import filter_gains, law_gains
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
-from pamctl.realtime.clock import Clock, GridClock, VirtualClock
-from pamctl.realtime.program import Program
-from pamctl.realtime.tick import TickSetup
+from pamctl.realtime.clock import Clock, GridClock, SampleClock, VirtualClock
 from pamctl.rig_settings import NidaqRigSettings, SimRigSettings
-from pamctl.safety import limits
 from pamctl.settings import RunSettings
 from pamctl.signals import Truth
 
@@ -35,11 +28,13 @@ class Parts(NamedTuple):
     """What a backend brings."""
 
     rig: Rig
+    clock: Clock
+    """What paces the loop: the rig itself where its hardware does."""
     truth: Callable[[], Truth]
 
 
 def clock_of(settings: RunSettings, *, may_spin: bool) -> Clock:
-    """Return the clock that paces the run."""
+    """Return the clock of the computer, which paces the run unless the rig does."""
     loop = settings.rig.loop
     period_ns = round(1e9 / loop.rate_hz)
     if settings.fast:
@@ -67,10 +62,25 @@ def rig_of(settings: RunSettings, clock: Clock) -> Parts:
         case SimRigSettings():
             return _sim(settings, settings.rig, clock)
         case NidaqRigSettings() as rig:
-            from hal.nidaq import NidaqRig
+            return _card(rig, clock)
 
-            card = NidaqRig(rig.nidaq, safe_output_v=rig.safe_volts, now_ns=clock.now_ns)
-            return Parts(card, lambda: _UNKNOWN)
+
+def _card(rig: NidaqRigSettings, clock: Clock) -> Parts:
+    if rig.nidaq.timing == "on_demand":
+        from hal.nidaq import NidaqRig
+
+        card = NidaqRig(rig.nidaq, safe_output_v=rig.safe_volts, now_ns=clock.now_ns)
+        return Parts(card, clock, lambda: _UNKNOWN)
+
+    from hal.nidaq_timed import HardwareTimedRig
+
+    timed = HardwareTimedRig(
+        rig.nidaq,
+        rate_hz=rig.loop.rate_hz,
+        safe_output_v=rig.safe_volts,
+        now_ns=clock.now_ns,
+    )
+    return Parts(timed, SampleClock(clock, timed.await_edge), lambda: _UNKNOWN)
 
 
 def _sim(settings: RunSettings, rig: SimRigSettings, clock: Clock) -> Parts:
@@ -86,7 +96,7 @@ def _sim(settings: RunSettings, rig: SimRigSettings, clock: Clock) -> Parts:
         register=None if settings.fast else SharedRegister(ao_path(device), device),
     )
     whole = FaultyRig(sim, rig.faults) if rig.faults else sim
-    return Parts(whole, lambda: Truth(plant.position_m, plant.pressure_pa))
+    return Parts(whole, clock, lambda: Truth(plant.state.position_m, plant.state.pressure_pa))
 
 
 def ao_path(device: str) -> Path:
@@ -101,41 +111,3 @@ def device_of(settings: RunSettings) -> str:
             return settings.rig.sim.device
         case NidaqRigSettings():
             return settings.rig.nidaq.device
-
-
-def setup_of(settings: RunSettings) -> TickSetup:
-    """Return what the tick needs to know."""
-    cal = calibration(settings.rig.calibration)
-    return TickSetup(
-        calibration=cal,
-        filters=filter_gains(settings.controller),
-        gains=law_gains(settings.controller),
-        limits=limits(
-            settings.rig.limits,
-            safe_valve_v=safe_valve_v(settings, cal),
-            count_m=abs(cal.encoder_m_per_count),
-            model=plant_parameters(settings.plant),
-        ),
-    )
-
-
-def safe_valve_v(settings: RunSettings, cal: Calibration) -> float:
-    """Return the valve command that the safe output voltage carries."""
-    return valve_v(cal, settings.rig.safe_volts)
-
-
-def program_of(settings: RunSettings) -> Program:
-    """Return the order of the run."""
-    rig = settings.rig
-    return Program(
-        Homing(rig.homing, rig.calibration) if rig.homing.enabled else None,
-        Course(segments(settings.experiment), settings.duration_s),
-        safe_valve_v=safe_valve_v(settings, calibration(rig.calibration)),
-        stop_ramp_s=rig.loop.stop_ramp_s,
-    )
-
-
-def nominal_zero_of(settings: RunSettings) -> Callable[[RawSample], Zero]:
-    """Return the zeros until homing: the file's sensor zero, the encoder where it stands."""
-    sensor_zero_v = settings.rig.calibration.sensor_zero_v
-    return lambda sample: Zero(sensor_zero_v, float(sample.encoder_counts))

@@ -10,6 +10,7 @@ from typing import Annotated, NamedTuple
 
 import typer
 
+from pamctl.cli.backend import BackendOption, check_backend, rig_name
 from pamctl.problems import ConfigError, Problem
 from pamctl.realtime.ending import ExitCode
 from pamctl.settings import (
@@ -96,6 +97,7 @@ def check_files(
 
 @config_app.command("show")
 def show(
+    backend: BackendOption = None,
     controller: ControllerOption = None,
     experiment: ExperimentOption = None,
     rig: RigOption = None,
@@ -112,7 +114,7 @@ def show(
         settings = resolve(
             controller=controller,
             experiment=experiment,
-            rig=rig,
+            rig=rig_name(backend, rig),
             plant=plant,
             overrides=overrides or (),
             seed=seed,
@@ -120,6 +122,7 @@ def show(
             fast=fast or None,
             rt=rt,
         )
+        check_backend(settings, backend, rig)
     typer.echo(to_json(settings) if as_json else to_yaml(settings).rstrip())
 
 

@@ -20,7 +20,7 @@ from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.guardian import POLL_MS, LoopProcess, Takeover, drive_safe, guard
 from pamctl.realtime.last_words import outcome, speak_for_the_dead
 from pamctl.realtime.ring import Ring
-from pamctl.realtime.scheduling import stand_guard
+from pamctl.realtime.scheduling import keep_single_threaded, stand_guard
 from pamctl.settings import from_resolved
 
 _IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -31,6 +31,7 @@ def main() -> int:
     """Guard the loop of the ring that the first argument names; return the exit code."""
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
+    keep_single_threaded()
     with Ring.attach(sys.argv[1]) as ring:
         try:
             takeover = _guard(ring)

@@ -9,47 +9,49 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import NoReturn
 
 from hal.rig import RigError
-from pamctl.cli.assembly import (
-    clock_of,
-    nominal_zero_of,
-    program_of,
-    require_backend,
-    rig_of,
-    setup_of,
-)
+from pamctl.cli.assembly import clock_of, require_backend, rig_of
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.journal import PatientJournal, RingJournal
 from pamctl.realtime.last_words import outcome, put_last
 from pamctl.realtime.loop import control
-from pamctl.realtime.ring import RecorderFlag, Ring, RingFull
-from pamctl.realtime.scheduling import Preparation, SchedulingRefused, prepare
+from pamctl.realtime.ring import RecorderFlag, Ring, RingError, RingFull
+from pamctl.realtime.scheduling import Preparation, SchedulingRefused, keep_single_threaded, prepare
 from pamctl.realtime.supervision import LoopSupervisor
 from pamctl.settings import RunSettings, from_resolved
+from pamctl.setup import nominal_zero_of, program_of, setup_of
 
 
 def main() -> NoReturn:
     """Run the loop on the ring that the first argument names."""
+    keep_single_threaded()
     with Ring.attach(sys.argv[1]) as ring:
-        ending = _ending_of_run(ring)
+        ending = ending_of(partial(_run, ring))
         # Where there is no room for it the front says it, when the recorder has made some.
         ring.loop_done = _has_put_outcome(ring, ending)
+    leave(ending)
+
+
+def leave(ending: Ending) -> NoReturn:
+    """Tell the parent in one JSON line how it ended, and go."""
     # Nobody may be left to read it.
     with suppress(BrokenPipeError):
         print(json.dumps({"code": int(ending.code), "reason": ending.reason}), flush=True)
     sys.exit(int(ending.code))
 
 
-def _ending_of_run(ring: Ring) -> Ending:
-    """Run; whatever happens becomes an ending."""
+def ending_of(work: Callable[[], Ending]) -> Ending:
+    """Work; whatever happens becomes an ending."""
     try:
-        return _run(ring)
+        return work()
     except (RigError, SchedulingRefused) as error:
         return Ending(ExitCode.UNAVAILABLE, str(error))
-    except RingFull as error:
+    except RingError as error:
         return Ending(ExitCode.UNEXPECTED, str(error))
     except Exception as error:
         import traceback
@@ -79,15 +81,14 @@ def _run(ring: Ring) -> Ending:
         return Ending(ExitCode.UNEXPECTED, "the recorder did not start")
     # Now, while this is a process like any other: loading a driver is no work for FIFO.
     require_backend(settings)
-    if not settings.fast and not _guardian_is_ready(ring):
+    if not settings.fast and not guardian_is_ready(ring):
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
         _record_start(ring, settings, preparation)
-        clock = clock_of(settings, may_spin=preparation.may_spin)
-        parts = rig_of(settings, clock)
+        parts = rig_of(settings, clock_of(settings, may_spin=preparation.may_spin))
         return control(
             parts.rig,
-            clock,
+            parts.clock,
             setup_of(settings),
             nominal_zero_of(settings),
             program_of(settings),
@@ -107,7 +108,7 @@ def _recorder_is_ready(ring: Ring) -> bool:
     return True
 
 
-def _guardian_is_ready(ring: Ring) -> bool:
+def guardian_is_ready(ring: Ring) -> bool:
     """Wait for the guardian: no valve may be moved that nobody could close."""
     deadline_s = time.monotonic() + 10.0
     while not ring.guardian_ready:

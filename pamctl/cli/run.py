@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +17,7 @@ from hal.calibration import Zero, calibration
 from hal.reservation import reserved
 from hal.rig import Rig, RigError
 from pamctl.cli.assembly import SHARED_MEMORY, clock_of, device_of, require_backend, rig_of
+from pamctl.cli.backend import BackendOption, check_backend, rig_name
 from pamctl.cli.config import (
     ControllerOption,
     DurationOption,
@@ -30,14 +31,15 @@ from pamctl.cli.config import (
     SetOption,
     config_errors_exit,
 )
-from pamctl.cli.log_path import LogPathError, bare, new_log_path
+from pamctl.cli.live import DEFAULT_LIVE_PORT, LiveOption, LivePortOption, live_view, port_of
+from pamctl.cli.log_path import LogPathError, new_log_path
 from pamctl.cli.progress import ProgressLine
 from pamctl.control.filters import warped
 from pamctl.log.meta import RunMeta
-from pamctl.problems import ConfigError, Problem
+from pamctl.log.naming import bare
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.front import Commands, FrontReport, conduct
-from pamctl.realtime.loop import keyframe_fields
+from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.ring import Ring, RingError
 from pamctl.realtime.supervision import STOP_SIGNALS
 from pamctl.realtime.tick import first_state
@@ -50,14 +52,9 @@ from pamctl.settings import (
 )
 from pamctl.settings import names as experiment_names
 
-RIG_OF_BACKEND = {"sim": "sim", "nidaq": "pci6221"}
-"""The shipped rig file that `--backend` alone means."""
-
 
 def run(
-    backend: Annotated[
-        str | None, typer.Option("--backend", metavar="sim|nidaq", help="What is driven; sim.")
-    ] = None,
+    backend: BackendOption = None,
     controller: ControllerOption = None,
     experiment: ExperimentOption = None,
     rig: RigOption = None,
@@ -67,6 +64,10 @@ def run(
     ] = None,
     duration_s: DurationOption = None,
     fast: FastOption = False,
+    readonly: Annotated[
+        bool,
+        typer.Option("--readonly", help="Read, compute and log; the output stays safe."),
+    ] = False,
     seed: SeedOption = None,
     overrides: SetOption = None,
     rt: RtOption = None,
@@ -75,6 +76,8 @@ def run(
         bool, typer.Option("--dry-run", help="Print the resolved configuration and stop.")
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress line.")] = False,
+    live: LiveOption = False,
+    live_port: LivePortOption = DEFAULT_LIVE_PORT,
 ) -> None:
     """Move the muscle, log every tick, and say how well it tracked."""
     with config_errors_exit(as_json=as_json):
@@ -87,6 +90,7 @@ def run(
             seed=seed,
             duration_s=duration_s,
             fast=fast or None,
+            readonly=readonly or None,
             rt=rt,
         )
         check_backend(settings, backend, rig)
@@ -99,41 +103,32 @@ def run(
         "plant": plant or DEFAULT_NAMES["plant"],
         "rig": rig or rig_name(backend, rig) or DEFAULT_NAMES["rig"],
     }
-    sys.exit(_run(settings, names, log, as_json=as_json, quiet=quiet))
-
-
-def rig_name(backend: str | None, rig: str | None) -> str | None:
-    """Return the rig that `--backend` and `--rig` mean together; raise `ConfigError`."""
-    if backend is not None and backend not in RIG_OF_BACKEND:
-        known = ", ".join(RIG_OF_BACKEND)
-        raise ConfigError([Problem(f"--backend {backend}", "", f"unknown; there are {known}")])
-    return rig if rig is not None or backend is None else RIG_OF_BACKEND[backend]
-
-
-def check_backend(settings: RunSettings, backend: str | None, rig: str | None) -> None:
-    """Raise `ConfigError` where the options contradict the rig file."""
-    found = settings.rig.backend
-    if backend is not None and backend != found:
-        message = f"the rig file {rig} is for the backend {found}"
-        raise ConfigError([Problem(f"--backend {backend}", "", message)])
-    if settings.fast and found != "sim":
-        message = "only a simulation can do without a clock"
-        raise ConfigError([Problem("--fast", "", message)])
+    if live and settings.fast:
+        raise typer.BadParameter("without a clock there is nothing live", param_hint="--live")
+    port = port_of(live, live_port)
+    sys.exit(_run(settings, names, log, port, as_json=as_json, quiet=quiet))
 
 
 def _run(
-    settings: RunSettings, names: dict[str, str], log: Path | None, *, as_json: bool, quiet: bool
+    settings: RunSettings,
+    names: dict[str, str],
+    log: Path | None,
+    live_port: int | None,
+    *,
+    as_json: bool,
+    quiet: bool,
 ) -> int:
     try:
         # What the user got wrong is no reason to touch the valve.
         require_backend(settings)
         path = new_log_path(log, names["controller"], names["experiment"])
-        with _secured(settings) as rig:
-            _finish_orphans(quiet=quiet)
-            meta = _meta(settings, names, path)
-            with Ring.create(_ring_path(), meta, settings.rig.loop.ring_rows) as ring:
+        with secured(settings) as rig:
+            finish_orphans(quiet=quiet)
+            meta = run_meta(settings, names, path)
+            with Ring.create(ring_path(), meta, settings.rig.loop.ring_rows) as ring:
                 progress = ProgressLine(quiet=quiet or as_json)
-                report = _conducted(ring, rig, progress, fast=settings.fast)
+                with live_view(live_port, "--ring", str(ring.path)):
+                    report = _conducted(ring, rig, progress, settings)
     except LogPathError as error:
         return _fail(ExitCode.USAGE, str(error), as_json=as_json)
     except (RigError, RingError) as error:
@@ -143,7 +138,7 @@ def _run(
 
 
 @contextmanager
-def _secured(settings: RunSettings) -> Iterator[Rig]:
+def secured(settings: RunSettings) -> Iterator[Rig]:
     """Hold the device for this run alone, and make it safe before anything else is done.
 
     Whatever ran before may have died with the valve open. Raises `RigError` where the device
@@ -161,18 +156,20 @@ def _secured(settings: RunSettings) -> Iterator[Rig]:
         yield rig
 
 
-def _conducted(ring: Ring, rig: Rig, progress: ProgressLine, *, fast: bool) -> FrontReport:
+def _conducted(ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettings) -> FrontReport:
     start = [sys.executable, "-m"]
-    guardian = None if fast else [*start, "pamctl.cli.guardian_process"]
+    guardian = None if settings.fast else [*start, "pamctl.cli.guardian_process"]
+    commands = Commands([*start, "pamctl.cli.loop_process"], guardian)
     try:
-        return conduct(ring, Commands([*start, "pamctl.cli.loop_process"], guardian), rig, progress)
+        # Without a clock nothing is at stake in the front's death.
+        return conduct(ring, commands, rig, progress, "off" if settings.fast else settings.rt)
     except BaseException:
         if not ring.head:
             ring.unlink()
         raise
 
 
-def _finish_orphans(*, quiet: bool) -> None:
+def finish_orphans(*, quiet: bool) -> None:
     """Finish the logs of runs that died with all their processes."""
     if not any(SHARED_MEMORY.glob("pamctl-*.ring")):
         return
@@ -185,11 +182,13 @@ def _finish_orphans(*, quiet: bool) -> None:
             print(f"a run died before ({orphan.ring}): {what}", file=sys.stderr)
 
 
-def _ring_path() -> Path:
+def ring_path() -> Path:
+    """Return a new name in shared memory, where the next start looks for what died."""
     return SHARED_MEMORY / f"pamctl-{os.getpid()}-{time.time_ns()}.ring"
 
 
-def _meta(settings: RunSettings, names: dict[str, str], path: Path) -> RunMeta:
+def run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -> RunMeta:
+    """Return what the log of a run that begins now opens with."""
     clock = clock_of(settings, may_spin=False)
     mono_ns = 0 if settings.fast else time.monotonic_ns()
     cal = calibration(settings.rig.calibration)

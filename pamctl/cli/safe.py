@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated
 
 import typer
 
 from hal.rig import RigError
 from pamctl.cli.assembly import clock_of, device_of, require_backend, rig_of
+from pamctl.cli.backend import BackendOption, check_backend, rig_name
 from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
-from pamctl.cli.run import check_backend, rig_name
 from pamctl.realtime.ending import ExitCode
 from pamctl.realtime.guardian import drive_safe
 from pamctl.settings import RunSettings, resolve
@@ -20,15 +19,13 @@ _PATIENCE_S = 0.5
 
 
 def safe(
-    backend: Annotated[
-        str | None, typer.Option("--backend", metavar="sim|nidaq", help="What is driven.")
-    ] = None,
+    backend: BackendOption = None,
     rig: RigOption = None,
     overrides: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Drive the rig to its safe voltage, whatever has happened before."""
-    with config_errors_exit():
+    with config_errors_exit(as_json=as_json):
         settings = resolve(rig=rig_name(backend, rig), overrides=overrides or (), fast=False)
         check_backend(settings, backend, rig)
     failure = _make_safe(settings)

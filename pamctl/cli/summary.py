@@ -18,6 +18,7 @@ def summary(log: Log, experiment: str | None) -> dict[str, Any]:
     return {
         "ticks": len(log),
         "missed_ticks": int(log["missed"].sum()),
+        "readonly": is_readonly(log),
         "tracking": {name: _plain(m) for name, m in merits_of(log).items()},
         "paper": [
             {"law": row.law, **_plain(row.merit)}
@@ -43,6 +44,11 @@ def is_fast(log: Log) -> bool:
     return bool(log.config.get("fast"))
 
 
+def is_readonly(log: Log) -> bool:
+    """Tell whether the run looked on, its output at the safe voltage."""
+    return bool(log.config.get("readonly"))
+
+
 def _plain(merit: Merit | None) -> dict[str, Any]:
     if merit is None:
         return dict.fromkeys(Merit._fields)
@@ -55,6 +61,8 @@ def as_text(figures: dict[str, Any], law: str) -> str:
 
 
 def _tracking_lines(figures: dict[str, Any], law: str) -> list[str]:
+    if figures["readonly"]:
+        return ["Read only: the output stayed at the safe voltage, and nothing was tracked."]
     rows = [
         (f"{law}, {name} displacement", merit)
         for name, merit in figures["tracking"].items()

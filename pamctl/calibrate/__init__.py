@@ -1,0 +1,1 @@
+"""Guided calibration: dated values, with how they were found and how good they are."""

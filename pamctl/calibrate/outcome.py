@@ -1,0 +1,82 @@
+"""What a calibration ends with, and whom it asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+
+class Value(NamedTuple):
+    """One value for the rig file, and how good it is."""
+
+    keys: tuple[str, str]
+    """Section and key."""
+    value: float
+    unit: str
+    uncertainty: float
+    """Two standard deviations, of this measurement alone; 0 for what is exact."""
+    how: str
+
+
+class Outcome(NamedTuple):
+    """All that a calibration found."""
+
+    values: tuple[Value, ...]
+    notes: tuple[str, ...]
+    """What is worth a dated line in the file, and has no key there."""
+    figures: Mapping[str, object]
+    """Behind the values: points, residuals, noise; SI, units in the names."""
+
+
+class CalibrationRefused(Exception):
+    """What was measured or entered makes no sense; the message says why, and what to check."""
+
+
+class Operator(Protocol):
+    """The person at the rig. `idle` keeps the rig going while an answer is awaited."""
+
+    def wait(self, request: str, idle: Callable[[], object]) -> None:
+        """Ask for something to be done, and wait until it is."""
+
+    def number(self, question: str, idle: Callable[[], object]) -> float:
+        """Ask for a number."""
+
+
+class Prepared:
+    """Answers given beforehand, in the order of the questions: for scripts."""
+
+    def __init__(self, answers: Sequence[float], idle_times: int = 30) -> None:
+        """`idle_times` is how often the rig goes on before each answer."""
+        self._answers = list(answers)
+        self._idle_times = idle_times
+
+    def wait(self, request: str, idle: Callable[[], object]) -> None:
+        """Count it as done a moment later."""
+        for _ in range(self._idle_times):
+            idle()
+
+    def number(self, question: str, idle: Callable[[], object]) -> float:
+        """Give the next answer a moment later."""
+        self.wait(question, idle)
+        if not self._answers:
+            raise CalibrationRefused(f"no value was given for: {question}")
+        return self._answers.pop(0)
+
+
+def slope(x: Sequence[float], y: Sequence[float]) -> float:
+    """Return the steepness of the best line through the origin (least squares)."""
+    return sum(a * b for a, b in zip(x, y, strict=True)) / sum(a * a for a in x)
+
+
+def require_near(name: str, found: float, nominal: float, hints: Mapping[float, str]) -> None:
+    """Refuse a scale that is more than a quarter off the file's; `hints` explain known ratios."""
+    ratio = found / nominal
+    if 0.8 <= ratio <= 1.25:
+        return
+    known = (hint for at, hint in hints.items() if 0.9 <= ratio / at <= 1.1)
+    why = next(
+        known, f"if the part is another one, put its data sheet's {name} into the file first"
+    )
+    raise CalibrationRefused(
+        f"{name} would be {found:.6g}, {ratio:.3g} times the file's {nominal:.6g}: {why}"
+    )

@@ -1,0 +1,81 @@
+"""`pamctl doctor`: is this PC fit, and this rig, with the fix for whatever is not."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import closing
+from typing import Annotated
+
+import typer
+
+from pamctl.cli.assembly import device_of
+from pamctl.cli.backend import BackendOption, check_backend, rig_name
+from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
+from pamctl.cli.interrupts import Interrupted
+from pamctl.doctor.findings import Finding, document, report, worst
+from pamctl.realtime.ending import ExitCode
+from pamctl.settings import resolve
+
+SCHEMA = 1
+"""Of the document that `--json` prints."""
+
+
+def doctor(
+    backend: BackendOption = None,
+    rig: RigOption = None,
+    overrides: SetOption = None,
+    actuate: Annotated[
+        bool, typer.Option("--actuate", help="Fill and exhaust for a moment: the muscle moves.")
+    ] = False,
+    rt_seconds: Annotated[
+        float, typer.Option("--rt-seconds", min=0.1, max=600.0, help="Of measuring wake-ups, each.")
+    ] = 2.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Find out whether this PC and this rig are fit for a run, and how to mend what is not."""
+    with config_errors_exit(as_json=as_json):
+        settings = resolve(rig=rig_name(backend, rig), overrides=overrides or (), fast=False)
+        check_backend(settings, backend, rig)
+    from pamctl.cli.examination import examination  # no other verb has to wait for it
+
+    findings: list[Finding] = []
+    interrupt: Interrupted | None = None
+    # A simulated carriage cannot be moved by hand.
+    may_ask = not as_json and sys.stdin.isatty() and settings.rig.backend != "sim"
+    work = examination(settings, rt_seconds, actuate=actuate, may_ask=may_ask)
+    try:
+        # Closed on every path: what it has open is the rig.
+        with closing(work):
+            for finding in work:
+                findings.append(finding)
+                if not as_json:
+                    typer.echo("\n".join(report([finding])))
+    except (Interrupted, KeyboardInterrupt) as error:
+        interrupt = error if isinstance(error, Interrupted) else Interrupted(2)
+    code = _exit_code(findings, interrupt)
+    if as_json:
+        told = {
+            "schema": SCHEMA,
+            "exit_code": code,
+            "worst": worst(findings),
+            "backend": settings.rig.backend,
+            "device": device_of(settings),
+            "actuated": actuate,
+            "findings": document(findings),
+        }
+        typer.echo(json.dumps(told, indent=2))
+    else:
+        typer.echo(str(interrupt) if interrupt else _summary(findings))
+    raise typer.Exit(code)
+
+
+def _exit_code(findings: list[Finding], interrupt: Interrupted | None) -> int:
+    if interrupt is not None:
+        return interrupt.code
+    return int(ExitCode.CHECK_FAILED if worst(findings) == "fault" else ExitCode.OK)
+
+
+def _summary(findings: list[Finding]) -> str:
+    levels = [finding.level for finding in findings]
+    return f"{levels.count('fault')} faults, {levels.count('warning')} warnings"

@@ -1,0 +1,70 @@
+"""Signals while a person works on the rig: one ends the work, and none cuts its end short."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType, TracebackType
+
+_HEEDED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Interrupted(Exception):
+    """A signal ended the work; `code` is the exit code that says so."""
+
+    def __init__(self, number: int) -> None:
+        """Keep the signal's number."""
+        super().__init__(f"stopped by {signal.Signals(number).name}")
+        self.code = 128 + number
+
+
+class Interrupts:
+    """Turns the first signal within `heeded` into `Interrupted`; outside it, signals wait.
+
+    So the way out, on which the valve is made safe, runs to its end whatever is pressed.
+    Ctrl-Z is not heeded at all: a stopped process holds the valve open.
+    """
+
+    def __init__(self) -> None:
+        """Nothing is changed before the block is entered."""
+        self._before: dict[int, object] = {}
+        self._heeding = False
+        self._pending: int | None = None
+
+    def __enter__(self) -> Interrupts:
+        """Take the signals over."""
+        for number in _HEEDED:
+            self._before[number] = signal.signal(number, self._note)
+        self._before[signal.SIGTSTP] = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Give the signals back; raise what has come too late for `heeded`."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]
+        if self._pending is not None and error is None:
+            raise Interrupted(self._pending)
+
+    @contextmanager
+    def heeded(self) -> Iterator[None]:
+        """Let a signal end this block."""
+        if self._pending is not None:
+            raise Interrupted(self._pending)
+        self._heeding = True
+        try:
+            yield
+        finally:
+            self._heeding = False
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        if self._pending is None:
+            self._pending = number
+        if self._heeding:
+            self._heeding = False
+            raise Interrupted(number)

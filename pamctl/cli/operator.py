@@ -1,0 +1,65 @@
+"""The person at the terminal: asked on standard error, answering on standard input.
+
+While an answer is awaited the rig goes on: `idle` is called over and over, and holds a
+pressure or watches the encoder.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+from collections.abc import Callable
+
+
+class NoAnswer(Exception):
+    """Standard input has ended, or the person said no."""
+
+
+class Terminal:
+    """Asks, and waits with the rig running."""
+
+    def __init__(self) -> None:
+        """Read lines from standard input as they come."""
+        self._buffer = b""
+
+    def say(self, text: str) -> None:
+        """Tell something; results go to standard output, this does not."""
+        print(text, file=sys.stderr, flush=True)
+
+    def wait(self, request: str, idle: Callable[[], object]) -> None:
+        """Ask for something to be done, and for Enter when it is. Raises `NoAnswer`."""
+        self._line(f"{request} [Enter]", idle)
+
+    def did(self, request: str, idle: Callable[[], object]) -> bool:
+        """Ask for something to be done; tell whether it was. Raises `NoAnswer`."""
+        return not self._line(f"{request} [Enter, or s to skip]", idle).lower().startswith("s")
+
+    def number(self, question: str, idle: Callable[[], object]) -> float:
+        """Ask for a number until one is given. Raises `NoAnswer`."""
+        while True:
+            text = self._line(question, idle)
+            try:
+                return float(text.replace(",", "."))
+            except ValueError:
+                self.say(f"'{text}' is not a number")
+
+    def agree(self, question: str) -> None:
+        """Ask for a yes; raise `NoAnswer` on anything else."""
+        if self._line(f"{question} [y/N]", None).lower() not in {"y", "yes"}:
+            raise NoAnswer("not agreed to")
+
+    def _line(self, question: str, idle: Callable[[], object] | None) -> str:
+        source = sys.stdin.fileno()
+        print(f"{question} ", end="", file=sys.stderr, flush=True)
+        while b"\n" not in self._buffer:
+            if idle is not None:
+                idle()
+            if select.select([source], [], [], None if idle is None else 0.0)[0]:
+                # Not through Python's buffer, in which a second line would hide from `select`.
+                read = os.read(source, 4096)
+                if not read:
+                    raise NoAnswer("standard input has ended; give the values by options")
+                self._buffer += read
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return line.decode(errors="replace").strip()

@@ -1,0 +1,263 @@
+"""Kill and freeze every process of real runs at random moments, over simulation and stand-in card.
+
+    python scripts/fault_rounds.py --rounds 20 > faults.json
+
+JSON on stdout, a table on stderr; exit code 3 if anything was not as it must be. Each round is one
+real run in real time with one real signal. What must hold after it: the output at the safe voltage,
+the log complete to the last tick that was put before the signal, the documented exit code, nothing
+left behind, and a next start that is clean. The output is looked at all the time, as with a
+voltmeter; its clock starts before the signal is sent. The card is the stand-in of the tests: it
+needs gcc.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+import numpy as np
+from standin.standin import Card
+
+from hal.register import peek_v
+from pamctl.cli.assembly import SHARED_MEMORY, ao_path
+from pamctl.log.reader import read
+from pamctl.realtime.ring import Ring
+
+SAFE_V, AO_STEP_V = 0.625, 20.0 / 65536.0
+"""A voltage that neither a reset nor a power-up leaves behind."""
+PAMCTL = [sys.executable, "-m", "pamctl", "run", "--quiet"]
+OPTIONS = ["rig.homing.enabled=false", f"rig.safe_volts={SAFE_V}"]
+BUSY_PC = ["rig.limits.sample_age_s=0.5", "rig.limits.missed_ticks=500"]
+MOVING_TICKS = 300
+PATIENCE_S = 20.0
+
+PROCESSES = {
+    "loop": "loop_process",
+    "guardian": "guardian_process",
+    "recorder": "log.recorder",
+    "front": "",
+}
+SIGNALS = {"killed": signal.SIGKILL, "frozen": signal.SIGSTOP}
+
+
+class Bench(NamedTuple):
+    """A rig whose output can be looked at from outside."""
+
+    name: str
+    settings: list[str]
+    environment: Mapping[str, str]
+    output_v: Callable[[], float]
+
+
+@contextmanager
+def benches(folder: Path, timing: str) -> Iterator[list[Bench]]:
+    """Set up both rigs under names of their own, and clear away what bears those names."""
+    name = f"rounds{os.getpid()}"
+    card = Card(folder / "registers", f"{name}card")
+    chosen = [*OPTIONS, *BUSY_PC, f"rig.nidaq.device={card.name}", f"rig.nidaq.timing={timing}"]
+    simulated = [*OPTIONS, f"rig.sim.device={name}"]
+    yield [
+        Bench("sim", simulated, os.environ, lambda: peek_v(ao_path(name))),
+        Bench("nidaq", chosen, card.environment(), lambda: card.output_v),
+    ]
+    for left in SHARED_MEMORY.glob(f"pamctl-{name}*"):
+        left.unlink()
+
+
+class Run:
+    """A real run of a bench."""
+
+    def __init__(self, bench: Bench, log: Path, *arguments: str) -> None:
+        sets = [word for setting in bench.settings for word in ("--set", setting)]
+        command = [*PAMCTL, "--backend", bench.name, "--log", str(log), *sets, *arguments]
+        self.bench, self.log = bench, log
+        self.front = subprocess.Popen(
+            command, env=bench.environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        )
+
+    def pids(self) -> dict[str, int]:
+        """Return the process ids by name, once all are there."""
+        found = {"front": self.front.pid}
+        children = Path(f"/proc/{self.front.pid}/task/{self.front.pid}/children")
+        deadline_s = time.monotonic() + PATIENCE_S
+        while len(found) < len(PROCESSES):
+            require(self.front.poll() is None, f"the run ended with {self.front.returncode}")
+            require(time.monotonic() < deadline_s, f"only {found} came up")
+            time.sleep(0.01)
+            for pid in children.read_text().split():
+                with suppress(OSError):
+                    command = Path(f"/proc/{pid}/cmdline").read_text()
+                    found |= {n: int(pid) for n, m in PROCESSES.items() if m and m in command}
+        return found
+
+    def ring(self) -> Path:
+        """Return where its ring lies, once it is there."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not (found := list(SHARED_MEMORY.glob(f"pamctl-{self.front.pid}-*.ring"))):
+            require(time.monotonic() < deadline_s, "there is no ring")
+            time.sleep(0.01)
+        return found[0]
+
+    def await_motion(self, ring: Ring) -> None:
+        """Return when the valve is off its safe voltage, at a random moment."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while ring.head < MOVING_TICKS or self.bench.output_v() < SAFE_V + 1.0:
+            if self.front.poll() is not None:
+                assert self.front.stderr
+                said = self.front.stderr.read().decode().strip()
+                raise Amiss(f"the run ended before its time: {said}")
+            require(time.monotonic() < deadline_s, f"only {ring.head} rows, the valve is still")
+            time.sleep(0.01)
+        time.sleep(random.uniform(0.0, 0.7))
+
+    def await_safe(self, since_s: float) -> float:
+        """Watch the output; return how long it took to be safe, in ms."""
+        while abs(self.bench.output_v() - SAFE_V) > AO_STEP_V:
+            require(time.perf_counter() - since_s < PATIENCE_S, f"{self.bench.output_v()} V")
+            time.sleep(1e-4)
+        return (time.perf_counter() - since_s) * 1e3
+
+    def await_end(self, pids: Mapping[str, int]) -> int:
+        """Wait until no process of the run is left; return the exit code."""
+        self.front.communicate(timeout=PATIENCE_S)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while left := [n for n, pid in pids.items() if Path(f"/proc/{pid}").exists()]:
+            require(time.monotonic() < deadline_s, f"left behind: {left}")
+            time.sleep(0.01)
+        return self.front.returncode
+
+
+class Amiss(Exception):
+    """Something was not as it must be."""
+
+
+def require(holds: bool, what: str) -> None:
+    if not holds:
+        raise Amiss(what)
+
+
+def expected_code(process: str, signal_name: str) -> int:
+    """Return the exit code that is documented for an end."""
+    if process == "front":
+        return -signal.SIGKILL if signal_name == "killed" else 130
+    return 1
+
+
+def round_of(bench: Bench, process: str, signal_name: str, log: Path) -> dict[str, Any]:
+    """One run, one signal; how long until safe (ms), and ticks lost. Raises `Amiss`."""
+    run = Run(bench, log)
+    pids: dict[str, int] = {}
+    try:
+        pids = run.pids()
+        with Ring.attach(run.ring()) as ring:
+            run.await_motion(ring)
+            began_s = time.perf_counter()
+            os.kill(pids[process], SIGNALS[signal_name])
+            if process == "front" and signal_name == "frozen":
+                # A front that stands still harms nobody: the run goes on, and can be ended.
+                time.sleep(0.3)
+                os.kill(pids["front"], signal.SIGCONT)
+                began_s = time.perf_counter()
+                run.front.send_signal(signal.SIGINT)
+            took_ms = run.await_safe(began_s)
+            tick = ring.latest_tick()
+        code = run.await_end(pids)
+    finally:
+        for pid in pids.values():
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        run.front.communicate()
+    require(code == expected_code(process, signal_name), f"exit code {code}")
+    require(abs(bench.output_v() - SAFE_V) <= AO_STEP_V, f"{bench.output_v()} V after the end")
+    require(not list(SHARED_MEMORY.glob(f"pamctl-{run.front.pid}-*")), "a ring is left behind")
+    assert tick is not None
+    return {"safe_after_ms": took_ms, "ticks_lost": ticks_lost(log, int(tick["tick"]))}
+
+
+def ticks_lost(path: Path, last: int) -> int:
+    """Check a log for gaps; return how many ticks it lacks of those that were put."""
+    log = read(path)
+    require(np.array_equal(np.diff(log["tick"]) - 1, log["missed"][1:]), "the log has gaps")
+    outcomes = [event for event in log.events if event["event"] == "outcome"]
+    require(len(outcomes) == 1, f"{len(outcomes)} outcomes in the log")
+    return max(0, last - int(log["tick"][-1]))
+
+
+def next_start(bench: Bench, log: Path) -> None:
+    """Start once more; raise `Amiss` unless all is well."""
+    run = Run(bench, log, "--duration", "0.05")
+    _, said = run.front.communicate(timeout=3 * PATIENCE_S)
+    require(run.front.returncode == 0, f"the next start: {said.decode().strip()}")
+
+
+def rounds(count: int, timing: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """All cases in turn, so that all see the same PC."""
+    with tempfile.TemporaryDirectory() as temporary, benches(Path(temporary), timing) as both:
+        for index in range(count):
+            for bench in both:
+                for process in PROCESSES:
+                    for signal_name in SIGNALS:
+                        case = f"{bench.name} {process} {signal_name}"
+                        log = Path(temporary) / f"{case}-{index}.mcap".replace(" ", "-")
+                        try:
+                            found = round_of(bench, process, signal_name, log)
+                            next_start(bench, log.with_suffix(".next.mcap"))
+                        except (Amiss, subprocess.TimeoutExpired) as amiss:
+                            found = {"amiss": str(amiss)}
+                        yield case, found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--timing", choices=["on_demand", "hardware_timed"], default="on_demand")
+    options = parser.parse_args()
+    cases: dict[str, list[dict[str, Any]]] = {}
+    for case, found in rounds(options.rounds, options.timing):
+        cases.setdefault(case, []).append(found)
+        if "amiss" in found:
+            print(f"{case}: {found['amiss']}", file=sys.stderr)
+    report = {case: summary(found) for case, found in cases.items()}
+    print(
+        f"{'':<26}{'rounds':>7}{'as it must':>12}{'lost':>6}{'p50 ms':>9}{'max ms':>9}",
+        file=sys.stderr,
+    )
+    for case, row in report.items():
+        print(
+            f"{case:<26}{row['rounds']:>7}{row['well']:>12}{row['ticks_lost']:>6}"
+            f"{row['safe_after_ms']['p50']:>9.1f}{row['safe_after_ms']['max']:>9.1f}",
+            file=sys.stderr,
+        )
+    print(json.dumps({"timing": options.timing, "cases": report}, indent=1))
+    return 0 if all(row["rounds"] == row["well"] for row in report.values()) else 3
+
+
+def summary(found: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the figures of one case."""
+    well = [one for one in found if "amiss" not in one]
+    times_ms = [one["safe_after_ms"] for one in well] or [float("nan")]
+    return {
+        "rounds": len(found),
+        "well": sum(one["ticks_lost"] == 0 for one in well),
+        "amiss": [one["amiss"] for one in found if "amiss" in one],
+        "ticks_lost": sum(one["ticks_lost"] for one in well),
+        "safe_after_ms": {"p50": median(times_ms), "max": max(times_ms), "all": times_ms},
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -22,6 +22,7 @@ from hal.configured import Configured
 from pamctl.control.experiment import ExperimentSettings
 from pamctl.control.filters import HIGHEST_PER_RATE
 from pamctl.control.law import ControllerSettings
+from pamctl.log.importing.mapping import ImportMap
 from pamctl.plant.model import PlantSettings
 from pamctl.problems import ConfigError, JsonSchema, Problem, any_of, dotted, findings, names_in
 from pamctl.rig_settings import RigSettings
@@ -42,6 +43,9 @@ class RunSettings(Configured):
         default=None, gt=0, description="ends the run early; the experiment's own end if absent"
     )
     fast: bool = Field(default=False, description="simulate without a clock")
+    readonly: bool = Field(
+        default=False, description="the whole loop, but nothing leaves it except the safe voltage"
+    )
     rt: Literal["auto", "require", "off"] = Field(
         default="auto", description="real-time scheduling: where permitted, or else fail, or never"
     )
@@ -66,6 +70,8 @@ SECTIONS: Mapping[str, TypeAdapter[Any]] = {
     "plant": TypeAdapter(PlantSettings),
 }
 """One folder of `config/` each."""
+KINDS: Mapping[str, TypeAdapter[Any]] = {**SECTIONS, "import-map": TypeAdapter(ImportMap)}
+"""Every file that a user writes: the sections of a run, and what `pamctl log import` reads."""
 
 DEFAULT_NAMES: Mapping[str, str] = {
     "controller": "qsmc",
@@ -74,6 +80,10 @@ DEFAULT_NAMES: Mapping[str, str] = {
     "plant": "paper",
 }
 """What `pamctl run` runs when it is told nothing."""
+
+
+_CHOSEN_BY_FILE = {"controller": "law", "rig": "backend", "experiment": "kind"}
+"""The key of a section that says which keys stand beside it."""
 
 
 # --- the whole way ---------------------------------------------------------------------
@@ -89,6 +99,7 @@ def resolve(
     seed: int | None = None,
     duration_s: float | None = None,
     fast: bool | None = None,
+    readonly: bool | None = None,
     rt: str | None = None,
 ) -> RunSettings:
     """Settle a run from the command line's words; what is None takes its default.
@@ -101,11 +112,12 @@ def resolve(
         "seed": ("--seed", seed),
         "duration_s": ("--duration", duration_s),
         "fast": ("--fast", fast),
+        "readonly": ("--readonly", readonly),
         "rt": ("--rt", rt),
     }
     raw = Raw()
     _together(
-        partial(raw.add_section, section, name or DEFAULT_NAMES[section])
+        partial(raw.add_section, section, DEFAULT_NAMES[section] if name is None else name)
         for section, name in chosen.items()
     )
     for key, (option, value) in options.items():
@@ -125,7 +137,7 @@ def check(path: Path) -> str:
     if kind == "run":
         validated(RUN, raw)
     else:
-        validated(SECTIONS[kind], raw, title=kind)
+        validated(KINDS[kind], raw, title=kind)
     return kind
 
 
@@ -133,9 +145,7 @@ def kind_of(path: Path, data: Mapping[str, object]) -> str:
     """Tell a file's kind from its folder, or else from the keys it holds."""
     if path.resolve().parent.name in SECTIONS:
         return path.resolve().parent.name
-    known = {
-        kind: names_in(adapter.json_schema()) & data.keys() for kind, adapter in SECTIONS.items()
-    }
+    known = {kind: names_in(adapter.json_schema()) & data.keys() for kind, adapter in KINDS.items()}
     known["run"] = SECTIONS.keys() & data.keys()
     best, second = sorted(known, key=lambda kind: len(known[kind]), reverse=True)[:2]
     if len(known[best]) == len(known[second]):
@@ -175,10 +185,10 @@ def schema() -> JsonSchema:
     """
     mode: Literal["validation"] = "validation"
     sections, shared = TypeAdapter.json_schemas(
-        [(kind, mode, adapter) for kind, adapter in SECTIONS.items()],
+        [(kind, mode, adapter) for kind, adapter in KINDS.items()],
         title="A configuration file of pamctl",
     )
-    models = (sections[kind, mode] for kind in SECTIONS)
+    models = (sections[kind, mode] for kind in KINDS)
     alternatives = [choice for model in models for choice in model.get("oneOf", [model])]
     dialect = "https://json-schema.org/draft/2020-12/schema"
     return {"$schema": dialect, **shared, "anyOf": alternatives}
@@ -290,11 +300,27 @@ class Raw:
             message = "must read KEY=VALUE, as in controller.lambda_per_s=12"
             raise ConfigError([Problem(origin, "", message)])
         try:
-            self.put(keys, parse_value(value), origin)
+            parsed = parse_value(value)
+            self._require_same_model(keys, parsed, origin)
+            self.put(keys, parsed, origin)
         except YamlError as error:
             raise ConfigError([Problem(origin, key, error.message)]) from None
         except LookupError as error:
             raise ConfigError([Problem(origin, key, str(error.args[0]))]) from None
+
+    def _require_same_model(self, keys: Sequence[str], value: object, origin: str) -> None:
+        """Refuse to turn one file's keys into those of another law, backend or experiment."""
+        section, _, key = ".".join(keys).partition(".")
+        if _CHOSEN_BY_FILE.get(section) != key:
+            return
+        written = self.data.get(section, {}).get(key)
+        if written in (None, value):
+            return
+        message = (
+            f"the {key} belongs to the {section} file, which is for {written!r} and has its keys; "
+            f"choose another file with --{section} ({', '.join(names(section))})"
+        )
+        raise ConfigError([Problem(origin, ".".join(keys), message)])
 
     def origin(self, at: KeyPath) -> str:
         """Return where a value, or else the nearest mapping around it, was written."""

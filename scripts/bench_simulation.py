@@ -35,7 +35,6 @@ from scipy.integrate import odeint, solve_ivp
 
 from hal.rig import RawSample
 from hal.sim import sensed_counts, sensed_pressure_v, sensor_chain
-from pamctl.cli.assembly import setup_of
 from pamctl.closed_loop import references, sensor_noise, simulate
 from pamctl.compiled import compiled
 from pamctl.control.experiment import segments
@@ -49,6 +48,7 @@ from pamctl.plant.step import plant_advance
 from pamctl.plant.valve import valve_flow
 from pamctl.realtime.tick import TickState, first_state, step
 from pamctl.settings import resolve
+from pamctl.setup import setup_of
 from pamctl.signals import Estimate, Reference, Timing
 
 TICK_S = 1e-3
@@ -141,22 +141,22 @@ LSODA = {
 def rates(t: float, y: Any, command_v: float, slip_m_per_s: float) -> tuple[float, float, float]:
     """Kernel: Eq. 9 as a general solver takes it, friction's jump smoothed."""
     x, v, pressure_pa = y[0], y[1], y[2]
-    forces = axial_forces(P, x, pressure_pa)
+    forces = axial_forces(P.paper, x, pressure_pa)
     friction_n = forces.damping_down_n_s_per_m * v
     if v > 0.0:
         friction_n = forces.damping_up_n_s_per_m * v + forces.upper_n * min(v / slip_m_per_s, 1.0)
-    inflow = P.specific_energy_j_per_kg * valve_flow(P, command_v, pressure_pa)
+    inflow = P.paper.specific_energy_j_per_kg * valve_flow(P.paper, command_v, pressure_pa)
     return (
         v,
-        (forces.drive_n - friction_n) / P.mass_kg,
-        (inflow - pressure_pa * force_area_m2(P, x) * v) / volume_m3(P, x),
+        (forces.drive_n - friction_n) / P.paper.mass_kg,
+        (inflow - pressure_pa * force_area_m2(P.paper, x) * v) / volume_m3(P.paper, x),
     )
 
 
 def run_lsoda(how: Lsoda, commands_v: Sequence[float]) -> list[float]:
     right_hand_side = compiled(rates) if how.compiled_rates else rates
     atol = [how.rtol * scale for scale in (1e-3, 1e-1, 1e5)]
-    state: Any = [0.0, 0.0, P.atmospheric_pressure_pa]
+    state: Any = [0.0, 0.0, P.paper.atmospheric_pressure_pa]
     positions_m = []
     for command_v in commands_v:
         given = (command_v, how.slip_m_per_s)

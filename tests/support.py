@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from hal.faulty import FaultSettings, FaultyRig
-from hal.sim import SimRig, sensor_chain
-from pamctl.cli.assembly import nominal_zero_of, program_of, setup_of
+from hal.sim import Plant, SimRig, sensor_chain
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
 from pamctl.realtime.ending import Ending
 from pamctl.realtime.loop import control
 from pamctl.settings import RunSettings, resolve
+from pamctl.setup import nominal_zero_of, program_of, setup_of
 from pamctl.signals import Phase, TickRecord, Truth
 
 MS = 1_000_000
@@ -81,7 +81,7 @@ class Run(NamedTuple):
     ending: Ending
     journal: MemoryJournal
     rig: SimRig
-    plant: SimulatedPlant
+    plant: Plant
 
 
 class Faulted(NamedTuple):
@@ -89,7 +89,7 @@ class Faulted(NamedTuple):
 
     rig: SimRig
     whole: FaultyRig
-    plant: SimulatedPlant
+    plant: Plant
     clock: VirtualClock
 
 
@@ -97,10 +97,11 @@ def parts(
     settings: RunSettings,
     faults: Sequence[FaultSettings] = (),
     missed: Mapping[int, int] | None = None,
+    plant: Plant | None = None,
 ) -> Faulted:
     """Build the simulated rig of a run, so that a test can look behind its wires."""
     clock = VirtualClock(MS, missed)
-    plant = SimulatedPlant(plant_parameters(settings.plant))
+    plant = plant or SimulatedPlant(plant_parameters(settings.plant))
     sim = settings.rig.sim  # type: ignore[union-attr]
     rig = SimRig(
         plant,
@@ -120,9 +121,10 @@ def run(
     supervisor: ScriptedSupervisor | None = None,
     journal: MemoryJournal | None = None,
     wrap: Callable[[FaultyRig], Any] = lambda rig: rig,
+    plant: Plant | None = None,
 ) -> Run:
-    """Run the loop to its end."""
-    made = parts(settings, faults, missed)
+    """Run the loop to its end, on the settings' plant or another one."""
+    made = parts(settings, faults, missed, plant)
     journal = journal or MemoryJournal()
     ending = control(
         wrap(made.whole),

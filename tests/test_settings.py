@@ -435,6 +435,8 @@ def test_an_unknown_name_gets_the_nearest_and_the_list() -> None:
     assert str(caught.value).startswith(
         "--plant papr: there is no such plant; did you mean 'paper'? There are paper"
     )
+    with pytest.raises(ConfigError, match="there is no such controller"):
+        resolve(controller="")  # an empty shell variable is not the default
     assert find("plant", "paper") == config_dir() / "plant" / "paper.yaml"
     assert find("plant", "here/paper") == Path("here/paper")
 
@@ -523,6 +525,39 @@ def test_config_show_prints_what_the_run_would_use() -> None:
         code, out, _ = config("show", *options, *form)
         assert code == 0
         assert from_resolved(out) == expected
+
+
+def test_config_show_knows_the_backend_as_run_does() -> None:
+    code, out, _ = config("show", "--backend", "nidaq", "--json")
+    assert code == 0
+    assert from_resolved(out) == resolve(rig="pci6221")
+    code, _, err = config("show", "--backend", "sim", "--rig", "pci6221")
+    assert code == 2
+    assert "for the backend nidaq" in err
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        (
+            "controller.law=pid",
+            "for 'qsmc' and has its keys; choose another file with --controller",
+        ),
+        ("rig.backend=nidaq", "choose another file with --rig (pci6221, sim)"),
+        ("experiment.kind=steps", "choose another file with --experiment"),
+    ],
+)
+def test_a_law_a_backend_and_a_kind_of_experiment_belong_to_their_files(
+    override: str, says: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        resolve(overrides=[override])
+    (problem,) = caught.value.problems
+    assert says in problem.message
+    key, _, value = override.partition("=")
+    chosen = {"controller.law": "qsmc", "rig.backend": "sim", "experiment.kind": "tracking"}
+    resolve(overrides=[f"{key}={chosen[key]}"])  # what the file says already may be said again
+    assert value not in chosen.values()
 
 
 def test_config_show_keeps_problems_off_stdout() -> None:

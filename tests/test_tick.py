@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -14,11 +13,11 @@ from support import run_settings
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.cli.assembly import setup_of
 from pamctl.control.experiment import held
-from pamctl.realtime.loop import frozen, keyframe_fields
+from pamctl.realtime.keyframe import frozen, keyframe_fields, thawed
 from pamctl.realtime.tick import TickSetup, TickState, first_state, measure, step
 from pamctl.safety import MEASUREMENT_NOT_FINITE, SENSOR_RANGE
+from pamctl.setup import setup_of
 from pamctl.signals import TICK_FIELDS, Decision, Phase, Reference, TickRecord, Timing
 
 NAN = math.nan
@@ -181,13 +180,6 @@ UNITS = ("_s", "_s2", "_s3", "_v", "_m", "_pa", "_counts", "_ns")
 
 
 # --- keyframes -------------------------------------------------------------------------
-
-
-def thawed(like: Any, numbers: list[float]) -> Any:
-    """Undo `frozen`: take the shape of another state, and its types."""
-    if isinstance(like, tuple):
-        return type(like)._make(thawed(part, numbers) for part in like)  # type: ignore[attr-defined]
-    return type(like)(numbers.pop(0))
 
 
 def test_a_keyframe_names_each_of_its_numbers_once() -> None:

@@ -1,0 +1,67 @@
+"""The verbs that read logs write what they were asked to, and never over what is not theirs."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+
+GOLDEN = Path(__file__).parent / "golden" / "qsmc.mcap"
+
+
+@pytest.fixture
+def log(tmp_path):
+    return shutil.copy(GOLDEN, tmp_path / "run.mcap")
+
+
+def refused(*arguments):
+    """Run a verb that must leave with 2; return what it says, in one line."""
+    done = CliRunner().invoke(app, [str(word) for word in arguments])
+    assert done.exit_code == 2, done.output
+    assert not done.stdout
+    return " ".join(done.stderr.replace("│", " ").split())
+
+
+@pytest.mark.parametrize("verb", [("report",), ("compare", "--plant", "paper")])
+def test_a_page_replaces_an_older_page_and_nothing_else(verb, log):
+    option = "--out" if verb[0] == "report" else "--plot"
+    before = log.read_bytes()
+    assert "is something else" in refused(*verb, log, option, log)
+    assert log.read_bytes() == before
+    page = log.with_name("page.html")
+    page.write_text("<!doctype html>an older one")
+    assert CliRunner().invoke(app, [*verb, str(log), option, str(page)]).exit_code == 0
+    assert "an older one" not in page.read_text()
+
+
+def test_a_page_where_no_file_can_be_is_refused(log):
+    assert "is a directory" in refused("compare", log, "--plot", log.parent)
+    assert "there is no directory" in refused("compare", log, "--plot", log.parent / "a" / "b.html")
+    assert "cannot make the directory" in refused("reproduce", "fig3", "--out", log / "inside")
+
+
+def test_the_table_of_a_what_if_is_never_written_over_a_file(log):
+    table = log.with_name("table.csv")
+    what_if = ("replay", log, "--set", "controller.eta=0", "--csv", table)
+    assert CliRunner().invoke(app, [str(word) for word in what_if]).exit_code == 0
+    before = table.read_bytes()
+    assert "never overwritten" in refused(*what_if)
+    assert table.read_bytes() == before
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "-1"])
+def test_a_replay_starts_at_a_time_that_can_be(seconds, log):
+    assert "must be seconds, 0 or more" in refused("replay", log, "--from", seconds)
+
+
+def test_the_command_line_starts_without_what_only_some_verbs_need():
+    heavy = "numpy scipy numba matplotlib pyarrow nidaqmx asyncio"
+    script = f"import sys, pamctl.cli.app; print(set('{heavy}'.split()) & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.strip() == "set()", done.stderr

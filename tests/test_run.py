@@ -21,6 +21,11 @@ from pamctl.signals import Phase
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
 RINGS = Path("/dev/shm")
+ELSEWHERE = (
+    "import sys; from pathlib import Path; from pamctl.cli import run;"
+    " run.SHARED_MEMORY = Path(sys.argv.pop(1)); from pamctl.cli.app import app; app()"
+)
+"""`pamctl`, but for the place of its rings: a run in another test would finish ours first."""
 DEVICE = f"testrun{os.getpid()}"
 ON_OUR_DEVICE = ("--set", f"rig.sim.device={DEVICE}")
 """In real time a run needs a device for itself, and others may be running on this PC."""
@@ -46,10 +51,12 @@ def fast_run(cwd: Path, *arguments: str, log: str = "run.mcap") -> tuple[dict[st
 
 
 @contextmanager
-def running(cwd: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+def running(
+    cwd: Path, *arguments: str, command: tuple[str, ...] = (PAMCTL,)
+) -> Iterator[subprocess.Popen[str]]:
     """Run in real time until the block ends; it must not need longer."""
     front = subprocess.Popen(
-        [PAMCTL, "run", "--quiet", "--log", "run.mcap", *ON_OUR_DEVICE, *arguments],
+        [*command, "run", "--quiet", "--log", "run.mcap", *ON_OUR_DEVICE, *arguments],
         cwd=cwd,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -78,20 +85,20 @@ def children(front: subprocess.Popen[str]) -> dict[str, int]:
     raise AssertionError("the front did not start its processes")
 
 
-def ring_of(front: subprocess.Popen[str]) -> Path:
+def ring_of(front: subprocess.Popen[str], rings: Path = RINGS) -> Path:
     deadline = time.monotonic() + 10
     while time.monotonic() < deadline:
-        found = list(RINGS.glob(f"pamctl-{front.pid}-*.ring"))
+        found = list(rings.glob(f"pamctl-{front.pid}-*.ring"))
         if found:
             return found[0]
         time.sleep(0.02)
     raise AssertionError("the front made no ring")
 
 
-def await_ticks(front: subprocess.Popen[str], ticks: int) -> None:
+def await_ticks(front: subprocess.Popen[str], ticks: int, rings: Path = RINGS) -> None:
     from pamctl.realtime.ring import Ring
 
-    path = ring_of(front)
+    path = ring_of(front, rings)
     deadline = time.monotonic() + 20
     with Ring.attach(path) as ring:
         while ring.head < ticks:
@@ -315,18 +322,28 @@ def test_when_the_front_is_killed_the_others_finish_their_work(tmp_path: Path) -
 
 
 def test_when_all_are_killed_at_once_the_next_run_finishes_the_log(tmp_path: Path) -> None:
-    with running(tmp_path) as front:
+    rings = tmp_path / "shared-memory"
+    rings.mkdir()
+    elsewhere = (sys.executable, "-c", ELSEWHERE, str(rings))
+    with running(tmp_path, command=elsewhere) as front:
         pids = children(front)
-        await_ticks(front, 400)
+        await_ticks(front, 400, rings)
         for pid in (front.pid, *pids.values()):
             os.kill(pid, signal.SIGKILL)
         front.wait()
-    assert ring_left(front)
+    ring = ring_of(front, rings)
     time.sleep(2.1)  # a ring younger than that might belong to a run that is just starting
-    done = pamctl("run", "--fast", "--duration", "0.1", "--log", "next.mcap", cwd=tmp_path)
-    assert "a run died before" in done.stderr
+    done = subprocess.run(
+        [*elsewhere, "run", "--fast", "--duration", "0.1", "--log", "next.mcap"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert f"a run died before ({ring}): finished {tmp_path / 'run.mcap'}" in done.stderr
     assert done.returncode == 0
-    assert not ring_left(front)
+    assert not ring.exists()
     log = read(tmp_path / "run.mcap")
     assert_gapless_but_for_missed_ticks(log)
     assert len(log) >= 390

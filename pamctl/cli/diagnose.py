@@ -32,6 +32,13 @@ def diagnose(
         list[str] | None,
         typer.Option("--without", metavar="EFFECT", help="Leave it out of the catalogue; repeats."),
     ] = None,
+    correction: Annotated[
+        bool,
+        typer.Option(
+            "--correction",
+            help="Add what no effect explains to the model, as a table without a name.",
+        ),
+    ] = False,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Worker processes.")] = 1,
     as_json: JsonOption = False,
 ) -> None:
@@ -58,6 +65,7 @@ def diagnose(
                 held,
                 start,
                 without=without or (),
+                correction=correction,
                 executor=executor,
                 progress=lambda line: typer.echo(line, err=True),
             )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pamctl.diagnose.audit import Audit, audited
 from pamctl.diagnose.candidates import Candidate
+from pamctl.diagnose.correct import Corrected, corrected
 from pamctl.diagnose.doubt import any_doubtful
 from pamctl.diagnose.evidence import SMALLEST_POSITION_M, SMALLEST_PRESSURE_PA
 from pamctl.diagnose.extend import extended_plant, whole_plant
@@ -55,6 +56,8 @@ class Diagnosis:
     tried: tuple[Trial, ...] = ()
     """What was fitted, the best first."""
     remainder: Remainder | None = None
+    corrected: Corrected | None = None
+    """What became of the wish to have the remainder in the model."""
     train: tuple[Record, ...] = ()
     holdout: tuple[Record, ...] = ()
     explained: float = 0.0
@@ -98,8 +101,13 @@ def concluded(
     train: Sequence[Record],
     holdout: Sequence[Record],
     asked: Sequence[Candidate],
+    *,
+    correction: bool = False,
 ) -> Diagnosis:
-    """Draw up the diagnosis; take back names that make the coupled model worse."""
+    """Draw up the diagnosis; take back names that make the coupled model worse.
+
+    With `correction` what is left without a name is added to the model as a table.
+    """
     model = judgement.model
     evidence = model.evidence
     verdict = after_rivals(judgement, heard)
@@ -115,10 +123,15 @@ def concluded(
     if taken_back or (model.effects and not _better(gap)):
         verdict, model, heard = Verdict.NONE_KNOWN, search.base, ()
         gap = gaps(evidence, holdout, {**plants, "extended": plants["recalibrated"]})
+    plant = extended_plant(verdict, model)
+    left = _remainder(verdict, model)
+    added = corrected(model, plant, holdout) if correction and left is not None else None
+    if added and added.blocks:
+        gap = {name: replace(g, corrected=added.after[name]) for name, g in gap.items()}
     return Diagnosis(
         verdict,
         evidence.nominal,
-        extended_plant(verdict, model),
+        added.plant if added else plant,
         model=model,
         base=search.base,
         standings=tuple(heard),
@@ -127,7 +140,8 @@ def concluded(
         cells=tuple(cells(model)),
         regimes=tuple(cells(search.base)),
         tried=tuple(_tried(search)),
-        remainder=_remainder(verdict, model),
+        remainder=left,
+        corrected=added,
         train=tuple(train),
         holdout=tuple(holdout),
         explained=judgement.explained if model.effects else 0.0,

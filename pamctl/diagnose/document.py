@@ -42,7 +42,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "gap": {name: gap.as_dict() for name, gap in (diagnosis.gap or {}).items()},
         "explained": diagnosis.explained,
         "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
-        "correction": diagnosis.remainder.as_dict() if diagnosis.remainder else None,
+        "correction": _correction(diagnosis),
         "regimes": [
             {
                 "block": c.block,
@@ -53,6 +53,13 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
             for c in diagnosis.cells
         ],
     }
+
+
+def _correction(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    if diagnosis.remainder is None:
+        return None
+    table = {"table": diagnosis.corrected.as_dict()} if diagnosis.corrected else {}
+    return {**diagnosis.remainder.as_dict(), **table}
 
 
 def _effect(diagnosis: Diagnosis, standing: Standing) -> dict[str, Any]:

@@ -55,7 +55,9 @@ def stages(diagnosis: Diagnosis) -> list[Stage]:
         found.append(Stage("recalibrated", "recalibrated", whole_plant(base), 1))
     if model.effects:
         label = f"with {told(*model.names)}"
-        found.append(Stage("extended", label, diagnosis.plant, 0))
+        found.append(Stage("extended", label, whole_plant(model), 0))
+    if diagnosis.corrected is not None and diagnosis.corrected.blocks:
+        found.append(Stage("corrected", "with an unnamed correction", diagnosis.plant, 2))
     return found
 
 

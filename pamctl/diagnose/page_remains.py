@@ -9,6 +9,7 @@ from pamctl.diagnose.page_map import write_shape
 from pamctl.diagnose.page_models import SHOWN
 from pamctl.diagnose.page_words import told
 from pamctl.diagnose.records import CHANNELS, Record
+from pamctl.diagnose.words import correction_told
 from pamctl.report.page import Page
 from pamctl.report.svg import Axis, Plot
 
@@ -32,6 +33,8 @@ def write_remains(page: Page, diagnosis: Diagnosis) -> None:
     write_shape(page, diagnosis)
     if diagnosis.remainder is not None:
         page.note(diagnosis.remainder.sentence)
+    if diagnosis.corrected is not None:
+        page.note(correction_told(diagnosis.corrected))
 
 
 def write_blind(page: Page, diagnosis: Diagnosis) -> None:

@@ -115,6 +115,11 @@ def following(diagnosis: Diagnosis) -> Iterator[str]:
                 "Look where the maps below are bright, and at the rig: supply, tubing, mounting, "
                 "sensors. plant.yaml has the better numbers, and no effect."
             )
+            if diagnosis.corrected is None:
+                yield (
+                    "Where prediction matters more than the cause: `pamctl diagnose --correction` "
+                    "adds what is left to the model, as a table without a name."
+                )
     if experiment:
         yield _experiment(experiment)
         yield f"The program that has all experiments: `{_RECORD}`."

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pamctl.diagnose.blocks import PRESSURE
+from pamctl.diagnose.blocks import PRESSURE, stacked
 from pamctl.diagnose.evidence import Evidence
+from pamctl.diagnose.fit import rms
 from pamctl.diagnose.records import Array, Record
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
@@ -27,6 +28,8 @@ class Gap:
     extended: float
     floor: float
     """What the sensor itself adds."""
+    corrected: float | None = None
+    """With an unnamed correction as well, where there is one."""
 
     @property
     def closed(self) -> float:
@@ -36,12 +39,13 @@ class Gap:
 
     def as_dict(self) -> dict[str, float]:
         """Return what the document holds."""
-        return {
+        found = {
             "nominal": self.nominal,
             "recalibrated": self.recalibrated,
             "extended": self.extended,
             "floor": self.floor,
         }
+        return found if self.corrected is None else {**found, "corrected": self.corrected}
 
 
 def coupled(record: Record, settings: PlantSettings) -> tuple[Array, Array]:
@@ -57,40 +61,38 @@ def gaps(
 
     Where only one block can be driven, that block's own output is compared.
     """
-    if len(evidence.blocks) == 2:
-        return _coupled_gaps(evidence, holdout, plants)
-    block = evidence.blocks[0]
-    channel = "pressure_pa" if block == PRESSURE else "position_m"
-    drives = evidence.holdout[block]
-    levels = {
-        name: float(
-            np.sqrt(np.mean(np.concatenate([d.residual(plant) for d in drives]) ** 2))
-            * drives[0].deviation
-        )
-        for name, plant in plants.items()
-    }
-    return {channel: Gap(**levels, floor=evidence.noises[channel].total)}
-
-
-def _coupled_gaps(
-    evidence: Evidence, holdout: Sequence[Record], plants: Mapping[str, PlantSettings]
-) -> dict[str, Gap]:
-    squares: dict[str, dict[str, list[Array]]] = {"position_m": {}, "pressure_pa": {}}
-    for name, plant in plants.items():
-        for index, record in enumerate(holdout):
-            rows = evidence.holdout[PRESSURE][index].rows
-            counted = slice(None) if rows is None else rows
-            position_m, pressure_pa = coupled(record, plant)
-            for channel, simulated in (("position_m", position_m), ("pressure_pa", pressure_pa)):
-                error = (record[channel] - simulated)[counted]
-                if channel == "position_m":
-                    slack = evidence.noises[channel].resolution
-                    error = error - np.clip(np.mean(error), -slack, slack)
-                squares[channel].setdefault(name, []).append(error**2)
+    found = {name: levels(evidence, holdout, plant) for name, plant in plants.items()}
+    channels = next(iter(found.values()))
     return {
         channel: Gap(
-            **{n: float(np.sqrt(np.mean(np.concatenate(parts)))) for n, parts in by_name.items()},
+            **{name: level[channel] for name, level in found.items()},
             floor=evidence.noises[channel].total,
         )
-        for channel, by_name in squares.items()
+        for channel in channels
     }
+
+
+def levels(evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings) -> dict[str, float]:
+    """Return the RMS of measurement minus simulation by channel, in SI; see `gaps`."""
+    if len(evidence.blocks) == 2:
+        return _coupled_levels(evidence, holdout, plant)
+    block = evidence.blocks[0]
+    drives = evidence.holdout[block]
+    left = rms(stacked(drives, plant)) * drives[0].deviation
+    return {"pressure_pa" if block == PRESSURE else "position_m": left}
+
+
+def _coupled_levels(
+    evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings
+) -> dict[str, float]:
+    errors: dict[str, list[Array]] = {"position_m": [], "pressure_pa": []}
+    for record, drive in zip(holdout, evidence.holdout[PRESSURE], strict=True):
+        counted = slice(None) if drive.rows is None else drive.rows
+        position_m, pressure_pa = coupled(record, plant)
+        for channel, simulated in (("position_m", position_m), ("pressure_pa", pressure_pa)):
+            error = (record[channel] - simulated)[counted]
+            if channel == "position_m":
+                slack = evidence.noises[channel].resolution
+                error = error - np.clip(np.mean(error), -slack, slack)
+            errors[channel].append(error)
+    return {channel: rms(np.concatenate(parts)) for channel, parts in errors.items()}

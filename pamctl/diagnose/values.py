@@ -126,4 +126,5 @@ def value_of(settings: PlantSettings, name: str) -> float:
 
 def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSettings:
     """Return the plant with these numbers; raises pydantic's ValidationError out of range."""
-    return settings_of({**values_of(settings), **values})
+    moved = settings_of({**values_of(settings), **values})
+    return moved.model_copy(update={"correction": settings.correction})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from pamctl.diagnose.correct import Corrected
 from pamctl.diagnose.diagnosis import Diagnosis, where_left
 from pamctl.diagnose.intervals import Estimate
 from pamctl.diagnose.verdict import Verdict
@@ -54,6 +55,8 @@ def summary(diagnosis: Diagnosis) -> str:
         parts.append("\n".join(_gap_rows(diagnosis)))
     if diagnosis.remainder is not None:
         parts.append(diagnosis.remainder.sentence)
+    if diagnosis.corrected is not None:
+        parts.append(correction_told(diagnosis.corrected))
     following = diagnosis.document()["next_experiment"]
     if following:
         parts.append(f"next: {following['name']}: {following['why']}")
@@ -73,6 +76,17 @@ def _rival_rows(diagnosis: Diagnosis) -> Iterator[str]:
             equal = "  no worse: these data do not tell" if rival.is_equal else ""
             left = f"{rival.residual_over_floor:>14.2f}{equal}"
             yield f"{standing.effect.name:<24}{rival.name:<24}{left}"
+
+
+def correction_told(added: Corrected) -> str:
+    """Say whether the unnamed correction is in the model, and what it does to the gap."""
+    rows = []
+    for name, before in added.before.items():
+        factor, label = gap_units(name)
+        rows.append(f"{label} {factor * before:.4g} -> {factor * added.after[name]:.4g}")
+    gap = f" Held-out gap, RMS: {'; '.join(rows)}." if added.blocks else ""
+    state = "added to the model" if added.blocks else "left out of the model"
+    return f"Unnamed correction {state}: {added.why}.{gap}"
 
 
 def _gap_rows(diagnosis: Diagnosis) -> Iterator[str]:

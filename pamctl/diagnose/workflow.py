@@ -35,6 +35,7 @@ def diagnose(
     plant: PlantSettings,
     *,
     without: Collection[str] = (),
+    correction: bool = False,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -42,6 +43,7 @@ def diagnose(
 
     Fits on `train`, judges by `holdout`; where that is empty, `train` is split by run, or
     by long stretches if there is one only. `without` leaves effects out of the catalogue.
+    With `correction` what no effect explains is added to the plant as a table, where that helps.
     Candidates are fitted in `executor`'s workers if one is given, any with the standard
     library's `submit`. Data that cannot be diagnosed give the verdict `bad_data`.
     """
@@ -63,7 +65,7 @@ def diagnose(
     if judgement.verdict in (Verdict.NAMED, Verdict.PARTIAL):
         tell("hearing the rivals of " + " and ".join(judgement.model.names))
         heard = standings(judgement.model, search, found, executor)
-    return concluded(judgement, heard, search, train, holdout, found)
+    return concluded(judgement, heard, search, train, holdout, found, correction=correction)
 
 
 def _evidence(

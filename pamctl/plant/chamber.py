@@ -170,9 +170,12 @@ def flow_into(
 
 
 def leaked(p: AirParameters, pressure_pa: float) -> float:
-    """Mass flow through the muscle's own leak, kg/s; negative where it goes out."""
+    """Mass flow past the valve, kg/s; negative where it goes out."""
     area = p.effects.chamber_leak.area_m2
-    return area * port_flow(p, p.paper.atmospheric_pressure_pa, pressure_pa) if area > 0.0 else 0.0
+    if area <= 0.0:
+        return p.extra_kg_per_s
+    leak = area * port_flow(p, p.paper.atmospheric_pressure_pa, pressure_pa)
+    return leak + p.extra_kg_per_s
 
 
 def room_m3(p: AirParameters, position_m: float, pressure_pa: float) -> float:
@@ -271,6 +274,7 @@ def not_past_balance(
     if p.effects.line_restriction.resistance_pa_s_per_kg > 0.0:
         return next_pa, False
     escapes = open_to.atmosphere_m2 > 0.0 or p.effects.chamber_leak.area_m2 > 0.0
+    escapes = escapes or p.extra_kg_per_s != 0.0
     if open_to.tank_m2 > 0.0 and escapes:
         comes = net_kg_per_s > 0.0
         if comes == (net_flow(p, air, open_to, next_pa, step_s) > 0.0):

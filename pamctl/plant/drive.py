@@ -204,7 +204,7 @@ def run_mechanics(
                 muscle_pa = pressures_pa[j + 1]
                 if has_line:
                     muscle_pa = behind_line_pa(
-                        AirParameters(p.paper, p.effects.air),
+                        AirParameters(p.paper, p.effects.air, 0.0),
                         begin_pa,
                         pressures_pa[j],
                         muscle_pa,

@@ -65,7 +65,7 @@ def mechanism_forces(
         lever_m = braid_lever_m(p.paper, position_m)
     pressing_pa = gauge_pa if gauge_pa > 0.0 else 0.0
     stiffness = p.paper.stiffness_n_per_m * drifted(e.drift.stiffness_per_s, age_s)
-    drive_n = pull_n - stiffness * position_m
+    drive_n = pull_n + p.extra_n - stiffness * position_m
     drive_n -= e.cubic_stiffness.n_per_m3 * position_m * position_m * position_m
     drive_n -= creep_force_n(e.creep, dashpots, position_m) + e.external_load.force_n
     grip = p.paper.friction_area_m * pressing_pa * drifted(e.drift.friction_per_s, age_s)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import chain, pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model, model_validator
 
 from hal.configured import Configured
+from pamctl.plant.correction import Correction, Table
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.effects.description import EffectDescription, acts
 from pamctl.plant.flat import ACTUATOR, parameters_of
@@ -74,6 +76,54 @@ EffectSettings = create_model(
 )
 
 
+Lines = Annotated[tuple[float, ...], Field(min_length=2, max_length=24)]
+
+
+class TableSettings(Configured):
+    """Values on a grid: straight between its lines, constant beyond them."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> TableSettings:
+        (first_name, first), (second_name, second), (name, rows) = self.__dict__.items()
+        for axis, lines in ((first_name, first), (second_name, second)):
+            if any(b <= a for a, b in pairwise(lines)):
+                raise ValueError(f"{axis} must increase from each grid line to the next")
+        if len(rows) != len(first) or any(len(row) != len(second) for row in rows):
+            raise ValueError(
+                f"{name} needs {len(first)} rows of {len(second)} values: a row for each line of "
+                f"{first_name}, a value for each of {second_name}"
+            )
+        return self
+
+    def table(self) -> Table:
+        """Return the table as the kernels read it."""
+        first, second, rows = self.__dict__.values()
+        return Table(first, second, tuple(chain.from_iterable(rows)))
+
+
+class PullSettings(TableSettings):
+    """A force that the model lacks, by where the muscle is and what pulls it there."""
+
+    displacement_m: Lines
+    load: Annotated[Lines, Field(description="absolute pressure, Pa; a direct actuator's force, N")]
+    pull_n: Annotated[tuple[tuple[float, ...], ...], Field(description="added to the pull")]
+
+
+class FlowSettings(TableSettings):
+    """A mass flow that the model lacks, by the valve's opening and the pressure behind it."""
+
+    opening_v: Lines
+    pressure_pa: Annotated[Lines, Field(description="absolute")]
+    flow_kg_per_s: Annotated[tuple[tuple[float, ...], ...], Field(description="into the muscle")]
+
+
+class CorrectionSettings(Configured):
+    """Tables for what no known effect explains: unnamed, never a cause."""
+
+    pull: PullSettings | None = None
+    flow: FlowSettings | None = None
+
+
 class PlantSettings(Configured):
     """The model of a muscle and its valve."""
 
@@ -84,15 +134,32 @@ class PlantSettings(Configured):
     ] = "muscle"
     parameters: MuscleParameters = MuscleParameters()
     effects: EffectSettings = EffectSettings()
+    correction: Annotated[
+        CorrectionSettings | None,
+        Field(description="what no effect explains, as tables; `pamctl diagnose --correction`"),
+    ] = None
 
 
 def plant_parameters(settings: PlantSettings) -> PlantParameters:
     """Turn a plant file into the numbers that the kernels use."""
-    return parameters_of(values_of(settings))
+    p = parameters_of(values_of(settings))
+    if settings.correction is None:
+        return p
+    pull, flow = settings.correction.pull, settings.correction.flow
+    return p._replace(
+        air_acts=p.air_acts or flow is not None,
+        mechanics_act=p.mechanics_act or pull is not None,
+        correction=Correction(
+            None if pull is None else pull.table(), None if flow is None else flow.table()
+        ),
+    )
 
 
 def values_of(settings: PlantSettings) -> dict[str, float]:
-    """Return a plant file as a flat mapping, without the effects that it leaves out."""
+    """Return a plant file as a flat mapping, without the effects that it leaves out.
+
+    Tables of a correction are no numbers of the mapping.
+    """
     values: dict[str, float] = settings.parameters.model_dump()
     if settings.actuator == "direct":
         values[ACTUATOR] = 1.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import inf, nan
 from typing import NamedTuple
 
+from pamctl.plant.correction import Correction
 from pamctl.plant.effects import AirEffects, Effects, MechanicsEffects
 from pamctl.plant.effects.creep import Crept
 
@@ -58,6 +59,7 @@ class PlantParameters(NamedTuple):
     sensors_act: bool
     direct: bool
     """A measured force drives the mechanics in the place of the muscle."""
+    correction: Correction = Correction()
 
     @property
     def atmospheric_pressure_pa(self) -> float:
@@ -75,6 +77,8 @@ class AirParameters(NamedTuple):
 
     paper: PaperParameters
     effects: AirEffects
+    extra_kg_per_s: float
+    """Into the muscle over this step, by an unnamed correction."""
 
 
 class MechanismParameters(NamedTuple):
@@ -83,6 +87,8 @@ class MechanismParameters(NamedTuple):
     paper: PaperParameters
     effects: MechanicsEffects
     direct: bool
+    extra_n: float
+    """Of pull over this step, by an unnamed correction."""
 
 
 class ValveState(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from pamctl.plant.chamber import chamber_middle_pa, chamber_step
+from pamctl.plant.correction import corrected
 from pamctl.plant.mechanics import mechanics_step
 from pamctl.plant.mechanism import mechanism_step
 from pamctl.plant.parameters import (
@@ -89,7 +90,9 @@ def mechanics_block_step(
     actuator, the force (N).
     """
     if p.mechanics_act:
-        with_effects = MechanismParameters(p.paper, p.effects.mechanics, p.direct)
+        middle_m = position_m + 0.5 * step_s * velocity_m_per_s
+        extra_n = corrected(p.correction.pull, middle_m, middle_load)
+        with_effects = MechanismParameters(p.paper, p.effects.mechanics, p.direct, extra_n)
         return mechanism_step(
             with_effects, position_m, velocity_m_per_s, mechanics, middle_load, step_s
         )
@@ -108,8 +111,9 @@ def air_middle_pa(
 ) -> tuple[float, bool]:
     """Predict the pressure of the step's middle, by the paper's equations where they suffice."""
     if p.air_acts:
+        extra = corrected(p.correction.flow, opening_v, pressure_pa)
         return chamber_middle_pa(
-            AirParameters(p.paper, p.effects.air),
+            AirParameters(p.paper, p.effects.air, extra),
             pressure_pa,
             air,
             opening_v,
@@ -134,7 +138,8 @@ def air_step(
 ) -> tuple[float, AirState]:
     """Complete the pressure's step with the muscle's true motion."""
     if p.air_acts:
-        own = AirParameters(p.paper, p.effects.air)
+        extra = corrected(p.correction.flow, opening_v, pressure_pa)
+        own = AirParameters(p.paper, p.effects.air, extra)
         return chamber_step(
             own,
             pressure_pa,

@@ -1,0 +1,56 @@
+"""What no known effect explains, as tables: an unnamed correction, and never a cause.
+
+    pull of the muscle (N)            over displacement and its load
+    flow into the muscle (kg/s)       over the valve's opening and the pressure
+
+The moved mass acts within 0.1 ms, so that displacement and load settle the velocity too: a table
+over them can stand for any missing force without a memory. A model without tables does not
+even compile them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Table(NamedTuple):
+    """Values on a grid; straight between its lines, constant beyond them."""
+
+    first: tuple[float, ...]
+    """Grid lines along the first axis, increasing."""
+    second: tuple[float, ...]
+    values: tuple[float, ...]
+    """One row after the other, a row for each line of the first axis."""
+
+
+class Correction(NamedTuple):
+    """The tables of a plant; None adds nothing."""
+
+    pull: Table | None = None
+    """N over displacement (m) and load: absolute pressure (Pa), or force (N) if direct."""
+    flow: Table | None = None
+    """kg/s into the muscle over opening (V of command) and absolute pressure (Pa)."""
+
+
+def corrected(table: Table | None, first: float, second: float) -> float:
+    """Return what a table adds at a point; 0 without one."""
+    if table is None:
+        return 0.0
+    row, along = place(table.first, first)
+    column, across = place(table.second, second)
+    width = len(table.second)
+    corner = row * width + column
+    near = table.values[corner] + across * (table.values[corner + 1] - table.values[corner])
+    corner += width
+    far = table.values[corner] + across * (table.values[corner + 1] - table.values[corner])
+    return near + along * (far - near)
+
+
+def place(lines: tuple[float, ...], value: float) -> tuple[int, float]:
+    """Return the grid line before a value, and how far it is to the next one (0 to 1)."""
+    last = len(lines) - 2
+    index = 0
+    while index < last and value >= lines[index + 1]:
+        index += 1
+    share = (value - lines[index]) / (lines[index + 1] - lines[index])
+    return index, min(max(share, 0.0), 1.0)

@@ -13,9 +13,14 @@ from made_records import PERIOD_S, measured, pair
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose
 from pamctl.diagnose.audit import audit_of
+from pamctl.diagnose.blocks import MECHANICS, stacked
+from pamctl.diagnose.evidence import prepared
+from pamctl.diagnose.fit import rms
+from pamctl.diagnose.models import recalibrated
 from pamctl.diagnose.noise import estimate
 from pamctl.diagnose.plantfile import plant_file
 from pamctl.diagnose.records import resolution
+from pamctl.diagnose.values import with_values
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
 from pamctl.settings import SECTIONS, Raw, validated
@@ -144,6 +149,18 @@ def test_full_scale_squares_are_said_to_be_blind_to_a_dead_band() -> None:
 def test_the_moving_mass_is_reported_as_unidentifiable() -> None:
     spots = {spot.name: spot for spot in audit_of(measured("fit"), PAPER).blind_spots}
     assert spots["moving_mass"].experiment == ""
+
+
+def test_a_fit_of_the_mechanics_ends_where_no_number_would_improve_it() -> None:
+    """Braid, stiffness and friction make a narrow valley: a coarse slope stops on its side."""
+    off = {"damping_n_s_per_m": 620.0, "stiffness_n_per_m": 9300.0, "braid_length_m": 0.2316}
+    hidden = {**off, "kinetic_friction_per_m": 60.0}
+    evidence = prepared(*pair(**hidden), PAPER).only({MECHANICS})
+    fitted = recalibrated(evidence).fit_of(MECHANICS)
+    directions = np.linalg.qr(fitted.jacobian)[0]
+    could_go = np.linalg.norm(directions.T @ fitted.residual) / np.linalg.norm(fitted.residual)
+    assert could_go < 0.01
+    assert rms(fitted.residual) < rms(stacked(fitted.drives, with_values(PAPER, hidden)))
 
 
 # --- what is refused -------------------------------------------------------------------

@@ -14,6 +14,7 @@ from made_records import PERIOD_S, measured, pair
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose
 from pamctl.diagnose.audit import audit_of
 from pamctl.diagnose.blocks import MECHANICS, stacked
+from pamctl.diagnose.candidates import candidates
 from pamctl.diagnose.evidence import prepared
 from pamctl.diagnose.fit import rms
 from pamctl.diagnose.models import recalibrated
@@ -222,3 +223,33 @@ def test_noise_with_a_memory_is_drawn_with_that_memory() -> None:
     wanted, found = (np.corrcoef(v[1:], v[:-1])[0, 1] for v in (coloured, drawn))
     assert drawn.std() == pytest.approx(coloured.std(), rel=0.1)
     assert found == pytest.approx(wanted, abs=0.05)
+
+
+# --- a start model that has effects ------------------------------------------------------
+
+
+def test_the_effects_of_the_start_model_are_recalibrated_with_its_numbers() -> None:
+    start = PlantSettings.model_validate(
+        {"effects": {"cubic_stiffness": {"n_per_m3": 1.5e6}, "creep": {"stiffness_n_per_m": 200}}}
+    )
+    hidden = {"cubic_stiffness__n_per_m3": 2e6, "creep__stiffness_n_per_m": 260.0}
+    train, held = pair(**hidden)
+    found = diagnose(
+        *[[replace(r, valve_v=None) for r in part] for part in (train, held)],
+        start,
+        without=all_but("external_load"),
+    )
+    assert found.verdict is Verdict.MISCALIBRATED
+    numbers = found.document()["recalibrated"]
+    assert numbers["cubic_stiffness.n_per_m3"]["value"] == pytest.approx(2e6, rel=0.05)
+    assert numbers["creep.stiffness_n_per_m"]["value"] == pytest.approx(260.0, rel=0.05)
+    assert "creep.fast_share" not in numbers
+    assert "cubic_stiffness.n_per_m3 +3" in found.sentence
+    assert found.plant.effects.creep.stiffness_n_per_m == pytest.approx(260.0, rel=0.05)
+
+
+def test_a_zero_that_homing_left_does_not_hide_the_sensors_offset() -> None:
+    start = PlantSettings.model_validate(
+        {"effects": {"pressure_sensor_offset": {"offset_pa": 12.0}}}
+    )
+    assert "pressure_sensor_offset" in {c.name for c in candidates(prepared(*pair(), start))}

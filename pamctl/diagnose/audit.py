@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from math import inf
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from pamctl.diagnose.models import Model, alone, recalibrated
 from pamctl.diagnose.quality import check, check_sensors
 from pamctl.diagnose.records import Array, Record
 from pamctl.diagnose.score import beside, secant
-from pamctl.diagnose.values import Free, described, value_of
+from pamctl.diagnose.values import Free, described, unit_of, value_of
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
@@ -43,13 +44,16 @@ class BlindSpot:
     """What would show it; empty where nothing would."""
     visible_from: tuple[float, str] | None
     """Size and unit from which it would show, if it grows in proportion; None for never."""
+    sizes: float = inf
+    """The same, in smallest sizes of interest."""
 
     @property
     def visible(self) -> str:
         """Say from which size on it shows."""
         if self.visible_from is None:
             return "it does not show at any size"
-        return f"it shows from about {self.visible_from[0]:.2g} {self.visible_from[1]}"
+        size, unit = self.visible_from
+        return f"it shows from about {size:.2g} {unit}".rstrip()
 
     def as_dict(self) -> dict[str, object]:
         """Return what the document holds."""
@@ -192,15 +196,20 @@ def _blind_spot(candidate: Candidate, power: float) -> BlindSpot:
     switch = candidate.switches[0]
     size = described(switch).smallest_of_interest
     effect = CATALOGUE[candidate.name]
-    why = f"at {size:g} {described(switch).unit} it stays below the floor's limit"
-    return BlindSpot(candidate.name, why, effect.best_experiment, _from(switch, size, power))
+    dose = f"{size:g} {unit_of(switch)}".rstrip()
+    if neutral := described(switch).neutral:
+        dose += f" off {neutral:g}"
+    why = f"at {dose} it stays below the floor's limit"
+    visible_from = _from(switch, size, power)
+    sizes = 1.0 / power if visible_from else inf
+    return BlindSpot(candidate.name, why, effect.best_experiment, visible_from, sizes)
 
 
 def _from(switch: Free, size: float, power: float) -> tuple[float, str] | None:
     """In proportion: a size that would just pass the limit, where the range allows it."""
     if power <= 0.0 or size / power > max(abs(switch.high), abs(switch.low)):
         return None
-    return size / power, described(switch).unit
+    return size / power, unit_of(switch)
 
 
 def _never_seen(model: Model, found: Sequence[Candidate]) -> list[BlindSpot]:

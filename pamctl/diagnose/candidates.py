@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from pamctl.diagnose.evidence import Evidence
-from pamctl.diagnose.values import Free, described, of_effect, value_of
+from pamctl.diagnose.values import Free, described, effects_on, of_effect, value_of
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.effects.description import EffectDescription, EffectForm
 from pamctl.plant.model import PlantSettings
@@ -60,7 +60,7 @@ def candidates(evidence: Evidence, without: Collection[str] = ()) -> tuple[Candi
     Those that the start model has already, and those that no experiment can identify, are
     not asked for.
     """
-    on = {*evidence.nominal.effects.model_dump(exclude_none=True)}
+    on = effects_on(evidence.nominal)
     return tuple(
         candidate
         for name, effect in CATALOGUE.items()

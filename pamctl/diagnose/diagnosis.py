@@ -70,6 +70,12 @@ class Diagnosis:
 
         return document(self)
 
+    @property
+    def recalibrated(self) -> tuple[Estimate, ...]:
+        """The numbers that the start model had already, its effects' among them."""
+        named = self.model.names if self.model else ()
+        return tuple(n for n in self.numbers if n.name.split(".")[0] not in named)
+
     def started(self, name: str) -> float:
         """Return a number of the start model."""
         return value_of(self.nominal, name)

@@ -11,6 +11,8 @@ from pamctl.diagnose.verdict import Verdict
 from pamctl.plant.effects import CATALOGUE
 
 SCHEMA = 1
+NEARLY_SEEN = 3.0
+"""What shows from so many smallest sizes on is no reason for another experiment."""
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -36,7 +38,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "sentence": diagnosis.sentence,
         "effects": [_effect(diagnosis, s) for s in diagnosis.standings],
         "ambiguous": ambiguous(diagnosis),
-        "recalibrated": {n.name: n.as_dict() for n in diagnosis.numbers if "." not in n.name},
+        "recalibrated": {n.name: n.as_dict() for n in diagnosis.recalibrated},
         "blind_spots": blind_spots(diagnosis),
         "next_experiment": next_experiment(diagnosis),
         "gap": {name: gap.as_dict() for name, gap in (diagnosis.gap or {}).items()},
@@ -103,4 +105,5 @@ def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
             "why": "the whole program, to see in which regime the remainder lies",
         }
     spots = [s for s in diagnosis.audit.blind_spots if s.experiment] if diagnosis.audit else []
-    return showing(spots[0].name) if spots else None
+    hidden = max(spots, key=lambda s: s.sizes, default=None)
+    return showing(hidden.name) if hidden and hidden.sizes > NEARLY_SEEN else None

@@ -20,9 +20,12 @@ from pamctl.diagnose.values import (
     calibrated,
     calibration_of,
     described,
+    effects_on,
+    of_start,
     sensor_zero,
     with_values,
 )
+from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
 TRIFLE = 0.5
@@ -173,7 +176,12 @@ def numbers(
     own = [f for c in effects if c.blocks & blocks for f in c.free]
     has_zero = nominal.actuator == "muscle" and all(f.name != SENSOR_ZERO for f in own)
     zero = (sensor_zero(nominal),) if has_zero else ()
-    return (*(calibrated(n, nominal) for n in names), *zero, *own)
+    return (
+        *(calibrated(n, nominal) for n in names),
+        *zero,
+        *of_start(nominal, {PRESSURE, MECHANICS} if blind else blocks),
+        *own,
+    )
 
 
 def recalibrated(evidence: Evidence) -> Model:
@@ -211,7 +219,7 @@ def extended(
     Blocks that no change of effects reaches keep the fit that `base` has.
     """
     evidence = base.evidence
-    joint = joint or base.is_joint
+    joint = joint or base.is_joint or _starts_shared(evidence)
     reached = {b for c in {*effects} ^ {*base.effects} for b in c.blocks}
     fits: dict[frozenset[str], Fit] = {}
     for blocks in groups(evidence.blocks, effects, joint=joint):
@@ -225,6 +233,14 @@ def extended(
         fits[blocks] = min(tried, key=lambda f: f.mean_square)
     root = base.root or (base if base.fits else None)
     return Model(evidence, tuple(effects), fits, joint, root)
+
+
+def _starts_shared(evidence: Evidence) -> bool:
+    """Tell whether the start model has an effect that both blocks must agree on."""
+    return any(
+        len({*CATALOGUE[name].seen_by} & {*evidence.blocks}) > 1
+        for name in effects_on(evidence.nominal)
+    )
 
 
 def _drives(evidence: Evidence, blocks: frozenset[str]) -> tuple[Drive, ...]:

@@ -21,7 +21,7 @@ def write_findings(page: Page, diagnosis: Diagnosis) -> None:
         page.section("The effect" if len(diagnosis.standings) == 1 else "The effects")
     for standing in diagnosis.standings:
         _write_effect(page, diagnosis, standing)
-    if any("." not in n.name for n in diagnosis.numbers):
+    if diagnosis.recalibrated:
         page.section("The numbers of the model")
         page.table(
             ["parameter", "as it stood", "recalibrated", "90 % interval", "unit", "off by"],
@@ -77,10 +77,8 @@ def _write_rivals(page: Page, standing: Standing) -> None:
 
 
 def _recalibrated(diagnosis: Diagnosis) -> Iterator[list[str]]:
-    for number in diagnosis.numbers:
-        if "." in number.name:
-            continue
-        nominal = float(getattr(diagnosis.nominal.parameters, number.name))
+    for number in diagnosis.recalibrated:
+        nominal = diagnosis.started(number.name)
         off = shift(diagnosis, number)
         yield [
             number.name,

@@ -149,14 +149,14 @@ def interval(number: Estimate) -> str:
 
 def shift(diagnosis: Diagnosis, number: Estimate) -> float | None:
     """Return by which share a number of the muscle is off; None where its interval allows 0."""
-    nominal = float(getattr(diagnosis.nominal.parameters, number.name))
+    nominal = diagnosis.started(number.name)
     if number.low <= nominal <= number.high or nominal == 0.0:
         return None
     return number.value / nominal - 1.0
 
 
 def _off(diagnosis: Diagnosis) -> str:
-    shifts = [(shift(diagnosis, n), n.name) for n in diagnosis.numbers if "." not in n.name]
+    shifts = [(shift(diagnosis, n), n.name) for n in diagnosis.recalibrated]
     moved = sorted(((s, name) for s, name in shifts if s is not None), key=lambda p: -abs(p[0]))
     return ", ".join(f"{name} by {100.0 * s:+.2g} %" for s, name in moved) or "none by much"
 

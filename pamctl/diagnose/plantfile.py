@@ -26,4 +26,4 @@ def _head(diagnosis: Diagnosis, logs: Sequence[str]) -> Iterator[str]:
     if diagnosis.numbers:
         yield "Fitted, with 90 % intervals:"
     for n in diagnosis.numbers:
-        yield f"  {n.name} {n.value:.6g}, {n.low:.6g} to {n.high:.6g} {n.unit}"
+        yield f"  {n.name} {n.value:.6g}, {n.low:.6g} to {n.high:.6g} {n.unit}".rstrip()

@@ -22,11 +22,14 @@ class Free:
     """A step of this size is small but visible."""
     is_nuisance: bool = False
     """Always free, within what no homing can avoid, and never named."""
+    is_calibrated: bool = False
+    """Of an effect that the start model has: recalibrated with its other numbers, not named."""
 
     @property
     def effect(self) -> str | None:
-        """The effect that the number belongs to; None for the muscle's own and for nuisances."""
-        return self.name.split(".")[0] if "." in self.name and not self.is_nuisance else None
+        """The effect on trial that the number belongs to; None for what is free anyway."""
+        on_trial = "." in self.name and not (self.is_nuisance or self.is_calibrated)
+        return self.name.split(".")[0] if on_trial else None
 
 
 _CALIBRATION = {
@@ -107,6 +110,32 @@ def of_effect(effect: str, names: Collection[str]) -> tuple[Free, ...]:
     )
 
 
+def effects_on(nominal: PlantSettings) -> tuple[str, ...]:
+    """Return the effects that the start model has; a zero that homing left is none."""
+    zero_pa = value_of(nominal, SENSOR_ZERO)
+    homed = {SENSOR_ZERO.split(".")[0]} if abs(zero_pa) <= ZERO_PA else set()
+    return tuple(n for n in nominal.effects.model_dump(exclude_none=True) if n not in homed)
+
+
+def of_start(nominal: PlantSettings, blocks: Collection[str]) -> tuple[Free, ...]:
+    """Return the numbers of the start model's effects that these blocks show.
+
+    Those off neutral and within their ranges: the form that the effect has stays as it is. The
+    sensor's zero, and a direct actuator's dry friction, are free already.
+    """
+    free_anyway = {SENSOR_ZERO, *((DRY_FRICTION,) if nominal.actuator == "direct" else ())}
+    return tuple(
+        Free(f"{name}.{p.name}", p.low, p.high, p.smallest_of_interest, is_calibrated=True)
+        for name in effects_on(nominal)
+        if CATALOGUE[name].identifiable and {*CATALOGUE[name].seen_by} & {*blocks}
+        for p in CATALOGUE[name].parameters
+        if not p.choices
+        and f"{name}.{p.name}" not in free_anyway
+        and p.low < value_of(nominal, f"{name}.{p.name}") < p.high
+        and (p.role == "shape" or value_of(nominal, f"{name}.{p.name}") != p.neutral)
+    )
+
+
 def described(free: Free) -> EffectParameter:
     """Return what the catalogue says of an effect's number; raise KeyError for a muscle's own."""
     effect, name = free.name.split(".")
@@ -114,8 +143,9 @@ def described(free: Free) -> EffectParameter:
 
 
 def unit_of(free: Free) -> str:
-    """Return the unit that a report gives."""
-    return described(free).unit if "." in free.name else UNITS[free.name]
+    """Return the unit that a report gives; empty for a plain number."""
+    unit = described(free).unit if "." in free.name else UNITS[free.name]
+    return "" if unit == "1" else unit
 
 
 def value_of(settings: PlantSettings, name: str) -> float:

@@ -66,7 +66,7 @@ def summary(diagnosis: Diagnosis) -> str:
 def _number_rows(diagnosis: Diagnosis) -> Iterator[str]:
     yield f"{'fitted':<36}{'value':>12}  90 % interval"
     for n in diagnosis.numbers:
-        yield f"{n.name:<36}{n.value:>12.5g}  {n.low:.5g} to {n.high:.5g} {n.unit}"
+        yield f"{n.name:<36}{n.value:>12.5g}  {n.low:.5g} to {n.high:.5g} {n.unit}".rstrip()
 
 
 def _rival_rows(diagnosis: Diagnosis) -> Iterator[str]:
@@ -114,13 +114,13 @@ def _told(diagnosis: Diagnosis, name: str) -> str:
 
 def _value(number: Estimate) -> str:
     half = 0.5 * (number.high - number.low)
-    return f"{number.value:.4g} +- {half:.2g} {number.unit}"
+    return f"{number.value:.4g} +- {half:.2g} {number.unit}".rstrip()
 
 
 def _shifts(diagnosis: Diagnosis) -> str:
     rows = []
-    for number in diagnosis.numbers:
-        nominal = float(getattr(diagnosis.nominal.parameters, number.name))
+    for number in diagnosis.recalibrated:
+        nominal = diagnosis.started(number.name)
         change = number.value / nominal - 1.0 if nominal else 0.0
         outside = not number.low <= nominal <= number.high
         if outside and abs(change) > 2e-3:

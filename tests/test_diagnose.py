@@ -21,6 +21,7 @@ from pamctl.diagnose.models import recalibrated
 from pamctl.diagnose.noise import estimate
 from pamctl.diagnose.plantfile import plant_file
 from pamctl.diagnose.records import resolution
+from pamctl.diagnose.timing import shifted
 from pamctl.diagnose.values import with_values
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
@@ -187,9 +188,27 @@ def test_data_that_would_mislead_are_refused_with_the_reason() -> None:
     t_s = good.t_s.copy()
     t_s[2000:] += 0.3
     assert "a gap of 0.301 s after row 1999" in spoilt(t_s=t_s)
+    assert "pressure_pa answers 4" in spoilt(pressure_pa=np.roll(pressure, 40))
+    assert "ms before valve_v" in spoilt(pressure_pa=np.roll(pressure, -20))
+    assert "ms before pressure_pa" in spoilt(position_m=np.roll(position, -60))
+    assert "ms after pressure_pa" in spoilt(
+        position_m=np.concatenate([np.zeros(150), position[:-150]])
+    )
     broken = position.copy()
     broken[77] = np.nan
     assert "row 77" in spoilt(position_m=broken)
+
+
+def test_the_longest_lags_of_the_catalogue_are_no_shift_of_a_column() -> None:
+    lags = {
+        "command_delay__delay_s": 0.02,
+        "valve_spool__time_constant_s": 0.005,
+        "bladder_threshold__pressure_pa": 60e3,
+        "coulomb_friction__force_n": 40.0,
+        "damping_n_s_per_m": 1200.0,
+    }
+    for hidden in (lags, {"pressure_sensor_lag__time_constant_s": 0.02}, {}):
+        assert [*shifted(measured("fit", **hidden))] == []
 
 
 def test_a_channel_that_stands_still_is_refused() -> None:

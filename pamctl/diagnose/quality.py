@@ -8,6 +8,7 @@ import numpy as np
 
 from pamctl.diagnose.noise import Noise
 from pamctl.diagnose.records import CHANNELS, Array, Record
+from pamctl.diagnose.timing import shifted
 from pamctl.plant.model import PlantSettings
 
 LONGEST_GAP_S = 0.05
@@ -29,13 +30,15 @@ def check(records: Sequence[Record], plant: PlantSettings) -> None:
 
 
 def check_sensors(records: Sequence[Record], noises: dict[str, Noise]) -> None:
-    """Raise `BadData` for clipped channels, which only their noise can tell."""
+    """Raise `BadData` for clipped channels, which only their noise can tell, and shifted ones."""
     reasons = [
         reason
         for record in records
         for channel in record.channels
         for reason in _clipped(record, channel, noises.get(channel))
     ]
+    # A clipped channel answers late.
+    reasons = reasons or [reason for record in records for reason in shifted(record)]
     if reasons:
         raise BadData("\n".join(dict.fromkeys(reasons)))
 

@@ -192,7 +192,7 @@ def test_data_that_would_mislead_are_refused_with_the_reason() -> None:
     assert "ms before valve_v" in spoilt(pressure_pa=np.roll(pressure, -20))
     assert "ms before pressure_pa" in spoilt(position_m=np.roll(position, -60))
     assert "ms after pressure_pa" in spoilt(
-        position_m=np.concatenate([np.zeros(150), position[:-150]])
+        position_m=np.concatenate([np.zeros(110), position[:-110]])
     )
     broken = position.copy()
     broken[77] = np.nan

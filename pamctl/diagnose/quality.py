@@ -37,8 +37,7 @@ def check_sensors(records: Sequence[Record], noises: dict[str, Noise]) -> None:
         for channel in record.channels
         for reason in _clipped(record, channel, noises.get(channel))
     ]
-    # A clipped channel answers late.
-    reasons = reasons or [reason for record in records for reason in shifted(record)]
+    reasons += [reason for record in records for reason in shifted(record)]
     if reasons:
         raise BadData("\n".join(dict.fromkeys(reasons)))
 

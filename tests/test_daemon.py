@@ -385,6 +385,8 @@ def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt: Daemon)
     hurt.wait_until(lambda s: not s["pids"])
     finished = [path for path in hurt.finished_logs() if path.name.startswith(log.stem)]
     assert any(read(path).events[-1]["event"] == "outcome" for path in finished)
+    # A process of its own did it: this one stays as small as it was, and never lets go of the rig.
+    assert "numpy" not in Path(f"/proc/{hurt.process.pid}/maps").read_text()
 
 
 def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_log_whole(own: Daemon) -> None:

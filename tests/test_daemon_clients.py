@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,7 +27,7 @@ from pamctl.daemon.protocol import (
     result,
     understood,
 )
-from pamctl.daemon.server import MOST_CLIENTS
+from pamctl.daemon.server import MOST_CLIENTS, Server
 
 METHODS = {"status": Method(NoParams, lambda _: {}, changes=False)}
 
@@ -193,16 +195,54 @@ def test_one_that_never_reads_its_answers_is_let_go(held: Daemon) -> None:
         # Nothing to assert but that the others were not affected: it has nobody's attention.
 
 
-def test_too_many_clients_are_refused_and_make_room_when_they_go(held: Daemon) -> None:
-    crowd = [connected(held) for _ in range(MOST_CLIENTS)]
-    try:
-        with connected(held) as late:
-            answer = json.loads(late.makefile("rb").readline())
-            assert "clients are enough" in answer["error"]["message"]
-    finally:
-        for client in crowd:
-            client.close()
-    held.wait_until(lambda s: s["state"] == "ready")
+def test_of_too_many_clients_the_longest_silent_makes_room(held: Daemon) -> None:
+    with ExitStack() as stack:
+        crowd = [stack.enter_context(connected(held)) for _ in range(MOST_CLIENTS)]
+        for client in crowd[::-1]:
+            client.sendall(request("status"))
+            assert b"result" in client.makefile("rb").readline()
+        with held.client() as late:
+            assert late.call("status")["state"] == "ready"
+        assert crowd[-1].recv(1) == b""
+        crowd[0].sendall(request("status"))
+        assert b"result" in crowd[0].makefile("rb").readline()
+
+
+def test_whoever_wants_the_emergency_stop_waits_for_no_crowd(tmp_path: Path) -> None:
+    looked_up, when_stopped = 0, []
+
+    def look_up(_: object) -> None:
+        nonlocal looked_up
+        looked_up += 1
+        time.sleep(0.01)
+
+    def estop(_: object) -> None:
+        when_stopped.append(looked_up)
+
+    methods = {
+        "status": Method(NoParams, look_up, changes=False),
+        "estop": Method(NoParams, estop, changes=False),
+    }
+
+    async def crowded() -> int:
+        server = await Server(methods).listen(tmp_path / "socket")
+        crowd = [await asyncio.open_unix_connection(tmp_path / "socket") for _ in range(20)]
+        for _, one in crowd:
+            one.write(request("status") * 100)
+        while looked_up < 5:
+            await asyncio.sleep(0.01)
+        asked_at = looked_up
+        answers, client = await asyncio.open_unix_connection(tmp_path / "socket")
+        client.write(request("estop"))
+        await answers.readline()
+        server.close()
+        for one in (client, *(writer for _, writer in crowd)):
+            one.transport.abort()
+        await asyncio.sleep(0.05)
+        return asked_at
+
+    asked_at = asyncio.run(crowded())
+    assert when_stopped[0] - asked_at < 10, "not after the two thousand that came before"
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -1,7 +1,8 @@
 """The control socket: many clients, none of whom can disturb the others, or the loop.
 
 The socket is of mode 0660: its group is who may steer. What a client sends is limited in
-size and rate; one that does not read its answers is let go.
+size and rate; one that does not read its answers is let go; they wait for each other, but
+whoever wants the emergency stop waits for nobody.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import os
 import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 from pamctl.daemon.allowance import REQUESTS_PER_S, Allowance
@@ -30,10 +31,12 @@ from pamctl.daemon.protocol import (
     understood,
 )
 from pamctl.daemon.refusal import Refused
+from pamctl.daemon.turns import Turns
 
 MOST_CLIENTS = 64
 _READS_WITHIN_S = 2.0
 _MOST_UNREAD_BYTES = 1 << 20
+_EMERGENCY = b"estop"
 
 Methods = dict[str, Method]
 
@@ -48,7 +51,9 @@ class Server:
     def __init__(self, methods: Methods) -> None:
         """`methods` are what can be asked; none may end the process."""
         self._methods = methods
-        self._clients: set[asyncio.Task[None]] = set()
+        self._clients: dict[asyncio.Task[None], float] = {}
+        """Each with the time of its last request."""
+        self._turns = Turns()
         # One after the other, and in one thread: each thread would keep memory of its own.
         self._worker = ThreadPoolExecutor(1, "orders")
 
@@ -61,21 +66,25 @@ class Server:
         task = asyncio.current_task()
         assert task is not None
         if len(self._clients) >= MOST_CLIENTS:
-            writer.write(failure(RequestError(TOO_MANY, f"{MOST_CLIENTS} clients are enough")))
-            writer.close()
-            return
-        self._clients.add(task)
+            # Not the newcomer: it may want the emergency stop.
+            min(self._clients, key=self._clients.__getitem__).cancel()
+        self._clients[task] = time.monotonic()
         try:
-            await self._serve(reader, writer)
+            await self._serve(task, reader, writer)
         except (ConnectionError, TimeoutError):
             pass  # it went, or does not read
         except asyncio.CancelledError:
-            pass  # the daemon ends
+            pass  # the daemon ends, or the longest silent one made room
         finally:
-            self._clients.discard(task)
+            self._clients.pop(task, None)
             writer.transport.abort()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _serve(
+        self,
+        task: asyncio.Task[None],
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+    ) -> None:
         allowance = Allowance(time.monotonic())
         writer.transport.set_write_buffer_limits(high=_MOST_UNREAD_BYTES)
         while True:
@@ -88,31 +97,39 @@ class Server:
                 writer.write(failure(RequestError(INVALID_REQUEST, message)))
                 await _drained(writer)
                 return
+            self._clients[task] = time.monotonic()
             writer.write(await self._answer(line, allowance))
             await _drained(writer)
 
     async def _answer(self, line: bytes, allowance: Allowance) -> bytes:
         try:
-            request = understood(line, self._methods)
-            # Whoever wants the emergency stop has it, however much they asked before.
-            if request.name != "estop" and not allowance.spend(time.monotonic()):
-                message = f"more than {REQUESTS_PER_S:g} requests a second"
-                raise RequestError(TOO_MANY, message, request.id)
-            return result(request.id, await self._carried_out(request))
+            async with nullcontext() if _EMERGENCY in line else self._turns.turn():
+                request = self._admitted(line, allowance)
+                if not request.method.changes:
+                    return result(request.id, _carried_out(request))
+            events = asyncio.get_running_loop()
+            told = await events.run_in_executor(self._worker, _carried_out, request)
+            return result(request.id, told)
         except RequestError as error:
             return failure(error)
 
-    async def _carried_out(self, request: Request) -> object:
-        try:
-            if not request.method.changes:
-                return request.method.call(request.params)
-            turn = asyncio.get_running_loop()
-            return await turn.run_in_executor(self._worker, request.method.call, request.params)
-        except Refused as error:
-            raise RequestError(REFUSED, str(error), request.id) from error
-        except Exception as error:  # ours: the client learns of it, the daemon goes on
-            message = f"{type(error).__name__}: {error}"
-            raise RequestError(INTERNAL_ERROR, message, request.id) from error
+    def _admitted(self, line: bytes, allowance: Allowance) -> Request:
+        request = understood(line, self._methods)
+        # Whoever wants the emergency stop has it, however much they asked before.
+        if request.name != "estop" and not allowance.spend(time.monotonic()):
+            message = f"more than {REQUESTS_PER_S:g} requests a second"
+            raise RequestError(TOO_MANY, message, request.id)
+        return request
+
+
+def _carried_out(request: Request) -> object:
+    try:
+        return request.method.call(request.params)
+    except Refused as error:
+        raise RequestError(REFUSED, str(error), request.id) from error
+    except Exception as error:  # ours: the client learns of it, the daemon goes on
+        message = f"{type(error).__name__}: {error}"
+        raise RequestError(INTERNAL_ERROR, message, request.id) from error
 
 
 async def _drained(writer: asyncio.StreamWriter) -> None:

@@ -34,7 +34,8 @@ from pamctl.settings import SECTIONS, Raw, RunSettings, to_data, validated
 from pamctl.signals import TICK_FIELDS, Phase
 
 _RECENT_EVENTS = 50
-_MOST_TICKS = 1000
+_MOST_VALUES = 5000
+"""Of an answer: to write down more would keep the next client waiting."""
 _LEISURELY_M_PER_S = 4e-3
 _SHORTEST_MOTION_S = 0.5
 
@@ -138,7 +139,7 @@ class Service:
     def recent(self, after_tick: int, every: int, fields: Sequence[str] | None) -> dict[str, Any]:
         """Return the columns of every so-manieth tick since `after_tick`, oldest first.
 
-        The newest thousand of them at most, and at least half a second is to be had; numbers
+        The newest of them, five thousand values at most: 1.3 s of all columns at 100 Hz. Numbers
         that are not finite are null.
         """
         session = self._session
@@ -147,8 +148,9 @@ class Service:
         if unknown:
             raise Refused(f"no column {', '.join(sorted(unknown))}")
         wanted = list(fields or names)
-        ticks = [] if session is None else session.recent_ticks(after_tick, every)
-        rows = [[_jsonable(tick[name]) for name in wanted] for tick in ticks[-_MOST_TICKS:]]
+        most = _MOST_VALUES // len(wanted)
+        ticks = [] if session is None else session.recent_ticks(after_tick, every, most)
+        rows = [[_jsonable(tick[name]) for name in wanted] for tick in ticks]
         return {"fields": wanted, "ticks": rows}
 
     def _say(self, event: str, **details: object) -> None:

@@ -127,11 +127,12 @@ class Session:
             newest = (ring.latest_tick() for ring in reversed(self._open_rings))
             return next((tick for tick in newest if tick is not None), None)
 
-    def recent_ticks(self, after: int, every: int) -> list[dict[str, float]]:
-        """Return every so-manieth tick since tick `after`, oldest first."""
+    def recent_ticks(self, after: int, every: int, most: int) -> list[dict[str, float]]:
+        """Return every so-manieth tick since tick `after`, the newest `most`, oldest first."""
         with self._reading:
-            ticks = [t for ring in self._open_rings for t in ring.recent_ticks(after, every)]
-        return sorted(ticks, key=lambda tick: tick["tick"])
+            rings = self._open_rings
+            ticks = [tick for ring in rings for tick in ring.recent_ticks(after, every, most)]
+        return sorted(ticks, key=lambda tick: tick["tick"])[-most:]
 
     def _close_ring(self, ring: Ring) -> None:
         """Unmap a ring that nobody is reading just now."""

@@ -11,6 +11,7 @@ from pamctl.daemon.client import Client, Declined, Unreachable
 from pamctl.realtime.ring import Ring
 
 _PATIENCE_S = 5.0
+_MOST_TICKS = 1000
 
 
 class Glimpse(NamedTuple):
@@ -91,7 +92,7 @@ class RingFeed:
 
     def look(self) -> Glimpse:
         """Return what is new."""
-        ticks = self._ring.recent_ticks(self._seen, self._every)
+        ticks = self._ring.recent_ticks(self._seen, self._every, _MOST_TICKS)
         if ticks:
             self._seen = int(ticks[-1]["tick"])
         return Glimpse(None, ticks)

@@ -108,6 +108,7 @@ def finish_from_ring(ring_path: str | Path) -> Recovery:
     from pamctl.realtime.ring import Ring
 
     with Ring.attach(ring_path) as ring:
+        ring.hold()  # the next start must not take it for an orphan's
         recovery = _finish(ring)
         ring.unlink()
     return recovery

@@ -22,8 +22,8 @@ from types import FrameType
 from typing import Any, NamedTuple
 
 from hal.rig import Rig
+from pamctl.log.finishing import finish_apart
 from pamctl.log.recorder import spawn
-from pamctl.log.recover import Recovery, finish_from_ring
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.guardianship import Guardianship
 from pamctl.realtime.last_words import outcome, speak_for_the_dead
@@ -210,10 +210,10 @@ def _rescue(ring: Ring, ending: Ending, complaint: str) -> FrontReport:
         ring.unlink()
         return FrontReport(worst, True, complaint)
     try:
-        recovery: Recovery = finish_from_ring(ring.path)
+        finished = finish_apart(ring.path)
     except Exception as error:
         kept = f"{complaint}; the log could not be finished ({error}). Its last ticks are kept in "
         kept += f"{ring.path}: make room, and the next `pamctl run` finishes it"
         return FrontReport(worst, False, kept)
-    note = f"{complaint}; the log was finished from the ring: {recovery.destination}"
-    return FrontReport(worst, recovery.lossless, note)
+    note = f"{complaint}; the log was finished from the ring: {finished.destination}"
+    return FrontReport(worst, finished.lossless, note)

@@ -390,17 +390,19 @@ class Ring:
             if self.head - head <= self.rows // 4:
                 return None if row is None else self._tick_columns(payload)
 
-    def recent_ticks(self, after: int, every: int = 1) -> list[dict[str, float]]:
+    def recent_ticks(self, after: int, every: int, most: int) -> list[dict[str, float]]:
         """Return the ticks newer than tick `after` whose number `every` divides, oldest first.
 
-        Of the newest quarter of the ring: those beyond may be overwritten meanwhile.
+        The newest `most` of them, and of the newest quarter of the ring: those beyond may be
+        overwritten meanwhile.
         """
         while True:
-            head, payloads = self.head, []
+            head = self.head
+            payloads: list[bytes] = []
             for row in range(head - 1, max(-1, head - 1 - self.rows // 4), -1):
                 kind, _, tick, _ = self._row_header(row)
                 if kind == RowKind.TICK:
-                    if tick <= after:
+                    if tick <= after or len(payloads) == most:
                         break
                     if not tick % every:
                         payloads.append(self._copy(row, row + 1)[ROW_HEADER.size :])

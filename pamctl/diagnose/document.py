@@ -44,6 +44,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "gap": {name: gap.as_dict() for name, gap in (diagnosis.gap or {}).items()},
         "explained": diagnosis.explained,
         "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
+        "limits": _limits(diagnosis),
         "correction": _correction(diagnosis),
         "regimes": [
             {
@@ -54,6 +55,15 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
             }
             for c in diagnosis.cells
         ],
+    }
+
+
+def _limits(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+    """What counts as a discrepancy of each block, and whether simulation or the rig decided it."""
+    floors = diagnosis.model.floors if diagnosis.model else {}
+    return {
+        block: {"limit_over_floor": f.limit / f.mean, "decided_by": f.decided_by}
+        for block, f in floors.items()
     }
 
 

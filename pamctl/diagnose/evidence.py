@@ -17,6 +17,7 @@ from pamctl.diagnose.blocks import (
 )
 from pamctl.diagnose.noise import Noise, estimate
 from pamctl.diagnose.records import CHANNELS, Record
+from pamctl.diagnose.repeats import Repeat, repeats
 from pamctl.plant.model import PlantSettings
 
 SMALLEST_PRESSURE_PA = 60.0
@@ -35,6 +36,8 @@ class Evidence:
     """Drives to judge by."""
     noises: dict[str, Noise]
     """By channel."""
+    repeated: tuple[Repeat, ...] = ()
+    """Where the same commands come again; records counted through `train`, then `holdout`."""
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -68,7 +71,9 @@ def prepared(
         if channel != "valve_v" and channel in everything[0].channels
     }
     measured = everything[0].channels
-    evidence = Evidence(nominal, {}, {}, noises)
+    # A single run that is cut is in both parts, and no repeat of itself.
+    different = [*train, *(r for r in holdout if all(r is not t for t in train))]
+    evidence = Evidence(nominal, {}, {}, noises, repeats(different))
     drivers: dict[str, Callable[[Record], Drive]] = {}
     atmosphere_pa = nominal.parameters.atmospheric_pressure_pa
     if nominal.actuator == "direct":

@@ -17,6 +17,7 @@ from pamctl.diagnose.blocks import MECHANICS, Drive
 from pamctl.diagnose.fit import Fit, rms, sensitivity
 from pamctl.diagnose.noise import Noise
 from pamctl.diagnose.records import Array
+from pamctl.diagnose.repeats import Spread
 from pamctl.plant.model import PlantSettings
 
 REPLICAS = 12
@@ -37,6 +38,25 @@ class Floor:
     """How far noise alone moved the fitted numbers, in their scales, (replicas, p)."""
     spread: Array
     """RMS of each replica on the held-out drives."""
+    repeatability: float = 0.0
+    """The limit that the rig's own repeatability sets; 0 where nothing is repeated."""
+
+    def with_repeatability(self, found: Spread) -> Floor:
+        """Raise the limit to what the rig itself does differently each time.
+
+        What it does beyond the floor counts with two sigma of its uncertainty. It is not held
+        down to the sensor's noise as the simulated floor is: no error of the model is in it,
+        since that is the same in both runs.
+        """
+        beyond = float(np.sqrt(max(found.rms**2 - self.mean**2, 0.0)))
+        level = float(np.hypot(self.mean, beyond * (1.0 + 2.0 * found.uncertainty)))
+        level = level if found.rms else 0.0
+        return replace(self, limit=max(self.limit, level), repeatability=level)
+
+    @property
+    def decided_by(self) -> str:
+        """Say which of the two is the limit."""
+        return "repeatability" if self.limit == self.repeatability else "self-simulation"
 
 
 def floor(

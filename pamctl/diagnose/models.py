@@ -14,6 +14,7 @@ from pamctl.diagnose.evidence import Evidence
 from pamctl.diagnose.fit import FULL, QUICK, Effort, Fit, fit, rms
 from pamctl.diagnose.floor import Floor, floor
 from pamctl.diagnose.records import Array
+from pamctl.diagnose.repeats import Spread, repeatability
 from pamctl.diagnose.values import (
     SENSOR_ZERO,
     Free,
@@ -89,7 +90,22 @@ class Model:
             self.evidence.holdout[block],
             self.evidence.noises,
             margin=self.evidence.margin(block),
-        )
+        ).with_repeatability(self.repeatability[block])
+
+    @cached_property
+    def repeatability(self) -> dict[str, Spread]:
+        """By how much the rig does not repeat itself, by block."""
+        if self.root is not None:
+            return self.root.repeatability
+        evidence = self.evidence
+        return {
+            block: repeatability(
+                [*evidence.train[block], *evidence.holdout[block]],
+                self.fit_of(block).settings,
+                evidence.repeated,
+            )
+            for block in evidence.blocks
+        }
 
     def ratio(self, block: str) -> float:
         """Return held-out RMS over the floor."""

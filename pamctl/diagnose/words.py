@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pamctl.diagnose.correct import Corrected
 from pamctl.diagnose.diagnosis import Diagnosis, where_left
 from pamctl.diagnose.intervals import Estimate
+from pamctl.diagnose.models import Model
 from pamctl.diagnose.verdict import Verdict
 from pamctl.plant.effects import CATALOGUE
 
@@ -53,6 +54,10 @@ def summary(diagnosis: Diagnosis) -> str:
         parts.append("\n".join(_rival_rows(diagnosis)))
     if diagnosis.gap:
         parts.append("\n".join(_gap_rows(diagnosis)))
+    if diagnosis.model and any(
+        floor.decided_by == "repeatability" for floor in diagnosis.model.floors.values()
+    ):
+        parts.append(limits_told(diagnosis.model))
     if diagnosis.remainder is not None:
         parts.append(diagnosis.remainder.sentence)
     if diagnosis.corrected is not None:
@@ -76,6 +81,23 @@ def _rival_rows(diagnosis: Diagnosis) -> Iterator[str]:
             equal = "  no worse: these data do not tell" if rival.is_equal else ""
             left = f"{rival.residual_over_floor:>14.2f}{equal}"
             yield f"{standing.effect.name:<24}{rival.name:<24}{left}"
+
+
+def limits_told(model: Model) -> str:
+    """Say what a discrepancy was held against."""
+    told = []
+    for block, floor in model.floors.items():
+        repeats = floor.decided_by == "repeatability"
+        by = "the rig does not repeat itself any better" if repeats else "by self-simulation"
+        told.append(f"{block} {floor.limit / floor.mean:.2f} times the floor ({by})")
+    known = any(floor.repeatability for floor in model.floors.values())
+    without = (
+        ""
+        if known
+        else " No record repeats another's commands, so the rig's own repeatability is "
+        "not known: run the same experiment twice to have it counted."
+    )
+    return f"Above these limits a misfit is a discrepancy: {', '.join(told)}.{without}"
 
 
 def correction_told(added: Corrected) -> str:

@@ -33,7 +33,7 @@ from hidden.oracle import oracle  # noqa: E402
 from hidden.scoring import ORACLE, Result, confusion, figures, table  # noqa: E402
 
 GOOD = ("right", "right_set", "silent", "honest", "twin")
-ORACLE_PROGRAMS = ("standard", "short", "squares", "closed_loop")
+ORACLE_PROGRAMS = ("standard", "short", "brief", "squares", "closed_loop")
 
 
 def chosen(options: argparse.Namespace) -> list[Case]:

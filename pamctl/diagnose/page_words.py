@@ -115,7 +115,12 @@ def following(diagnosis: Diagnosis) -> Iterator[str]:
                 "Look where the maps below are bright, and at the rig: supply, tubing, mounting, "
                 "sensors. plant.yaml has the better numbers, and no effect."
             )
-            if diagnosis.corrected is None:
+            if diagnosis.corrected is not None and diagnosis.corrected.blocks:
+                yield (
+                    "It also has a table without a name, which predicts better and explains "
+                    "nothing: a law may be tuned on it, the rig should not be judged by it."
+                )
+            elif diagnosis.corrected is None:
                 yield (
                     "Where prediction matters more than the cause: `pamctl diagnose --correction` "
                     "adds what is left to the model, as a table without a name."

@@ -105,7 +105,7 @@ def correction_told(added: Corrected) -> str:
     rows = []
     for name, before in added.before.items():
         factor, label = gap_units(name)
-        rows.append(f"{label} {factor * before:.4g} -> {factor * added.after[name]:.4g}")
+        rows.append(f"{label} from {factor * before:.4g} to {factor * added.after[name]:.4g}")
     gap = f" Held-out gap, RMS: {'; '.join(rows)}." if added.blocks else ""
     state = "added to the model" if added.blocks else "left out of the model"
     return f"Unnamed correction {state}: {added.why}.{gap}"

@@ -30,7 +30,7 @@ def found(*, again: bool, **hidden: float) -> Diagnosis:
     """Diagnose a restless rig from one run or two runs of the same commands."""
     train = [restless("fit", seed, **hidden) for seed in ((1, 3) if again else (1,))]
     held = [restless("judge", 2, **hidden)]
-    few = all_but("valve_deadband", "valve_leak")
+    few = all_but("valve_deadband")
     return diagnose(train, held, PlantSettings(), without=few)
 
 

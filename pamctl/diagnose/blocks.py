@@ -47,7 +47,7 @@ class Drive:
     measured: Array
     """What the block should show, shape (n,)."""
     deviation: float
-    """Of the sensor that measured it: residuals are counted in it."""
+    """Residuals are counted in it: at first the sensor's own."""
     slack: float
     """How far off the measurement's zero may be: a converter's step."""
     start: float

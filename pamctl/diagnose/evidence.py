@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from pamctl.diagnose.blocks import (
     MECHANICS,
@@ -15,6 +17,7 @@ from pamctl.diagnose.blocks import (
     mechanics_drive,
     pressure_drive,
 )
+from pamctl.diagnose.floor import Floor
 from pamctl.diagnose.noise import Noise, estimate
 from pamctl.diagnose.records import CHANNELS, Record
 from pamctl.diagnose.repeats import Repeat, repeats
@@ -45,11 +48,33 @@ class Evidence:
         return tuple(self.train)
 
     def margin(self, block: str) -> float:
-        """Return the smallest misfit that matters, in deviations of the block's sensor."""
+        """Return the smallest misfit that matters, counted as the block's residuals are."""
         drive = self.train[block][0]
-        smallest = SMALLEST_PRESSURE_PA if block == PRESSURE else SMALLEST_POSITION_M
+        smallest, channel = (
+            (SMALLEST_PRESSURE_PA, "pressure_pa")
+            if block == PRESSURE
+            else (SMALLEST_POSITION_M, "position_m")
+        )
         # Of a poor sensor a fifth of its noise.
-        return max(smallest / drive.deviation, 0.2)
+        return max(smallest, 0.2 * self.noises[channel].total) / drive.deviation
+
+    def counted(self, floors: Mapping[str, Floor]) -> Evidence:
+        """Return the evidence with each block's residuals counted by what they are worth.
+
+        A fit of both blocks weighs them by it. The mechanics' floor is several counts of the
+        encoder, and slow: counted in deviations of the sensor it would outweigh a pressure whose
+        noise forgets at once, and bend to itself what both share.
+        """
+
+        def recounted(block: str, drives: Sequence[Drive]) -> tuple[Drive, ...]:
+            worth = floors[block].mean * float(np.sqrt(floors[block].memory))
+            return tuple(replace(d, deviation=d.deviation * worth) for d in drives)
+
+        return replace(
+            self,
+            train={b: recounted(b, d) for b, d in self.train.items()},
+            holdout={b: recounted(b, d) for b, d in self.holdout.items()},
+        )
 
     def only(self, blocks: Collection[str]) -> Evidence:
         """Return the evidence of some of the blocks."""

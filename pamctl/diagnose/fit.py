@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from pamctl.diagnose.blocks import Drive, stacked
 from pamctl.diagnose.records import Array
@@ -37,6 +37,10 @@ STEP = 3e-3
 """Of a scale, for a derivative. The simulation is exact between events, so that a short step is
 no worse than its rounding; a step a tenth long moves when the muscle sticks and slips, and such a
 slope stops a fit in the valley of braid, stiffness and friction, well above its floor."""
+LONG_STEP = 3e-2
+"""To look beyond a kink, where the muscle begins to stick in another place."""
+STUCK = 3
+"""The optimiser's word for steps that shrank to nothing on a slope."""
 ROBUST = 10.0
 """Residuals beyond so many times the usual one pull linearly only."""
 
@@ -106,42 +110,51 @@ def fit(
         known[:] = [*known[-1:], (vector.copy(), stacked(drives, settings_at(vector)))]
         return known[-1][1]
 
-    def jacobian_at(vector: Array) -> Array:
+    def jacobian_at(vector: Array, step: float) -> Array:
         here = next((r for v, r in known if np.array_equal(v, vector)), None)
         settings = settings_at(vector)
         residual = stacked(drives, settings) if here is None else here
-        return sensitivity(drives, settings, free, residual)
+        return sensitivity(drives, settings, free, residual, step)
 
-    found = least_squares(
-        residual_at,
-        first,
-        jacobian_at,
-        bounds=(low, high),
-        method="dogbox",
-        loss="soft_l1",
-        f_scale=knee,
-        ftol=effort.tolerance,
-        xtol=1e-6,
-        gtol=1e-10,
-        max_nfev=effort.evaluations,
-    )
+    def descended(vector: Array, step: float) -> OptimizeResult:
+        return least_squares(
+            residual_at,
+            vector,
+            lambda v: jacobian_at(v, step),
+            bounds=(low, high),
+            method="dogbox",
+            loss="soft_l1",
+            f_scale=knee,
+            ftol=effort.tolerance,
+            xtol=1e-6,
+            gtol=1e-10,
+            max_nfev=effort.evaluations,
+        )
+
+    found = descended(first, STEP)
+    if found.status == STUCK:
+        over = descended(descended(found.x, LONG_STEP).x, STEP)
+        found = min(found, over, key=lambda result: float(result.cost))
     settings = settings_at(found.x)
     return Fit(settings, free, drives, stacked(drives, settings))
 
 
 def sensitivity(
-    drives: Sequence[Drive], settings: PlantSettings, free: Sequence[Free], residual: Array
+    drives: Sequence[Drive],
+    settings: PlantSettings,
+    free: Sequence[Free],
+    residual: Array,
+    step: float = STEP,
 ) -> Array:
     """Derivatives of the stacked residual by each number in units of its scale, shape (n, p)."""
-    columns = [_derivative(drives, settings, f, residual) for f in free]
+    columns = [_derivative(drives, settings, f, residual, step * f.scale) for f in free]
     return np.column_stack(columns) if columns else np.zeros((len(residual), 0))
 
 
 def _derivative(
-    drives: Sequence[Drive], settings: PlantSettings, free: Free, residual: Array
+    drives: Sequence[Drive], settings: PlantSettings, free: Free, residual: Array, step: float
 ) -> Array:
     value = value_of(settings, free.name)
-    step = STEP * free.scale
     if value + step > free.high:
         step = -step
     moved = with_values(settings, {free.name: value + step})

@@ -21,6 +21,8 @@ from pamctl.diagnose.repeats import Spread
 from pamctl.plant.model import PlantSettings
 
 REPLICAS = 12
+STRETCH_S = 0.25
+"""Residuals so far apart are taken to have forgotten each other."""
 SENSOR_ONLY = 1.5
 """The floor may not exceed the sensor's own noise by more, or a coarse fit would hide itself."""
 
@@ -38,6 +40,8 @@ class Floor:
     """How far noise alone moved the fitted numbers, in their scales, (replicas, p)."""
     spread: Array
     """RMS of each replica on the held-out drives."""
+    memory: float = 1.0
+    """How many samples of such a residual are one piece of news."""
     repeatability: float = 0.0
     """The limit that the rig's own repeatability sets; 0 where nothing is repeated."""
 
@@ -68,13 +72,15 @@ def floor(
     replicas: int = REPLICAS,
     seed: int = 1,
 ) -> Floor:
-    """Simulate the fitted plant with noise, refit, and measure the rest on `holdout`.
+    """Simulate the fitted plant with noise, refit, and measure the rest on `holdout`, of one block.
+
+    What was fitted on both blocks is refitted on both: each steadies the numbers of the other.
 
     `margin` is the smallest excess that matters, in deviations of the sensor. The refit is
     one Gauss-Newton step on the fit's own derivatives: noise moves the numbers but little.
     """
     random = np.random.default_rng(seed)
-    rests, shifts = [], []
+    rests, shifts, memories = [], [], []
     ideal_train = [d.simulated(fitted.settings) for d in fitted.drives]
     ideal_hold = [d.simulated(fitted.settings) for d in holdout]
     hold_slope = sensitivity(
@@ -90,13 +96,22 @@ def floor(
         shift = -(inverse @ train) if fitted.free else np.zeros(0)
         rests.append(rms(hold + hold_slope @ shift))
         shifts.append(shift)
+        memories.append(_memory(hold, holdout))
     spread = np.array(rests)
     mean = float(spread.mean())
     scatter = float(spread.std(ddof=1))
-    sensor = noises["position_m" if fitted.drives[0].block == MECHANICS else "pressure_pa"]
+    sensor = noises["position_m" if holdout[0].block == MECHANICS else "pressure_pa"]
     high = max(float(np.quantile(spread, 0.95)), mean + 2.0 * scatter)
     high *= 1.0 + 2.0 * sensor.uncertainty
-    return Floor(mean, scatter, float(np.hypot(high, margin)), np.array(shifts), spread)
+    limit, memory = float(np.hypot(high, margin)), max(float(np.mean(memories)), 1.0)
+    return Floor(mean, scatter, limit, np.array(shifts), spread, memory)
+
+
+def _memory(residual: Array, drives: Sequence[Drive]) -> float:
+    """Return the variance of means over a stretch, times its samples, over that of the samples."""
+    length = max(int(STRETCH_S / float(np.median(drives[0].step_s))), 1)
+    whole = residual[: len(residual) // length * length].reshape(-1, length)
+    return float(np.mean(whole.mean(axis=1) ** 2) * length / np.mean(whole**2))
 
 
 def _replica(

@@ -86,7 +86,7 @@ class Model:
             if same or self.rms[block] > FAR * rough.limit:
                 return rough
         return floor(
-            alone(self.fit_of(block), block),
+            self.fit_of(block),
             self.evidence.holdout[block],
             self.evidence.noises,
             margin=self.evidence.margin(block),

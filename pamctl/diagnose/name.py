@@ -12,7 +12,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import TypeVar
 
-from pamctl.diagnose.candidates import Candidate, reaching
+from pamctl.diagnose.candidates import Candidate, dosed, reaching, trials
 from pamctl.diagnose.models import Model, extended, joined, polished
 from pamctl.diagnose.score import Score, inside, scores
 from pamctl.diagnose.values import value_of
@@ -30,8 +30,8 @@ HOPELESS = 0.2
 """Beyond the third a candidate must promise so much of what the first one does."""
 WORTH = 1.15
 """Another effect is asked for where so many limits are left: below, it would mend a form."""
-TWO_STARTS = 2
-"""So many of a shortlist are fitted from two starts."""
+SEVERAL_STARTS = 2
+"""So many of a shortlist are fitted from several starts."""
 MOST = 3
 MOST_IN_BLOCK = 2
 """Three free structures in one block fit anything."""
@@ -140,25 +140,29 @@ def _level(
     for model in beam:
         for place, score in enumerate(shortlist(model, found, width)):
             key = frozenset({*model.effects, score.candidate})
-            jobs.setdefault(key, (model, score, place < TWO_STARTS))
+            jobs.setdefault(key, (model, score, place < SEVERAL_STARTS))
     grown = mapped(_grown, jobs.values(), executor)
     return tuple(sorted(grown, key=rank))
 
 
 def _grown(job: tuple[Model, Score, bool]) -> Model:
-    model, score, twice = job
-    starts = [score.start, *(other_starts(model, score) if twice else ())]
+    model, score, widely = job
+    starts = [score.start, *(other_starts(model, score) if widely else ())]
     return extended(model, (*model.effects, score.candidate), starts)
 
 
 def other_starts(model: Model, score: Score) -> Iterator[dict[str, float]]:
-    """A second start: three times as far from neutral, so that a valley beyond is found."""
-    second = dict(score.start)
-    for number in score.candidate.switches:
-        neutral = value_of(model.evidence.nominal, number.name)
-        far = neutral + 3.0 * (second[number.name] - neutral)
-        second[number.name] = inside(far, number.low, number.high, number.scale)
-    yield second
+    """Start three times as far from neutral, and three times as near.
+
+    A valley may lie beyond; and from a friction that sticks too much a fit does not find back.
+    """
+    for factor in (3.0, 1.0 / 3.0):
+        other = dict(score.start)
+        for number in score.candidate.switches:
+            neutral = value_of(model.evidence.nominal, number.name)
+            value = neutral + factor * (other[number.name] - neutral)
+            other[number.name] = inside(value, number.low, number.high, number.scale)
+        yield other
 
 
 def shortlist(model: Model, found: Sequence[Candidate], width: int = SHORTLIST) -> list[Score]:
@@ -174,7 +178,25 @@ def shortlist(model: Model, found: Sequence[Candidate], width: int = SHORTLIST) 
             known = chosen.get(score.candidate)
             if known is None or known.explained < score.explained:
                 chosen[score.candidate] = score
+    if model.is_joint and not model.effects and model.unexplained:
+        for candidate in _of_both_blocks(model, found):
+            chosen.setdefault(candidate, Score(candidate, 0.0, _small_dose(model, candidate)))
     return sorted(chosen.values(), key=lambda s: -s.explained)
+
+
+def _of_both_blocks(model: Model, found: Sequence[Candidate]) -> list[Candidate]:
+    """Return what could make blocks disagree that are each at their floor.
+
+    All of them: recalibration imitates them so well, each block in its own way, that to first
+    order nothing is left for them to promise.
+    """
+    return [c for c in found if len(c.blocks & {*model.evidence.blocks}) > 1]
+
+
+def _small_dose(model: Model, candidate: Candidate) -> dict[str, float]:
+    settings = model.evidence.nominal
+    start = next(trials(candidate, settings))[0]
+    return start | {s.name: dosed(s, 1.0, value_of(settings, s.name)) for s in candidate.switches}
 
 
 def promising(ranked: Sequence[Score], width: int) -> list[Score]:

@@ -39,10 +39,23 @@ def scores(fitted: Fit, found: Sequence[Candidate], block: str) -> list[Score]:
     nothing of the one block that the other contradicts.
     """
     rows = np.concatenate([np.full(d.samples, d.block == block) for d in fitted.drives])
-    basis = np.linalg.qr(fitted.jacobian)[0] if fitted.free else np.zeros((len(fitted.residual), 0))
+    basis = _movable(fitted)
     left = beside(basis, fitted.residual)
     ranked = [_score(fitted, basis, left, rows, candidate) for candidate in found]
     return sorted(ranked, key=lambda s: -s.explained)
+
+
+def _movable(fitted: Fit) -> Array:
+    """Return an orthonormal basis of what recalibration can still do, shape (n, at most p).
+
+    A number at an end of its range cannot, and what it strains for may be an effect's.
+    """
+    bound = fitted.at_bound
+    open_to = [index for index, free in enumerate(fitted.free) if free.name not in bound]
+    if not open_to:
+        return np.zeros((len(fitted.residual), 0))
+    basis: Array = np.linalg.qr(fitted.jacobian[:, open_to])[0]
+    return basis
 
 
 def _score(

@@ -56,6 +56,8 @@ def diagnose(
     effects = len({candidate.name for candidate in found})  # some in several forms
     tell(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue can be asked for")
     evidence = _with_clean_pressure(evidence, found, train, holdout, executor, tell)
+    if len(evidence.blocks) > 1:
+        evidence = evidence.counted(recalibrated(evidence).floors)
     base = recalibrated(evidence)
     tell("recalibrated: " + ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks))
     search = searched(base, found, executor, tell)

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from installing import alone, apt_install
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PATIENCE_S = 120
@@ -47,8 +48,10 @@ LOOKING = """<!doctype html><title>looking</title><body style="margin:0">
 @functools.cache
 def browser() -> str:
     """The browser's command."""
-    found = _installed() or _install()
-    if found is not None:
+    with alone():
+        if _installed() is None:
+            apt_install("chromium", "fonts-dejavu-core")
+    if found := _installed():
         return found
     reason = "no Chromium, and none could be installed (apt-get install chromium, as root)"
     if os.environ.get("CI"):
@@ -58,19 +61,6 @@ def browser() -> str:
 
 def _installed() -> str | None:
     return next((path for name in NAMES if (path := shutil.which(name))), None)
-
-
-def _install() -> str | None:
-    if os.geteuid() != 0 or shutil.which("apt-get") is None:
-        return None
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "check": False}
-    unasked = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-    subprocess.run(["apt-get", "update"], **quiet)
-    wanted = ["chromium", "fonts-dejavu-core"]
-    subprocess.run(
-        ["apt-get", "install", "-y", "--no-install-recommends", *wanted], env=unasked, **quiet
-    )
-    return _installed()
 
 
 def look(page: Path, folder: Path, *, width: int) -> tuple[dict[str, Any], list[str], list[str]]:

@@ -71,7 +71,7 @@ class Page:
     def wait_for(self, expression: str) -> None:
         """Evaluate until it is true; a page that is not there yet is not an error."""
         tolerant = f"(() => {{ try {{ return {expression} }} catch {{ return false }} }})()"
-        deadline_s = time.monotonic() + 30.0
+        deadline_s = time.monotonic() + PATIENCE_S
         while not self.value(tolerant):
             assert time.monotonic() < deadline_s, (
                 expression,

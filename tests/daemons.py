@@ -13,24 +13,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from patience import BUSY_PC, PATIENCE_S
+
 from hal.register import peek_v
 from pamctl.cli.assembly import ao_path
 from pamctl.daemon.client import Client, Unreachable
 
-PATIENCE_S = 30.0
 AO_STEP_V = 20.0 / 65536.0
 SAFE_V = 0.0
 
 QUICK = ["rig.homing.steady_s=0.05", "rig.homing.fills=1", "rig.loop.stop_ramp_s=0.2"]
 """Homing in a second instead of three, and a short stop."""
-BUSY_PC = [
-    "rig.limits.sample_age_s=5",
-    "rig.limits.missed_ticks=1e6",
-    "rig.limits.pressure_model_pa=300e3",
-    "rig.limits.tracking_error_mm=20",
-    "rig.loop.heartbeat_ms=1000",
-]
-"""Without real-time scheduling beside other work a tick may be late: it is no reason to trip."""
 
 
 @dataclass

@@ -200,9 +200,10 @@ def test_a_grid_out_of_bounds_is_refused_with_its_bounds(
 @linux_only
 def test_the_real_grid_keeps_its_mean_rate() -> None:
     clock: Clock = GridClock(2 * MS, spin_ns=50_000)
-    wakes = [clock.wait() for _ in range(150)]
-    elapsed_ns = wakes[-1].now_ns - wakes[0].now_ns
-    assert math.isclose(elapsed_ns, wakes[-1].tick * 2 * MS, abs_tol=2 * 2 * MS)
+    first, *wakes = [clock.wait() for _ in range(150)]
+    for wake in wakes:
+        assert wake.deadline_ns == first.deadline_ns + wake.tick * 2 * MS
+        assert 0 <= wake.now_ns - wake.deadline_ns < 2 * MS, "what is later is another tick"
     assert wakes[-1].tick == 149 + sum(wake.missed for wake in wakes)
 
 
@@ -246,7 +247,7 @@ def interrupted(
 @linux_only
 def test_signals_are_handled_within_the_wait_and_do_not_bring_the_tick_forward() -> None:
     handled_ns: list[int] = []
-    clock = GridClock(100 * MS, spin_ns=0)
+    clock = GridClock(300 * MS, spin_ns=0)
     clock.wait()
     with interrupted(lambda *_: handled_ns.append(time.monotonic_ns()), 0.010, 0.005):
         wake = clock.wait()
@@ -268,13 +269,13 @@ def test_a_handler_that_raises_ends_the_wait_and_leaves_the_grid_valid() -> None
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    clock = GridClock(40 * MS, spin_ns=0)
+    clock = GridClock(300 * MS, spin_ns=0)
     first = clock.wait()
     with interrupted(interrupt, 0.005), pytest.raises(KeyboardInterrupt):
         clock.wait()
     wake = clock.wait()
     assert wake.tick == wake.missed + 1
-    assert wake.deadline_ns == first.deadline_ns + wake.tick * 40 * MS
+    assert wake.deadline_ns == first.deadline_ns + wake.tick * 300 * MS
 
 
 # No clock at all.

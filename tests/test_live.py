@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from daemons import BUSY_PC, PATIENCE_S, QUICK, daemon
+from daemons import QUICK, daemon
+from patience import BUSY_PC, PATIENCE_S
 
 from pamctl.cli.assembly import ao_path
 from pamctl.log import read

@@ -18,6 +18,7 @@ import pytest
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from hypothesis import given
 from hypothesis import strategies as st
+from installing import alone
 from made_up import START_MONO_NS, START_WALL_NS, columns, log_run, meta, put, recording, tick
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -234,7 +235,8 @@ def foreign_reader(request) -> Callable[[Path], dict[str, Any]]:
     for name in ("package.json", "validate.mjs"):
         shutil.copy(FOREIGN / name, home)
     command = ["npm", "install", "--no-package-lock", "--no-audit", "--no-fund", "--prefer-offline"]
-    installed = subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=300)
+    with alone():
+        installed = subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=300)
     if installed.returncode != 0:
         missing(f"npm install failed: {installed.stderr[-500:]}")
 

@@ -16,7 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from daemons import BUSY_PC, PATIENCE_S, QUICK
+from daemons import QUICK
+from patience import BUSY_PC, PATIENCE_S
 
 from pamctl.cli.assembly import ao_path
 from pamctl.daemon.client import Client

@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from daemons import PATIENCE_S, daemon
+from daemons import daemon
 from hypothesis import given
 from hypothesis import strategies as st
+from patience import PATIENCE_S
 from rich.console import Console
 
 from pamctl.live.feed import DaemonFeed
@@ -128,13 +129,15 @@ def test_in_a_terminal_it_draws_and_in_a_pipe_it_writes_lines(tmp_path: Path) ->
     with daemon(tmp_path, "watch", NOT_HOMED) as made:
         made.ask("goto", position_m=8e-3, within_s=0.5)
         command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(made.socket)]
-        piped = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         picture = _seen_in_a_terminal(command, until="8.00")
-        assert piped.stdout is not None
-        lines = [piped.stdout.readline() for _ in range(2)]
-        piped.send_signal(signal.SIGINT)
-        assert piped.wait(PATIENCE_S) == 0
-        piped.stdout.close()
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as piped:
+            try:
+                assert piped.stdout is not None
+                lines = [piped.stdout.readline() for _ in range(2)]
+                piped.send_signal(signal.SIGINT)
+                assert piped.wait(PATIENCE_S) == 0
+            finally:
+                piped.kill()
     assert "position" in picture
     assert any(block in picture for block in BLOCKS)
     assert all(re.search(r"\(goto\), sim .* x +-?\d+\.\d+ mm", line) for line in lines)
@@ -148,15 +151,19 @@ def _seen_in_a_terminal(command: list[str], until: str) -> str:
     process = subprocess.Popen(command, stdin=its, stdout=its, stderr=its, env=environment)
     os.close(its)
     seen, deadline_s = b"", time.monotonic() + PATIENCE_S
-    while until not in seen.decode(errors="replace"):
-        assert time.monotonic() < deadline_s, seen[-2000:]
-        if select.select([ours], [], [], 0.1)[0]:
-            seen += os.read(ours, 65536)
-    process.send_signal(signal.SIGINT)
-    drain = threading.Thread(target=_drain, args=(ours,), daemon=True)
-    drain.start()
-    assert process.wait(PATIENCE_S) == 0
-    drain.join(PATIENCE_S)
+    try:
+        while until not in seen.decode(errors="replace"):
+            assert time.monotonic() < deadline_s, seen[-2000:]
+            if select.select([ours], [], [], 0.1)[0]:
+                seen += os.read(ours, 65536)
+        process.send_signal(signal.SIGINT)
+        drain = threading.Thread(target=_drain, args=(ours,), daemon=True)
+        drain.start()
+        assert process.wait(PATIENCE_S) == 0
+        drain.join(PATIENCE_S)
+    finally:
+        process.kill()
+        process.wait()
     os.close(ours)
     return seen.decode(errors="replace")
 

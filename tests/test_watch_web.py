@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 
 import pytest
 from chromium import page
-from daemons import PATIENCE_S, Daemon, daemon
+from daemons import Daemon, daemon
+from patience import PATIENCE_S
 
 NOT_HOMED = "rig.homing.enabled=false"
 
@@ -63,9 +64,12 @@ def served(made: Daemon, *options: str) -> Iterator[Served]:
         assert found is not None, line
         yield Served(made, line, int(found[2]), found[3] or "")
     finally:
-        process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE_S) == 0
-        process.stdout.close()
+        with process:
+            process.send_signal(signal.SIGINT)
+            try:
+                assert process.wait(PATIENCE_S) == 0
+            finally:
+                process.kill()
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -18,8 +19,11 @@ from pamctl.rig_settings import NidaqRigSettings, SimRigSettings
 from pamctl.settings import RunSettings
 from pamctl.signals import Truth
 
-SHARED_MEMORY = Path("/dev/shm")
-"""Where rings, simulated outputs and the locks of devices lie: gone with the next boot."""
+SHARED_MEMORY = Path(os.environ.get("PAMCTL_SHARED_MEMORY", "/dev/shm"))
+"""Where rings, simulated outputs and the locks of devices lie: gone with the next boot.
+
+All of a PC's runs share one place, or they would not see each other's locks; tests have others.
+"""
 
 _UNKNOWN = Truth(math.nan, math.nan)
 

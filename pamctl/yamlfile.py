@@ -18,6 +18,8 @@ from typing import NamedTuple, NoReturn
 
 import yaml
 
+from pamctl.regular_file import what_else
+
 KeyPath = tuple[str | int, ...]
 """The way to a value: keys of mappings, indices of lists."""
 
@@ -246,13 +248,13 @@ _PLAINLY = (
 
 
 def _read_text(path: Path) -> str:
+    if something := what_else(path):
+        raise YamlError(f"is {something}", path)
     try:
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
         raise YamlError("no such file", path) from None
-    except IsADirectoryError:
-        raise YamlError("is a directory, not a file", path) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise YamlError(f"cannot be read ({reason})", path) from None

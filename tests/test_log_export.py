@@ -115,7 +115,8 @@ def test_what_was_exported_can_be_imported(log, tmp_path, suffix):
     [
         ("a.xls", (), 2, "no such format '.xls'"),
         ("a.csv", ("--from", "9"), 2, "no ticks to export there; the log is from 0 s to 0.299 s"),
-        ("a.csv", ("--fields", "position_mm"), 65, "did you mean position_m?"),
+        ("a.csv", ("--fields", "position_mm"), 2, "did you mean position_m?"),
+        ("a.csv", ("--fields", ","), 2, "names no column"),
         ("no/a.csv", (), 2, "cannot create"),
         ("there.csv", (), 2, "never overwritten"),
     ],

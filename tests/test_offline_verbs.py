@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +60,55 @@ def test_the_table_of_a_what_if_is_never_written_over_a_file(log):
 @pytest.mark.parametrize("seconds", ["nan", "inf", "-1"])
 def test_a_replay_starts_at_a_time_that_can_be(seconds, log):
     assert "must be seconds, 0 or more" in refused("replay", log, "--from", seconds)
+
+
+@pytest.fixture
+def impatient():
+    """An alarm for what would wait, or read, for ever."""
+    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it hangs"))
+    signal.alarm(20)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("kind", ["a directory", "a pipe", "a device"])
+@pytest.mark.parametrize(
+    ("verb", "code"),
+    [
+        ("replay {}", 65), ("compare {}", 65), ("report {}", 65), ("audit {}", 78),
+        ("diagnose {} --out out", 65), ("log info {}", 65), ("log check {}", 65),
+        ("log recover {} out.mcap", 65), ("log export {} out.csv", 65),
+        ("log import {} out.mcap", 65), ("log import {} out.mcap --map {}", 78),
+        ("run --dry-run --rig {}", 78), ("config check {}", 78),
+    ],
+)  # fmt: skip
+def test_what_is_no_file_is_refused_and_never_waited_for(verb, code, kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "input"
+    match kind:
+        case "a directory":
+            path.mkdir()
+        case "a pipe":
+            os.mkfifo(path)
+        case "a device":
+            path = Path("/dev/zero")
+    done = CliRunner().invoke(app, verb.format(*2 * [path]).split())
+    assert done.exit_code == code, done.output
+    assert f"{kind}, not a file" in done.output
+    assert list(tmp_path.iterdir()) in ([], [path])
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_what_is_told_of_a_damaged_log_ends_with_3_and_the_way_out(log, options):
+    whole = CliRunner().invoke(app, ["log", "info", str(log), *options])
+    assert (whole.exit_code, whole.stderr) == (0, "")
+    log.write_bytes(log.read_bytes()[:-1000])
+    cut = CliRunner().invoke(app, ["log", "info", str(log), *options])
+    assert cut.exit_code == 3
+    assert f"pamctl log recover {log}" in cut.stderr
+    assert "qsmc" in cut.stdout, "what is whole is told nevertheless"
 
 
 def test_the_command_line_starts_without_what_only_some_verbs_need():

@@ -41,17 +41,24 @@ def log_errors_exit(*, as_json: bool = False) -> Iterator[None]:
 
 @log_app.command("info")
 def show_info(path: LogArgument, as_json: JsonOption = False) -> None:
-    """Say what a log holds: run, ticks, gaps, phases, channels, outcome."""
+    """Say what a log holds: run, ticks, gaps, phases, channels, outcome.
+
+    Of a damaged or unfinished log it says what stands before the damage, and exits with 3.
+    """
     from pamctl.log import info
 
     with log_errors_exit(as_json=as_json):
         found = info(path)
     if as_json:
         typer.echo(json.dumps(found, indent=2))
-        return
-    if found["outcome"]:
-        found["outcome"] = f"{found['outcome']['code']}: {found['outcome']['reason']}"
-    typer.echo("\n".join(_lines(found)))
+    else:
+        if found["outcome"]:
+            found["outcome"] = f"{found['outcome']['code']}: {found['outcome']['reason']}"
+        typer.echo("\n".join(_lines(found)))
+    if not found["complete"]:
+        way_out = f"save all that is whole with `pamctl log recover {path} DESTINATION`"
+        typer.echo(f"error: {path} is damaged, or not finished: {way_out}", err=True)
+        raise typer.Exit(ExitCode.CHECK_FAILED)
 
 
 def _lines(found: dict[str, Any]) -> list[str]:

@@ -35,8 +35,17 @@ def export_log(
     """Write the ticks as .csv, .mat, .npz or .parquet; names carry the units, floats are exact."""
     from pamctl.log.export import export
 
-    names = [name.strip() for name in fields.split(",") if name.strip()] if fields else None
+    names = _names(fields)
     with log_errors_exit(as_json=as_json):
         done = export(source, destination, fields=names, from_s=from_s, to_s=to_s, every=every)
     told = f"{done.destination}: {done.ticks} ticks, {len(done.fields)} columns"
     typer.echo(json.dumps(asdict(done), indent=2) if as_json else told)
+
+
+def _names(fields: str | None) -> list[str] | None:
+    if fields is None:
+        return None
+    names = [name.strip() for name in fields.split(",") if name.strip()]
+    if not names:
+        raise typer.BadParameter(f"{fields!r} names no column", param_hint="--fields")
+    return names

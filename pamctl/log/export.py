@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log.newfile import NewFileError, new_file
-from pamctl.log.reader import read
+from pamctl.log.reader import NoSuchColumn, read
 from pamctl.log.schema import TICK_TOPIC, unit_of
 from pamctl.log.text import to_json
 
@@ -56,7 +56,10 @@ def export(
     destination = Path(destination)
     write = _writer(destination)
     wanted = None if fields is None else {*fields, "t_s"}
-    log = read(source, TICK_TOPIC, fields=wanted)
+    try:
+        log = read(source, TICK_TOPIC, fields=wanted)
+    except NoSuchColumn as error:
+        raise ExportError(str(error)) from None
     kept = _kept(log["t_s"], from_s, to_s, every)
     columns = {name: log[name][kept] for name in fields or log.columns}
     with new_file(destination) as stream:

@@ -27,7 +27,11 @@ from pamctl.log.schema import (
 from pamctl.log.ticks import TickColumns, nearest
 from pamctl.log.wire import UnknownLayout
 
-__all__ = ["Log", "LogError", "read"]
+__all__ = ["Log", "LogError", "NoSuchColumn", "read"]
+
+
+class NoSuchColumn(LogError):
+    """A log has no column of that name; the message gives the nearest."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Log:
         """Return a column; raise LogError, with the nearest name, if there is none."""
         if name in self.columns:
             return self.columns[name]
-        raise LogError(f"{self.path} has no column {name}{nearest(name, self.columns)}")
+        raise NoSuchColumn(f"{self.path} has no column {name}{nearest(name, self.columns)}")
 
     def __len__(self) -> int:
         """Return the number of ticks."""
@@ -90,7 +94,8 @@ def read(path: str | Path, *topics: str, fields: Collection[str] | None = None) 
         raise LogError(f"{path} is no log of pamctl: it has no channel {TICK_TOPIC}")
     for name in fields or ():
         if contents.ticks is not None and name not in contents.ticks.none:
-            raise LogError(f"{path} has no column {name}{nearest(name, contents.ticks.none)}")
+            near = nearest(name, contents.ticks.none)
+            raise NoSuchColumn(f"{path} has no column {name}{near}")
     return _log(path, contents, ticks, fields)
 
 

@@ -21,6 +21,8 @@ from mcap.records import Chunk, DataEnd, Footer
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
+from pamctl.regular_file import what_else
+
 FRAME = struct.Struct("<BQ")
 """Opcode, and bytes of the body behind it."""
 NO_CHECKSUM = bytes(4)
@@ -55,6 +57,8 @@ class Record(NamedTuple):
 
 def mapped(path: Path) -> memoryview:
     """Map a log file for reading; raise LogError if there is none."""
+    if something := what_else(path):
+        raise LogError(f"cannot read {path}: it is {something}")
     try:
         with path.open("rb") as file:
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))

@@ -19,6 +19,7 @@ from pamctl.log.importing.quantities import TIME, Reading, understood
 from pamctl.log.importing.resample import resampled
 from pamctl.log.importing.table import ImportRefused, Table
 from pamctl.log.text import to_json
+from pamctl.regular_file import what_else
 
 Floats = NDArray[np.float64]
 
@@ -88,6 +89,8 @@ def import_log(
 
 
 def _table(source: Path) -> Table:
+    if something := what_else(source):
+        raise ImportRefused(f"cannot read {source}: it is {something}")
     if source.suffix.lower() != ".mat":
         return read_csv(source)
     # SciPy is slow to load, and nobody with a CSV file should wait for it.

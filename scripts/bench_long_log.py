@@ -21,6 +21,7 @@ import numpy as np
 from bench_log import made_up_ticks, put_when_there_is_room
 
 from pamctl.log import read
+from pamctl.log.container import message_records
 from pamctl.log.meta import RunMeta
 from pamctl.log.recorder import await_ready, spawn
 from pamctl.log.records import Damage, mapped, walk
@@ -61,8 +62,8 @@ def write_long(path: Path, ticks: int) -> None:
                 noise = chance.normal(1e-3 * tick, 1e-4)
                 table[name] = noise if kinds[name] is float else np.zeros(len(tick))
             table["tick"], table["t_s"], table["dt_s"] = tick, tick * 1e-3, 1e-3
-            data = layout.encode(table).tobytes()
-            writer.add_run(channel, data, (tick * 1_000_000).tolist(), tick.tolist())
+            messages = message_records(layout.encode(table), tick * 1_000_000, tick)
+            writer.add(channel, messages)
             writer.end_chunk()
         writer.finish()
 

@@ -11,6 +11,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
+from pamctl.log.container import message_record, message_records
 from pamctl.log.newfile import new_file
 from pamctl.log.records import FRAME, Record, mapped, walk
 from pamctl.log.schema import (
@@ -30,11 +31,11 @@ CHUNKS = 2
 CHUNK_TICKS = 6
 
 
-def write_small(path: Path) -> Path:
-    """Write two chunks of six ticks and an event each, metadata and an attachment."""
+def write_small(path: Path, chunks: int = CHUNKS) -> Path:
+    """Write chunks of six ticks and an event each, metadata and an attachment."""
     fields = imported_fields(("position_m",))
     layout = TickLayout.of_fields(fields)
-    tick = np.arange(CHUNKS * CHUNK_TICKS)
+    tick = np.arange(chunks * CHUNK_TICKS)
     table = np.zeros(len(tick), layout.dtype)
     table["tick"], table["t_s"], table["dt_s"] = tick, tick * 1e-3, 1e-3
     table["position_m"] = np.sin(tick)
@@ -49,10 +50,10 @@ def write_small(path: Path) -> Path:
         events = writer.channel(EVENT_TOPIC, "json", NO_SCHEMA)
         for first in range(0, len(tick), CHUNK_TICKS):
             part = messages[first : first + CHUNK_TICKS]
-            times = (part["tick"] * 1_000_000).tolist()
-            writer.add_run(ticks, part.tobytes(), times, part["tick"].tolist())
+            times_ns = part["tick"].astype(np.int64) * 1_000_000
+            writer.add(ticks, message_records(part, times_ns, part["tick"]))
             data = to_json({"event": "x", "value": 0.1 * first, "row": first})
-            writer.add(events, times[-1], data, times[-1], first)
+            writer.add(events, message_record(data, int(times_ns[-1]), first))
             writer.end_chunk()
         writer.finish()
     return path

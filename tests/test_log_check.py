@@ -13,16 +13,19 @@ import numpy as np
 import pytest
 from made_up import columns, tick
 from mcap.opcode import Opcode
-from small_log import rewritten, write_small
+from patience import PATIENCE_S
+from small_log import CHUNK_TICKS, rewritten, write_small
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import LogError, read
 from pamctl.log.check import Report, check
+from pamctl.log.container import DESCRIBED_EVERY, message_records
 from pamctl.log.findings import Severity
 from pamctl.log.meta import RunMeta
 from pamctl.log.newfile import new_file
-from pamctl.log.records import Record
+from pamctl.log.records import Record, mapped, walk
+from pamctl.log.recover import recover
 from pamctl.log.schema import TICK_TOPIC
 from pamctl.log.wire import TickLayout
 from pamctl.log.writer import LogWriter, begin
@@ -39,7 +42,7 @@ def run(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("run") / "run.mcap"
     experiment = ("--experiment", "square-1", "--duration", "1")
     command = [sys.executable, "-m", "pamctl", "run", "--fast", *experiment, "--log", str(path)]
-    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_S)
     return path
 
 
@@ -56,8 +59,8 @@ def write_ticks(path: Path, changes: dict[str, Any], count: int = 50) -> Path:
     with new_file(path) as stream:
         writer = LogWriter(stream)
         channels = begin(writer, RunMeta(str(path)))
-        data = layout.encode(table).tobytes()
-        writer.add_run(channels[TICK_TOPIC], data, time_ns.tolist(), table["tick"].tolist())
+        messages = message_records(layout.encode(table), time_ns, table["tick"])
+        writer.add(channels[TICK_TOPIC], messages)
         writer.end_chunk()
         writer.finish()
     return path
@@ -221,6 +224,23 @@ def test_recovering_a_whole_log_loses_nothing(run, tmp_path):
     recovery = json.loads(done.stdout)
     assert (done.exit_code, recovery["lossless"], recovery["damage"]) == (0, True, [])
     assert pamctl("log", "check", tmp_path / "saved.mcap").exit_code == 0
+
+
+@pytest.mark.parametrize("lost", [1, 2, DESCRIBED_EVERY])
+def test_without_its_first_chunks_and_its_summary_a_log_is_understood_by_a_later_chunk(
+    tmp_path, lost
+):
+    whole = write_small(tmp_path / "a.mcap", chunks=DESCRIBED_EVERY + 2)
+    chunks = [record for record in walk(mapped(whole)) if record.opcode == Opcode.CHUNK]
+    content = bytearray(whole.read_bytes()[: chunks[-1].end])
+    for chunk in chunks[:lost]:
+        content[chunk.start : chunk.end] = bytes(chunk.end - chunk.start)
+    (tmp_path / "b.mcap").write_bytes(content)
+    recovery = recover(tmp_path / "b.mcap", tmp_path / "c.mcap")
+    assert not recovery.lossless
+    ticks = read(whole)["position_m"][lost * CHUNK_TICKS :]
+    assert read(tmp_path / "c.mcap")["position_m"].tolist() == ticks.tolist()
+    assert check(tmp_path / "c.mcap").ok
 
 
 def test_recovery_does_not_touch_a_file_that_is_there(run, tmp_path):

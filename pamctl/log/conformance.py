@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from pamctl.log.findings import Findings
 from pamctl.log.records import NO_CHECKSUM, Damage, Record, record_at
 from pamctl.log.summary_check import SummaryCheck
-from pamctl.log.ticks import run_of
+from pamctl.log.ticks import INDEX_ENTRY, run_of
 
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-_INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
+_INDEX_ENTRY = np.dtype(INDEX_ENTRY)
 
 
 class Conformance:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.log.container import message_records
 from pamctl.log.meta import RunMeta
 from pamctl.log.newfile import new_file
 from pamctl.log.schema import IMPORTED, TICK_TOPIC, imported_fields
@@ -47,8 +48,8 @@ def write_imported(
         channel = begin(writer, meta)[TICK_TOPIC]
         for start in range(0, len(t_s), CHUNK_TICKS):
             part = messages[start : start + CHUNK_TICKS]
-            times_ns = np.rint(part["t_s"] * 1e9).astype(np.int64).tolist()
-            writer.add_run(channel, part.tobytes(), times_ns, part["tick"].tolist())
+            times_ns = np.rint(part["t_s"] * 1e9).astype(np.int64)
+            writer.add(channel, message_records(part, times_ns, part["tick"]))
             writer.end_chunk()
         writer.finish()
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.log.container import SEQUENCE
 from pamctl.log.contents import Contents
 from pamctl.log.findings import Findings
 from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, unit_of
 from pamctl.log.text import from_json
 from pamctl.log.ticks import TickBatch
-from pamctl.log.writer import SEQUENCE
 from pamctl.signals import TICK_FIELDS
 
 CLOCK_TOLERANCE_S = 1e-6

@@ -133,6 +133,14 @@ def record_at(data: memoryview, at: int) -> Record:
     return Record(opcode, at, end, data[start:end])
 
 
+def records_in(data: memoryview, at: int = 0) -> Iterator[Record]:
+    """Yield the records from an offset to the end; raise Damage where there is no next one."""
+    while at < len(data):
+        record = record_at(data, at)
+        yield record
+        at = record.end
+
+
 def _compare(record: Record, what: str, stored: int, data: memoryview) -> None:
     if stored not in (int.from_bytes(NO_CHECKSUM), zlib.crc32(data)):
         raise Damage(record.start, f"the checksum of {what} is wrong")

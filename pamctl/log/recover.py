@@ -7,13 +7,12 @@ That chunk's rows are still in the ring, unless the machine itself went down.
 from __future__ import annotations
 
 import os
-import struct
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BufferedWriter
-from itertools import count
+from itertools import count, takewhile
 from pathlib import Path
 from time import monotonic_ns
 from typing import TYPE_CHECKING, NamedTuple
@@ -30,18 +29,19 @@ from pamctl.log.records import (
     making_sense,
     mapped,
     record_at,
+    records_in,
     unpack,
     verify,
 )
 from pamctl.log.salvage import Hole, data_vouched, salvage, summary_of
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
 from pamctl.log.text import from_json
+from pamctl.log.ticks import run_of
 from pamctl.log.writer import NO_SCHEMA, LogWriter
 
 if TYPE_CHECKING:
     from pamctl.realtime.ring import Ring
 
-_MESSAGE = struct.Struct("<HIQQ")
 _LOOP_DEAD_NS = 2_000_000_000
 
 
@@ -232,6 +232,10 @@ def _replacing(target: Path, ring: Ring) -> Iterator[BufferedWriter]:
     os.close(directory)
 
 
+def _is_description(record: Record) -> bool:
+    return record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL)
+
+
 class _Copy:
     """Copies what is whole of one log into another."""
 
@@ -249,6 +253,7 @@ class _Copy:
         self._vouched = False
         """Whether a checksum of the whole file says that there is no damage in the data."""
         self._metadata: dict[str, None] = {}
+        self._looked_ahead = False
         self.last_tick = -(1 << 62)
         self.last_row = -1
 
@@ -263,6 +268,9 @@ class _Copy:
                 # Where the file was cut something else may go on: the ring.
                 self.lost = self.lost or (self.cut and not part.at_end)
             else:
+                if part.opcode == Opcode.CHUNK and not self._looked_ahead:
+                    self._looked_ahead = True
+                    self._learn_ahead(file, part)
                 self._try(file, part)
                 self.cut = self.cut and part.opcode != Opcode.DATA_END
 
@@ -279,34 +287,46 @@ class _Copy:
     def _learn_channels(self, file: memoryview) -> None:
         """Learn from a whole summary what a damaged first chunk would not tell."""
         for record in summary_of(file):
-            if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._copy(record)
+            if _is_description(record):
+                self._copy(file, record)
+
+    def _learn_ahead(self, file: memoryview, first: Record) -> None:
+        """Learn from the first chunk, or from the next one that tells it, which channels are."""
+        for part in salvage(file):
+            if isinstance(part, Hole) or part.opcode != Opcode.CHUNK or part.start < first.start:
+                continue
+            with suppress(Damage), making_sense(part):
+                for record in takewhile(_is_description, records_in(self._unpacked(part))):
+                    self._copy(file, record)
+            if self._channels:
+                return
+
+    def _unpacked(self, chunk: Record) -> memoryview:
+        self._refuse_unchecked(chunk, Chunk.read(chunk.stream()).uncompressed_crc != 0)
+        return unpack(chunk)
 
     def _try(self, file: memoryview, record: Record) -> None:
         try:
             with making_sense(record):
                 verify(file, record)
                 if self.cut:  # what stands behind the data is made anew
-                    self._copy(record)
+                    self._copy(file[: record.end], record)
         except Damage as damage:
             self.damage.append(str(damage))
             self.lost = self.lost or self.cut
             if record.opcode != Opcode.DATA_END:
                 self.bytes_lost += record.end - record.start
 
-    def _copy(self, record: Record) -> None:
+    def _copy(self, data: memoryview, record: Record) -> int:
+        """Copy a record within `data`, a message with those alike behind it; return their end."""
         match record.opcode:
             case Opcode.CHUNK:
-                inside, at = unpack(record), 0
-                checked = Chunk.read(record.stream()).uncompressed_crc != 0
-                self._refuse_unchecked(record, checked)
+                inside, at = self._unpacked(record), 0
                 while at < len(inside):
-                    part = record_at(inside, at)
-                    self._copy(part)
-                    at = part.end
+                    at = self._copy(inside, record_at(inside, at))
                 self._writer.end_chunk()
             case Opcode.MESSAGE:
-                self._copy_message(record)
+                return self._copy_messages(data, record)
             case Opcode.SCHEMA:
                 schema = Schema.read(record.stream())
                 self._schemas[schema.id] = schema
@@ -320,6 +340,7 @@ class _Copy:
                 metadata = Metadata.read(record.stream())
                 self._writer.metadata(metadata.name, metadata.metadata)
                 self._metadata[metadata.name] = None
+        return record.end
 
     def _refuse_unchecked(self, record: Record, checked: bool) -> None:
         """Raise Damage for what has no checksum: where a block was zeroed, it looks like that."""
@@ -334,15 +355,17 @@ class _Copy:
         )
         self._channels[channel.id] = (channel.topic, copied)
 
-    def _copy_message(self, record: Record) -> None:
-        channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record.body)
+    def _copy_messages(self, data: memoryview, first: Record) -> int:
+        run = run_of(data, first)
+        channel = int(run["channel"][0])
         if channel not in self._channels:
-            raise Damage(record.start, f"channel {channel} was described in a part that is lost")
+            raise Damage(first.start, f"channel {channel} was described in a part that is lost")
         topic, copied = self._channels[channel]
-        data = bytes(record.body[_MESSAGE.size :])
-        self._writer.add(copied, log_time, data, publish_time, sequence)
-        self.saved[topic] += 1
-        if topic == TICK_TOPIC:
-            self.last_tick = max(self.last_tick, sequence)
-        elif topic in JSON_SCHEMAS:
-            self.last_row = max(self.last_row, from_json(data).get("row", -1))
+        if topic in JSON_SCHEMAS:
+            rows = (from_json(bytes(body)).get("row", -1) for body in run["body"])
+            self.last_row = max(self.last_row, *rows)
+        elif topic == TICK_TOPIC:
+            self.last_tick = max(self.last_tick, int(run["sequence"].max()))
+        self._writer.add(copied, run.copy())
+        self.saved[topic] += len(run)
+        return first.start + run.nbytes

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.log.container import message_record, message_records
 from pamctl.log.meta import RunMeta
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.text import from_json, to_json
 from pamctl.log.wire import TickLayout
-from pamctl.log.writer import SEQUENCE, LogWriter, begin
+from pamctl.log.writer import LogWriter, begin
 from pamctl.realtime.ring import ROW_BYTES, ROW_HEADER, Batch, Entry, RowKind
 from pamctl.signals import Field
 
@@ -57,12 +58,12 @@ class RowLogger:
 
     def _write_ticks(self, rows: NDArray[Any]) -> None:
         rows = rows[rows["tick"] > self.last_tick]
-        self._writer.add_run(
-            self._channels[TICK_TOPIC],
-            self._layout.encode(rows["columns"]).tobytes(),
-            np.maximum(rows["t_ns"] + self._wall_less_mono, 0).tolist(),
-            rows["tick"].tolist(),
+        messages = message_records(
+            self._layout.encode(rows["columns"]),
+            np.maximum(rows["t_ns"] + self._wall_less_mono, 0),
+            rows["tick"],
         )
+        self._writer.add(self._channels[TICK_TOPIC], messages)
         self.written[TICK_TOPIC] += len(rows)
 
     def _write_entry(self, entry: Entry) -> None:
@@ -74,8 +75,8 @@ class RowLogger:
         where = {"tick": entry.tick, "t_ns": entry.t_ns, "row": entry.row}
         time = max(entry.t_ns + self._wall_less_mono, 0)
         topic = _TOPICS[entry.kind]
-        data = to_json({**value, **where})
-        self._writer.add(self._channels[topic], time, data, time, entry.tick & SEQUENCE)
+        message = message_record(to_json({**value, **where}), time, entry.tick)
+        self._writer.add(self._channels[topic], message)
         self.written[topic] += 1
 
     def _value(self, entry: Entry) -> dict[str, Any]:

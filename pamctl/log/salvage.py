@@ -14,7 +14,16 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd, Footer
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from pamctl.log.records import FRAME, Damage, Record, making_sense, record_at, unpack, verify
+from pamctl.log.records import (
+    FRAME,
+    Damage,
+    Record,
+    making_sense,
+    record_at,
+    records_in,
+    unpack,
+    verify,
+)
 
 _CHUNK_FRAME = re.compile(rb"(?=\x06.{4}\x00{4})", re.DOTALL)
 """A chunk's opcode, and a length below 4 GiB."""
@@ -63,7 +72,7 @@ def summary_of(file: memoryview) -> list[Record]:
     if footer is None:
         return []
     start = Footer.read(footer.stream()).summary_start
-    return list(_records(file, start, footer.start))
+    return list(records_in(file[: footer.start], start))
 
 
 def data_vouched(file: memoryview) -> bool:
@@ -90,13 +99,6 @@ def _vouched_footer(file: memoryview) -> Record | None:
                 verify(file, footer)
                 return footer
     return None
-
-
-def _records(file: memoryview, at: int, end: int) -> Iterator[Record]:
-    while at < end:
-        record = record_at(file, at)
-        yield record
-        at = record.end
 
 
 def _known_record_at(file: memoryview, at: int) -> Record:

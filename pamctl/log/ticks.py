@@ -26,6 +26,7 @@ MESSAGE_HEADER = [
     ("log_time", "<u8"),
     ("publish_time", "<u8"),
 ]
+INDEX_ENTRY = [("time", "<u8"), ("offset", "<u8")]
 _BODY_AT = np.dtype(MESSAGE_HEADER).itemsize
 
 

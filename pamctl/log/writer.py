@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BufferedWriter
 from pathlib import Path
 
-from mcap.writer import Writer
-
 import pamctl
+from pamctl.log.container import Container
 from pamctl.log.meta import RunMeta
 from pamctl.log.schema import (
     JSON_SCHEMAS,
@@ -24,15 +23,9 @@ from pamctl.log.schema import (
 )
 from pamctl.log.text import to_json
 
-LIBRARY = f"pamctl/{pamctl.__version__} mcap-python/{version('mcap')}"
+LIBRARY = f"pamctl/{pamctl.__version__}"
 
-# The caller says when a chunk ends; a writer that ended one by its size would
-# leave messages behind that are in no chunk when the caller believes they are.
-_NO_LIMIT = 1 << 40
 _MEDIA_TYPES = {".json": "application/json", ".yaml": "application/yaml"}
-
-SEQUENCE = 0xFFFFFFFF
-"""MCAP's sequence has 32 bits: at 1 kHz the tick outgrows it after 49 days."""
 
 NO_SCHEMA = ("", "", b"")
 
@@ -42,16 +35,15 @@ class LogWriter:
 
     def __init__(self, stream: BufferedWriter) -> None:
         """Write the file's header."""
-        self._mcap = Writer(stream, chunk_size=_NO_LIMIT, enable_data_crcs=True)
-        self._mcap.start(profile="", library=LIBRARY)
+        self._file = Container(stream, LIBRARY)
         self._schemas: dict[tuple[str, str, bytes], int] = {NO_SCHEMA: 0}
         self._channels: dict[tuple[str, int], int] = {}
         self._attached: set[str] = set()
         self._said: set[tuple[str, bytes]] = set()
         self.chunks = 0
         """How many chunks were ended."""
-        self.add = self._mcap.add_message
-        """(channel, log time in ns, data, publish time in ns, sequence)"""
+        self.add = self._file.messages
+        """(channel, message records of one length, whatever channel they name)"""
 
     def channel(
         self,
@@ -65,46 +57,38 @@ class LogWriter:
         `schema` is its name, encoding and data, all empty for none.
         """
         if schema not in self._schemas:
-            self._schemas[schema] = self._mcap.register_schema(*schema)
+            self._schemas[schema] = self._file.schema(*schema)
         key = (topic, self._schemas[schema])
         if key not in self._channels:
-            self._channels[key] = self._mcap.register_channel(
-                topic, encoding, key[1], dict(metadata or {})
-            )
+            self._channels[key] = self._file.channel(topic, encoding, key[1], metadata or {})
         return self._channels[key]
-
-    def add_run(
-        self, channel: int, messages: bytes, times_ns: Sequence[int], sequences: Sequence[int]
-    ) -> None:
-        """Add messages of one length, that lie one behind the other, with a time each."""
-        size, add = len(messages) // max(1, len(times_ns)), self.add
-        ends = range(size, len(messages) + 1, size) if size else ()
-        for end, time_ns, sequence in zip(ends, times_ns, sequences, strict=True):
-            add(channel, time_ns, messages[end - size : end], time_ns, sequence & SEQUENCE)
 
     def attachment(self, name: str, data: bytes, time_ns: int = 0, media_type: str = "") -> None:
         """Attach a file, the first one of each name; its media type goes by its suffix."""
         if name not in self._attached:
             self._attached.add(name)
             known = media_type or _MEDIA_TYPES.get(Path(name).suffix, "text/plain")
-            self._mcap.add_attachment(time_ns, time_ns, name, known, data)
+            self._file.attachment(name, data, time_ns, known)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record, unless the same was said before."""
         said = (name, to_json(values))
         if said not in self._said:
             self._said.add(said)
-            self._mcap.add_metadata(name, dict(values))
+            self._file.metadata(name, values)
 
     def end_chunk(self) -> None:
-        """Hand all that was added to the operating system."""
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        """Hand all that was added to the operating system.
+
+        The caller says when: a writer that ended a chunk by its size would leave messages behind
+        that are in no chunk when the caller believes they are.
+        """
+        self._file.end_chunk()
         self.chunks += 1
 
     def finish(self) -> None:
         """Write the index and the footer, and hand them to the operating system."""
-        self._mcap.finish()  # type: ignore[no-untyped-call]
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._file.finish()
 
 
 def begin(writer: LogWriter, meta: RunMeta) -> dict[str, int]:

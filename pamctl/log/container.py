@@ -1,0 +1,272 @@
+"""An MCAP file in the making: chunks of messages, their indexes, and the summary.
+
+The `mcap` package's own writer takes messages one by one, which is most of what it costs to log a
+tick, and describes a channel in the first chunk only: with that and the summary lost, nothing of
+the file could be understood. Here ticks go in by the hundred, and descriptions are repeated.
+https://mcap.dev/spec
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from io import BufferedWriter
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC as MAGIC
+from numpy.typing import NDArray
+
+from pamctl.log.records import FRAME
+from pamctl.log.ticks import INDEX_ENTRY, MESSAGE_HEADER
+
+SEQUENCE = 0xFFFFFFFF
+"""MCAP's sequence has 32 bits: at 1 kHz the tick outgrows it after 49 days."""
+
+DESCRIBED_EVERY = 16
+"""Chunks from one with all schemas and channels to the next; the second has them too."""
+
+_FOOTER_BODY_BYTES = 20
+
+
+def message_records(
+    data: NDArray[Any], times_ns: NDArray[Any], sequences: NDArray[Any]
+) -> NDArray[Any]:
+    """Make n message records, for any channel, of n messages of one length."""
+    records = np.empty(len(data), [*MESSAGE_HEADER, ("body", f"V{data.itemsize}")])
+    records["opcode"] = Opcode.MESSAGE
+    records["length"] = records.itemsize - FRAME.size
+    records["sequence"] = sequences & SEQUENCE
+    records["log_time"] = records["publish_time"] = times_ns
+    records["body"] = data.view(records["body"].dtype)
+    return records
+
+
+def message_record(data: bytes, time_ns: int, sequence: int) -> NDArray[Any]:
+    """Make one, of a message that is not empty."""
+    one = np.frombuffer(data, f"V{len(data)}")
+    return message_records(one, np.array([time_ns]), np.array([sequence]))
+
+
+class Container:
+    """The file's bytes go to a stream that the caller opens, syncs and closes."""
+
+    def __init__(self, stream: BufferedWriter, library: str) -> None:
+        """Write the file's header."""
+        self._stream = stream
+        self._at = 0
+        self._crc = 0
+        self._schemas: dict[int, bytes] = {0: b""}
+        """Records by number; 0 stands for none."""
+        self._channels: dict[int, tuple[int, bytes]] = {}
+        """Number of the schema, and record."""
+        self._chunk = _Chunk()
+        self._chunk_indexes: list[ChunkIndex] = []
+        self._attachment_indexes: list[AttachmentIndex] = []
+        self._metadata_indexes: list[MetadataIndex] = []
+        self._counts: defaultdict[int, int] = defaultdict(int)
+        self._put(MAGIC)
+        self._put(_bytes(Header("", library)))
+
+    def schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Register a schema; return its number."""
+        number = len(self._schemas)
+        self._schemas[number] = _bytes(Schema(id=number, data=data, encoding=encoding, name=name))
+        return number
+
+    def channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
+        """Register a channel; return its number."""
+        number = len(self._channels) + 1
+        channel = Channel(
+            id=number,
+            topic=topic,
+            message_encoding=encoding,
+            metadata=dict(metadata),
+            schema_id=schema,
+        )
+        self._channels[number] = schema, _bytes(channel)
+        self._describe(number)
+        return number
+
+    def messages(self, channel: int, records: NDArray[Any]) -> None:
+        """Add message records of one length, whatever channel they name, to this one."""
+        if len(records):
+            records["channel"] = channel
+            self._chunk.messages(channel, records)
+            self._counts[channel] += len(records)
+
+    def _describe(self, channel: int) -> None:
+        schema, record = self._channels[channel]
+        self._chunk.describe(Opcode.SCHEMA, schema, self._schemas[schema])
+        self._chunk.describe(Opcode.CHANNEL, channel, record)
+
+    def attachment(self, name: str, data: bytes, time_ns: int, media_type: str) -> None:
+        """Attach a file."""
+        attachment = Attachment(
+            create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data
+        )
+        offset, length = self._put(_bytes(attachment))
+        self._attachment_indexes.append(
+            AttachmentIndex(
+                offset=offset,
+                length=length,
+                log_time=time_ns,
+                create_time=time_ns,
+                data_size=len(data),
+                name=name,
+                media_type=media_type,
+            )
+        )
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record."""
+        offset, length = self._put(_bytes(Metadata(name=name, metadata=dict(values))))
+        self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=name))
+
+    def end_chunk(self) -> None:
+        """Write the messages added since the last one; hand all to the operating system."""
+        if self._chunk.has_messages:
+            self._put_chunk(self._chunk)
+            self._chunk = _Chunk()
+            chunks = len(self._chunk_indexes)
+            if chunks == 1 or chunks % DESCRIBED_EVERY == 0:
+                for channel in self._channels:
+                    self._describe(channel)
+        self._stream.flush()
+
+    def _put_chunk(self, chunk: _Chunk) -> None:
+        written = chunk.record()
+        offset, length = self._put(_bytes(written))
+        index_at, index_offsets = self._at, {}
+        for channel, index in chunk.indexes():
+            index_offsets[channel], _ = self._put(index)
+        self._chunk_indexes.append(
+            ChunkIndex(
+                chunk_length=length,
+                chunk_start_offset=offset,
+                compression=written.compression,
+                compressed_size=len(written.data),
+                message_end_time=written.message_end_time,
+                message_index_length=self._at - index_at,
+                message_index_offsets=index_offsets,
+                message_start_time=written.message_start_time,
+                uncompressed_size=written.uncompressed_size,
+            )
+        )
+
+    def finish(self) -> None:
+        """Write the last chunk, the summary and the footer."""
+        self.end_chunk()
+        self._put(_bytes(DataEnd(self._crc)))
+        start, summary, offsets = self._at, b"", b""
+        for opcode, records in self._summary():
+            group = b"".join(records)
+            offset = SummaryOffset(opcode, start + len(summary), len(group))
+            offsets += _bytes(offset) if group else b""
+            summary += group
+        footer = Footer(start, start + len(summary) if offsets else 0, 0)
+        summary += offsets
+        without_crc = summary + _bytes(footer)[: FRAME.size + _FOOTER_BODY_BYTES - 4]
+        footer.summary_crc = zlib.crc32(without_crc)
+        self._put(summary + _bytes(footer) + MAGIC)
+        self._stream.flush()
+
+    def _summary(self) -> Iterable[tuple[Opcode, Iterable[bytes]]]:
+        """What stands once more, or is counted, behind the data, by kind."""
+        yield Opcode.SCHEMA, self._schemas.values()
+        yield Opcode.CHANNEL, (record for _, record in self._channels.values())
+        yield Opcode.STATISTICS, [_bytes(self._statistics())]
+        yield Opcode.CHUNK_INDEX, map(_bytes, self._chunk_indexes)
+        yield Opcode.ATTACHMENT_INDEX, map(_bytes, self._attachment_indexes)
+        yield Opcode.METADATA_INDEX, map(_bytes, self._metadata_indexes)
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=len(self._attachment_indexes),
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=len(self._chunk_indexes),
+            message_count=sum(self._counts.values()),
+            message_end_time=max((c.message_end_time for c in self._chunk_indexes), default=0),
+            message_start_time=min((c.message_start_time for c in self._chunk_indexes), default=0),
+            metadata_count=len(self._metadata_indexes),
+            schema_count=len(self._schemas) - 1,
+        )
+
+    def _put(self, data: bytes) -> tuple[int, int]:
+        """Write; return where it begins, and its length."""
+        offset = self._at
+        self._crc = zlib.crc32(data, self._crc)
+        self._stream.write(data)
+        self._at += len(data)
+        return offset, len(data)
+
+
+class _Chunk:
+    """Descriptions and messages that will be compressed together."""
+
+    def __init__(self) -> None:
+        self._inside = bytearray()
+        self._described: set[tuple[Opcode, int]] = set()
+        self._entries: defaultdict[int, list[NDArray[Any]]] = defaultdict(list)
+
+    @property
+    def has_messages(self) -> bool:
+        return bool(self._entries)
+
+    def describe(self, kind: Opcode, number: int, record: bytes) -> None:
+        """Add a schema or channel, once."""
+        if (kind, number) not in self._described:
+            self._described.add((kind, number))
+            self._inside += record
+
+    def messages(self, channel: int, records: NDArray[Any]) -> None:
+        entries = np.empty(len(records), INDEX_ENTRY)
+        entries["time"] = records["log_time"]
+        entries["offset"] = len(self._inside) + records.itemsize * np.arange(len(records))
+        self._entries[channel].append(entries)
+        self._inside += records.tobytes()
+
+    def record(self) -> Chunk:
+        times = [part["time"] for parts in self._entries.values() for part in parts]
+        return Chunk(
+            compression="zstd",
+            data=zstandard.compress(self._inside),
+            message_start_time=int(min(map(np.min, times))),
+            message_end_time=int(max(map(np.max, times))),
+            uncompressed_crc=zlib.crc32(self._inside),
+            uncompressed_size=len(self._inside),
+        )
+
+    def indexes(self) -> Iterable[tuple[int, bytes]]:
+        """Yield the message index record of each channel."""
+        for channel, parts in self._entries.items():
+            entries = b"".join(part.tobytes() for part in parts)
+            body = channel.to_bytes(2, "little") + len(entries).to_bytes(4, "little") + entries
+            yield channel, FRAME.pack(Opcode.MESSAGE_INDEX, len(body)) + body
+
+
+def _bytes(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]

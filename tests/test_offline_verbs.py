@@ -8,8 +8,10 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from patience import PATIENCE_S
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
@@ -116,3 +118,56 @@ def test_the_command_line_starts_without_what_only_some_verbs_need():
     script = f"import sys, pamctl.cli.app; print(set('{heavy}'.split()) & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout.strip() == "set()", done.stderr
+
+
+ELSEWHERE = """
+import mmap, os, select, signal, socket, sys
+import subprocess, asyncio, multiprocessing.pool  # the standard library knows where it is
+
+for name in ("fcntl", "grp", "pwd", "resource", "syslog", "termios"):
+    sys.modules[name] = None
+hidden = {
+    os: ["sched_", "SCHED_", "eventfd", "P_PID", "waitid", "get", "fch", "O_NOFOLLOW", "O_CLOEXEC",
+         "fork", "pread", "pwrite", "posix_", "setsid", "kill", "fdatasync", "memfd"],
+    signal: ["SIGHUP", "SIGSTOP", "SIGTSTP", "SIGKILL", "SIGCONT", "SIGALRM", "pthread", "setit"],
+    select: ["poll", "epoll"], socket: ["AF_UNIX"], mmap: ["MAP_", "PROT_"],
+}
+kept = ("getpid", "getcwd", "getcwdb", "getenv", "getenvb", "get_terminal_size", "get_exec_path")
+for module, beginnings in hidden.items():
+    for name in [n for n in dir(module) if n.startswith(tuple(beginnings)) and n not in kept]:
+        delattr(module, name)
+
+from pamctl.cli.app import app
+for verb in sys.argv[1:]:
+    try:
+        app(verb.split())
+    except SystemExit as end:
+        assert not end.code, (verb, end.code)
+"""
+"""Several calls of `pamctl` where there is nothing that only Linux has."""
+
+
+def test_the_verbs_that_drive_nothing_need_nothing_that_only_linux_has(log):
+    verbs = [
+        "replay {}", "compare {}", "report {} --out page.html", "log info {}", "log check {}",
+        "log recover {} saved.mcap", "log export {} out.csv", "log import out.csv again.mcap",
+        "config check", "run --dry-run",
+    ]  # fmt: skip
+    command = [sys.executable, "-c", ELSEWHERE, *(verb.format(log) for verb in verbs)]
+    done = subprocess.run(
+        command, cwd=log.parent, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "verb",
+    ["run", "safe", "doctor", "daemon", "watch", "status", "calibrate pressure --out a.yaml"],
+)
+def test_a_verb_that_drives_a_rig_says_elsewhere_that_it_needs_linux(verb, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("pamctl.cli.linux.sys", SimpleNamespace(platform="elsewhere"))
+    done = CliRunner().invoke(app, verb.split())
+    assert done.exit_code == 69, done.output
+    assert done.stderr.startswith("error: this verb needs Linux")
+    assert not list(tmp_path.iterdir())

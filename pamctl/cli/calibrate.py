@@ -9,6 +9,7 @@ import typer
 
 from pamctl.cli.backend import BackendOption
 from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
+from pamctl.cli.linux import require_linux
 from pamctl.problems import ConfigError, Problem
 
 if TYPE_CHECKING:  # no other verb has to wait for these
@@ -50,6 +51,7 @@ def pressure(
     as_json: JsonOption = False,
 ) -> None:
     """Sensor zero at the atmosphere; gain against a reference gauge, at one point or more."""
+    require_linux()
     from pamctl.calibrate.pressure import DEFAULT_POINTS_KPA, calibrate_pressure
     from pamctl.cli.calibration import Order, answers_of, calibrate_rig
 
@@ -83,6 +85,7 @@ def encoder(
     as_json: JsonOption = False,
 ) -> None:
     """Scale and sign against known displacements: by gauge blocks, or measured on the muscle."""
+    require_linux()
     from pamctl.calibrate.encoder import (
         DEFAULT_POINTS_KPA,
         calibrate_encoder_by_hand,
@@ -122,6 +125,7 @@ def valve(
     as_json: JsonOption = False,
 ) -> None:
     """Sign, null voltage, dead band and supply pressure."""
+    require_linux()
     from pamctl.calibrate.valve import calibrate_valve
     from pamctl.cli.calibration import Order, calibrate_rig
 

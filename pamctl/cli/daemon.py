@@ -18,6 +18,7 @@ from pamctl.cli.config import (
     SetOption,
     config_errors_exit,
 )
+from pamctl.cli.linux import require_linux
 from pamctl.cli.live import DEFAULT_LIVE_PORT, LiveOption, LivePortOption, port_of
 from pamctl.cli.socket_option import SocketOption
 from pamctl.settings import DEFAULT_NAMES, resolve
@@ -64,6 +65,7 @@ def daemon(
         "rig": rig or rig_name(backend, rig) or DEFAULT_NAMES["rig"],
     }
     port = port_of(live, live_port)
+    require_linux()
     from pamctl.cli.serving import ServiceOptions, serve  # no other verb has to wait for it
     from pamctl.daemon.client import own_socket
 

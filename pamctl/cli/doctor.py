@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import closing
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.assembly import device_of
 from pamctl.cli.backend import BackendOption, check_backend, rig_name
 from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
-from pamctl.cli.interrupts import Interrupted
+from pamctl.cli.linux import require_linux
 from pamctl.doctor.findings import Finding, document, report, worst
 from pamctl.realtime.ending import ExitCode
 from pamctl.settings import resolve
+
+if TYPE_CHECKING:
+    from pamctl.cli.interrupts import Interrupted
 
 SCHEMA = 1
 """Of the document that `--json` prints."""
@@ -37,7 +39,10 @@ def doctor(
     with config_errors_exit(as_json=as_json):
         settings = resolve(rig=rig_name(backend, rig), overrides=overrides or (), fast=False)
         check_backend(settings, backend, rig)
-    from pamctl.cli.examination import examination  # no other verb has to wait for it
+    require_linux()  # as what follows does; and no other verb has to wait for it
+    from pamctl.cli.assembly import device_of
+    from pamctl.cli.examination import examination
+    from pamctl.cli.interrupts import Interrupted
 
     findings: list[Finding] = []
     interrupt: Interrupted | None = None

@@ -7,11 +7,10 @@ import json
 import typer
 
 from hal.rig import RigError
-from pamctl.cli.assembly import clock_of, device_of, require_backend, rig_of
 from pamctl.cli.backend import BackendOption, check_backend, rig_name
 from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
+from pamctl.cli.linux import require_linux
 from pamctl.realtime.ending import ExitCode
-from pamctl.realtime.guardian import drive_safe
 from pamctl.settings import RunSettings, resolve
 
 _PATIENCE_S = 0.5
@@ -28,6 +27,9 @@ def safe(
     with config_errors_exit(as_json=as_json):
         settings = resolve(rig=rig_name(backend, rig), overrides=overrides or (), fast=False)
         check_backend(settings, backend, rig)
+    require_linux()
+    from pamctl.cli.assembly import device_of
+
     failure = _make_safe(settings)
     place = f"{device_of(settings)}: {settings.rig.safe_volts:g} V"
     if as_json:
@@ -46,6 +48,9 @@ def safe(
 
 
 def _make_safe(settings: RunSettings) -> RigError | None:
+    from pamctl.cli.assembly import clock_of, require_backend, rig_of
+    from pamctl.realtime.guardian import drive_safe
+
     try:
         require_backend(settings)
     except RigError as error:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 from hal.rig import Rig, RigError
 from pamctl.cli.assembly import SHARED_MEMORY, device_of, require_backend
 from pamctl.cli.live import live_view
-from pamctl.cli.run import finish_orphans, ring_path, run_meta, secured
+from pamctl.cli.running import finish_orphans, ring_path, run_meta, secured
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.methods import methods_of
 from pamctl.daemon.notify import notify, watchdog_period_s

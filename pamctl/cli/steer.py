@@ -12,6 +12,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from pamctl.cli.config import JsonOption, config_errors_exit
+from pamctl.cli.linux import require_linux
 from pamctl.cli.progress import progress_text
 from pamctl.cli.socket_option import SocketOption
 from pamctl.daemon.client import Client, Declined, Unreachable, default_socket
@@ -32,6 +33,7 @@ gains_app = typer.Typer(no_args_is_help=True, help="Load, show and save the daem
 
 def ask(socket: Path | None, method: str, params: Mapping[str, object] | None = None) -> Any:
     """Ask the daemon; leave with one line where it cannot be asked or says no."""
+    require_linux()
     try:
         with Client(socket or default_socket()) as client:
             return client.call(method, params)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pamctl.cli.linux import require_linux
 from pamctl.cli.socket_option import SocketOption
 from pamctl.realtime.ending import ExitCode
 
@@ -27,6 +28,7 @@ def watch(
     """Show state, position, error, pressure, command and timing ten times a second."""
     if allow_control and not web:
         raise typer.BadParameter("it goes with --web; in the terminal there are the other verbs")
+    require_linux()
     from pamctl.daemon.client import default_socket
 
     where = socket or default_socket()

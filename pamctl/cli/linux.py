@@ -1,0 +1,17 @@
+"""What drives a rig, or talks to what does, needs Linux; the verbs that read logs do not."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from pamctl.realtime.ending import ExitCode
+
+
+def require_linux() -> None:
+    """Leave with 69 elsewhere, before anything is imported that is not there."""
+    if sys.platform != "linux":
+        elsewhere = "the verbs that read logs, and config, reproduce and tune, work here too"
+        typer.echo(f"error: this verb needs Linux; {elsewhere}", err=True)
+        raise typer.Exit(ExitCode.UNAVAILABLE)

@@ -1,8 +1,10 @@
 """Kill and freeze every process of real runs at random moments, over simulation and stand-in card.
 
-    python scripts/fault_rounds.py --rounds 20 > faults.json
+    python scripts/fault_rounds.py --rounds 20 --resume faults.jsonl > faults.json
 
-JSON on stdout, a table on stderr; exit code 3 if anything was not as it must be. Each round is one
+JSON on stdout, a line for each round and a table on stderr; exit code 3 if anything was not as it
+must be. Ctrl-C ends it with what there is by then (130); with `--resume` each round is written
+down when it is over, and those that are written there already are not run again. Each round is one
 real run in real time with one real signal. What must hold after it: the output at the safe voltage,
 the log complete to the last tick that was put before the signal, the documented exit code, nothing
 left behind, and a next start that is clean. The output is looked at all the time, as with a
@@ -21,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -204,34 +207,78 @@ def next_start(bench: Bench, log: Path) -> None:
     require(run.front.returncode == 0, f"the next start: {said.decode().strip()}")
 
 
-def rounds(count: int, timing: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """All cases in turn, so that all see the same PC."""
+def rounds(count: int, timing: str, done: Counter[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """All cases in turn, so that all see the same PC, but for those rounds that are `done`."""
     with tempfile.TemporaryDirectory() as temporary, benches(Path(temporary), timing) as both:
+        cases = [
+            (f"{bench.name} {process} {signal_name}", bench, process, signal_name)
+            for bench in both
+            for process in PROCESSES
+            for signal_name in SIGNALS
+        ]
         for index in range(count):
-            for bench in both:
-                for process in PROCESSES:
-                    for signal_name in SIGNALS:
-                        case = f"{bench.name} {process} {signal_name}"
-                        log = Path(temporary) / f"{case}-{index}.mcap".replace(" ", "-")
-                        try:
-                            found = round_of(bench, process, signal_name, log)
-                            next_start(bench, log.with_suffix(".next.mcap"))
-                        except (Amiss, subprocess.TimeoutExpired) as amiss:
-                            found = {"amiss": str(amiss)}
-                        yield case, found
+            for case, bench, process, signal_name in cases:
+                if index < done[case]:
+                    continue
+                log = Path(temporary) / f"{case}-{index}.mcap".replace(" ", "-")
+                try:
+                    found = round_of(bench, process, signal_name, log)
+                    next_start(bench, log.with_suffix(".next.mcap"))
+                except (Amiss, subprocess.TimeoutExpired) as amiss:
+                    found = {"amiss": str(amiss)}
+                yield case, found
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--timing", choices=["on_demand", "hardware_timed"], default="on_demand")
+    parser.add_argument("--resume", type=Path, metavar="FILE", help="where each round is kept")
     options = parser.parse_args()
-    cases: dict[str, list[dict[str, Any]]] = {}
-    for case, found in rounds(options.rounds, options.timing):
-        cases.setdefault(case, []).append(found)
-        if "amiss" in found:
-            print(f"{case}: {found['amiss']}", file=sys.stderr)
+    cases = kept(options.resume, options.timing)
+    done = Counter({case: len(found) for case, found in cases.items()})
+    stopped = False
+    try:
+        for case, found in rounds(options.rounds, options.timing, done):
+            cases.setdefault(case, []).append(found)
+            print(f"{case:<26}{len(cases[case]):>4}  {told(found)}", file=sys.stderr, flush=True)
+            keep(options.resume, {"timing": options.timing, "case": case, **found})
+    except KeyboardInterrupt:
+        stopped = True
     report = {case: summary(found) for case, found in cases.items()}
+    tell(report)
+    print(json.dumps({"timing": options.timing, "stopped": stopped, "cases": report}, indent=1))
+    if stopped:
+        return 130
+    return 0 if all(row["rounds"] == row["well"] for row in report.values()) else 3
+
+
+def kept(path: Path | None, timing: str) -> dict[str, list[dict[str, Any]]]:
+    """Return the rounds of an earlier call, by case; a line that was cut short is none."""
+    cases: dict[str, list[dict[str, Any]]] = {}
+    lines = path.read_text().splitlines() if path is not None and path.exists() else []
+    for line in lines:
+        with suppress(ValueError):
+            found = json.loads(line)
+            if found.pop("timing") == timing:
+                cases.setdefault(found.pop("case"), []).append(found)
+    return cases
+
+
+def keep(path: Path | None, found: dict[str, Any]) -> None:
+    if path is not None:
+        with path.open("a") as file:
+            file.write(json.dumps(found) + "\n")
+
+
+def told(found: dict[str, Any]) -> str:
+    if "amiss" in found:
+        return f"AMISS: {found['amiss']}"
+    return f"safe after {found['safe_after_ms']:.1f} ms, {found['ticks_lost']} ticks lost"
+
+
+def tell(report: dict[str, dict[str, Any]]) -> None:
+    """Print the table of all cases."""
     print(
         f"{'':<26}{'rounds':>7}{'as it must':>12}{'lost':>6}{'p50 ms':>9}{'max ms':>9}",
         file=sys.stderr,
@@ -242,8 +289,6 @@ def main() -> int:
             f"{row['safe_after_ms']['p50']:>9.1f}{row['safe_after_ms']['max']:>9.1f}",
             file=sys.stderr,
         )
-    print(json.dumps({"timing": options.timing, "cases": report}, indent=1))
-    return 0 if all(row["rounds"] == row["well"] for row in report.values()) else 3
 
 
 def summary(found: list[dict[str, Any]]) -> dict[str, Any]:

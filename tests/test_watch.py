@@ -104,7 +104,10 @@ def test_values_are_those_of_the_log_and_a_restarted_daemon_is_found_again(tmp_p
     with daemon(tmp_path, "feed", NOT_HOMED) as made:
         feed = DaemonFeed(made.socket, every=10)
         log = made.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+        made.wait_until(lambda status: status["state"] == "ready" and status["log"] is not None)
+        deadline_s = time.monotonic() + PATIENCE_S
         while len(seen) < 60:
+            assert time.monotonic() < deadline_s, "there is nothing to see"
             seen += feed.look().ticks
             time.sleep(0.05)
     away = feed.look()

@@ -19,14 +19,18 @@ from typing import Any
 import numpy as np
 import pytest
 from daemons import QUICK, daemon
+from hypothesis import given
+from hypothesis import strategies as st
 from patience import BUSY_PC, PATIENCE_S
 
 from pamctl.cli.assembly import ao_path
+from pamctl.live.gate import refusal_of
 from pamctl.log import read
 from pamctl.log.schema import TICK_TOPIC
 from pamctl.log.wire import one_by_one
 
 pytest.importorskip("foxglove", reason="the extra pamctl[live] is not installed")
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
@@ -128,6 +132,65 @@ def test_a_daemon_is_seen_in_all_its_states_and_its_runs_as_their_logs_have_them
     assert assert_equal_to_the_log(Path(log), schema, ticks) > 50
     states = {json.loads(p)["state"] for subscription, _, p in got if subscription != 1}
     assert states & {"running", "ready"}
+
+
+SITE = "https://app.foxglove.dev"
+
+
+def head(*lines: str) -> bytes:
+    return "\r\n".join(["GET / HTTP/1.1", *lines, "Upgrade: websocket", "", ""]).encode()
+
+
+@pytest.mark.parametrize(
+    ("lines", "status"),
+    [
+        (["Host: 127.0.0.1:8765"], None),
+        (["Host: localhost:8765", "Origin: file://"], None),
+        (["Host: localhost:8765", f"Origin: {SITE}"], None),
+        (["Host: localhost:8765", "Origin: https://app.foxglove.dev.evil.example"], "403"),
+        (["Host: localhost:8765", "Origin: HTTPS://evil.example"], "403"),
+        (["Host: localhost:8765", "Origin: http://localhost:8765"], "403"),
+        (["Host: localhost:8765", "Origin: null"], "403"),
+        (["Host: localhost:8765", "Origin: file://", "Origin: https://evil.example"], "403"),
+        (["Host: localhost:8765", f"Origin: {SITE}", f"Origin: {SITE}"], "403"),
+        (["Host: evil.example:8765"], "421"),
+        (["Host: 127.0.0.1:8765", "Host: evil.example"], "421"),
+        ([], "421"),
+    ],
+    ids=str,
+)
+def test_programs_applications_and_named_sites_may_look_on_and_nobody_else(
+    lines: list[str], status: str | None
+) -> None:
+    refusal = refusal_of(head(*lines), 8765, {SITE})
+    assert (refusal and refusal.status[:3]) == status
+
+
+@given(st.binary(max_size=200))
+def test_whatever_bytes_a_request_begins_with_they_are_judged(garbage: bytes) -> None:
+    assert refusal_of(garbage + b"\r\n\r\n", 8765, ()) is not None
+
+
+def test_pages_of_other_sites_cannot_look_on(
+    tmp_path: Path,
+) -> None:
+    live = ["--live", "--live-port", "0", "--live-origin", SITE]
+    with daemon(tmp_path, "gate", NOT_HOMED, options=live):
+        port = port_told(tmp_path / "daemon.err")
+        for origin in (None, "file://", SITE):
+            with _connected(port, origin) as connection:
+                assert json.loads(connection.recv(PATIENCE_S))["op"] == "serverInfo"
+        for origin in ("https://evil.example", "null", f"http://127.0.0.1:{port}"):
+            with pytest.raises(InvalidStatus, match="403"), _connected(port, origin):
+                pass
+        with socket.create_connection(("127.0.0.1", port)) as flood, pytest.raises(ConnectionError):
+            for _ in range(1000):
+                flood.sendall(b"x" * 65536)
+
+
+def _connected(port: int, origin: Any) -> ClientConnection:
+    protocol = Subprotocol("foxglove.sdk.v1")
+    return connect(f"ws://localhost:{port}", subprotocols=[protocol], origin=origin)
 
 
 def test_a_port_that_is_taken_is_said_and_the_run_goes_on(tmp_path: Path) -> None:

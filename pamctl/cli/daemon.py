@@ -19,7 +19,13 @@ from pamctl.cli.config import (
     config_errors_exit,
 )
 from pamctl.cli.linux import require_linux
-from pamctl.cli.live import DEFAULT_LIVE_PORT, LiveOption, LivePortOption, port_of
+from pamctl.cli.live import (
+    DEFAULT_LIVE_PORT,
+    LiveOption,
+    LiveOriginOption,
+    LivePortOption,
+    port_of,
+)
 from pamctl.cli.socket_option import SocketOption
 from pamctl.settings import DEFAULT_NAMES, resolve
 
@@ -47,6 +53,7 @@ def daemon(
     ] = 600.0,
     live: LiveOption = False,
     live_port: LivePortOption = DEFAULT_LIVE_PORT,
+    live_origins: LiveOriginOption = None,
 ) -> None:
     """Stay up: home, run experiments and hold positions as clients ask (pamctl start, goto ...)."""
     with config_errors_exit():
@@ -69,5 +76,7 @@ def daemon(
     from pamctl.cli.serving import ServiceOptions, serve  # no other verb has to wait for it
     from pamctl.daemon.client import own_socket
 
-    options = ServiceOptions(socket or own_socket(), group, logs, keep, idle_after_s, port)
+    options = ServiceOptions(
+        socket or own_socket(), group, logs, keep, idle_after_s, port, live_origins or ()
+    )
     sys.exit(int(serve(settings, names, options)))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Annotated
 
 import typer
 
+from pamctl.cli.failure import fail
 from pamctl.realtime.ending import ExitCode
 
 LiveOption = Annotated[
@@ -18,6 +19,14 @@ LiveOption = Annotated[
 ]
 LivePortOption = Annotated[
     int, typer.Option("--live-port", metavar="PORT", min=0, max=65535, help="Of --live.")
+]
+LiveOriginOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--live-origin",
+        metavar="ORIGIN",
+        help="Site whose pages may look on: https://app.foxglove.dev; repeats.",
+    ),
 ]
 DEFAULT_LIVE_PORT = 8765
 """Foxglove's own."""
@@ -28,21 +37,21 @@ def port_of(live: bool, port: int) -> int | None:
     if not live:
         return None
     if importlib.util.find_spec("foxglove") is None:
-        print(
-            "error: --live needs foxglove-sdk, which is not installed: pip install 'pamctl[live]'",
-            file=sys.stderr,
-        )
-        raise typer.Exit(int(ExitCode.UNAVAILABLE))
+        what = "--live needs foxglove-sdk, which is not installed: pip install 'pamctl[live]'"
+        fail(ExitCode.UNAVAILABLE, what)
     return port
 
 
 @contextmanager
-def live_view(port: int | None, *source: str) -> Iterator[None]:
-    """Let `pamctl.cli.live_process` serve `source` on `port` meanwhile; nothing with None."""
+def live_view(port: int | None, origins: Sequence[str], *source: str) -> Iterator[None]:
+    """Let `pamctl.cli.live_process` serve `source` on `port` meanwhile; nothing with None.
+
+    Pages of the sites in `origins` may look on, beside programs and applications.
+    """
     if port is None:
         yield
         return
-    command = [sys.executable, "-m", "pamctl.cli.live_process", str(port), *source]
+    command = [sys.executable, "-m", "pamctl.cli.live_process", str(port), *source, *origins]
     # It hears no Ctrl-C, and leaves when its standard input ends, with this process.
     viewer = subprocess.Popen(command, stdin=subprocess.PIPE, process_group=0)
     try:

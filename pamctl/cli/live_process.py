@@ -1,4 +1,4 @@
-"""`python -m pamctl.cli.live_process PORT --socket PATH | --ring PATH`: what `--live` starts.
+"""What `--live` starts: `python -m pamctl.cli.live_process PORT --socket|--ring PATH ORIGIN...`.
 
 Its standard input is a pipe whose end is the end of the process that started it. Whatever goes
 wrong here is one line on standard error: the run goes on.
@@ -22,7 +22,7 @@ _NICE = 10
 def main() -> NoReturn:
     """Serve until standard input ends."""
     os.nice(_NICE)
-    port, kind, source = int(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
+    port, kind, source, origins = int(sys.argv[1]), sys.argv[2], Path(sys.argv[3]), sys.argv[4:]
     sys.stdout = sys.stderr  # standard output is the result of the run
     try:
         from pamctl.live.foxglove import EVERY, serve
@@ -32,7 +32,7 @@ def main() -> NoReturn:
             if kind == "--socket"
             else RingFeed(Ring.attach(source), EVERY)
         )
-        serve(feed, port, _goes_on)
+        serve(feed, port, origins, _goes_on)
     except Exception as error:
         print(f"live: not served on port {port}: {error}", file=sys.stderr)
         sys.exit(1)

@@ -23,7 +23,13 @@ from pamctl.cli.config import (
     config_errors_exit,
 )
 from pamctl.cli.linux import require_linux
-from pamctl.cli.live import DEFAULT_LIVE_PORT, LiveOption, LivePortOption, port_of
+from pamctl.cli.live import (
+    DEFAULT_LIVE_PORT,
+    LiveOption,
+    LiveOriginOption,
+    LivePortOption,
+    port_of,
+)
 from pamctl.settings import DEFAULT_NAMES, resolve, to_json, to_yaml
 
 
@@ -52,6 +58,7 @@ def run(
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress line.")] = False,
     live: LiveOption = False,
     live_port: LivePortOption = DEFAULT_LIVE_PORT,
+    live_origins: LiveOriginOption = None,
 ) -> None:
     """Move the muscle, log every tick, and say how well it tracked."""
     with config_errors_exit(as_json=as_json):
@@ -83,4 +90,5 @@ def run(
     require_linux()
     from pamctl.cli.running import run_and_tell
 
-    sys.exit(run_and_tell(settings, names, log, port, as_json=as_json, quiet=quiet))
+    origins = live_origins or ()
+    sys.exit(run_and_tell(settings, names, log, port, origins, as_json=as_json, quiet=quiet))

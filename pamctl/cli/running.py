@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ def run_and_tell(
     names: dict[str, str],
     log: Path | None,
     live_port: int | None,
+    live_origins: Sequence[str],
     *,
     as_json: bool,
     quiet: bool,
@@ -52,7 +53,7 @@ def run_and_tell(
             meta = run_meta(settings, names, path)
             with Ring.create(ring_path(), meta, settings.rig.loop.ring_rows) as ring:
                 progress = ProgressLine(quiet=quiet or as_json)
-                with live_view(live_port, "--ring", str(ring.path)):
+                with live_view(live_port, live_origins, "--ring", str(ring.path)):
                     report = _conducted(ring, rig, progress, settings)
     except LogPathError as error:
         return _fail(ExitCode.USAGE, str(error), as_json=as_json)

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -43,6 +43,7 @@ class ServiceOptions(NamedTuple):
     keep: int | None
     idle_after_s: float
     live_port: int | None
+    live_origins: Sequence[str]
 
 
 def serve(settings: RunSettings, names: Mapping[str, str], options: ServiceOptions) -> ExitCode:
@@ -60,7 +61,10 @@ def serve(settings: RunSettings, names: Mapping[str, str], options: ServiceOptio
                 Latch(SHARED_MEMORY / f"pamctl-{device_of(settings)}.fault"),
                 idle_after_s=options.idle_after_s,
             )
-            with live_view(options.live_port, "--socket", str(options.socket)):
+            live = live_view(
+                options.live_port, options.live_origins, "--socket", str(options.socket)
+            )
+            with live:
                 return asyncio.run(_serve(service, options.socket, options.group))
     except (SocketError, RingError, RigError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -1,19 +1,21 @@
 """Values for Foxglove and Lichtblick over the Foxglove WebSocket, as the log has them.
 
-Topic, schema and bytes of `/pam/tick` are the log's: one layout shows both. Loopback only, and
-nothing can be changed from there. Needs the package foxglove-sdk: `pamctl[live]`.
+Topic, schema and bytes of `/pam/tick` are the log's: one layout shows both. Loopback only, through
+a gate, and nothing can be changed from there. Needs the package foxglove-sdk: `pamctl[live]`.
 """
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from contextlib import closing
 
 import foxglove
 import numpy as np
 
 from pamctl.live.feed import Feed, Glimpse
+from pamctl.live.gate import Gate, hidden_address
 from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor, units
 from pamctl.log.wire import TickLayout
 from pamctl.signals import TICK_FIELDS
@@ -58,17 +60,21 @@ class Telemetry:
         return self._layout.encode(self._columns).tobytes()
 
 
-def serve(feed: Feed, port: int, goes_on: Callable[[float], bool]) -> None:
+def serve(
+    feed: Feed, port: int, origins: Collection[str], goes_on: Callable[[float], bool]
+) -> None:
     """Send what the feed sees for as long as `goes_on`, which sleeps so many seconds, says so.
 
-    Raises `RuntimeError` where the port cannot be had.
+    `origins` are the sites whose pages may look on. Raises `OSError` where the port cannot be had.
     """
-    server = foxglove.start_server(name="pamctl", host="127.0.0.1", port=port)
-    print(f"live: ws://127.0.0.1:{server.port} (Foxglove, Lichtblick)", flush=True)
-    telemetry = Telemetry()
+    hidden = hidden_address()
+    server = foxglove.start_server(name="pamctl", host=hidden, port=0)
     try:
-        while goes_on(1.0 / LOOKS_PER_S):
+        with closing(Gate(port, (hidden, server.port), origins)) as gate:
+            print(f"live: ws://127.0.0.1:{gate.port} (Foxglove, Lichtblick)", flush=True)
+            telemetry = Telemetry()
+            while goes_on(1.0 / LOOKS_PER_S):
+                telemetry.send(feed.look())
             telemetry.send(feed.look())
-        telemetry.send(feed.look())
     finally:
         server.stop()

@@ -1,0 +1,139 @@
+"""Who may look on over the WebSocket: what foxglove-sdk's server does not ask.
+
+A page of any site may open a WebSocket to this PC, and its browser says in `Origin` whose page it
+is. The public port is therefore this gate's, which reads the head of the request and passes the
+connection on, or does not. The server behind it listens on a loopback address drawn by lot, of
+some 2^37 with its port: a page can try them for years.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import secrets
+import socket
+import threading
+from collections.abc import Collection, Coroutine
+from contextlib import suppress
+from http.client import HTTPException, parse_headers
+from typing import NamedTuple
+
+MOST_CONNECTIONS = 16
+LARGEST_HEAD = 1 << 14
+_HEAD_WITHIN_S = 5.0
+_PIECE = 1 << 16
+
+
+class Refusal(NamedTuple):
+    """Why a connection is not passed on."""
+
+    status: str
+    reason: str
+
+
+def hidden_address() -> str:
+    """Return a loopback address that nobody else uses, nor can guess."""
+    return "127." + ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
+
+
+def refusal_of(head: bytes, port: int, origins: Collection[str]) -> Refusal | None:
+    """Judge the head of an HTTP request to `port`; `origins` are the sites that may look on.
+
+    A program sends no origin, and an application its own scheme (`file://`): both may. A page
+    has its site's, or `null` where it hides it.
+    """
+    try:
+        _, rest = head.split(b"\r\n", 1)
+        headers = parse_headers(io.BytesIO(rest))
+    except (ValueError, HTTPException):
+        return Refusal("400 Bad Request", "this is no request")
+    hosts, told = headers.get_all("Host", []), headers.get_all("Origin", [])
+    if hosts not in ([f"127.0.0.1:{port}"], [f"localhost:{port}"]):
+        return Refusal("421 Misdirected Request", "this is not the host you asked for")
+    if not told or (told[0] in origins and len(told) == 1):
+        return None
+    is_page = any(one == "null" or one.lower().startswith(("http:", "https:")) for one in told)
+    if is_page or len(told) > 1:
+        way_out = "name this site with --live-origin if it may look on"
+        return Refusal("403 Forbidden", f"pages of other sites may not look on; {way_out}")
+    return None
+
+
+class Gate:
+    """Listens on the loopback address, in a thread of its own."""
+
+    def __init__(self, port: int, behind: tuple[str, int], origins: Collection[str]) -> None:
+        """Listen on `port` for the server `behind`; raise `OSError` where it cannot be had."""
+        self._socket = socket.create_server(("127.0.0.1", port))
+        self.port: int = self._socket.getsockname()[1]
+        self._behind = behind
+        self._origins = frozenset(origins)
+        self._connections = 0
+        self._events = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, name="gate", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._events)
+        serving = asyncio.start_server(self._welcome, sock=self._socket, limit=LARGEST_HEAD)
+        self._events.run_until_complete(serving)
+        self._events.run_forever()
+
+    def close(self) -> None:
+        """Let nobody in any more."""
+        self._events.call_soon_threadsafe(self._events.stop)
+        self._thread.join()
+        self._socket.close()
+
+    async def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self._connections >= MOST_CONNECTIONS:
+            writer.close()
+            return
+        self._connections += 1
+        try:
+            await self._serve(reader, writer)
+        # It vanished, said nothing, or too much; or the server behind is not there any more.
+        except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            pass
+        finally:
+            self._connections -= 1
+            writer.close()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        async with asyncio.timeout(_HEAD_WITHIN_S):
+            head = await reader.readuntil(b"\r\n\r\n")
+        refusal = refusal_of(head, self.port, self._origins)
+        if refusal is not None:
+            writer.write(_answer(refusal))
+            await writer.drain()
+            return
+        its_reader, its_writer = await asyncio.open_connection(*self._behind)
+        try:
+            its_writer.write(head)
+            await _either(_pass_on(reader, its_writer), _pass_on(its_reader, writer))
+        finally:
+            its_writer.close()
+
+
+async def _pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
+    """Copy to the end. Who reads slowly is felt by who writes, which then leaves some out."""
+    with suppress(ConnectionError):
+        while piece := await source.read(_PIECE):
+            sink.write(piece)
+            await sink.drain()
+
+
+async def _either(*ways: Coroutine[None, None, None]) -> None:
+    """Wait until one of them has ended; end the others."""
+    tasks = [asyncio.ensure_future(way) for way in ways]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+
+
+def _answer(refusal: Refusal) -> bytes:
+    body = refusal.reason.encode() + b"\n"
+    head = f"HTTP/1.1 {refusal.status}\r\nContent-Type: text/plain\r\n"
+    return f"{head}Content-Length: {len(body)}\r\nConnection: close\r\n\r\n".encode() + body

@@ -15,8 +15,10 @@ def main() -> None:
     try:
         # Half of the start-up is this import, and an impatient Ctrl-C falls into it.
         from pamctl.cli.app import app
+        from pamctl.cli.failure import documented
 
-        app()
+        with documented(sys.argv[1:]):
+            app()
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:

@@ -38,11 +38,10 @@ from pamctl.settings import (
 def answers_of(
     option: str, values: Sequence[float] | None, points: Sequence[float]
 ) -> Sequence[float] | None:
-    """Return the answers given by options, if any; raise where they do not fit the questions."""
+    """Return the answers given by options, if any; leave where they do not fit the questions."""
     if values is not None and len(values) != len(points):
-        with config_errors_exit():
-            message = f"{len(values)} values for {len(points)} points; give --point as often"
-            raise ConfigError([Problem(option, "", message)])
+        message = f"{len(values)} values for {len(points)} points; give --point as often"
+        raise typer.BadParameter(message, param_hint=option)
     return values
 
 

@@ -65,7 +65,8 @@ def config_errors_exit(*, as_json: bool = False) -> Iterator[None]:
         code = _exit_code(error.problems)
         if as_json:
             problems = [problem._asdict() for problem in error.problems]
-            typer.echo(json.dumps({"exit_code": int(code), "problems": problems}, indent=2))
+            told = {"exit_code": int(code), "reason": str(error), "problems": problems}
+            typer.echo(json.dumps(told, indent=2))
         typer.echo(str(error), err=True)
         raise typer.Exit(code) from None
 
@@ -110,7 +111,7 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Print the configuration a run with the same options would use, defaults included."""
-    with config_errors_exit():
+    with config_errors_exit(as_json=as_json):
         settings = resolve(
             controller=controller,
             experiment=experiment,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 
-import typer
-
+from pamctl.cli.failure import fail
 from pamctl.realtime.ending import ExitCode
 
 
@@ -13,5 +12,4 @@ def require_linux() -> None:
     """Leave with 69 elsewhere, before anything is imported that is not there."""
     if sys.platform != "linux":
         elsewhere = "the verbs that read logs, and config, reproduce and tune, work here too"
-        typer.echo(f"error: this verb needs Linux; {elsewhere}", err=True)
-        raise typer.Exit(ExitCode.UNAVAILABLE)
+        fail(ExitCode.UNAVAILABLE, f"this verb needs Linux; {elsewhere}")

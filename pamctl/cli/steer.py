@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 
 from pamctl.cli.config import JsonOption, config_errors_exit
+from pamctl.cli.failure import fail
 from pamctl.cli.linux import require_linux
 from pamctl.cli.progress import progress_text
 from pamctl.cli.socket_option import SocketOption
@@ -38,14 +38,9 @@ def ask(socket: Path | None, method: str, params: Mapping[str, object] | None = 
         with Client(socket or default_socket()) as client:
             return client.call(method, params)
     except Unreachable as error:
-        _leave(ExitCode.UNAVAILABLE, str(error))
+        fail(ExitCode.UNAVAILABLE, str(error))
     except Declined as error:
-        _leave(ExitCode.CHECK_FAILED, str(error))
-
-
-def _leave(code: ExitCode, reason: str) -> NoReturn:
-    print(f"error: {reason}", file=sys.stderr)
-    raise typer.Exit(int(code))
+        fail(ExitCode.CHECK_FAILED, str(error))
 
 
 def status(socket: SocketOption = None, as_json: JsonOption = False) -> None:
@@ -76,7 +71,7 @@ def start(
     as_json: JsonOption = False,
 ) -> None:
     """Run an experiment; home first if the muscle is not."""
-    data = _section("experiment", experiment)
+    data = _section("experiment", experiment, as_json=as_json)
     params = {"experiment": data, "name": bare(experiment), "duration_s": duration_s}
     _tell(ask(socket, "start", params), "log: {log}", as_json=as_json)
 
@@ -154,7 +149,7 @@ def load(
     as_json: JsonOption = False,
 ) -> None:
     """Take the gains of a controller file, on a ramp; another law only between runs."""
-    data = _section("controller", file)
+    data = _section("controller", file, as_json=as_json)
     gains = ask(socket, "load", {"controller": data, "name": bare(file), "ramp_s": ramp_s})
     typer.echo(json.dumps(gains, indent=2) if as_json else dump(gains).rstrip())
 
@@ -166,9 +161,9 @@ def show(socket: SocketOption = None, as_json: JsonOption = False) -> None:
     typer.echo(json.dumps(gains, indent=2) if as_json else dump(gains).rstrip())
 
 
-def _section(section: str, name: str) -> dict[str, Any]:
+def _section(section: str, name: str, *, as_json: bool) -> dict[str, Any]:
     """Read and check a file here, where its lines can be named."""
-    with config_errors_exit():
+    with config_errors_exit(as_json=as_json):
         return to_data(validated(SECTIONS[section], Raw.read(find(section, name)), title=section))
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pamctl.cli.failure import fail
 from pamctl.cli.linux import require_linux
 from pamctl.cli.socket_option import SocketOption
 from pamctl.realtime.ending import ExitCode
@@ -43,8 +43,7 @@ def watch(
         serve_page(where, port, allow_control=allow_control)
     except OSError as error:
         why = f"port {port}: {error.strerror or error}; choose another with --port"
-        print(f"error: {why}", file=sys.stderr)
-        raise typer.Exit(int(ExitCode.UNAVAILABLE)) from None
+        fail(ExitCode.UNAVAILABLE, why)
 
 
 def plain_line(glimpse: Glimpse) -> str:

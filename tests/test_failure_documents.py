@@ -1,0 +1,126 @@
+"""`--json` prints one document, however a verb ends."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from pamctl.__main__ import main
+from pamctl.cli import steer
+from pamctl.cli.app import app
+
+
+def verbs(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """All that have `--json`, with the words that call them."""
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from verbs(inner, (*words, name))
+    if any("--json" in parameter.opts for parameter in command.params):
+        yield words
+
+
+VERBS = sorted(verbs(get_command(app)))
+STEERED = [
+    ("status",), ("start", "tracking-1"), ("stop",), ("estop",), ("ack",), ("disarm",),
+    ("goto", "12mm"), ("set", "controller.eta=1"), ("mark", "here"), ("gains", "show"),
+    ("gains", "load", "qsmc"),
+]  # fmt: skip
+
+
+class Ended:
+    """How a verb ended: its code, the document, and what stood on standard error."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> None:
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as left:
+            patch.setattr(sys, "argv", ["pamctl", *arguments])
+            main()
+        out, self.err = capsys.readouterr()
+        self.code, self.document = left.value.code, json.loads(out)
+
+
+def test_every_verb_that_steers_the_daemon_has_it() -> None:
+    assert len(VERBS) > 25
+    assert {verb[0] for verb in STEERED} <= {verb[0] for verb in VERBS}
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
+def test_an_option_that_there_is_not_is_a_document(
+    capsys: pytest.CaptureFixture[str], verb: tuple[str, ...]
+) -> None:
+    ended = Ended(capsys, *verb, "--json", "--no-such-option")
+    assert ended.document == {
+        "exit_code": 2,
+        "reason": ended.document["reason"],
+    }
+    assert "--no-such-option" in ended.document["reason"]
+    assert ended.code == 2
+    assert "--no-such-option" in ended.err
+
+
+@pytest.mark.parametrize("verb", STEERED, ids=" ".join)
+def test_no_daemon_is_a_document(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, verb: tuple[str, ...]
+) -> None:
+    ended = Ended(capsys, *verb, "--json", "--socket", str(tmp_path / "none.sock"))
+    assert ended.code == ended.document["exit_code"] == 69
+    assert "no daemon listens" in ended.document["reason"]
+    assert ended.err == f"error: {ended.document['reason']}\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("start", "nonsense"), 2),
+        (("gains", "load", "nonsense"), 2),
+        (("goto", "far away"), 2),
+        (("config", "show", "--rig", "nonsense"), 2),
+        (("run", "--set", "controller.eta=-1"), 78),
+        (("doctor", "--rig", "nonsense"), 2),
+        (("calibrate", "encoder", "--rig", "nonsense", "--out", "x.yaml"), 2),
+    ],
+    ids=str,
+)
+def test_what_makes_no_sense_is_a_document_with_a_reason(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], code: int
+) -> None:
+    ended = Ended(capsys, *arguments, "--json")
+    assert ended.code == ended.document["exit_code"] == code
+    assert ended.document["reason"]
+
+
+def test_ctrl_c_is_a_document(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(steer, "ask", interrupted)
+    ended = Ended(capsys, "status", "--json")
+    assert ended.document == {"exit_code": 130, "reason": "interrupted"}
+
+
+def test_an_error_of_ours_is_a_document_and_a_traceback(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise RuntimeError("ours")
+
+    monkeypatch.setattr(steer, "ask", broken)
+    monkeypatch.setattr(sys, "argv", ["pamctl", "status", "--json"])
+    with pytest.raises(RuntimeError):
+        main()
+    assert json.loads(capsys.readouterr().out) == {"exit_code": 1, "reason": "RuntimeError: ours"}
+
+
+def test_without_json_a_failure_prints_nothing_to_be_parsed(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["pamctl", "status", "--socket", str(tmp_path / "none")])
+    with pytest.raises(SystemExit):
+        main()
+    assert capsys.readouterr().out == ""

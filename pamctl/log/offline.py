@@ -37,7 +37,7 @@ class Signals:
     dt_s: Floats
     """Time since the previous tick, by the clock; of the first one, the nominal period."""
     valve_v: Floats | None
-    """Valve command as really applied, -5..5 V, positive fills; NaN where the write failed."""
+    """Valve command as really put out, -5..5 V, positive fills; NaN where the write failed."""
     pressure_pa: Floats | None
     """Absolute pressure in the muscle."""
     position_m: Floats | None
@@ -68,8 +68,9 @@ class Signals:
 def signals(log: Log) -> Signals:
     """Return the measured signals of a log, whatever its origin.
 
-    Of a run of ours the valve command is what the converter applied, turned back by the
-    calibration in the log; raise LogError if there is none.
+    Of a run of ours the valve command is what the converter applied, when it did: a tick later
+    where a sample clock paces it. It is turned back by the calibration in the log; raise LogError
+    if there is none.
     """
     count = len(log)
     return Signals(
@@ -84,6 +85,21 @@ def signals(log: Log) -> Signals:
     )
 
 
+def _put_out_v(log: Log) -> Floats:
+    """Return the driver's voltage from each tick's samples to the next ones, shape (n,)."""
+    applied_v: Floats = log["applied_v"]
+    rig = log.metadata.get("rig", {})
+    if rig.get("output_delay_ticks", "0") == "0" or not len(log):
+        return applied_v
+    before_v = np.concatenate(([float(rig["safe_output_v"])], applied_v[:-1]))
+    if rig.get("backend") == "sim":
+        return before_v
+    # A card puts it out at its next edge, be that missed or not: of a tick of several periods
+    # the first has the old voltage and the others the new. Their mean moves as much air.
+    old_share = 1.0 / (1.0 + np.concatenate((log["missed"][1:], [0])))
+    return np.asarray(old_share * before_v + (1.0 - old_share) * applied_v)
+
+
 def _applied_valve_v(log: Log) -> Floats:
     written: Any = log.config.get("rig", {}).get("calibration")
     try:
@@ -94,4 +110,4 @@ def _applied_valve_v(log: Log) -> Floats:
             f"what was applied to the valve cannot be told ({error.error_count()} problems)"
         ) from error
     # Plain arithmetic, and so the same on an array as on a number.
-    return valve_v(calibration(settings), log["applied_v"])  # type: ignore[arg-type,return-value]
+    return valve_v(calibration(settings), _put_out_v(log))  # type: ignore[arg-type,return-value]

@@ -19,6 +19,25 @@ _OURS = Path("/dev/shm", f"pamctl-tests-{os.getpid()}")
 os.environ["PAMCTL_SHARED_MEMORY"] = str(_OURS)
 
 
+LONGEST_FIRST = (
+    "test_guardian.py", "test_run.py", "test_daemon.py", "test_fault_processes.py", "test_tune.py",
+    "test_effects_physics.py", "test_nidaq.py", "test_log_fuzz.py", "test_watch_web.py",
+    "test_diagnose.py", "test_doctor.py", "test_calibrate.py", "test_two_readings.py",
+    "test_diagnose_example.py", "test_log.py", "test_repeatability.py", "test_reproduce.py",
+    "test_report.py", "test_diagnosis_page.py", "test_plant_convergence.py",
+    "test_recorder_faults.py", "test_daemon_clients.py", "test_watch.py", "test_live.py",
+    "test_service.py", "test_replay.py", "test_truth.py", "test_closed_loop.py",
+    "test_compiled.py", "test_readonly.py", "test_offline_verbs.py", "test_log_check.py",
+    "test_effects.py", "test_yamlfile.py", "test_log_import.py",
+)  # fmt: skip
+"""Files that take long: one that came last would leave all other workers idle."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    rank = {name: place for place, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
     _OURS.mkdir()
     # A shell lets what it starts in the background ignore Ctrl-C, and with it all that we start.

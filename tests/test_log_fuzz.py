@@ -32,14 +32,17 @@ def rows(log: Log) -> dict[int, dict[str, Any]]:
     return {row[0]: dict(zip(log.columns, row, strict=True)) for row in zip(*columns, strict=True)}
 
 
-def assert_nothing_wrong_is_passed_as_good(original: Log, damaged: Path) -> Recovery | None:
-    """Put a damaged file to every tool that reads logs; return what `recover` says."""
+def assert_nothing_wrong_is_passed_as_good(
+    original: Log, damaged: Path, *, by_all: bool = True
+) -> Recovery | None:
+    """Put a damaged file to `read` and `recover`, or to all tools; return what `recover` says."""
     with pytest.raises(LogError):
         read(damaged)
-    with suppress(LogError):
-        assert not info(damaged)["complete"]
-    with suppress(LogError):
-        assert not check(damaged).ok
+    if by_all:
+        with suppress(LogError):
+            assert not info(damaged)["complete"]
+        with suppress(LogError):
+            assert not check(damaged).ok
     saved = damaged.with_name("saved.mcap")
     saved.unlink(missing_ok=True)
     try:
@@ -48,7 +51,7 @@ def assert_nothing_wrong_is_passed_as_good(original: Log, damaged: Path) -> Reco
         assert not saved.exists()
         return None
     assert_true_of(original, read(saved, *recovery.messages), recovery)
-    if "/pam/tick" in recovery.messages:
+    if by_all and "/pam/tick" in recovery.messages:
         assert check(saved).ok, check(saved)
     return recovery
 
@@ -73,7 +76,9 @@ def test_a_log_cut_anywhere_is_refused_and_what_is_saved_of_it_is_true(whole, tm
     saved = -1
     for end in range(len(content)):
         (tmp_path / "a.mcap").write_bytes(content[:end])
-        recovery = assert_nothing_wrong_is_passed_as_good(original, tmp_path / "a.mcap")
+        recovery = assert_nothing_wrong_is_passed_as_good(
+            original, tmp_path / "a.mcap", by_all=end % 7 == 0
+        )
         ticks = recovery.messages.get("/pam/tick", 0) if recovery else 0
         assert ticks >= saved  # a byte more is never worth less
         saved = ticks
@@ -84,11 +89,13 @@ def test_a_flipped_bit_is_refused_and_what_is_saved_is_true(whole, tmp_path):
     original, content = read(whole), whole.read_bytes()
     chance = random.Random(7)
     fewest = len(original)
-    for _ in range(1000):
+    for count in range(1000):
         flipped = bytearray(content)
         flipped[chance.randrange(len(content))] ^= 1 << chance.randrange(8)
         (tmp_path / "a.mcap").write_bytes(flipped)
-        recovery = assert_nothing_wrong_is_passed_as_good(original, tmp_path / "a.mcap")
+        recovery = assert_nothing_wrong_is_passed_as_good(
+            original, tmp_path / "a.mcap", by_all=count % 4 == 0
+        )
         fewest = min(fewest, recovery.messages.get("/pam/tick", 0) if recovery else 0)
     # One bit costs one chunk: the rest is found behind it, wherever the bit was.
     assert fewest == len(original) - CHUNK_TICKS

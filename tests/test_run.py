@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 from patience import BUSY_PC, PATIENCE_S
 from rings import await_phase, await_tick, ring_left
+from typer.testing import CliRunner
 
+from pamctl.cli.app import app
 from pamctl.cli.assembly import SHARED_MEMORY
 from pamctl.log.reader import Log, read
 from pamctl.settings import from_resolved, resolve
@@ -96,6 +98,18 @@ def outcome(log: Log) -> dict[str, object]:
 
 # --- a run without a clock ---------------------------------------------------------------
 
+SHORT = ("--duration", "0.5", "--seed", "7", "--set", "rig.loop.stop_ramp_s=0.25")
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    return fast_run(tmp_path_factory.mktemp("short"), *SHORT)[1]
+
+
+@pytest.fixture(scope="module")
+def nine_seconds(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    return fast_run(tmp_path_factory.mktemp("nine"), "--duration", "9")[1]
+
 
 def test_a_fast_run_says_how_well_it_tracked_beside_table_iv(tmp_path: Path) -> None:
     report, log = fast_run(tmp_path)
@@ -110,19 +124,17 @@ def test_a_fast_run_says_how_well_it_tracked_beside_table_iv(tmp_path: Path) -> 
 
 
 def test_the_same_seed_gives_the_same_bytes_of_payload_and_another_seed_does_not(
-    tmp_path: Path,
+    tmp_path: Path, short: Log
 ) -> None:
-    def payload(name: str, seed: str) -> list[bytes]:
-        _, log = fast_run(tmp_path, "--duration", "1", "--seed", seed, log=name)
+    def payload(log: Log) -> list[bytes]:
         return [np.ascontiguousarray(log[column]).tobytes() for column in log.columns]
 
-    first = payload("a.mcap", "7")
-    assert first == payload("b.mcap", "7")
-    assert first != payload("c.mcap", "8")
+    assert payload(fast_run(tmp_path, *SHORT, log="b.mcap")[1]) == payload(short)
+    assert payload(fast_run(tmp_path, *SHORT, "--seed", "8", log="c.mcap")[1]) != payload(short)
 
 
-def test_a_run_homes_approaches_tracks_and_stops_in_this_order(tmp_path: Path) -> None:
-    _, log = fast_run(tmp_path, "--duration", "9")
+def test_a_run_homes_approaches_tracks_and_stops_in_this_order(nine_seconds: Log) -> None:
+    log = nine_seconds
     phases = log["phase"][np.flatnonzero(np.diff(log["phase"], prepend=-1))]
     assert phases.tolist() == [Phase.HOMING, Phase.APPROACH, Phase.TRACK, Phase.STOPPING]
     zeroed = [event for event in log.events if event["event"] == "zeroed"]
@@ -130,13 +142,12 @@ def test_a_run_homes_approaches_tracks_and_stops_in_this_order(tmp_path: Path) -
     assert zeroed[-1]["encoder_zero_counts"] == 1000.0
 
 
-def test_duration_counts_from_the_end_of_homing(tmp_path: Path) -> None:
-    _, log = fast_run(tmp_path, "--duration", "0.5")
-    assert np.count_nonzero(log["phase"] == Phase.APPROACH) == 500
+def test_duration_counts_from_the_end_of_homing(short: Log) -> None:
+    assert np.count_nonzero(short["phase"] == Phase.APPROACH) == 500
 
 
-def test_the_valve_ends_on_a_ramp_at_its_safe_voltage(tmp_path: Path) -> None:
-    _, log = fast_run(tmp_path, "--duration", "6")
+def test_the_valve_ends_on_a_ramp_at_its_safe_voltage(nine_seconds: Log) -> None:
+    log = nine_seconds
     stopping = log["phase"] == Phase.STOPPING
     assert log["applied_v"][-1] == pytest.approx(0.0, abs=0.02)
     assert np.all(np.diff(log["applied_v"][stopping]) <= 0)
@@ -157,13 +168,12 @@ def test_every_shipped_law_runs_the_experiment_to_its_end(tmp_path: Path, contro
     assert report["tracking"]["measured"]["max_m"] < 292e-6
 
 
-def test_the_log_carries_the_resolved_configuration(tmp_path: Path) -> None:
-    _, log = fast_run(tmp_path, "--duration", "0.2", "--set", "rig.loop.stop_ramp_s=0.25")
-    embedded = from_resolved(json.dumps(log.config))
-    asked = resolve(duration_s=0.2, fast=True, overrides=["rig.loop.stop_ramp_s=0.25"])
+def test_the_log_carries_the_resolved_configuration(short: Log) -> None:
+    embedded = from_resolved(json.dumps(short.config))
+    asked = resolve(duration_s=0.5, seed=7, fast=True, overrides=["rig.loop.stop_ramp_s=0.25"])
     assert embedded == asked
-    assert log.gains[0]["law"] == "qsmc"
-    assert log.metadata["run"]["controller"] == "qsmc"
+    assert short.gains[0]["law"] == "qsmc"
+    assert short.metadata["run"]["controller"] == "qsmc"
 
 
 def test_a_dry_run_prints_a_configuration_that_resolves_to_itself(tmp_path: Path) -> None:
@@ -173,9 +183,8 @@ def test_a_dry_run_prints_a_configuration_that_resolves_to_itself(tmp_path: Path
     assert not list(tmp_path.iterdir())
 
 
-def test_log_info_says_what_a_log_holds(tmp_path: Path) -> None:
-    fast_run(tmp_path, "--duration", "0.5")
-    done = pamctl("log", "info", "run.mcap", "--json", cwd=tmp_path)
+def test_log_info_says_what_a_log_holds(tmp_path: Path, short: Log) -> None:
+    done = pamctl("log", "info", str(short.path), "--json", cwd=tmp_path)
     found = json.loads(done.stdout)
     assert found["complete"]
     assert found["law"] == "qsmc"
@@ -356,7 +365,6 @@ def test_a_rehearsed_fault_ends_the_run_with_its_exit_code_and_reason(
         (["--backend", "moog"], 2, "--backend moog: unknown; there are sim, nidaq"),
         (["--backend", "nidaq", "--fast"], 2, "only a simulation can do without a clock"),
         (["--backend", "nidaq", "--rig", "sim"], 2, "is for the backend sim"),
-        (["--backend", "nidaq"], 69, "install NI-DAQmx"),
         (["--controller", "qsmk"], 2, "did you mean 'qsmc'?"),
         (["--controller", "missing.yaml"], 78, "missing.yaml"),
         (["--set", "controller.lamda=1"], 78, "did you mean 'lambda_per_s'?"),
@@ -369,11 +377,16 @@ def test_a_rehearsed_fault_ends_the_run_with_its_exit_code_and_reason(
     ],
 )
 def test_bad_input_gets_one_clear_error_and_changes_nothing(
-    tmp_path: Path, arguments: list[str], code: int, complaint: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    code: int,
+    complaint: str,
 ) -> None:
     (tmp_path / "there-already.mcap").write_bytes(b"precious")
-    done = pamctl("run", *arguments, cwd=tmp_path)
-    assert done.returncode == code
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["run", *arguments])
+    assert done.exit_code == code, done.exception
     assert complaint in done.stderr
     assert "Traceback" not in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["there-already.mcap"]
@@ -382,6 +395,9 @@ def test_bad_input_gets_one_clear_error_and_changes_nothing(
 
 def test_without_a_run_json_still_prints_one_document(tmp_path: Path) -> None:
     no_driver = pamctl("run", "--backend", "nidaq", "--json", cwd=tmp_path)
+    assert "install NI-DAQmx" in no_driver.stderr
+    assert "Traceback" not in no_driver.stderr
+    assert not list(tmp_path.iterdir())
     assert json.loads(no_driver.stdout)["exit_code"] == no_driver.returncode == 69
     bad = pamctl("run", "--set", "controller.lamda=1", "--json", cwd=tmp_path)
     assert json.loads(bad.stdout)["exit_code"] == bad.returncode == 78

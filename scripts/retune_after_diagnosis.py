@@ -35,7 +35,7 @@ from pamctl.merit import merit  # noqa: E402
 from pamctl.plant.model import PlantSettings  # noqa: E402
 from pamctl.realtime.ending import ExitCode  # noqa: E402
 from pamctl.settings import resolve  # noqa: E402
-from pamctl.tune import Search, fixed_members  # noqa: E402
+from pamctl.tune import Jury, Search, fixed_members  # noqa: E402
 from pamctl.tune.space import SPACES  # noqa: E402
 
 HIDDEN = ("valve_deadband:5", "valve_hysteresis:5", "command_delay:10", "valve_spool:5")
@@ -96,7 +96,8 @@ def measured(record: Record) -> Measured:
 def tuned(law: str, plant: PlantSettings, generations: int, seed: int) -> tuple[Any, float]:
     """Search gains on a plant; return them and their cost there."""
     start = resolve(controller=law).controller.model_dump()
-    search = Search(law, fixed_members([("plant", plant)]), seed, start=start)
+    jury = Jury((), 1.0, tuple(fixed_members([("plant", plant)])))
+    search = Search(law, jury, seed, start=start)
     for _ in range(generations):
         best = search.advance()
     tell(f"  {generations} generations, seed {seed}: {best.cost:.3f} of Table IV")

@@ -18,7 +18,11 @@ def tune(
     ] = None,
     plants: Annotated[
         list[str] | None,
-        typer.Option("--plant", metavar="NAME|FILE", help="Tune for this one; repeats."),
+        typer.Option(
+            "--plant",
+            metavar="NAME|FILE",
+            help="Tune for this one; repeats. With --ensemble: these weigh as much as all drawn.",
+        ),
     ] = None,
     size: Annotated[
         int | None,
@@ -32,7 +36,10 @@ def tune(
         int, typer.Option("--generations", min=1, max=100_000, help="Stop after so many.")
     ] = 40,
     quantile: Annotated[
-        float, typer.Option("--quantile", min=0.5, max=1.0, help="1: the worst plant counts.")
+        float,
+        typer.Option(
+            "--quantile", min=0.5, max=1.0, help="Of the drawn plants; 1: the worst one counts."
+        ),
     ] = 1.0,
     held_out: Annotated[
         int, typer.Option("--held-out", min=1, max=10_000, help="Fresh plants for the score.")

@@ -25,14 +25,15 @@ from pamctl.realtime.ending import ExitCode
 from pamctl.settings import SECTIONS, Raw, find, to_data, validated
 from pamctl.tune.ensemble import Member, ensemble, fixed_members
 from pamctl.tune.gains_file import Scores, gains_file, scores
-from pamctl.tune.search import Found, Search, SearchError
+from pamctl.tune.search import Found, Jury, Search, SearchError
 from pamctl.tune.space import SPACES
-from pamctl.tune.trial import Trial, Verdict
+from pamctl.tune.trial import SHORT_S, Trial, Verdict
 
 _DEFAULT_SIZE = 16
 _FRESH = 1_000_003
 """Added to the seed for plants that the search has not seen."""
 _SHOWN_FAILURES = 8
+_WHICH = {"fresh": "fresh plants", "named": "named plants"}
 
 
 @dataclass(frozen=True)
@@ -40,15 +41,23 @@ class Asked:
     """What the options mean."""
 
     law: str
-    members: list[Member]
+    drawn: list[Member]
+    """Plants of which a quantile counts."""
+    named: list[Member]
+    """Plants of which each counts."""
     fresh: list[Member]
-    """Plants for the score."""
+    """Drawn plants for the score, none of which the search sees."""
     seed: int
     quantile: float
     out: Path | None
     checked: Any
     """Controller to score; None to seek one."""
     start: dict[str, Any] | None
+
+    @property
+    def jury(self) -> Jury:
+        """Who judges in a search."""
+        return Jury(tuple(self.drawn), self.quantile, tuple(self.named))
 
     @classmethod
     def of(
@@ -68,8 +77,6 @@ class Asked:
         law = checked.law if checked is not None else law
         if law not in SPACES:
             raise _wrong(f"--law {law or ''}".strip(), f"must be one of {', '.join(SPACES)}")
-        if plants and size is not None:
-            raise _wrong("--ensemble", "tune for given plants or for drawn ones, not both")
         if checked is None:
             _require_new(out)
         began = None if start is None else _controller(start)
@@ -77,14 +84,12 @@ class Asked:
             raise _wrong(f"--start {start}", f"holds gains of {began.law}, not of {law}")
         if began is not None and began.length_unit != "mm":
             raise _wrong(f"--start {start}", "gains are sought in mm, these are in inches")
-        if plants:
-            members = fixed_members([(bare(name), _plant(name)) for name in plants])
-            fresh = members
-        else:
-            members = ensemble(size or _DEFAULT_SIZE, seed)
-            fresh = ensemble(held_out, seed + _FRESH)
+        named = fixed_members([(bare(name), _plant(name)) for name in plants])
+        draws = size is not None or not plants
+        drawn = ensemble(size or _DEFAULT_SIZE, seed) if draws else []
+        fresh = ensemble(held_out, seed + _FRESH) if draws else []
         begun = None if began is None else to_data(began)
-        return cls(law, members, fresh, seed, quantile, out, checked, begun)
+        return cls(law, drawn, named, fresh, seed, quantile, out, checked, begun)
 
 
 def _wrong(where: str, message: str) -> ConfigError:
@@ -109,10 +114,10 @@ def _plant(name: str) -> Any:
 
 
 def check_gains(asked: Asked, jobs: int | None, *, as_json: bool) -> ExitCode:
-    """Score given gains on fresh plants and print how they did."""
+    """Score given gains on fresh plants, or on named ones, and print how they did."""
     with _processes(jobs) as executor:
-        found = _scored(executor, asked.checked, asked.fresh)
-    document = {"law": asked.law, "gains": to_data(asked.checked), "scores": _document(found)}
+        found = _scored(executor, asked.checked, asked)
+    document = {"law": asked.law, "gains": to_data(asked.checked), **_document(found)}
     typer.echo(json.dumps(document, indent=2) if as_json else _told(asked.law, found))
     return ExitCode.OK
 
@@ -125,12 +130,10 @@ def seek_gains(
     state = asked.out.with_suffix(".search.json")
     began_s = time.monotonic()
     interrupted = False
-    found: Scores | None
+    found: dict[str, Scores]
     with _processes(jobs) as executor:
         try:
-            search = Search(
-                asked.law, asked.members, asked.seed, asked.quantile, asked.start, state
-            )
+            search = Search(asked.law, asked.jury, asked.seed, asked.start, state)
             while search.generation < generations:
                 _show(search.advance(executor), generations, began_s)
         except SearchError as error:
@@ -145,10 +148,10 @@ def seek_gains(
             return ExitCode.SIGINT
         controller = SECTIONS["controller"].validate_python(best.gains)
         try:
-            found = _scored(executor, controller, asked.fresh)
+            found = _scored(executor, controller, asked)
         except KeyboardInterrupt:  # in no mood to wait: the gains all the same
-            interrupted, found = True, None
-    text = gains_file(best.gains, command, _effort(asked, best), _reported(asked, found))
+            interrupted, found = True, {}
+    text = gains_file(best.gains, command, _effort(asked, best), _reported(found))
     with asked.out.open("x") as file:
         file.write(text)
     if not interrupted:
@@ -161,13 +164,13 @@ def seek_gains(
         "runs": best.evaluations,
         "took_s": time.monotonic() - began_s,
         "interrupted": interrupted,
-        "scores": None if found is None else _document(found),
+        **_document(found),
         "out": str(asked.out),
     }
     if as_json:
         typer.echo(json.dumps(document, indent=2))
     else:
-        typer.echo("not scored" if found is None else _told(asked.law, found))
+        typer.echo(_told(asked.law, found) if found else "not scored")
         typer.echo(f"gains: {asked.out}")
     if interrupted:
         print(
@@ -205,10 +208,18 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _scored(executor: ProcessPoolExecutor, controller: Any, members: Sequence[Member]) -> Scores:
+def _scored(executor: ProcessPoolExecutor, controller: Any, asked: Asked) -> dict[str, Scores]:
+    """Return scores on fresh plants and on the named ones, where there are any."""
     verdict = partial(_verdict, controller)
-    found = list(executor.map(verdict, members, chunksize=max(1, len(members) // 50)))
-    return scores(members, found)
+    members = [*asked.fresh, *asked.named]
+    verdicts = list(executor.map(verdict, members, chunksize=max(1, len(members) // 50)))
+    drawn = len(asked.fresh)
+    parts = {"fresh": slice(drawn), "named": slice(drawn, None)}
+    return {
+        which: scores(members[part], verdicts[part])
+        for which, part in parts.items()
+        if members[part]
+    }
 
 
 def _verdict(controller: Any, member: Member) -> Verdict:
@@ -229,26 +240,33 @@ def _show(best: Found, generations: int, began_s: float) -> None:
 
 def _effort(asked: Asked, best: Found) -> str:
     kind = f"the quantile {asked.quantile:g}" if asked.quantile < 1.0 else "the worst"
+    drawn = f"{kind} of {len(asked.drawn)} drawn plants" if asked.drawn else ""
+    named = " and ".join(member.name for member in asked.named)
+    judges = ", and for ".join(filter(None, [drawn, named]))
     return (
-        f"Differential evolution, {best.generation} generations, {best.evaluations} runs of 24 s, "
-        f"for {kind} of {len(asked.members)} plants, which scored {best.cost:.3f}."
+        f"Differential evolution, {best.generation} generations, {best.evaluations} runs of "
+        f"{SHORT_S:g} s, for {judges}; cost {best.cost:.3f}."
     )
 
 
-def _reported(asked: Asked, found: Scores | None) -> str:
-    if found is None:
+def _reported(found: dict[str, Scores]) -> str:
+    if not found:
         return "Not scored: interrupted."
-    which = "the same plants" if asked.fresh is asked.members else "fresh plants"
-    return (
-        f"On {found.plants} {which}, both experiments in full: {found.inside} inside Table IV "
-        f"({100 * found.share:.1f} %), score median {found.median:.2f}, 95 % {found.p95:.2f}, "
-        f"worst {found.worst:.2f}."
-    )
+    said = [
+        f"on {one.plants} {_WHICH[which]} {one.inside} inside Table IV ({100 * one.share:.1f} %), "
+        f"score median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
+        for which, one in found.items()
+    ]
+    return f"Both experiments in full: {'; '.join(said)}."
 
 
-def _told(law: str, found: Scores) -> str:
+def _told(law: str, found: dict[str, Scores]) -> str:
+    return "\n".join(_told_of(f"{law}, {_WHICH[which]}", one) for which, one in found.items())
+
+
+def _told_of(title: str, found: Scores) -> str:
     lines = [
-        f"{law}: {found.inside} of {found.plants} plants inside every bound of Table IV "
+        f"{title}: {found.inside} of {found.plants} inside every bound of Table IV "
         f"({100 * found.share:.1f} %)",
         f"largest error over its bound: median {found.median:.2f}, 95 % {found.p95:.2f}, "
         f"worst {found.worst:.2f}",
@@ -260,6 +278,10 @@ def _told(law: str, found: Scores) -> str:
     return "\n".join(lines)
 
 
-def _document(found: Scores) -> dict[str, Any]:
+def _document(found: dict[str, Scores]) -> dict[str, Any]:
+    return {"scores": {which: _of_plants(one) for which, one in found.items()} or None}
+
+
+def _of_plants(found: Scores) -> dict[str, Any]:
     failures = [{"plant": n, "why": why, "worst": worst} for n, why, worst in found.failures]
     return {**found._asdict(), "share": found.share, "failures": failures}

@@ -55,6 +55,8 @@ TUNED = (
     Case("SMC tuned", "smc", remark="one set for all plants"),
     Case("PID tuned", "pid", remark="one set for all plants"),
     Case("qSMC for this plant", "qsmc-paper-plant", remark="tuned for the paper's plant alone"),
+    Case("SMC for this plant", "smc-paper-plant", remark="tuned for the paper's plant alone"),
+    Case("PID for this plant", "pid-paper-plant", remark="tuned for the paper's plant alone"),
 )
 ALL = (PRINTED_QSMC, IN_MILLIMETRES, PRINTED_SMC, UNHINDERED_SMC, FITTED_SMC, *TUNED)
 

@@ -10,11 +10,12 @@ Everything runs on the compiled closed loop: the very tick of the loop process.
 """
 
 from pamctl.tune.ensemble import Member, ensemble, fixed_members
-from pamctl.tune.search import Found, Search, SearchError
+from pamctl.tune.search import Found, Jury, Search, SearchError
 from pamctl.tune.trial import Trial, Verdict
 
 __all__ = [
     "Found",
+    "Jury",
     "Member",
     "Search",
     "SearchError",

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from pamctl.tune.ensemble import Member
-from pamctl.tune.space import SPACES, Space
+from pamctl.tune.space import SPACES
 from pamctl.tune.trial import Trial
 
 Floats = NDArray[np.float64]
@@ -34,6 +34,8 @@ BESIDE = 0.1
 _AMONG_BEST = 0.2
 _STRIDES = (0.4, 0.9)
 _CROSSED = 0.8
+_HOPELESS = 10.0
+"""Costs beyond it are not looked into: an oscillation, or a safety trip."""
 _NO_GAINS = 1e3
 
 
@@ -51,48 +53,62 @@ class Found(NamedTuple):
     """Runs of one plant each."""
 
 
+class Jury(NamedTuple):
+    """The plants that judge."""
+
+    drawn: tuple[Member, ...]
+    quantile: float
+    """Of the drawn ones: 1 is the worst, 0.95 leaves the worst 5 % to themselves."""
+    named: tuple[Member, ...]
+    """Beside them; the worst of these counts, and counts as much as all drawn ones."""
+
+    @property
+    def forgiven(self) -> int:
+        """How many of the drawn ones may be beyond a limit that the quantile keeps."""
+        last = len(self.drawn) - 1
+        return last - math.floor(self.quantile * last)
+
+
 class Cost(NamedTuple):
     """What a point costs, and what it cost to know."""
 
     value: float
+    """Where it is beyond the limit: at least so much."""
     runs: int
+    ratios: tuple[float, ...] = ()
+    """Of each drawn plant; none where not all were asked."""
 
 
-def cost_of(
-    point: Floats,
-    limit: float,
-    space: Space,
-    members: Sequence[Member],
-    trial: Trial,
-    quantile: float,
-) -> Cost:
-    """Return what a point costs: the worst error over its bound, at a quantile of the plants.
+def cost_of(controller: Any, limit: float, jury: Jury, trial: Trial, order: Sequence[int]) -> Cost:
+    """Return what gains cost: the largest error over its bound, named plants plus drawn ones.
 
-    The point is lost, whatever the rest of the plants say, once more of them than the quantile
-    forgives are beyond `limit`: the rest is not tried, and the cost is only known to be larger.
+    Of the drawn ones the quantile counts; they are asked in the given order. As soon as those
+    asked suffice to bring the gains beyond the limit, the rest is spared.
     """
-    try:
-        controller = space.controller(point)
-    except ValueError:  # gains that contradict each other are no gains
+    if controller is None:  # gains that contradict each other are no gains
         return Cost(_NO_GAINS, 0)
-    ratios: list[float] = []
-    forgiven = len(members) - 1 - math.floor(quantile * (len(members) - 1))
-    for member in members:
-        ratios.append(trial.verdict(controller, member).worst)
-        if sum(ratio > limit for ratio in ratios) > forgiven:
-            return Cost(max(ratios), len(ratios))
-    return Cost(float(np.quantile(ratios, quantile)), len(ratios))
+    worst_named = 0.0
+    for runs, member in enumerate(jury.named, 1):
+        worst_named = max(worst_named, trial.verdict(controller, member).cost)
+        if worst_named > limit:
+            return Cost(worst_named, runs)
+    ratios = np.full(len(jury.drawn), math.nan)
+    for runs, at in enumerate(order, len(jury.named) + 1):
+        ratios[at] = trial.verdict(controller, jury.drawn[at]).cost
+        beyond = ratios[worst_named + ratios > limit]
+        if len(beyond) > jury.forgiven:
+            return Cost(worst_named + float(beyond.min()), runs)
+    of_drawn = float(np.quantile(ratios, jury.quantile)) if jury.drawn else 0.0
+    return Cost(worst_named + of_drawn, len(jury.named) + len(jury.drawn), tuple(ratios.tolist()))
 
 
 @dataclass
 class Search:
-    """A search for gains of one law on some plants."""
+    """A search for gains of one law before a jury of plants."""
 
     law: str
-    members: Sequence[Member]
+    jury: Jury
     seed: int
-    quantile: float = 1.0
-    """1 is the worst plant; 0.95 leaves the worst 5 % to themselves."""
     start: dict[str, Any] | None = None
     """Gains to begin beside, in mm; the usual ones where there are none."""
     state: Path | None = None
@@ -102,6 +118,7 @@ class Search:
     def __post_init__(self) -> None:
         """Begin, or take up what `state` holds; raise `SearchError` if that is another search."""
         self._space = SPACES[self.law]
+        self._order = list(range(len(self.jury.drawn)))
         self._generation = 0
         self._runs = 0
         self._population = self._first_population()
@@ -124,24 +141,30 @@ class Search:
     def advance(self, executor: Executor | None = None) -> Found:
         """Go on by one generation; return the best so far."""
         points = self._population if self._generation == 0 else self._offspring()
-        cost = partial(
-            cost_of,
-            space=self._space,
-            members=self.members,
-            trial=self.trial,
-            quantile=self.quantile,
-        )
-        limits = self._costs.tolist()
+        controllers = [self._controller(point) for point in points]
+        cost = partial(cost_of, jury=self.jury, trial=self.trial, order=self._order)
+        limits = np.minimum(self._costs, _HOPELESS).tolist()
         share_out = map if executor is None else executor.map
-        tried = list(share_out(cost, points, limits))
+        tried = list(share_out(cost, controllers, limits))
         costs = np.array([each.value for each in tried])
         better = costs < self._costs
         self._population = np.where(better[:, None], points, self._population)
         self._costs = np.where(better, costs, self._costs)
         self._generation += 1
         self._runs += sum(each.runs for each in tried)
+        if better[np.argmin(self._costs)]:
+            # Where the best has its troubles a rival fails soonest, and costs least.
+            ratios = np.array(tried[int(np.argmin(self._costs))].ratios)
+            if len(ratios):
+                self._order = np.argsort(-ratios, kind="stable").tolist()
         self._keep()
         return self.best
+
+    def _controller(self, point: Floats) -> Any:
+        try:
+            return self._space.controller(point)
+        except ValueError:
+            return None
 
     def _offspring(self) -> Floats:
         """Return a rival for each: a stride towards one of the best and along a difference."""
@@ -183,15 +206,17 @@ class Search:
         return {
             "law": self.law,
             "seed": self.seed,
-            "quantile": self.quantile,
-            "plants": [member.name for member in self.members],
+            "quantile": self.jury.quantile,
+            "drawn": [member.name for member in self.jury.drawn],
+            "named": [member.name for member in self.jury.named],
             "digest": self._digest(),
             "start": self.start,
         }
 
     def _digest(self) -> str:
         """Tell plants and spaces apart that changed and kept their names."""
-        text = [repr(self._space), *(repr(m.__reduce__()[1]) for m in self.members)]
+        plants = (*self.jury.drawn, *self.jury.named)
+        text = [repr(self._space[:2]), *(repr(plant.__reduce__()[1]) for plant in plants)]
         return hashlib.sha256("\n".join(text).encode()).hexdigest()[:16]
 
     def _keep(self) -> None:
@@ -201,6 +226,7 @@ class Search:
             **self._identity(),
             "generation": self._generation,
             "runs": self._runs,
+            "order": self._order,
             "population": self._population.tolist(),
             "costs": self._costs.tolist(),
         }
@@ -215,16 +241,18 @@ class Search:
             population = np.array(kept["population"], dtype=np.float64)
             costs = np.array(kept["costs"], dtype=np.float64)
             generation, runs = int(kept["generation"]), int(kept["runs"])
+            order = [int(at) for at in kept["order"]]
         except (ValueError, KeyError, TypeError) as error:
             raise SearchError(f"{state} is no search that could be resumed: {error}") from error
         if (
             mine != self._identity()
             or population.shape != self._population.shape
             or costs.shape != self._costs.shape
+            or sorted(order) != sorted(self._order)
         ):
             raise SearchError(
                 f"{state} belongs to another search (law, plants, bounds, seed or start differ); "
                 "remove it, or ask for the same again"
             )
         self._generation, self._runs = generation, runs
-        self._population, self._costs = population, costs
+        self._population, self._costs, self._order = population, costs, order

@@ -2,10 +2,30 @@
 
 All on a logarithmic scale: a gain that is twice as large is as different as one half as
 large. Only lambda^q enters the sliding laws, so q stays where the paper has it.
+
+The sliding laws are sought by what their gains do at rest, not by K_p and phi. With the reaching
+law saturated the command is
+
+    u = -K_p / g (l^3 + 3 eta l^2) e - ...,    l = lambda^q, g = 1 in Eq. 17, g-hat in Eq. 18,
+
+so that gains which differ by little in what they do lie decades apart in K_p when lambda or eta
+differ. Its place takes the factor of e, in V/mm, which is what K_P is to a PID: all three
+laws are sought between the same bounds of it. The place of phi takes the error, in mm, at which
+the term 3 l^2 e of s alone reaches it.
+
+SMC has one gain more, the mass in f-hat and g-hat. At rest its law amounts to
+
+    u = -K_p / g ((3 l - c / M) e'' + (3 l^2 - d / M) e' + l^3 e),    c = 570 N s/m, d = 1.6e4 N/m,
+
+because f-hat cancels the muscle's own damping and stiffness. With the 0.05 kg of Table I c / M is
+1e4 1/s: any lambda below 3800 1/s feeds the acceleration back with the wrong sign, any below
+320 1/s the velocity too, and a late valve makes that an oscillation. The moved mass acts within
+0.1 ms, so that no rig will ever tell it: to the law it is a gain, and it is sought as one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,15 +33,18 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from pamctl.control.law import ControllerSettings
+from pamctl.control.smc import linearised
+from pamctl.plant.model import PlantSettings, plant_parameters
 
 Floats = NDArray[np.float64]
+Numbers = dict[str, float]
 
 _CONTROLLER: TypeAdapter[Any] = TypeAdapter(ControllerSettings)
 _DIGITS = 4
 
 
 class Axis(NamedTuple):
-    """One gain."""
+    """One of the numbers that are sought."""
 
     name: str
     low: float
@@ -30,11 +53,30 @@ class Axis(NamedTuple):
     """Where a search begins unless told."""
 
 
+def _as_they_are(numbers: Numbers) -> dict[str, Any]:
+    return dict(numbers)
+
+
+def _read_as_they_are(gains: dict[str, Any]) -> Numbers:
+    return {name: float(value) for name, value in gains.items() if isinstance(value, int | float)}
+
+
+def _rounded(gains: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: _rounded(value) if isinstance(value, dict) else float(f"{value:.{_DIGITS}g}")
+        for name, value in gains.items()
+    }
+
+
 class Space(NamedTuple):
     """The gains of a law in mm, and what stays fixed."""
 
     fixed: dict[str, Any]
     axes: tuple[Axis, ...]
+    gains_of: Callable[[Numbers], dict[str, Any]] = _as_they_are
+    """What is sought, as a controller file has it."""
+    sought_of: Callable[[dict[str, Any]], Numbers] = _read_as_they_are
+    """The way back."""
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
@@ -51,10 +93,9 @@ class Space(NamedTuple):
 
         Rounded as the file will be: what is scored is what is written.
         """
-        values = (
-            float(f"{10.0**x:.{_DIGITS}g}") for x in np.asarray(point, dtype=np.float64).tolist()
-        )
-        return {**self.fixed, **{a.name: v for a, v in zip(self.axes, values, strict=True)}}
+        values = (10.0 ** np.asarray(point, dtype=np.float64)).tolist()
+        sought = dict(zip((a.name for a in self.axes), values, strict=True))
+        return {**self.fixed, **_rounded(self.gains_of(sought))}
 
     def controller(self, point: Floats) -> Any:
         """Return a point as validated settings."""
@@ -62,44 +103,121 @@ class Space(NamedTuple):
 
     def point(self, gains: dict[str, Any]) -> Floats:
         """Return a controller file's gains as a point, moved inside the bounds."""
-        found = [np.log10(max(float(gains[a.name]), a.low)) for a in self.axes]
+        sought = self.sought_of(gains)
+        found = [np.log10(max(sought[a.name], a.low)) for a in self.axes]
         low, high = np.array(self.bounds).T
         inside: Floats = np.clip(found, low, high)
         return inside
 
 
-_CUTOFFS = (Axis("lpf1_hz", 40.0, 440.0, 300.0), Axis("lpf2_hz", 10.0, 440.0, 200.0))
+def _stiffness_per_s3(numbers: Numbers, q: float) -> float:
+    """Factor of e in the sliding laws, over K_p / g."""
+    pole: float = numbers["lambda_per_s"] ** q
+    return pole**2 * (pole + 3.0 * numbers["eta"])
+
+
+def _phi_per_mm(numbers: Numbers, q: float) -> float:
+    pole: float = numbers["lambda_per_s"] ** q
+    return 3.0 * pole**2
+
+
+def _sliding_of(sought: Numbers, q: float, kp_name: str, gain_mm_per_s3_v: float) -> Numbers:
+    kp = sought["stiffness_v_per_mm"] * gain_mm_per_s3_v / _stiffness_per_s3(sought, q)
+    return {
+        "lambda_per_s": sought["lambda_per_s"],
+        kp_name: kp,
+        "eta": sought["eta"],
+        "phi": sought["boundary_mm"] * _phi_per_mm(sought, q),
+        "lpf1_hz": sought["lpf1_hz"],
+        "lpf2_hz": sought["lpf2_hz"],
+    }
+
+
+def _sought_of(gains: Numbers, q: float, kp_name: str, gain_mm_per_s3_v: float) -> Numbers:
+    return {
+        **gains,
+        "stiffness_v_per_mm": gains[kp_name] * _stiffness_per_s3(gains, q) / gain_mm_per_s3_v,
+        "boundary_mm": gains["phi"] / _phi_per_mm(gains, q),
+    }
+
+
+# --- qSMC ------------------------------------------------------------------------------------
+
+_QSMC = (1.75, "kp_v_s3_per_length", 1.0)
+
+
+def _qsmc_of(sought: Numbers) -> dict[str, Any]:
+    return dict(_sliding_of(sought, *_QSMC))
+
+
+def _sought_of_qsmc(gains: dict[str, Any]) -> Numbers:
+    return _sought_of(_read_as_they_are(gains), *_QSMC)
+
+
+# --- SMC -------------------------------------------------------------------------------------
+
+
+def _smc(mass_kg: float) -> tuple[float, str, float]:
+    """Return q, K_p's name, and g-hat with this mass: resting, half filled, at mid-stroke."""
+    p = plant_parameters(PlantSettings()).paper._replace(mass_kg=mass_kg)
+    half_filled_pa = 0.5 * (p.tank_pressure_pa + p.atmospheric_pressure_pa)
+    return 1.0, "kp", 1e3 * linearised(p, 11.8e-3, 0.0, 0.0, half_filled_pa).fill_gain
+
+
+def _smc_of(sought: Numbers) -> dict[str, Any]:
+    mass_kg = sought["model_mass_kg"]
+    model = {"parameters": {"mass_kg": mass_kg}}
+    return {**_sliding_of(sought, *_smc(mass_kg)), "model": model}
+
+
+def _sought_of_smc(gains: dict[str, Any]) -> Numbers:
+    parameters = gains["model"].get("parameters", {})
+    mass_kg = float(parameters.get("mass_kg", PlantSettings().parameters.mass_kg))
+    return {**_sought_of(_read_as_they_are(gains), *_smc(mass_kg)), "model_mass_kg": mass_kg}
+
+
+# --- between which bounds --------------------------------------------------------------------
+
 _SLIDING: dict[str, Any] = {"length_unit": "mm", "reaching_law": "eta_abs_s"}
+_STIFFNESS = (0.3, 100.0)
+_SHARED = (Axis("eta", 1e-3, 1e3, 2.0), Axis("boundary_mm", 1e-5, 10.0, 1e-4))
+_LPF1 = (40.0, 440.0)
+_LPF2 = (10.0, 440.0)
 
 SPACES: dict[str, Space] = {
     "qsmc": Space(
         {"law": "qsmc", **_SLIDING, "q": 1.75},
         (
-            Axis("lambda_per_s", 5.0, 80.0, 32.0),
-            Axis("kp_v_s3_per_length", 1e-9, 1e-5, 1e-7),
-            Axis("eta", 1e-4, 1e2, 2.0),
-            Axis("phi", 1e-1, 1e6, 10.0),
-            *_CUTOFFS,
+            Axis("lambda_per_s", 5.0, 80.0, 30.0),
+            Axis("stiffness_v_per_mm", *_STIFFNESS, 20.0),
+            *_SHARED,
+            Axis("lpf1_hz", *_LPF1, 200.0),
+            Axis("lpf2_hz", *_LPF2, 430.0),
         ),
+        _qsmc_of,
+        _sought_of_qsmc,
     ),
     "smc": Space(
-        {"law": "smc", **_SLIDING, "q": 1.0, "model": {}},
+        {"law": "smc", **_SLIDING, "q": 1.0},
         (
-            Axis("lambda_per_s", 30.0, 3000.0, 360.0),
-            Axis("kp", 1e-3, 3.0, 1.0),
-            Axis("eta", 1e-3, 1e3, 2.0),
-            Axis("phi", 1e2, 1e9, 1e4),
-            Axis("lpf1_hz", 40.0, 440.0, 300.0),
-            Axis("lpf2_hz", 0.05, 440.0, 0.2),
+            Axis("lambda_per_s", 20.0, 3000.0, 250.0),
+            Axis("stiffness_v_per_mm", *_STIFFNESS, 15.0),
+            Axis("model_mass_kg", 0.05, 20.0, 1.5),
+            *_SHARED,
+            Axis("lpf1_hz", *_LPF1, 300.0),
+            Axis("lpf2_hz", *_LPF2, 430.0),
         ),
+        _smc_of,
+        _sought_of_smc,
     ),
     "pid": Space(
         {"law": "pid", "length_unit": "mm"},
         (
-            Axis("kp_v_per_length", 0.1, 100.0, 10.0),
-            Axis("ki_v_per_length_s", 1e-3, 200.0, 20.0),
-            Axis("kd_v_s_per_length", 1e-4, 2.0, 0.12),
-            *_CUTOFFS,
+            Axis("kp_v_per_length", *_STIFFNESS, 17.0),
+            Axis("ki_v_per_length_s", 1e-3, 1e3, 20.0),
+            Axis("kd_v_s_per_length", 1e-4, 2.0, 0.18),
+            Axis("lpf1_hz", *_LPF1, 430.0),
+            Axis("lpf2_hz", *_LPF2, 430.0),
         ),
     ),
 }

@@ -1,12 +1,13 @@
 """How well gains do on a plant: each error over its bound in Table IV, the worst counts.
 
-A search cannot afford the paper's two experiments in full. One cycle with rests of little
-more than 5 s has all that they ask: the transitions, and a steady state at each end.
+A search cannot afford the paper's two experiments in full. One cycle of experiment 1 has all
+that they ask: the transitions, and a steady state at each end. Its rests are not cut short: the
+steady error counts after 5 s of rest, and a law that had to be there at once would need an
+integral so strong that it hunts.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -14,18 +15,20 @@ import numpy as np
 
 from pamctl.batch import Batch, simulated
 from pamctl.control.experiment import TrackingSettings
-from pamctl.merit import STEADY_S, TABLE_IV, merit
+from pamctl.merit import TABLE_IV, merit
 from pamctl.rig_settings import SimRigSettings
 from pamctl.settings import RunSettings, resolve
 from pamctl.signals import Phase
 from pamctl.tune.ensemble import Member
 
+_OTHERS = 0.1
+"""Weight of the mean error beside the worst one."""
 TRIPPED = 100.0
 """Of a run that safety ended at its beginning; half of it where it came half-way."""
 
-_SHORT = TrackingSettings(
-    kind="tracking", rest_s=STEADY_S + 0.2, cycles=1, approach_s=3.0, settle_s=1.0
-)
+SHORT = TrackingSettings(kind="tracking", rest_s=10.0, cycles=1, approach_s=3.0, settle_s=0.5)
+SHORT_S = 33.5
+"""How long that takes."""
 
 
 class Bounds(NamedTuple):
@@ -60,6 +63,16 @@ class Verdict(NamedTuple):
     why: str
     """Which error that is, or that safety ended the run."""
     figures_um: dict[str, float]
+    mean: float
+    """Mean of all errors over their bounds."""
+
+    @property
+    def cost(self) -> float:
+        """What a search goes by: the worst error; of gains with the same one, the others.
+
+        Many have the same: the steady error is a whole number of the encoder's counts.
+        """
+        return self.worst + _OTHERS * self.mean
 
     @property
     def is_inside(self) -> bool:
@@ -76,7 +89,7 @@ class Trial:
     def verdict(self, controller: Any, member: Member) -> Verdict:
         """Run gains (a controller's settings) on one plant."""
         if self.length == "short":
-            return _judged_short(simulated(_settings(controller, member, _SHORT)))
+            return _judged_short(simulated(_settings(controller, member, SHORT)))
         verdicts = (
             _judged_whole(simulated(_settings(controller, member, None, name)), name)
             for name in ("tracking-1", "tracking-2")
@@ -124,12 +137,10 @@ def _judged_short(batch: Batch) -> Verdict:
     assert found is not None
     moving = batch.run["phase"] == Phase.TRACK
     moving_rms_m = float(np.sqrt(np.mean(batch.error_m[moving] ** 2)))
-    # Experiment 1 rests for two thirds of its time; here it is half.
-    rms_m = math.sqrt((moving_rms_m**2 + 2.0 * found.steady_m**2) / 3.0)
     return _worst(
         {
             "max": (found.max_m, BOUNDS.max_m),
-            "RMS": (min(rms_m, found.rms_m), BOUNDS.rms_m),
+            "RMS": (found.rms_m, BOUNDS.rms_m),
             "moving RMS": (moving_rms_m, BOUNDS.moving_rms_m),
             "steady": (found.steady_m, BOUNDS.steady_m),
         }
@@ -155,9 +166,11 @@ def _judged_whole(batch: Batch, name: str) -> Verdict:
 def _worst(errors: dict[str, tuple[float, float]]) -> Verdict:
     ratios = {name: error / bound for name, (error, bound) in errors.items()}
     why = max(ratios, key=lambda name: ratios[name])
-    return Verdict(ratios[why], why, {name: error * 1e6 for name, (error, _) in errors.items()})
+    figures_um = {name: error * 1e6 for name, (error, _) in errors.items()}
+    return Verdict(ratios[why], why, figures_um, sum(ratios.values()) / len(ratios))
 
 
 def _tripped(batch: Batch) -> Verdict:
     share = len(batch.t_s) / len(batch.run.reference)
-    return Verdict(TRIPPED * (1.0 - 0.9 * share), "safety trip", {})
+    lost = TRIPPED * (1.0 - 0.9 * share)
+    return Verdict(lost, "safety trip", {}, lost)

@@ -14,9 +14,12 @@ import argparse
 import bisect
 import json
 import math
+import multiprocessing
+import os
 import statistics
 import sys
 from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -43,7 +46,7 @@ SENSORS = {
         "rig.calibration.encoder_m_per_count=1e-9",
     ],
 }
-FOR_SENSORS = 24
+FOR_SENSORS = 8
 """Plants that are also tried without noise and with finer counts."""
 DEAD_BANDS_V = (0.1, 0.2, 0.3)
 """Upper ends of the classes; of one side."""
@@ -116,14 +119,14 @@ def spread(found: Sequence[Sequence[Merit | None]]) -> Spread:
     )
 
 
-def tracking(members: Sequence[Member]) -> dict[str, dict[str, Any]]:
+def tracking(members: Sequence[Member], executor: Executor) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for law in LAWS:
         found[law] = {}
         for sensors, overrides in SENSORS.items():
             print(f"tracking: {law}, {sensors}", file=sys.stderr)
             asked = members[:FOR_SENSORS] if overrides else members
-            each = [both(law, overrides, member) for member in asked]
+            each = list(executor.map(partial(both, law, overrides), asked, chunksize=4))
             found[law][sensors] = {"paper": both(law, overrides, None), "ensemble": spread(each)}
             if not overrides:
                 found[law]["by dead band"] = by_dead_band(members, map(is_inside, each))
@@ -248,9 +251,11 @@ def sweep_q(values: Sequence[float]) -> list[AtQ]:
 # --- words -----------------------------------------------------------------------------
 
 
-def study(plants: int, rounds: int, values: Sequence[float]) -> dict[str, Any]:
+def study(plants: int, rounds: int, values: Sequence[float], jobs: int) -> dict[str, Any]:
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as executor:
+        tracked_errors = tracking(ensemble(plants, SEED), executor)
     return {
-        "tracking": tracking(ensemble(plants, SEED)),
+        "tracking": tracked_errors,
         "cost": costs(rounds),
         "gains": {law: len(gains_of(law)) for law in LAWS},
         "model_numbers": model_numbers(),
@@ -352,9 +357,10 @@ def main() -> None:
     parser.add_argument("--readme", action="store_true", help="write the tables into the README")
     parser.add_argument("--quick", action="store_true", help="2 plants, 2 rounds: does it run?")
     parser.add_argument("--plants", type=int, default=200, help="of the ensemble")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options = parser.parse_args()
     how = (2, 2, SWEPT_Q[:2]) if options.quick else (options.plants, 15, SWEPT_Q)
-    found = study(*how)
+    found = study(*how, options.jobs)
     print(json.dumps(plain(found), indent=1) if options.json else laid_out(found))
     if options.readme:
         write_between("study_claims", laid_out(found))

@@ -165,7 +165,7 @@ def test_so_is_a_run_that_starts_at_a_voltage_that_the_converter_must_round(fold
 
 def test_a_trip_ends_both_in_the_same_tick(folder: Path) -> None:
     real, compiled = assert_same_to_the_bit(
-        settled(folder, "qsmc", "rig.limits.tracking_error_mm=0.1")
+        settled(folder, "qsmc", "rig.limits.tracking_error_mm=0.02")
     )
     assert real.ending.code is ExitCode.SAFETY_TRIP
     assert compiled.tripped_tick == real.ticks[-1].timing.tick > 20

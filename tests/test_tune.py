@@ -29,7 +29,7 @@ from pamctl.tune import Jury, Member, Search, SearchError, Trial, ensemble, fixe
 from pamctl.tune.ensemble import OFF_BY, UNSURE, holds_the_farthest_point
 from pamctl.tune.search import cost_of
 from pamctl.tune.space import SPACES
-from pamctl.tune.trial import SHORT, SHORT_S, Verdict
+from pamctl.tune.trial import SHORT, Verdict
 
 PID = resolve(controller="pid").controller
 PAPER = fixed_members([("paper", resolve().plant)])
@@ -89,11 +89,13 @@ def test_the_short_trial_ranks_gains_as_the_whole_one_does() -> None:
     assert np.corrcoef(np.log(short), np.log(whole))[0, 1] > 0.95
 
 
-def test_the_short_trial_rests_as_long_as_the_paper_and_takes_as_long_as_it_says() -> None:
+def test_trials_take_as_long_as_they_say_and_the_short_one_rests_as_long_as_the_paper() -> None:
     """A steady error counted too early asks for an integral that hunts."""
-    experiment = resolve(experiment="tracking-1").experiment
-    assert SHORT.rest_s == experiment.rest_s  # type: ignore[union-attr]
-    assert sum(segment.duration_s for segment in segments(SHORT)) == pytest.approx(SHORT_S)
+    experiments = [resolve(experiment=f"tracking-{number}").experiment for number in (1, 2)]
+    assert SHORT.rest_s == experiments[0].rest_s  # type: ignore[union-attr]
+    assert Trial("short").duration_s == sum(s.duration_s for s in segments(SHORT))
+    both = [s.duration_s for experiment in experiments for s in segments(experiment)]
+    assert Trial("whole").duration_s == pytest.approx(sum(both))
 
 
 def test_gains_that_trip_cost_more_than_any_that_do_not() -> None:

@@ -27,7 +27,7 @@ from pamctl.tune.ensemble import Member, ensemble, fixed_members
 from pamctl.tune.gains_file import Scores, gains_file, scores
 from pamctl.tune.search import Found, Jury, Search, SearchError
 from pamctl.tune.space import SPACES
-from pamctl.tune.trial import SHORT_S, Trial, Verdict
+from pamctl.tune.trial import Trial, Verdict
 
 _DEFAULT_SIZE = 16
 _FRESH = 1_000_003
@@ -53,6 +53,11 @@ class Asked:
     checked: Any
     """Controller to score; None to seek one."""
     start: dict[str, Any] | None
+
+    @property
+    def trial(self) -> Trial:
+        """How they are judged in a search: a few named plants by the whole experiments."""
+        return Trial("short" if self.drawn else "whole")
 
     @property
     def jury(self) -> Jury:
@@ -133,7 +138,7 @@ def seek_gains(
     found: dict[str, Scores]
     with _processes(jobs) as executor:
         try:
-            search = Search(asked.law, asked.jury, asked.seed, asked.start, state)
+            search = Search(asked.law, asked.jury, asked.seed, asked.start, state, asked.trial)
             while search.generation < generations:
                 _show(search.advance(executor), generations, began_s)
         except SearchError as error:
@@ -245,7 +250,7 @@ def _effort(asked: Asked, best: Found) -> str:
     judges = ", and for ".join(filter(None, [drawn, named]))
     return (
         f"Differential evolution, {best.generation} generations, {best.evaluations} runs of "
-        f"{SHORT_S:g} s, for {judges}; cost {best.cost:.3f}."
+        f"{asked.trial.duration_s:g} s, for {judges}; cost {best.cost:.3f}."
     )
 
 

@@ -67,5 +67,10 @@ def gains_file(gains: Mapping[str, Any], command: str, effort: str, reported: st
     ]
     lines = [_SCHEMA]
     for paragraph in paragraphs:
-        lines += [f"# {line}" for line in textwrap.wrap(paragraph, _WIDTH, break_long_words=False)]
+        lines += [
+            f"# {line}"
+            for line in textwrap.wrap(
+                paragraph, _WIDTH, break_long_words=False, break_on_hyphens=False
+            )
+        ]
     return "\n".join(lines) + "\n" + dump(dict(gains))

@@ -207,6 +207,7 @@ class Search:
             "law": self.law,
             "seed": self.seed,
             "quantile": self.jury.quantile,
+            "trial": self.trial.length,
             "drawn": [member.name for member in self.jury.drawn],
             "named": [member.name for member in self.jury.named],
             "digest": self._digest(),

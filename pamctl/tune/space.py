@@ -189,7 +189,7 @@ SPACES: dict[str, Space] = {
         {"law": "qsmc", **_SLIDING, "q": 1.75},
         (
             Axis("lambda_per_s", 5.0, 80.0, 30.0),
-            Axis("stiffness_v_per_mm", *_STIFFNESS, 20.0),
+            Axis("stiffness_v_per_mm", *_STIFFNESS, 25.0),
             *_SHARED,
             Axis("lpf1_hz", *_LPF1, 200.0),
             Axis("lpf2_hz", *_LPF2, 430.0),

@@ -78,6 +78,8 @@ def test_no_daemon_is_a_document(
         (("start", "nonsense"), 2),
         (("gains", "load", "nonsense"), 2),
         (("goto", "far away"), 2),
+        (("goto", "1e400"), 2),
+        (("goto", "12mm", "--in", "-3"), 2),
         (("config", "show", "--rig", "nonsense"), 2),
         (("run", "--set", "controller.eta=-1"), 78),
         (("doctor", "--rig", "nonsense"), 2),

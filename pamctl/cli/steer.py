@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -65,7 +66,7 @@ def status_text(told: Mapping[str, Any]) -> str:
 def start(
     experiment: Annotated[str, typer.Argument(metavar="NAME|FILE", help="As of pamctl run.")],
     duration_s: Annotated[
-        float | None, typer.Option("--duration", metavar="SECONDS", help="End it early.")
+        float | None, typer.Option("--duration", metavar="SECONDS", min=0, help="End it early.")
     ] = None,
     socket: SocketOption = None,
     as_json: JsonOption = False,
@@ -99,7 +100,7 @@ def disarm(socket: SocketOption = None, as_json: JsonOption = False) -> None:
 def goto(
     position: Annotated[str, typer.Argument(metavar="POSITION", help="12mm, 0.012m, 12")],
     within_s: Annotated[
-        float | None, typer.Option("--in", metavar="SECONDS", help="4 mm/s if absent.")
+        float | None, typer.Option("--in", metavar="SECONDS", min=0, help="4 mm/s if absent.")
     ] = None,
     socket: SocketOption = None,
     as_json: JsonOption = False,
@@ -114,7 +115,9 @@ def metres(text: str) -> float:
     found = re.fullmatch(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*([a-z]*)\s*", text)
     try:
         assert found is not None
-        return float(found[1]) * _METRES[found[2]]
+        length_m = float(found[1]) * _METRES[found[2]]
+        assert math.isfinite(length_m)
+        return length_m
     except (AssertionError, KeyError, ValueError):
         raise typer.BadParameter(f"'{text}' is no position; write 12mm or 0.012m") from None
 

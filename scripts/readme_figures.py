@@ -1,12 +1,13 @@
 """The pictures of the README: pages of `pamctl report`, `reproduce`, `diagnose`, photographed.
 
-    python scripts/readme_figures.py
+    python scripts/readme_figures.py [NAME ...]     # all of them, or these
 
 Writes into .readme/. Needs Chromium (apt-get install chromium).
 """
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import subprocess
 import sys
@@ -83,23 +84,37 @@ def photographed_beside(page: Path, name: str, height: int) -> None:
     photographed(both, name, 1334, height)
 
 
+HEIGHTS = {"report": 1500, "fig3": 1310, "fig5": 1245, "laws": 720, "diagnosis": 1500}
+BESIDE_A_PHONE = ("report", "diagnosis")
+
+
+def page_of(name: str, folder: Path) -> Path:
+    """Make the page that a picture shows."""
+    if name == "diagnosis":
+        return diagnosed(folder)
+    file = folder / f"{name}.html"
+    if name == "report":
+        page = report([read(logged(folder))])
+    else:
+        page = laws() if name == "laws" else reproduce([name], 0).page
+    file.write_text(page.html(), encoding="utf-8")
+    return file
+
+
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(HEIGHTS)}")
+    names = parser.parse_args().names or list(HEIGHTS)
+    if unknown := set(names) - set(HEIGHTS):
+        parser.error(f"no picture is named {', '.join(sorted(unknown))}")
     PICTURES.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        for name, page, height in (
-            ("report", report([read(logged(folder))]), 1500),
-            ("fig3", reproduce(["fig3"], 0).page, 1310),
-            ("fig5", reproduce(["fig5"], 0).page, 1245),
-            ("laws", laws(), 720),
-        ):
-            file = folder / f"{name}.html"
-            file.write_text(page.html(), encoding="utf-8")
-            if name == "report":
-                photographed_beside(file, name, height)
+        for name in names:
+            page = page_of(name, Path(temporary))
+            if name in BESIDE_A_PHONE:
+                photographed_beside(page, name, HEIGHTS[name])
             else:
-                photographed(file, name, 920, height)
-        photographed_beside(diagnosed(folder), "diagnosis", 1500)
+                photographed(page, name, 920, HEIGHTS[name])
 
 
 if __name__ == "__main__":

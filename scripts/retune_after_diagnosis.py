@@ -29,8 +29,9 @@ from hidden.plant import HiddenPlant  # noqa: E402
 from hidden.rig import HiddenRig, Record, hidden_rig  # noqa: E402
 from support import run  # noqa: E402
 
-from pamctl.diagnose import Diagnosis, diagnose  # noqa: E402
+from pamctl.diagnose import Diagnosis, diagnose, sentence  # noqa: E402
 from pamctl.diagnose import Record as Measured  # noqa: E402
+from pamctl.diagnose.document import document  # noqa: E402
 from pamctl.merit import merit  # noqa: E402
 from pamctl.plant.model import PlantSettings  # noqa: E402
 from pamctl.realtime.ending import ExitCode  # noqa: E402
@@ -73,13 +74,13 @@ def retuned(hidden: str, law: str, generations: int, searches: int) -> Retuned:
     name, size = hidden.split(":")
     rig = hidden_rig({name: float(size)}, seed=SEED)
     found = diagnosed(rig)
-    tell(f"{hidden}: {found.sentence}")
+    tell(f"{hidden}: {sentence(found)}")
     rows = [tracked_on(rig, "", resolve(controller=law).controller, None)]
     for label, plant in ((MODEL, PlantSettings()), (DIAGNOSED, found.plant)):
         for seed in range(searches):
             gains, cost = tuned(law, plant, generations, seed)
             rows.append(tracked_on(rig, label, gains, cost))
-    named = [effect["name"] for effect in found.document()["effects"]]
+    named = [effect["name"] for effect in document(found)["effects"]]
     return Retuned(hidden, found.verdict.value, named, rows)
 
 

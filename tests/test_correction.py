@@ -12,8 +12,9 @@ from test_diagnose import all_but
 
 import pamctl.diagnose.correct
 from pamctl.compiled import compiled
-from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
 from pamctl.diagnose.correct import corrected as corrected_by_table
+from pamctl.diagnose.document import document
 from pamctl.diagnose.plantfile import plant_file
 from pamctl.diagnose.words import correction_told
 from pamctl.plant.correction import Table, corrected
@@ -129,13 +130,13 @@ def test_what_has_no_name_is_added_on_request_and_the_held_out_gap_shrinks() -> 
     found = nameless()
     assert found.verdict is Verdict.NONE_KNOWN
     assert not found.standings
-    gap = found.document()["gap"]["position_m"]
+    gap = document(found)["gap"]["position_m"]
     assert gap["corrected"] < 0.4 * gap["recalibrated"]
-    table = found.document()["correction"]["table"]
+    table = document(found)["correction"]["table"]
     assert table["applied"]
     assert table["blocks"] == ["mechanics"]
     assert table["gap"]["position_m"]["after"] == gap["corrected"]
-    assert "Unnamed correction added to the model" in found.summary
+    assert "Unnamed correction added to the model" in summary(found)
 
 
 def test_the_plant_file_with_the_table_is_read_again(tmp_path) -> None:

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from made_records import PERIOD_S, measured, pair
 
-from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, sentence
 from pamctl.diagnose.audit import audit_of
 from pamctl.diagnose.blocks import MECHANICS, PRESSURE, stacked
 from pamctl.diagnose.candidates import Candidate, candidates
+from pamctl.diagnose.document import document
 from pamctl.diagnose.evidence import Evidence, prepared
 from pamctl.diagnose.fit import rms
 from pamctl.diagnose.models import extended, joined, recalibrated
@@ -50,7 +51,7 @@ def test_of_the_model_itself_it_says_that_nothing_is_missing() -> None:
     found = diagnosed()
     assert found.verdict is Verdict.NO_DISCREPANCY
     assert found.plant == PAPER
-    assert found.document()["effects"] == []
+    assert document(found)["effects"] == []
 
 
 def test_numbers_that_are_off_are_found_and_no_effect_is_made_of_them() -> None:
@@ -58,14 +59,14 @@ def test_numbers_that_are_off_are_found_and_no_effect_is_made_of_them() -> None:
     found = diagnosed(**off)
     assert found.verdict is Verdict.MISCALIBRATED
     for name, value in off.items():
-        assert found.document()["recalibrated"][name]["value"] == pytest.approx(value, rel=5e-3)
-    assert "stiffness_n_per_m -5.0 %" in found.sentence
+        assert document(found)["recalibrated"][name]["value"] == pytest.approx(value, rel=5e-3)
+    assert "stiffness_n_per_m -5.0 %" in sentence(found)
 
 
 def test_a_hidden_dead_band_is_named_and_measured_on_both_sides() -> None:
     found = of_a_dead_band()
     assert found.verdict is Verdict.NAMED
-    (effect,) = found.document()["effects"]
+    (effect,) = document(found)["effects"]
     assert effect["name"] == "valve_deadband"
     assert effect["parameters"]["fill_width_v"]["value"] == pytest.approx(0.25, rel=0.02)
     assert effect["parameters"]["exhaust_width_v"]["value"] == pytest.approx(0.20, rel=0.02)
@@ -106,14 +107,14 @@ def test_without_its_name_in_the_catalogue_no_other_effect_is_blamed() -> None:
     hidden = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}
     found = diagnose(*pair(**hidden), PAPER, without=all_but("valve_curve", "valve_leak", "creep"))
     assert found.verdict is Verdict.NONE_KNOWN
-    assert found.document()["correction"]["label"] == "unnamed correction, not a cause"
+    assert document(found)["correction"]["label"] == "unnamed correction, not a cause"
 
 
 def test_pressure_and_position_alone_serve_the_mechanics() -> None:
     train, held = pair(cubic_stiffness__n_per_m3=2e6)
     found = diagnose(*[[replace(r, valve_v=None) for r in part] for part in (train, held)], PAPER)
     assert [s.effect.name for s in found.standings] == ["cubic_stiffness"]
-    assert set(found.document()["gap"]) == {"position_m"}
+    assert set(document(found)["gap"]) == {"position_m"}
 
 
 def test_candidates_fitted_by_workers_give_the_same_document() -> None:
@@ -121,14 +122,14 @@ def test_candidates_fitted_by_workers_give_the_same_document() -> None:
     few = all_but("valve_asymmetry", "valve_leak")
     with ThreadPoolExecutor(2) as executor:
         by_workers = diagnose(*records, PAPER, without=few, executor=executor)
-    assert by_workers.document() == diagnose(*records, PAPER, without=few).document()
+    assert document(by_workers) == document(diagnose(*records, PAPER, without=few))
     assert [s.effect.name for s in by_workers.standings] == ["valve_asymmetry"]
 
 
 def test_the_document_is_json_with_every_key_of_the_schema() -> None:
     for found in (diagnosed(), of_a_dead_band()):
-        document = json.loads(json.dumps(found.document(), allow_nan=False))
-        assert document["schema"] == 1
+        written = json.loads(json.dumps(document(found), allow_nan=False))
+        assert written["schema"] == 1
         assert {
             "verdict",
             "effects",
@@ -138,8 +139,8 @@ def test_the_document_is_json_with_every_key_of_the_schema() -> None:
             "next_experiment",
             "gap",
             "unexplained",
-        } <= document.keys()
-        assert {"nominal", "recalibrated", "extended", "floor"} == document["gap"][
+        } <= written.keys()
+        assert {"nominal", "recalibrated", "extended", "floor"} == written["gap"][
             "pressure_pa"
         ].keys()
 
@@ -200,7 +201,7 @@ def spoilt(**changes: object) -> str:
     record = replace(measured("fit", 1), **changes)  # type: ignore[arg-type]
     found = diagnose([record], [measured("judge", 2)], PAPER)
     assert found.verdict is Verdict.BAD_DATA
-    assert found.document()["reason"] == found.reason
+    assert document(found)["reason"] == found.reason
     return found.reason
 
 
@@ -286,11 +287,11 @@ def test_the_effects_of_the_start_model_are_recalibrated_with_its_numbers() -> N
         without=all_but("external_load"),
     )
     assert found.verdict is Verdict.MISCALIBRATED
-    numbers = found.document()["recalibrated"]
+    numbers = document(found)["recalibrated"]
     assert numbers["cubic_stiffness.n_per_m3"]["value"] == pytest.approx(2e6, rel=0.05)
     assert numbers["creep.stiffness_n_per_m"]["value"] == pytest.approx(260.0, rel=0.05)
     assert "creep.fast_share" not in numbers
-    assert "cubic_stiffness.n_per_m3 +3" in found.sentence
+    assert "cubic_stiffness.n_per_m3 +3" in sentence(found)
     assert found.plant.effects.creep.stiffness_n_per_m == pytest.approx(260.0, rel=0.05)
 
 

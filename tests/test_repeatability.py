@@ -9,7 +9,8 @@ from made_records import PERIOD_S, measured
 from scipy.signal import lfilter
 from test_diagnose import all_but
 
-from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
+from pamctl.diagnose.document import document
 from pamctl.diagnose.repeats import repeats
 from pamctl.plant.model import PlantSettings
 
@@ -54,12 +55,12 @@ def test_periods_are_repeats_once_their_past_is_the_same() -> None:
 def test_a_restless_rig_is_not_blamed_where_its_runs_are_repeated() -> None:
     alone, repeated = found(again=False), found(again=True)
     assert alone.verdict is Verdict.NONE_KNOWN
-    assert alone.document()["limits"]["pressure"]["decided_by"] == "self-simulation"
+    assert document(alone)["limits"]["pressure"]["decided_by"] == "self-simulation"
     assert repeated.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
-    limit = repeated.document()["limits"]["pressure"]
+    limit = document(repeated)["limits"]["pressure"]
     assert limit["decided_by"] == "repeatability"
     assert 2.0 < limit["limit_over_floor"] < 8.0
-    assert "the rig does not repeat itself any better" in repeated.summary
+    assert "the rig does not repeat itself any better" in summary(repeated)
 
 
 def test_an_effect_is_named_on_a_rig_that_repeats_itself_badly() -> None:

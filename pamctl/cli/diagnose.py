@@ -52,6 +52,8 @@ def diagnose(
         start = plant_named(plant)
         _require_known(without or [])
         from pamctl.diagnose import diagnose as diagnosed
+        from pamctl.diagnose import summary
+        from pamctl.diagnose.document import document
         from pamctl.diagnose.logs import record_of
 
         train = [record_of(path) for path in logs]
@@ -71,9 +73,9 @@ def diagnose(
             )
         _write(diagnosis, out, [*logs, *(holdout or [])], [*train, *held])
     if as_json:
-        print_json(diagnosis.document())
+        print_json(document(diagnosis))
     else:
-        typer.echo(diagnosis.summary)
+        typer.echo(summary(diagnosis))
         typer.echo(f"\n{out}: {', '.join(sorted(p.name for p in out.iterdir()))}")
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
 
@@ -121,12 +123,13 @@ def _workers(jobs: int) -> Iterator[Executor | None]:
 def _write(
     diagnosis: Diagnosis, out: Path, logs: Sequence[Path], records: Sequence[Record]
 ) -> None:
+    from pamctl.diagnose.document import document
     from pamctl.diagnose.page import page_of
     from pamctl.diagnose.plantfile import plant_file
 
     out.mkdir(parents=True, exist_ok=True)
-    document = json.dumps(diagnosis.document(), indent=2, allow_nan=False) + "\n"
-    (out / "diagnosis.json").write_text(document)
+    written = json.dumps(document(diagnosis), indent=2, allow_nan=False) + "\n"
+    (out / "diagnosis.json").write_text(written)
     if not diagnosis.reason:
         (out / "plant.yaml").write_text(plant_file(diagnosis, [p.name for p in logs]))
     page = page_of(diagnosis, records).html()

@@ -11,6 +11,15 @@ from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.logs import record_of
 from pamctl.diagnose.records import Record
 from pamctl.diagnose.verdict import Verdict
+from pamctl.diagnose.words import sentence, summary
 from pamctl.diagnose.workflow import diagnose
 
-__all__ = ["Diagnosis", "Record", "Verdict", "diagnose", "record_of"]
+__all__ = [
+    "Diagnosis",
+    "Record",
+    "Verdict",
+    "diagnose",
+    "record_of",
+    "sentence",
+    "summary",
+]

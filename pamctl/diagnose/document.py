@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis, where_left
-from pamctl.diagnose.experiments import separating, showing
+from pamctl.diagnose.next_step import ambiguous, blind_spots, next_experiment
 from pamctl.diagnose.rivals import Standing
 from pamctl.diagnose.verdict import Verdict
+from pamctl.diagnose.words import sentence
 from pamctl.plant.effects import CATALOGUE
 
 SCHEMA = 1
-NEARLY_SEEN = 3.0
-"""What shows from so many smallest sizes on is no reason for another experiment."""
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -22,7 +21,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
             "schema": SCHEMA,
             "verdict": diagnosis.verdict.value,
             "reason": diagnosis.reason,
-            "sentence": diagnosis.sentence,
+            "sentence": sentence(diagnosis),
             "effects": [],
             "ambiguous": [],
             "recalibrated": {},
@@ -35,7 +34,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict.value,
-        "sentence": diagnosis.sentence,
+        "sentence": sentence(diagnosis),
         "effects": [_effect(diagnosis, s) for s in diagnosis.standings],
         "ambiguous": ambiguous(diagnosis),
         "recalibrated": {n.name: n.as_dict() for n in diagnosis.recalibrated},
@@ -90,30 +89,3 @@ def _effect(diagnosis: Diagnosis, standing: Standing) -> dict[str, Any]:
         ],
         "confidence": standing.confidence,
     }
-
-
-def ambiguous(diagnosis: Diagnosis) -> list[list[str]]:
-    """Return the sets of effects that the data do not tell apart."""
-    return [[s.effect.name, *s.equals] for s in diagnosis.standings if s.equals]
-
-
-def blind_spots(diagnosis: Diagnosis) -> list[dict[str, object]]:
-    """Return what these records could not have shown."""
-    audit = diagnosis.audit
-    return [spot.as_dict() for spot in audit.blind_spots] if audit else []
-
-
-def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """Return the experiment that would tell more, if there is one."""
-    sets = ambiguous(diagnosis)
-    if sets:
-        return separating(sets[0])
-    if diagnosis.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
-        return {
-            "name": "diagnosis",
-            "separates": [],
-            "why": "the whole program, to see in which regime the remainder lies",
-        }
-    spots = [s for s in diagnosis.audit.blind_spots if s.experiment] if diagnosis.audit else []
-    hidden = max(spots, key=lambda s: s.sizes, default=None)
-    return showing(hidden.name) if hidden and hidden.sizes > NEARLY_SEEN else None

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis, where_left
-from pamctl.diagnose.document import next_experiment
 from pamctl.diagnose.intervals import Estimate
 from pamctl.diagnose.locate import EVENLY
+from pamctl.diagnose.next_step import next_experiment
 from pamctl.diagnose.verdict import Verdict
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.effects.description import EffectParameter

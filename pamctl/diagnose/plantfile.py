@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.words import correction_told
+from pamctl.diagnose.words import correction_told, sentence
 from pamctl.yamlfile import dump
 
 
@@ -20,7 +20,7 @@ def plant_file(diagnosis: Diagnosis, logs: Sequence[str]) -> str:
 
 def _head(diagnosis: Diagnosis, logs: Sequence[str]) -> Iterator[str]:
     yield f"Written by `pamctl diagnose` from {', '.join(logs)}."
-    yield f"Verdict: {diagnosis.verdict.value}. {diagnosis.sentence}"
+    yield f"Verdict: {diagnosis.verdict.value}. {sentence(diagnosis)}"
     if diagnosis.corrected is not None:
         yield correction_told(diagnosis.corrected)
     if diagnosis.numbers:

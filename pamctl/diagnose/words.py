@@ -8,6 +8,7 @@ from pamctl.diagnose.correct import Corrected
 from pamctl.diagnose.diagnosis import Diagnosis, where_left
 from pamctl.diagnose.intervals import Estimate
 from pamctl.diagnose.models import Model
+from pamctl.diagnose.next_step import next_experiment
 from pamctl.diagnose.verdict import Verdict
 from pamctl.plant.effects import CATALOGUE
 
@@ -62,7 +63,7 @@ def summary(diagnosis: Diagnosis) -> str:
         parts.append(diagnosis.remainder.sentence)
     if diagnosis.corrected is not None:
         parts.append(correction_told(diagnosis.corrected))
-    following = diagnosis.document()["next_experiment"]
+    following = next_experiment(diagnosis)
     if following:
         parts.append(f"next: {following['name']}: {following['why']}")
     return "\n\n".join(parts)

@@ -1,11 +1,11 @@
 """The workflow: prepare, recalibrate, locate, name, hear the rivals, extend, show.
 
 from concurrent.futures import ProcessPoolExecutor
-from pamctl.diagnose import diagnose, record_of
+from pamctl.diagnose import diagnose, record_of, sentence
 
 executor = ProcessPoolExecutor()  # or a Dask Client().get_executor()
 diagnosis = diagnose(train, holdout, plant, executor=executor)
-print(diagnosis.sentence)
+print(sentence(diagnosis))
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from concurrent.futures import Executor
 
 from pamctl.diagnose.blocks import MECHANICS, PRESSURE
 from pamctl.diagnose.candidates import Candidate, candidates
-from pamctl.diagnose.diagnosis import Diagnosis, concluded, refused
+from pamctl.diagnose.conclude import concluded, refused
+from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.evidence import Evidence, prepared, with_modelled_pressure
 from pamctl.diagnose.models import Model, asis, recalibrated
 from pamctl.diagnose.name import searched

@@ -13,11 +13,11 @@ from made_records import PERIOD_S, measured, pair
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, sentence
 from pamctl.diagnose.audit import audit_of
-from pamctl.diagnose.blocks import MECHANICS, PRESSURE, stacked
+from pamctl.diagnose.blocks import MECHANICS, PRESSURE, RUNAWAY, stacked
 from pamctl.diagnose.candidates import Candidate, candidates
 from pamctl.diagnose.document import document
 from pamctl.diagnose.evidence import Evidence, prepared
-from pamctl.diagnose.fit import rms
+from pamctl.diagnose.fit import fit, rms
 from pamctl.diagnose.models import extended, joined, recalibrated
 from pamctl.diagnose.noise import estimate
 from pamctl.diagnose.plantfile import plant_file
@@ -183,6 +183,18 @@ def test_a_load_is_not_shared_out_to_the_zero_of_the_pressure_sensor() -> None:
     values = found.fit_of(MECHANICS).values
     assert values["external_load.force_n"] == pytest.approx(1.3, rel=0.05)
     assert abs(values["pressure_sensor_offset.offset_pa"]) < 50.0
+
+
+def test_a_start_from_which_the_model_runs_away_is_drawn_back() -> None:
+    """A spring as soft as that lets go of the muscle beyond 15 mm."""
+    evidence = prepared(*pair(), PAPER).only({MECHANICS})
+    cubic = candidate("cubic_stiffness", evidence)
+    wild = with_values(PAPER, {"cubic_stiffness.n_per_m3": -1e7, "stiffness_n_per_m": 7000.0})
+    drives = evidence.train[MECHANICS]
+    assert np.max(np.abs(stacked(drives, wild))) > 0.99 * RUNAWAY
+    found = fit(drives, wild, (*recalibrated(evidence).fit_of(MECHANICS).free, *cubic.free))
+    assert np.all(np.abs(found.residual) < 100.0)
+    assert abs(found.values["cubic_stiffness.n_per_m3"]) < 3e4
 
 
 def test_what_a_number_at_the_end_of_its_range_strains_for_may_be_an_effect_s() -> None:

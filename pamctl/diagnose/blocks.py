@@ -28,6 +28,8 @@ VENTED_PA = 20e3
 """A sensor's zero may be off by so much; a muscle that starts higher does not start vented."""
 MODELLED_HZ = 5.0
 """The same, of what is left of it beside a pressure block that is at its floor."""
+RUNAWAY = 1e6
+"""Deviations: the residual of a model that runs away, as a spring with a negative rate does."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,8 @@ class Drive:
 
     def compared(self, simulated: Array) -> Array:
         """Return measurement minus a simulated output, in deviations of the sensor."""
-        error = self.measured - simulated
+        most = RUNAWAY * self.deviation
+        error = np.nan_to_num(self.measured - simulated, nan=most).clip(-most, most)
         if self.rows is not None:
             error = error[self.rows]
         if self.slack:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
-from pamctl.diagnose.blocks import Drive, stacked
+from pamctl.diagnose.blocks import RUNAWAY, Drive, stacked
 from pamctl.diagnose.records import Array
 from pamctl.diagnose.values import Free, value_of, with_values
 from pamctl.plant.flat import NEUTRAL
@@ -43,6 +43,8 @@ STUCK = 3
 """The optimiser's word for steps that shrank to nothing on a slope."""
 ROBUST = 10.0
 """Residuals beyond so many times the usual one pull linearly only."""
+HALVINGS = 10
+"""Of a start from which the model runs away, until its effects are as good as neutral."""
 
 
 @dataclass(frozen=True)
@@ -92,12 +94,12 @@ def fit(
     drives, free = tuple(drives), tuple(free)
     if not free:
         return Fit(start, (), drives, stacked(drives, start))
+    start, begun = _tamed(drives, start, free)
     scale = np.array([f.scale for f in free])
     low = np.array([f.low for f in free]) / scale
     high = np.array([f.high for f in free]) / scale
     first = np.array([value_of(start, f.name) for f in free]) / scale
     first = np.clip(first, low, high)
-    begun = stacked(drives, start)
     knee = ROBUST * max(float(np.median(np.abs(begun))) / 0.6745, 1.0)
 
     def settings_at(vector: Array) -> PlantSettings:
@@ -137,6 +139,23 @@ def fit(
         found = min(found, over, key=lambda result: float(result.cost))
     settings = settings_at(found.x)
     return Fit(settings, free, drives, stacked(drives, settings))
+
+
+def _tamed(
+    drives: Sequence[Drive], start: PlantSettings, free: Sequence[Free]
+) -> tuple[PlantSettings, Array]:
+    """Draw a start from which the model runs away back to its effects' neutral values.
+
+    There no slope shows the way. Returns the start and its residual.
+    """
+    effects = [f.name for f in free if f.effect]
+    for _ in range(HALVINGS):
+        begun = stacked(drives, start)
+        if np.max(np.abs(begun)) < 0.5 * RUNAWAY:
+            break
+        nearer = {name: 0.5 * (value_of(start, name) + NEUTRAL[name]) for name in effects}
+        start = with_values(start, nearer)
+    return start, begun
 
 
 def sensitivity(

@@ -31,12 +31,12 @@ def test_a_hidden_effect_is_named_and_its_gap_closed() -> None:
     assert result.closed > 0.95
 
 
-def test_an_effect_that_explains_nothing_and_has_no_size_is_not_named() -> None:
-    """A stretched encoder scale once passed for a dead volume of (2.7 +- 2.3) ml."""
+def test_a_stretched_encoder_scale_is_named_and_no_volume_beside_it() -> None:
+    """It once passed for a dead volume of (2.7 +- 2.3) ml."""
     found = [case for case in single_cases() if case.id == "single/encoder_scale/3"]
     document = examine(replace(found[0], program="brief"))["document"]
-    assert document["verdict"] != "named"
-    assert "dead_volume" not in [effect["name"] for effect in document["effects"]]
+    assert document["verdict"] == "named"
+    assert [effect["name"] for effect in document["effects"]] == ["encoder_scale"]
 
 
 @pytest.mark.parametrize("case", REFUSED, ids=lambda case: case.id)

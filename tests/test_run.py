@@ -161,7 +161,7 @@ def test_an_open_loop_square_moves_the_muscle_as_the_model_says(tmp_path: Path) 
     assert swing.max() == pytest.approx(23.7e-3, abs=0.2e-3)
 
 
-@pytest.mark.parametrize("controller", ["qsmc", "smc", "pid", "qsmc-paper-plant"])
+@pytest.mark.parametrize("controller", ["qsmc", "smc", "pid", "smc-paper-plant"])
 def test_every_shipped_law_runs_the_experiment_to_its_end(tmp_path: Path, controller: str) -> None:
     report, _ = fast_run(tmp_path, "--controller", controller, "--duration", "10")
     assert report["exit_code"] == 0

@@ -197,12 +197,12 @@ def test_gains_change_while_it_holds_without_a_jump_and_replay_honours_them(up: 
     ran = read(log)
     assert [g["lambda_per_s"] for g in ran.gains] == [before, 25, before]
     resting = ran["phase"] == 3
-    changed_at = ran.gains[1]["tick"]
-    calm = resting & (ticks_since_the_encoder_counted(ran) > 30)
-    ramp = calm & (ran["tick"] >= changed_at) & (ran["tick"] < changed_at + 200)
-    usual = calm & (ran["tick"] < changed_at)
+    changed, changed_back = (gains["tick"] for gains in ran.gains[1:])
+    between = resting & (ran["tick"] >= changed) & (ran["tick"] < changed_back)
+    calm = between & (ticks_since_the_encoder_counted(ran) > 30)
+    assert np.count_nonzero(calm) > 20
     step_v = np.abs(np.diff(ran["command_v"], prepend=np.nan))
-    assert step_v[ramp].max() <= 1.5 * step_v[usual].max() + 0.02
+    assert step_v[calm].max() < 0.02
     replayed = replay(ran)
     assert replayed.is_equal, replayed.differences
 

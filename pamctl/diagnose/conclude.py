@@ -10,7 +10,7 @@ from pamctl.diagnose.candidates import Candidate
 from pamctl.diagnose.correct import corrected
 from pamctl.diagnose.diagnosis import Diagnosis, Trial
 from pamctl.diagnose.doubt import any_doubtful
-from pamctl.diagnose.evidence import SMALLEST_POSITION_M, SMALLEST_PRESSURE_PA
+from pamctl.diagnose.evidence import SMALLEST
 from pamctl.diagnose.extend import extended_plant, whole_plant
 from pamctl.diagnose.intervals import Estimate, estimates
 from pamctl.diagnose.locate import cells
@@ -89,9 +89,8 @@ def _better(gap: dict[str, Gap]) -> bool:
 
     A twentieth, and what is too small to matter, count as equal.
     """
-    smallest = {"position_m": SMALLEST_POSITION_M, "pressure_pa": SMALLEST_PRESSURE_PA}
     return all(
-        g.extended <= 1.05 * min(g.nominal, g.recalibrated) + smallest[name]
+        g.extended <= 1.05 * min(g.nominal, g.recalibrated) + SMALLEST[name]
         for name, g in gap.items()
     )
 

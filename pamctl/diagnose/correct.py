@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pamctl.diagnose.blocks import MECHANICS, Drive, stacked
-from pamctl.diagnose.evidence import SMALLEST_POSITION_M, SMALLEST_PRESSURE_PA
+from pamctl.diagnose.evidence import SMALLEST
 from pamctl.diagnose.fit import rms
 from pamctl.diagnose.models import Model
 from pamctl.diagnose.records import Array, Record
@@ -67,14 +67,11 @@ def corrected(model: Model, plant: PlantSettings, holdout: Sequence[Record]) -> 
                 "of the held-out records"
             )
     after = levels(evidence, holdout, kept)
-    if worse := [name for name in after if after[name] > before[name] + _SMALLEST[name]]:
+    if worse := [name for name in after if after[name] > before[name] + SMALLEST[name]]:
         refused = [f"tables for {' and '.join(blocks)} make the coupled gap of {worse[0]} larger"]
         kept, blocks, after = plant, [], before
     why = "; ".join([*(f"a table for the {b} is in the model" for b in blocks), *refused])
     return Corrected(kept, tuple(blocks), why, before, after)
-
-
-_SMALLEST = {"position_m": SMALLEST_POSITION_M, "pressure_pa": SMALLEST_PRESSURE_PA}
 
 
 def fitted(drives: Sequence[Drive], plant: PlantSettings) -> PlantSettings:

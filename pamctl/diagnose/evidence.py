@@ -23,9 +23,8 @@ from pamctl.diagnose.records import CHANNELS, Record
 from pamctl.diagnose.repeats import Repeat, repeats
 from pamctl.plant.model import PlantSettings
 
-SMALLEST_PRESSURE_PA = 60.0
-"""A misfit below is of no interest, however significant."""
-SMALLEST_POSITION_M = 3.2e-6
+SMALLEST = {"pressure_pa": 60.0, "position_m": 3.2e-6}
+"""A misfit below is of no interest, however significant; by channel."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +49,9 @@ class Evidence:
     def margin(self, block: str) -> float:
         """Return the smallest misfit that matters, counted as the block's residuals are."""
         drive = self.train[block][0]
-        smallest, channel = (
-            (SMALLEST_PRESSURE_PA, "pressure_pa")
-            if block == PRESSURE
-            else (SMALLEST_POSITION_M, "position_m")
-        )
+        channel = "pressure_pa" if block == PRESSURE else "position_m"
         # Of a poor sensor a fifth of its noise.
-        return max(smallest, 0.2 * self.noises[channel].total) / drive.deviation
+        return max(SMALLEST[channel], 0.2 * self.noises[channel].total) / drive.deviation
 
     def counted(self, floors: Mapping[str, Floor]) -> Evidence:
         """Return the evidence with each block's residuals counted by what they are worth.

@@ -137,6 +137,34 @@ def test_whoever_finishes_the_log_may_die_too(log, seed):
     assert list(log.parent.iterdir()) == [log]
 
 
+DIE_AT_THE_EXCHANGE = """
+import os, signal, sys
+from pathlib import Path
+from pamctl.log.recover import finish_from_ring
+exchange = Path.replace
+def replace(draft, target):
+    if sys.argv[2] == "after":
+        exchange(draft, target)
+    os.kill(os.getpid(), signal.SIGKILL)
+Path.replace = replace
+finish_from_ring(sys.argv[1])
+"""
+
+
+@pytest.mark.parametrize("deaths", [("before", "before"), ("after", "before"), ("after", "after")])
+def test_dying_on_either_side_of_the_exchange_of_the_files_leaves_one_log(log, deaths):
+    with new_ring(log) as ring, recording(ring) as process:
+        put_with_events(ring, range(500))
+        process.kill()
+        process.wait()
+        for death in deaths:
+            command = [sys.executable, "-c", DIE_AT_THE_EXCHANGE, ring.path, death]
+            assert subprocess.run(command).returncode == -signal.SIGKILL
+        finish_from_ring(ring.path)
+    assert_complete(log, 500)
+    assert list(log.parent.iterdir()) == [log]
+
+
 # Others die, or say that it is time.
 
 

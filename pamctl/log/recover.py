@@ -161,7 +161,11 @@ def _finish(ring: Ring) -> Recovery:
     if ring.recorder_flags & RecorderFlag.FINISHED:
         return Recovery(str(target), str(target), {}, (), lossless=True, bytes_lost=0)
     has_part = _is_ours(target, ring)
-    if not has_part:
+    if has_part:
+        # One who was here before may have put it there: the draft's inode is about to replace
+        # that one's in the ring, and until the draft stands in its place this file is still ours.
+        ring.log_inode = target.stat().st_ino
+    else:
         target = _unused(target)
     with _replacing(target, ring) as stream:
         writer = LogWriter(stream)

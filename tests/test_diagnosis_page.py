@@ -74,7 +74,8 @@ def as_if(named: Diagnosis, verdict: Verdict) -> Diagnosis:
             base = named.base
             assert base is not None
             own = tuple(n for n in named.numbers if "." not in n.name)
-            rest = replace(named, verdict=verdict, model=base, standings=(), numbers=own)
+            bare = replace(named, model=base, cells=named.regimes, standings=(), numbers=own)
+            rest = replace(bare, verdict=verdict)
             left = remainder(base, "pressure") if verdict is Verdict.NONE_KNOWN else None
             return replace(rest, plant=whole_plant(base), explained=0.0, remainder=left)
 

@@ -75,4 +75,4 @@ def where_left(diagnosis: Diagnosis) -> tuple[str, float, str]:
     if model is None:
         return "", 0.0, ""
     block = max(model.evidence.blocks, key=model.ratio)
-    return block, model.ratio(block), where(model, block)
+    return block, model.ratio(block), where(diagnosis.cells, block)

@@ -51,6 +51,8 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
                 "regime": c.regime,
                 "share": c.share,
                 "residual_over_floor": c.residual_over_floor,
+                "p_value": c.p_value,
+                "stands_out": c.stands_out,
             }
             for c in diagnosis.cells
         ],

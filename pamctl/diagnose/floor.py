@@ -23,8 +23,6 @@ from pamctl.plant.model import PlantSettings
 REPLICAS = 12
 STRETCH_S = 0.25
 """Residuals so far apart are taken to have forgotten each other."""
-SENSOR_ONLY = 1.5
-"""The floor may not exceed the sensor's own noise by more, or a coarse fit would hide itself."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +77,42 @@ def floor(
     `margin` is the smallest excess that matters, in deviations of the sensor. The refit is
     one Gauss-Newton step on the fit's own derivatives: noise moves the numbers but little.
     """
+    made = imitations(fitted, holdout, noises, replicas=replicas, seed=seed)
+    spread = np.array([rms(imitation.residual) for imitation in made])
+    memories = [_memory(imitation.noise, holdout) for imitation in made]
+    mean = float(spread.mean())
+    scatter = float(spread.std(ddof=1))
+    sensor = sensor_of(holdout, noises)
+    high = max(float(np.quantile(spread, 0.95)), mean + 2.0 * scatter)
+    high *= 1.0 + 2.0 * sensor.uncertainty
+    limit, memory = float(np.hypot(high, margin)), max(float(np.mean(memories)), 1.0)
+    shifts = np.array([imitation.shift for imitation in made])
+    return Floor(mean, scatter, limit, shifts, spread, memory)
+
+
+@dataclass(frozen=True)
+class Imitation:
+    """One replica of the records: what noise alone leaves and moves."""
+
+    residual: Array
+    """On the held-out drives, after the refit."""
+    shift: Array
+    """Of the fitted numbers, in their scales."""
+    noise: Array
+    """The residual before the refit."""
+
+
+def imitations(
+    fitted: Fit,
+    holdout: Sequence[Drive],
+    noises: dict[str, Noise],
+    *,
+    replicas: int = REPLICAS,
+    seed: int = 1,
+) -> list[Imitation]:
+    """Make records of the fitted plant with noise anew, and refit; the same seed, the same ones."""
     random = np.random.default_rng(seed)
-    rests, shifts, memories = [], [], []
+    made = []
     ideal_train = [d.simulated(fitted.settings) for d in fitted.drives]
     ideal_hold = [d.simulated(fitted.settings) for d in holdout]
     hold_slope = sensitivity(
@@ -94,17 +126,13 @@ def floor(
         train = _replica(fitted.drives, ideal_train, fitted.settings, noises, random)
         hold = _replica(holdout, ideal_hold, fitted.settings, noises, random)
         shift = -(inverse @ train) if fitted.free else np.zeros(0)
-        rests.append(rms(hold + hold_slope @ shift))
-        shifts.append(shift)
-        memories.append(_memory(hold, holdout))
-    spread = np.array(rests)
-    mean = float(spread.mean())
-    scatter = float(spread.std(ddof=1))
-    sensor = noises["position_m" if holdout[0].block == MECHANICS else "pressure_pa"]
-    high = max(float(np.quantile(spread, 0.95)), mean + 2.0 * scatter)
-    high *= 1.0 + 2.0 * sensor.uncertainty
-    limit, memory = float(np.hypot(high, margin)), max(float(np.mean(memories)), 1.0)
-    return Floor(mean, scatter, limit, np.array(shifts), spread, memory)
+        made.append(Imitation(hold + hold_slope @ shift, shift, hold))
+    return made
+
+
+def sensor_of(drives: Sequence[Drive], noises: dict[str, Noise]) -> Noise:
+    """Return the noise of what a block's drives are compared with."""
+    return noises["position_m" if drives[0].block == MECHANICS else "pressure_pa"]
 
 
 def _memory(residual: Array, drives: Sequence[Drive]) -> float:

@@ -1,13 +1,14 @@
 """Where simulation and measurement disagree: by block, and by regime within it.
 
 A misfit over a whole run may hide in a rare regime (the valve near null, a reversal), or be
-carried by one. Each regime is compared with the same regime of the replicas.
+carried by one. Each regime is compared with the same regime of the replicas, and of the many
+comparisons only those stand out that noise would bring about in one of twenty at most.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from scipy.ndimage import maximum_filter1d
 from scipy.signal import savgol_filter
 
 from pamctl.diagnose.blocks import MECHANICS, Drive
+from pamctl.diagnose.discovery import discovered, exceedance
+from pamctl.diagnose.floor import imitations, sensor_of
 from pamctl.diagnose.models import Model
 from pamctl.diagnose.records import Array
 
@@ -39,20 +42,35 @@ class Cell:
     rms: float
     """In deviations of the sensor."""
     residual_over_floor: float
+    """The floor is that of this regime: friction makes more noise in some than in others."""
     excess_share: float
     """Share of the block's whole misfit (square above the floor's) that lies here."""
+    p_value: float
+    """Chance that noise alone leaves as much here beyond what is too small to matter."""
+    stands_out: bool = False
+    """Of all regimes that stand out one in twenty may be noise, in the mean."""
 
 
 def cells(model: Model) -> list[Cell]:
     """Return every regime of every block, the worst of each block first."""
-    return [cell for block in model.evidence.blocks for cell in _cells(model, block)]
+    every = [cell for block in model.evidence.blocks for cell in _cells(model, block)]
+    found = discovered([cell.p_value for cell in every])
+    return [replace(cell, stands_out=bool(out)) for cell, out in zip(every, found, strict=True)]
 
 
 def _cells(model: Model, block: str) -> list[Cell]:
-    drives = model.evidence.holdout[block]
+    evidence = model.evidence
+    drives = evidence.holdout[block]
     residual = model.residuals[block]
-    floor = model.floors[block].mean
-    excess = float(np.sum(np.maximum(residual**2 - floor**2, 0.0))) or 1.0
+    noise = np.array(
+        [made.residual for made in imitations(model.imitated(block), drives, evidence.noises)]
+    )
+    floor = model.floors[block]
+    # What the rig itself does differently each time is no misfit, in whichever regime.
+    noise *= max(floor.repeatability / floor.mean, 1.0)
+    trifle = evidence.margin(block) ** 2
+    doubt = 2.0 * sensor_of(drives, evidence.noises).uncertainty
+    excess = float(np.sum(np.maximum(residual**2 - floor.mean**2, 0.0))) or 1.0
     masks: dict[str, list[Rows]] = {}
     for drive in drives:
         for name, rows in regimes(drive, model).items():
@@ -63,9 +81,13 @@ def _cells(model: Model, block: str) -> list[Cell]:
         if rows.sum() < FEWEST:
             continue
         part = residual[rows]
-        level = float(np.sqrt(np.mean(part**2)))
-        inside = float(np.sum(np.maximum(part**2 - floor**2, 0.0))) / excess
-        found.append(Cell(block, name, float(rows.mean()), level, level / floor, inside))
+        level = float(np.mean(part**2))
+        usual = np.mean(noise[:, rows] ** 2, axis=1)
+        ratio = float(np.sqrt(level / np.mean(usual)))
+        inside = float(np.sum(np.maximum(part**2 - floor.mean**2, 0.0))) / excess
+        chance = exceedance(level - trifle, usual, doubt)
+        share = float(rows.mean())
+        found.append(Cell(block, name, share, float(np.sqrt(level)), ratio, inside, chance))
     return sorted(found, key=lambda c: -c.residual_over_floor)
 
 
@@ -131,9 +153,9 @@ def _thirds(gauge_pa: Array, full_pa: float) -> dict[str, Rows]:
     }
 
 
-def where(model: Model, block: str) -> str:
-    """Say in words in which regimes a block's misfit lies."""
-    worst = [c for c in _cells(model, block) if c.residual_over_floor > 1.1][:2]
+def where(found: Sequence[Cell], block: str) -> str:
+    """Say in words in which regimes a block's misfit lies: the worst two that stand out."""
+    worst = [c for c in found if c.block == block and c.stands_out][:2]
     if not worst:
         return EVENLY
     return ", ".join(f"{c.regime} ({c.residual_over_floor:.1f} x floor)" for c in worst)

@@ -79,12 +79,15 @@ class Model:
         """What a perfect model would leave, by block."""
         return {block: self._floor(block) for block in self.evidence.blocks}
 
+    def imitated(self, block: str) -> Fit:
+        """Return the fit whose own data a block is held against."""
+        root = self.root
+        rough = root is not None and self.rms[block] > FAR * root.floors[block].limit
+        return root.fit_of(block) if root is not None and rough else self.fit_of(block)
+
     def _floor(self, block: str) -> Floor:
-        if self.root is not None:
-            rough = self.root.floors[block]
-            same = self.root.fits.get(frozenset({block})) is self.fit_of(block)
-            if same or self.rms[block] > FAR * rough.limit:
-                return rough
+        if self.root is not None and self.imitated(block) is self.root.fit_of(block):
+            return self.root.floors[block]
         return floor(
             self.fit_of(block),
             self.evidence.holdout[block],

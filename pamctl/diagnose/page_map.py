@@ -10,6 +10,7 @@ from scipy.signal import savgol_filter
 
 from pamctl.diagnose.blocks import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.discovery import RATE
 from pamctl.diagnose.locate import Cell
 from pamctl.diagnose.models import Model
 from pamctl.diagnose.records import Array
@@ -50,6 +51,11 @@ def write_map(page: Page, diagnosis: Diagnosis) -> None:
     for block in blocks:
         page.grid(*_maps(block, base, model), caption=_caption(block))
     page.table(*_regimes(diagnosis.regimes, diagnosis.cells, model, blocks))
+    page.text(
+        "Each regime is held against the same regime of records that the model made itself. Those "
+        "that stand out do so by more than is too small to matter, and at such a level that of "
+        f"all that do {100.0 * RATE:.0f} % may be noise, in the mean (Benjamini and Hochberg)."
+    )
 
 
 def _caption(block: str) -> str:
@@ -147,12 +153,23 @@ def _regimes(
     header = ["block", "regime", "of the time", "of the misfit", "recalibrated, x floor"]
     if model.effects:
         header.append("extended, x floor")
+    header.append("stands out")
     rows = []
     for cell in sorted(before, key=lambda c: (blocks.index(c.block), -c.residual_over_floor)):
         row = [cell.block, cell.regime, f"{100.0 * cell.share:.0f} %"]
         row += [f"{100.0 * cell.excess_share:.0f} %", f"{cell.residual_over_floor:.2f}"]
+        last = later.get((cell.block, cell.regime)) if model.effects else None
         if model.effects:
-            last = later.get((cell.block, cell.regime))
             row.append(f"{last.residual_over_floor:.2f}" if last else "-")
-        rows.append(row)
+        rows.append([*row, _stands_out(cell, last)])
     return header, rows
+
+
+def _stands_out(before: Cell, after: Cell | None) -> str:
+    still = after is not None and after.stands_out
+    return {
+        (True, True): "still",
+        (True, False): "yes" if after is None else "no longer",
+        (False, True): "now",
+        (False, False): "",
+    }[before.stands_out, still]

@@ -29,11 +29,16 @@ def compiled(kernel: Kernel) -> Kernel:
     The first call compiles (seconds); the machine code is kept in the user's cache
     for the next process, under a key made of every source that the kernel can depend on.
     """
-    return cast(Kernel, _twin(kernel))
+    return cast(Kernel, _twin(kernel, for_python=True))
 
 
 @cache
-def _twin(kernel: FunctionType) -> Any:
+def _twin(kernel: FunctionType, *, for_python: bool) -> Any:
+    """Return a twin that Python can call, or one that only other twins call.
+
+    What takes Python's tuples apart, and C's, is longer than most kernels: without it the
+    closed loop compiles in less than half the time.
+    """
     used = {*kernel.__code__.co_names, "__builtins__", "__name__"}
     twin = FunctionType(
         kernel.__code__,
@@ -41,15 +46,21 @@ def _twin(kernel: FunctionType) -> Any:
         kernel.__name__,
         kernel.__defaults__,
     )
-    twin.__qualname__ = kernel.__qualname__
+    # numba's cache knows a function by its name: a kernel may be called both ways.
+    twin.__qualname__ = kernel.__qualname__ + ("" if for_python else "_for_kernels")
     twin.__module__ = kernel.__module__
-    # error_model: division by zero raises, as in the plain function.
-    return _numba(kernel.__module__).njit(twin, cache=_may_cache(), error_model="python")
+    return _numba(kernel.__module__).njit(
+        twin,
+        cache=_may_cache(),
+        error_model="python",  # division by zero raises, as in the plain function
+        no_cpython_wrapper=not for_python,
+        no_cfunc_wrapper=True,
+    )
 
 
 def _twin_if_kernel(value: object) -> object:
     is_kernel = isinstance(value, FunctionType) and value.__module__.split(".")[0] in _HOUSE
-    return _twin(value) if is_kernel else value
+    return _twin(value, for_python=False) if is_kernel else value
 
 
 def _numba(module: str) -> ModuleType:

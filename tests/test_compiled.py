@@ -17,7 +17,7 @@ import pamctl.compiled
 from pamctl.compiled import compiled
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantState, vented
-from pamctl.plant.step import plant_advance
+from pamctl.plant.step import plant_advance, plant_step
 from pamctl.plant.valve import orifice_flow
 
 VALVE_109_HZ = {"valve_spool": {"time_constant_s": 1 / (2 * math.pi * 109), "damping_ratio": 0.7}}
@@ -56,6 +56,13 @@ def test_a_twin_returns_the_kernels_own_types() -> None:
 
 def test_a_kernel_has_one_twin() -> None:
     assert compiled(plant_advance) is compiled(plant_advance)
+
+
+def test_a_kernel_that_another_one_calls_can_be_called_from_python_too() -> None:
+    """The cache keeps both kinds of its code apart."""
+    p = plant_parameters(PlantSettings())
+    state = compiled(plant_advance)(p, vented(p), 1.0, 1e-3, 1e-3)
+    assert compiled(plant_step)(p, vented(p), 1.0, 1e-3) == state
 
 
 def test_a_twin_raises_where_the_kernel_does() -> None:

@@ -13,7 +13,7 @@ from hidden.air import (
     supply_pa,
     tank_after,
 )
-from hidden.machine_code import kernel
+from hidden.machine_code import kernel, part
 from hidden.mechanism import (
     SLIP_WIDTHS,
     band,
@@ -61,14 +61,14 @@ def at_rest(p, command_v):
     )
 
 
-@kernel
+@part
 def line_flow(p, entering, line_pa, muscle_pa, h):
     """Return the flow from the line into the muscle, the stiff pair solved implicitly."""
     swell = h * p.gas_j_per_kg_k * p.wall_k / p.line_m3
     return (line_pa - muscle_pa + swell * entering) / (p.line_pa_s_per_kg + swell)
 
 
-@kernel
+@part
 def moved(p, s, gauge_pa, force_n, x, h):
     """Return (velocity, bristle forces) after h, under the pressure of the middle of h."""
     low, high = band(p, x, gauge_pa, s.v, s.t_s)
@@ -104,7 +104,7 @@ def moved(p, s, gauge_pa, force_n, x, h):
     return v, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
-@kernel
+@part
 def followed(z, target, time, h):
     """Return a first-order lag after h."""
     return target + (z - target) * math.exp(-h / time) if time > 0.0 else target
@@ -173,7 +173,7 @@ def small_step(p, s, command_v, force_n, h):
     )
 
 
-@kernel
+@part
 def volume_growth(p, x, x_after, gauge_pa):
     """Return the change of the muscle's volume at one pressure."""
     return volume(p, x_after, gauge_pa) - volume(p, x, gauge_pa)

@@ -11,6 +11,7 @@ from typing import Any
 import numba
 
 _KERNELS = (
+    "machine_code.py",
     "physics.py",
     "truth.py",
     "valve.py",
@@ -31,8 +32,19 @@ def _cache_of_these_sources() -> str:
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function of numbers, tuples and arrays."""
+    return _compiled(function, for_python=True)
+
+
+def part(function: Callable[..., Any]) -> Any:
+    """Compile a function that only kernels call: without what takes Python's tuples apart."""
+    return _compiled(function, for_python=False)
+
+
+def _compiled(function: Callable[..., Any], *, for_python: bool) -> Any:
     before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, _cache_of_these_sources()
     try:
-        return numba.njit(cache=True)(function)
+        return numba.njit(cache=True, no_cpython_wrapper=not for_python, no_cfunc_wrapper=True)(
+            function
+        )
     finally:
         numba.config.CACHE_DIR = before

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from hidden.machine_code import kernel
+from hidden.machine_code import part
 
 
-@kernel
+@part
 def volume(p, x, gauge_pa):
     """Eq. 2, with a braid that may stretch and a volume that never empties."""
     length = p.rest_length_m - p.cap_m - x
@@ -15,7 +15,7 @@ def volume(p, x, gauge_pa):
     return length * (braid**2 - length**2) / (4.0 * math.pi * p.turns**2) + p.dead_m3
 
 
-@kernel
+@part
 def pull_area(p, x, gauge_pa):
     """Eq. 3 divided by the pressure: -dV/dL."""
     length = p.rest_length_m - p.cap_m - x
@@ -23,21 +23,21 @@ def pull_area(p, x, gauge_pa):
     return (3.0 * length**2 - braid**2) / (4.0 * math.pi * p.turns**2)
 
 
-@kernel
+@part
 def braid_grip(p, x, gauge_pa, t_s):
     """mu_k N P A_b of Eq. 5, in N per metre of braid lever (and per m/s)."""
     mu = p.mu_k * (1.0 + p.mu_slope_per_m * x) * math.exp(-p.mu_decay_per_s * t_s)
     return mu * p.braids * p.contact_m2 * max(gauge_pa, 0.0)
 
 
-@kernel
+@part
 def braid_lever(p, x):
     """b theta cos(theta): cos(theta) is L / b (below Eq. 1)."""
     length = p.rest_length_m - p.cap_m - x
     return length * math.acos(length / p.braid_m)
 
 
-@kernel
+@part
 def nozzle(p, from_pa, to_pa, from_k):
     """Mass flow per area, kg/(s m2); against the arrow where the pressures say so."""
     if to_pa > from_pa:
@@ -45,7 +45,7 @@ def nozzle(p, from_pa, to_pa, from_k):
     return gas_jet(p, from_pa, to_pa, from_k)
 
 
-@kernel
+@part
 def gas_jet(p, up_pa, down_pa, up_k):
     """Psi of Eq. 8: isentropic and choked below the critical ratio, or ISO 6358's ellipse."""
     g = p.heat_ratio

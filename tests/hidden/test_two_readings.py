@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -104,12 +105,17 @@ ALIKE: dict[str, tuple[Numbers, Numbers, Numbers]] = {
 """Catalogue name -> the same numbers for the plant, for the truth and for its sensors."""
 
 
+@cache
+def without_effects() -> tuple[Passage, Driven]:
+    return both(EXCITATIONS[1], {}, {}, {})
+
+
 @pytest.mark.parametrize("name", sorted(ALIKE))
 def test_an_effect_does_the_same_in_both(name: str) -> None:
     plant, truth, sensors = ALIKE[name]
     flat = {f"{name}.{key}": value for key, value in plant.items()}
     passage, driven = both(EXCITATIONS[1], flat, truth, sensors)
-    bare, _ = both(EXCITATIONS[1], {}, {}, {})
+    bare, _ = without_effects()
     position_m, pressure_pa = apart(passage, driven)
     effect_m, effect_pa = apart(bare, driven)
     size = math.hypot(effect_m / 3e-6, effect_pa / 300.0)

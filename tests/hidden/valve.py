@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-from hidden.machine_code import kernel
+from hidden.machine_code import part
 
 
-@kernel
+@part
 def play(output, entered, width):
     """Follow `entered` with a slack of `width` in all."""
     return min(max(output, entered - 0.5 * width), entered + 0.5 * width)
 
 
-@kernel
+@part
 def spool(p, position, rate, drive, h):
     """One trapezoidal step of a mass on a spring that is driven to `drive` (all in volts)."""
     if p.spool_rad_per_s == 0.0:
@@ -24,7 +24,7 @@ def spool(p, position, rate, drive, h):
     return position + 0.5 * h * (rate + new_rate), new_rate
 
 
-@kernel
+@part
 def uncovered(p, spool_v):
     """Return what the laps leave of the spool's travel, in volts."""
     if spool_v > p.overlap_fill_v:
@@ -34,7 +34,7 @@ def uncovered(p, spool_v):
     return 0.0
 
 
-@kernel
+@part
 def opening(p, spool_v, t_s):
     """Return the port area: above 0 towards the supply, below 0 towards the atmosphere."""
     v = uncovered(p, spool_v)
@@ -47,7 +47,7 @@ def opening(p, spool_v, t_s):
     return p.valve_m2_per_v * v * (1.0 + wobble + p.gain_trend_per_s * t_s)
 
 
-@kernel
+@part
 def null_leak(p, spool_v):
     """Return the area of each of the two leaks past the spool."""
     if p.null_leak_zone_v > 0.0 and abs(spool_v) > p.null_leak_zone_v:

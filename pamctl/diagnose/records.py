@@ -21,6 +21,10 @@ CHANNELS: Mapping[str, str] = {
 
 REST_V = 0.05
 """Commands that differ by less leave the valve where it is (V)."""
+RISE_FROM = 20
+"""Samples whose median is the level that a force starts from."""
+RISEN = 10.0
+"""Times the noise: a force so far from its start has left it, however its noise remembers."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +113,25 @@ class Record:
             start_pa = np.median(self.pressure_pa[:5])
             moved |= np.abs(self.pressure_pa - start_pa) > 3e3
         if self.force_n is not None:
-            moved |= np.abs(self.force_n - self.force_n[0]) > 2.0
+            moved[_risen_from(self.force_n) :] = True
         return int(np.argmax(moved)) if moved.any() else len(self)
+
+
+def _risen_from(values: Array) -> int:
+    """Return where a channel leaves its start for good measure; its length where it does not.
+
+    A slow ramp is in the noise for a while: it has begun as long before the first level as it
+    takes from there to the second.
+    """
+    third = np.abs(np.diff(values, 3))  # of white noise sqrt(20) as large, of a ramp nothing
+    noise = float(np.median(third)) / (0.6745 * np.sqrt(20.0)) if len(third) else 0.0
+    away = np.abs(values - np.median(values[:RISE_FROM]))
+    level = RISEN * max(noise, resolution(values))
+    first, second = (np.flatnonzero(away > times * level) for times in (1.0, 2.0))
+    if not len(first):
+        return len(values)
+    later = int(second[0]) if len(second) else int(first[0])
+    return max(2 * int(first[0]) - later, 0)
 
 
 def _column(values: ArrayLike) -> Array:

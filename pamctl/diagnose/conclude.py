@@ -12,7 +12,7 @@ from pamctl.diagnose.diagnosis import Diagnosis, Trial
 from pamctl.diagnose.doubt import any_doubtful
 from pamctl.diagnose.evidence import SMALLEST
 from pamctl.diagnose.extend import extended_plant, whole_plant
-from pamctl.diagnose.intervals import Estimate, estimates
+from pamctl.diagnose.intervals import estimates
 from pamctl.diagnose.locate import cells
 from pamctl.diagnose.models import Model
 from pamctl.diagnose.name import Search, rank
@@ -20,6 +20,7 @@ from pamctl.diagnose.records import Record
 from pamctl.diagnose.remainder import Remainder, remainder
 from pamctl.diagnose.rivals import Standing
 from pamctl.diagnose.show import Gap, gaps
+from pamctl.diagnose.stepping import changes
 from pamctl.diagnose.verdict import Judgement, Verdict, after_rivals
 from pamctl.plant.model import PlantSettings
 
@@ -52,7 +53,7 @@ def concluded(
         "extended": whole_plant(model),
     }
     gap = gaps(evidence, holdout, plants)
-    numbers = _numbers(model)
+    numbers = estimates(model)
     doubtful = verdict is not Verdict.PARTIAL and any_doubtful(model, search, numbers)
     taken_back = model.effects and (doubtful or verdict is Verdict.NONE_KNOWN)
     if taken_back or (model.effects and not _better(gap)):
@@ -70,10 +71,11 @@ def concluded(
         model=model,
         base=search.base,
         standings=tuple(heard),
-        numbers=numbers if model is judgement.model else _numbers(model),
+        numbers=numbers if model is judgement.model else estimates(model),
         gap=gap,
         cells=tuple(cells(model)),
         regimes=tuple(cells(search.base)),
+        stepping=changes(model),
         tried=tuple(_tried(search)),
         remainder=left,
         corrected=added,
@@ -93,16 +95,6 @@ def _better(gap: dict[str, Gap]) -> bool:
         g.extended <= 1.05 * min(g.nominal, g.recalibrated) + SMALLEST[name]
         for name, g in gap.items()
     )
-
-
-def _numbers(model: Model) -> tuple[Estimate, ...]:
-    found: dict[str, Estimate] = {}
-    for block in sorted(model.evidence.blocks, reverse=True):
-        fitted = model.fit_of(block)
-        floors = [model.floors[b] for b in model.evidence.blocks if model.fit_of(b) is fitted]
-        for name, estimate in estimates(fitted, floors).items():
-            found.setdefault(name, estimate)
-    return tuple(found.values())
 
 
 def _tried(search: Search) -> Iterator[Trial]:

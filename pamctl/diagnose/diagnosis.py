@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pamctl.diagnose.audit import Audit
 from pamctl.diagnose.correct import Corrected
@@ -47,6 +47,8 @@ class Diagnosis:
     """What is left, by regime."""
     regimes: tuple[Cell, ...] = ()
     """The misfit of the recalibrated model, by regime."""
+    stepping: Mapping[str, float] = field(default_factory=dict)
+    """By how much half the integrator's sub-step changes each block, over its floor."""
     tried: tuple[Trial, ...] = ()
     """What was fitted, the best first."""
     remainder: Remainder | None = None

@@ -7,6 +7,7 @@ from typing import Any
 from pamctl.diagnose.diagnosis import Diagnosis, where_left
 from pamctl.diagnose.next_step import ambiguous, blind_spots, next_experiment
 from pamctl.diagnose.rivals import Standing
+from pamctl.diagnose.stepping import SMALL
 from pamctl.diagnose.verdict import Verdict
 from pamctl.diagnose.words import sentence
 from pamctl.plant.effects import CATALOGUE
@@ -44,6 +45,10 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "explained": diagnosis.explained,
         "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
         "limits": _limits(diagnosis),
+        "integrator": {
+            block: {"change_over_floor": change, "is_small": change <= SMALL}
+            for block, change in diagnosis.stepping.items()
+        },
         "correction": _correction(diagnosis),
         "regimes": [
             {

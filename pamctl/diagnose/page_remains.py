@@ -9,6 +9,7 @@ from pamctl.diagnose.page_map import write_shape
 from pamctl.diagnose.page_models import SHOWN
 from pamctl.diagnose.page_words import told
 from pamctl.diagnose.records import CHANNELS, Record
+from pamctl.diagnose.stepping import integrator_told
 from pamctl.diagnose.words import correction_told, limits_told
 from pamctl.report.page import Page
 from pamctl.report.svg import Axis, Plot
@@ -21,6 +22,8 @@ def write_remains(page: Page, diagnosis: Diagnosis) -> None:
         return
     page.section("What remains")
     page.text(limits_told(model))
+    if integrator_told(diagnosis.stepping):
+        page.note(integrator_told(diagnosis.stepping))
     if model.is_complete:
         block, ratio, _ = where_left(diagnosis)
         page.text(

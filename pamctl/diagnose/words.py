@@ -9,6 +9,7 @@ from pamctl.diagnose.diagnosis import Diagnosis, where_left
 from pamctl.diagnose.intervals import Estimate
 from pamctl.diagnose.models import Model
 from pamctl.diagnose.next_step import next_experiment
+from pamctl.diagnose.stepping import integrator_told
 from pamctl.diagnose.verdict import Verdict
 from pamctl.plant.effects import CATALOGUE
 
@@ -59,6 +60,8 @@ def summary(diagnosis: Diagnosis) -> str:
         floor.decided_by == "repeatability" for floor in diagnosis.model.floors.values()
     ):
         parts.append(limits_told(diagnosis.model))
+    if integrator_told(diagnosis.stepping):
+        parts.append(integrator_told(diagnosis.stepping))
     if diagnosis.remainder is not None:
         parts.append(diagnosis.remainder.sentence)
     if diagnosis.corrected is not None:

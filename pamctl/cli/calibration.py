@@ -15,20 +15,17 @@ from pamctl.bench import Bench, LimitMet
 from pamctl.calibrate.outcome import CalibrationRefused, Operator, Outcome, Prepared
 from pamctl.calibrate.rig_file import with_values
 from pamctl.cli.assembly import require_backend
-from pamctl.cli.backend import check_backend, rig_name
-from pamctl.cli.config import config_errors_exit
+from pamctl.cli.config import chosen, config_errors_exit
 from pamctl.cli.interrupts import Interrupted
 from pamctl.cli.operator import NoAnswer, Terminal
 from pamctl.cli.workplace import workplace
 from pamctl.problems import ConfigError, Problem
 from pamctl.realtime.ending import ExitCode
 from pamctl.settings import (
-    DEFAULT_NAMES,
     SECTIONS,
     Raw,
     RunSettings,
     find,
-    resolve,
     shown,
     to_data,
     validated,
@@ -64,10 +61,9 @@ def calibrate_rig(
 ) -> None:
     """Do the work over the rig and write what was found; nothing is written on any other path."""
     backend, rig, overrides, out, yes, as_json = order
+    settings, names = chosen(backend, rig, overrides, as_json=as_json, fast=False)
     with config_errors_exit(as_json=as_json):
-        settings = resolve(rig=rig_name(backend, rig), overrides=overrides, fast=False)
-        check_backend(settings, backend, rig)
-        source = find("rig", rig_name(backend, rig) or DEFAULT_NAMES["rig"])
+        source = find("rig", names["rig"])
         _require_new(out)
     terminal = Terminal()
     try:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypedDict, Unpack
 
 import typer
 
@@ -14,7 +14,9 @@ from pamctl.cli.backend import BackendOption, check_backend, rig_name
 from pamctl.problems import ConfigError, Problem
 from pamctl.realtime.ending import ExitCode
 from pamctl.settings import (
+    DEFAULT_NAMES,
     SECTIONS,
+    RunSettings,
     check,
     config_dir,
     resolve,
@@ -77,6 +79,45 @@ def _exit_code(problems: Iterable[Problem]) -> ExitCode:
     return ExitCode.USAGE if options_only else ExitCode.BAD_CONFIG
 
 
+class Choice(NamedTuple):
+    """What the options of a verb come to."""
+
+    settings: RunSettings
+    names: dict[str, str]
+    """Of the files, by section."""
+
+
+class Words(TypedDict, total=False):
+    """Options of a verb beside its rig; those that it has not got are left out."""
+
+    controller: str | None
+    experiment: str | None
+    plant: str | None
+    seed: int | None
+    duration_s: float | None
+    fast: bool | None
+    readonly: bool | None
+    rt: str | None
+
+
+def chosen(
+    backend: str | None,
+    rig: str | None,
+    overrides: Sequence[str] | None,
+    *,
+    as_json: bool = False,
+    **words: Unpack[Words],
+) -> Choice:
+    """Settle what the options mean together; leave as `config_errors_exit` does."""
+    with config_errors_exit(as_json=as_json):
+        named_rig = rig_name(backend, rig)
+        settings = resolve(rig=named_rig, overrides=overrides or (), **words)
+        check_backend(settings, backend, rig)
+    named = {"rig": named_rig, **words}
+    names = {section: str(named.get(section) or DEFAULT_NAMES[section]) for section in SECTIONS}
+    return Choice(settings, names)
+
+
 @config_app.command("check")
 def check_files(
     files: Annotated[
@@ -111,19 +152,19 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Print the configuration a run with the same options would use, defaults included."""
-    with config_errors_exit(as_json=as_json):
-        settings = resolve(
-            controller=controller,
-            experiment=experiment,
-            rig=rig_name(backend, rig),
-            plant=plant,
-            overrides=overrides or (),
-            seed=seed,
-            duration_s=duration_s,
-            fast=fast or None,
-            rt=rt,
-        )
-        check_backend(settings, backend, rig)
+    settings, _ = chosen(
+        backend,
+        rig,
+        overrides,
+        as_json=as_json,
+        controller=controller,
+        experiment=experiment,
+        plant=plant,
+        seed=seed,
+        duration_s=duration_s,
+        fast=fast or None,
+        rt=rt,
+    )
     typer.echo(to_json(settings) if as_json else to_yaml(settings).rstrip())
 
 

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.backend import BackendOption, check_backend, rig_name
-from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
+from pamctl.cli.backend import BackendOption
+from pamctl.cli.config import JsonOption, RigOption, SetOption, chosen
 from pamctl.cli.linux import require_linux
 from pamctl.doctor.findings import Finding, document, report, worst
 from pamctl.realtime.ending import ExitCode
-from pamctl.settings import resolve
 
 if TYPE_CHECKING:
     from pamctl.cli.interrupts import Interrupted
@@ -36,9 +35,7 @@ def doctor(
     as_json: JsonOption = False,
 ) -> None:
     """Find out whether this PC and this rig are fit for a run, and how to mend what is not."""
-    with config_errors_exit(as_json=as_json):
-        settings = resolve(rig=rig_name(backend, rig), overrides=overrides or (), fast=False)
-        check_backend(settings, backend, rig)
+    settings, _ = chosen(backend, rig, overrides, as_json=as_json, fast=False)
     require_linux()  # as what follows does; and no other verb has to wait for it
     from pamctl.cli.assembly import device_of
     from pamctl.cli.examination import examination

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pamctl.cli.backend import BackendOption, check_backend, rig_name
+from pamctl.cli.backend import BackendOption
 from pamctl.cli.config import (
     ControllerOption,
     DurationOption,
@@ -20,7 +20,7 @@ from pamctl.cli.config import (
     RtOption,
     SeedOption,
     SetOption,
-    config_errors_exit,
+    chosen,
 )
 from pamctl.cli.linux import require_linux
 from pamctl.cli.live import (
@@ -30,7 +30,7 @@ from pamctl.cli.live import (
     LivePortOption,
     port_of,
 )
-from pamctl.settings import DEFAULT_NAMES, resolve, to_json, to_yaml
+from pamctl.settings import to_json, to_yaml
 
 
 def run(
@@ -61,29 +61,23 @@ def run(
     live_origins: LiveOriginOption = None,
 ) -> None:
     """Move the muscle, log every tick, and say how well it tracked."""
-    with config_errors_exit(as_json=as_json):
-        settings = resolve(
-            controller=controller,
-            experiment=experiment,
-            rig=rig_name(backend, rig),
-            plant=plant,
-            overrides=overrides or (),
-            seed=seed,
-            duration_s=duration_s,
-            fast=fast or None,
-            readonly=readonly or None,
-            rt=rt,
-        )
-        check_backend(settings, backend, rig)
+    settings, names = chosen(
+        backend,
+        rig,
+        overrides,
+        as_json=as_json,
+        controller=controller,
+        experiment=experiment,
+        plant=plant,
+        seed=seed,
+        duration_s=duration_s,
+        fast=fast or None,
+        readonly=readonly or None,
+        rt=rt,
+    )
     if dry_run:
         typer.echo(to_json(settings) if as_json else to_yaml(settings).rstrip())
         return
-    names = {
-        "controller": controller or DEFAULT_NAMES["controller"],
-        "experiment": experiment or DEFAULT_NAMES["experiment"],
-        "plant": plant or DEFAULT_NAMES["plant"],
-        "rig": rig or rig_name(backend, rig) or DEFAULT_NAMES["rig"],
-    }
     if live and settings.fast:
         raise typer.BadParameter("without a clock there is nothing live", param_hint="--live")
     port = port_of(live, live_port)

@@ -7,11 +7,11 @@ import json
 import typer
 
 from hal.rig import RigError
-from pamctl.cli.backend import BackendOption, check_backend, rig_name
-from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
+from pamctl.cli.backend import BackendOption
+from pamctl.cli.config import JsonOption, RigOption, SetOption, chosen
 from pamctl.cli.linux import require_linux
 from pamctl.realtime.ending import ExitCode
-from pamctl.settings import RunSettings, resolve
+from pamctl.settings import RunSettings
 
 _PATIENCE_S = 0.5
 """For an owner that is dying; one that lives must be stopped by whoever started it."""
@@ -24,9 +24,7 @@ def safe(
     as_json: JsonOption = False,
 ) -> None:
     """Drive the rig to its safe voltage, whatever has happened before."""
-    with config_errors_exit(as_json=as_json):
-        settings = resolve(rig=rig_name(backend, rig), overrides=overrides or (), fast=False)
-        check_backend(settings, backend, rig)
+    settings, _ = chosen(backend, rig, overrides, as_json=as_json, fast=False)
     require_linux()
     from pamctl.cli.assembly import device_of
 

@@ -11,8 +11,6 @@ import csv
 import json
 import math
 import random
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -581,21 +579,3 @@ def test_the_settings_of_a_golden_log_are_those_of_this_version(
 ) -> None:
     for name in NAMES:
         assert from_resolved(json.dumps(golden(name).config)).controller.law
-
-
-ELSEWHERE = """
-import sys
-for name in ("fcntl", "resource", "termios", "pwd", "grp"):
-    sys.modules[name] = None  # as if there were none
-import typer
-import pamctl.cli.compare
-from pamctl.cli.replay import replay
-typer.run(replay)
-"""
-
-
-def test_a_log_replays_where_there_is_nothing_that_only_linux_has() -> None:
-    arguments = [GOLDEN / "steps.mcap", "--tolerance", "default-for-other-cpu"]
-    command = [sys.executable, "-c", ELSEWHERE, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr

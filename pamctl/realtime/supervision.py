@@ -38,7 +38,7 @@ class LoopSupervisor:
         # Counted in questions: a tick's number may be among the missed ones.
         self._look_every = max(1, round(pace.rate_hz * _LOOK_EVERY_S))
         # Room for the ticks of a smooth stop must be left when the ring is called too full.
-        self._fullest = ring.rows - pace.stop_rows
+        self._spare_rows = pace.stop_rows
         self._patient = patient
         # Counted in looks of our own: a machine that stands still is no evidence.
         silent_looks = math.ceil(pace.heartbeat_ms * 1e-3 * pace.rate_hz / self._look_every)
@@ -109,7 +109,7 @@ class LoopSupervisor:
             return Ending(ExitCode.UNEXPECTED, "the log's disk is full")
         if self._patient:
             return None
-        if ring.pending > self._fullest:
+        if ring.pending > ring.rows - self._spare_rows:
             return Ending(ExitCode.UNEXPECTED, "the recorder is too far behind")
         if ring.recorder_beats != self._beats:
             self._beats, self._beat_s = ring.recorder_beats, time.monotonic()

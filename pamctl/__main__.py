@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+from types import FrameType
 
 
 def main() -> None:
@@ -13,7 +15,7 @@ def main() -> None:
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
     try:
-        # Half of the start-up is this import, and an impatient Ctrl-C falls into it.
+        _import_all()
         from pamctl.cli.app import app
         from pamctl.cli.failure import documented
 
@@ -25,6 +27,25 @@ def main() -> None:
         # The reader has gone, as `head` does; what is left to flush has no reader either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+
+
+def _import_all() -> None:
+    """Import the command line: half of the start-up, into which an impatient Ctrl-C falls.
+
+    Python makes other errors of a `KeyboardInterrupt` that comes while a class is built.
+    """
+    may_interrupt = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if may_interrupt:
+        signal.signal(signal.SIGINT, _leave_at_once)
+    import pamctl.cli.app  # noqa: F401
+
+    if may_interrupt:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _leave_at_once(number: int, frame: FrameType | None) -> None:
+    """Nothing has begun that would have to be ended."""
+    os._exit(130)
 
 
 if __name__ == "__main__":

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import PATIENCE_S
 from typer.main import get_command
 
 from pamctl.__main__ import main
@@ -104,6 +106,29 @@ def test_ctrl_c_is_a_document(
     monkeypatch.setattr(steer, "ask", interrupted)
     ended = Ended(capsys, "status", "--json")
     assert ended.document == {"exit_code": 130, "reason": "interrupted"}
+
+
+IMPATIENT = """
+import os, signal, sys
+
+class Typer:
+    def find_spec(self, name, *_):
+        if name == "typer":  # Ctrl-C here: of what is raised Python makes an error of its own
+            class Key:
+                def __set_name__(self, owner, name):
+                    os.kill(os.getpid(), signal.SIGINT)
+            type("Built", (), {"key": Key()})
+
+sys.meta_path.insert(0, Typer())
+from pamctl.__main__ import main
+main()
+"""
+
+
+def test_ctrl_c_while_it_starts_is_an_exit_code_and_no_traceback() -> None:
+    command = [sys.executable, "-c", IMPATIENT, "status"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
 def test_an_error_of_ours_is_a_document_and_a_traceback(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import io
+import json
 import os
 import pty
 import re
@@ -30,6 +31,7 @@ from pamctl.live.history import BLOCKS, History, sparkline
 from pamctl.live.screen import HISTORY_S, screen, with_error
 
 NOT_HOMED = "rig.homing.enabled=false"
+SHOW_CURSOR, LEAVE_SCREEN = "\x1b[?25h", "\x1b[?1049l"
 
 TICK = {
     "tick": 1000, "t_s": 1.0, "phase": 2, "position_m": 11.801e-3, "reference_m": 11.8e-3,
@@ -146,11 +148,53 @@ def test_in_a_terminal_it_draws_and_in_a_pipe_it_writes_lines(tmp_path: Path) ->
     assert all(re.search(r"\(goto\), sim .* x +-?\d+\.\d+ mm", line) for line in lines)
 
 
-def _seen_in_a_terminal(command: list[str], until: str) -> str:
-    """Run in a terminal of 80 x 24 until a text is seen; then Ctrl-C ends it with 0."""
+def test_lines_of_json_are_what_the_page_is_sent(tmp_path: Path) -> None:
+    with daemon(tmp_path, "lines", NOT_HOMED) as made:
+        made.ask("goto", position_m=8e-3, within_s=0.5)
+        made.wait_until(lambda status: status["tick"] is not None)
+        told = _json_lines(made.socket)
+    away = _json_lines(made.socket)
+    assert [line["status"]["run"] for line in told] == 3 * ["goto"]
+    ticks = [row[told[0]["fields"].index("tick")] for line in told for row in line["ticks"]]
+    assert ticks == sorted(set(ticks))
+    assert all(tick % 20 == 0 for tick in ticks)
+    assert [line["status"] for line in away] == 3 * [None]
+    assert "pamctl daemon" in away[0]["problem"]
+
+
+def _json_lines(socket: Path) -> list[dict[str, Any]]:
+    command = [sys.executable, "-m", "pamctl", "watch", "--json", "--count", "3"]
+    command += ["--socket", str(socket)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_a_terminal_gets_its_cursor_and_its_lines_back_whatever_ends_it(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(tmp_path / "none")]
+    for number, code in ((signal.SIGINT, 0), (signal.SIGTERM, 143)):
+        seen = _seen_in_a_terminal(command, until="away", number=number, code=code)
+        assert seen.endswith(SHOW_CURSOR + LEAVE_SCREEN), repr(seen[-100:])
+
+
+def test_a_terminal_that_cannot_draw_gets_lines(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pamctl", "watch", "--count", "1"]
+    command += ["--socket", str(tmp_path / "none")]
+    assert _seen_in_a_terminal(command, until="away:", kind="dumb").startswith("away:")
+
+
+def _seen_in_a_terminal(
+    command: list[str],
+    until: str,
+    *,
+    kind: str = "xterm-256color",
+    number: signal.Signals = signal.SIGINT,
+    code: int = 0,
+) -> str:
+    """Run in a terminal of 80 x 24 until a text is seen; then a signal ends it with `code`."""
     ours, its = pty.openpty()
     fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    environment = {**os.environ, "TERM": "xterm-256color"}
+    environment = {**os.environ, "TERM": kind}
     process = subprocess.Popen(command, stdin=its, stdout=its, stderr=its, env=environment)
     os.close(its)
     seen, deadline_s = b"", time.monotonic() + PATIENCE_S
@@ -159,21 +203,22 @@ def _seen_in_a_terminal(command: list[str], until: str) -> str:
             assert time.monotonic() < deadline_s, seen[-2000:]
             if select.select([ours], [], [], 0.1)[0]:
                 seen += os.read(ours, 65536)
-        process.send_signal(signal.SIGINT)
-        drain = threading.Thread(target=_drain, args=(ours,), daemon=True)
+        process.send_signal(number)
+        rest: list[bytes] = []
+        drain = threading.Thread(target=_drain, args=(ours, rest), daemon=True)
         drain.start()
-        assert process.wait(PATIENCE_S) == 0
+        assert process.wait(PATIENCE_S) == code
         drain.join(PATIENCE_S)
     finally:
         process.kill()
         process.wait()
     os.close(ours)
-    return seen.decode(errors="replace")
+    return (seen + b"".join(rest)).decode(errors="replace")
 
 
-def _drain(fd: int) -> None:
+def _drain(fd: int, rest: list[bytes]) -> None:
     try:
-        while os.read(fd, 65536):
-            pass
+        while piece := os.read(fd, 65536):
+            rest.append(piece)
     except OSError:
         pass  # the other end is closed

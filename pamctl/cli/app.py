@@ -47,7 +47,7 @@ app.command()(daemon)
 for client in (steer.status, steer.start, steer.stop, steer.estop, steer.ack, steer.disarm):
     app.command()(client)
 app.command()(watch)
-app.command()(steer.goto)
+app.command(context_settings={"ignore_unknown_options": True})(steer.goto)  # goto -1mm
 app.command()(steer.mark)
 app.command("set")(steer.set_keys)
 app.add_typer(steer.gains_app, name="gains")

@@ -40,12 +40,12 @@ def documented(arguments: Sequence[str]) -> Iterator[None]:
     except SystemExit as leaving:
         reason = _reason_of(leaving.__context__)
         if reason is not None and "--json" in arguments:
-            print(json.dumps({"exit_code": leaving.code, "reason": reason}, indent=2))
+            print(json.dumps({"exit_code": leaving.code, "reason": reason}))
         raise
     except Exception as error:
         if "--json" in arguments:
             reason = f"{type(error).__name__}: {error}"
-            print(json.dumps({"exit_code": int(ExitCode.UNEXPECTED), "reason": reason}, indent=2))
+            print(json.dumps({"exit_code": int(ExitCode.UNEXPECTED), "reason": reason}))
         raise
 
 

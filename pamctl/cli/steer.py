@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +18,7 @@ from pamctl.cli.linux import require_linux
 from pamctl.cli.progress import progress_text
 from pamctl.cli.socket_option import SocketOption
 from pamctl.daemon.client import Client, Declined, Unreachable, default_socket
-from pamctl.log.naming import bare
+from pamctl.log.naming import plain
 from pamctl.realtime.ending import ExitCode
 from pamctl.realtime.tuning import DEFAULT_RAMP_S
 from pamctl.settings import SECTIONS, Raw, find, to_data, validated
@@ -38,6 +39,9 @@ def ask(socket: Path | None, method: str, params: Mapping[str, object] | None = 
     try:
         with Client(socket or default_socket()) as client:
             return client.call(method, params)
+    except KeyboardInterrupt:
+        print("asked already: pamctl status says what became of it", file=sys.stderr)
+        raise
     except Unreachable as error:
         fail(ExitCode.UNAVAILABLE, str(error))
     except Declined as error:
@@ -73,7 +77,7 @@ def start(
 ) -> None:
     """Run an experiment; home first if the muscle is not."""
     data = _section("experiment", experiment, as_json=as_json)
-    params = {"experiment": data, "name": bare(experiment), "duration_s": duration_s}
+    params = {"experiment": data, "name": plain(experiment), "duration_s": duration_s}
     _tell(ask(socket, "start", params), "log: {log}", as_json=as_json)
 
 
@@ -153,7 +157,7 @@ def load(
 ) -> None:
     """Take the gains of a controller file, on a ramp; another law only between runs."""
     data = _section("controller", file, as_json=as_json)
-    gains = ask(socket, "load", {"controller": data, "name": bare(file), "ramp_s": ramp_s})
+    gains = ask(socket, "load", {"controller": data, "name": plain(file), "ramp_s": ramp_s})
     typer.echo(json.dumps(gains, indent=2) if as_json else dump(gains).rstrip())
 
 

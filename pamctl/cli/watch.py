@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -24,18 +26,33 @@ def watch(
         bool, typer.Option("--allow-control", help="With --web: stop, goto, and emergency stop.")
     ] = False,
     socket: SocketOption = None,
+    count: Annotated[
+        int | None, typer.Option("--count", min=1, help="Lines, or pictures; without end.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="A line of JSON ten times a second, as the page has it.")
+    ] = False,
 ) -> None:
     """Show state, position, error, pressure, command and timing ten times a second."""
     if allow_control and not web:
         raise typer.BadParameter("it goes with --web; in the terminal there are the other verbs")
+    if web and (as_json or count is not None):
+        raise typer.BadParameter("--json and --count are for the terminal and for pipes")
     require_linux()
     from pamctl.daemon.client import default_socket
 
     where = socket or default_socket()
+    # Whatever ends it, a terminal gets its cursor and its lines back.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    if as_json:
+        from pamctl.live.terminal import watch_as_json
+
+        watch_as_json(where, count)
+        return
     if not web:
         from pamctl.live.terminal import watch_in_terminal
 
-        watch_in_terminal(where, plain_line)
+        watch_in_terminal(where, plain_line, count)
         return
     from pamctl.live.web import serve_page
 

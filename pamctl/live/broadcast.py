@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import math
 import threading
 from collections import deque
 from pathlib import Path
-from typing import Any
 
 from pamctl.live.feed import DaemonFeed, Glimpse
+from pamctl.live.line import COLUMNS, EVERY, LOOKS_PER_S, line
 
-LOOKS_PER_S = 10.0
-EVERY = 20
-"""Ticks, of those that are plotted: 50 points a second."""
-COLUMNS = ("tick", "t_s", "phase", "position_m", "reference_m", "pressure_pa", "valve_v")
 _KEPT_LOOKS = round(60 * LOOKS_PER_S)
-_TOLD = (
-    "state", "fault", "run", "log", "worst_late_s", "missed_ticks", "backend", "device",
-    "limits", "names", "disk_free_bytes", "version", "events",
-)  # fmt: skip
 
 
 class Broadcast:
@@ -50,23 +40,9 @@ class Broadcast:
             self._news.wait_for(lambda: self._count > seen, patience_s)
             missing = min(self._count - seen, len(self._kept))
             fresh = [self._kept[len(self._kept) - missing + i] for i in range(missing)]
-            return self._count, _told(fresh)
+            return self._count, line(fresh)
 
     def end(self) -> None:
         """Look no more."""
         self._ended.set()
         self._thread.join()
-
-
-def _told(glimpses: list[Glimpse]) -> str:
-    newest = glimpses[-1] if glimpses else Glimpse(None, [])
-    status: dict[str, Any] | None = None
-    if newest.status is not None:
-        status = {name: newest.status[name] for name in _TOLD}
-    rows = [[_number(tick[name]) for name in COLUMNS] for one in glimpses for tick in one.ticks]
-    document = {"status": status, "problem": newest.problem, "fields": COLUMNS, "ticks": rows}
-    return json.dumps(document, separators=(",", ":"), allow_nan=False)
-
-
-def _number(value: float) -> float | None:
-    return None if math.isnan(value) else value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,3 +18,8 @@ def bare(name: str) -> str:
     """Return the name that a shipped name or a path means: `square-0.25` is no file ending."""
     last = Path(name).name
     return last.removesuffix(".yaml").removesuffix(".yml")
+
+
+def plain(name: str) -> str:
+    """Return the bare name of a file with nothing in it that another file's name cannot have."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", bare(name)).strip("._-")[:60] or "unnamed"

@@ -1,0 +1,34 @@
+"""What the page and `pamctl watch --json` are sent: state and newest ticks, one line of JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from pamctl.live.feed import Glimpse
+
+LOOKS_PER_S = 10.0
+EVERY = 20
+"""Ticks, of those that are plotted: 50 points a second."""
+COLUMNS = ("tick", "t_s", "phase", "position_m", "reference_m", "pressure_pa", "valve_v")
+_TOLD = (
+    "state", "fault", "run", "log", "worst_late_s", "missed_ticks", "backend", "device",
+    "limits", "names", "disk_free_bytes", "version", "events",
+)  # fmt: skip
+
+
+def line(glimpses: Sequence[Glimpse]) -> str:
+    """Write what was seen in several looks: the last state, and all ticks."""
+    newest = glimpses[-1] if glimpses else Glimpse(None, [])
+    status: dict[str, Any] | None = None
+    if newest.status is not None:
+        status = {name: newest.status[name] for name in _TOLD}
+    rows = [[_number(tick[name]) for name in COLUMNS] for one in glimpses for tick in one.ticks]
+    document = {"status": status, "problem": newest.problem, "fields": COLUMNS, "ticks": rows}
+    return json.dumps(document, separators=(",", ":"), allow_nan=False)
+
+
+def _number(value: float) -> float | None:
+    return None if math.isnan(value) else value

@@ -34,6 +34,8 @@ class Daemon:
     socket: Path
     logs: Path
     device: str
+    told: Path
+    """What it wrote to standard output."""
 
     def client(self) -> Client:
         return Client(self.socket)
@@ -89,9 +91,10 @@ def daemon(
     command += ["--logs", str(tmp_path / "logs"), "--rt", "off", *(options or [])]
     command += [part for setting in settings for part in ("--set", setting)]
     said = tmp_path / "daemon.err"
-    with said.open("wb") as errors:
-        process = subprocess.Popen(command, stderr=errors)
-    made = Daemon(process, socket, tmp_path / "logs", device)
+    told = tmp_path / "daemon.out"
+    with said.open("wb") as errors, told.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=errors)
+    made = Daemon(process, socket, tmp_path / "logs", device, told)
     try:
         _await_answer(made, said)
         yield made

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -10,18 +11,29 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from daemons import Daemon, daemon
+from patience import PATIENCE_S
 
-from pamctl.cli.assembly import ao_path
+from pamctl.cli.assembly import SHARED_MEMORY, ao_path, rig_of
+from pamctl.cli.running import ring_path, run_meta
+from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.client import Client, Declined, Unreachable
+from pamctl.daemon.latch import Latch
+from pamctl.daemon.refusal import Refused
+from pamctl.daemon.service import Service
+from pamctl.daemon.session import Workshop
+from pamctl.daemon.shelf import Shelf
 from pamctl.log import Log, read
 from pamctl.log.check import check
+from pamctl.realtime.clock import VirtualClock
 from pamctl.replay import replay
+from pamctl.settings import resolve
 
 SQUARE: dict[str, Any] = {"kind": "square", "frequency_hz": 4.0, "cycles": 1}
 TRACKING: dict[str, Any] = {
@@ -315,6 +327,43 @@ def test_a_second_daemon_on_the_device_or_the_socket_is_refused(up: Daemon, tmp_
     assert up.state() in ("idle", "ready")
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [((), "there is something else"), (("--group", "no-such-group"), "there is no such group")],
+)
+def test_where_no_socket_can_be_no_file_is_lost_and_none_is_left(
+    tmp_path: Path, options: tuple[str, ...], said: str
+) -> None:
+    path = tmp_path / "notes.txt"
+    if not options:
+        path.write_text("mine")
+    command = [sys.executable, "-m", "pamctl", "daemon", "--logs", str(tmp_path / "logs")]
+    command += ["--socket", str(path), "--set", "rig.sim.device=test-no-socket", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 69
+    assert said in done.stderr
+    assert (path.read_text() == "mine") if not options else not path.exists()
+
+
+def test_an_experiment_may_stand_in_a_file_of_any_name(up: Daemon, tmp_path: Path) -> None:
+    parked(up)
+    path = tmp_path / "_mein Versuch äöü 1.yaml"
+    path.write_text("kind: square\nfrequency_hz: 4.0\ncycles: 1\n")
+    command = [sys.executable, "-m", "pamctl", "start", str(path), "--socket", str(up.socket)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip().endswith("-mein-Versuch-1.mcap")
+    parked(up)
+
+
+def test_a_position_below_zero_is_no_option(up: Daemon) -> None:
+    parked(up)
+    command = [sys.executable, "-m", "pamctl", "goto", "-300mm", "--socket", str(up.socket)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3
+    assert "-300 mm lies outside the stroke" in done.stderr
+
+
 def test_without_a_daemon_a_client_says_how_to_start_one(tmp_path: Path) -> None:
     with pytest.raises(Unreachable, match="pamctl daemon"):
         Client(tmp_path / "nothing")
@@ -364,6 +413,21 @@ def test_a_daemon_that_is_restarted_remembers_its_fault_until_it_is_acknowledged
         again.ask("ack")
     with daemon(tmp_path, "latch", NOT_HOMED) as third:
         assert third.state() == "idle"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be several users")
+def test_another_users_daemon_knows_the_fault_too_and_may_have_it_acknowledged() -> None:
+    place = SHARED_MEMORY / "several-users"  # as /dev/shm is
+    place.mkdir()
+    place.chmod(0o1777)
+    Latch(place / "rig.fault").close_on("safety trip")
+    os.seteuid(65534)
+    try:
+        theirs = Latch(place / "rig.fault")
+        assert theirs.release() == "safety trip"
+    finally:
+        os.seteuid(0)
+    assert Latch(place / "rig.fault").reason == ""
 
 
 def test_a_safety_trip_is_latched_with_its_reason(tmp_path: Path) -> None:
@@ -418,14 +482,93 @@ def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_log_whole(own: Da
     assert "commanding process" in ran.events[-1]["reason"]
 
 
-def test_sigterm_stops_smoothly_and_exits_with_0(own: Daemon) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_stops_it_smoothly_and_it_exits_with_0(
+    own: Daemon, number: signal.Signals
+) -> None:
     log = holding(own)
-    own.process.send_signal(signal.SIGTERM)
+    own.process.send_signal(number)
     assert own.process.wait(30) == 0
     assert own.is_safe()
     ran = read(log)
     assert np.ptp(ran["t_s"][ran["phase"] == 5]) > 0.15
     assert not own.socket.exists()
+
+
+def test_a_stop_may_be_slower_than_the_ticks_that_are_kept_between_runs(tmp_path: Path) -> None:
+    # How far behind a recorder may be is a matter of its run's ring.
+    with daemon(tmp_path, "slow", NOT_HOMED, "rig.loop.stop_ramp_s=5") as made:
+        log = holding(made)
+        made.ask("stop")
+        parked(made)
+        assert read(log).events[-1]["reason"] == "stopped by request"
+
+
+def test_a_second_signal_ends_it_at_once_and_leaves_no_fault(tmp_path: Path) -> None:
+    slowly = ("rig.loop.stop_ramp_s=5", "rig.loop.ring_rows=65536")
+    with daemon(tmp_path, "hurry", NOT_HOMED, *slowly) as made:
+        log = holding(made)
+        made.process.send_signal(signal.SIGTERM)
+        with pytest.raises(Unreachable):  # it has heard the first one
+            made.wait_until(lambda status: False)
+        made.process.send_signal(signal.SIGTERM)
+        assert made.process.wait(PATIENCE_S) == 0
+        assert made.is_safe()
+        ran = read(log)
+        assert np.ptp(ran["t_s"][ran["phase"] == 5]) < 4.9, "the ramp was cut short"
+        assert not ao_path(made.device).with_suffix(".fault").exists()
+
+
+def test_nothing_begins_any_more_in_a_daemon_that_is_being_ended(tmp_path: Path) -> None:
+    settings = resolve()
+    workshop = Workshop([], [], rig_of(settings, VirtualClock(1)).rig, run_meta, "none", ring_path)
+    latch = Latch(tmp_path / "fault")
+    service = Service(settings, {"controller": "qsmc"}, workshop, Shelf(tmp_path), latch)
+    service.close()
+    for ask in (partial(service.start, SQUARE, "late", None), partial(service.goto, 8e-3, None)):
+        with pytest.raises(Refused, match="is being ended"):
+            ask()
+
+
+def test_with_json_its_life_stands_on_standard_output_a_line_for_whatever_happens(
+    tmp_path: Path,
+) -> None:
+    with daemon(tmp_path, "json", NOT_HOMED, options=["--json"]) as made:
+        log = run_to_its_end(made, SQUARE, "square")
+        made.ask("estop")
+        made.wait_until(lambda status: not status["pids"])
+        made.ask("ack")
+        made.process.send_signal(signal.SIGTERM)
+        assert made.process.wait(PATIENCE_S) == 0
+    told = [json.loads(line) for line in made.told.read_text().splitlines()]
+    assert all(event["time_s"] > 1e9 for event in told)
+    assert told[0]["event"] == "listening"
+    assert (told[-1]["event"], told[-1]["exit_code"]) == ("ended", 0)
+    assert told[-1]["reason"] == "stopped by SIGTERM"
+    events = [event["event"] for event in told if event["event"] != "state"]
+    for expected in ("run begins", "run over", "estop", "acknowledged", "ended"):
+        assert expected in events
+        events = events[events.index(expected) :]
+    assert {event["log"] for event in told if event["event"] == "run over"} == {str(log)}
+    states = [(event["state"], event["fault"]) for event in told if event["event"] == "state"]
+    assert states[0] == ("idle", "")
+    assert ("running", "") in states
+    assert ("fault", "emergency stop") in states
+
+
+def test_who_reads_its_announcements_slowly_not_at_all_or_no_longer_holds_up_nobody() -> None:
+    ours, its = os.pipe()
+    stuck = Announcements(its)
+    for number in range(20_000):
+        stuck.put({"number": number})
+    stuck.end()
+    first = os.read(ours, 1 << 16).splitlines()
+    assert [json.loads(line)["number"] for line in first[:100]] == list(range(100))
+    os.close(ours)
+    gone = Announcements(its)
+    gone.put({"number": 1})
+    gone.end()
+    os.close(its)
 
 
 def test_a_session_that_is_parked_for_long_ends(tmp_path: Path) -> None:

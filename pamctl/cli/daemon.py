@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pamctl.cli.backend import BackendOption, check_backend, rig_name
+from pamctl.cli.backend import BackendOption
 from pamctl.cli.config import (
     ControllerOption,
     PlantOption,
@@ -16,7 +16,7 @@ from pamctl.cli.config import (
     RtOption,
     SeedOption,
     SetOption,
-    config_errors_exit,
+    chosen,
 )
 from pamctl.cli.linux import require_linux
 from pamctl.cli.live import (
@@ -27,7 +27,6 @@ from pamctl.cli.live import (
     port_of,
 )
 from pamctl.cli.socket_option import SocketOption
-from pamctl.settings import DEFAULT_NAMES, resolve
 
 
 def daemon(
@@ -54,29 +53,28 @@ def daemon(
     live: LiveOption = False,
     live_port: LivePortOption = DEFAULT_LIVE_PORT,
     live_origins: LiveOriginOption = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="A line of JSON for whatever happens.")
+    ] = False,
 ) -> None:
     """Stay up: home, run experiments and hold positions as clients ask (pamctl start, goto ...)."""
-    with config_errors_exit():
-        settings = resolve(
-            controller=controller,
-            rig=rig_name(backend, rig),
-            plant=plant,
-            overrides=overrides or (),
-            seed=seed,
-            rt=rt,
-        )
-        check_backend(settings, backend, rig)
-    names = {
-        "controller": controller or DEFAULT_NAMES["controller"],
-        "plant": plant or DEFAULT_NAMES["plant"],
-        "rig": rig or rig_name(backend, rig) or DEFAULT_NAMES["rig"],
-    }
+    settings, names = chosen(
+        backend,
+        rig,
+        overrides,
+        as_json=as_json,
+        controller=controller,
+        plant=plant,
+        seed=seed,
+        rt=rt,
+    )
+    del names["experiment"]  # that is said when it is started
     port = port_of(live, live_port)
     require_linux()
     from pamctl.cli.serving import ServiceOptions, serve  # no other verb has to wait for it
     from pamctl.daemon.client import own_socket
 
     options = ServiceOptions(
-        socket or own_socket(), group, logs, keep, idle_after_s, port, live_origins or ()
+        socket or own_socket(), group, logs, keep, idle_after_s, port, live_origins or (), as_json
     )
     sys.exit(int(serve(settings, names, options)))

@@ -17,21 +17,28 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hal.rig import Rig, RigError
+from pamctl import __version__
 from pamctl.cli.assembly import SHARED_MEMORY, device_of, require_backend
+from pamctl.cli.failure import fail
 from pamctl.cli.live import live_view
 from pamctl.cli.running import finish_orphans, ring_path, run_meta, secured
+from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.methods import methods_of
 from pamctl.daemon.notify import notify, watchdog_period_s
 from pamctl.daemon.server import Server, SocketError
-from pamctl.daemon.service import Service
+from pamctl.daemon.service import Service, State
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
-from pamctl.realtime.ending import ExitCode
+from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.ring import RingError
 from pamctl.settings import RunSettings
 
 _LOOK_EVERY_S = 5e-3
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_ERROR_OF_OURS = Ending(ExitCode.UNEXPECTED, "an error of the daemon's own")
+
+Tell = Callable[[Mapping[str, object]], object]
 
 
 class ServiceOptions(NamedTuple):
@@ -44,13 +51,22 @@ class ServiceOptions(NamedTuple):
     idle_after_s: float
     live_port: int | None
     live_origins: Sequence[str]
+    announce: bool
 
 
 def serve(settings: RunSettings, names: Mapping[str, str], options: ServiceOptions) -> ExitCode:
-    """Hold the device and do what clients ask until a signal comes; return how it ended."""
+    """Hold the device and do what clients ask until a signal comes; return how it ended.
+
+    Leaves with 69 where device or socket cannot be had, with 2 where logs cannot be written.
+    """
+    try:
+        shelf = Shelf(options.logs, options.keep)
+    except OSError as error:
+        fail(ExitCode.USAGE, f"--logs {options.logs}: {error.strerror or error}")
+    announcements = Announcements(sys.stdout.fileno()) if options.announce else None
+    tell: Tell = _unheard if announcements is None else announcements.put
     try:
         require_backend(settings)
-        shelf = Shelf(options.logs, options.keep)
         with secured(settings) as device:
             finish_orphans(quiet=False)
             service = Service(
@@ -60,18 +76,28 @@ def serve(settings: RunSettings, names: Mapping[str, str], options: ServiceOptio
                 shelf,
                 Latch(SHARED_MEMORY / f"pamctl-{device_of(settings)}.fault"),
                 idle_after_s=options.idle_after_s,
+                tell=tell,
             )
             live = live_view(
                 options.live_port, options.live_origins, "--socket", str(options.socket)
             )
             with live:
-                return asyncio.run(_serve(service, options.socket, options.group))
+                ending = asyncio.run(_serve(service, options.socket, options.group, tell))
+        tell(_event("ended", exit_code=int(ending.code), reason=ending.reason))
+        return ending.code
     except (SocketError, RingError, RigError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return ExitCode.UNAVAILABLE
-    except OSError as error:
-        print(f"error: --logs {options.logs}: {error.strerror or error}", file=sys.stderr)
-        return ExitCode.USAGE
+        fail(ExitCode.UNAVAILABLE, str(error))
+    finally:
+        if announcements is not None:
+            announcements.end()
+
+
+def _unheard(event: Mapping[str, object]) -> None:
+    """Announce nothing."""
+
+
+def _event(event: str, **details: object) -> dict[str, object]:
+    return {"event": event, "time_s": time.time(), **details}
 
 
 def _workshop(settings: RunSettings, rig: Rig) -> Workshop:
@@ -86,45 +112,57 @@ def _workshop(settings: RunSettings, rig: Rig) -> Workshop:
     )
 
 
-async def _serve(service: Service, path: Path, group: str | None) -> ExitCode:
+async def _serve(service: Service, path: Path, group: str | None, tell: Tell) -> Ending:
     """Answer until a signal comes; then leave the valve safe. A second signal hurries it."""
-    stop = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, partial(_stop, stop, service))
+    events = asyncio.get_running_loop()
+    stop: asyncio.Future[Ending] = events.create_future()
+    for number in _ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup asks for
+            events.add_signal_handler(number, partial(_stop, stop, service, _ended_by(number)))
     server = await Server(methods_of(service)).listen(path, group)
-    watch = _Watch(service, partial(asyncio.get_running_loop().call_soon_threadsafe, stop.set))
+    watch = _Watch(
+        service, tell, partial(events.call_soon_threadsafe, _stop, stop, service, _ERROR_OF_OURS)
+    )
+    tell(_event("listening", socket=str(path), version=__version__))
     watch.start()
     print(f"pamctl daemon: listening on {path}", file=sys.stderr, flush=True)
     notify("READY=1", "STATUS=idle")
     try:
-        await stop.wait()
+        ending = await stop
         notify("STOPPING=1")
         server.close()
         await asyncio.to_thread(service.close)
     finally:
         watch.end()
         path.unlink(missing_ok=True)
-    return ExitCode.UNEXPECTED if watch.has_failed else ExitCode.OK
+    return _ERROR_OF_OURS if watch.has_failed else ending
 
 
-def _stop(stop: asyncio.Event, service: Service) -> None:
-    if stop.is_set():
-        service.estop()
-    stop.set()
+def _stop(stop: asyncio.Future[Ending], service: Service, ending: Ending) -> None:
+    if stop.done():
+        service.hurry()
+    else:
+        stop.set_result(ending)
+
+
+def _ended_by(number: signal.Signals) -> Ending:
+    """To be ended by a signal is how a daemon ends: all is well."""
+    return Ending(ExitCode.OK, f"stopped by {number.name}")
 
 
 class _Watch(threading.Thread):
     """Looks after session and run, and tells the service manager that there is progress."""
 
-    def __init__(self, service: Service, give_up: Callable[[], object]) -> None:
+    def __init__(self, service: Service, tell: Tell, give_up: Callable[[], object]) -> None:
         super().__init__(name="watch", daemon=True)
         self.has_failed = False
         self._service = service
+        self._tell = tell
         self._give_up = give_up
         self._ended = threading.Event()
         self._period_s = watchdog_period_s()
         self._fed_s = 0.0
-        self._said = ""
+        self._said: State | None = None
 
     def run(self) -> None:
         try:
@@ -139,10 +177,11 @@ class _Watch(threading.Thread):
             self._give_up()
 
     def _report(self) -> None:
-        state = str(self._service.state)
+        state = self._service.state
         if state != self._said:
             self._said = state
             notify(f"STATUS={state}")
+            self._tell(_event("state", state=state, fault=self._service.fault))
         now_s = time.monotonic()
         due_s = self._fed_s + (self._period_s or 0.0) / 4.0
         if self._period_s and now_s >= due_s and self._service.makes_progress():

@@ -5,8 +5,12 @@ A service manager that restarts a daemon must not make it forget why the muscle 
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
+
+from hal.reservation import open_shared
+from hal.rig import RigError
 
 
 class Latch:
@@ -26,11 +30,22 @@ class Latch:
         """Latch; the first reason stays."""
         if not self._reason:
             self._reason = reason or "unknown"
-            with suppress(OSError):  # no room to remember it beyond this process, which still does
-                self._path.write_text(self._reason)
+            self._remember(self._reason)
 
     def release(self) -> str:
         """Take the reason away; return it."""
         reason, self._reason = self._reason, ""
-        self._path.unlink(missing_ok=True)
+        self._remember("")  # of another user's file this is all that may be done
+        with suppress(OSError):
+            self._path.unlink()
         return reason
+
+    def _remember(self, reason: str) -> None:
+        # Where that cannot be done, no room for instance, this process still knows.
+        with suppress(OSError, RigError):
+            fd = open_shared(self._path, 0)
+            try:
+                os.ftruncate(fd, 0)
+                os.write(fd, reason.encode())
+            finally:
+                os.close(fd)

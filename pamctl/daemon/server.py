@@ -140,29 +140,41 @@ async def _drained(writer: asyncio.StreamWriter) -> None:
 def _bound(path: Path, group: str | None) -> socket.socket:
     """Make the socket, in the place of one that nobody answers any more."""
     try:
+        owners = -1 if group is None else grp.getgrnam(group).gr_gid
+    except KeyError:
+        raise SocketError(f"--group {group}: there is no such group") from None
+    try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             _require_stale(path)
             path.unlink()
-        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        before = os.umask(0o117)
-        try:
-            listening.bind(str(path))
-        finally:
-            os.umask(before)
-        if group is not None:
-            os.chown(path, -1, grp.getgrnam(group).gr_gid)
-    except KeyError:
-        raise SocketError(f"--group {group}: there is no such group") from None
+        return _made(path, owners)
     except OSError as error:
         raise SocketError(
             f"{path}: the control socket cannot be made: {error.strerror or error}; "
             "give another place with --socket"
         ) from error
+
+
+def _made(path: Path, owners: int) -> socket.socket:
+    """Bind a socket for this user and the group `owners`, from its first moment on."""
+    listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    before = os.umask(0o117)
+    try:
+        listening.bind(str(path))
+    finally:
+        os.umask(before)
+    try:
+        os.chown(path, -1, owners)
+    except OSError:
+        path.unlink()
+        raise
     return listening
 
 
 def _require_stale(path: Path) -> None:
+    if not path.is_socket():  # somebody's file, which is not to be lost
+        raise SocketError(f"{path}: there is something else; give another place with --socket")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         with suppress(ConnectionRefusedError, FileNotFoundError):

@@ -14,7 +14,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -63,10 +63,12 @@ class Service:
         latch: Latch,
         *,
         idle_after_s: float = 600.0,
+        tell: Callable[[Mapping[str, object]], object] = lambda event: None,
     ) -> None:
         """`settings` says rig, plant and the first gains; its experiment is not run.
 
-        A session that is parked for `idle_after_s` ends. A fault that `latch` still knows, from
+        A session that is parked for `idle_after_s` ends. `tell` is called with every event, from
+        any thread, and must not wait for anything. A fault that `latch` still knows, from
         before this daemon was started, has to be acknowledged first.
         """
         self._settings = settings
@@ -82,9 +84,16 @@ class Service:
         self._began_s = time.monotonic()
         self._busy = threading.RLock()
         self._seen_tick = -1
+        self._is_leaving = False
+        self._tell = tell
         self.events: deque[dict[str, Any]] = deque(maxlen=_RECENT_EVENTS)
 
     # --- what is going on ------------------------------------------------------------------------
+
+    @property
+    def fault(self) -> str:
+        """Why it is latched; empty where there is none."""
+        return self._latch.reason
 
     @property
     def state(self) -> State:
@@ -154,7 +163,9 @@ class Service:
         return {"fields": wanted, "ticks": rows}
 
     def _say(self, event: str, **details: object) -> None:
-        self.events.append({"event": event, "time_s": time.time(), **details})
+        told = {"event": event, "time_s": time.time(), **details}
+        self.events.append(told)
+        self._tell(told)
 
     # --- orders ----------------------------------------------------------------------------------
 
@@ -301,9 +312,16 @@ class Service:
         self._shelf.tidy(())
 
     def close(self) -> None:
-        """End everything: the valve is safe when this returns."""
+        """End everything, and begin nothing any more: the valve is safe when this returns."""
+        self._is_leaving = True
         with self._busy:
             self._end_session()
+
+    def hurry(self) -> None:
+        """Let what is ending end at once, at the safe voltage. No fault: nothing is left to ack."""
+        session = self._session
+        if session is not None:
+            session.stop_now()
 
     def _end_session(self) -> None:
         session = self._session
@@ -389,6 +407,8 @@ class Service:
         state = self.state
         if state == State.FAULT:
             raise Refused(f"fault: {self._latch.reason}; acknowledge it first (pamctl ack)")
+        if self._is_leaving:
+            raise Refused("the daemon is being ended")
         if state not in allowed:
             raise Refused(f"not now: the state is {state}")
 
@@ -407,8 +427,8 @@ class Service:
 
 
 def _refusal(error: ConfigError) -> Refused:
-    """Name what was asked for as it was; the option of a start is not how it was asked."""
-    return Refused(str(error).replace("--set ", ""))
+    """Name what was asked for as it was; the options of a start are not how it was asked."""
+    return Refused(str(error).replace("--set ", "").replace("with --controller", "by gains load"))
 
 
 def _of_controller(raw: Raw) -> dict[Any, str]:

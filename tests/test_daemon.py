@@ -515,7 +515,7 @@ def test_a_second_signal_ends_it_at_once_and_leaves_no_fault(tmp_path: Path) -> 
         assert made.process.wait(PATIENCE_S) == 0
         assert made.is_safe()
         ran = read(log)
-        assert np.ptp(ran["t_s"][ran["phase"] == 5]) < 4.9, "the ramp was cut short"
+        assert np.count_nonzero(ran["phase"] == 5) < 4900, "the ramp was cut short"
         assert not ao_path(made.device).with_suffix(".fault").exists()
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,16 @@ from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from pamctl.diagnose.noise import Noise
 from pamctl.diagnose.records import Array, Record
-from pamctl.plant.drive import STEPS_A_TICK, drive_coupled, drive_mechanics, drive_pressure
+from pamctl.plant.drive import (
+    STEPS_A_TICK,
+    Grid,
+    drive_coupled,
+    drive_mechanics,
+    drive_pressure,
+    grid_of,
+)
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.parameters import at_rest
+from pamctl.plant.parameters import PlantParameters, at_rest
 
 PRESSURE, MECHANICS = "pressure", "mechanics"
 
@@ -65,21 +73,25 @@ class Drive:
         """How many samples count."""
         return len(self.measured) if self.rows is None else int(self.rows.sum())
 
+    @cached_property
+    def grid(self) -> Grid:
+        """The simulation's steps."""
+        return grid_of(self.step_s, len(self.measured), self.steps)
+
     def simulated(self, settings: PlantSettings) -> Array:
         """Simulate the block; return what its sensor would show without noise."""
-        p = plant_parameters(settings)
+        return self.simulated_with(plant_parameters(settings))
+
+    def simulated_with(self, p: PlantParameters) -> Array:
+        """Simulate the block with the numbers that the kernels use."""
         if not self.has_position:
-            return drive_coupled(p, self.valve_v, self.step_s, steps=self.steps).pressure_pa
+            return drive_coupled(p, self.valve_v, self.grid).pressure_pa
         if self.block == PRESSURE:
             rests = self.start == p.atmospheric_pressure_pa
             start = None if rests else at_rest(p, float(self.driven[0]), self.start)
-            return drive_pressure(
-                p, self.valve_v, self.driven, self.step_s, start=start, steps=self.steps
-            ).pressure_pa
+            return drive_pressure(p, self.valve_v, self.driven, self.grid, start=start).pressure_pa
         start = at_rest(p, self.start, p.atmospheric_pressure_pa) if self.start else None
-        return drive_mechanics(
-            p, self.driven, self.step_s, start=start, steps=self.steps
-        ).position_m
+        return drive_mechanics(p, self.driven, self.grid, start=start).position_m
 
     def residual(self, settings: PlantSettings) -> Array:
         """Return measurement minus simulation, in deviations of the sensor, shape (samples,)."""
@@ -191,4 +203,5 @@ def _smoothed(values: Array, period_s: float, cutoff_hz: float) -> Array:
 
 def stacked(drives: Sequence[Drive], settings: PlantSettings) -> Array:
     """Return the residuals of several drives, one behind the other."""
-    return np.concatenate([drive.residual(settings) for drive in drives])
+    p = plant_parameters(settings)
+    return np.concatenate([drive.compared(drive.simulated_with(p)) for drive in drives])

@@ -10,7 +10,8 @@ then command k is written, and the plant runs under it for `dt_s[k]` until sampl
 taken. So the samples of tick 0 are the start state, `command_v[k]` is never felt in sample k,
 and the last command is not used. `dt_s` is one number for a regular grid, or one for each
 interval (n - 1 of them; an n-th is ignored); a missed tick is an interval twice as long, and is
-cut into twice as many steps. For a rig whose output comes a tick late shift `command_v` by one.
+cut into twice as many steps. Who drives again and again makes the `grid_of` them once. For a rig
+whose output comes a tick late shift `command_v` by one.
 
 Every `position_m` and `pressure_pa`, in and out, is what the sensors say: with the effects of
 sensors in it, and neither noise nor rounding. `true_...` is what they would say if ideal.
@@ -74,7 +75,7 @@ class MechanicsDriven(NamedTuple):
 def drive_coupled(
     p: PlantParameters,
     command_v: ArrayLike,
-    dt_s: ArrayLike,
+    dt_s: ArrayLike | Grid,
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
@@ -85,10 +86,10 @@ def drive_coupled(
     do not fit together or hold NaN.
     """
     commands = _signal("command_v", command_v)
-    intervals = _intervals(dt_s, len(commands))
+    grid = grid_of(dt_s, len(commands), steps)
     state = vented(p) if start is None else start
     rows = np.empty((len(Driven._fields), len(commands)))
-    _twin(run_coupled)(p, state, steps_of(p, commands, intervals, steps), rows)
+    _twin(run_coupled)(p, state, steps_of(p, commands, grid), rows)
     return Driven(*rows)
 
 
@@ -96,7 +97,7 @@ def drive_pressure(
     p: PlantParameters,
     command_v: ArrayLike,
     position_m: ArrayLike,
-    dt_s: ArrayLike,
+    dt_s: ArrayLike | Grid,
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
@@ -108,21 +109,21 @@ def drive_pressure(
     """
     commands = _signal("command_v", command_v)
     positions = _signal("position_m", position_m, len(commands))
-    intervals = _intervals(dt_s, len(commands))
+    grid = grid_of(dt_s, len(commands), steps)
     true_m = positions / p.effects.sensors.encoder_scale.scale
     if start is None:
         start = at_rest(p, float(true_m[0]), p.paper.atmospheric_pressure_pa)
     rows = np.empty((len(PressureDriven._fields), len(commands)))
-    grid = steps_of(p, commands, intervals, steps)
-    ends_m = np.interp(grid.ends_s, _times(intervals), true_m)
-    _twin(run_pressure)(p, start, grid, ends_m, rows)
+    cut = steps_of(p, commands, grid)
+    ends_m = np.interp(cut.ends_s, grid.samples_s, true_m)
+    _twin(run_pressure)(p, start, cut, ends_m, rows)
     return PressureDriven(*rows)
 
 
 def drive_mechanics(
     p: PlantParameters,
     pressure_pa: ArrayLike,
-    dt_s: ArrayLike,
+    dt_s: ArrayLike | Grid,
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
@@ -132,13 +133,13 @@ def drive_mechanics(
     By default the muscle starts where it rests when vented.
     """
     pressures = _signal("pressure_pa", pressure_pa)
-    intervals = _intervals(dt_s, len(pressures))
+    grid = grid_of(dt_s, len(pressures), steps)
     state = vented(p) if start is None else start
     rows = np.empty((len(MechanicsDriven._fields), len(pressures)))
-    grid = steps_of(p, pressures, intervals, steps)
-    true_pa = pressures if p.direct else true_pressure_pa(p, pressures, intervals)
-    ends_pa = np.interp(grid.ends_s, _times(intervals), true_pa)
-    _twin(run_mechanics)(p, state, grid, ends_pa, rows)
+    cut = steps_of(p, pressures, grid)
+    true_pa = pressures if p.direct else true_pressure_pa(p, pressures, grid.samples_s)
+    ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
+    _twin(run_mechanics)(p, state, cut, ends_pa, rows)
     return MechanicsDriven(*rows)
 
 
@@ -264,40 +265,64 @@ HAIR_S = 1e-10
 """Instants closer than this are one."""
 
 
-def steps_of(p: PlantParameters, command_v: Array, dt_s: Array, steps: int) -> Steps:
-    """Cut each interval into equal steps, and once more where a delayed command arrives.
+class Grid(NamedTuple):
+    """Samples and the steps between them, before any command; made once for many drives."""
+
+    samples_s: Array
+    """When samples are taken, from the first one on."""
+    counts: NDArray[np.int64]
+    """Steps in each interval."""
+    first: NDArray[np.int64]
+    """For each sample the index of the first step after it."""
+    step_s: Array
+    ends_s: Array
+    """One more than steps."""
+
+
+def grid_of(dt_s: ArrayLike | Grid, samples: int, steps: int = STEPS_A_TICK) -> Grid:
+    """Cut each interval into equal steps; return what is a grid as it is.
 
     An interval of median length gets `steps` of them; a tenth of slack keeps jitter from adding
-    one. Before the first command is felt, the valve has that command already.
+    one. ValueError for what are no intervals of so many samples.
     """
-    longest_s = 1.1 * float(np.median(dt_s)) / steps if len(dt_s) else 1.0
-    counts = np.maximum(1, np.ceil(dt_s / longest_s - 1e-6)).astype(np.int64)
+    if isinstance(dt_s, Grid):
+        if len(dt_s.samples_s) != samples:
+            raise ValueError(f"dt_s: a grid of {len(dt_s.samples_s)} samples, where {samples} are")
+        return dt_s
+    intervals = _intervals(dt_s, samples)
+    longest_s = 1.1 * float(np.median(intervals)) / steps if len(intervals) else 1.0
+    counts = np.maximum(1, np.ceil(intervals / longest_s - 1e-6)).astype(np.int64)
+    step_s = np.repeat(intervals / counts, counts)
     first = np.concatenate([[0], np.cumsum(counts)])
-    step_s = np.repeat(dt_s / counts, counts)
-    commands = np.repeat(command_v[: len(dt_s)], counts)
-    ends_s = np.concatenate([[0.0], np.cumsum(step_s)])
+    return Grid(_times(intervals), counts, first, step_s, _times(step_s))
+
+
+def steps_of(p: PlantParameters, command_v: Array, grid: Grid) -> Steps:
+    """Let the command arrive, and cut once more where it does so within a step.
+
+    Before the first command is felt, the valve has that command already.
+    """
     delay_s = p.effects.command_delay.delay_s
-    if delay_s > 0.0:
-        samples_s = _times(dt_s)
-        arrivals_s = samples_s[:-1] + delay_s
-        cuts_s = np.sort(np.concatenate([ends_s, arrivals_s[arrivals_s < ends_s[-1]]]))
-        ends_s = cuts_s[np.concatenate([[True], np.diff(cuts_s) > HAIR_S])]
-        arrived = np.searchsorted(arrivals_s, ends_s[:-1] + HAIR_S, "right") - 1
-        commands = command_v[np.maximum(arrived, 0)]
-        first = np.searchsorted(ends_s, samples_s - HAIR_S)
-        step_s = np.diff(ends_s)
-    return Steps(first, step_s, commands, ends_s)
+    if delay_s <= 0.0:
+        arrived_v = np.repeat(command_v[: len(grid.counts)], grid.counts)
+        return Steps(grid.first, grid.step_s, arrived_v, grid.ends_s)
+    arrivals_s = grid.samples_s[:-1] + delay_s
+    cuts_s = np.sort(np.concatenate([grid.ends_s, arrivals_s[arrivals_s < grid.ends_s[-1]]]))
+    ends_s = cuts_s[np.concatenate([[True], np.diff(cuts_s) > HAIR_S])]
+    arrived = np.searchsorted(arrivals_s, ends_s[:-1] + HAIR_S, "right") - 1
+    first = np.searchsorted(ends_s, grid.samples_s - HAIR_S)
+    return Steps(first, np.diff(ends_s), command_v[np.maximum(arrived, 0)], ends_s)
 
 
-def true_pressure_pa(p: PlantParameters, pressure_pa: Array, dt_s: Array) -> Array:
+def true_pressure_pa(p: PlantParameters, pressure_pa: Array, samples_s: Array) -> Array:
     """Undo what the sensor does to a pressure; its lag by the signal's slope, which adds noise."""
     e, atmosphere_pa = p.effects.sensors, p.paper.atmospheric_pressure_pa
     if not p.sensors_act:
         return pressure_pa
     gauge_pa = pressure_pa - e.pressure_sensor_offset.offset_pa - atmosphere_pa
     true_pa: Array = atmosphere_pa + gauge_pa / e.pressure_sensor_gain.gain
-    if e.pressure_sensor_lag.time_constant_s > 0.0 and len(dt_s) > 1:
-        slope = np.gradient(true_pa, _times(dt_s))
+    if e.pressure_sensor_lag.time_constant_s > 0.0 and len(samples_s) > 2:
+        slope = np.gradient(true_pa, samples_s)
         true_pa = true_pa + e.pressure_sensor_lag.time_constant_s * slope
     return true_pa
 

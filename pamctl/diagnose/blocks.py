@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,9 +108,24 @@ class Drive:
             error = error - np.clip(np.mean(error), -self.slack, self.slack)
         return error / self.deviation
 
-    def smoothed(self, noise: Array) -> Array:
-        """Smooth noise of the driving signal as the signal itself was smoothed."""
-        return _smoothed(noise, float(np.median(self.step_s)), self.cutoff_hz)
+    def chance(self, *key: int) -> np.random.Generator:
+        """Return random numbers that are this record's own, and the same for the same key."""
+        return np.random.default_rng([crc32(self.measured.tobytes()), *key])
+
+    def disturbance(self, noise: Noise, replica: int) -> Array:
+        """Draw noise of the driving signal, smoothed as the signal itself was, shape (n,).
+
+        Kept: every model's floor is found with the same noise, and differs by the model alone.
+        """
+        if replica not in self._disturbances:
+            drawn = noise.sensed(np.zeros(len(self.driven)), self.chance(replica, 0))
+            smooth = _smoothed(drawn, float(np.median(self.step_s)), self.cutoff_hz)
+            self._disturbances[replica] = smooth
+        return self._disturbances[replica]
+
+    @cached_property
+    def _disturbances(self) -> dict[int, Array]:
+        return {}
 
 
 def pressure_drive(record: Record, noises: dict[str, Noise], atmosphere_pa: float) -> Drive:

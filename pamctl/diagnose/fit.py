@@ -47,7 +47,7 @@ HALVINGS = 10
 """Of a start from which the model runs away, until its effects are as good as neutral."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """A plant fitted to training drives."""
 

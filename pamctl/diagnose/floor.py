@@ -68,7 +68,6 @@ def floor(
     *,
     margin: float,
     replicas: int = REPLICAS,
-    seed: int = 1,
 ) -> Floor:
     """Simulate the fitted plant with noise, refit, and measure the rest on `holdout`, of one block.
 
@@ -77,7 +76,7 @@ def floor(
     `margin` is the smallest excess that matters, in deviations of the sensor. The refit is
     one Gauss-Newton step on the fit's own derivatives: noise moves the numbers but little.
     """
-    made = imitations(fitted, holdout, noises, replicas=replicas, seed=seed)
+    made = imitations(fitted, holdout, noises, replicas=replicas)
     spread = np.array([rms(imitation.residual) for imitation in made])
     memories = [_memory(imitation.noise, holdout) for imitation in made]
     mean = float(spread.mean())
@@ -108,10 +107,8 @@ def imitations(
     noises: dict[str, Noise],
     *,
     replicas: int = REPLICAS,
-    seed: int = 1,
 ) -> list[Imitation]:
-    """Make records of the fitted plant with noise anew, and refit; the same seed, the same ones."""
-    random = np.random.default_rng(seed)
+    """Make records of the fitted plant with noise anew, and refit; each time the same ones."""
     made = []
     ideal_train = [d.simulated(fitted.settings) for d in fitted.drives]
     ideal_hold = [d.simulated(fitted.settings) for d in holdout]
@@ -122,9 +119,9 @@ def imitations(
         np.concatenate([d.compared(ideal) for d, ideal in zip(holdout, ideal_hold, strict=True)]),
     )
     inverse = np.linalg.pinv(fitted.jacobian) if fitted.free else np.zeros((0, 1))
-    for _ in range(replicas):
-        train = _replica(fitted.drives, ideal_train, fitted.settings, noises, random)
-        hold = _replica(holdout, ideal_hold, fitted.settings, noises, random)
+    for replica in range(replicas):
+        train = _replica(fitted.drives, ideal_train, fitted.settings, noises, replica)
+        hold = _replica(holdout, ideal_hold, fitted.settings, noises, replica)
         shift = -(inverse @ train) if fitted.free else np.zeros(0)
         made.append(Imitation(hold + hold_slope @ shift, shift, hold))
     return made
@@ -147,12 +144,12 @@ def _replica(
     ideals: Sequence[Array],
     settings: PlantSettings,
     noises: dict[str, Noise],
-    random: np.random.Generator,
+    replica: int,
 ) -> Array:
     """Residuals that noise alone would leave."""
     return np.concatenate(
         [
-            _noisy(drive, ideal, settings, noises, random).residual(settings)
+            _noisy(drive, ideal, settings, noises, replica).residual(settings)
             for drive, ideal in zip(drives, ideals, strict=True)
         ]
     )
@@ -163,7 +160,7 @@ def _noisy(
     ideal: Array,
     settings: PlantSettings,
     noises: dict[str, Noise],
-    random: np.random.Generator,
+    replica: int,
 ) -> Drive:
     """Take the drive's inputs for the truth, and let the sensors see it anew."""
     inner, outer = "position_m", "pressure_pa"
@@ -171,6 +168,8 @@ def _noisy(
         inner, outer = ("force_n" if settings.actuator == "direct" else "pressure_pa"), inner
     driven = drive.driven
     if inner in noises:
-        driven = driven + drive.smoothed(noises[inner].sensed(np.zeros(len(driven)), random))
-    measured = noises[outer].sensed(ideal, random)
-    return replace(drive, driven=driven, measured=measured)
+        driven = driven + drive.disturbance(noises[inner], replica)
+    measured = noises[outer].sensed(ideal, drive.chance(replica, 1))
+    noisy = replace(drive, driven=driven, measured=measured)
+    noisy.__dict__["grid"] = drive.grid  # the steps stay
+    return noisy

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -34,6 +35,9 @@ TRIFLE = 0.5
 FORM = 0.01
 FAR = 2.5
 """A block so many limits high is above any floor."""
+
+_FLOORS: WeakKeyDictionary[Fit, dict[str, Floor]] = WeakKeyDictionary()
+"""By fit and block: models share the fits of what they do not change, and with them the floors."""
 
 
 @dataclass(frozen=True)
@@ -88,12 +92,12 @@ class Model:
     def _floor(self, block: str) -> Floor:
         if self.root is not None and self.imitated(block) is self.root.fit_of(block):
             return self.root.floors[block]
-        return floor(
-            self.fit_of(block),
-            self.evidence.holdout[block],
-            self.evidence.noises,
-            margin=self.evidence.margin(block),
-        ).with_repeatability(self.repeatability[block])
+        fitted = self.fit_of(block)
+        known = _FLOORS.setdefault(fitted, {})
+        if block not in known:
+            holdout, margin = self.evidence.holdout[block], self.evidence.margin(block)
+            known[block] = floor(fitted, holdout, self.evidence.noises, margin=margin)
+        return known[block].with_repeatability(self.repeatability[block])
 
     @cached_property
     def repeatability(self) -> dict[str, Spread]:

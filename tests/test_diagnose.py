@@ -9,14 +9,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from made_records import PERIOD_S, measured, pair
+from made_records import COUNT_M, PERIOD_S, measured, pair
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, sentence
 from pamctl.diagnose.audit import audit_of
 from pamctl.diagnose.blocks import MECHANICS, PRESSURE, RUNAWAY, stacked
 from pamctl.diagnose.candidates import Candidate, candidates
 from pamctl.diagnose.document import document
-from pamctl.diagnose.evidence import Evidence, prepared
+from pamctl.diagnose.evidence import Evidence, prepared, with_modelled_pressure
 from pamctl.diagnose.fit import fit, rms
 from pamctl.diagnose.models import extended, joined, recalibrated
 from pamctl.diagnose.noise import estimate
@@ -312,3 +312,33 @@ def test_a_zero_that_homing_left_does_not_hide_the_sensors_offset() -> None:
         {"effects": {"pressure_sensor_offset": {"offset_pa": 12.0}}}
     )
     assert "pressure_sensor_offset" in {c.name for c in candidates(prepared(*pair(), start))}
+
+
+def test_a_muscle_that_a_leak_held_up_as_the_encoder_was_zeroed_pulls_no_load() -> None:
+    leak = {"valve_leak.area_m2": 2.5e-7}
+    records = [zeroed_late(measured(program, **hidden(leak))) for program in ("fit", "judge")]
+    fitted, judged = [[record] for record in records]
+    assert np.mean(records[0]["pressure_pa"][:200]) > 102.0e3
+    truth = with_values(PAPER, leak)
+    evidence = prepared(fitted, judged, PAPER)
+    driven = with_modelled_pressure(evidence, fitted, judged, truth, trusted=True)
+    (drive,) = driven.holdout[MECHANICS]
+    assert drive.start > 50e-6
+    assert rms(drive.residual(truth)) * drive.deviation < 3 * COUNT_M
+
+
+def hidden(values: dict[str, float]) -> dict[str, float]:
+    return {name.replace(".", "__"): value for name, value in values.items()}
+
+
+def zeroed_late(record: Record) -> Record:
+    """Begin the record, and the encoder's count, when the muscle has come to rest."""
+    late = slice(300, None)
+    position_m = record["position_m"] - record["position_m"][300]
+    return Record(
+        record.name,
+        record.t_s[late],
+        valve_v=record["valve_v"][late],
+        pressure_pa=record["pressure_pa"][late],
+        position_m=position_m[late],
+    )

@@ -37,6 +37,8 @@ VENTED_PA = 20e3
 """A sensor's zero may be off by so much; a muscle that starts higher does not start vented."""
 MODELLED_HZ = 5.0
 """The same, of what is left of it beside a pressure block that is at its floor."""
+SETTLED = 1000
+"""Milliseconds after which a muscle stands still."""
 RUNAWAY = 1e6
 """Deviations: the residual of a model that runs away, as a spring with a negative rate does."""
 
@@ -60,7 +62,8 @@ class Drive:
     deviation: float
     """Residuals are counted in it: at first the sensor's own."""
     slack: float
-    """How far off the measurement's zero may be: a converter's step."""
+    """How far off the measurement's zero may be: a converter's step, or more where the encoder
+    was zeroed on a muscle that a leak had filled a little."""
     start: float
     """Where the block is at first: atmospheric pressure, or the position at rest."""
     steps: int = STEPS_A_TICK
@@ -93,6 +96,15 @@ class Drive:
             return drive_pressure(p, self.valve_v, self.driven, self.grid, start=start).pressure_pa
         start = at_rest(p, self.start, p.atmospheric_pressure_pa) if self.start else None
         return drive_mechanics(p, self.driven, self.grid, start=start).position_m
+
+    def resting_gauge_pa(self, settings: PlantSettings, samples: int) -> float:
+        """Return the true pressure above the atmosphere's that the valve leaves at rest."""
+        p = plant_parameters(settings)
+        if not (self.has_position and samples):
+            return 0.0
+        driven = drive_pressure(p, self.valve_v, self.driven, self.grid)
+        resting_pa = driven.true_pressure_pa[samples // 2 : samples]
+        return float(np.mean(resting_pa)) - p.atmospheric_pressure_pa
 
     def residual(self, settings: PlantSettings) -> Array:
         """Return measurement minus simulation, in deviations of the sensor, shape (samples,)."""
@@ -172,6 +184,13 @@ def mechanics_drive(
         noise.resolution,
         rest_m(record, noise),
     )
+
+
+def contraction_m(settings: PlantSettings, gauge_pa: float) -> float:
+    """Return how far a muscle moves, from the vented rest, under a constant pressure."""
+    p = plant_parameters(settings)
+    steady_pa = np.full(SETTLED, p.atmospheric_pressure_pa + gauge_pa)
+    return float(drive_mechanics(p, steady_pa, 1e-3).position_m[-1])
 
 
 def force_drive(record: Record, noises: dict[str, Noise]) -> Drive:

@@ -13,6 +13,7 @@ from pamctl.diagnose.blocks import (
     PRESSURE,
     SMOOTH_HZ,
     Drive,
+    contraction_m,
     force_drive,
     mechanics_drive,
     pressure_drive,
@@ -124,11 +125,18 @@ def with_modelled_pressure(
     """
     cutoff_hz = MODELLED_HZ if trusted else SMOOTH_HZ
 
+    def driven_by(record: Record, pressure: Drive) -> Drive:
+        modelled_pa = pressure.simulated(pressure_model)
+        drive = mechanics_drive(record, evidence.noises, modelled_pa, cutoff_hz)
+        gauge_pa = pressure.resting_gauge_pa(pressure_model, record.rest_samples) if trusted else 0
+        moved_m = contraction_m(evidence.nominal, gauge_pa) if gauge_pa > 0.0 else 0.0
+        if drive.start or moved_m <= drive.slack:
+            return drive
+        # The encoder was zeroed where the muscle rested, and a leak held that up a little.
+        return replace(drive, start=moved_m, slack=moved_m)
+
     def driven(records: Sequence[Record], drives: Sequence[Drive]) -> tuple[Drive, ...]:
-        return tuple(
-            mechanics_drive(r, evidence.noises, d.simulated(pressure_model), cutoff_hz)
-            for r, d in zip(records, drives, strict=True)
-        )
+        return tuple(driven_by(r, d) for r, d in zip(records, drives, strict=True))
 
     return replace(
         evidence,

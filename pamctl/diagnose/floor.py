@@ -21,6 +21,9 @@ from pamctl.diagnose.repeats import Spread
 from pamctl.plant.model import PlantSettings
 
 REPLICAS = 12
+SURE = 3.0
+"""Of the scatter: the few slow waves that a short record holds may all be high ones, and what a
+named effect leaves must not be called unexplained for it."""
 STRETCH_S = 0.25
 """Residuals so far apart are taken to have forgotten each other."""
 
@@ -33,7 +36,8 @@ class Floor:
     """RMS in deviations of the sensor."""
     scatter: float
     limit: float
-    """What lies above is a discrepancy: the 95 % quantile, and a practical margin."""
+    """What lies above is a discrepancy: the replicas' 95 % quantile or three sigma, and a
+    practical margin."""
     shifts: Array
     """How far noise alone moved the fitted numbers, in their scales, (replicas, p)."""
     spread: Array
@@ -82,7 +86,7 @@ def floor(
     mean = float(spread.mean())
     scatter = float(spread.std(ddof=1))
     sensor = sensor_of(holdout, noises)
-    high = max(float(np.quantile(spread, 0.95)), mean + 2.0 * scatter)
+    high = max(float(np.quantile(spread, 0.95)), mean + SURE * scatter)
     high *= 1.0 + 2.0 * sensor.uncertainty
     limit, memory = float(np.hypot(high, margin)), max(float(np.mean(memories)), 1.0)
     shifts = np.array([imitation.shift for imitation in made])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pamctl.diagnose.blocks import PRESSURE, stacked
+from pamctl.diagnose.blocks import MECHANICS, PRESSURE, stacked
 from pamctl.diagnose.evidence import Evidence
 from pamctl.diagnose.fit import rms
 from pamctl.diagnose.records import Array, Record
@@ -86,13 +86,12 @@ def _coupled_levels(
     evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings
 ) -> dict[str, float]:
     errors: dict[str, list[Array]] = {"position_m": [], "pressure_pa": []}
-    for record, drive in zip(holdout, evidence.holdout[PRESSURE], strict=True):
+    for record, drive in zip(holdout, evidence.holdout[MECHANICS], strict=True):
         counted = slice(None) if drive.rows is None else drive.rows
         position_m, pressure_pa = coupled(record, plant)
         for channel, simulated in (("position_m", position_m), ("pressure_pa", pressure_pa)):
             error = (record[channel] - simulated)[counted]
             if channel == "position_m":
-                slack = evidence.noises[channel].resolution
-                error = error - np.clip(np.mean(error), -slack, slack)
+                error = error - np.clip(np.mean(error), -drive.slack, drive.slack)
             errors[channel].append(error)
     return {channel: rms(np.concatenate(parts)) for channel, parts in errors.items()}

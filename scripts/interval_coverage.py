@@ -1,0 +1,348 @@
+"""How often the 90 % intervals of a diagnosis hold the truth, by simulation.
+
+    python scripts/interval_coverage.py [--rigs own,hidden] [--effects NAME,...] [--seeds 4]
+        [--program brief] [--workers 2] [--results FILE] [--json | --readme]
+
+An effect of drawn size (1 to 10 smallest sizes of interest), under drawn parameters, noise and
+homing, is hidden in the project's own simulated rig (finely stepped) and in those of tests/hidden,
+which share no code with it and have other forms. Only the true structure is fitted, without a
+search, so that a rig costs seconds. Lines of a JSONL file are not run again. The table goes to
+stdout (markdown, JSON, or into the README), progress to stderr. A standard error counts rigs, not
+numbers: those of one rig are not independent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "scripts")]
+
+from hidden.cases import Case  # noqa: E402
+from hidden.effects import SINGLES  # noqa: E402
+from hidden.examine import records_of, rig_of  # noqa: E402
+from hidden.excitations import PROGRAMS  # noqa: E402
+from hidden.rig import HiddenRig  # noqa: E402
+from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M  # noqa: E402
+from hidden.truth_values import NEUTRAL as HIDDEN_NEUTRAL  # noqa: E402
+from hidden.truth_values import TRUE  # noqa: E402
+from readme_table import table, write_between  # noqa: E402
+
+from pamctl.diagnose import Record  # noqa: E402
+from pamctl.diagnose.blocks import MECHANICS, PRESSURE  # noqa: E402
+from pamctl.diagnose.candidates import Candidate, candidates, reaching  # noqa: E402
+from pamctl.diagnose.evidence import Evidence, prepared, with_modelled_pressure  # noqa: E402
+from pamctl.diagnose.intervals import estimates  # noqa: E402
+from pamctl.diagnose.models import Model, extended, recalibrated  # noqa: E402
+from pamctl.diagnose.name import finished, other_starts, proven, rank  # noqa: E402
+from pamctl.diagnose.score import scores  # noqa: E402
+from pamctl.plant.drive import drive_coupled  # noqa: E402
+from pamctl.plant.flat import NEUTRAL, PAPER, parameters_of  # noqa: E402
+from pamctl.plant.model import PlantSettings  # noqa: E402
+
+RIGS = ("own", "hidden")
+SIZES = (1.0, 10.0)
+OFF = {
+    "damping_n_s_per_m": 0.06,
+    "stiffness_n_per_m": 0.05,
+    "kinetic_friction_per_m": 0.08,
+    "valve_gain_m2_per_v": 0.07,
+    "tank_pressure_pa": 0.015,
+    "braid_length_m": 0.003,
+}
+"""How far a rig's numbers are off the paper's, at most."""
+HIDDEN_NUMBERS: dict[str, Callable[[HiddenRig], float]] = {
+    "damping_n_s_per_m": lambda rig: rig.truth.damping,
+    "stiffness_n_per_m": lambda rig: rig.truth.stiffness,
+    "kinetic_friction_per_m": lambda rig: rig.truth.mu_k,
+    "valve_gain_m2_per_v": lambda rig: rig.truth.valve_m2_per_v,
+    "tank_pressure_pa": lambda rig: rig.truth.supply_pa,
+    "braid_length_m": lambda rig: rig.truth.braid_m,
+}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One rig with one effect in it."""
+
+    rig: str
+    effect: str
+    seed: int
+    program: str
+
+    @property
+    def key(self) -> str:
+        """What it is known by in the results."""
+        return f"{self.rig}/{self.effect}#{self.seed}@{self.program}"
+
+    @property
+    def random(self) -> np.random.Generator:
+        """Its own, the same each time."""
+        return np.random.default_rng(zlib.crc32(self.key.encode()))
+
+
+Runs = tuple[list[Record], list[Record]]
+
+
+def hidden(task: Task) -> tuple[Runs, dict[str, float]]:
+    """Return a hidden rig's records, and its numbers as far as they mean the same in both forms."""
+    size = _size(task.random)
+    case = Case(
+        task.key,
+        "coverage",
+        {task.effect: size},
+        program=task.program,
+        encoder_homed=task.effect != "external_load",
+        repeat=task.seed,
+    )
+    rig = rig_of(case)
+    train, held = records_of(case)
+    true = {name: number(rig) for name, number in HIDDEN_NUMBERS.items()}
+    for name, number in TRUE.get(task.effect, {}).items():
+        if not math.isclose(number(rig), HIDDEN_NEUTRAL.get(name, 0.0), abs_tol=1e-15):
+            true[f"{task.effect}.{name}"] = number(rig)
+    return ([_handed(r) for r in train], [_handed(r) for r in held]), true
+
+
+def _handed(record: Any) -> Record:
+    return Record(name=record.name, **record.columns())
+
+
+def own(task: Task) -> tuple[Runs, dict[str, float]]:
+    """Return records of the project's own plant, and its numbers."""
+    random = task.random
+    muscle = {n: PAPER[n] * (1.0 + by * random.uniform(-1.0, 1.0)) for n, by in OFF.items()}
+    hidden = _drawn(task.effect, random)
+    truth = parameters_of({**muscle, **hidden})
+    noise_pa = float(random.choice([150.0, 300.0, 600.0]))
+    phase = random.uniform()
+
+    def run(name: str, command_v: np.ndarray) -> Record:
+        driven = drive_coupled(truth, command_v, 1e-3, steps=16)
+        pressure_pa = driven.pressure_pa + random.normal(0.0, noise_pa, len(command_v))
+        return Record(
+            name,
+            np.arange(len(command_v)) * 1e-3,
+            valve_v=command_v,
+            pressure_pa=np.round(pressure_pa / ADC_STEP_PA) * ADC_STEP_PA,
+            position_m=np.floor(driven.position_m / ENCODER_STEP_M + phase) * ENCODER_STEP_M,
+        )
+
+    train, held = PROGRAMS[task.program](int(random.integers(1_000_000)))
+    commands = [[(e.name, e.volts) for e in part if e.volts is not None] for part in (train, held)]
+    runs = ([run(*c) for c in commands[0]], [run(*c) for c in commands[1]])
+    return runs, {**muscle, **hidden}
+
+
+def _size(random: np.random.Generator) -> float:
+    return float(np.exp(random.uniform(*np.log(SIZES))))
+
+
+def _drawn(effect: str, random: np.random.Generator) -> dict[str, float]:
+    """Draw an effect in one of its forms: its sizes, and its shapes about where a fit starts."""
+    forms = [c for c in _everything() if c.name == effect]
+    form = forms[int(random.integers(len(forms)))]
+    size = _size(random)
+    values = dict(form.held)
+    for number in form.switches:
+        neutral, step = NEUTRAL[number.name], size * random.uniform(0.85, 1.15) * number.scale
+        fits = neutral + step < number.high
+        values[number.name] = neutral + step if fits else neutral - step
+    for number in form.shapes:
+        usual = values.get(number.name) or NEUTRAL[number.name]
+        values[number.name] = float(
+            np.clip(usual * random.uniform(0.7, 1.4), number.low, number.high)
+        )
+    return values
+
+
+def _everything() -> tuple[Candidate, ...]:
+    return candidates(Evidence(PlantSettings(), {PRESSURE: (), MECHANICS: ()}, {}, {}))
+
+
+def fitted(runs: Runs, effect: str) -> Model:
+    """Fit the true structure as the diagnosis would that has found it."""
+    train, held = runs
+    evidence = prepared(train, held, PlantSettings())
+    forms = [c for c in candidates(evidence) if c.name == effect]
+    air = _best(evidence.only({PRESSURE}), reaching(forms, {PRESSURE}))
+    evidence = with_modelled_pressure(
+        evidence, train, held, air.fit_of(PRESSURE).settings, trusted=air.is_complete
+    )
+    return _best(evidence.counted(recalibrated(evidence).floors), forms)
+
+
+def _best(evidence: Evidence, forms: Sequence[Candidate]) -> Model:
+    """Fit the most promising form from where it promises most; more only where that falls short."""
+    base = proven(recalibrated(evidence))
+    ranked = [
+        score
+        for block in evidence.blocks
+        for score in scores(base.fit_of(block), reaching(forms, {block}), block)
+        if score.start
+    ]
+    best = base
+    for score in sorted(ranked, key=lambda s: -s.explained):
+        for starts in ([score.start], [*other_starts(base, score)]):
+            model = proven(finished(extended(base, (score.candidate,), starts)))
+            best = model if best is base else min(best, model, key=rank)
+            if best.is_complete:
+                return best
+    return best
+
+
+def examined(task: Task) -> dict[str, Any]:
+    """Return the intervals of one rig beside the truth."""
+    runs, true = {"own": own, "hidden": hidden}[task.rig](task)
+    began = time.process_time()
+    model = fitted(runs, task.effect)
+    found = estimates(model)
+    return {
+        "key": task.key,
+        "rig": task.rig,
+        "effect": task.effect,
+        "at_floor": model.is_complete,
+        "ratios": {block: model.ratio(block) for block in model.evidence.blocks},
+        "seconds": time.process_time() - began,
+        "numbers": [
+            {"name": n.name, "true": true[n.name], "value": n.value, "ci90": [n.low, n.high]}
+            for n in found
+            if n.name in true
+        ],
+    }
+
+
+def run(tasks: Sequence[Task], path: Path, workers: int) -> list[dict[str, Any]]:
+    """Examine what is not stored yet, and store it."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    stored = {result["key"]: result for result in map(json.loads, lines)}
+    left = [task for task in tasks if task.key not in stored]
+    with path.open("a") as file:
+        for done, result in enumerate(_results(left, workers), 1):
+            file.write(json.dumps(result) + "\n")
+            file.flush()
+            stored[result["key"]] = result
+            print(f"{done}/{len(left)} {result['key']}", file=sys.stderr)
+    return [stored[task.key] for task in tasks]
+
+
+def _results(tasks: Sequence[Task], workers: int) -> Iterator[dict[str, Any]]:
+    if workers == 1:
+        yield from map(examined, tasks)
+        return
+    with ProcessPoolExecutor(workers) as pool:
+        for future in as_completed([pool.submit(examined, task) for task in tasks]):
+            yield future.result()
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How often intervals held the truth."""
+
+    what: str
+    rigs: int
+    numbers: int
+    covered: float
+    standard_error: float
+    half_width: float
+    """Median, as a share of the number's distance from neutral (of its value)."""
+
+
+def coverage(what: str, results: Iterable[dict[str, Any]], *, of_effect: bool = True) -> Coverage:
+    """Count over rigs; the numbers of the effect, or those that are only recalibrated."""
+    shares, widths, count = [], [], 0
+    for result in results:
+        numbers = [n for n in result["numbers"] if ("." in n["name"]) == of_effect]
+        if numbers:
+            shares.append(
+                float(np.mean([n["ci90"][0] <= n["true"] <= n["ci90"][1] for n in numbers]))
+            )
+            widths += [_half_width(n) for n in numbers]
+            count += len(numbers)
+    covered = float(np.mean(shares)) if shares else math.nan
+    # One rig more on either side, so that a handful that all hold are not sure of themselves.
+    smooth = (covered * len(shares) + 1.0) / (len(shares) + 2.0)
+    error = math.sqrt(smooth * (1.0 - smooth) / max(len(shares), 1))
+    return Coverage(what, len(shares), count, covered, error, float(np.median(widths or [np.nan])))
+
+
+def _half_width(number: dict[str, Any]) -> float:
+    low, high = number["ci90"]
+    return float(0.5 * (high - low) / abs(number["true"] - NEUTRAL.get(number["name"], 0.0)))
+
+
+def summary(results: Sequence[dict[str, Any]]) -> list[Coverage]:
+    """Return the whole account: by rig, then by effect."""
+    at_floor = [r for r in results if r["at_floor"]]
+    lines = []
+    for rig in RIGS:
+        of_rig = [r for r in at_floor if r["rig"] == rig]
+        if of_rig:
+            lines.append(coverage(f"{rig} rigs: numbers of the effect", of_rig))
+            lines.append(coverage(f"{rig} rigs: recalibrated numbers", of_rig, of_effect=False))
+    above = [r for r in results if not r["at_floor"]]
+    if above:
+        lines.append(coverage("fits that end above the floor", above))
+    by_effect = [
+        coverage(f"`{name}`", [r for r in at_floor if r["effect"] == name])
+        for name in sorted({r["effect"] for r in results})
+    ]
+    return [line for line in (*lines, *by_effect) if line.rigs]
+
+
+def markdown(lines: Sequence[Coverage]) -> str:
+    """Return the table."""
+    rows = [
+        [
+            line.what,
+            str(line.rigs),
+            str(line.numbers),
+            f"{line.covered:.0%} ± {line.standard_error:.0%}",
+            f"{line.half_width:.2%}",
+        ]
+        for line in lines
+    ]
+    return table(["", "rigs", "numbers", "90 % intervals that hold the truth", "half width"], rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--rigs", default=",".join(RIGS))
+    parser.add_argument("--effects", default=",".join(SINGLES))
+    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--program", choices=PROGRAMS, default="brief")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--results", type=Path, default=Path("logs/coverage.jsonl"))
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--readme", action="store_true", help="put the table into the README")
+    options = parser.parse_args()
+    tasks = [
+        Task(rig, effect, seed, options.program)
+        for seed in range(options.seeds)
+        for effect in options.effects.split(",")
+        for rig in options.rigs.split(",")
+    ]
+    options.results.parent.mkdir(parents=True, exist_ok=True)
+    lines = summary(run(tasks, options.results, options.workers))
+    if options.json:
+        print(json.dumps([asdict(line) for line in lines], indent=2))
+        return
+    print(markdown(lines))
+    if options.readme:
+        write_between("interval_coverage", markdown(lines))
+
+
+if __name__ == "__main__":
+    main()

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from subprocess import Popen
 from typing import Any, get_type_hints
@@ -26,6 +27,7 @@ _STAGES = tuple(
 )
 
 
+@cache
 def tick(index: int) -> TickRecord:
     """Return a tick whose columns differ from each other and from tick to tick, but for time."""
     record = TickRecord._make(

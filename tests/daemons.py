@@ -25,6 +25,14 @@ SAFE_V = 0.0
 QUICK = ["rig.homing.steady_s=0.05", "rig.homing.fills=1", "rig.loop.stop_ramp_s=0.2"]
 """Homing in a second instead of three, and a short stop."""
 
+SQUARE: dict[str, Any] = {"kind": "square", "frequency_hz": 4.0, "cycles": 1}
+TRACKING: dict[str, Any] = {
+    "kind": "tracking", "offset_mm": 8.0, "amplitude_mm": 2.0, "transition_s": 0.5,
+    "approach_s": 0.5, "settle_s": 0.1, "cycles": 1,
+}  # fmt: skip
+
+NOT_HOMED = "rig.homing.enabled=false"
+
 
 @dataclass
 class Daemon:
@@ -121,3 +129,17 @@ def _await_answer(made: Daemon, said: Path) -> None:
             if made.process.poll() is not None or time.monotonic() > deadline_s:
                 raise AssertionError(said.read_text()) from None
             time.sleep(0.02)
+
+
+def parked(made: Daemon) -> dict[str, Any]:
+    """Return the status once no run goes on."""
+    return made.wait_until(
+        lambda status: status["state"] in ("idle", "ready") and not status["log"]
+    )
+
+
+def run_to_its_end(made: Daemon, experiment: dict[str, Any], name: str = "test") -> Path:
+    """Run an experiment; return its log, which is whole."""
+    log = Path(made.ask("start", experiment=experiment, name=name)["log"])
+    parked(made)
+    return log

@@ -19,14 +19,13 @@ from patience import PATIENCE_S
 from rings import await_phase
 from standin.standin import PERMIT, Card
 from support import AO_STEP_V
-from test_nidaq import OWN_SAFE_V, PAMCTL, READ_VOLTS, await_writes, log_of, own, start
+from test_nidaq import AT_ONCE, OWN_SAFE_V, PAMCTL, READ_VOLTS, await_writes, log_of, own, start
 
 from pamctl.log.reader import Log
 from pamctl.signals import Phase
 
 assert own  # a fixture
 
-AT_ONCE = ("--set", "rig.homing.enabled=false")
 TIMINGS = {name: ("--set", f"rig.nidaq.timing={name}") for name in ("on_demand", "hardware_timed")}
 every_timing = pytest.mark.parametrize("timing", TIMINGS)
 MOVING = 300

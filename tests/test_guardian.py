@@ -381,7 +381,7 @@ class Run(NamedTuple):
 
 def run_command(device: str, *arguments: str) -> list[str]:
     settings = [
-        f"rig.sim.device={device}", *OFF_ITS_SAFE_VOLTAGE, *BUSY_PC, "rig.loop.heartbeat_ms=400"
+        f"rig.sim.device={device}", *OFF_ITS_SAFE_VOLTAGE, *BUSY_PC
     ]  # fmt: skip
     options = [part for setting in settings for part in ("--set", setting)]
     return [*PYTHON, "pamctl", "run", "--experiment", "square-1", *options, *arguments]

@@ -18,7 +18,7 @@ from pamctl.diagnose.candidates import Candidate, candidates
 from pamctl.diagnose.document import document
 from pamctl.diagnose.evidence import Evidence, prepared, with_modelled_pressure
 from pamctl.diagnose.fit import fit, rms
-from pamctl.diagnose.models import extended, joined, recalibrated
+from pamctl.diagnose.models import extended, joined, recalibrated, weighed
 from pamctl.diagnose.noise import estimate
 from pamctl.diagnose.plantfile import plant_file
 from pamctl.diagnose.records import resolution
@@ -174,11 +174,10 @@ def candidate(name: str, evidence: Evidence) -> Candidate:
 
 def test_a_load_is_not_shared_out_to_the_zero_of_the_pressure_sensor() -> None:
     """The mechanics alone cannot tell them apart; the pressure block knows its zero."""
-    evidence = prepared(*pair(external_load__force_n=1.3), PAPER)
-    evidence = evidence.counted(recalibrated(evidence).floors)
-    load = candidate("external_load", evidence)
+    base = weighed(recalibrated(prepared(*pair(external_load__force_n=1.3), PAPER)))
+    load = candidate("external_load", base.evidence)
     start = {"external_load.force_n": 1.0}
-    found = joined(extended(recalibrated(evidence), (load,), [start]))
+    found = joined(extended(base, (load,), [start]))
     assert found.is_complete
     values = found.fit_of(MECHANICS).values
     assert values["external_load.force_n"] == pytest.approx(1.3, rel=0.05)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,6 +39,8 @@ class Evidence:
     """Drives to judge by."""
     noises: dict[str, Noise]
     """By channel."""
+    together: Mapping[str, tuple[Drive, ...]] = field(default_factory=dict)
+    """The training drives as a fit of both blocks counts them; empty where none is made."""
     repeated: tuple[Repeat, ...] = ()
     """Where the same commands come again; records counted through `train`, then `holdout`."""
 
@@ -66,17 +68,19 @@ class Evidence:
             worth = floors[block].mean * float(np.sqrt(floors[block].memory))
             return tuple(replace(d, deviation=d.deviation * worth) for d in drives)
 
-        return replace(
-            self,
-            train={b: recounted(b, d) for b, d in self.train.items()},
-            holdout={b: recounted(b, d) for b, d in self.holdout.items()},
-        )
+        return replace(self, together={b: recounted(b, d) for b, d in self.train.items()})
+
+    def fitted_on(self, blocks: Collection[str]) -> tuple[Drive, ...]:
+        """Return the drives that a fit of these blocks goes by."""
+        drives = self.together if self.together and len(blocks) > 1 else self.train
+        return tuple(d for b in self.blocks if b in blocks for d in drives[b])
 
     def only(self, blocks: Collection[str]) -> Evidence:
         """Return the evidence of some of the blocks."""
         return replace(
             self,
             train={b: d for b, d in self.train.items() if b in blocks},
+            together={},
             holdout={b: d for b, d in self.holdout.items() if b in blocks},
         )
 
@@ -94,7 +98,7 @@ def prepared(
     measured = everything[0].channels
     # A single run that is cut is in both parts, and no repeat of itself.
     different = [*train, *(r for r in holdout if all(r is not t for t in train))]
-    evidence = Evidence(nominal, {}, {}, noises, repeats(different))
+    evidence = Evidence(nominal, {}, {}, noises, repeated=repeats(different))
     drivers: dict[str, Callable[[Record], Drive]] = {}
     atmosphere_pa = nominal.parameters.atmospheric_pressure_pa
     if nominal.actuator == "direct":

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from pamctl.diagnose.blocks import MECHANICS, PRESSURE, Drive, stacked
+from pamctl.diagnose.blocks import MECHANICS, PRESSURE, stacked
 from pamctl.diagnose.candidates import Candidate
 from pamctl.diagnose.evidence import Evidence
 from pamctl.diagnose.fit import FULL, QUICK, Effort, Fit, fit, rms
@@ -207,9 +208,20 @@ def numbers(
     )
 
 
-def recalibrated(evidence: Evidence) -> Model:
-    """Fit the start model's calibrated numbers, and no effect."""
-    return extended(Model(evidence, (), {}), (), [{}], effort=FULL)
+def recalibrated(evidence: Evidence, known: Mapping[frozenset[str], Fit] | None = None) -> Model:
+    """Fit the start model's calibrated numbers, and no effect.
+
+    `known` are fits that were made before on the same drives.
+    """
+    return extended(Model(evidence, (), {}), (), [{}], effort=FULL, known=known or {})
+
+
+def weighed(base: Model) -> Model:
+    """Return a recalibrated model whose fits of both blocks weigh each by its floor."""
+    if len(base.evidence.blocks) < 2:
+        return base
+    evidence = base.evidence.counted(base.floors)
+    return recalibrated(evidence) if base.is_joint else replace(base, evidence=evidence)
 
 
 def joined(model: Model) -> Model:
@@ -236,6 +248,7 @@ def extended(
     *,
     joint: bool = False,
     effort: Effort = QUICK,
+    known: Mapping[frozenset[str], Fit] = MappingProxyType({}),
 ) -> Model:
     """Fit a model with these effects; the best of several starts.
 
@@ -244,12 +257,13 @@ def extended(
     evidence = base.evidence
     joint = joint or base.is_joint or _starts_shared(evidence)
     reached = {b for c in {*effects} ^ {*base.effects} for b in c.blocks}
+    kept = {**known, **{b: f for b, f in base.fits.items() if not b & reached}}
     fits: dict[frozenset[str], Fit] = {}
     for blocks in groups(evidence.blocks, effects, joint=joint):
-        if blocks in base.fits and not blocks & reached:
-            fits[blocks] = base.fits[blocks]
+        if blocks in kept:
+            fits[blocks] = kept[blocks]
             continue
-        drives = _drives(evidence, blocks)
+        drives = evidence.fitted_on(blocks)
         free = numbers(blocks, effects, evidence)
         begun = _begun(base, blocks, effects)
         tried = [fit(drives, _started(begun, free, effects, s), free, effort) for s in starts]
@@ -264,10 +278,6 @@ def _starts_shared(evidence: Evidence) -> bool:
         len({*CATALOGUE[name].seen_by} & {*evidence.blocks}) > 1
         for name in effects_on(evidence.nominal)
     )
-
-
-def _drives(evidence: Evidence, blocks: frozenset[str]) -> tuple[Drive, ...]:
-    return tuple(d for b in evidence.blocks if b in blocks for d in evidence.train[b])
 
 
 def _begun(base: Model, blocks: frozenset[str], effects: Sequence[Candidate]) -> PlantSettings:

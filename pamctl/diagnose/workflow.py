@@ -18,7 +18,7 @@ from pamctl.diagnose.candidates import Candidate, candidates
 from pamctl.diagnose.conclude import concluded, refused
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.evidence import Evidence, prepared, with_modelled_pressure
-from pamctl.diagnose.models import Model, asis, recalibrated
+from pamctl.diagnose.models import Model, asis, recalibrated, weighed
 from pamctl.diagnose.name import searched
 from pamctl.diagnose.quality import BadData, check, check_sensors
 from pamctl.diagnose.records import Record
@@ -56,10 +56,8 @@ def diagnose(
     found = candidates(evidence, without)
     effects = len({candidate.name for candidate in found})  # some in several forms
     tell(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue can be asked for")
-    evidence = _with_clean_pressure(evidence, found, train, holdout, executor, tell)
-    if len(evidence.blocks) > 1:
-        evidence = evidence.counted(recalibrated(evidence).floors)
-    base = recalibrated(evidence)
+    base = weighed(_with_clean_pressure(evidence, found, train, holdout, executor, tell))
+    evidence = base.evidence
     tell("recalibrated: " + ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks))
     search = searched(base, found, executor, tell)
     nominal = asis(evidence)
@@ -100,13 +98,14 @@ def _with_clean_pressure(
     holdout: Sequence[Record],
     executor: Executor | None,
     tell: Progress,
-) -> Evidence:
-    """Let the pressure block, with whatever it takes, tell noise from pressure."""
+) -> Model:
+    """Recalibrate; let the pressure block, with whatever it takes, tell noise from pressure."""
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        return evidence
-    alone = evidence.only({PRESSURE})
+        return recalibrated(evidence)
+    alone = recalibrated(evidence.only({PRESSURE}))
     tell("pressure block alone, for a clean pressure to drive the mechanics")
-    best: Model = searched(recalibrated(alone), found, executor, width=2).best
-    return with_modelled_pressure(
+    best: Model = searched(alone, found, executor, width=2).best
+    driven = with_modelled_pressure(
         evidence, train, holdout, best.fit_of(PRESSURE).settings, trusted=best.is_complete
     )
+    return recalibrated(driven, alone.fits)

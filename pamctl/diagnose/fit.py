@@ -27,9 +27,11 @@ class Effort:
 
     evaluations: int
     tolerance: float
+    updates: int = 0
+    """So many times derivatives are carried on by a rank-one update before they are made anew."""
 
 
-QUICK = Effort(8, 1e-3)
+QUICK = Effort(8, 1e-3, updates=2)
 """To compare candidates."""
 FULL = Effort(15, 1e-6)
 """For numbers that are reported."""
@@ -84,6 +86,24 @@ class Fit:
         )
 
 
+@dataclass(frozen=True)
+class _Slope:
+    """Derivatives at a point of the descent."""
+
+    vector: Array
+    residual: Array
+    jacobian: Array
+    age: int = 0
+    """Updates since they were made."""
+
+    def carried_to(self, vector: Array, residual: Array) -> _Slope:
+        """Return the nearest derivatives that agree with the step just done (Broyden's update)."""
+        step = vector - self.vector
+        missed = residual - self.residual - self.jacobian @ step
+        jacobian = self.jacobian + np.outer(missed, step / (step @ step))
+        return _Slope(vector.copy(), residual, jacobian, self.age + 1)
+
+
 def fit(
     drives: Sequence[Drive],
     start: PlantSettings,
@@ -112,17 +132,24 @@ def fit(
         known[:] = [*known[-1:], (vector.copy(), stacked(drives, settings_at(vector)))]
         return known[-1][1]
 
-    def jacobian_at(vector: Array, step: float) -> Array:
+    def slope_at(vector: Array, step: float, last: list[_Slope]) -> Array:
         here = next((r for v, r in known if np.array_equal(v, vector)), None)
         settings = settings_at(vector)
         residual = stacked(drives, settings) if here is None else here
-        return sensitivity(drives, settings, free, residual, step)
+        if last and last[0].age < effort.updates and not np.array_equal(last[0].vector, vector):
+            last[0] = last[0].carried_to(vector, residual)
+        else:
+            last[:] = [
+                _Slope(vector.copy(), residual, sensitivity(drives, settings, free, residual, step))
+            ]
+        return last[0].jacobian
 
     def descended(vector: Array, step: float) -> OptimizeResult:
+        last: list[_Slope] = []
         return least_squares(
             residual_at,
             vector,
-            lambda v: jacobian_at(v, step),
+            lambda v: slope_at(v, step, last),
             bounds=(low, high),
             method="dogbox",
             loss="soft_l1",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,10 @@ class Score:
     """Where a fit of it should start."""
 
 
+_KNOWN: WeakKeyDictionary[Fit, dict[tuple[Candidate, str], Score]] = WeakKeyDictionary()
+"""By fit, candidate and block: what is missing is asked of a recalibrated block more than once."""
+
+
 def scores(fitted: Fit, found: Sequence[Candidate], block: str) -> list[Score]:
     """Score candidates on a fit's own drives by what they explain of a block, the best first.
 
@@ -39,10 +44,14 @@ def scores(fitted: Fit, found: Sequence[Candidate], block: str) -> list[Score]:
     nothing of the one block that the other contradicts.
     """
     rows = np.concatenate([np.full(d.samples, d.block == block) for d in fitted.drives])
-    basis = _movable(fitted)
-    left = beside(basis, fitted.residual)
-    ranked = [_score(fitted, basis, left, rows, candidate) for candidate in found]
-    return sorted(ranked, key=lambda s: -s.explained)
+    known = _KNOWN.setdefault(fitted, {})
+    asked = [candidate for candidate in found if (candidate, block) not in known]
+    if asked:
+        basis = _movable(fitted)
+        left = beside(basis, fitted.residual)
+        for candidate in asked:
+            known[candidate, block] = _score(fitted, basis, left, rows, candidate)
+    return sorted((known[candidate, block] for candidate in found), key=lambda s: -s.explained)
 
 
 def _movable(fitted: Fit) -> Array:

@@ -25,16 +25,15 @@ from pamctl.plant.simulated import LONGEST_STEP_S, SimulatedPlant
 from pamctl.plant.step import plant_advance
 
 TICK_S = 1e-3
-TICKS = 1500
 UM = 1e-6
 
 COMMANDS = {
     # Sec. VI-A: choked and unchoked both ways, both end stops of the pressure, one sticking.
-    "square": tuple(5.0 if i % 1000 < 500 else -5.0 for i in range(TICKS)),
-    # Small, held a tick each, with reversals that stick, and every fourth 250 ms closed.
+    "square": tuple(5.0 if i % 1000 < 500 else -5.0 for i in range(1500)),
+    # Small, held a tick each, with reversals that stick, and every fourth 125 ms closed.
     "small": tuple(
-        0.0 if i // 250 % 4 == 3 else 1.5 * math.sin(2 * math.pi * 3 * i * TICK_S)
-        for i in range(TICKS)
+        0.0 if i // 125 % 4 == 3 else 1.5 * math.sin(2 * math.pi * 6 * i * TICK_S)
+        for i in range(750)
     ),
 }
 VALVE_109_HZ = Spool(2 * math.pi * 109, 0.7)
@@ -89,10 +88,10 @@ def test_the_commands_reverse_the_muscle_and_let_it_stick() -> None:
     assert square.stuck_s > 0.01
     assert square.states[:, 0].max() > 23.6e-3
     assert small.reversals == 6
-    assert small.stuck_s > 0.15
+    assert small.stuck_s > 0.1
     # The held command leaves the muscle really at rest: bit-equal positions, tick after tick.
     at_rest = np.diff(ours("small", 2)[:, 0]) == 0.0
-    assert at_rest.sum() > 100
+    assert at_rest.sum() > 30
 
 
 @command_names

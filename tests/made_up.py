@@ -11,6 +11,8 @@ from pathlib import Path
 from subprocess import Popen
 from typing import Any, get_type_hints
 
+from patience import PATIENCE_S
+
 from pamctl.log.meta import RunMeta
 from pamctl.log.recorder import await_ready, spawn
 from pamctl.realtime.ring import Ring, RingFull
@@ -71,7 +73,7 @@ def meta(log: Path, **changes: Any) -> RunMeta:
     return RunMeta(**{**known, **changes})
 
 
-def put(ring: Ring, ticks: Iterable[int], *, patience_s: float = 10.0) -> None:
+def put(ring: Ring, ticks: Iterable[int], *, patience_s: float = PATIENCE_S) -> None:
     """Put ticks, waiting for room as a run without a clock does."""
     deadline = time.monotonic() + patience_s
     for index in ticks:
@@ -99,7 +101,7 @@ def recording(ring: Ring) -> Iterator[Popen[bytes]]:
         end(process)
 
 
-def end(process: Popen[bytes], timeout_s: float = 10.0) -> tuple[int, str]:
+def end(process: Popen[bytes], timeout_s: float = PATIENCE_S) -> tuple[int, str]:
     """Wait for the recorder; return its exit code and what it said on stderr."""
     code = process.wait(timeout_s)
     assert process.stdin is not None

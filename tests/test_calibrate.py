@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from patience import PATIENCE_S
 from standin.standin import PERMIT, Card, here
 from support import MS
 from typer.testing import CliRunner
@@ -447,7 +448,7 @@ def calibrate(
         input=typed,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
 
@@ -541,10 +542,10 @@ def test_whatever_ends_it_while_a_pressure_is_held_the_valve_is_safe(
             asked += letter
         assert peek_v(ao_path(device())) > 3.0
         process.send_signal(number)
-        _, complaints = process.communicate(timeout=20)
+        _, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == code
     assert "Traceback" not in complaints
-    deadline_s = time.monotonic() + 5
+    deadline_s = time.monotonic() + PATIENCE_S
     while peek_v(ao_path(device())) != 0.0:
         assert time.monotonic() < deadline_s, "the valve was left open"
         time.sleep(0.005)

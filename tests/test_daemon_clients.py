@@ -16,6 +16,7 @@ import pytest
 from daemons import Daemon, daemon
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from patience import PATIENCE_S
 
 from pamctl.daemon.allowance import BURST, Allowance
 from pamctl.daemon.protocol import (
@@ -121,7 +122,7 @@ def unaffected(made: Daemon) -> Iterator[None]:
         time.sleep(0.1)
     finally:
         stop.set()
-        thread.join(10)
+        thread.join(PATIENCE_S)
     after = made.wait_until(lambda s: s["tick"]["tick"] > before["tick"]["tick"])
     assert not thread.is_alive()
     assert slowest_s[0] < 5.0, "nobody waits for somebody else's patience to end"
@@ -132,7 +133,7 @@ def unaffected(made: Daemon) -> Iterator[None]:
 
 def connected(made: Daemon) -> socket.socket:
     client = socket.socket(socket.AF_UNIX)
-    client.settimeout(10)
+    client.settimeout(PATIENCE_S)
     client.connect(str(made.socket))
     return client
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 from standin.standin import PERMIT, Card, here
 from support import AO_STEP_V, MS, parts, run_settings
 
@@ -460,7 +461,7 @@ def run(
         env=env,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     told = json.loads(done.stdout)
@@ -525,7 +526,7 @@ def test_at_a_terminal_the_carriage_is_moved_by_hand_to_see_the_encoder_alive(
         own.registers.counter += 777
         time.sleep(0.2)
         os.write(keyboard, b"\n")
-        said, _ = process.communicate(timeout=30)
+        said, _ = process.communicate(timeout=PATIENCE_S)
     os.close(keyboard)
     os.close(terminal)
     (line,) = [line for line in said.splitlines() if "encoder.alive" in line]
@@ -553,16 +554,16 @@ def test_whatever_ends_it_in_the_middle_of_a_pulse_the_valve_is_safe(
     with subprocess.Popen(
         command(*endless), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        deadline_s = time.monotonic() + 30
+        deadline_s = time.monotonic() + PATIENCE_S
         while not ao_path(device()).exists() or peek_v(ao_path(device())) < 5.9:
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < deadline_s, "the valve was never opened"
             time.sleep(0.01)
         process.send_signal(number)
-        said, complaints = process.communicate(timeout=20)
+        said, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == code
     assert "Traceback" not in complaints
-    deadline_s = time.monotonic() + 5
+    deadline_s = time.monotonic() + PATIENCE_S
     while peek_v(ao_path(device())) != 0.0:
         assert time.monotonic() < deadline_s, "the valve was left open"
         time.sleep(0.005)

@@ -23,6 +23,7 @@ from made_up import START_MONO_NS, START_WALL_NS, columns, log_run, meta, put, r
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
+from patience import PATIENCE_S
 
 from pamctl.log import LogError, info, read
 from pamctl.log.check import check
@@ -106,7 +107,7 @@ def test_a_run_of_no_ticks_is_a_whole_log_with_empty_columns(tmp_path):
     path = tmp_path / "empty.mcap"
     with Ring.create(tmp_path / "a.ring", meta(path)) as ring, recording(ring) as process:
         ring.loop_done = 1
-        assert process.wait(5) == 0
+        assert process.wait(PATIENCE_S) == 0
     log = read(path)
     assert len(log) == 0
     assert log["position_m"].shape == (0,)
@@ -141,7 +142,7 @@ def test_info_counts_the_ticks_that_were_missed(tmp_path):
     with Ring.create(tmp_path / "a.ring", meta(path)) as ring, recording(ring) as process:
         put(ring, [*range(10), *range(13, 20), *range(21, 30)])
         ring.loop_done = 1
-        assert process.wait(5) == 0
+        assert process.wait(PATIENCE_S) == 0
     summary = info(path)
     assert (summary["gaps"], summary["missed_ticks"]) == (2, 4)
 
@@ -155,7 +156,7 @@ def test_numbers_that_are_not_finite_survive_in_a_tick(tmp_path):
     with Ring.create(tmp_path / "a.ring", meta(path)) as ring, recording(ring) as process:
         ring.put_tick(broken)
         ring.loop_done = 1
-        assert process.wait(5) == 0
+        assert process.wait(PATIENCE_S) == 0
     log = read(path)
     assert math.isnan(log["position_m"][0])
     assert log["pressure_pa"][0] == -math.inf
@@ -242,7 +243,7 @@ def foreign_reader(request) -> Callable[[Path], dict[str, Any]]:
 
     def read_foreign(path: Path) -> dict[str, Any]:
         command = ["node", "validate.mjs", str(path)]
-        ran = subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=60)
+        ran = subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=PATIENCE_S)
         assert ran.returncode == 0, ran.stderr
         return dict(json.loads(ran.stdout))
 

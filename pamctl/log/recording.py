@@ -95,18 +95,25 @@ def _reserve(ring: Ring, file: BufferedWriter, path: Path) -> Reserve:
 
 
 class _SignsOfLife:
-    """Watches the loop through the ring, with no clock in common."""
+    """Watches the loop through the ring, with no clock in common.
+
+    A machine that stood still for long is no loop that is dead: of the time between two looks no
+    more than two rounds count.
+    """
 
     def __init__(self, ring: Ring) -> None:
         self._ring = ring
         self._last = (-1, -1)
-        self._since = monotonic()
+        self._looked_s = monotonic()
+        self._silent_s = 0.0
 
     def ceased(self) -> bool:
-        sign = (self._ring.head, self._ring.loop_beat_ns)
+        now_s, sign = monotonic(), (self._ring.head, self._ring.loop_beat_ns)
+        self._silent_s += min(now_s - self._looked_s, 2.0 * ROUND_S)
+        self._looked_s = now_s
         if sign != self._last:
-            self._last, self._since = sign, monotonic()
-        return monotonic() - self._since > STALLED_S
+            self._last, self._silent_s = sign, 0.0
+        return self._silent_s > STALLED_S
 
 
 class _Recording:

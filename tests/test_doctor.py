@@ -522,9 +522,7 @@ def test_at_a_terminal_the_carriage_is_moved_by_hand_to_see_the_encoder_alive(
             letter = process.stderr.read(1)
             assert letter, asked
             asked += letter
-        time.sleep(0.1)
         own.registers.counter += 777
-        time.sleep(0.2)
         os.write(keyboard, b"\n")
         said, _ = process.communicate(timeout=PATIENCE_S)
     os.close(keyboard)

@@ -81,8 +81,10 @@ def _asked(bench: Bench) -> int | None:
     request = (
         f"move the carriage by hand, by a millimetre ({BY_HAND_COUNTS} counts) or more, and back"
     )
+    watch()  # before anybody is asked, and once more when it is said to be done
     try:
         done = terminal.did(request, watch)
     except NoAnswer:
         return None
+    watch()
     return max(counts) - min(counts) if done else None

@@ -226,6 +226,16 @@ def test_recovering_a_whole_log_loses_nothing(run, tmp_path):
     assert pamctl("log", "check", tmp_path / "saved.mcap").exit_code == 0
 
 
+def test_whole_chunks_are_copied_as_they_are_packed(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("pamctl.log.container.zstandard.compress", lambda _: pytest.fail("packed"))
+    recover(run, tmp_path / "saved.mcap")
+    assert chunks_of(tmp_path / "saved.mcap") == chunks_of(run)
+
+
+def chunks_of(path):
+    return [bytes(record.body) for record in walk(mapped(path)) if record.opcode == Opcode.CHUNK]
+
+
 @pytest.mark.parametrize("lost", [1, 2, DESCRIBED_EVERY])
 def test_without_its_first_chunks_and_its_summary_a_log_is_understood_by_a_later_chunk(
     tmp_path, lost

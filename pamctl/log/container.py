@@ -4,6 +4,12 @@ The `mcap` package's own writer takes messages one by one, which is most of what
 tick, and describes a channel in the first chunk only: with that and the summary lost, nothing of
 the file could be understood. Here ticks go in by the hundred, and descriptions are repeated.
 https://mcap.dev/spec
+
+Measured with 100 000 ticks in chunks of 250: the package's writer as it is takes 3.6 times the
+processor time. Extended by a chunk builder of our own it is as fast (1.04), in a third of the
+lines; but only by way of its private parts (`_Writer__chunk_builder`, `_Writer__statistics`), which
+any release may change, and with no way for a chunk that is packed already: `recover` would pack
+each again, and take 2.4 times as long.
 """
 
 from __future__ import annotations
@@ -12,7 +18,7 @@ import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from io import BufferedWriter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import zstandard
@@ -66,6 +72,17 @@ def message_record(data: bytes, time_ns: int, sequence: int) -> NDArray[Any]:
     """Make one, of a message that is not empty."""
     one = np.frombuffer(data, f"V{len(data)}")
     return message_records(one, np.array([time_ns]), np.array([sequence]))
+
+
+class Packed(NamedTuple):
+    """A chunk of another file, whole."""
+
+    content: bytes
+    compression: str
+    data: bytes
+    """The same, compressed."""
+    crc: int
+    """Of the content; 0 where it was not computed."""
 
 
 class Container:
@@ -143,10 +160,14 @@ class Container:
         offset, length = self._put(_bytes(Metadata(name=name, metadata=dict(values))))
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=name))
 
-    def end_chunk(self) -> None:
-        """Write the messages added since the last one; hand all to the operating system."""
+    def end_chunk(self, packed: Packed | None = None) -> None:
+        """Write the messages added since the last one; hand all to the operating system.
+
+        Where they, and what describes them, are just what `packed` holds, it is not packed again:
+        that is most of what it costs to copy a log.
+        """
         if self._chunk.has_messages:
-            self._put_chunk(self._chunk)
+            self._put_chunk(self._chunk.record(packed))
             self._chunk = _Chunk()
             chunks = len(self._chunk_indexes)
             if chunks == 1 or chunks % DESCRIBED_EVERY == 0:
@@ -154,11 +175,10 @@ class Container:
                     self._describe(channel)
         self._stream.flush()
 
-    def _put_chunk(self, chunk: _Chunk) -> None:
-        written = chunk.record()
+    def _put_chunk(self, written: Chunk) -> None:
         offset, length = self._put(_bytes(written))
         index_at, index_offsets = self._at, {}
-        for channel, index in chunk.indexes():
+        for channel, index in self._chunk.indexes():
             index_offsets[channel], _ = self._put(index)
         self._chunk_indexes.append(
             ChunkIndex(
@@ -247,14 +267,19 @@ class _Chunk:
         self._entries[channel].append(entries)
         self._inside += records.tobytes()
 
-    def record(self) -> Chunk:
+    def record(self, packed: Packed | None) -> Chunk:
         times = [part["time"] for parts in self._entries.values() for part in parts]
+        if packed is not None and packed.content == self._inside:
+            _, compression, data, crc = packed
+        else:
+            compression, data, crc = "zstd", zstandard.compress(self._inside), 0
+        # No checksum vouches for what else stands in a chunk's head: that is made anew.
         return Chunk(
-            compression="zstd",
-            data=zstandard.compress(self._inside),
+            compression=compression,
+            data=data,
             message_start_time=int(min(map(np.min, times))),
             message_end_time=int(max(map(np.max, times))),
-            uncompressed_crc=zlib.crc32(self._inside),
+            uncompressed_crc=crc or zlib.crc32(self._inside),
             uncompressed_size=len(self._inside),
         )
 

@@ -116,8 +116,13 @@ def making_sense(record: Record) -> Iterator[None]:
 def unpack(chunk: Record) -> memoryview:
     """Return the records within a chunk as bytes; raise Damage if they are not what was put in."""
     with making_sense(chunk):
-        stream, size = get_chunk_data_stream(Chunk.read(chunk.stream()), validate_crc=True)
-        return memoryview(stream.read(size))
+        return memoryview(content_of(Chunk.read(chunk.stream())))
+
+
+def content_of(chunk: Chunk) -> bytes:
+    """Return the records within a chunk; raise what parsers do if they are not what was put in."""
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    return stream.read(size)
 
 
 def record_at(data: memoryview, at: int) -> Record:

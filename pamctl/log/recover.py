@@ -20,17 +20,18 @@ from typing import TYPE_CHECKING, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 
+from pamctl.log.container import Packed
 from pamctl.log.newfile import new_file
 from pamctl.log.records import (
     NO_CHECKSUM,
     Damage,
     LogError,
     Record,
+    content_of,
     making_sense,
     mapped,
     record_at,
     records_in,
-    unpack,
     verify,
 )
 from pamctl.log.salvage import Hole, data_vouched, salvage, summary_of
@@ -300,19 +301,23 @@ class _Copy:
             if isinstance(part, Hole) or part.opcode != Opcode.CHUNK or part.start < first.start:
                 continue
             with suppress(Damage), making_sense(part):
-                for record in takewhile(_is_description, records_in(self._unpacked(part))):
+                for record in takewhile(
+                    _is_description, records_in(memoryview(self._unpacked(part).content))
+                ):
                     self._copy(file, record)
             if self._channels:
                 return
 
-    def _unpacked(self, chunk: Record) -> memoryview:
-        self._refuse_unchecked(chunk, Chunk.read(chunk.stream()).uncompressed_crc != 0)
-        return unpack(chunk)
+    def _unpacked(self, record: Record) -> Packed:
+        chunk = Chunk.read(record.stream())
+        self._refuse_unchecked(record, chunk.uncompressed_crc != 0)
+        return Packed(content_of(chunk), chunk.compression, chunk.data, chunk.uncompressed_crc)
 
     def _try(self, file: memoryview, record: Record) -> None:
         try:
             with making_sense(record):
-                verify(file, record)
+                if not (self._vouched and record.opcode == Opcode.DATA_END):  # done once
+                    verify(file, record)
                 if self.cut:  # what stands behind the data is made anew
                     self._copy(file[: record.end], record)
         except Damage as damage:
@@ -325,10 +330,11 @@ class _Copy:
         """Copy a record within `data`, a message with those alike behind it; return their end."""
         match record.opcode:
             case Opcode.CHUNK:
-                inside, at = self._unpacked(record), 0
+                packed, at = self._unpacked(record), 0
+                inside = memoryview(packed.content)
                 while at < len(inside):
                     at = self._copy(inside, record_at(inside, at))
-                self._writer.end_chunk()
+                self._writer.end_chunk(packed)
             case Opcode.MESSAGE:
                 return self._copy_messages(data, record)
             case Opcode.SCHEMA:

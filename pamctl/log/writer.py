@@ -11,7 +11,7 @@ from io import BufferedWriter
 from pathlib import Path
 
 import pamctl
-from pamctl.log.container import Container
+from pamctl.log.container import Container, Packed
 from pamctl.log.meta import RunMeta
 from pamctl.log.schema import (
     JSON_SCHEMAS,
@@ -77,13 +77,13 @@ class LogWriter:
             self._said.add(said)
             self._file.metadata(name, values)
 
-    def end_chunk(self) -> None:
-        """Hand all that was added to the operating system.
+    def end_chunk(self, packed: Packed | None = None) -> None:
+        """Hand all that was added to the operating system; `packed` may hold the same already.
 
         The caller says when: a writer that ended a chunk by its size would leave messages behind
         that are in no chunk when the caller believes they are.
         """
-        self._file.end_chunk()
+        self._file.end_chunk(packed)
         self.chunks += 1
 
     def finish(self) -> None:

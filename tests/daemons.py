@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
 from patience import BUSY_PC, PATIENCE_S
 
 from hal.register import peek_v
@@ -32,6 +33,19 @@ TRACKING: dict[str, Any] = {
 }  # fmt: skip
 
 NOT_HOMED = "rig.homing.enabled=false"
+
+
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be several users")
+
+
+@contextmanager
+def nobody() -> Iterator[None]:
+    """Be another user for a while."""
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
 
 
 @dataclass

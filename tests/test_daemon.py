@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import stat
 import subprocess
 import sys
@@ -12,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from daemons import SQUARE, TRACKING, Daemon, daemon, parked, run_to_its_end
+from daemons import SQUARE, TRACKING, Daemon, as_root, daemon, nobody, parked, run_to_its_end
 from patience import PATIENCE_S
 
-from pamctl.cli.assembly import ao_path
+from pamctl.cli.assembly import SHARED_MEMORY, ao_path
 from pamctl.daemon.client import Client, Declined, Unreachable
 from pamctl.log import Log, read
 from pamctl.log.check import check
@@ -313,3 +314,14 @@ def test_without_a_daemon_a_client_says_how_to_start_one(tmp_path: Path) -> None
 
 def test_only_user_and_group_may_steer(up: Daemon) -> None:
     assert stat.S_IMODE(up.socket.stat().st_mode) == 0o660
+
+
+@as_root
+def test_who_may_not_steer_is_told_who_may() -> None:
+    path = SHARED_MEMORY / "forbidden.sock"
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(path))
+        listening.listen()
+        path.chmod(0o600)
+        with nobody(), pytest.raises(Unreachable, match="not permitted; its group may"):
+            Client(path)

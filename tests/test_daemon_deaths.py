@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from daemons import NOT_HOMED, SQUARE, Daemon, daemon, parked, run_to_its_end
+from daemons import NOT_HOMED, SQUARE, Daemon, as_root, daemon, nobody, parked, run_to_its_end
 from patience import PATIENCE_S
 
 from pamctl.cli.assembly import SHARED_MEMORY, ao_path, rig_of
@@ -101,18 +101,14 @@ def test_a_daemon_that_is_restarted_remembers_its_fault_until_it_is_acknowledged
         assert third.state() == "idle"
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be several users")
+@as_root
 def test_another_users_daemon_knows_the_fault_too_and_may_have_it_acknowledged() -> None:
     place = SHARED_MEMORY / "several-users"  # as /dev/shm is
     place.mkdir()
     place.chmod(0o1777)
     Latch(place / "rig.fault").close_on("safety trip")
-    os.seteuid(65534)
-    try:
-        theirs = Latch(place / "rig.fault")
-        assert theirs.release() == "safety trip"
-    finally:
-        os.seteuid(0)
+    with nobody():
+        assert Latch(place / "rig.fault").release() == "safety trip"
     assert Latch(place / "rig.fault").reason == ""
 
 

@@ -41,12 +41,14 @@ class Record:
     pressure_pa: Array | None = None
     position_m: Array | None = None
     force_n: Array | None = None
+    reference_m: Array | None = None
+    """The position asked for in closed loop, NaN elsewhere: it tells which runs are repeats."""
     notes: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         """Take any sequence of numbers; raise ValueError where lengths differ."""
         object.__setattr__(self, "t_s", _column(self.t_s))
-        for channel in CHANNELS:
+        for channel in (*CHANNELS, "reference_m"):
             values = getattr(self, channel)
             if values is None:
                 continue
@@ -95,6 +97,7 @@ class Record:
             name,
             self.t_s[start:stop],
             **{channel: self[channel][start:stop] for channel in self.channels},
+            reference_m=None if self.reference_m is None else self.reference_m[start:stop],
             notes=self.notes,
         )
 

@@ -98,8 +98,8 @@ def limits_told(model: Model) -> str:
     without = (
         ""
         if known
-        else " No record repeats another's commands, so the rig's own repeatability is "
-        "not known: run the same experiment twice to have it counted."
+        else " No record repeats another's commands or reference, so the rig's own repeatability "
+        "is not known: run the same experiment twice to have it counted."
     )
     return f"Above these limits a misfit is a discrepancy: {', '.join(told)}.{without}"
 

@@ -292,7 +292,7 @@ def test_a_killed_loop_is_reported_and_its_last_tick_is_in_the_log(tmp_path: Pat
     assert "killed by SIGKILL" in said
     log = read(tmp_path / "run.mcap")
     assert_gapless_but_for_missed_ticks(log)
-    assert len(log) >= 490
+    assert log["tick"][-1] >= 490
     reason = str(outcome(log)["reason"])
     assert reason.startswith("the loop process was killed by SIGKILL; the guardian drove")
 
@@ -327,7 +327,7 @@ def test_when_all_are_killed_at_once_the_next_run_finishes_the_log(tmp_path: Pat
     assert not ring.exists()
     log = read(tmp_path / "run.mcap")
     assert_gapless_but_for_missed_ticks(log)
-    assert len(log) >= 390
+    assert log["tick"][-1] >= 390
 
 
 # --- trips -------------------------------------------------------------------------------

@@ -261,12 +261,11 @@ def tune(*options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_file_says_how_it_was_made_and_can_be_run(tmp_path: Path) -> None:
-    made = tune(
-        "--law", "pid", "--plant", "paper", "--generations", "1", "--out", "mine.yaml", cwd=tmp_path
-    )
+    small = ["--plant", "paper", "--generations", "1", "--jobs", "1"]
+    made = tune("--law", "pid", *small, "--out", "mine.yaml", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     text = (tmp_path / "mine.yaml").read_text()
-    assert "pamctl tune --law pid --plant paper --generations 1 --out mine.yaml" in text
+    assert "pamctl tune --law pid --plant paper --generations 1 --jobs 1 --out mine.yaml" in text
     assert check(tmp_path / "mine.yaml") == "controller"
     assert yaml.safe_load(text)["law"] == "pid"
     assert "pid, named plants: 1 of 1 inside" in made.stdout
@@ -274,7 +273,7 @@ def test_the_file_says_how_it_was_made_and_can_be_run(tmp_path: Path) -> None:
 
 
 def test_given_gains_are_scored_and_nothing_is_written(tmp_path: Path) -> None:
-    made = tune("--check", "pid", "--plant", "paper", cwd=tmp_path)
+    made = tune("--check", "pid", "--plant", "paper", "--jobs", "1", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     said = "pid, named plants: 1 of 1 inside every bound of Table IV (100.0 %)"
     assert made.stdout.startswith(said)

@@ -35,7 +35,7 @@ SMOOTH_HZ = 60.0
 """Of a measured pressure before it drives the mechanics: friction rectifies its noise."""
 VENTED_PA = 20e3
 """A sensor's zero may be off by so much; a muscle that starts higher does not start vented."""
-MODELLED_HZ = 5.0
+MODELLED_HZ = 1.0
 """The same, of what is left of it beside a pressure block that is at its floor."""
 SETTLED = 1000
 """Milliseconds after which a muscle stands still."""

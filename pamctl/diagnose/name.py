@@ -19,6 +19,8 @@ from pamctl.diagnose.values import value_of
 
 SHORTLIST = 6
 """Candidates refitted for each unexplained block, and as many again that reach both."""
+NARROWEST = 4
+"""Of later levels, which grow from fewer models: a spool promises less than a delay at first."""
 BEAM = 3
 """Models of a level that the next one grows from."""
 NEAR = 4.0
@@ -95,7 +97,7 @@ def searched(
     base = proven(base)
     beam = [base]
     while len(levels) < MOST and not any(m.is_complete for m in beam):
-        grown = _level(beam, found, executor, max(width - 2 * len(levels), 2))
+        grown = _level(beam, found, executor, max(width - 2 * len(levels), min(width, NARROWEST)))
         if not grown:
             break
         grown = (*map(finished, grown[:FINISHED]), *grown[FINISHED:])

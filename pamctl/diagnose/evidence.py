@@ -20,7 +20,7 @@ from pamctl.diagnose.blocks import (
 )
 from pamctl.diagnose.floor import Floor
 from pamctl.diagnose.noise import Noise, estimate
-from pamctl.diagnose.records import CHANNELS, Record
+from pamctl.diagnose.records import CHANNELS, Array, Record
 from pamctl.diagnose.repeats import Repeat, repeats
 from pamctl.plant.model import PlantSettings
 
@@ -130,7 +130,7 @@ def with_modelled_pressure(
     cutoff_hz = MODELLED_HZ if trusted else SMOOTH_HZ
 
     def driven_by(record: Record, pressure: Drive) -> Drive:
-        modelled_pa = pressure.simulated(pressure_model)
+        modelled_pa = _steady_at_rest(pressure.simulated(pressure_model), record.rest_samples)
         drive = mechanics_drive(record, evidence.noises, modelled_pa, cutoff_hz)
         gauge_pa = pressure.resting_gauge_pa(pressure_model, record.rest_samples) if trusted else 0
         moved_m = contraction_m(evidence.nominal, gauge_pa) if gauge_pa > 0.0 else 0.0
@@ -147,3 +147,10 @@ def with_modelled_pressure(
         train={**evidence.train, MECHANICS: driven(train, evidence.train[PRESSURE])},
         holdout={**evidence.holdout, MECHANICS: driven(holdout, evidence.holdout[PRESSURE])},
     )
+
+
+def _steady_at_rest(pressure_pa: Array, samples: int) -> Array:
+    """Let a model that began at the atmosphere's pressure rest where it came to rest."""
+    steady_pa = pressure_pa.copy()
+    steady_pa[:samples] = np.median(pressure_pa[samples // 2 : samples]) if samples else 0.0
+    return steady_pa

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from killing import kill_as_one
 from patience import PATIENCE_S
 from rings import await_phase
 from standin.standin import PERMIT, Card
@@ -189,9 +190,7 @@ def test_pamctl_safe_drives_the_card_after_everything_was_killed(own: Card) -> N
     process = start(own, *AT_ONCE, *TIMINGS["hardware_timed"])
     await_writes(own, process, MOVING)
     parts = [child_of(process, n) for n in ("guardian_process", "log.recorder", "loop_process")]
-    for number in (signal.SIGSTOP, signal.SIGKILL):  # or the last would see the first go
-        for pid in (*parts, process.pid):
-            os.kill(pid, number)
+    kill_as_one(process.pid, *parts)
     process.communicate(timeout=PATIENCE_S)
     assert own.output_v > OWN_SAFE_V + 1.0
     done = subprocess.run(

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from killing import kill_as_one
 from made_up import meta
 from patience import BUSY_PC, PATIENCE_S
 from rings import await_ring, await_tick
@@ -585,9 +586,7 @@ def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
     with running(tmp_path, device) as run:
         await_motion(run)
         before = last_tick_put(run)
-        for number in (signal.SIGSTOP, signal.SIGKILL):  # or the last would see the first go
-            for pid in run.pids.values():
-                os.kill(pid, number)
+        kill_as_one(*run.pids.values())
         run.front.wait()
         await_gone(run.pids["loop_process"])
         assert run.output_v > 1.0  # it holds, as a card does

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from killing import kill_as_one
 from patience import BUSY_PC, PATIENCE_S
 from rings import await_phase, await_tick, ring_left
 from typer.testing import CliRunner
@@ -314,9 +315,7 @@ def test_when_all_are_killed_at_once_the_next_run_finishes_the_log(tmp_path: Pat
     with running(tmp_path) as front:
         pids = (front.pid, *children(front).values())
         await_ticks(front, 400)
-        for number in (signal.SIGSTOP, signal.SIGKILL):  # or the last would see the first go
-            for pid in pids:
-                os.kill(pid, number)
+        kill_as_one(*pids)
         front.wait()
     ring = ring_left(front.pid)
     assert ring

@@ -106,14 +106,20 @@ def outcome(log: Log) -> dict[str, object]:
 SHORT = ("--duration", "0.5", "--seed", "7", "--set", "rig.loop.stop_ramp_s=0.25")
 
 
+BRISK = (
+    "--duration", "5", "--set", "experiment.approach_s=2", "--set", "experiment.settle_s=1"
+)  # fmt: skip
+"""Two seconds of tracking, after three to get there."""
+
+
 @pytest.fixture(scope="module")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Log:
     return fast_run(tmp_path_factory.mktemp("short"), *SHORT)[1]
 
 
 @pytest.fixture(scope="module")
-def nine_seconds(tmp_path_factory: pytest.TempPathFactory) -> Log:
-    return fast_run(tmp_path_factory.mktemp("nine"), "--duration", "9")[1]
+def of_every_phase(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    return fast_run(tmp_path_factory.mktemp("whole"), *BRISK)[1]
 
 
 def test_a_fast_run_says_how_well_it_tracked_beside_table_iv(tmp_path: Path) -> None:
@@ -138,8 +144,8 @@ def test_the_same_seed_gives_the_same_bytes_of_payload_and_another_seed_does_not
     assert payload(fast_run(tmp_path, *SHORT, "--seed", "8", log="c.mcap")[1]) != payload(short)
 
 
-def test_a_run_homes_approaches_tracks_and_stops_in_this_order(nine_seconds: Log) -> None:
-    log = nine_seconds
+def test_a_run_homes_approaches_tracks_and_stops_in_this_order(of_every_phase: Log) -> None:
+    log = of_every_phase
     phases = log["phase"][np.flatnonzero(np.diff(log["phase"], prepend=-1))]
     assert phases.tolist() == [Phase.HOMING, Phase.APPROACH, Phase.TRACK, Phase.STOPPING]
     zeroed = [event for event in log.events if event["event"] == "zeroed"]
@@ -151,8 +157,8 @@ def test_duration_counts_from_the_end_of_homing(short: Log) -> None:
     assert np.count_nonzero(short["phase"] == Phase.APPROACH) == 500
 
 
-def test_the_valve_ends_on_a_ramp_at_its_safe_voltage(nine_seconds: Log) -> None:
-    log = nine_seconds
+def test_the_valve_ends_on_a_ramp_at_its_safe_voltage(of_every_phase: Log) -> None:
+    log = of_every_phase
     stopping = log["phase"] == Phase.STOPPING
     assert log["applied_v"][-1] == pytest.approx(0.0, abs=0.02)
     assert np.all(np.diff(log["applied_v"][stopping]) <= 0)
@@ -168,7 +174,7 @@ def test_an_open_loop_square_moves_the_muscle_as_the_model_says(tmp_path: Path) 
 
 @pytest.mark.parametrize("controller", ["qsmc", "smc", "pid", "smc-paper-plant"])
 def test_every_shipped_law_runs_the_experiment_to_its_end(tmp_path: Path, controller: str) -> None:
-    report, _ = fast_run(tmp_path, "--controller", controller, "--duration", "10")
+    report, _ = fast_run(tmp_path, "--controller", controller, *BRISK)
     assert report["exit_code"] == 0
     assert report["tracking"]["measured"]["max_m"] < 292e-6
 

@@ -232,7 +232,12 @@ def _smoothed(values: Array, period_s: float, cutoff_hz: float) -> Array:
     relative = 2.0 * cutoff_hz * period_s
     if relative >= 0.9:
         return values
-    smooth: Array = sosfiltfilt(butter(2, relative, output="sos"), values)
+    # Mirrored at the ends for a whole period: else the filter would start from a single noisy
+    # sample, and the muscle, which at rest follows every pascal, with it.
+    mirrored = min(round(2.0 / relative), len(values) - 1)
+    smooth: Array = sosfiltfilt(
+        butter(2, relative, output="sos"), values, padtype="even", padlen=mirrored
+    )
     return smooth
 
 

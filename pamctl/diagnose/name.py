@@ -31,7 +31,8 @@ AS_WELL = 1.02
 HOPELESS = 0.2
 """Beyond the third a candidate must promise so much of what the first one does."""
 WORTH = 1.15
-"""Another effect is asked for where so many limits are left: below, it would mend a form."""
+"""Another effect is asked for where so many limits are left: below, it would mend a form, or
+what both blocks disagree about."""
 SEVERAL_STARTS = 2
 """So many of a shortlist are fitted from several starts."""
 MOST = 3
@@ -94,7 +95,8 @@ def searched(
 ) -> Search:
     """Grow models from `base` until one is complete, or none can be."""
     levels: list[tuple[Model, ...]] = []
-    base = proven(base)
+    if all(base.rms[b] < WORTH * base.floors[b].limit for b in base.evidence.blocks):
+        base = joined(base)  # what blocks disagree about shows in each of them little, or not
     beam = [base]
     while len(levels) < MOST and not any(m.is_complete for m in beam):
         grown = _level(beam, found, executor, max(width - 2 * len(levels), min(width, NARROWEST)))

@@ -101,7 +101,7 @@ class _Slope:
         step = vector - self.vector
         missed = residual - self.residual - self.jacobian @ step
         jacobian = self.jacobian + np.outer(missed, step / (step @ step))
-        return _Slope(vector.copy(), residual, jacobian, self.age + 1)
+        return _Slope(vector.copy(), residual.copy(), jacobian, self.age + 1)
 
 
 def fit(
@@ -139,10 +139,9 @@ def fit(
         if last and last[0].age < effort.updates and not np.array_equal(last[0].vector, vector):
             last[0] = last[0].carried_to(vector, residual)
         else:
-            last[:] = [
-                _Slope(vector.copy(), residual, sensitivity(drives, settings, free, residual, step))
-            ]
-        return last[0].jacobian
+            slope = sensitivity(drives, settings, free, residual, step)
+            last[:] = [_Slope(vector.copy(), residual.copy(), slope)]
+        return last[0].jacobian.copy()  # the optimiser scales in place what it is given
 
     def descended(vector: Array, step: float) -> OptimizeResult:
         last: list[_Slope] = []

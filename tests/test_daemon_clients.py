@@ -226,7 +226,8 @@ def test_whoever_wants_the_emergency_stop_waits_for_no_crowd(tmp_path: Path) -> 
     }
 
     async def crowded() -> int:
-        server = await Server(methods).listen(tmp_path / "socket")
+        server = Server(methods)
+        await server.listen(tmp_path / "socket")
         crowd = [await asyncio.open_unix_connection(tmp_path / "socket") for _ in range(20)]
         for _, one in crowd:
             one.write(request("status") * 100)
@@ -236,7 +237,7 @@ def test_whoever_wants_the_emergency_stop_waits_for_no_crowd(tmp_path: Path) -> 
         answers, client = await asyncio.open_unix_connection(tmp_path / "socket")
         client.write(request("estop"))
         await answers.readline()
-        server.close()
+        await server.close()
         for one in (client, *(writer for _, writer in crowd)):
             one.transport.abort()
         await asyncio.sleep(0.05)
@@ -244,6 +245,26 @@ def test_whoever_wants_the_emergency_stop_waits_for_no_crowd(tmp_path: Path) -> 
 
     asked_at = asyncio.run(crowded())
     assert when_stopped[0] - asked_at < 10, "not after the two thousand that came before"
+
+
+@pytest.mark.parametrize("turns", range(6))
+def test_who_comes_just_as_the_socket_closes_is_answered_and_not_left_hanging(
+    tmp_path: Path, turns: int
+) -> None:
+    async def late() -> bytes:
+        server = Server({"status": Method(NoParams, lambda _: "there", changes=False)})
+        await server.listen(tmp_path / "socket")
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(tmp_path / "socket"))
+            client.sendall(request("status"))
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            await server.close()
+            client.settimeout(PATIENCE_S)
+            return await asyncio.to_thread(client.recv, 1000)
+
+    assert b"there" in asyncio.run(late())
+    assert not (tmp_path / "socket").exists()
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -206,6 +206,20 @@ def test_a_second_signal_ends_it_at_once_and_leaves_no_fault(tmp_path: Path) -> 
         assert not ao_path(made.device).with_suffix(".fault").exists()
 
 
+def test_no_number_of_signals_cuts_short_how_it_ends(tmp_path: Path) -> None:
+    with daemon(tmp_path, "impatient", NOT_HOMED) as made:
+        log = holding(made)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while made.process.poll() is None:
+            assert time.monotonic() < deadline_s
+            made.process.send_signal(signal.SIGTERM)
+            time.sleep(1e-3)
+        assert made.process.returncode == 0
+        assert made.is_safe()
+        assert read(log).events[-1]["event"] == "outcome"
+        assert not made.socket.exists()
+
+
 def test_nothing_begins_any_more_in_a_daemon_that_is_being_ended(tmp_path: Path) -> None:
     settings = resolve()
     workshop = Workshop([], [], rig_of(settings, VirtualClock(1)).rig, run_meta, "none", ring_path)

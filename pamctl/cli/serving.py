@@ -14,6 +14,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from types import FrameType
 from typing import NamedTuple
 
 from hal.rig import Rig, RigError
@@ -83,6 +84,7 @@ def serve(settings: RunSettings, names: Mapping[str, str], options: ServiceOptio
             )
             with live:
                 ending = asyncio.run(_serve(service, options.socket, options.group, tell))
+                _hear_no_more()
         tell(_event("ended", exit_code=int(ending.code), reason=ending.reason))
         return ending.code
     except (SocketError, RingError, RigError) as error:
@@ -116,10 +118,9 @@ async def _serve(service: Service, path: Path, group: str | None, tell: Tell) ->
     """Answer until a signal comes; then leave the valve safe. A second signal hurries it."""
     events = asyncio.get_running_loop()
     stop: asyncio.Future[Ending] = events.create_future()
-    for number in _ENDING:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup asks for
-            events.add_signal_handler(number, partial(_stop, stop, service, _ended_by(number)))
-    server = await Server(methods_of(service)).listen(path, group)
+    _hear(lambda number: _stop(stop, service, _ended_by(number)))
+    server = Server(methods_of(service))
+    await server.listen(path, group)
     watch = _Watch(
         service, tell, partial(events.call_soon_threadsafe, _stop, stop, service, _ERROR_OF_OURS)
     )
@@ -130,12 +131,34 @@ async def _serve(service: Service, path: Path, group: str | None, tell: Tell) ->
     try:
         ending = await stop
         notify("STOPPING=1")
-        server.close()
+        await server.close()
         await asyncio.to_thread(service.close)
     finally:
         watch.end()
-        path.unlink(missing_ok=True)
     return _ERROR_OF_OURS if watch.has_failed else ending
+
+
+def _hear(heard: Callable[[signal.Signals], object]) -> None:
+    """Call `heard` in the running event loop with each signal that asks for an end.
+
+    Not through the event loop's own handlers: it takes those away as it closes, and a signal
+    that comes then would kill a daemon that is about to end well.
+    """
+    events = asyncio.get_running_loop()
+
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        if not events.is_closed():
+            events.call_soon_threadsafe(heard, signal.Signals(number))
+
+    for number in _ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup asks for
+            signal.signal(number, on_signal)
+
+
+def _hear_no_more() -> None:
+    """The daemon has ended and the valve is safe; Python's own end is not to be cut short."""
+    for number in _ENDING:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _stop(stop: asyncio.Future[Ending], service: Service, ending: Ending) -> None:

@@ -37,6 +37,8 @@ MOST_CLIENTS = 64
 _READS_WITHIN_S = 2.0
 _MOST_UNREAD_BYTES = 1 << 20
 _EMERGENCY = b"estop"
+_STEPS_OF_A_WELCOME = 4
+"""Turns of the event loop from a client's connection to its first line: see, accept, attach."""
 
 Methods = dict[str, Method]
 
@@ -57,10 +59,22 @@ class Server:
         # One after the other, and in one thread: each thread would keep memory of its own.
         self._worker = ThreadPoolExecutor(1, "orders")
 
-    async def listen(self, path: Path, group: str | None = None) -> asyncio.Server:
+    async def listen(self, path: Path, group: str | None = None) -> None:
         """Make the socket and answer from now on; raise `SocketError`."""
-        listening = _bound(path, group)
-        return await asyncio.start_unix_server(self._welcome, sock=listening, limit=LARGEST_REQUEST)
+        bound = _bound(path, group)
+        self._path = path
+        self._listening = await asyncio.start_unix_server(
+            self._welcome, sock=bound, limit=LARGEST_REQUEST
+        )
+
+    async def close(self) -> None:
+        """Take no more clients, and take the socket away; whoever is there is still answered."""
+        self._path.unlink(missing_ok=True)
+        # Nobody new can come, but somebody may have been accepted, and not be ours yet. asyncio
+        # forgets those when it closes, and they would wait for an answer as long as we live.
+        for _ in range(_STEPS_OF_A_WELCOME):
+            await asyncio.sleep(0)
+        self._listening.close()
 
     async def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()

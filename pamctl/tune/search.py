@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from pamctl.tune.ensemble import Member
 from pamctl.tune.space import SPACES
@@ -127,6 +126,8 @@ class Search:
             self._resume(self.state)
 
     def _first_population(self) -> Floats:
+        from scipy.stats import qmc  # a second to import, and no worker process needs it
+
         low, high = np.array(self._space.bounds).T
         size = POPULATION_PER_AXIS * len(low)
         points = qmc.LatinHypercube(len(low), rng=self.seed).random(size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 import signal
@@ -18,6 +19,22 @@ settings.load_profile("patient")
 _OURS = Path("/dev/shm", f"pamctl-tests-{os.getpid()}")
 os.environ["PAMCTL_SHARED_MEMORY"] = str(_OURS)
 
+from pamctl.realtime.scheduling import keep_single_threaded  # noqa: E402
+
+
+def _algebra_in_one_thread() -> None:
+    """Load numpy's algebra and SciPy's as `pamctl` does: its threads have no CPU to spare here.
+
+    What a test starts does not inherit it: that sees to it itself, and is tested for it.
+    """
+    ours = dict(os.environ)
+    keep_single_threaded()
+    importlib.import_module("scipy.linalg")
+    os.environ.clear()
+    os.environ.update(ours)
+
+
+_algebra_in_one_thread()
 
 LONGEST_FIRST = (
     "test_tune.py", "test_fault_processes.py", "test_guardian.py", "test_daemon_deaths.py",

@@ -14,7 +14,6 @@ import typer
 from pamctl.cli.config import JsonOption, PlantOption, config_errors_exit
 from pamctl.cli.offline import bad_data_exits, print_json
 from pamctl.realtime.ending import ExitCode
-from pamctl.realtime.scheduling import keep_single_threaded
 
 if TYPE_CHECKING:
     from pamctl.diagnose import Diagnosis, Record
@@ -52,9 +51,6 @@ def diagnose(
         _require_room(out)
         start = plant_named(plant)
         _require_known(without or [])
-        # The fits' algebra is small: threads wait for each other more than they work, and would
-        # take from a loop, or from other workers, a second CPU for nothing.
-        keep_single_threaded()
         from pamctl.diagnose import diagnose as diagnosed
         from pamctl.diagnose import summary
         from pamctl.diagnose.document import document

@@ -31,6 +31,13 @@ class Hidden:
         return self._values.get(name, neutral)
 
 
+def straight(at: float, samples: list[float]) -> float:
+    """A signal between its samples, `at` counted in them: one value, for which numpy is slow."""
+    before = min(int(at), len(samples) - 2)
+    share = at - before
+    return (1.0 - share) * samples[before] + share * samples[before + 1]
+
+
 # --- the pressure block -----------------------------------------------------------------------
 
 
@@ -136,8 +143,10 @@ def solve_pressure(
     resistance = e("line_restriction.resistance_pa_s_per_kg")
     lag = e("pressure_sensor_lag.time_constant_s")
 
+    shown_m = position_m.tolist()
+
     def x_at(t: float) -> float:
-        return float(np.interp(t, samples_s, position_m))
+        return straight(t / tick_s, shown_m)
 
     def rates(t: float, y: Array, pushed: float) -> list[float]:
         air, tank, line_air, spool_v, spool_rate, shown = y.tolist()
@@ -221,14 +230,15 @@ class Mechanics:
     def __init__(self, values: Mapping[str, float], pressure_pa: Array, tick_s: float) -> None:
         self.e = Hidden(values)
         self.samples_s = np.arange(len(pressure_pa)) * tick_s
-        self.pressure_pa = pressure_pa
+        self.tick_s = tick_s
+        self.pressure_pa = pressure_pa.tolist()
         e = self.e
         self.mass = paper.M + e("moving_mass.added_kg")
         self.stiff = e("creep.stiffness_n_per_m")
         self.bristles = e("presliding.compliance_m_per_n") > 0.0
 
     def gauge(self, t: float) -> float:
-        return float(np.interp(t, self.samples_s, self.pressure_pa)) - paper.P_ATM
+        return straight(t / self.tick_s, self.pressure_pa) - paper.P_ATM
 
     def net(self, t: float, y: Array) -> float:
         """Everything but friction and damping."""

@@ -37,17 +37,19 @@ def _algebra_in_one_thread() -> None:
 _algebra_in_one_thread()
 
 LONGEST_FIRST = (
-    "test_tune.py", "test_fault_processes.py", "test_guardian.py", "test_daemon_deaths.py",
-    "test_run.py", "test_diagnose.py", "test_nidaq.py", "test_effects_physics.py",
-    "test_daemon.py", "test_plant_convergence.py", "test_examination.py", "test_log_fuzz.py",
-    "test_recorder_faults.py", "test_diagnosis_page.py", "test_calibrate.py", "test_truth.py",
-    "test_live.py", "test_watch_web.py", "test_report.py", "test_log.py", "test_two_readings.py",
-    "test_repeatability.py", "test_doctor.py", "test_safety.py", "test_readonly.py",
-    "test_reproduce.py", "test_offline_verbs.py", "test_watch.py", "test_diagnose_example.py",
-    "test_compiled.py", "test_loop.py", "test_correction.py", "test_rig.py", "test_faults.py",
-    "test_replay.py", "test_laws.py", "test_log_import.py", "test_settings.py", "test_yamlfile.py",
-    "test_service.py", "test_log_check.py", "test_daemon_clients.py", "test_closed_loop.py",
-    "test_effects.py",
+    "test_run.py", "test_tune.py", "test_fault_processes.py", "test_daemon_deaths.py",
+    "test_diagnose.py", "test_nidaq.py", "test_guardian.py", "test_calibrate.py",
+    "test_examination.py", "test_truth.py", "test_diagnosis_page.py", "test_daemon.py",
+    "test_report.py", "test_effects_physics.py", "test_plant_convergence.py",
+    "test_recorder_faults.py", "test_doctor.py", "test_log.py", "test_live.py",
+    "test_repeatability.py", "test_watch_web.py", "test_rig.py", "test_watch.py", "test_loop.py",
+    "test_intervals.py", "test_log_import.py", "test_safety.py", "test_log_fuzz.py",
+    "test_compiled.py", "test_settings.py", "test_readonly.py", "test_faults.py",
+    "test_reproduce.py", "test_two_readings.py", "test_daemon_clients.py", "test_correction.py",
+    "test_plant.py", "test_diagnose_example.py", "test_replay.py", "test_offline_verbs.py",
+    "test_laws.py", "test_yamlfile.py", "test_regimes.py", "test_service.py", "test_log_check.py",
+    "test_closed_loop.py", "test_excitation.py", "test_gains.py", "test_failure_documents.py",
+    "test_filters.py",
 )  # fmt: skip
 """Files that take long: one that came last would leave all other workers idle."""
 

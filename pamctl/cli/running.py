@@ -23,6 +23,7 @@ from pamctl.cli.progress import ProgressLine
 from pamctl.control.filters import warped
 from pamctl.log.meta import RunMeta
 from pamctl.log.naming import bare
+from pamctl.log.orphans import finish_orphans
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.front import Commands, FrontReport, conduct
 from pamctl.realtime.keyframe import keyframe_fields
@@ -49,7 +50,7 @@ def run_and_tell(
         require_backend(settings)
         path = new_log_path(log, names["controller"], names["experiment"])
         with secured(settings) as rig:
-            finish_orphans(quiet=quiet)
+            finish_orphans(SHARED_MEMORY, quiet=quiet)
             meta = run_meta(settings, names, path)
             with Ring.create(ring_path(), meta, settings.rig.loop.ring_rows) as ring:
                 progress = ProgressLine(quiet=quiet or as_json)
@@ -93,19 +94,6 @@ def _conducted(ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettin
         if not ring.head:
             ring.unlink()
         raise
-
-
-def finish_orphans(*, quiet: bool) -> None:
-    """Finish the logs of runs that died with all their processes."""
-    if not any(SHARED_MEMORY.glob("pamctl-*.ring")):
-        return
-    from pamctl.log.recover import recover_orphans
-
-    for orphan in recover_orphans(SHARED_MEMORY):
-        if not quiet:
-            done = orphan.recovery and f"finished {orphan.recovery.destination}"
-            what = done or f"could not finish its log: {orphan.problem}"
-            print(f"a run died before ({orphan.ring}): {what}", file=sys.stderr)
 
 
 def ring_path() -> Path:

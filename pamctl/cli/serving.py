@@ -22,7 +22,7 @@ from pamctl import __version__
 from pamctl.cli.assembly import SHARED_MEMORY, device_of, require_backend
 from pamctl.cli.failure import fail
 from pamctl.cli.live import live_view
-from pamctl.cli.running import finish_orphans, ring_path, run_meta, secured
+from pamctl.cli.running import ring_path, run_meta, secured
 from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.methods import methods_of
@@ -31,6 +31,7 @@ from pamctl.daemon.server import Server, SocketError
 from pamctl.daemon.service import Service, State
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
+from pamctl.log.orphans import finish_orphans_apart
 from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.ring import RingError
 from pamctl.settings import RunSettings
@@ -69,7 +70,7 @@ def serve(settings: RunSettings, names: Mapping[str, str], options: ServiceOptio
     try:
         require_backend(settings)
         with secured(settings) as device:
-            finish_orphans(quiet=False)
+            finish_orphans_apart(SHARED_MEMORY)  # to stay as small as it is
             service = Service(
                 settings,
                 names,

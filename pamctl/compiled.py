@@ -12,7 +12,7 @@ import ast
 import hashlib
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -93,7 +93,7 @@ def _sources_digest(module: str) -> str:
     """Hash the sources of a module and of all in this house that it imports, on any way."""
     waiting, found = [module], {module}
     while waiting:
-        new = set(_imports(waiting.pop())) - found
+        new = _imports(waiting.pop()) - found
         found |= new
         waiting += new
     digest = hashlib.sha256()
@@ -102,8 +102,10 @@ def _sources_digest(module: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def _imports(module: str) -> Iterator[str]:
+@cache
+def _imports(module: str) -> set[str]:
     """Find the modules of this house that a module's source names, those for types included."""
+    found: set[str] = set()
     for node in ast.walk(ast.parse(_source_of(module).read_bytes())):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -111,7 +113,8 @@ def _imports(module: str) -> Iterator[str]:
             names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         else:
             continue
-        yield from (n for n in names if n.split(".")[0] in _HOUSE and _source_of(n).exists())
+        found |= {n for n in names if n.split(".")[0] in _HOUSE and _source_of(n).exists()}
+    return found
 
 
 def _source_of(module: str) -> Path:

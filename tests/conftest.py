@@ -37,19 +37,19 @@ def _algebra_in_one_thread() -> None:
 _algebra_in_one_thread()
 
 LONGEST_FIRST = (
-    "test_run.py", "test_tune.py", "test_fault_processes.py", "test_daemon_deaths.py",
-    "test_diagnose.py", "test_nidaq.py", "test_guardian.py", "test_calibrate.py",
-    "test_examination.py", "test_truth.py", "test_diagnosis_page.py", "test_daemon.py",
-    "test_report.py", "test_effects_physics.py", "test_plant_convergence.py",
-    "test_recorder_faults.py", "test_doctor.py", "test_log.py", "test_live.py",
-    "test_repeatability.py", "test_watch_web.py", "test_rig.py", "test_watch.py", "test_loop.py",
-    "test_intervals.py", "test_log_import.py", "test_safety.py", "test_log_fuzz.py",
-    "test_compiled.py", "test_settings.py", "test_readonly.py", "test_faults.py",
-    "test_reproduce.py", "test_two_readings.py", "test_daemon_clients.py", "test_correction.py",
-    "test_plant.py", "test_diagnose_example.py", "test_replay.py", "test_offline_verbs.py",
-    "test_laws.py", "test_yamlfile.py", "test_regimes.py", "test_service.py", "test_log_check.py",
-    "test_closed_loop.py", "test_excitation.py", "test_gains.py", "test_failure_documents.py",
-    "test_filters.py",
+    "test_fault_processes.py", "test_tune.py", "test_daemon_deaths.py", "test_run.py",
+    "test_nidaq.py", "test_diagnose.py", "test_guardian.py", "test_daemon.py",
+    "test_plant_convergence.py", "test_truth.py", "test_live.py", "test_recorder_faults.py",
+    "test_effects_physics.py", "test_examination.py", "test_calibrate.py", "test_report.py",
+    "test_diagnosis_page.py", "test_log.py", "test_watch.py", "test_log_fuzz.py",
+    "test_compiled.py", "test_doctor.py", "test_safety.py", "test_reproduce.py",
+    "test_offline_verbs.py", "test_readonly.py", "test_watch_web.py", "test_diagnose_example.py",
+    "test_rig.py", "test_regimes.py", "test_loop.py", "test_faults.py", "test_laws.py",
+    "test_settings.py", "test_yamlfile.py", "test_log_import.py", "test_daemon_clients.py",
+    "test_correction.py", "test_log_check.py", "test_repeatability.py", "test_two_readings.py",
+    "test_service.py", "test_intervals.py", "test_plant.py", "test_closed_loop.py",
+    "test_replay.py", "test_rig_contract.py", "test_excitation.py", "test_failure_documents.py",
+    "test_scheduling.py", "test_gains.py",
 )  # fmt: skip
 """Files that take long: one that came last would leave all other workers idle."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from pamctl.diagnose.candidates import Candidate, dosed, reaching, trials
@@ -27,7 +27,8 @@ NEAR = 4.0
 """A quick fit within so many limits is driven on."""
 FINISHED = 3
 """So many of a level, at most."""
-AS_WELL = 1.02
+AS_WELL = 0.1
+"""A simpler form does as well that leaves so little more, counted from the floor to its limit."""
 HOPELESS = 0.2
 """Beyond the third a candidate must promise so much of what the first one does."""
 WORTH = 1.15
@@ -69,21 +70,46 @@ class Search:
         """The model that leaves least; of those that leave nothing, the best fit."""
         if self.complete:
             return _simplest(self.complete)
+        return self.nearest
+
+    @property
+    def nearest(self) -> Model:
+        """The best fit, whatever numbers it needs; of those that leave nothing, if any do."""
+        if self.complete:
+            return self.complete[0]
         return min((self.base, *(m for level in self.levels for m in level)), key=rank)
+
+    def widened(self, heard: Iterable[Model]) -> Search:
+        """Return the search with more models, each among those of as many effects."""
+        levels = [[*level] for level in self.levels]
+        for model in heard:
+            level = levels[len(model.effects) - 1]
+            if all({*model.effects} != {*known.effects} for known in level):
+                level.append(model)
+        return Search(self.base, tuple(tuple(sorted(level, key=rank)) for level in levels))
 
 
 def _simplest(complete: Sequence[Model]) -> Model:
     """Of the forms of the best names the one with the fewest numbers that does as well."""
     best = complete[0]
     good = [
-        m for m in complete if {*m.names} == {*best.names} and rank(m)[1] <= AS_WELL * rank(best)[1]
+        m for m in complete if {*m.names} == {*best.names} and rank(m)[1] <= rank(best)[1] + AS_WELL
     ]
     return min(good, key=lambda m: sum(len(c.free) for c in m.effects))
 
 
 def rank(model: Model) -> tuple[float, float]:
-    """Order models: what is left above the limits, then what is left at all."""
-    return model.misfit, sum(model.ratio(b) for b in model.evidence.blocks)
+    """Order models: what is left above the limits, then what is left above the floors at all.
+
+    Each block is counted in the way from its floor to its limit: where noise alone leaves now
+    more and now less, a little less is no merit.
+    """
+    floors = model.floors
+    left = (
+        (model.rms[b] - floors[b].mean) / (floors[b].limit - floors[b].mean)
+        for b in model.evidence.blocks
+    )
+    return model.misfit, sum(left)
 
 
 def searched(
@@ -99,11 +125,13 @@ def searched(
         base = joined(base)  # what blocks disagree about shows in each of them little, or not
     beam = [base]
     while len(levels) < MOST and not any(m.is_complete for m in beam):
-        grown = _level(beam, found, executor, max(width - 2 * len(levels), min(width, NARROWEST)))
+        jobs = _shortlisted(beam, found, max(width - 2 * len(levels), min(width, NARROWEST)))
+        grown = _grown_to_the_end(jobs, executor)
+        if not levels and not any(m.is_complete for m in grown):
+            others = _all_others(base, found, jobs)
+            grown = tuple(sorted((*grown, *_grown_to_the_end(others, executor)), key=rank))
         if not grown:
             break
-        grown = (*map(finished, grown[:FINISHED]), *grown[FINISHED:])
-        grown = tuple(sorted(map(proven, grown), key=rank))
         levels.append(grown)
         progress(_told(grown))
         beam = _best_of_each(grown)[: BEAM - len(levels) + 1]
@@ -133,25 +161,55 @@ def proven(model: Model) -> Model:
     return polished(model) if len(model.evidence.blocks) < 2 else joined(model)
 
 
-def _level(
-    beam: Sequence[Model],
-    found: Sequence[Candidate],
-    executor: Executor | None,
-    width: int,
-) -> tuple[Model, ...]:
-    """Extend every model of the beam by its shortlist."""
-    jobs: dict[frozenset[Candidate], tuple[Model, Score, bool]] = {}
+@dataclass(frozen=True)
+class _Job:
+    """A model to extend, by what, and from how many starts."""
+
+    model: Model
+    score: Score
+    is_wide: bool
+
+
+_Jobs = dict[frozenset[Candidate], _Job]
+"""By the effects that the extended model has."""
+
+
+def _shortlisted(beam: Sequence[Model], found: Sequence[Candidate], width: int) -> _Jobs:
+    """Return every model of the beam with each of its shortlist."""
+    jobs: _Jobs = {}
     for model in beam:
         for place, score in enumerate(shortlist(model, found, width)):
             key = frozenset({*model.effects, score.candidate})
-            jobs.setdefault(key, (model, score, place < SEVERAL_STARTS))
-    grown = mapped(_grown, jobs.values(), executor)
-    return tuple(sorted(grown, key=rank))
+            jobs.setdefault(key, _Job(model, score, place < SEVERAL_STARTS))
+    return jobs
 
 
-def _grown(job: tuple[Model, Score, bool]) -> Model:
-    model, score, widely = job
-    starts = [score.start, *(other_starts(model, score) if widely else ())]
+def _all_others(base: Model, found: Sequence[Candidate], jobs: _Jobs) -> _Jobs:
+    """Return the candidates that promised too little to be asked.
+
+    Where friction holds a recalibrated model in a wrong valley, derivatives promise nothing of
+    the effect that would lead out of it. A fit is no dearer than a few simulations.
+    """
+    others: _Jobs = {}
+    for block in base.unexplained:
+        for score in scores(base.fit_of(block), reaching(found, {block}), block):
+            key = frozenset({score.candidate})
+            if key not in jobs:
+                start = score.start or _small_dose(base, score.candidate)
+                others.setdefault(key, _Job(base, replace(score, start=start), is_wide=False))
+    return others
+
+
+def _grown_to_the_end(jobs: _Jobs, executor: Executor | None) -> tuple[Model, ...]:
+    """Fit the models, the most promising of them to the end; the best first."""
+    grown = sorted(mapped(_grown, jobs.values(), executor), key=rank)
+    ended = (*map(finished, grown[:FINISHED]), *grown[FINISHED:])
+    return tuple(sorted(map(proven, ended), key=rank))
+
+
+def _grown(job: _Job) -> Model:
+    model, score = job.model, job.score
+    starts = [score.start, *(other_starts(model, score) if job.is_wide else ())]
     return extended(model, (*model.effects, score.candidate), starts)
 
 

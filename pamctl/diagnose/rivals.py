@@ -2,7 +2,8 @@
 
 Each effect of the chosen set is taken out and the others are tried in its place, by the
 same score test and refit. A rival that is not clearly worse on the held-out records is no
-rival but an equal: then the data do not tell, and the verdict says so.
+rival but an equal: then the data do not tell, and the verdict says so. What leaves something
+above the floor, where the chosen effects leave nothing, the data have refuted already.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ import numpy as np
 
 from pamctl.diagnose.candidates import Candidate
 from pamctl.diagnose.models import Model, extended
-from pamctl.diagnose.name import Search, mapped, promising, proven, rank
+from pamctl.diagnose.name import Search, finished, mapped, promising, proven, rank
 from pamctl.diagnose.records import Array
 from pamctl.diagnose.score import Score, scores
 
 TRIED = 6
+SERIOUS = 3
+"""So many rivals are fitted to the end."""
 STRETCH_S = 0.25
 REPLICAS = 400
 MUCH = 0.05
@@ -46,6 +49,8 @@ class Standing:
     confidence: float
     is_needed: bool
     """Without it something is left above the floor."""
+    heard: tuple[Model, ...] = ()
+    """The rivals' models."""
 
     @property
     def equals(self) -> tuple[str, ...]:
@@ -81,8 +86,10 @@ def _standing(
     models: dict[str, Model] = {}
     for candidate, model in sorted(tried, key=lambda pair: rank(pair[1])):
         models.setdefault(candidate.name, model)  # the best form of each name
+    for name in [*models][:SERIOUS]:
+        models[name] = proven(finished(models[name]))
     rivals, wins = _judged(chosen, effect, models)
-    return Standing(effect, rivals, wins, not without.is_complete)
+    return Standing(effect, rivals, wins, not without.is_complete, tuple(models.values()))
 
 
 def chosen_values(model: Model) -> dict[str, float]:
@@ -124,7 +131,7 @@ def _promising(
 
 def _replaced(job: tuple[Model, Score]) -> Model:
     without, score = job
-    return proven(extended(without, (*without.effects, score.candidate), [score.start]))
+    return extended(without, (*without.effects, score.candidate), [score.start])
 
 
 def _judged(
@@ -151,7 +158,7 @@ def _judged(
                 name,
                 max(model.ratio(b) for b in blocks),
                 float(np.mean(margins[index] < 0.0)),
-                low < MUCH,
+                low < MUCH and bool(chosen.unexplained or not model.unexplained),
             )
         )
     confidence = float(np.mean((margins > 0.0).all(axis=0))) if names else 1.0

@@ -19,12 +19,12 @@ from pamctl.diagnose.conclude import concluded, refused
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.evidence import Evidence, prepared, with_modelled_pressure
 from pamctl.diagnose.models import Model, asis, recalibrated, weighed
-from pamctl.diagnose.name import searched
+from pamctl.diagnose.name import Search, searched
 from pamctl.diagnose.quality import BadData, check, check_sensors
 from pamctl.diagnose.records import Record
 from pamctl.diagnose.rivals import Standing, standings
 from pamctl.diagnose.split import by_run, by_stretch
-from pamctl.diagnose.verdict import Verdict, judged
+from pamctl.diagnose.verdict import Judgement, Verdict, judged
 from pamctl.plant.model import PlantSettings
 
 Progress = Callable[[str], None]
@@ -60,13 +60,28 @@ def diagnose(
     evidence = base.evidence
     tell("recalibrated: " + ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks))
     search = searched(base, found, executor, tell)
-    nominal = asis(evidence)
+    search, judgement, heard = _heard(search, asis(evidence), found, executor, tell)
+    return concluded(judgement, heard, search, train, holdout, found, correction=correction)
+
+
+def _heard(
+    search: Search,
+    nominal: Model,
+    found: Sequence[Candidate],
+    executor: Executor | None,
+    tell: Progress,
+) -> tuple[Search, Judgement, tuple[Standing, ...]]:
+    """Judge what was found, and hear its rivals; where one of them does better, hear its rivals."""
     judgement = judged(search, nominal)
     heard: tuple[Standing, ...] = ()
-    if judgement.verdict in (Verdict.NAMED, Verdict.PARTIAL):
+    while judgement.verdict in (Verdict.NAMED, Verdict.PARTIAL):
         tell("hearing the rivals of " + " and ".join(judgement.model.names))
         heard = standings(judgement.model, search, found, executor)
-    return concluded(judgement, heard, search, train, holdout, found, correction=correction)
+        search = search.widened(model for standing in heard for model in standing.heard)
+        before, judgement = judgement, judged(search, nominal)
+        if judgement.model.effects == before.model.effects:
+            break
+    return search, judgement, heard
 
 
 def _evidence(
@@ -104,7 +119,8 @@ def _with_clean_pressure(
         return recalibrated(evidence)
     alone = recalibrated(evidence.only({PRESSURE}))
     tell("pressure block alone, for a clean pressure to drive the mechanics")
-    best: Model = searched(alone, found, executor, width=2).best
+    # The simplest form of a name would do to name it; what drives the mechanics is to be true.
+    best = searched(alone, found, executor, width=2).nearest
     driven = with_modelled_pressure(
         evidence, train, holdout, best.fit_of(PRESSURE).settings, trusted=best.is_complete
     )

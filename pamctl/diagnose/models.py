@@ -55,7 +55,9 @@ class Model:
     is_joint: bool = False
     """All blocks were fitted together, with one geometry."""
     root: Model | None = None
-    """The recalibrated model: its floor does where a block is far above any."""
+    """The recalibrated model: its floor does for quick fits, and where a block is far above it."""
+    is_final: bool = False
+    """Its numbers were fitted to the end: then its floor is its own."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,8 +89,10 @@ class Model:
     def imitated(self, block: str) -> Fit:
         """Return the fit whose own data a block is held against."""
         root = self.root
-        rough = root is not None and self.rms[block] > FAR * root.floors[block].limit
-        return root.fit_of(block) if root is not None and rough else self.fit_of(block)
+        if root is None:
+            return self.fit_of(block)
+        is_own = self.is_final and self.rms[block] <= FAR * root.floors[block].limit
+        return self.fit_of(block) if is_own else root.fit_of(block)
 
     def _floor(self, block: str) -> Floor:
         if self.root is not None and self.imitated(block) is self.root.fit_of(block):
@@ -238,7 +242,7 @@ def joined(model: Model) -> Model:
 def polished(model: Model) -> Model:
     """Fit a model's numbers to the end; what no effect reaches stays."""
     fits = {blocks: fit(f.drives, f.settings, f.free, FULL) for blocks, f in model.fits.items()}
-    return Model(model.evidence, model.effects, fits, model.is_joint, model.root)
+    return Model(model.evidence, model.effects, fits, model.is_joint, model.root, is_final=True)
 
 
 def extended(
@@ -269,7 +273,7 @@ def extended(
         tried = [fit(drives, _started(begun, free, effects, s), free, effort) for s in starts]
         fits[blocks] = min(tried, key=lambda f: f.mean_square)
     root = base.root or (base if base.fits else None)
-    return Model(evidence, tuple(effects), fits, joint, root)
+    return Model(evidence, tuple(effects), fits, joint, root, is_final=effort is FULL)
 
 
 def _starts_shared(evidence: Evidence) -> bool:

@@ -155,10 +155,13 @@ def finished(model: Model) -> Model:
 
 
 def proven(model: Model) -> Model:
-    """Return a model that is complete in its parts with one geometry for all of them."""
+    """Return a model that seems complete with one geometry for all blocks, fitted to the end."""
     if not model.is_complete:
         return model
-    return polished(model) if len(model.evidence.blocks) < 2 else joined(model)
+    together = model.is_joint or len(model.evidence.blocks) < 2
+    if together:
+        return model if model.is_final else polished(model)
+    return joined(model)
 
 
 @dataclass(frozen=True)

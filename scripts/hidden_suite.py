@@ -15,22 +15,21 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 import traceback
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "scripts")]
 
 from hidden.cases import Case, all_cases, quick_cases  # noqa: E402
 from hidden.examine import examine  # noqa: E402
 from hidden.excitations import PROGRAMS  # noqa: E402
 from hidden.oracle import oracle  # noqa: E402
 from hidden.scoring import ORACLE, Result, confusion, figures, table  # noqa: E402
+from taken_up import taken_up  # noqa: E402
 
 GOOD = ("right", "right_set", "silent", "honest", "twin")
 ORACLE_PROGRAMS = ("standard", "short", "brief", "squares", "closed_loop")
@@ -70,43 +69,9 @@ def examined(case: Case) -> dict[str, Any]:
         return {"key": key(case), "error": traceback.format_exc(limit=-4)}
 
 
-def stored(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the results so far; a line cut short by a kill is run again."""
-    found = {}
-    if path.exists():
-        for line in path.read_text().splitlines():
-            try:
-                result = json.loads(line)
-            except json.JSONDecodeError:
-                continue
-            if "error" not in result:
-                found[result["key"]] = result
-    return found
-
-
-def run(cases: list[Case], path: Path, workers: int) -> dict[str, dict[str, Any]]:
-    """Run what is not stored yet, and store it."""
-    found = stored(path)
-    left = [case for case in cases if key(case) not in found]
-    began = time.perf_counter()
-    with path.open("a") as file:
-        for done, result in enumerate(_results(left, workers), 1):
-            file.write(json.dumps(result) + "\n")
-            file.flush()
-            found[result["key"]] = result
-            spent = time.perf_counter() - began
-            what = result.get("document", {}).get("verdict", "CRASH")
-            print(f"{done}/{len(left)} {spent:6.0f} s  {result['key']}: {what}", file=sys.stderr)
-    return found
-
-
-def _results(cases: list[Case], workers: int) -> Iterator[dict[str, Any]]:
-    if workers == 1:
-        yield from map(examined, cases)
-        return
-    with ProcessPoolExecutor(workers) as pool:
-        for future in as_completed([pool.submit(examined, case) for case in cases]):
-            yield future.result()
+def told(result: dict[str, Any]) -> str:
+    """Return the verdict, for the line of progress."""
+    return str(result.get("document", {}).get("verdict", "CRASH"))
 
 
 def written(every: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
@@ -155,8 +120,8 @@ def main() -> None:
         ORACLE.write_text(written({program: oracle(program) for program in ORACLE_PROGRAMS}))
         return
     cases = chosen(options)
-    options.results.parent.mkdir(parents=True, exist_ok=True)
-    found = run(cases, options.results, options.workers)
+    tasks = {key(case): case for case in cases}
+    found = taken_up(tasks, examined, options.results, options.workers, told)
     results = [
         Result(case, found[key(case)]["document"], found[key(case)]["seconds"])
         for case in cases

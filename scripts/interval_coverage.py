@@ -19,8 +19,7 @@ import math
 import sys
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +38,7 @@ from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M  # noqa: E402
 from hidden.truth_values import NEUTRAL as HIDDEN_NEUTRAL  # noqa: E402
 from hidden.truth_values import TRUE  # noqa: E402
 from readme_table import table, write_between  # noqa: E402
+from taken_up import taken_up  # noqa: E402
 
 from pamctl.diagnose import Record  # noqa: E402
 from pamctl.diagnose.blocks import MECHANICS, PRESSURE  # noqa: E402
@@ -224,29 +224,6 @@ def examined(task: Task) -> dict[str, Any]:
     }
 
 
-def run(tasks: Sequence[Task], path: Path, workers: int) -> list[dict[str, Any]]:
-    """Examine what is not stored yet, and store it."""
-    lines = path.read_text().splitlines() if path.exists() else []
-    stored = {result["key"]: result for result in map(json.loads, lines)}
-    left = [task for task in tasks if task.key not in stored]
-    with path.open("a") as file:
-        for done, result in enumerate(_results(left, workers), 1):
-            file.write(json.dumps(result) + "\n")
-            file.flush()
-            stored[result["key"]] = result
-            print(f"{done}/{len(left)} {result['key']}", file=sys.stderr)
-    return [stored[task.key] for task in tasks]
-
-
-def _results(tasks: Sequence[Task], workers: int) -> Iterator[dict[str, Any]]:
-    if workers == 1:
-        yield from map(examined, tasks)
-        return
-    with ProcessPoolExecutor(workers) as pool:
-        for future in as_completed([pool.submit(examined, task) for task in tasks]):
-            yield future.result()
-
-
 @dataclass(frozen=True)
 class Coverage:
     """How often intervals held the truth."""
@@ -334,8 +311,9 @@ def main() -> None:
         for effect in options.effects.split(",")
         for rig in options.rigs.split(",")
     ]
-    options.results.parent.mkdir(parents=True, exist_ok=True)
-    lines = summary(run(tasks, options.results, options.workers))
+    keyed = {task.key: task for task in tasks}
+    found = taken_up(keyed, examined, options.results, options.workers)
+    lines = summary([found[key] for key in keyed])
     if options.json:
         print(json.dumps([asdict(line) for line in lines], indent=2))
         return

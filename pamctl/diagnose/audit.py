@@ -103,13 +103,12 @@ def audit_of(record: Record, plant: PlantSettings) -> Audit:
     evidence = prepared([record], [record], plant)
     check_sensors([record], evidence.noises)
     found = candidates(evidence)
-    model = recalibrated(evidence)
-    if {*evidence.blocks} == {PRESSURE, MECHANICS}:
-        clean = model.fit_of(PRESSURE).settings
-        trusted = model.is_explained(PRESSURE)
-        evidence = with_modelled_pressure(evidence, [record], [record], clean, trusted=trusted)
-        model = recalibrated(evidence)
-    return audited(model, found)
+    if {*evidence.blocks} != {PRESSURE, MECHANICS}:
+        return audited(recalibrated(evidence), found)
+    alone = recalibrated(evidence.only({PRESSURE}))
+    clean, trusted = alone.fit_of(PRESSURE).settings, alone.is_explained(PRESSURE)
+    driven = with_modelled_pressure(evidence, [record], [record], clean, trusted=trusted)
+    return audited(recalibrated(driven, alone.fits), found)
 
 
 def audited(model: Model, found: Sequence[Candidate], *, pairs: bool = True) -> Audit:

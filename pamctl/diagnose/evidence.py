@@ -151,6 +151,8 @@ def with_modelled_pressure(
 
 def _steady_at_rest(pressure_pa: Array, samples: int) -> Array:
     """Let a model that began at the atmosphere's pressure rest where it came to rest."""
+    if not samples:
+        return pressure_pa
     steady_pa = pressure_pa.copy()
-    steady_pa[:samples] = np.median(pressure_pa[samples // 2 : samples]) if samples else 0.0
+    steady_pa[:samples] = np.median(pressure_pa[samples // 2 : samples])
     return steady_pa

@@ -5,6 +5,7 @@ from __future__ import annotations
 import runpy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,11 +44,17 @@ def test_an_examination_that_was_cut_short_is_taken_up(tmp_path: Path) -> None:
     suite = runpy.run_path(str(ROOT / "scripts" / "hidden_suite.py"))
     results = tmp_path / "results.jsonl"
     first, second = REFUSED[:2]
-    suite["run"]([first], results, workers=1)
+
+    def examined(*cases: Case) -> dict[str, Any]:
+        tasks = {suite["key"](case): case for case in cases}
+        found: dict[str, Any] = suite["taken_up"](tasks, suite["examined"], results, workers=1)
+        return found
+
+    examined(first)
     done = results.read_text()
     with results.open("a") as file:
         file.write(done[: len(done) // 2] + "\n")  # what a kill leaves of a line
-    found = suite["run"]([first, second], results, workers=1)
+    found = examined(first, second)
     assert {value["document"]["verdict"] for value in found.values()} == {"bad_data"}
     assert results.read_text().startswith(done)
     assert len(results.read_text().splitlines()) == 3, "the first case was not run again"

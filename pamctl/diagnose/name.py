@@ -1,8 +1,9 @@
 """Which effects are missing: the smallest set that brings every block to its floor.
 
 Shortlist by score test, refit, judge on held-out records. A set of effects is complete
-when nothing is left above the floor's limit. Sets grow one effect at a time from the
-best few of the level before: two effects can each look poor alone.
+when nothing is left above the floor's limit. Where no effect of the shortlist alone is, all
+others are fitted too. Sets grow one effect at a time from the best few of the level before:
+two effects can each look poor alone.
 """
 
 from __future__ import annotations

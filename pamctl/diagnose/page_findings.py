@@ -106,8 +106,9 @@ def write_tried(page: Page, diagnosis: Diagnosis) -> None:
     page.table(
         ["model", *(f"{block}, x floor" for block in blocks)],
         rows,
-        caption="Left on the held-out records, over the floor, the best first. Where a single effect "
-        "leaves nothing, those that promised less were not fitted; nor is every set of several.",
+        caption="Left on the held-out records, over the floor, the best first. Where a single "
+        "effect leaves nothing, those that promised less were not fitted; nor is every set of "
+        "several.",
     )
     if diagnosis.verdict is Verdict.NONE_KNOWN:
         page.text("None of these leaves nothing, and none is named for being the least bad.")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from made_records import COUNT_M, PERIOD_S, measured, pair
 
-from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, sentence
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, rivals, sentence
 from pamctl.diagnose.audit import audit_of
 from pamctl.diagnose.blocks import MECHANICS, PRESSURE, RUNAWAY, stacked
 from pamctl.diagnose.candidates import Candidate, candidates
@@ -19,6 +19,7 @@ from pamctl.diagnose.document import document
 from pamctl.diagnose.evidence import Evidence, prepared, with_modelled_pressure
 from pamctl.diagnose.fit import fit, rms
 from pamctl.diagnose.models import extended, joined, recalibrated, weighed
+from pamctl.diagnose.name import searched
 from pamctl.diagnose.noise import estimate
 from pamctl.diagnose.plantfile import plant_file
 from pamctl.diagnose.records import resolution
@@ -154,6 +155,30 @@ def test_full_scale_squares_are_said_to_be_blind_to_a_dead_band() -> None:
 def test_the_moving_mass_is_reported_as_unidentifiable() -> None:
     spots = {spot.name: spot for spot in audit_of(measured("fit"), PAPER).blind_spots}
     assert spots["moving_mass"].experiment == ""
+
+
+def test_a_rival_that_does_better_takes_the_place_of_what_it_is_held_against() -> None:
+    train, held = pair(valve_spool__time_constant_s=5e-4)
+    evidence = prepared(train, held, PAPER).only({PRESSURE})
+    late, slow = candidate("command_delay", evidence), candidate("valve_spool", evidence)
+    search = searched(recalibrated(evidence), [late])
+    assert search.best.names == ("command_delay",)
+    (standing,) = rivals.standings(search.best, search, [late, slow])
+    assert search.widened(standing.heard).best.names == ("valve_spool",)
+
+
+def test_a_rival_that_leaves_something_is_no_equal_of_what_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(rivals, "MUCH", np.inf)  # were the comparison to say nothing at all
+    train, held = pair(valve_spool__time_constant_s=5e-4)
+    evidence = prepared(train, held, PAPER).only({PRESSURE})
+    late, slow = candidate("command_delay", evidence), candidate("valve_spool", evidence)
+    search = searched(recalibrated(evidence), [slow])
+    (standing,) = rivals.standings(search.best, search, [late, slow])
+    (rival,) = standing.rivals
+    assert rival.residual_over_floor > search.best.floors[PRESSURE].limit
+    assert standing.equals == ()
 
 
 def test_a_fit_of_the_mechanics_ends_where_no_number_would_improve_it() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from hidden.cases import Case, damaged_cases, quick_cases
+from hidden.cases import Case, all_cases, damaged_cases, quick_cases
 from hidden.examine import examine
 from hidden.scoring import Result
 
@@ -38,6 +38,14 @@ def test_what_nobody_should_diagnose_is_refused_with_the_reason(case: Case) -> N
     assert document["verdict"] == "bad_data"
     assert document["reason"]
     assert document["effects"] == []
+
+
+def test_an_effect_whose_derivatives_promise_nothing_is_found_by_its_fit() -> None:
+    # The recalibrated mechanics end in a wrong valley: a shortlist alone ends as none_known.
+    scaled = next(c for c in all_cases(1, 1) if c.id == "single/encoder_scale/10")
+    document = examine(replace(scaled, program="brief", lacks=("valve_v",)))["document"]
+    assert document["verdict"] == "named"
+    assert [effect["name"] for effect in document["effects"]] == ["encoder_scale"]
 
 
 def test_an_examination_that_was_cut_short_is_taken_up(tmp_path: Path) -> None:

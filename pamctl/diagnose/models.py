@@ -68,6 +68,16 @@ class Model:
         """Return the fit that covers a block."""
         return next(fitted for blocks, fitted in self.fits.items() if block in blocks)
 
+    @property
+    def effect_values(self) -> dict[str, float]:
+        """The fitted numbers of the effects."""
+        return {
+            free.name: fitted.values[free.name]
+            for fitted in self.fits.values()
+            for free in fitted.free
+            if free.effect
+        }
+
     @cached_property
     def residuals(self) -> dict[str, Array]:
         """Held-out residuals of each block, in deviations of the sensor."""

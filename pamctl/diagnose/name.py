@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from pamctl.diagnose.candidates import Candidate, dosed, reaching, trials
+from pamctl.diagnose.fit import FULL
 from pamctl.diagnose.models import Model, extended, joined, polished
 from pamctl.diagnose.score import Score, inside, scores
 from pamctl.diagnose.values import value_of
@@ -35,6 +36,8 @@ HOPELESS = 0.2
 WORTH = 1.15
 """Another effect is asked for where so many limits are left: below, it would mend a form, or
 what both blocks disagree about."""
+REFORMED = 2
+"""So many models of a level are tried in other forms of their last effect."""
 SEVERAL_STARTS = 2
 """So many of a shortlist are fitted from several starts."""
 MOST = 3
@@ -131,6 +134,9 @@ def searched(
         if not levels and not any(m.is_complete for m in grown):
             others = _all_others(base, found, jobs)
             grown = tuple(sorted((*grown, *_grown_to_the_end(others, executor)), key=rank))
+        if not any(m.is_complete for m in grown):
+            reformed = _in_other_forms(grown[:REFORMED], found, executor)
+            grown = tuple(sorted((*grown, *reformed), key=rank))
         if not grown:
             break
         levels.append(grown)
@@ -209,6 +215,29 @@ def _grown_to_the_end(jobs: _Jobs, executor: Executor | None) -> tuple[Model, ..
     grown = sorted(mapped(_grown, jobs.values(), executor), key=rank)
     ended = (*map(finished, grown[:FINISHED]), *grown[FINISHED:])
     return tuple(sorted(map(proven, ended), key=rank))
+
+
+def _in_other_forms(
+    models: Sequence[Model], found: Sequence[Candidate], executor: Executor | None
+) -> tuple[Model, ...]:
+    """Fit the last effect of each model in its other forms.
+
+    They start where this form ended: the way there from nothing may be full of valleys, as it is
+    for a steep fall of friction, and another form of it has found through.
+    """
+    jobs = [
+        (model, form)
+        for model in models
+        for form in found
+        if form.name == model.effects[-1].name and form != model.effects[-1]
+    ]
+    return tuple(map(proven, mapped(_reformed, jobs, executor)))
+
+
+def _reformed(job: tuple[Model, Candidate]) -> Model:
+    model, form = job
+    start = {**_small_dose(model, form), **model.effect_values, **dict(form.held)}
+    return extended(model, (*model.effects[:-1], form), [start], effort=FULL)
 
 
 def _grown(job: _Job) -> Model:

@@ -73,7 +73,7 @@ def _standing(
     executor: Executor | None,
 ) -> Standing:
     others = tuple(c for c in chosen.effects if c != effect)
-    without = extended(search.base, others, [chosen_values(chosen)])
+    without = extended(search.base, others, [chosen.effect_values])
     tried = _already_tried(search, chosen, effect)
     known = {candidate for candidate, _ in tried}
     jobs = [
@@ -90,16 +90,6 @@ def _standing(
         models[name] = proven(finished(models[name]))
     rivals, wins = _judged(chosen, effect, models)
     return Standing(effect, rivals, wins, not without.is_complete, tuple(models.values()))
-
-
-def chosen_values(model: Model) -> dict[str, float]:
-    """Return the numbers of the effects of a model."""
-    return {
-        free.name: fitted.values[free.name]
-        for fitted in model.fits.values()
-        for free in fitted.free
-        if free.effect
-    }
 
 
 def _already_tried(

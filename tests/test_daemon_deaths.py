@@ -293,10 +293,18 @@ def test_a_session_that_is_parked_for_long_ends(tmp_path: Path) -> None:
         assert made.wait_for("idle")["pids"] == {}
 
 
-def test_only_the_newest_logs_are_kept_where_that_was_asked_for(tmp_path: Path) -> None:
+def test_only_the_newest_of_its_own_logs_are_kept_where_that_was_asked_for(tmp_path: Path) -> None:
     with daemon(tmp_path, "keep", NOT_HOMED, options=["--keep", "2"]) as made:
-        logs = [run_to_its_end(made, SQUARE, f"run{n}") for n in range(3)]
-        assert made.finished_logs() == logs[1:]
+        others = [made.logs / "20250101-000000-qsmc-tracking-1.mcap", made.logs / "mine.csv"]
+        for path in others:
+            path.touch()
+        first = run_to_its_end(made, SQUARE, "run0")
+        beside = first.with_name(f"{first.stem}-trip.csv")
+        beside.touch()
+        logs = [run_to_its_end(made, SQUARE, f"run{n}") for n in (1, 2)]
+        assert made.finished_logs() == sorted([others[0], *logs])
+        assert others[1].exists()
+        assert not beside.exists()
 
 
 def _lives(pid: int) -> bool:

@@ -45,7 +45,7 @@ def daemon(
         Path, typer.Option("--logs", metavar="DIRECTORY", help="Where each run's log goes.")
     ] = Path("logs"),
     keep: Annotated[
-        int | None, typer.Option("--keep", min=1, help="Remove the oldest logs beyond so many.")
+        int | None, typer.Option("--keep", min=1, help="Remove its oldest logs beyond so many.")
     ] = None,
     idle_after_s: Annotated[
         float, typer.Option("--idle-after", metavar="SECONDS", min=1, help="Parked for so long.")

@@ -309,7 +309,7 @@ class Service:
         self._holds = False
         self._parked_since_s = time.monotonic()
         self._say("run over", run=run.name, log=str(run.log), note=report.note if report else "")
-        self._shelf.tidy(())
+        self._shelf.tidy()
 
     def close(self) -> None:
         """End everything, and begin nothing any more: the valve is safe when this returns."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from pathlib import Path
 
 from pamctl.daemon.refusal import Refused
-from pamctl.log.naming import dated_name
+from pamctl.log.naming import dated_name, flight_record
 
+_OURS = "daemon"
 _BYTES_PER_TICK = 300
 """Some 200 are usual."""
 _SPARE_BYTES = 100 << 20
@@ -20,7 +20,7 @@ class Shelf:
     """A directory of logs."""
 
     def __init__(self, directory: Path, keep: int | None = None) -> None:
-        """Make the directory if need be; with `keep` only the newest logs stay.
+        """Make the directory if need be; with `keep` only the newest logs of daemons stay.
 
         Raises `OSError` where nothing can be written there.
         """
@@ -37,8 +37,8 @@ class Shelf:
         return disk.f_bavail * disk.f_frsize
 
     def new_path(self, what: str) -> Path:
-        """Return the name of the next log."""
-        return dated_name(self._directory, what)
+        """Return the name of the next log, by which it is known for the daemon's."""
+        return dated_name(self._directory, f"{_OURS}-{what}")
 
     def require_room(self, duration_s: float, rate_hz: float) -> None:
         """Raise `Refused` where a run of this length would fill the disk."""
@@ -50,13 +50,14 @@ class Shelf:
                 f"{needed >> 20}; make room, or shorten it with --duration"
             )
 
-    def tidy(self, spare: Iterable[Path]) -> list[Path]:
-        """Remove the oldest logs beyond those to keep, never one of `spare`; return them."""
+    def tidy(self) -> None:
+        """Remove the daemon's oldest logs beyond those to keep, with what lies beside them.
+
+        Logs of others are in the same directory where nobody says otherwise.
+        """
         if self._keep is None:
-            return []
-        untouchable = {path.resolve() for path in spare}
-        logs = sorted(self._directory.glob("[0-9]*-[0-9]*-*.mcap"))
-        old = [path for path in logs[: -self._keep] if path not in untouchable]
-        for path in old:
-            path.unlink(missing_ok=True)
-        return old
+            return
+        logs = sorted(self._directory.glob(f"[0-9]*-[0-9]*-{_OURS}-*.mcap"))
+        for log in logs[: -self._keep]:
+            log.unlink(missing_ok=True)
+            flight_record(log).unlink(missing_ok=True)

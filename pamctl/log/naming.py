@@ -14,6 +14,11 @@ def dated_name(directory: Path, what: str) -> Path:
     return next(path for name in names if not (path := directory / name).exists())
 
 
+def flight_record(log: Path) -> Path:
+    """Return where the last seconds before a trip lie beside a log."""
+    return log.with_name(f"{log.stem}-trip.csv")
+
+
 def bare(name: str) -> str:
     """Return the name that a shipped name or a path means: `square-0.25` is no file ending."""
     last = Path(name).name

@@ -456,7 +456,7 @@ def calibrate(
 def test_a_person_at_the_terminal_is_asked_and_gets_a_file_that_passes_the_check(
     tmp_path: Path,
 ) -> None:
-    done = calibrate(tmp_path, "pressure", "--point", "150", typed="y\nwhat?\n150,4\n")
+    done = calibrate(tmp_path, "pressure", "--point", "150", typed="y\nwhat?\nnan\n150,4\n")
     assert done.returncode == 0, done.stderr
     assert "is everything clear of it?" in done.stderr
     assert "'what?' is not a number" in done.stderr
@@ -507,6 +507,13 @@ def test_what_cannot_be_done_is_said_and_leaves_no_file(
         (("valve", "--yes"), "no/x.yaml", "no directory"),
         (("valve", "--yes"), "mine", "end in .yaml"),
         (("pressure", "--yes", "--reading", "100"), "x.yaml", "1 values for 3 points"),
+        (("pressure", "--yes", "--point", "1e9"), "x.yaml", "must be below 398.7"),
+        (("pressure", "--point", "99", "--reading", "nan"), "x.yaml", "must be above 0 (got nan)"),
+        (
+            ("encoder", "--by", "muscle", "--point", "99", "--displacement-mm", "-1"),
+            "x.yaml",
+            "must be above 0 (got -1)",
+        ),
         (("encoder", "--by", "foot"), "x.yaml", "'hand' or 'muscle'"),
     ],
 )

@@ -96,6 +96,13 @@ def test_an_unknown_part_is_refused_and_leaves_nothing_behind(tmp_path):
     assert not (tmp_path / "x").exists()
 
 
+def test_a_seed_that_no_noise_has_is_refused_and_leaves_nothing_behind(tmp_path):
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["reproduce", "fig3", "--seed", "-1", "--out", str(out)])
+    assert result.exit_code == 2
+    assert not out.exists()
+
+
 def test_a_phone_shows_the_whole_paper_below_a_megabyte(whole, tmp_path):
     page = whole / "index.html"
     assert page.stat().st_size < 1_000_000

@@ -59,7 +59,7 @@ def pressure(
     calibrate_rig(
         "pressure",
         lambda bench, operator: calibrate_pressure(bench, operator, points),
-        Order(backend, rig, overrides or [], out, yes, as_json),
+        Order(backend, rig, overrides or [], out, yes, as_json, points),
         answers_of("--reading", readings_kpa, points),
     )
 
@@ -107,7 +107,7 @@ def encoder(
     calibrate_rig(
         "encoder",
         work,
-        Order(backend, rig, overrides or [], out, yes, as_json),
+        Order(backend, rig, overrides or [], out, yes, as_json, points if by == "muscle" else ()),
         answers_of("--displacement-mm", displacements_mm, points) if by == "muscle" else None,
     )
 

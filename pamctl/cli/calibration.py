@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -35,10 +36,18 @@ from pamctl.settings import (
 def answers_of(
     option: str, values: Sequence[float] | None, points: Sequence[float]
 ) -> Sequence[float] | None:
-    """Return the answers given by options, if any; leave where they do not fit the questions."""
-    if values is not None and len(values) != len(points):
+    """Return the answers given by options, if any; leave where they do not fit the questions.
+
+    Before anything moves: a rig is not pressurised for a number that no instrument shows.
+    """
+    if values is None:
+        return None
+    if len(values) != len(points):
         message = f"{len(values)} values for {len(points)} points; give --point as often"
         raise typer.BadParameter(message, param_hint=option)
+    for value in values:
+        if not (math.isfinite(value) and value > 0.0):
+            raise typer.BadParameter(f"must be above 0 (got {value:g})", param_hint=option)
     return values
 
 
@@ -51,6 +60,8 @@ class Order(NamedTuple):
     out: Path
     yes: bool
     as_json: bool
+    points_kpa: Sequence[float] = ()
+    """Pressures to hold."""
 
 
 def calibrate_rig(
@@ -60,11 +71,12 @@ def calibrate_rig(
     answers: Sequence[float] | None = None,
 ) -> None:
     """Do the work over the rig and write what was found; nothing is written on any other path."""
-    backend, rig, overrides, out, yes, as_json = order
+    backend, rig, overrides, out, yes, as_json, points_kpa = order
     settings, names = chosen(backend, rig, overrides, as_json=as_json, fast=False)
     with config_errors_exit(as_json=as_json):
         source = find("rig", names["rig"])
         _require_new(out)
+    _require_within_limit(points_kpa, settings)
     terminal = Terminal()
     try:
         if not yes:
@@ -110,6 +122,15 @@ def _require_new(out: Path) -> None:
         message = "must end in .yaml, for --rig to take it as a file"
     if message:
         raise ConfigError([Problem(f"--out {out}", "", message)])
+
+
+def _require_within_limit(points_kpa: Sequence[float], settings: RunSettings) -> None:
+    rig = settings.rig
+    most_kpa = (rig.limits.pressure_pa - rig.calibration.atmospheric_pressure_pa) * 1e-3
+    for point_kpa in points_kpa:
+        if not point_kpa < most_kpa:
+            message = f"must be below {most_kpa:g}, limits.pressure_pa as gauge (got {point_kpa:g})"
+            raise typer.BadParameter(message, param_hint="--point")
 
 
 def _rig_file(out: Path, source: Path, outcome: Outcome, what: str) -> str:

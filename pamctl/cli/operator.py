@@ -6,6 +6,7 @@ pressure or watches the encoder.
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import sys
@@ -40,9 +41,12 @@ class Terminal:
         while True:
             text = self._line(question, idle)
             try:
-                return float(text.replace(",", "."))
+                value = float(text.replace(",", "."))
             except ValueError:
-                self.say(f"'{text}' is not a number")
+                value = math.nan
+            if math.isfinite(value):
+                return value
+            self.say(f"'{text}' is not a number")
 
     def agree(self, question: str) -> None:
         """Ask for a yes; raise `NoAnswer` on anything else."""

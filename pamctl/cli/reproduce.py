@@ -16,7 +16,7 @@ _ALL = "all"
 def reproduce(
     part: Annotated[str, typer.Argument(metavar="fig3|fig4|fig5|table4|all")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the page goes.")],
-    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Of the noise.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of the noise.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Write DIR/index.html and DIR/numbers.json; every number is simulated now."""

@@ -47,12 +47,12 @@ def watch(
     if as_json:
         from pamctl.live.terminal import watch_as_json
 
-        watch_as_json(where, count)
+        _require_seen(watch_as_json(where, count), count)
         return
     if not web:
         from pamctl.live.terminal import watch_in_terminal
 
-        watch_in_terminal(where, plain_line, count)
+        _require_seen(watch_in_terminal(where, plain_line, count), count)
         return
     from pamctl.live.web import serve_page
 
@@ -61,6 +61,12 @@ def watch(
     except OSError as error:
         why = f"port {port}: {error.strerror or error}; choose another with --port"
         fail(ExitCode.UNAVAILABLE, why)
+
+
+def _require_seen(seen: bool, count: int | None) -> None:
+    """A script that asks for so many looks is told that there was nothing to see."""
+    if count is not None and not seen:
+        raise typer.Exit(ExitCode.UNAVAILABLE)
 
 
 def plain_line(glimpse: Glimpse) -> str:

@@ -24,23 +24,42 @@ _EVERY = 10
 
 def watch_in_terminal(
     socket: Path, line_of: Callable[[Glimpse], str], count: int | None = None
-) -> None:
-    """Show what the daemon does, `count` times or until Ctrl-C.
+) -> bool:
+    """Show what the daemon does, `count` times or until Ctrl-C; tell whether it was ever there.
 
     `line_of` writes the line for a file, a pipe, or a terminal that cannot draw.
     """
-    console = Console()
+    console, seen = Console(), _Seen()
     with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, _EVERY, COLUMNS)) as feed:
         if console.is_terminal and not console.is_dumb_terminal:
-            _draw(console, _looks(feed, _PICTURES_PER_S, count))
+            _draw(console, seen.of(_looks(feed, _PICTURES_PER_S, count)))
         else:
-            _print(_looks(feed, _LINES_PER_S, count), line_of)
+            _print(seen.of(_looks(feed, _LINES_PER_S, count)), line_of)
+    return seen.daemon
 
 
-def watch_as_json(socket: Path, count: int | None = None) -> None:
-    """Print what the page of `watch --web` is sent, `count` lines or until Ctrl-C."""
+def watch_as_json(socket: Path, count: int | None = None) -> bool:
+    """Print what the page of `watch --web` is sent, `count` lines or until Ctrl-C.
+
+    Tells whether the daemon was ever there.
+    """
+    seen = _Seen()
     with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, line.EVERY, line.COLUMNS)) as feed:
-        _print(_looks(feed, line.LOOKS_PER_S, count), lambda glimpse: line.line([glimpse]))
+        looks = seen.of(_looks(feed, line.LOOKS_PER_S, count))
+        _print(looks, lambda glimpse: line.line([glimpse]))
+    return seen.daemon
+
+
+class _Seen:
+    """Notes in passing whether the daemon has answered."""
+
+    daemon = False
+
+    def of(self, looks: Iterator[Glimpse]) -> Iterator[Glimpse]:
+        """Hand the glimpses on."""
+        for glimpse in looks:
+            self.daemon = self.daemon or glimpse.status is not None
+            yield glimpse
 
 
 def _looks(feed: DaemonFeed, per_s: float, count: int | None) -> Iterator[Glimpse]:

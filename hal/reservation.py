@@ -50,7 +50,8 @@ def reserve(fd: int, what: str, pid_at: int = 0) -> None:
         holder = os.pread(fd, len(format(0, _PID)), pid_at).decode(errors="replace").strip("\0 ")
         raise RigError(
             f"{what} is held by process {holder or '(unknown)'}",
-            fix=f"wait for it to end, or stop it: kill {holder}" if holder else "wait for its end",
+            fix="wait for it to end; or end it, a daemon's session with `pamctl disarm` or "
+            f"`pamctl estop`, a run with Ctrl-C{f' or kill {holder}' if holder else ''}",
         ) from None
     os.pwrite(fd, format(os.getpid(), _PID).encode(), pid_at)
 

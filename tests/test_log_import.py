@@ -351,6 +351,14 @@ def test_a_rate_that_would_fill_the_memory_is_refused(tmp_path):
     assert "is it in Hz?" in done.stderr
 
 
+def test_a_rate_that_leaves_less_than_two_ticks_is_refused_and_nothing_is_written(tmp_path):
+    done = Outcome(write_csv(tmp_path / "a.csv", GOOD), "--resample", "0.001")
+    assert done.code == 65
+    assert "--resample 0.001 leaves 1 tick of 0.399 s" in done.stderr
+    assert "nearer to the measurement's own 1000" in done.stderr
+    assert not done.path.exists()
+
+
 def test_resampling_is_a_straight_line_for_what_was_measured_and_a_hold_for_the_command(tmp_path):
     t_s = np.sort(np.random.default_rng(1).uniform(0, 1, 1000))
     columns = {"t_s": t_s, "valve_v": np.where(t_s > 0.5, 2.0, -1.0), "position_m": 0.01 * t_s}

@@ -74,7 +74,7 @@ def import_log(
     if not stopped:
         if resample_hz is not None:
             _tell_resampling(t_s, resample_hz, findings)
-            t_s, quantities = resampled(t_s, quantities, resample_hz)
+            t_s, quantities = _on_grid(t_s, quantities, resample_hz)
         story = _story(source, table, readings, findings, float(t_s[0]), resample_hz)
         write_imported(destination, t_s - t_s[0], quantities, story)
     return Imported(
@@ -150,6 +150,19 @@ def _judge_whole(quantities: dict[str, Floats], findings: Findings) -> None:
         missing = {"valve_v", "pressure_pa", "position_m"} - quantities.keys()
         told = f"no {', '.join(sorted(missing))}: it serves only for what can be driven without"
         findings.warning("columns", told)
+
+
+def _on_grid(
+    t_s: Floats, quantities: dict[str, Floats], rate_hz: float
+) -> tuple[Floats, dict[str, Floats]]:
+    """Return the measurement at `rate_hz`; raise ImportRefused where next to nothing is left."""
+    grid_s, there = resampled(t_s, quantities, rate_hz)
+    if len(grid_s) < 2:
+        lasts_s, was_hz = t_s[-1] - t_s[0], 1.0 / nominal_period_s(t_s)
+        told = f"--resample {rate_hz:g} leaves 1 tick of {lasts_s:.6g} s"
+        way_out = f"give a rate in Hz nearer to the measurement's own {was_hz:.6g}"
+        raise ImportRefused(f"{told}; a measurement needs two at least: {way_out}")
+    return grid_s, there
 
 
 def _tell_resampling(t_s: Floats, rate_hz: float, findings: Findings) -> None:

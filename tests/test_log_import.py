@@ -257,6 +257,39 @@ def test_what_cannot_be_believed_stops_the_import_with_its_rows(tmp_path, column
     assert not done.path.exists()
 
 
+@pytest.mark.parametrize(
+    ("factor", "told"),
+    [
+        (1e300, "the time (t_s) is more than 4.61e+09 s from the first at rows 3, 4, 5, 6, 7"),
+        (1e-300, "the time (t_s) has another unit: rows are 1e-303 s apart"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_times_that_a_log_cannot_hold_stop_the_import_whatever_is_accepted(tmp_path, factor, told):
+    path = write_csv(tmp_path / "a.csv", changed(t_s=T_S * factor))
+    done = Outcome(path, "--accept-units")
+    assert done.code == 65
+    assert told in done.said["error", "time"]
+    assert not done.path.exists()
+
+
+@pytest.mark.parametrize("years", [1, 100])
+def test_the_log_of_a_slow_and_long_measurement_is_whole(tmp_path, years):
+    path = write_csv(tmp_path / "a.csv", changed(t_s=T_S / T_S[-1] * years * 3.15e7))
+    done = Outcome(path, "--accept-units")
+    assert done.code == 0
+    assert CliRunner().invoke(app, ["log", "check", str(done.path)]).exit_code == 0
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_number_that_its_unit_carries_beyond_all_numbers_stops_the_import(tmp_path):
+    columns = {"t_s": T_S, "pressure_bar": with_one(GAUGE_PA / 1e5, 10, 1e306)}
+    done = Outcome(write_csv(tmp_path / "a.csv", columns), "--accept-units")
+    assert done.code == 65
+    assert "pressure_bar is 1e+306 bar at row 12" in done.stderr
+    assert not done.path.exists()
+
+
 def test_a_unit_that_looks_wrong_can_be_accepted_and_the_log_remembers(tmp_path):
     path = write_csv(tmp_path / "a.csv", changed(position_m=POSITION_M * 1e3))
     done = Outcome(path, "--accept-units")

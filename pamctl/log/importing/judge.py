@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pamctl.log.findings import Findings
 from pamctl.log.imported import nominal_period_s
+from pamctl.log.importing.quantities import TIME
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -20,18 +21,31 @@ Rows = NDArray[np.int64]
 GAP_PERIODS = 1.5
 JITTER = 0.05
 """Share of the period by which rows may be off the grid before it is worth a word."""
+LONGEST_S = 2.0**62 * 1e-9
+"""146 years, half of what a log's clock of signed nanoseconds holds: a double of more of them
+is off by more than the microsecond that two clocks of one log may differ by."""
+SHORTEST_PERIOD_S = 1e-9
+"""What a log's clock counts in."""
 _SHOWN_ROWS = 5
 
 
-def judge_time(t_s: Floats, rows: Rows, findings: Findings) -> None:
-    """Check times of shape (n,): what is not an error here rises strictly."""
+def judge_time(t_s: Floats, rows: Rows, findings: Findings, column: str = TIME) -> None:
+    """Check times of shape (n,): what is not an error here rises strictly, and a log holds it.
+
+    `column` is what the source calls them.
+    """
     if len(t_s) < 2:
         there = "is 1 row" if len(t_s) else "are 0 rows"
         findings.error("rows", f"there {there}; a measurement needs two at least")
         return
     if not np.isfinite(t_s).all():
         where = _rows(rows, ~np.isfinite(t_s))
-        findings.error("time", f"the time is missing or not finite in {where}")
+        findings.error("time", f"the time ({column}) is missing or not finite in {where}")
+        return
+    beyond = np.abs(t_s / LONGEST_S - t_s[0] / LONGEST_S) > 1.0  # their difference may overflow
+    if beyond.any():
+        told = f"is more than {LONGEST_S:.3g} s from the first at {_rows(rows, beyond)}"
+        findings.error("time", f"the time ({column}) {told}; a log's clock of ns holds no more")
         return
     step = np.diff(t_s)
     if (step < 0).any():
@@ -42,6 +56,10 @@ def judge_time(t_s: Floats, rows: Rows, findings: Findings) -> None:
     if findings.kinds["time"]:
         return
     period_s = nominal_period_s(t_s)
+    if period_s < SHORTEST_PERIOD_S:
+        told = f"rows are {period_s:.6g} s apart; a log's clock counts ns"
+        findings.error("time", f"the time ({column}) has another unit: {told}")
+        return
     gap = step > GAP_PERIODS * period_s
     if gap.any():
         told = f"of up to {step.max():.6g} s before {_rows(rows[1:], gap)}"

@@ -64,7 +64,7 @@ def import_log(
     if t_s is None:
         t_s = _even_time(quantities, import_map)
     rows = table.rows[: len(t_s)]
-    judge_time(t_s, rows, findings)
+    judge_time(t_s, rows, findings, _column_of_time(readings))
     judge_values(quantities, rows, findings)
     judge_sign(quantities, findings)
     _judge_whole(quantities, findings)
@@ -128,7 +128,7 @@ def _same(table: Table, one: Reading, other: Reading) -> bool:
 
 def _in_si(table: Table, readings: Sequence[Reading]) -> dict[str, Floats]:
     """Return the quantities in SI, all of one length."""
-    columns = {reading.quantity: reading.to_si(table[reading.column]) for reading in readings}
+    columns = {reading.quantity: _one_in_si(table, reading) for reading in readings}
     lengths = {reading.column: len(table[reading.column]) for reading in readings}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -136,11 +136,26 @@ def _in_si(table: Table, readings: Sequence[Reading]) -> dict[str, Floats]:
     return columns
 
 
+def _one_in_si(table: Table, reading: Reading) -> Floats:
+    raw = table[reading.column]
+    with np.errstate(over="ignore"):
+        values = reading.to_si(raw)
+    lost = np.flatnonzero(np.isfinite(raw) & ~np.isfinite(values))
+    if len(lost):
+        told = f"{reading.column} is {raw[lost[0]]:g} {reading.unit} at row {table.rows[lost[0]]}"
+        raise ImportRefused(f"{told}: more than a number in SI can hold")
+    return values
+
+
 def _even_time(quantities: dict[str, Floats], import_map: ImportMap | None) -> Floats:
     rate_hz = import_map.time.rate_hz if import_map else None
     if rate_hz is None or not quantities:
         raise ImportRefused("no column of a measured quantity is named; there is nothing to import")
     return np.arange(len(next(iter(quantities.values())))) / rate_hz
+
+
+def _column_of_time(readings: Sequence[Reading]) -> str:
+    return next((reading.column for reading in readings if reading.quantity == TIME), "rate_hz")
 
 
 def _judge_whole(quantities: dict[str, Floats], findings: Findings) -> None:

@@ -228,6 +228,13 @@ def test_a_mat_file_that_is_none_is_refused(tmp_path, content):
     assert Outcome(tmp_path / "a.mat").code == 65
 
 
+@pytest.mark.parametrize("name", ["none.mat", "none.csv"])
+def test_a_file_that_is_not_there_is_named_with_its_path(tmp_path, name):
+    done = Outcome(tmp_path / name)
+    assert done.code == 65
+    assert f"cannot read {tmp_path / name}: No such file or directory" in done.stderr
+
+
 # What stops an import.
 
 

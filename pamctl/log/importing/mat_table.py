@@ -35,7 +35,8 @@ def read_mat(path: Path) -> Table:
     from scipy.io import loadmat
 
     try:
-        content = loadmat(path, struct_as_record=True, squeeze_me=False)
+        with path.open("rb") as file:  # given a path, loadmat hides why it cannot be opened
+            content = loadmat(file, struct_as_record=True, squeeze_me=False)
     except NotImplementedError:
         told = "is a MAT file of version 7.3; save it again with save(name, ..., '-v7')"
         raise ImportRefused(f"{path} {told}") from None

@@ -47,6 +47,8 @@ def test_a_page_replaces_an_older_page_and_nothing_else(verb, log):
 def test_a_page_where_no_file_can_be_is_refused(log):
     assert "is a directory" in refused("compare", log, "--plot", log.parent)
     assert "there is no directory" in refused("compare", log, "--plot", log.parent / "a" / "b.html")
+    assert "there is no directory" in refused("report", log, "--out", log.parent / "a" / "b.html")
+    assert not (log.parent / "a").exists()
     assert "cannot make the directory" in refused("reproduce", "fig3", "--out", log / "inside")
 
 

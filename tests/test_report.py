@@ -164,7 +164,7 @@ def test_a_damaged_log_is_refused_with_the_way_out(folder, square):
 
 
 def test_the_command_names_the_page_and_its_size(folder, square):
-    target = folder / "pages" / "square.html"
+    target = folder / "the page.html"
     result = CliRunner().invoke(app, ["report", str(square), "--out", str(target), "--json"])
     assert result.exit_code == 0
     found = json.loads(result.stdout)

@@ -54,7 +54,6 @@ def write_page(target: Path, text: str, option: str = "--out") -> None:
         if target.exists() and target.stat().st_size and not _begin_alike(target, text):
             message = f"{target} exists and is something else; give another name"
             raise typer.BadParameter(message, param_hint=option)
-        target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(text, encoding="utf-8")
     except OSError as error:
         reason = f"cannot write {target}: {error.strerror}"

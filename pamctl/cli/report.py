@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.config import JsonOption
-from pamctl.cli.offline import bad_data_exits, print_json, write_page
+from pamctl.cli.offline import bad_data_exits, print_json, require_place, write_page
 
 
 def report(
@@ -20,6 +20,7 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Write one self-contained HTML page with figures and plots of these logs."""
+    require_place(out, "--out")
     with bad_data_exits(as_json=as_json):
         from pamctl.log import read
         from pamctl.report.compose import report as composed

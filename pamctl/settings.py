@@ -209,8 +209,11 @@ def names(section: str) -> list[str]:
     return sorted(path.stem for path in (config_dir() / section).glob("*.yaml"))
 
 
-def find(section: str, name: str) -> Path:
-    """Return the file that a name or path on the command line means; raise `ConfigError`."""
+def find(section: str, name: str, option: str = "") -> Path:
+    """Return the file that a name or path on the command line means; raise `ConfigError`.
+
+    `option` is what the user wrote before the name, if that is not called as its section.
+    """
     if Path(name).suffix in {".yaml", ".yml"} or Path(name).name != name:
         return Path(name)
     if name in names(section):
@@ -219,7 +222,7 @@ def find(section: str, name: str) -> Path:
     meant = f"did you mean '{near[0]}'? There are" if near else "there are"
     listed = ", ".join(names(section)) or "none"
     message = f"there is no such {section}; {meant} {listed}; or give the path of a .yaml file"
-    raise ConfigError([Problem(f"--{section} {name}", "", message)])
+    raise ConfigError([Problem(f"{option or f'--{section}'} {name}", "", message)])
 
 
 def shown(path: Path) -> str:

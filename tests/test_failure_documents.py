@@ -97,6 +97,26 @@ def test_what_makes_no_sense_is_a_document_with_a_reason(
     assert ended.document["reason"]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "typed"),
+    [
+        (("audit", "nope"), "'nope': there is no such experiment"),
+        (("start", "nope"), "'nope': there is no such experiment"),
+        (("gains", "load", "nope"), "'nope': there is no such controller"),
+        (("tune", "--check", "nope"), "--check nope: there is no such controller"),
+    ],
+    ids=str,
+)
+def test_a_name_that_is_none_is_blamed_as_it_was_typed(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], typed: str
+) -> None:
+    ended = Ended(capsys, *arguments, "--json")
+    assert ended.code == 2
+    assert typed in ended.document["reason"]
+    assert "--experiment" not in ended.err
+    assert "--controller" not in ended.err
+
+
 def test_ctrl_c_is_a_document(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.config import JsonOption, PlantOption, config_errors_exit
+from pamctl.cli.config import JsonOption, PlantOption, config_errors_exit, file_of_argument
 from pamctl.cli.diagnose import plant_named
 from pamctl.cli.offline import bad_data_exits, print_json
 from pamctl.realtime.ending import ExitCode
@@ -51,6 +51,7 @@ def _record(what: str, plant: str | None) -> Record:
     from pamctl.diagnose import Record
     from pamctl.settings import resolve
 
+    file_of_argument("experiment", what)  # leaves first: resolve would blame an option
     run = simulated(resolve(experiment=what, plant=plant))
     return Record(
         Path(what).stem,

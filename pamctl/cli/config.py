@@ -19,6 +19,7 @@ from pamctl.settings import (
     RunSettings,
     check,
     config_dir,
+    find,
     resolve,
     schema,
     shown,
@@ -77,6 +78,15 @@ def _exit_code(problems: Iterable[Problem]) -> ExitCode:
     places = (problem.where for problem in problems)
     options_only = all(where.startswith("--") and not where.startswith("--set") for where in places)
     return ExitCode.USAGE if options_only else ExitCode.BAD_CONFIG
+
+
+def file_of_argument(section: str, name: str) -> Path:
+    """Return the file that an argument without an option means; leave with 2 where none is."""
+    try:
+        return find(section, name)
+    except ConfigError as error:
+        told = "; ".join(problem.message for problem in error.problems)
+        raise typer.BadParameter(f"{name!r}: {told}") from None
 
 
 class Choice(NamedTuple):

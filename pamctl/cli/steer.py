@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pamctl.cli.config import JsonOption, config_errors_exit
+from pamctl.cli.config import JsonOption, config_errors_exit, file_of_argument
 from pamctl.cli.failure import fail
 from pamctl.cli.linux import require_linux
 from pamctl.cli.progress import progress_text
@@ -21,7 +21,7 @@ from pamctl.daemon.client import Client, Declined, Unreachable, default_socket
 from pamctl.log.naming import plain
 from pamctl.realtime.ending import ExitCode
 from pamctl.realtime.tuning import DEFAULT_RAMP_S
-from pamctl.settings import SECTIONS, Raw, find, to_data, validated
+from pamctl.settings import SECTIONS, Raw, to_data, validated
 from pamctl.yamlfile import dump
 
 RampOption = Annotated[
@@ -170,8 +170,9 @@ def show(socket: SocketOption = None, as_json: JsonOption = False) -> None:
 
 def _section(section: str, name: str, *, as_json: bool) -> dict[str, Any]:
     """Read and check a file here, where its lines can be named."""
+    file = file_of_argument(section, name)
     with config_errors_exit(as_json=as_json):
-        return to_data(validated(SECTIONS[section], Raw.read(find(section, name)), title=section))
+        return to_data(validated(SECTIONS[section], Raw.read(file), title=section))
 
 
 def _tell(answer: Any, text: str, *, as_json: bool) -> None:

@@ -78,13 +78,13 @@ class Asked:
         start: str | None,
     ) -> Asked:
         """Make sense of the options; raise `ConfigError`."""
-        checked = None if check is None else _controller(check)
+        checked = None if check is None else _controller(check, "--check")
         law = checked.law if checked is not None else law
         if law not in SPACES:
             raise _wrong(f"--law {law or ''}".strip(), f"must be one of {', '.join(SPACES)}")
         if checked is None:
             _require_new(out)
-        began = None if start is None else _controller(start)
+        began = None if start is None else _controller(start, "--start")
         if began is not None and began.law != law:
             raise _wrong(f"--start {start}", f"holds gains of {began.law}, not of {law}")
         if began is not None and began.length_unit != "mm":
@@ -110,8 +110,9 @@ def _require_new(out: Path | None) -> None:
         raise _wrong(f"--out {out}", f"there is no directory {out.parent}")
 
 
-def _controller(name: str) -> Any:
-    return validated(SECTIONS["controller"], Raw.read(find("controller", name)), "controller")
+def _controller(name: str, option: str) -> Any:
+    raw = Raw.read(find("controller", name, option))
+    return validated(SECTIONS["controller"], raw, "controller")
 
 
 def _plant(name: str) -> Any:

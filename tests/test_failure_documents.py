@@ -117,6 +117,37 @@ def test_a_name_that_is_none_is_blamed_as_it_was_typed(
     assert "--controller" not in ended.err
 
 
+@pytest.mark.parametrize(
+    ("arguments", "option", "told"),
+    [
+        (("goto", "12mm", "--in", "1e300"), "--in", "must be more than 0 and at most 3600 s"),
+        (("goto", "12mm", "--in", "0"), "--in", "must be more than 0 and"),
+        (("goto", "12mm", "--in", "nan"), "--in", "must be finite"),
+        (("start", "tracking-1", "--duration", "nan"), "--duration", "must be finite"),
+        (("start", "tracking-1", "--duration", "0"), "--duration", "must be more than 0 s"),
+        (("set", "controller.eta=1", "--ramp", "nan"), "--ramp", "must be finite"),
+        (("gains", "load", "qsmc", "--ramp", "nan"), "--ramp", "must be finite"),
+        (
+            ("gains", "load", "qsmc", "--ramp", "61"),
+            "--ramp",
+            "must be at least 0 and at most 60 s",
+        ),
+        (("daemon", "--idle-after", "nan"), "--idle-after", "must be finite"),
+        (("daemon", "--idle-after", "0.5"), "--idle-after", "must be at least 1 s (got 0.5)"),
+        (("mark", ""), "text", "must have 1 to 2000 characters (got 0)"),
+        (("mark", "x" * 2001), "text", "must have 1 to 2000 characters (got 2001)"),
+    ],
+    ids=lambda part: part[0] if isinstance(part, tuple) else str(part),
+)
+def test_a_value_out_of_its_limits_is_refused_before_the_daemon_is_asked(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], option: str, told: str
+) -> None:
+    ended = Ended(capsys, *arguments, "--json")
+    assert ended.code == 2
+    assert f"'{option}'" in ended.document["reason"].lower()
+    assert told in ended.document["reason"]
+
+
 def test_ctrl_c_is_a_document(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

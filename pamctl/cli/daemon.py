@@ -26,6 +26,7 @@ from pamctl.cli.live import (
     LivePortOption,
     port_of,
 )
+from pamctl.cli.seconds import at_least
 from pamctl.cli.socket_option import SocketOption
 
 
@@ -48,7 +49,10 @@ def daemon(
         int | None, typer.Option("--keep", min=1, help="Remove its oldest logs beyond so many.")
     ] = None,
     idle_after_s: Annotated[
-        float, typer.Option("--idle-after", metavar="SECONDS", min=1, help="Parked for so long.")
+        float,
+        typer.Option(
+            "--idle-after", metavar="SECONDS", callback=at_least(1.0), help="Parked for so long."
+        ),
     ] = 600.0,
     live: LiveOption = False,
     live_port: LivePortOption = DEFAULT_LIVE_PORT,

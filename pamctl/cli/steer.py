@@ -16,8 +16,10 @@ from pamctl.cli.config import JsonOption, config_errors_exit, file_of_argument
 from pamctl.cli.failure import fail
 from pamctl.cli.linux import require_linux
 from pamctl.cli.progress import progress_text
+from pamctl.cli.seconds import at_least, more_than
 from pamctl.cli.socket_option import SocketOption
 from pamctl.daemon.client import Client, Declined, Unreachable, default_socket
+from pamctl.daemon.protocol import LONGEST_MOTION_S, LONGEST_REMARK
 from pamctl.log.naming import plain
 from pamctl.realtime.ending import ExitCode
 from pamctl.realtime.tuning import DEFAULT_RAMP_S
@@ -25,7 +27,10 @@ from pamctl.settings import SECTIONS, Raw, to_data, validated
 from pamctl.yamlfile import dump
 
 RampOption = Annotated[
-    float, typer.Option("--ramp", metavar="SECONDS", min=0, max=60, help="Of the change.")
+    float,
+    typer.Option(
+        "--ramp", metavar="SECONDS", callback=at_least(0.0, 60.0), help="Of the change; 60 at most."
+    ),
 ]
 
 _METRES = {"": 1e-3, "mm": 1e-3, "m": 1.0, "um": 1e-6, "in": 25.4e-3}
@@ -70,7 +75,10 @@ def status_text(told: Mapping[str, Any]) -> str:
 def start(
     experiment: Annotated[str, typer.Argument(metavar="NAME|FILE", help="As of pamctl run.")],
     duration_s: Annotated[
-        float | None, typer.Option("--duration", metavar="SECONDS", min=0, help="End it early.")
+        float | None,
+        typer.Option(
+            "--duration", metavar="SECONDS", callback=more_than(0.0), help="End it early."
+        ),
     ] = None,
     socket: SocketOption = None,
     as_json: JsonOption = False,
@@ -104,7 +112,13 @@ def disarm(socket: SocketOption = None, as_json: JsonOption = False) -> None:
 def goto(
     position: Annotated[str, typer.Argument(metavar="POSITION", help="12mm, 0.012m, 12")],
     within_s: Annotated[
-        float | None, typer.Option("--in", metavar="SECONDS", min=0, help="4 mm/s if absent.")
+        float | None,
+        typer.Option(
+            "--in",
+            metavar="SECONDS",
+            callback=more_than(0.0, LONGEST_MOTION_S),
+            help="4 mm/s if absent.",
+        ),
     ] = None,
     socket: SocketOption = None,
     as_json: JsonOption = False,
@@ -139,8 +153,16 @@ def set_keys(
     typer.echo(json.dumps(gains, indent=2) if as_json else dump(gains).rstrip())
 
 
+def remark(text: str) -> str:
+    """Pass a remark on; leave with 2 where it is empty, or longer than the daemon takes."""
+    if not 1 <= len(text) <= LONGEST_REMARK:
+        told = f"must have 1 to {LONGEST_REMARK} characters (got {len(text)})"
+        raise typer.BadParameter(told)
+    return text
+
+
 def mark(
-    text: Annotated[str, typer.Argument(help="What to remember.")],
+    text: Annotated[str, typer.Argument(callback=remark, help="What to remember.")],
     socket: SocketOption = None,
     as_json: JsonOption = False,
 ) -> None:

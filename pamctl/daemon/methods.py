@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from pamctl.daemon.protocol import Method, NoParams, Params
+from pamctl.daemon.protocol import LONGEST_MOTION_S, LONGEST_REMARK, Method, NoParams, Params
 from pamctl.daemon.service import Service
 from pamctl.realtime.tuning import DEFAULT_RAMP_S
 
@@ -26,7 +26,7 @@ class Goto(Params):
     """A position to hold."""
 
     position_m: float
-    within_s: Annotated[float | None, Field(gt=0, le=3600)] = None
+    within_s: Annotated[float | None, Field(gt=0, le=LONGEST_MOTION_S)] = None
 
 
 class Change(Params):
@@ -47,7 +47,7 @@ class Load(Params):
 class Mark(Params):
     """A remark for the log."""
 
-    text: Annotated[str, Field(min_length=1, max_length=2000)]
+    text: Annotated[str, Field(min_length=1, max_length=LONGEST_REMARK)]
 
 
 class Recent(Params):

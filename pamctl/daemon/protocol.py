@@ -15,6 +15,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 LARGEST_REQUEST = 1 << 18
 """Bytes of a line. The largest honest request is an experiment of a few thousand steps."""
 
+LONGEST_MOTION_S = 3600
+LONGEST_REMARK = 2000
+"""Characters."""
+
 PARSE_ERROR = -32700
 INVALID_REQUEST = -32600
 METHOD_NOT_FOUND = -32601

@@ -208,6 +208,14 @@ def test_a_port_that_is_taken_is_said_and_the_run_goes_on(tmp_path: Path) -> Non
             assert made.state() == "idle"
 
 
+@pytest.mark.parametrize("verb", ["run", "daemon"])
+def test_a_site_that_may_look_on_where_nothing_is_shown_is_refused(verb: str) -> None:
+    command = [sys.executable, "-m", "pamctl", verb, "--live-origin", SITE]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 2
+    assert "for --live-origin: belongs to --live" in done.stderr
+
+
 def test_without_a_clock_there_is_nothing_live_and_without_the_extra_one_is_told() -> None:
     command = [sys.executable, "-m", "pamctl", "run", "--fast", "--live"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)

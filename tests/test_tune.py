@@ -302,6 +302,7 @@ def test_drawn_plants_find_their_way_into_other_processes(tmp_path: Path) -> Non
         (["--law", "pid", "--out", "x.yaml", "--plant", "papier"], "did you mean 'paper'"),
         (["--law", "pid", "--out", "x.yaml", "--start", "qsmc"], "gains of qsmc"),
         (["--law", "pid", "--out", "x.yaml", "--start", "nope"], "--start nope: there is no such"),
+        (["--check", "pid", "--out", "x.yaml"], "for --out: belongs to a search: with --check"),
     ],
 )
 def test_what_makes_no_sense_is_refused(tmp_path: Path, options: list[str], said: str) -> None:

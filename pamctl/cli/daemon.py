@@ -73,12 +73,13 @@ def daemon(
         rt=rt,
     )
     del names["experiment"]  # that is said when it is started
-    port = port_of(live, live_port)
+    origins = live_origins or ()
+    port = port_of(live, live_port, origins)
     require_linux()
     from pamctl.cli.serving import ServiceOptions, serve  # no other verb has to wait for it
     from pamctl.daemon.client import own_socket
 
     options = ServiceOptions(
-        socket or own_socket(), group, logs, keep, idle_after_s, port, live_origins or (), as_json
+        socket or own_socket(), group, logs, keep, idle_after_s, port, origins, as_json
     )
     sys.exit(int(serve(settings, names, options)))

@@ -32,9 +32,11 @@ DEFAULT_LIVE_PORT = 8765
 """Foxglove's own."""
 
 
-def port_of(live: bool, port: int) -> int | None:
+def port_of(live: bool, port: int, origins: Sequence[str]) -> int | None:
     """Return where to serve, None where that is not wanted; leave where it cannot be done."""
     if not live:
+        if origins:
+            raise typer.BadParameter("belongs to --live, which is off", param_hint="--live-origin")
         return None
     if importlib.util.find_spec("foxglove") is None:
         what = "--live needs foxglove-sdk, which is not installed: pip install 'pamctl[live]'"

@@ -80,9 +80,9 @@ def run(
         return
     if live and settings.fast:
         raise typer.BadParameter("without a clock there is nothing live", param_hint="--live")
-    port = port_of(live, live_port)
+    origins = live_origins or ()
+    port = port_of(live, live_port, origins)
     require_linux()
     from pamctl.cli.running import run_and_tell
 
-    origins = live_origins or ()
     sys.exit(run_and_tell(settings, names, log, port, origins, as_json=as_json, quiet=quiet))

@@ -59,6 +59,9 @@ def tune(
     """Seek gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
     from pamctl.cli.tuning import Asked, check_gains, seek_gains  # slow imports, for this verb
 
+    if check is not None and out is not None:
+        message = "belongs to a search: with --check nothing is written"
+        raise typer.BadParameter(message, param_hint="--out")
     with config_errors_exit(as_json=as_json):
         asked = Asked.of(law, plants or [], size, seed, quantile, held_out, out, check, start)
     if asked.checked is not None:

@@ -66,6 +66,11 @@ def test_a_replay_starts_at_a_time_that_can_be(seconds, log):
     assert "must be seconds, 0 or more" in refused("replay", log, "--from", seconds)
 
 
+@pytest.mark.parametrize("options", [(), ("--set", "controller.eta=0")])
+def test_a_replay_from_behind_the_end_is_a_wrong_option_and_no_bad_log(options, log):
+    assert "there is nothing from 1e+09 s on" in refused("replay", log, "--from", "1e9", *options)
+
+
 @pytest.fixture
 def impatient():
     """An alarm for what would wait, or read, for ever."""

@@ -15,17 +15,18 @@ from pamctl.realtime.ending import ExitCode
 
 @contextmanager
 def bad_data_exits(*, as_json: bool) -> Iterator[None]:
-    """Say in one line why a log cannot be used, and exit with 65."""
+    """Say in one line why a log cannot be used, and exit with 65; with 2 for a time it lacks."""
     from pamctl.log import LogError
-    from pamctl.replay import NotReplayable
+    from pamctl.replay import BehindTheEnd, NotReplayable
 
     try:
         yield
     except (LogError, NotReplayable) as error:
+        code = ExitCode.USAGE if isinstance(error, BehindTheEnd) else ExitCode.BAD_DATA
         if as_json:
-            print_json({"exit_code": int(ExitCode.BAD_DATA), "reason": str(error)})
+            print_json({"exit_code": int(code), "reason": str(error)})
         typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(ExitCode.BAD_DATA) from None
+        raise typer.Exit(code) from None
 
 
 def require_place(path: Path | None, option: str) -> None:

@@ -25,6 +25,10 @@ class NotReplayable(Exception):
     """There is nothing to replay, or not by this version. The message says why, and what to do."""
 
 
+class BehindTheEnd(NotReplayable):
+    """The log is fine, and ends before the time that was asked for."""
+
+
 class Change(NamedTuple):
     """Gains that were taken over on a ramp."""
 
@@ -111,7 +115,7 @@ class Recording:
         """Return the last tick with a keyframe that is not later than `t_s`, or -1."""
         times_s = self.log.t
         if not t_s <= times_s[-1]:
-            raise NotReplayable(
+            raise BehindTheEnd(
                 f"{self.log.path} ends at {times_s[-1]:g} s: there is nothing from {t_s:g} s on"
             )
         if not self.keyframes and t_s > times_s[0]:

@@ -22,7 +22,9 @@ from daemons import QUICK, daemon
 from hypothesis import given
 from hypothesis import strategies as st
 from patience import BUSY_PC, PATIENCE_S
+from typer.testing import CliRunner
 
+from pamctl.cli.app import app
 from pamctl.cli.assembly import ao_path
 from pamctl.live.gate import refusal_of
 from pamctl.log import read
@@ -214,6 +216,11 @@ def test_a_site_that_may_look_on_where_nothing_is_shown_is_refused(verb: str) ->
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 2
     assert "for --live-origin: belongs to --live" in done.stderr
+
+
+@pytest.mark.parametrize("verb", ["run", "daemon"])
+def test_the_help_says_which_extra_is_needed(verb: str) -> None:
+    assert "pamctl[live]" in CliRunner().invoke(app, [verb, "--help"]).stdout
 
 
 def test_without_a_clock_there_is_nothing_live_and_without_the_extra_one_is_told() -> None:

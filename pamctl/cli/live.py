@@ -15,7 +15,7 @@ from pamctl.cli.failure import fail
 from pamctl.realtime.ending import ExitCode
 
 LiveOption = Annotated[
-    bool, typer.Option("--live", help="Serve Foxglove and Lichtblick; needs pamctl[live].")
+    bool, typer.Option("--live", help="Serve Foxglove and Lichtblick; needs pamctl\\[live].")
 ]
 LivePortOption = Annotated[
     int, typer.Option("--live-port", metavar="PORT", min=0, max=65535, help="Of --live.")

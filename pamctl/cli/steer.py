@@ -35,7 +35,7 @@ RampOption = Annotated[
 
 _METRES = {"": 1e-3, "mm": 1e-3, "m": 1.0, "um": 1e-6, "in": 25.4e-3}
 
-gains_app = typer.Typer(no_args_is_help=True, help="Load, show and save the daemon's gains.")
+gains_app = typer.Typer(no_args_is_help=True, help="Load and show the daemon's gains.")
 
 
 def ask(socket: Path | None, method: str, params: Mapping[str, object] | None = None) -> Any:

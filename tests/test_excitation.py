@@ -10,6 +10,7 @@ from support import run_settings
 from pamctl.closed_loop import references
 from pamctl.control.excitation import ProgramSettings, commands
 from pamctl.control.experiment import segments
+from pamctl.settings import config_dir
 from pamctl.signals import Phase, Reference
 
 
@@ -41,6 +42,14 @@ def test_it_has_small_commands_about_null_and_power_up_to_100_hz() -> None:
     power = np.abs(np.fft.rfft(command)) ** 2
     hertz = np.fft.rfftfreq(len(command), 1e-3)
     assert power[(hertz > 50) & (hertz < 100)].mean() > 10 * power[hertz > 300].mean()
+
+
+def test_the_shipped_file_says_how_long_it_takes() -> None:
+    lasts_s = sum(
+        one.duration_s for one in segments(run_settings(experiment="diagnosis").experiment)
+    )
+    said = (config_dir() / "experiment" / "diagnosis.yaml").read_text()
+    assert f"wants to see: {lasts_s:.0f} s," in said
 
 
 def test_a_multisine_peaks_at_its_amplitude_about_its_bias() -> None:

@@ -64,6 +64,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     # A shell lets what it starts in the background ignore Ctrl-C, and with it all that we start.
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # under nohup
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -59,5 +59,5 @@ class Shelf:
             return
         logs = sorted(self._directory.glob(f"[0-9]*-[0-9]*-{_OURS}-*.mcap"))
         for log in logs[: -self._keep]:
+            flight_record(log).unlink(missing_ok=True)  # first: without its log nobody finds it
             log.unlink(missing_ok=True)
-            flight_record(log).unlink(missing_ok=True)

@@ -1,8 +1,8 @@
 """The interface every rig implements, and the one page to read before adding one.
 
 A rig knows volts and counts; it knows nothing of muscles. To add one: write a
-class with the methods of `Rig`, run `tests/test_rig_contract.py` over it,
-and name it in the composition root (`pamctl/cli/assembly.py`).
+class with the methods of `Rig`, run `tests/hal/test_rig_contract.py` over it,
+and name it in the composition root (`pamctl/processes/backends.py`).
 """
 
 from __future__ import annotations

@@ -31,10 +31,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from hal.register import peek_v
-from pamctl.cli.assembly import SHARED_MEMORY, ao_path
+from hal.sim.register import peek_v
 from pamctl.daemon.client import Client, Unreachable
 from pamctl.log import read
+from pamctl.processes.backends import SHARED_MEMORY, ao_path
 
 CLIENTS, CLIENT_HZ = 5, 10.0
 SETTLE_S, WINDOW_S = 2.0, 4.0
@@ -104,7 +104,7 @@ def onlookers(bench: Bench, seen: dict[str, int]) -> Iterator[None]:
         page = stack.enter_context(_process(web, stdout=subprocess.PIPE))
         assert page.stdout
         web_port = int(page.stdout.readline().decode().rsplit(":", 1)[1].strip().rstrip("/"))
-        live = [*start, "pamctl.cli.live_process", "0", "--socket", str(bench.socket)]
+        live = [*start, "pamctl.live.live_main", "0", "--socket", str(bench.socket)]
         viewer = stack.enter_context(_process(live, stdin=subprocess.PIPE, stderr=subprocess.PIPE))
         assert viewer.stderr
         live_port = int(viewer.stderr.readline().decode().split()[1].rsplit(":", 1)[1])

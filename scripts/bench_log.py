@@ -18,11 +18,11 @@ from typing import Any, get_type_hints
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from pamctl.log.meta import RunMeta
 from pamctl.log.reader import read
-from pamctl.log.recorder import await_ready, spawn
+from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
-from pamctl.realtime.ring import Ring, RingFull
+from pamctl.recording.recorder import await_ready, spawn
+from pamctl.recording.ring import Ring, RingFull
 from pamctl.signals import TickRecord
 
 

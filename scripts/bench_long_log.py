@@ -22,14 +22,14 @@ from bench_log import made_up_ticks, put_when_there_is_room
 
 from pamctl.log import read
 from pamctl.log.container import message_records
-from pamctl.log.meta import RunMeta
-from pamctl.log.recorder import await_ready, spawn
-from pamctl.log.records import Damage, mapped, walk
-from pamctl.log.recover import recover
+from pamctl.log.framing import Damage, mapped, walk
+from pamctl.log.repair.recover import recover
+from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
 from pamctl.log.wire import TickLayout
 from pamctl.log.writer import LogWriter, begin
-from pamctl.realtime.ring import Ring
+from pamctl.recording.recorder import await_ready, spawn
+from pamctl.recording.ring import Ring
 from pamctl.signals import TICK_FIELDS
 
 CHUNK_TICKS = 250
@@ -37,13 +37,15 @@ CHUNK = 6
 
 TOOLS = {
     "info": "from pamctl.log import info; info({path!r})",
-    "check": "from pamctl.log.check import check; check({path!r})",
+    "check": "from pamctl.log.check.check_log import check; check({path!r})",
     "read, all columns": "from pamctl.log import read; read({path!r})",
     "read, four columns": (
         "from pamctl.log import read;"
         "read({path!r}, fields=('t_s', 'applied_v', 'pressure_pa', 'position_m'))"
     ),
-    "recover": "from pamctl.log.recover import recover; recover({path!r}, {path!r} + '.saved')",
+    "recover": (
+        "from pamctl.log.repair.recover import recover; recover({path!r}, {path!r} + '.saved')"
+    ),
 }
 
 

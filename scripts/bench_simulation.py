@@ -34,22 +34,22 @@ from numpy.typing import NDArray
 from scipy.integrate import odeint, solve_ivp
 
 from hal.rig import RawSample
-from hal.sim import sensed_counts, sensed_pressure_v, sensor_chain
-from pamctl.closed_loop import references, sensor_noise, simulate
+from hal.sim.sim_rig import sensed_counts, sensed_pressure_v, sensor_chain
 from pamctl.compiled import compiled
 from pamctl.control.experiment import segments
 from pamctl.control.law import respond
 from pamctl.control.surface import ARMED, LawState
-from pamctl.plant.friction import axial_forces
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.muscle import force_area_m2, volume_m3
+from pamctl.plant.paper.friction import axial_forces
+from pamctl.plant.paper.muscle import force_area_m2, volume_m3
+from pamctl.plant.paper.valve import valve_flow
 from pamctl.plant.parameters import PlantParameters, PlantState, vented
 from pamctl.plant.step import plant_advance
-from pamctl.plant.valve import valve_flow
 from pamctl.realtime.tick import TickState, first_state, step
-from pamctl.settings import resolve
-from pamctl.setup import setup_of
+from pamctl.settings.build import setup_of
+from pamctl.settings.resolve import resolve
 from pamctl.signals import Estimate, Reference, Timing
+from pamctl.simulate.closed_loop import references, sensor_noise, simulate
 
 TICK_S = 1e-3
 LAWS = ("qsmc", "smc", "pid")

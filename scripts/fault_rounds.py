@@ -35,10 +35,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import numpy as np
 from standin.standin import Card
 
-from hal.register import peek_v
-from pamctl.cli.assembly import SHARED_MEMORY, ao_path
+from hal.sim.register import peek_v
 from pamctl.log.reader import read
-from pamctl.realtime.ring import Ring
+from pamctl.processes.backends import SHARED_MEMORY, ao_path
+from pamctl.recording.ring import Ring
 
 SAFE_V, AO_STEP_V = 0.625, 20.0 / 65536.0
 """A voltage that neither a reset nor a power-up leaves behind."""
@@ -49,9 +49,9 @@ MOVING_TICKS = 300
 PATIENCE_S = 20.0
 
 PROCESSES = {
-    "loop": "loop_process",
-    "guardian": "guardian_process",
-    "recorder": "log.recorder",
+    "loop": "loop_main",
+    "guardian": "guardian_main",
+    "recorder": "recording.recorder",
     "front": "",
 }
 SIGNALS = {"killed": signal.SIGKILL, "frozen": signal.SIGSTOP}

@@ -41,13 +41,13 @@ from readme_table import table, write_between  # noqa: E402
 from taken_up import taken_up  # noqa: E402
 
 from pamctl.diagnose import Record  # noqa: E402
-from pamctl.diagnose.blocks import MECHANICS, PRESSURE  # noqa: E402
-from pamctl.diagnose.candidates import Candidate, candidates, reaching  # noqa: E402
-from pamctl.diagnose.evidence import Evidence, prepared, with_modelled_pressure  # noqa: E402
-from pamctl.diagnose.intervals import estimates  # noqa: E402
-from pamctl.diagnose.models import Model, extended, recalibrated  # noqa: E402
-from pamctl.diagnose.name import finished, other_starts, proven, rank  # noqa: E402
-from pamctl.diagnose.score import scores  # noqa: E402
+from pamctl.diagnose.fitting.candidates import Candidate, candidates, reaching  # noqa: E402
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE  # noqa: E402
+from pamctl.diagnose.fitting.evidence import Evidence, prepared, with_modelled_pressure  # noqa: E402
+from pamctl.diagnose.fitting.fitted_model import Model, extended, recalibrated  # noqa: E402
+from pamctl.diagnose.fitting.intervals import estimates  # noqa: E402
+from pamctl.diagnose.naming.score import scores  # noqa: E402
+from pamctl.diagnose.naming.search import finished, other_starts, proven, rank  # noqa: E402
 from pamctl.plant.drive import drive_coupled  # noqa: E402
 from pamctl.plant.flat import NEUTRAL, PAPER, parameters_of  # noqa: E402
 from pamctl.plant.model import PlantSettings  # noqa: E402

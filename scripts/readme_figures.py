@@ -16,10 +16,10 @@ from pathlib import Path
 
 from pamctl.log import read
 from pamctl.report.compose import report
-from pamctl.report.page import Page
+from pamctl.report.html_page import Page
 from pamctl.report.svg import Axis, Plot
-from pamctl.reproduce.cases import PRINTED_QSMC, TUNED
-from pamctl.reproduce.document import reproduce
+from pamctl.reproduce.paper_cases import PRINTED_QSMC, TUNED
+from pamctl.reproduce.reproduction import reproduce
 from pamctl.signals import Phase
 
 PICTURES = Path(__file__).resolve().parents[1] / ".readme"

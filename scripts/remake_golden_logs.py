@@ -20,10 +20,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from pamctl.cli.assembly import SHARED_MEMORY
+from pamctl.exit_codes import ExitCode
 from pamctl.log import read
-from pamctl.realtime.ending import ExitCode
-from pamctl.realtime.ring import Ring
+from pamctl.processes.backends import SHARED_MEMORY
+from pamctl.recording.ring import Ring
 from pamctl.replay import replay
 
 ROOT = Path(__file__).resolve().parent.parent

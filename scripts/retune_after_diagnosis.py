@@ -27,17 +27,17 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 from hidden.own_run import own_run  # noqa: E402
 from hidden.plant import HiddenPlant  # noqa: E402
 from hidden.rig import HiddenRig, Record, hidden_rig  # noqa: E402
-from support import run  # noqa: E402
+from support.runs import run  # noqa: E402
 
 from pamctl.diagnose import Diagnosis, diagnose, sentence  # noqa: E402
 from pamctl.diagnose import Record as Measured  # noqa: E402
-from pamctl.diagnose.document import document  # noqa: E402
-from pamctl.merit import merit  # noqa: E402
+from pamctl.diagnose.report.diagnosis_document import document  # noqa: E402
+from pamctl.exit_codes import ExitCode  # noqa: E402
 from pamctl.plant.model import PlantSettings  # noqa: E402
-from pamctl.realtime.ending import ExitCode  # noqa: E402
-from pamctl.settings import resolve  # noqa: E402
+from pamctl.settings.resolve import resolve  # noqa: E402
+from pamctl.simulate.merit import merit  # noqa: E402
 from pamctl.tune import Jury, Search, fixed_members  # noqa: E402
-from pamctl.tune.space import SPACES  # noqa: E402
+from pamctl.tune.search_space import SPACES  # noqa: E402
 
 HIDDEN = ("valve_deadband:5", "valve_hysteresis:5", "command_delay:10", "valve_spool:5")
 """Effects that a loop can feel, at sizes between what matters at all and the worst."""

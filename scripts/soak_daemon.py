@@ -27,13 +27,13 @@ from typing import Any
 
 import numpy as np
 
-from hal.register import peek_v
-from pamctl.cli.assembly import SHARED_MEMORY, ao_path
+from hal.sim.register import peek_v
 from pamctl.daemon.client import Client, Declined, Unreachable
 from pamctl.daemon.protocol import INTERNAL_ERROR
 from pamctl.log import read
+from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.replay import replay
-from pamctl.settings import resolve, to_data
+from pamctl.settings.resolve import resolve, to_data
 
 SHARE_OF_ONE_LIFE = 0.75
 SAMPLE_EVERY_S = 10.0
@@ -216,10 +216,10 @@ def acts(rig: Rig, dice: random.Random) -> dict[str, tuple[int, Any]]:
         "ack": (8, lambda: rig.ask("ack")),
         "estop": (2, lambda: rig.ask("estop")),
         "disarm": (2, lambda: rig.ask("disarm")),
-        "kill loop": (1, lambda: rig.kill("session_process", signal.SIGKILL)),
-        "freeze loop": (1, lambda: rig.kill("session_process", signal.SIGSTOP)),
-        "kill recorder": (1, lambda: rig.kill("log.recorder", signal.SIGKILL)),
-        "kill guardian": (1, lambda: rig.kill("guardian_process", signal.SIGKILL)),
+        "kill loop": (1, lambda: rig.kill("session_main", signal.SIGKILL)),
+        "freeze loop": (1, lambda: rig.kill("session_main", signal.SIGSTOP)),
+        "kill recorder": (1, lambda: rig.kill("recording.recorder", signal.SIGKILL)),
+        "kill guardian": (1, lambda: rig.kill("guardian_main", signal.SIGKILL)),
     }
 
 

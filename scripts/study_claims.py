@@ -28,13 +28,13 @@ import numpy as np
 from bench_simulation import LAW_TICKS, ClosedLoop, interleaved, run_law, run_nothing
 from readme_table import table, write_between
 
-from pamctl.batch import simulated, tracked
 from pamctl.control.smc import linearised
-from pamctl.merit import TABLE_IV, Merit
 from pamctl.plant.model import plant_parameters
-from pamctl.settings import RunSettings, resolve
+from pamctl.settings.resolve import RunSettings, resolve
+from pamctl.simulate.batch import simulated, tracked
+from pamctl.simulate.merit import TABLE_IV, Merit
 from pamctl.tune import Member, ensemble, fixed_members
-from pamctl.tune.trial import Trial
+from pamctl.tune.gains_trial import Trial
 
 LAWS = ("qsmc", "smc", "pid")
 EXPERIMENTS = ("tracking-1", "tracking-2")

@@ -15,9 +15,9 @@ import math
 
 from readme_table import table, write_between
 
-from pamctl.batch import tracked
-from pamctl.merit import TABLE_IV, Merit
-from pamctl.settings import names, resolve
+from pamctl.settings.resolve import names, resolve
+from pamctl.simulate.batch import tracked
+from pamctl.simulate.merit import TABLE_IV, Merit
 
 PLANTS = {
     "paper": ("paper", 0),

@@ -1,1 +1,4 @@
-"""The commands, and the composition root where backends are chosen."""
+"""The command line: one file a verb. No work is done here.
+
+Read `app.py` first.
+"""

@@ -10,7 +10,7 @@ import typer
 from pamctl.cli.config import JsonOption, PlantOption, config_errors_exit, file_of_argument
 from pamctl.cli.diagnose import plant_named
 from pamctl.cli.offline import bad_data_exits, print_json
-from pamctl.realtime.ending import ExitCode
+from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from pamctl.diagnose import Record
@@ -29,7 +29,7 @@ def audit(
     with bad_data_exits(as_json=as_json), config_errors_exit(as_json=as_json):
         start = plant_named(plant)
         from pamctl.diagnose.audit import audit_of
-        from pamctl.diagnose.quality import BadData
+        from pamctl.diagnose.measured.refuse import BadData
 
         try:
             found = audit_of(_record(what, plant), start)
@@ -44,12 +44,12 @@ def audit(
 
 def _record(what: str, plant: str | None) -> Record:
     if Path(what).suffix == ".mcap":
-        from pamctl.diagnose.logs import record_of
+        from pamctl.diagnose.measured.from_log import record_of
 
         return record_of(what)
-    from pamctl.batch import simulated
     from pamctl.diagnose import Record
-    from pamctl.settings import resolve
+    from pamctl.settings.resolve import resolve
+    from pamctl.simulate.batch import simulated
 
     file_of_argument("experiment", what)  # leaves first: resolve would blame an option
     run = simulated(resolve(experiment=what, plant=plant))

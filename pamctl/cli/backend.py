@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from pamctl.problems import ConfigError, Problem
-from pamctl.settings import RunSettings
+from pamctl.settings.problems import ConfigError, Problem
+from pamctl.settings.resolve import RunSettings
 
 RIG_OF_BACKEND = {"sim": "sim", "nidaq": "pci6221"}
 """The shipped rig file that `--backend` alone means."""

@@ -10,11 +10,11 @@ import typer
 from pamctl.cli.backend import BackendOption
 from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
 from pamctl.cli.linux import require_linux
-from pamctl.problems import ConfigError, Problem
+from pamctl.settings.problems import ConfigError, Problem
 
 if TYPE_CHECKING:  # no other verb has to wait for these
-    from pamctl.bench import Bench
-    from pamctl.calibrate.outcome import Operator, Outcome
+    from pamctl.commissioning.calibrate.outcome import Operator, Outcome
+    from pamctl.commissioning.hands_on import Bench
 
 calibrate_app = typer.Typer(
     no_args_is_help=True,
@@ -52,8 +52,11 @@ def pressure(
 ) -> None:
     """Sensor zero at the atmosphere; gain against a reference gauge, at one point or more."""
     require_linux()
-    from pamctl.calibrate.pressure import DEFAULT_POINTS_KPA, calibrate_pressure
-    from pamctl.cli.calibration import Order, answers_of, calibrate_rig
+    from pamctl.commissioning.calibrate.guided import Order, answers_of, calibrate_rig
+    from pamctl.commissioning.calibrate.pressure_sensor import (
+        DEFAULT_POINTS_KPA,
+        calibrate_pressure,
+    )
 
     points = () if zero_only else tuple(points_kpa or DEFAULT_POINTS_KPA)
     calibrate_rig(
@@ -86,12 +89,12 @@ def encoder(
 ) -> None:
     """Scale and sign against known displacements: by gauge blocks, or measured on the muscle."""
     require_linux()
-    from pamctl.calibrate.encoder import (
+    from pamctl.commissioning.calibrate.encoder_sign_and_scale import (
         DEFAULT_POINTS_KPA,
         calibrate_encoder_by_hand,
         calibrate_encoder_by_muscle,
     )
-    from pamctl.cli.calibration import Order, answers_of, calibrate_rig
+    from pamctl.commissioning.calibrate.guided import Order, answers_of, calibrate_rig
 
     points = tuple(points_kpa or DEFAULT_POINTS_KPA)
     known = tuple(displacements_mm or ())
@@ -126,8 +129,8 @@ def valve(
 ) -> None:
     """Sign, null voltage, dead band and supply pressure."""
     require_linux()
-    from pamctl.calibrate.valve import calibrate_valve
-    from pamctl.cli.calibration import Order, calibrate_rig
+    from pamctl.commissioning.calibrate.guided import Order, calibrate_rig
+    from pamctl.commissioning.calibrate.valve_null import calibrate_valve
 
     calibrate_rig(
         "valve",

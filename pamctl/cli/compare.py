@@ -11,7 +11,7 @@ from pamctl.cli.config import JsonOption, config_errors_exit
 from pamctl.cli.offline import bad_data_exits, print_json, require_place, write_page
 
 if TYPE_CHECKING:
-    from pamctl.compare import Comparison, Gap
+    from pamctl.compare.coupled_gap import Comparison, Gap
     from pamctl.log import Log
 
 _UM, _KPA = 1e6, 1e-3
@@ -38,7 +38,7 @@ def compare(
         log = read(path)
         found = _compared(log, plants or [])
     if plot is not None:
-        from pamctl.cli.compare_page import page_of
+        from pamctl.compare.compare_page import page_of
 
         write_page(plot, page_of(path.name, found).html(), "--plot")
     if as_json:
@@ -51,9 +51,9 @@ def compare(
 
 def _compared(log: Log, names: list[str]) -> dict[str, Comparison]:
     """Compare with each plant, by its name on the command line. Raises ConfigError, LogError."""
-    from pamctl.compare import compare as compared
+    from pamctl.compare.coupled_gap import compare as compared
     from pamctl.plant.model import plant_parameters
-    from pamctl.settings import SECTIONS, Raw, find, validated
+    from pamctl.settings.resolve import SECTIONS, Raw, find, validated
 
     if not names and "plant" in log.config:
         raws = {"the log's own": Raw(log.config["plant"], {(): f"{log.path}:config.json"})}

@@ -11,9 +11,9 @@ from typing import Annotated, NamedTuple, TypedDict, Unpack
 import typer
 
 from pamctl.cli.backend import BackendOption, check_backend, rig_name
-from pamctl.problems import ConfigError, Problem
-from pamctl.realtime.ending import ExitCode
-from pamctl.settings import (
+from pamctl.exit_codes import ExitCode
+from pamctl.settings.problems import ConfigError, Problem
+from pamctl.settings.resolve import (
     DEFAULT_NAMES,
     SECTIONS,
     RunSettings,

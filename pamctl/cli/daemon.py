@@ -76,8 +76,8 @@ def daemon(
     origins = live_origins or ()
     port = port_of(live, live_port, origins)
     require_linux()
-    from pamctl.cli.serving import ServiceOptions, serve  # no other verb has to wait for it
     from pamctl.daemon.client import own_socket
+    from pamctl.daemon.serving import ServiceOptions, serve  # no other verb has to wait for it
 
     options = ServiceOptions(
         socket or own_socket(), group, logs, keep, idle_after_s, port, origins, as_json

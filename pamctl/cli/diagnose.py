@@ -13,7 +13,7 @@ import typer
 
 from pamctl.cli.config import JsonOption, PlantOption, config_errors_exit
 from pamctl.cli.offline import bad_data_exits, print_json
-from pamctl.realtime.ending import ExitCode
+from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from pamctl.diagnose import Diagnosis, Record
@@ -53,8 +53,8 @@ def diagnose(
         _require_known(without or [])
         from pamctl.diagnose import diagnose as diagnosed
         from pamctl.diagnose import summary
-        from pamctl.diagnose.document import document
-        from pamctl.diagnose.logs import record_of
+        from pamctl.diagnose.measured.from_log import record_of
+        from pamctl.diagnose.report.diagnosis_document import document
 
         train = [record_of(path) for path in logs]
         held = [record_of(path) for path in holdout or []]
@@ -82,7 +82,7 @@ def diagnose(
 
 def plant_named(name: str | None) -> PlantSettings:
     """Read a plant file by name or path; raise `ConfigError`."""
-    from pamctl.settings import DEFAULT_NAMES, SECTIONS, Raw, find, validated
+    from pamctl.settings.resolve import DEFAULT_NAMES, SECTIONS, Raw, find, validated
 
     file = find("plant", name or DEFAULT_NAMES["plant"])
     settings: PlantSettings = validated(SECTIONS["plant"], Raw.read(file), title="plant")
@@ -123,9 +123,9 @@ def _workers(jobs: int) -> Iterator[Executor | None]:
 def _write(
     diagnosis: Diagnosis, out: Path, logs: Sequence[Path], records: Sequence[Record]
 ) -> None:
-    from pamctl.diagnose.document import document
-    from pamctl.diagnose.page import page_of
-    from pamctl.diagnose.plantfile import plant_file
+    from pamctl.diagnose.report.diagnosis_document import document
+    from pamctl.diagnose.report.diagnosis_page import page_of
+    from pamctl.diagnose.report.extended_plant_file import plant_file
 
     out.mkdir(parents=True, exist_ok=True)
     written = json.dumps(document(diagnosis), indent=2, allow_nan=False) + "\n"

@@ -12,11 +12,11 @@ import typer
 from pamctl.cli.backend import BackendOption
 from pamctl.cli.config import JsonOption, RigOption, SetOption, chosen
 from pamctl.cli.linux import require_linux
-from pamctl.doctor.findings import Finding, document, report, worst
-from pamctl.realtime.ending import ExitCode
+from pamctl.commissioning.doctor.findings import Finding, document, report, worst
+from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from pamctl.cli.interrupts import Interrupted
+    from pamctl.processes.interrupts import Interrupted
 
 SCHEMA = 1
 """Of the document that `--json` prints."""
@@ -37,9 +37,9 @@ def doctor(
     """Find out whether this PC and this rig are fit for a run, and how to mend what is not."""
     settings, _ = chosen(backend, rig, overrides, as_json=as_json, fast=False)
     require_linux()  # as what follows does; and no other verb has to wait for it
-    from pamctl.cli.assembly import device_of
-    from pamctl.cli.examination import examination
-    from pamctl.cli.interrupts import Interrupted
+    from pamctl.commissioning.doctor.examination import examination
+    from pamctl.processes.backends import device_of
+    from pamctl.processes.interrupts import Interrupted
 
     findings: list[Finding] = []
     interrupt: Interrupted | None = None

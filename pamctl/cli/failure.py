@@ -14,7 +14,7 @@ from typing import NoReturn, Protocol, runtime_checkable
 
 import typer
 
-from pamctl.realtime.ending import ExitCode
+from pamctl.exit_codes import ExitCode
 
 
 class Failed(typer.Exit):

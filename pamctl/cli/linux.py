@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from pamctl.cli.failure import fail
-from pamctl.realtime.ending import ExitCode
+from pamctl.exit_codes import ExitCode
 
 
 def require_linux() -> None:

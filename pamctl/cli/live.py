@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.failure import fail
-from pamctl.realtime.ending import ExitCode
+from pamctl.exit_codes import ExitCode
 
 LiveOption = Annotated[
     bool, typer.Option("--live", help="Serve Foxglove and Lichtblick; needs pamctl\\[live].")
@@ -46,14 +46,14 @@ def port_of(live: bool, port: int, origins: Sequence[str]) -> int | None:
 
 @contextmanager
 def live_view(port: int | None, origins: Sequence[str], *source: str) -> Iterator[None]:
-    """Let `pamctl.cli.live_process` serve `source` on `port` meanwhile; nothing with None.
+    """Let `pamctl.live.live_main` serve `source` on `port` meanwhile; nothing with None.
 
     Pages of the sites in `origins` may look on, beside programs and applications.
     """
     if port is None:
         yield
         return
-    command = [sys.executable, "-m", "pamctl.cli.live_process", str(port), *source, *origins]
+    command = [sys.executable, "-m", "pamctl.live.live_main", str(port), *source, *origins]
     # It hears no Ctrl-C, and leaves when its standard input ends, with this process.
     viewer = subprocess.Popen(command, stdin=subprocess.PIPE, process_group=0)
     try:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pamctl.cli.config import JsonOption
-from pamctl.realtime.ending import ExitCode
+from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from pamctl.log.check import Report
-    from pamctl.log.recover import Recovery
+    from pamctl.log.check.check_log import Report
+    from pamctl.log.repair.recover import Recovery
 
 log_app = typer.Typer(no_args_is_help=True, help="Look into logs, mend, export and import them.")
 
@@ -26,8 +26,8 @@ LogArgument = Annotated[Path, typer.Argument(metavar="LOG")]
 @contextmanager
 def log_errors_exit(*, as_json: bool = False) -> Iterator[None]:
     """Print what is wrong in one line; exit with 2 for the file to be written, 65 for a log."""
-    from pamctl.log.newfile import NewFileError
-    from pamctl.log.records import LogError
+    from pamctl.log.framing import LogError
+    from pamctl.log.new_file import NewFileError
 
     try:
         yield
@@ -94,7 +94,7 @@ def check_logs(
 
 def _checked(path: Path) -> tuple[ExitCode, dict[str, Any]]:
     from pamctl.log import LogError
-    from pamctl.log.check import check
+    from pamctl.log.check.check_log import check
 
     try:
         report = check(path, _problems_of_config)
@@ -110,8 +110,8 @@ def _report(report: Report) -> dict[str, Any]:
 
 def _problems_of_config(text: str) -> list[str]:
     """Say why a configuration in a log cannot be used by this version, if it cannot."""
-    from pamctl.problems import ConfigError
-    from pamctl.settings import from_resolved
+    from pamctl.settings.problems import ConfigError
+    from pamctl.settings.resolve import from_resolved
 
     try:
         from_resolved(text, "config.json")
@@ -137,7 +137,7 @@ def recover_log(
     as_json: JsonOption = False,
 ) -> None:
     """Save all that is whole of a damaged log into a new file; exits with 3 if anything is lost."""
-    from pamctl.log.recover import recover
+    from pamctl.log.repair.recover import recover
 
     with log_errors_exit(as_json=as_json):
         recovery = recover(source, destination)

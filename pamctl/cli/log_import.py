@@ -11,10 +11,10 @@ import typer
 
 from pamctl.cli.config import JsonOption, config_errors_exit
 from pamctl.cli.log import log_errors_exit
-from pamctl.realtime.ending import ExitCode
+from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from pamctl.log.importing.mapping import ImportMap
+    from pamctl.log.importing.column_map import ImportMap
     from pamctl.log.importing.pipeline import Imported
 
 
@@ -57,8 +57,8 @@ def import_file(
 def _map(path: Path) -> ImportMap:
     from pydantic import TypeAdapter
 
-    from pamctl.log.importing.mapping import ImportMap
-    from pamctl.settings import Raw, validated
+    from pamctl.log.importing.column_map import ImportMap
+    from pamctl.settings.resolve import Raw, validated
 
     return validated(TypeAdapter(ImportMap), Raw.read(path))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import typer
 
-from pamctl.realtime.ending import ExitCode
+from pamctl.exit_codes import ExitCode
 
 
 @contextmanager
@@ -68,6 +68,6 @@ def _begin_alike(target: Path, text: str) -> bool:
 
 def print_json(document: object) -> None:
     """Print one JSON document; numbers that are none are the strings "nan", "inf", "-inf"."""
-    from pamctl.log.text import to_json
+    from pamctl.json_text import to_json
 
     typer.echo(json.dumps(json.loads(to_json(document)), indent=2))

@@ -10,7 +10,7 @@ import typer
 
 from pamctl.cli.config import JsonOption, config_errors_exit
 from pamctl.cli.offline import bad_data_exits, print_json, require_new
-from pamctl.realtime.ending import ExitCode
+from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from pamctl.log import Log
@@ -79,8 +79,8 @@ def replay(
 def _compared(
     log: Log, tolerance: str | None, from_s: float | None, *, plain: bool, as_json: bool
 ) -> ExitCode:
-    from pamctl.cli.replay_text import as_document, as_text
     from pamctl.replay import replay as replayed
+    from pamctl.replay.replay_text import as_document, as_text
 
     found = replayed(log, from_s=from_s, plain=plain, tolerances=_tolerances(tolerance))
     if as_json:
@@ -108,8 +108,8 @@ def _what_if(
     *,
     as_json: bool,
 ) -> ExitCode:
-    from pamctl.cli.replay_text import what_if_document, what_if_text
     from pamctl.replay import recording_of
+    from pamctl.replay.replay_text import what_if_document, what_if_text
     from pamctl.replay.what_if import what_if, with_other_law
 
     settings = with_other_law(recording_of(log).settings, controller, overrides)

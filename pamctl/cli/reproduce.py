@@ -20,9 +20,9 @@ def reproduce(
     as_json: JsonOption = False,
 ) -> None:
     """Write DIR/index.html and DIR/numbers.json; every number is simulated now."""
-    from pamctl.log.text import to_json
-    from pamctl.reproduce.document import PARTS
-    from pamctl.reproduce.document import reproduce as reproduced
+    from pamctl.json_text import to_json
+    from pamctl.reproduce.reproduction import PARTS
+    from pamctl.reproduce.reproduction import reproduce as reproduced
 
     if part not in (_ALL, *PARTS):
         known = ", ".join((*PARTS, _ALL))

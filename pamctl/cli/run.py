@@ -30,7 +30,7 @@ from pamctl.cli.live import (
     LivePortOption,
     port_of,
 )
-from pamctl.settings import to_json, to_yaml
+from pamctl.settings.resolve import to_json, to_yaml
 
 
 def run(
@@ -83,6 +83,6 @@ def run(
     origins = live_origins or ()
     port = port_of(live, live_port, origins)
     require_linux()
-    from pamctl.cli.running import run_and_tell
+    from pamctl.processes.run_once import run_and_tell
 
     sys.exit(run_and_tell(settings, names, log, port, origins, as_json=as_json, quiet=quiet))

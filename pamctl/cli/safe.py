@@ -10,8 +10,8 @@ from hal.rig import RigError
 from pamctl.cli.backend import BackendOption
 from pamctl.cli.config import JsonOption, RigOption, SetOption, chosen
 from pamctl.cli.linux import require_linux
-from pamctl.realtime.ending import ExitCode
-from pamctl.settings import RunSettings
+from pamctl.exit_codes import ExitCode
+from pamctl.settings.resolve import RunSettings
 
 _PATIENCE_S = 0.5
 """For an owner that is dying; one that lives must be stopped by whoever started it."""
@@ -26,7 +26,7 @@ def safe(
     """Drive the rig to its safe voltage, whatever has happened before."""
     settings, _ = chosen(backend, rig, overrides, as_json=as_json, fast=False)
     require_linux()
-    from pamctl.cli.assembly import device_of
+    from pamctl.processes.backends import device_of
 
     failure = _make_safe(settings)
     place = f"{device_of(settings)}: {settings.rig.safe_volts:g} V"
@@ -46,8 +46,8 @@ def safe(
 
 
 def _make_safe(settings: RunSettings) -> RigError | None:
-    from pamctl.cli.assembly import clock_of, require_backend, rig_of
-    from pamctl.realtime.guardian import drive_safe
+    from pamctl.processes.backends import clock_of, require_backend, rig_of
+    from pamctl.processes.guardian import drive_safe
 
     try:
         require_backend(settings)

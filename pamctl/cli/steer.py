@@ -20,11 +20,11 @@ from pamctl.cli.seconds import at_least, more_than
 from pamctl.cli.socket_option import SocketOption
 from pamctl.daemon.client import Client, Declined, Unreachable, default_socket
 from pamctl.daemon.protocol import LONGEST_MOTION_S, LONGEST_REMARK
+from pamctl.exit_codes import ExitCode
 from pamctl.log.naming import plain
-from pamctl.realtime.ending import ExitCode
-from pamctl.realtime.tuning import DEFAULT_RAMP_S
-from pamctl.settings import SECTIONS, Raw, to_data, validated
-from pamctl.yamlfile import dump
+from pamctl.realtime.gain_ramp import DEFAULT_RAMP_S
+from pamctl.settings.resolve import SECTIONS, Raw, to_data, validated
+from pamctl.settings.yaml12 import dump
 
 RampOption = Annotated[
     float,

@@ -57,7 +57,7 @@ def tune(
     as_json: JsonOption = False,
 ) -> None:
     """Seek gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
-    from pamctl.cli.tuning import Asked, check_gains, seek_gains  # slow imports, for this verb
+    from pamctl.tune.tune_gains import Asked, check_gains, seek_gains  # slow imports, for this verb
 
     if check is not None and out is not None:
         message = "belongs to a search: with --check nothing is written"

@@ -11,7 +11,7 @@ import typer
 from pamctl.cli.failure import fail
 from pamctl.cli.linux import require_linux
 from pamctl.cli.socket_option import SocketOption
-from pamctl.realtime.ending import ExitCode
+from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from pamctl.live.feed import Glimpse

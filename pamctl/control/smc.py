@@ -33,9 +33,9 @@ from pydantic import Field
 from pamctl.control.qsmc import SlidingGains, SlidingSettings, sliding_gains
 from pamctl.control.surface import LawState, clamped, reaching, unwound
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.muscle import braid_lever_m, force_area_m2, volume_m3
+from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
+from pamctl.plant.paper.valve import orifice_flow
 from pamctl.plant.parameters import PaperParameters
-from pamctl.plant.valve import orifice_flow
 from pamctl.signals import Command, Estimate, Reference
 
 

@@ -1,1 +1,5 @@
-"""The service: a rig that stays up, is steered and watched while it runs."""
+"""`pamctl daemon`: the rig as a service, and its clients.
+
+A session keeps the loop alive between runs; clients speak JSON-RPC over a socket.
+Read `service.py` first, then `session.py` and `server.py`.
+"""

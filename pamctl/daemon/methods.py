@@ -8,7 +8,7 @@ from pydantic import Field
 
 from pamctl.daemon.protocol import LONGEST_MOTION_S, LONGEST_REMARK, Method, NoParams, Params
 from pamctl.daemon.service import Service
-from pamctl.realtime.tuning import DEFAULT_RAMP_S
+from pamctl.realtime.gain_ramp import DEFAULT_RAMP_S
 
 Ramp = Annotated[float, Field(ge=0, le=60, description="s")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,60}$")]

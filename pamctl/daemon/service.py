@@ -26,11 +26,11 @@ from pamctl.daemon.latch import Latch
 from pamctl.daemon.refusal import Refused
 from pamctl.daemon.session import Run, Session, Workshop
 from pamctl.daemon.shelf import Shelf
+from pamctl.exit_codes import Ending
 from pamctl.log.naming import bare
-from pamctl.problems import ConfigError
-from pamctl.realtime.ending import Ending
-from pamctl.realtime.tuning import TuningError, require_same_structure
-from pamctl.settings import SECTIONS, Raw, RunSettings, to_data, validated
+from pamctl.realtime.gain_ramp import TuningError, require_same_structure
+from pamctl.settings.problems import ConfigError
+from pamctl.settings.resolve import SECTIONS, Raw, RunSettings, to_data, validated
 from pamctl.signals import TICK_FIELDS, Phase
 
 _RECENT_EVENTS = 50

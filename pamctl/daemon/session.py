@@ -21,15 +21,15 @@ from typing import Any
 
 from hal.rig import Rig
 from pamctl.daemon.refusal import Refused
-from pamctl.log.meta import RunMeta
-from pamctl.log.recorder import RecorderError, await_ready, spawn
-from pamctl.realtime.ending import Ending, ExitCode
-from pamctl.realtime.front import FrontReport, blocked_signals, close_log, ending_of
-from pamctl.realtime.guardianship import Guardianship
-from pamctl.realtime.last_words import outcome, speak_for_the_dead
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.log.run_meta import RunMeta
+from pamctl.processes.front import FrontReport, blocked_signals, close_log, ending_of
+from pamctl.processes.guardian_handle import Guardianship
 from pamctl.realtime.orders import OrderError, Orders
-from pamctl.realtime.ring import LoopStage, Ring
-from pamctl.settings import RunSettings
+from pamctl.recording.last_words import outcome, speak_for_the_dead
+from pamctl.recording.recorder import RecorderError, await_ready, spawn
+from pamctl.recording.ring import LoopStage, Ring
+from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
 
 _ORDER_PATIENCE_S = 2.0

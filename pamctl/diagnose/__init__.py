@@ -8,10 +8,10 @@ show    the coupled held-out gap: nominal, recalibrated, extended, floor
 """
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.logs import record_of
-from pamctl.diagnose.records import Record
-from pamctl.diagnose.verdict import Verdict
-from pamctl.diagnose.words import sentence, summary
+from pamctl.diagnose.measured.from_log import record_of
+from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.report.sentences import sentence, summary
 from pamctl.diagnose.workflow import diagnose
 
 __all__ = [

@@ -16,16 +16,16 @@ from math import inf
 
 import numpy as np
 
-from pamctl.diagnose.blocks import MECHANICS, PRESSURE
-from pamctl.diagnose.candidates import Candidate, candidates, dosed
-from pamctl.diagnose.evidence import prepared, with_modelled_pressure
 from pamctl.diagnose.experiments import separating
-from pamctl.diagnose.fit import Fit
-from pamctl.diagnose.models import Model, alone, recalibrated
-from pamctl.diagnose.quality import check, check_sensors
-from pamctl.diagnose.records import Array, Record
-from pamctl.diagnose.score import beside, secant
-from pamctl.diagnose.values import Free, described, unit_of, value_of
+from pamctl.diagnose.fitting.block_fit import Fit
+from pamctl.diagnose.fitting.candidates import Candidate, candidates, dosed
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
+from pamctl.diagnose.fitting.evidence import prepared, with_modelled_pressure
+from pamctl.diagnose.fitting.fitted_model import Model, alone, recalibrated
+from pamctl.diagnose.fitting.numbers import Free, described, unit_of, value_of
+from pamctl.diagnose.measured.record import Array, Record
+from pamctl.diagnose.measured.refuse import check, check_sensors
+from pamctl.diagnose.naming.score import beside, secant
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
 

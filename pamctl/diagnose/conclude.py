@@ -6,22 +6,22 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from pamctl.diagnose.audit import audited
-from pamctl.diagnose.candidates import Candidate
-from pamctl.diagnose.correct import corrected
+from pamctl.diagnose.correction import corrected
 from pamctl.diagnose.diagnosis import Diagnosis, Trial
-from pamctl.diagnose.doubt import any_doubtful
-from pamctl.diagnose.evidence import SMALLEST
 from pamctl.diagnose.extend import extended_plant, whole_plant
-from pamctl.diagnose.intervals import estimates
+from pamctl.diagnose.fitting.candidates import Candidate
+from pamctl.diagnose.fitting.evidence import SMALLEST
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.integrator import changes
+from pamctl.diagnose.fitting.intervals import estimates
 from pamctl.diagnose.locate import cells
-from pamctl.diagnose.models import Model
-from pamctl.diagnose.name import Search, rank
-from pamctl.diagnose.records import Record
+from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.naming.doubt import any_doubtful
+from pamctl.diagnose.naming.rivals import Standing
+from pamctl.diagnose.naming.search import Search, rank
+from pamctl.diagnose.naming.verdict import Judgement, Verdict, after_rivals
 from pamctl.diagnose.remainder import Remainder, remainder
-from pamctl.diagnose.rivals import Standing
 from pamctl.diagnose.show import Gap, gaps
-from pamctl.diagnose.stepping import changes
-from pamctl.diagnose.verdict import Judgement, Verdict, after_rivals
 from pamctl.plant.model import PlantSettings
 
 

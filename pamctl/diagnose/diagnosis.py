@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pamctl.diagnose.audit import Audit
-from pamctl.diagnose.correct import Corrected
-from pamctl.diagnose.intervals import Estimate
+from pamctl.diagnose.correction import Corrected
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.intervals import Estimate
+from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.locate import Cell, where
-from pamctl.diagnose.models import Model
-from pamctl.diagnose.records import Record
+from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.naming.rivals import Standing
+from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.remainder import Remainder
-from pamctl.diagnose.rivals import Standing
 from pamctl.diagnose.show import Gap
-from pamctl.diagnose.values import value_of
-from pamctl.diagnose.verdict import Verdict
 from pamctl.plant.model import PlantSettings
 
 

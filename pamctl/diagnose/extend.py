@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pamctl.diagnose.models import Model
-from pamctl.diagnose.values import with_values
-from pamctl.diagnose.verdict import Verdict
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.numbers import with_values
+from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.plant.model import PlantSettings
 
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import savgol_filter
 
-from pamctl.diagnose.blocks import MECHANICS, Drive
-from pamctl.diagnose.discovery import discovered, exceedance
-from pamctl.diagnose.floor import imitations, sensor_of
-from pamctl.diagnose.models import Model
-from pamctl.diagnose.records import Array
+from pamctl.diagnose.fitting.drives import MECHANICS, Drive
+from pamctl.diagnose.fitting.false_discovery import discovered, exceedance
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.floor import imitations, sensor_of
+from pamctl.diagnose.measured.record import Array
 
 Rows = NDArray[np.bool_]
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import savgol_filter
 
-from pamctl.diagnose.blocks import MECHANICS, Drive
-from pamctl.diagnose.models import Model
-from pamctl.diagnose.records import Array
+from pamctl.diagnose.fitting.drives import MECHANICS, Drive
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.measured.record import Array
 
 MOST_TERMS = 3
 LEAST_GAIN = 0.05

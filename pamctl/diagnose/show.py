@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pamctl.diagnose.blocks import MECHANICS, PRESSURE, stacked
-from pamctl.diagnose.evidence import Evidence
-from pamctl.diagnose.fit import rms
-from pamctl.diagnose.records import Array, Record
+from pamctl.diagnose.fitting.block_fit import rms
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stacked
+from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose.measured.record import Array, Record
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 

@@ -13,18 +13,18 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
 
-from pamctl.diagnose.blocks import MECHANICS, PRESSURE
-from pamctl.diagnose.candidates import Candidate, candidates
 from pamctl.diagnose.conclude import concluded, refused
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.evidence import Evidence, prepared, with_modelled_pressure
-from pamctl.diagnose.models import Model, asis, recalibrated, weighed
-from pamctl.diagnose.name import Search, searched
-from pamctl.diagnose.quality import BadData, check, check_sensors
-from pamctl.diagnose.records import Record
-from pamctl.diagnose.rivals import Standing, standings
-from pamctl.diagnose.split import by_run, by_stretch
-from pamctl.diagnose.verdict import Judgement, Verdict, judged
+from pamctl.diagnose.fitting.candidates import Candidate, candidates
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
+from pamctl.diagnose.fitting.evidence import Evidence, prepared, with_modelled_pressure
+from pamctl.diagnose.fitting.fitted_model import Model, asis, recalibrated, weighed
+from pamctl.diagnose.fitting.split import by_run, by_stretch
+from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.measured.refuse import BadData, check, check_sensors
+from pamctl.diagnose.naming.rivals import Standing, standings
+from pamctl.diagnose.naming.search import Search, searched
+from pamctl.diagnose.naming.verdict import Judgement, Verdict, judged
 from pamctl.plant.model import PlantSettings
 
 Progress = Callable[[str], None]

@@ -1,1 +1,4 @@
-"""Looking on while it runs: terminal, browser, Foxglove. None of it is in the loop's process."""
+"""Look on while it runs: terminal, browser, Foxglove. Nothing here can slow the loop.
+
+Read `feed.py` first.
+"""

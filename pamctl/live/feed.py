@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from pamctl.daemon.client import Client, Declined, Unreachable
-from pamctl.realtime.ring import Ring
+from pamctl.recording.ring import Ring
 
 _PATIENCE_S = 5.0
 _MOST_TICKS = 1000

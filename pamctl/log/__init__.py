@@ -26,21 +26,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pamctl.log.offline import NO_PHASE, Signals, signals
+    from pamctl.log.framing import LogError
+    from pamctl.log.measured_signals import NO_PHASE, Signals, signals
     from pamctl.log.overview import info
     from pamctl.log.reader import Log, read
-    from pamctl.log.records import LogError
 
 __all__ = ["NO_PHASE", "Log", "LogError", "Signals", "info", "read", "signals"]
 
 _HOMES = {
     "Log": "reader",
-    "LogError": "records",
-    "NO_PHASE": "offline",
-    "Signals": "offline",
+    "LogError": "framing",
+    "NO_PHASE": "measured_signals",
+    "Signals": "measured_signals",
     "info": "overview",
     "read": "reader",
-    "signals": "offline",
+    "signals": "measured_signals",
 }
 
 

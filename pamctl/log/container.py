@@ -43,7 +43,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
-from pamctl.log.records import FRAME
+from pamctl.log.framing import FRAME
 from pamctl.log.ticks import INDEX_ENTRY, MESSAGE_HEADER
 
 SEQUENCE = 0xFFFFFFFF

@@ -9,9 +9,9 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
-from pamctl.log.records import LogError, Record, record_at
+from pamctl.json_text import from_json
+from pamctl.log.framing import LogError, Record, record_at
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, IMPORTED, KEYFRAME_TOPIC, TICK_TOPIC
-from pamctl.log.text import from_json
 from pamctl.log.ticks import TickBatch, TickDecoder
 from pamctl.log.wire import UnknownLayout
 

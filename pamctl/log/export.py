@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.newfile import NewFileError, new_file
+from pamctl.json_text import to_json
+from pamctl.log.new_file import NewFileError, new_file
 from pamctl.log.reader import NoSuchColumn, read
 from pamctl.log.schema import TICK_TOPIC, unit_of
-from pamctl.log.text import to_json
 
 Columns = Mapping[str, NDArray[Any]]
 

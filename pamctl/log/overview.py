@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from pamctl.log.contents import Contents
+from pamctl.log.framing import LogError
 from pamctl.log.reader import scan
-from pamctl.log.records import LogError
 from pamctl.log.schema import EVENT_TOPIC, IMPORTED
 from pamctl.log.ticks import TickBatch
 from pamctl.signals import Phase

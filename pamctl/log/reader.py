@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from pamctl.log.contents import Contents
-from pamctl.log.records import Damage, LogError, making_sense, mapped, unpack, verify, walk
+from pamctl.log.framing import Damage, LogError, making_sense, mapped, unpack, verify, walk
 from pamctl.log.schema import (
     EVENT_TOPIC,
     GAINS_TOPIC,

@@ -15,7 +15,7 @@ import numpy as np
 from mcap.records import Schema
 from numpy.typing import NDArray
 
-from pamctl.log.records import Record
+from pamctl.log.framing import Record
 from pamctl.log.wire import TickLayout, one_by_one
 
 MESSAGE_HEADER = [

@@ -18,7 +18,7 @@ from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
 from numpy.typing import NDArray
 
-from pamctl.log.records import LogError
+from pamctl.log.framing import LogError
 from pamctl.log.schema import TICK_MESSAGE, tick_descriptor
 from pamctl.signals import Field
 

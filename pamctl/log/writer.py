@@ -11,8 +11,9 @@ from io import BufferedWriter
 from pathlib import Path
 
 import pamctl
+from pamctl.json_text import to_json
 from pamctl.log.container import Container, Packed
-from pamctl.log.meta import RunMeta
+from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import (
     JSON_SCHEMAS,
     SCHEMA_VERSION,
@@ -21,7 +22,6 @@ from pamctl.log.schema import (
     tick_descriptor,
     units,
 )
-from pamctl.log.text import to_json
 
 LIBRARY = f"pamctl/{pamctl.__version__}"
 

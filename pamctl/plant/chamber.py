@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.braid_stretch import stretch_of
-from pamctl.plant.effects.discharge_ratio import nozzle_ratio
-from pamctl.plant.effects.line_restriction import led, line_time_s
-from pamctl.plant.effects.polytropic import air_of, worth_of_inflow
-from pamctl.plant.effects.supply_droop import kept_share
-from pamctl.plant.effects.valve_leak import leak_area_m2
-from pamctl.plant.muscle import volume_m3
+from pamctl.plant.effects.air.discharge_ratio import nozzle_ratio
+from pamctl.plant.effects.air.line_restriction import led, line_time_s
+from pamctl.plant.effects.air.polytropic import air_of, worth_of_inflow
+from pamctl.plant.effects.air.supply_droop import kept_share
+from pamctl.plant.effects.mechanics.braid_stretch import stretch_of
+from pamctl.plant.effects.valve.valve_leak import leak_area_m2
+from pamctl.plant.paper.muscle import volume_m3
+from pamctl.plant.paper.valve import orifice_flow
 from pamctl.plant.parameters import AirParameters, AirState
-from pamctl.plant.valve import orifice_flow
 
 SOLVED_PA = 1e-3
 """A pressure that is found by iteration is found to within this."""

@@ -5,9 +5,9 @@
     drive_pressure(p, command_v, position_m, dt_s)  -> PressureDriven: pressure_pa, true_pressure_pa
     drive_mechanics(p, pressure_pa, dt_s)   -> MechanicsDriven: position_m, true ones, velocity
 
-The order of a tick is that of the simulated rig and of `pamctl.closed_loop`: sample k is taken,
-then command k is written, and the plant runs under it for `dt_s[k]` until sample k + 1 is
-taken. So the samples of tick 0 are the start state, `command_v[k]` is never felt in sample k,
+The order of a tick is that of the simulated rig and of `pamctl.simulate.closed_loop`: sample k is
+taken, then command k is written, and the plant runs under it for `dt_s[k]` until sample k + 1
+is taken. So the samples of tick 0 are the start state, `command_v[k]` is never felt in sample k,
 and the last command is not used. `dt_s` is one number for a regular grid, or one for each
 interval (n - 1 of them; an n-th is ignored); a missed tick is an interval twice as long, and is
 cut into twice as many steps. Who drives again and again makes the `grid_of` them once. For a rig

@@ -14,10 +14,10 @@ from difflib import get_close_matches
 from typing import Any
 
 from pamctl.plant.effects import CATALOGUE, Effects
-from pamctl.plant.effects.command_delay import CommandDelay
 from pamctl.plant.effects.description import Part
-from pamctl.plant.effects.end_cap import EndCap, active_length_m
-from pamctl.plant.effects.moving_mass import MovingMass, moved_kg
+from pamctl.plant.effects.mechanics.end_cap import EndCap, active_length_m
+from pamctl.plant.effects.mechanics.moving_mass import MovingMass, moved_kg
+from pamctl.plant.effects.valve.command_delay import CommandDelay
 from pamctl.plant.parameters import PaperParameters, PlantParameters
 
 PAPER: dict[str, float] = {

@@ -5,15 +5,15 @@ The same exponential midpoint step as `mechanics.py`, and at neutral values the 
 
 from __future__ import annotations
 
-from pamctl.plant.effects.bladder_threshold import loading_pa
-from pamctl.plant.effects.braid_stretch import stretch_of
-from pamctl.plant.effects.creep import Crept, creep_force_n, crept
-from pamctl.plant.effects.drift import drifted
-from pamctl.plant.effects.presliding import Slipped, bent_damping, held_n, slip
-from pamctl.plant.effects.stribeck import risen
-from pamctl.plant.friction import AxialForces
-from pamctl.plant.mechanics import slide
-from pamctl.plant.muscle import braid_lever_m, force_area_m2
+from pamctl.plant.effects.mechanics.bladder_threshold import loading_pa
+from pamctl.plant.effects.mechanics.braid_stretch import stretch_of
+from pamctl.plant.effects.mechanics.creep import Crept, creep_force_n, crept
+from pamctl.plant.effects.mechanics.drift import drifted
+from pamctl.plant.effects.mechanics.presliding import Slipped, bent_damping, held_n, slip
+from pamctl.plant.effects.mechanics.stribeck import risen
+from pamctl.plant.paper.friction import AxialForces
+from pamctl.plant.paper.mechanics import slide
+from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2
 from pamctl.plant.parameters import MechanicsState, MechanismParameters
 
 

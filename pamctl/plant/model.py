@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, create_model, model_validator
 
 from hal.configured import Configured
-from pamctl.plant.correction import Correction, Table
+from pamctl.plant.correction_tables import Correction, Table
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.effects.description import EffectDescription, acts
 from pamctl.plant.flat import ACTUATOR, parameters_of

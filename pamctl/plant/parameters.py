@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import inf, nan
 from typing import NamedTuple
 
-from pamctl.plant.correction import Correction
+from pamctl.plant.correction_tables import Correction
 from pamctl.plant.effects import AirEffects, Effects, MechanicsEffects
-from pamctl.plant.effects.creep import Crept
+from pamctl.plant.effects.mechanics.creep import Crept
 
 
 class PaperParameters(NamedTuple):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pamctl.plant.effects.encoder_backlash import geared_m
-from pamctl.plant.effects.pressure_sensor_gain import scaled_pa
-from pamctl.plant.effects.pressure_sensor_lag import lagged_pa
+from pamctl.plant.effects.sensors.encoder_backlash import geared_m
+from pamctl.plant.effects.sensors.pressure_sensor_gain import scaled_pa
+from pamctl.plant.effects.sensors.pressure_sensor_lag import lagged_pa
 from pamctl.plant.parameters import AirState, PlantParameters, SensorState
 
 

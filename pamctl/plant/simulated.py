@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pamctl.plant.command_line import plant_advance_late
+from pamctl.plant.delayed_command import plant_advance_late
 from pamctl.plant.parameters import PlantParameters, PlantState, vented
 from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
 from pamctl.plant.step import plant_advance
@@ -12,7 +12,7 @@ LONGEST_STEP_S = 0.5e-3
 
 
 class SimulatedPlant:
-    """The plant of Eq. 9 as `hal.sim` wants it; the true state is `state`."""
+    """The plant of Eq. 9 as `hal.sim.sim_rig` wants it; the true state is `state`."""
 
     def __init__(self, parameters: PlantParameters, state: PlantState | None = None) -> None:
         """Start from `state`; by default vented and at rest."""

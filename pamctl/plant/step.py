@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 from pamctl.plant.chamber import chamber_middle_pa, chamber_step
-from pamctl.plant.correction import corrected
-from pamctl.plant.mechanics import mechanics_step
+from pamctl.plant.correction_tables import corrected
 from pamctl.plant.mechanism import mechanism_step
+from pamctl.plant.paper.mechanics import mechanics_step
+from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
 from pamctl.plant.parameters import (
     AirParameters,
     AirState,
@@ -17,7 +18,6 @@ from pamctl.plant.parameters import (
     PlantState,
     ValveState,
 )
-from pamctl.plant.pressure import middle_pressure_pa, pressure_step
 from pamctl.plant.sensing import pressure_at_sensor_pa, sensors_step
 from pamctl.plant.valve_chain import valve_step
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pamctl.plant.effects import ValveEffects
-from pamctl.plant.effects.drift import drifted
-from pamctl.plant.effects.valve_asymmetry import sided_v
-from pamctl.plant.effects.valve_curve import curved_v
-from pamctl.plant.effects.valve_deadband import uncovered_v
-from pamctl.plant.effects.valve_hysteresis import play_v
-from pamctl.plant.effects.valve_saturation import limited_v
-from pamctl.plant.effects.valve_spool import spool_step
+from pamctl.plant.effects.mechanics.drift import drifted
+from pamctl.plant.effects.valve.valve_asymmetry import sided_v
+from pamctl.plant.effects.valve.valve_curve import curved_v
+from pamctl.plant.effects.valve.valve_deadband import uncovered_v
+from pamctl.plant.effects.valve.valve_hysteresis import play_v
+from pamctl.plant.effects.valve.valve_saturation import limited_v
+from pamctl.plant.effects.valve.valve_spool import spool_step
 from pamctl.plant.parameters import ValveState
 
 

@@ -16,8 +16,8 @@ from typing import NamedTuple, Protocol
 from hal.calibration import Zero, output_v
 from hal.rig import RawSample, Rig, RigError, opened
 from pamctl.control.homing import HomingError
+from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
-from pamctl.realtime.ending import Ending, ExitCode
 from pamctl.realtime.keyframe import frozen
 from pamctl.realtime.tick import TickSetup, TickState, first_state, rezeroed, step
 from pamctl.safety import OVERRUNS, explain

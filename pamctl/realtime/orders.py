@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pamctl.log.text import from_json, to_json
+from pamctl.json_text import from_json, to_json
 
 LARGEST_ORDER = 1 << 20
 _HEADER_BYTES = 4096

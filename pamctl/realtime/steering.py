@@ -16,12 +16,12 @@ from hal.calibration import Zero
 from hal.rig import RawSample
 from pamctl.control.experiment import held
 from pamctl.control.law import ControllerSettings
-from pamctl.realtime.ending import Ending, ExitCode
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, Tuning
 from pamctl.realtime.keyframe import frozen
 from pamctl.realtime.program import Program
-from pamctl.realtime.session_journal import SessionJournal
 from pamctl.realtime.tick import TickSetup, TickState
-from pamctl.realtime.tuning import SHORTEST_RAMP_S, Tuning
+from pamctl.recording.session_journal import SessionJournal
 from pamctl.signals import Phase, Reference, Timing
 
 _CONTROLLER: TypeAdapter[Any] = TypeAdapter(ControllerSettings)

@@ -21,11 +21,11 @@ from pamctl.control.experiment import Segment
 from pamctl.log import Log
 from pamctl.realtime.tick import first_state
 from pamctl.replay.differences import Difference, Differences, Place
-from pamctl.replay.recording import BehindTheEnd, NotReplayable, Recording
+from pamctl.replay.recorded_run import BehindTheEnd, NotReplayable, Recording
+from pamctl.replay.replayable import not_in_log, recording_of
 from pamctl.replay.rerun import Rerun, compared_fields
 from pamctl.replay.retick import reticked
 from pamctl.replay.retrace import retraced
-from pamctl.replay.taken import not_in_log, recording_of
 from pamctl.replay.tolerance import EXACT, Tolerances
 
 __all__ = [

@@ -18,9 +18,9 @@ from pamctl.control.experiment import held
 from pamctl.control.homing import HomingError
 from pamctl.realtime.program import Program
 from pamctl.replay.differences import differing
-from pamctl.replay.recording import Recording
+from pamctl.replay.recorded_run import Recording
 from pamctl.replay.retrace import retraced
-from pamctl.setup import nominal_zero_of, ordered_program, program_of
+from pamctl.settings.build import nominal_zero_of, ordered_program, program_of
 from pamctl.signals import Phase, Reference
 
 _NOTHING = (-1.0, math.nan, math.nan, math.nan, math.nan, math.nan)

@@ -9,7 +9,7 @@ from pamctl.realtime.keyframe import frozen, keyframe_fields
 from pamctl.realtime.tick import TickState, first_state
 from pamctl.replay.differences import Differences, Floats, Place, differing
 from pamctl.replay.reask import Asked, Reasking
-from pamctl.replay.recording import Recording
+from pamctl.replay.recorded_run import Recording
 from pamctl.replay.retick import RETICKED, reticked
 from pamctl.signals import TICK_FIELDS
 

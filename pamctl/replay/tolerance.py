@@ -22,8 +22,8 @@ from typing import Annotated, NamedTuple
 from pydantic import Field, TypeAdapter
 
 from hal.configured import Configured
-from pamctl.problems import ConfigError, Problem
-from pamctl.settings import Raw, validated
+from pamctl.settings.problems import ConfigError, Problem
+from pamctl.settings.resolve import Raw, validated
 
 
 class Tolerance(NamedTuple):
@@ -72,8 +72,8 @@ OTHER_CPU: Tolerances = {
     }.items()
 }
 """Some thousand times what one wrong last bit in each of these functions makes of runs of 40 s,
-under every law; a hundredth of a count of the encoder is 3e-8 m. `tests/test_replay.py` holds
-the golden logs to it with such functions."""
+under every law; a hundredth of a count of the encoder is 3e-8 m. `tests/replay/test_replay.py`
+holds the golden logs to it with such functions."""
 
 
 class ToleranceSettings(Configured):

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log import Log
-from pamctl.problems import ConfigError, Problem
 from pamctl.realtime.tick import TickState
-from pamctl.replay.recording import NotReplayable
+from pamctl.replay.recorded_run import NotReplayable
+from pamctl.replay.replayable import recording_of
 from pamctl.replay.retick import RETICKED, reticked
-from pamctl.replay.taken import recording_of
-from pamctl.settings import RUN, Raw, RunSettings, to_data, validated
-from pamctl.setup import setup_of
+from pamctl.settings.build import setup_of
+from pamctl.settings.problems import ConfigError, Problem
+from pamctl.settings.resolve import RUN, Raw, RunSettings, to_data, validated
 from pamctl.signals import Phase
 
 Floats = NDArray[np.float64]

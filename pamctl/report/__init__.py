@@ -1,1 +1,5 @@
-"""Self-contained HTML pages with plots: `page.Page` and `svg.Plot` are for any tool to use."""
+"""One self-contained HTML page of a log.
+
+`svg.py` draws, `html_page.py` lays out, one file a section.
+Read `compose.py` first.
+"""

@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pamctl.log import Log
-from pamctl.report.filtering import write_filtering
-from pamctl.report.law import write_law
-from pamctl.report.motion import write_motion
-from pamctl.report.page import Page
-from pamctl.report.record import write_differences, write_events, write_safety, write_settings
-from pamctl.report.run import Run, runs_of
-from pamctl.report.summary import write_summary
-from pamctl.report.timing import write_timing
+from pamctl.report.filter_section import write_filtering
+from pamctl.report.html_page import Page
+from pamctl.report.law_section import write_law
+from pamctl.report.motion_section import write_motion
+from pamctl.report.record_section import (
+    write_differences,
+    write_events,
+    write_safety,
+    write_settings,
+)
+from pamctl.report.reported_run import Run, runs_of
+from pamctl.report.summary_section import write_summary
+from pamctl.report.timing_section import write_timing
 
 
 def report(logs: Sequence[Log]) -> Page:

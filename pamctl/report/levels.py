@@ -4,7 +4,7 @@ levels = Levels("Displacement", "µm")
 levels.bar("recalibrated", 1310.0, colour=1)
 levels.bar("with valve_deadband", 4.8)
 levels.mark(0.9)                          # what the sensor itself adds
-page.grid(levels)                         # pamctl.report.page
+page.grid(levels)                         # pamctl.report.html_page
 """
 
 from __future__ import annotations

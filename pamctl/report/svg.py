@@ -3,7 +3,7 @@
     plot = Plot("Displacement", Axis("time", "s", tight=True), Axis("displacement", "mm"))
     plot.line(t_s, reference_mm, "reference", colour=MUTED)
     plot.line(t_s, position_mm, "measured")
-    page.figure(plot, caption="...")          # pamctl.report.page
+    page.figure(plot, caption="...")          # pamctl.report.html_page
 
 The frame of the data is stretched to the width of the screen or the paper while strokes,
 numbers and words keep their size: the same figure is readable on a phone and in print.

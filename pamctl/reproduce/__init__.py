@@ -1,1 +1,4 @@
-"""The paper's figures and its Table IV, made by this software."""
+"""The paper's figures and table from this software.
+
+Read `paper_cases.py` first, then `table_iv.py`.
+"""

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.batch import Batch
-from pamctl.report.page import Page
+from pamctl.report.html_page import Page
 from pamctl.report.svg import Axis, Plot
-from pamctl.reproduce.cases import PLANTS, Case
+from pamctl.reproduce.paper_cases import PLANTS, Case
+from pamctl.simulate.batch import Batch
 
 FREQUENCIES = ("0.25", "0.5", "1", "2")
 _ANY_LAW = Case("open loop", "paper-table3-qsmc")

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.batch import Batch
-from pamctl.report.page import Page
+from pamctl.report.html_page import Page
 from pamctl.report.svg import MUTED, Axis, Plot
-from pamctl.reproduce.cases import FITTED_SMC, PRINTED_QSMC, PRINTED_SMC, TUNED, Case
+from pamctl.reproduce.paper_cases import FITTED_SMC, PRINTED_QSMC, PRINTED_SMC, TUNED, Case
 from pamctl.signals import Phase
+from pamctl.simulate.batch import Batch
 
 FIGURES = {
     "fig4": ("tracking-1", "Fig. 4: experiment 1"),

@@ -9,9 +9,9 @@
 Everything runs on the compiled closed loop: the very tick of the loop process.
 """
 
-from pamctl.tune.ensemble import Member, ensemble, fixed_members
-from pamctl.tune.search import Found, Jury, Search, SearchError
-from pamctl.tune.trial import Trial, Verdict
+from pamctl.tune.gains_search import Found, Jury, Search, SearchError
+from pamctl.tune.gains_trial import Trial, Verdict
+from pamctl.tune.plant_ensemble import Member, ensemble, fixed_members
 
 __all__ = [
     "Found",

@@ -6,9 +6,9 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pamctl.tune.ensemble import Member
-from pamctl.tune.trial import BOUNDS, Verdict
-from pamctl.yamlfile import dump
+from pamctl.settings.yaml12 import dump
+from pamctl.tune.gains_trial import BOUNDS, Verdict
+from pamctl.tune.plant_ensemble import Member
 
 _SCHEMA = "# yaml-language-server: $schema=../pamctl.schema.json"
 _WIDTH = 98

@@ -13,7 +13,7 @@ from hidden.own_run import own_run
 from hidden.rig import PULLED, HiddenRig, Record, hidden_rig
 from pamctl.diagnose import Record as Measured
 from pamctl.diagnose import diagnose
-from pamctl.diagnose.document import document
+from pamctl.diagnose.report.diagnosis_document import document
 from pamctl.plant.model import MuscleParameters, PlantSettings
 
 

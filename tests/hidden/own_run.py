@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from support import run, run_settings
+from support.runs import run, run_settings
 
 from hidden.plant import HiddenPlant
 from hidden.rig import HiddenRig, Record

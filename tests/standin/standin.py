@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from installing import alone, apt_install
+from support.installing import alone, apt_install
 
 HERE = Path(__file__).parent
 SONAME = "libnidaqmx.so.1"

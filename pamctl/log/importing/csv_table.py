@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pamctl.log.importing.table import ImportRefused, Table
+from pamctl.log.importing.measured_table import ImportRefused, Table
 
 _DELIMITERS = ("\t", ";", ",")
 _COMMENTS = ("#", "%")

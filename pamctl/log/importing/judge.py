@@ -11,8 +11,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.findings import Findings
-from pamctl.log.imported import nominal_period_s
+from pamctl.log.check.log_problems import Findings
+from pamctl.log.importing.imported_log import nominal_period_s
 from pamctl.log.importing.quantities import TIME
 
 Floats = NDArray[np.float64]

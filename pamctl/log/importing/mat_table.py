@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io.matlab import MatlabOpaque
 
-from pamctl.log.importing.table import Floats, ImportRefused, Table
+from pamctl.log.importing.measured_table import Floats, ImportRefused, Table
 
 _SIMULINK_TIME = "time_s"
 """Simulink's own time is in seconds: `tout`, and the time of its structures."""

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.findings import Finding, Findings, Severity
-from pamctl.log.imported import nominal_period_s, write_imported
+from pamctl.json_text import to_json
+from pamctl.log.check.log_problems import Finding, Findings, Severity
+from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.csv_table import read_csv
+from pamctl.log.importing.imported_log import nominal_period_s, write_imported
 from pamctl.log.importing.judge import judge_sign, judge_time, judge_values
-from pamctl.log.importing.mapping import ImportMap
+from pamctl.log.importing.measured_table import ImportRefused, Table
 from pamctl.log.importing.quantities import TIME, Reading, understood
 from pamctl.log.importing.resample import resampled
-from pamctl.log.importing.table import ImportRefused, Table
-from pamctl.log.text import to_json
 from pamctl.regular_file import what_else
 
 Floats = NDArray[np.float64]

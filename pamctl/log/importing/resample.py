@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.imported import nominal_period_s
+from pamctl.log.importing.imported_log import nominal_period_s
 from pamctl.log.importing.judge import GAP_PERIODS
 
 Floats = NDArray[np.float64]

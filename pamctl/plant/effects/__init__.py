@@ -10,32 +10,61 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects import (
+from pamctl.plant.effects.air import (
+    chamber_leak,
+    dead_volume,
+    discharge_ratio,
+    line_restriction,
+    polytropic,
+    supply_droop,
+)
+from pamctl.plant.effects.air.chamber_leak import ChamberLeak
+from pamctl.plant.effects.air.dead_volume import DeadVolume
+from pamctl.plant.effects.air.discharge_ratio import DischargeRatio
+from pamctl.plant.effects.air.line_restriction import LineRestriction
+from pamctl.plant.effects.air.polytropic import Polytropic
+from pamctl.plant.effects.air.supply_droop import SupplyDroop
+from pamctl.plant.effects.description import EffectDescription
+from pamctl.plant.effects.mechanics import (
     bladder_threshold,
     braid_stretch,
-    chamber_leak,
-    command_delay,
     coulomb_friction,
     creep,
     cubic_stiffness,
-    dead_volume,
-    discharge_ratio,
     drift,
-    encoder_backlash,
-    encoder_scale,
     end_cap,
     external_load,
-    line_restriction,
     moving_mass,
-    polytropic,
     presliding,
     pressure_damping,
+    return_friction,
+    stribeck,
+)
+from pamctl.plant.effects.mechanics.bladder_threshold import BladderThreshold
+from pamctl.plant.effects.mechanics.braid_stretch import BraidStretch
+from pamctl.plant.effects.mechanics.coulomb_friction import CoulombFriction
+from pamctl.plant.effects.mechanics.creep import Creep
+from pamctl.plant.effects.mechanics.cubic_stiffness import CubicStiffness
+from pamctl.plant.effects.mechanics.drift import Drift
+from pamctl.plant.effects.mechanics.external_load import ExternalLoad
+from pamctl.plant.effects.mechanics.presliding import Presliding
+from pamctl.plant.effects.mechanics.pressure_damping import PressureDamping
+from pamctl.plant.effects.mechanics.return_friction import ReturnFriction
+from pamctl.plant.effects.mechanics.stribeck import Stribeck
+from pamctl.plant.effects.sensors import (
+    encoder_backlash,
+    encoder_scale,
     pressure_sensor_gain,
     pressure_sensor_lag,
     pressure_sensor_offset,
-    return_friction,
-    stribeck,
-    supply_droop,
+)
+from pamctl.plant.effects.sensors.encoder_backlash import EncoderBacklash
+from pamctl.plant.effects.sensors.encoder_scale import EncoderScale
+from pamctl.plant.effects.sensors.pressure_sensor_gain import PressureSensorGain
+from pamctl.plant.effects.sensors.pressure_sensor_lag import PressureSensorLag
+from pamctl.plant.effects.sensors.pressure_sensor_offset import PressureSensorOffset
+from pamctl.plant.effects.valve import (
+    command_delay,
     valve_asymmetry,
     valve_curve,
     valve_deadband,
@@ -44,37 +73,14 @@ from pamctl.plant.effects import (
     valve_saturation,
     valve_spool,
 )
-from pamctl.plant.effects.bladder_threshold import BladderThreshold
-from pamctl.plant.effects.braid_stretch import BraidStretch
-from pamctl.plant.effects.chamber_leak import ChamberLeak
-from pamctl.plant.effects.command_delay import CommandDelay
-from pamctl.plant.effects.coulomb_friction import CoulombFriction
-from pamctl.plant.effects.creep import Creep
-from pamctl.plant.effects.cubic_stiffness import CubicStiffness
-from pamctl.plant.effects.dead_volume import DeadVolume
-from pamctl.plant.effects.description import EffectDescription
-from pamctl.plant.effects.discharge_ratio import DischargeRatio
-from pamctl.plant.effects.drift import Drift
-from pamctl.plant.effects.encoder_backlash import EncoderBacklash
-from pamctl.plant.effects.encoder_scale import EncoderScale
-from pamctl.plant.effects.external_load import ExternalLoad
-from pamctl.plant.effects.line_restriction import LineRestriction
-from pamctl.plant.effects.polytropic import Polytropic
-from pamctl.plant.effects.presliding import Presliding
-from pamctl.plant.effects.pressure_damping import PressureDamping
-from pamctl.plant.effects.pressure_sensor_gain import PressureSensorGain
-from pamctl.plant.effects.pressure_sensor_lag import PressureSensorLag
-from pamctl.plant.effects.pressure_sensor_offset import PressureSensorOffset
-from pamctl.plant.effects.return_friction import ReturnFriction
-from pamctl.plant.effects.stribeck import Stribeck
-from pamctl.plant.effects.supply_droop import SupplyDroop
-from pamctl.plant.effects.valve_asymmetry import ValveAsymmetry
-from pamctl.plant.effects.valve_curve import ValveCurve
-from pamctl.plant.effects.valve_deadband import ValveDeadband
-from pamctl.plant.effects.valve_hysteresis import ValveHysteresis
-from pamctl.plant.effects.valve_leak import ValveLeak
-from pamctl.plant.effects.valve_saturation import ValveSaturation
-from pamctl.plant.effects.valve_spool import ValveSpool
+from pamctl.plant.effects.valve.command_delay import CommandDelay
+from pamctl.plant.effects.valve.valve_asymmetry import ValveAsymmetry
+from pamctl.plant.effects.valve.valve_curve import ValveCurve
+from pamctl.plant.effects.valve.valve_deadband import ValveDeadband
+from pamctl.plant.effects.valve.valve_hysteresis import ValveHysteresis
+from pamctl.plant.effects.valve.valve_leak import ValveLeak
+from pamctl.plant.effects.valve.valve_saturation import ValveSaturation
+from pamctl.plant.effects.valve.valve_spool import ValveSpool
 
 
 class ValveEffects(NamedTuple):

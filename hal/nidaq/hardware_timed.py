@@ -1,0 +1,149 @@
+"""The NI card by its own sample clock: hardware-timed single points.
+
+The converter samples at a fixed rate, whatever the computer does; the counter is latched and the
+output put out at the same edges. A tick begins when the blocking read of an edge's sample returns,
+so the card paces the loop. What the loop writes is put out at the next edge: one tick later, and
+exactly one.
+
+NI has a function that waits for the next edge and says whether it came too late. Its Python
+package does not offer it, and this project does not go behind the package: a missed edge shows in
+the time between two reads, and in the driver's lateness codes where it gives them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from typing import ParamSpec, TypeVar
+
+from nidaqmx.constants import AcquisitionType
+from nidaqmx.errors import DaqError
+
+from hal.nidaq.card_settings import NidaqSettings
+from hal.nidaq.driver_errors import LATE
+from hal.nidaq.edges import Edge, EdgeGrid
+from hal.nidaq.on_demand import (
+    NidaqRig,
+    Wired,
+    count_reader,
+    encoder_task,
+    pressure_task,
+    reported,
+    require_card,
+    valve_task,
+    valve_writer,
+    volt_reader,
+)
+from hal.rig import RawSample
+
+_LATE_TRIES = 3
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class HardwareTimedRig(NidaqRig):
+    """Valve, pressure sensor and encoder, all three on the sample clock of the input."""
+
+    def __init__(
+        self,
+        settings: NidaqSettings,
+        *,
+        rate_hz: float,
+        safe_output_v: float,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """`rate_hz` is that of the sample clock, and so of the loop."""
+        super().__init__(settings, safe_output_v=safe_output_v, now_ns=now_ns)
+        self._rate_hz = rate_hz
+        self._grid = self._new_grid()
+        self._awaited: tuple[Edge, float] | None = None
+
+    def await_edge(self) -> Edge:
+        """Wait for a sample that has not been read; `read` then returns it.
+
+        Raises `RigError` where the card does not sample within the timeout.
+        """
+        wired = self._require_open()
+        with reported("waiting for the card's next sample"):
+            volts = wired.read_v(self._settings.timeout_s)
+        edge = self._grid.place(self._now_ns())
+        self._awaited = edge, volts
+        return edge
+
+    def read(self) -> RawSample:
+        """Return the sample of the edge that was awaited last, or await the next one."""
+        wired = self._require_open()
+        if self._awaited is None:
+            self.await_edge()
+        assert self._awaited is not None
+        (edge, volts), self._awaited = self._awaited, None
+        with reported("reading the encoder"):
+            counts = self._unwrap(wired.read_count(self._settings.timeout_s))
+        return RawSample(volts, counts, edge.t_ns, edge.t_ns)
+
+    def describe(self) -> Mapping[str, object]:
+        """Say, beyond what is wired, by which clock and how late the output is."""
+        return {
+            **super().describe(),
+            "output_delay_ticks": 1,
+            "sample_clock": self._sample_clock,
+            "sample_rate_hz": self._rate_hz,
+        }
+
+    @property
+    def _sample_clock(self) -> str:
+        return f"/{self._settings.device}/ai/SampleClock"
+
+    def _new_grid(self) -> EdgeGrid:
+        return EdgeGrid(round(1e9 / self._rate_hz))
+
+    def _wire(self, acquired: ExitStack) -> Wired:
+        """Start what follows the clock before what makes it; stop output, input, counter.
+
+        The safe voltage goes out on demand before that: the sample clock has no edges yet.
+        """
+        settings = self._settings
+        self._write_on_demand(self._safe_v)
+        self._identity = require_card(settings)
+        encoder = acquired.enter_context(encoder_task(settings))
+        pressure = acquired.enter_context(pressure_task(settings))
+        valve = acquired.enter_context(valve_task(settings))
+        point = AcquisitionType.HW_TIMED_SINGLE_POINT
+        pressure.timing.cfg_samp_clk_timing(self._rate_hz, sample_mode=point)
+        for follower in (encoder, valve):
+            follower.timing.cfg_samp_clk_timing(
+                self._rate_hz, source=self._sample_clock, sample_mode=point
+            )
+        for task in (encoder, valve, pressure):
+            task.start()
+        self._grid, self._awaited = self._new_grid(), None
+        return Wired(
+            self._again_if_late(valve_writer(valve)),
+            self._again_if_late(count_reader(encoder)),
+            self._again_if_late(volt_reader(pressure)),
+        )
+
+    def _again_if_late(self, call: Callable[P, R]) -> Callable[P, R]:
+        """Count what came too late for its edge, and do it for the next one."""
+
+        def patient(*arguments: P.args, **options: P.kwargs) -> R:
+            for _ in range(_LATE_TRIES):
+                try:
+                    return call(*arguments, **options)
+                except DaqError as error:
+                    if error.error_code not in LATE:
+                        raise
+                    self._note_warning(error.error_code)
+            return call(*arguments, **options)
+
+        return patient
+
+    def _write_safe_as_wired(self, wired: Wired) -> None:
+        """Write the safe voltage and wait until it is out."""
+        super()._write_safe_as_wired(wired)
+        self._awaited = None
+        # One sample may have been lying there; the edge of the next one comes after the write.
+        for _ in range(2):
+            wired.read_v(self._settings.timeout_s)

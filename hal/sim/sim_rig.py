@@ -1,0 +1,229 @@
+"""A simulated rig: a plant behind the converters, noise and delay of the real card."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Annotated, Literal, NamedTuple, Protocol
+
+from pydantic import Field
+
+from hal.calibration import (
+    Calibration,
+    CalibrationSettings,
+    Zero,
+    calibration,
+    encoder_counts,
+    sensor_v,
+    valve_v,
+)
+from hal.configured import Configured
+from hal.converter import Converter, Output, converted_v, within
+from hal.rig import RawSample, RigError
+from hal.sim.register import PrivateRegister, Register
+
+
+class Plant(Protocol):
+    """What is on the other side of the wires. Injected: the rig knows no muscle."""
+
+    def advance(self, command_v: float, duration_s: float) -> None:
+        """Let time pass under a constant valve command (V)."""
+
+    @property
+    def position_m(self) -> float:
+        """Displacement of what the encoder is fixed to."""
+
+    @property
+    def pressure_pa(self) -> float:
+        """Absolute pressure that the sensor follows."""
+
+
+class SimSettings(Configured):
+    """How the simulated sensors and output differ from ideal ones."""
+
+    device: Annotated[
+        str,
+        Field(
+            pattern="^[A-Za-z][A-Za-z0-9_-]{0,40}$",
+            description="in real time one run at a time holds it, as it would a card",
+        ),
+    ] = "sim0"
+    sensor_noise_v: Annotated[
+        float, Field(ge=0, le=0.5, description="standard deviation; 0.002 V is some 300 Pa")
+    ] = 0.002
+    sensor_zero_v: Annotated[
+        float, Field(ge=0, le=5, description="true output at atmospheric pressure")
+    ] = 0.215
+    encoder_start_counts: Annotated[
+        float, Field(ge=-1e9, le=1e9, description="counter at the vented muscle, with fraction")
+    ] = 1000.4
+    output_delay_ticks: Annotated[
+        Literal[0, 1], Field(description="1: a write reaches the valve at the next read")
+    ] = 0
+    input_full_scale_v: Annotated[float, Field(gt=0, le=10)] = 5.0
+    output_full_scale_v: Annotated[float, Field(gt=0, le=10)] = 10.0
+
+
+class SensorChain(NamedTuple):
+    """The simulated sensors for the kernels."""
+
+    calibration: Calibration
+    zero: Zero
+    noise_v: float
+    input_converter: Converter
+    output_converter: Converter
+
+
+def sensor_chain(settings: SimSettings, nominal: CalibrationSettings) -> SensorChain:
+    """Build the true sensor chain: nominal scales, its own zeros."""
+    return SensorChain(
+        calibration=calibration(nominal),
+        zero=Zero(settings.sensor_zero_v, settings.encoder_start_counts),
+        noise_v=settings.sensor_noise_v,
+        input_converter=Converter(settings.input_full_scale_v),
+        output_converter=Converter(settings.output_full_scale_v),
+    )
+
+
+def simulated_output(settings: SimSettings) -> Output:
+    """Return the valve's output: the whole range of its converter."""
+    full_scale_v = settings.output_full_scale_v
+    return within(Converter(full_scale_v), -full_scale_v, full_scale_v)
+
+
+def sensed_pressure_v(chain: SensorChain, pressure_pa: float, noise: float) -> float:
+    """Voltage that the input converter reports; `noise` is a standard normal deviate."""
+    true_v = sensor_v(chain.calibration, chain.zero, pressure_pa)
+    return converted_v(chain.input_converter, true_v + chain.noise_v * noise)
+
+
+def sensed_counts(chain: SensorChain, position_m: float) -> int:
+    """Counter value: quadrature counts whole edges passed."""
+    return math.floor(encoder_counts(chain.calibration, chain.zero, position_m))
+
+
+class SimRig:
+    """A plant that advances with the given clock between reads and writes."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        chain: SensorChain,
+        *,
+        safe_output_v: float,
+        now_ns: Callable[[], int],
+        output_delay_ticks: int = 0,
+        seed: int = 0,
+        register: Register | None = None,
+    ) -> None:
+        """`safe_output_v` is the analog output voltage at which the rig is safe.
+
+        `register` is where the output's voltage is held; by default within this object.
+        """
+        self._plant = plant
+        self._chain = chain
+        self._safe_output_v = safe_output_v
+        self._now_ns = now_ns
+        self._delay_ticks = output_delay_ticks
+        self._noise = random.Random(seed).gauss
+        self._plant_t_ns = 0
+        self._register = register or PrivateRegister(safe_output_v)
+        self._safe_failure: RigError | None = None
+        self._command_v = 0.0
+        self._is_open = False
+
+    def open(self) -> None:
+        """Reserve the output, drive the safe voltage and start the plant's time."""
+        self._register.reserve()
+        self._plant_t_ns = self._now_ns()
+        self._is_open = True
+        self.make_safe()
+
+    def read(self) -> RawSample:
+        """Let the plant catch up with the clock and sample it."""
+        self._require_open()
+        now_ns = self._now_ns()
+        self._catch_up(now_ns)
+        self._apply()
+        plant, chain = self._plant, self._chain
+        return RawSample(
+            sensed_pressure_v(chain, plant.pressure_pa, self._noise(0.0, 1.0)),
+            sensed_counts(chain, plant.position_m),
+            now_ns,
+            now_ns,
+        )
+
+    def write(self, ao_v: float) -> float:
+        """Apply a voltage to the valve driver."""
+        self._require_open()
+        if not math.isfinite(ao_v):
+            raise RigError(f"refused to output {ao_v} V", fix="a law must command a finite voltage")
+        applied_v = self._drive(ao_v)
+        if not self._delay_ticks:
+            self._catch_up(self._now_ns())
+            self._apply()
+        return applied_v
+
+    def make_safe(self) -> None:
+        """Drive the safe voltage, at once and whatever has become of the plant."""
+        try:
+            self._register.reserve()
+        except RigError as error:
+            self._safe_failure = error
+            return
+        self._safe_failure = None
+        self._drive(self._safe_output_v)
+        if self._is_open:
+            # A plant that fails is for the next read to report.
+            with suppress(ArithmeticError, ValueError):
+                self._catch_up(self._now_ns())
+        else:
+            self._register.release()
+        self._apply()
+
+    def close(self) -> None:
+        """Make safe, stop, and leave the output to others."""
+        self.make_safe()
+        self._register.release()
+        self._is_open = False
+
+    @property
+    def output_v(self) -> float:
+        """The voltage now on the analog output."""
+        return self._register.volts
+
+    @property
+    def safe_failure(self) -> RigError | None:
+        """Why the last `make_safe` could not drive the safe voltage; None where it did."""
+        return self._safe_failure
+
+    def describe(self) -> Mapping[str, object]:
+        """Name what is simulated."""
+        return {
+            "backend": "sim",
+            "safe_output_v": self._safe_output_v,
+            "output_delay_ticks": self._delay_ticks,
+            "sensor_noise_v": self._chain.noise_v,
+            "input_full_scale_v": self._chain.input_converter.full_scale_v,
+            "output_full_scale_v": self._chain.output_converter.full_scale_v,
+            "encoder_m_per_count": self._chain.calibration.encoder_m_per_count,
+        }
+
+    def _drive(self, ao_v: float) -> float:
+        volts = self._register.volts = converted_v(self._chain.output_converter, ao_v)
+        return volts
+
+    def _apply(self) -> None:
+        """Let what stands in the register, whoever wrote it, reach the valve."""
+        self._command_v = valve_v(self._chain.calibration, self._register.volts)
+
+    def _catch_up(self, now_ns: int) -> None:
+        if now_ns > self._plant_t_ns:
+            self._plant.advance(self._command_v, (now_ns - self._plant_t_ns) * 1e-9)
+            self._plant_t_ns = now_ns
+
+    def _require_open(self) -> None:
+        if not self._is_open:
+            raise RigError("the simulated rig is not open", fix="call open() first")

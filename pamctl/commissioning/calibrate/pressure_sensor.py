@@ -1,0 +1,120 @@
+"""The pressure sensor: its zero at the atmosphere, its gain against a reference gauge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from pamctl.commissioning.calibrate.holding import read_while_held
+from pamctl.commissioning.calibrate.outcome import (
+    CalibrationRefused,
+    Operator,
+    Outcome,
+    Value,
+    require_near,
+    slope,
+)
+from pamctl.commissioning.hands_on import Bench, Rest
+
+DEFAULT_POINTS_KPA = (100.0, 200.0, 300.0)
+_CODE_V = 10.0 / 65536
+"""Of a +-5 V input: below it nothing can be known."""
+_CORRELATED = 4.0
+"""How much less a sample of a held pressure is worth than one at rest: the hold follows the
+sensor's noise, and 14 samples go by until it has forgotten it."""
+_WORST_SHARE = 0.03
+"""Residual over the highest reading, above which the points are no line."""
+_HINTS = {
+    1.0 / 6.895: "were the readings in psi? They must be kPa",
+    0.01: "were the readings in bar? They must be kPa",
+    0.001: "were the readings in MPa? They must be kPa",
+    1000.0: "were the readings in Pa? They must be kPa",
+}
+
+
+def calibrate_pressure(bench: Bench, operator: Operator, points_kpa: Sequence[float]) -> Outcome:
+    """Vent and take the zero; hold each pressure (kPa gauge) and ask what the gauge reads.
+
+    Raises `CalibrationRefused` or `LimitMet`.
+    """
+    zero = _zero(bench)
+    volts, readings_pa, noises_v = [], [], []
+    for point_kpa in points_kpa:
+        held, reading_kpa = read_while_held(
+            bench, operator, point_kpa, "what does the reference gauge read, kPa above atmosphere?"
+        )
+        if not (math.isfinite(reading_kpa) and reading_kpa > 0.0):
+            raise CalibrationRefused(f"a gauge at pressure does not read {reading_kpa:g} kPa")
+        volts.append(held.sensor_v - zero.sensor_v)
+        readings_pa.append(reading_kpa * 1e3)
+        noises_v.append(math.hypot(_mean_noise_v(zero), _CORRELATED * _mean_noise_v(held)))
+    bench.hold(bench.safe_valve_v, bench.period_s)
+    zero_value = Value(
+        ("calibration", "sensor_zero_v"),
+        round(zero.sensor_v, 6),
+        "V",
+        2.0 * _mean_noise_v(zero),
+        f"mean of {zero.samples} samples at the atmosphere, noise {zero.noise_v * 1e3:.2f} mV",
+    )
+    figures = {"zero": zero._asdict(), "sensor_v": volts, "reading_pa": readings_pa}
+    if not points_kpa:
+        return Outcome((zero_value,), (), figures)
+    gain, residuals_pa = _fitted(bench, volts, readings_pa)
+    return Outcome(
+        (
+            zero_value,
+            Value(
+                ("calibration", "sensor_pa_per_v"),
+                round(gain, 2),
+                "Pa/V",
+                _gain_uncertainty(gain, volts, residuals_pa, max(noises_v)),
+                f"gauge at {', '.join(f'{p * 1e-3:g}' for p in readings_pa)} kPa, residuals "
+                f"{', '.join(f'{r * 1e-3:+.2f}' for r in residuals_pa)} kPa",
+            ),
+        ),
+        (),
+        {**figures, "residual_pa": residuals_pa},
+    )
+
+
+def _zero(bench: Bench) -> Rest:
+    cal = bench.settings
+    zero = bench.settle(bench.homing.vent_v, averaged_s=1.0)
+    lowest, highest = cal.sensor_zero_lowest_v, cal.sensor_zero_highest_v
+    if not lowest <= zero.sensor_v <= highest:
+        raise CalibrationRefused(
+            f"the vented sensor gives {zero.sensor_v:.3f} V, outside {lowest:g} to {highest:g} V; "
+            "check that the muscle is vented, and the sensor's supply and wiring"
+        )
+    return zero
+
+
+def _fitted(
+    bench: Bench, volts: Sequence[float], readings_pa: Sequence[float]
+) -> tuple[float, list[float]]:
+    """Fit a line through the zero, which the atmosphere gives; return it with its residuals."""
+    gain = slope(volts, readings_pa)
+    require_near("sensor_pa_per_v", gain, bench.settings.sensor_pa_per_v, _HINTS)
+    residuals = [pa - gain * v for v, pa in zip(volts, readings_pa, strict=True)]
+    if max(map(abs, residuals)) > _WORST_SHARE * max(readings_pa):
+        shown = ", ".join(f"{residual * 1e-3:+.1f}" for residual in residuals)
+        raise CalibrationRefused(
+            f"the readings do not lie on a line through zero (residuals {shown} kPa); was one "
+            "mistyped, or read as absolute pressure?"
+        )
+    return gain, residuals
+
+
+def _gain_uncertainty(
+    gain: float, volts: Sequence[float], residuals_pa: Sequence[float], noise_v: float
+) -> float:
+    spread_v = math.sqrt(sum(v * v for v in volts))
+    by_noise = 2.0 * gain * noise_v / spread_v
+    if len(volts) < 2:
+        return by_noise
+    variance = sum(r * r for r in residuals_pa) / (len(volts) - 1)
+    return max(by_noise, 2.0 * math.sqrt(variance) / spread_v)
+
+
+def _mean_noise_v(rest: Rest) -> float:
+    return math.hypot(rest.mean_noise_v, _CODE_V / math.sqrt(12.0))

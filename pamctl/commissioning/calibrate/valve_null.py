@@ -1,0 +1,154 @@
+"""The valve: its sign, the supply's pressure, and the command at which it is closed.
+
+The null is found on the muscle itself: at a pressure between supply and atmosphere a valve
+that is open to either side makes the pressure rise or fall. Two searches find the edges of
+the commands at which it does neither; the null lies between them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hal.calibration import output_v
+from pamctl.commissioning.calibrate.outcome import CalibrationRefused, Outcome, Value
+from pamctl.commissioning.doctor.actuate import pulsed, valve_sign
+from pamctl.commissioning.hands_on import Bench, Rest, rest_of
+
+RESOLUTION_V = 0.5e-3
+"""About an output code and a half."""
+_STANDING_S = 0.02
+"""After a change of the command: for the spool and the sensor."""
+_COMING_TO_REST_S = 0.3
+"""Before it: a muscle that still moves changes its volume, and so the pressure of shut-in air.
+Its time constant is c / k, 59 ms on the paper's rig."""
+_ENDS_S = 0.05
+_DWELL_S = 0.15
+_NEARBY_V = 0.1
+_CODE_V = 10.0 / 65536
+_LEAST_SUPPLY_KPA = 50.0
+
+
+class _Edge(NamedTuple):
+    """Where the pressure begins to rise, or to fall."""
+
+    command_v: float
+    blur_v: float
+    """How far beyond the valve's own edge a change is seen: the smallest one that is, over how
+    fast it grows with the command."""
+
+
+def calibrate_valve(bench: Bench, span_v: float = 1.0) -> Outcome:
+    """Move the muscle to find sign, supply and null.
+
+    The null is looked for `span_v` (V) around the file's. Raises `CalibrationRefused`, `LimitMet`.
+    """
+    sign = valve_sign(bench, pulsed(bench))
+    if sign.level != "ok":
+        raise CalibrationRefused(f"{sign.found}; {sign.fix}")
+    # Against the sensor's own zero of today: the file's may be off by more than the supply is.
+    zero = bench.settle(bench.homing.vent_v)
+    supply = bench.settle(bench.homing.fill_v)
+    supply_pa = (
+        bench.settings.atmospheric_pressure_pa
+        + (supply.sensor_v - zero.sensor_v) * bench.settings.sensor_pa_per_v
+    )
+    if bench.gauge_kpa(supply_pa) < _LEAST_SUPPLY_KPA:
+        raise CalibrationRefused(
+            f"the supply gives {bench.gauge_kpa(supply_pa):.0f} kPa gauge only; open it, or "
+            "calibrate the pressure sensor first"
+        )
+    middle_pa = 0.5 * (supply_pa + bench.settings.atmospheric_pressure_pa)
+    upper = _edge(bench, middle_pa, span_v, 1, supply)
+    lower = _edge(bench, middle_pa, span_v, -1, supply)
+    bench.hold(bench.safe_valve_v, bench.period_s)
+    return _outcome(bench, upper, lower, supply_pa)
+
+
+def _edge(bench: Bench, at_pa: float, span_v: float, side: int, supply: Rest) -> _Edge:
+    """Halve the span until the edge on one side is known: `side` 1 is rising, -1 falling."""
+    least_v = max(4.0 * math.sqrt(2.0 / (_ENDS_S / bench.period_s)) * supply.noise_v, 2.0 * _CODE_V)
+
+    def moves(command_v: float) -> bool:
+        return side * _change_v(bench, at_pa, command_v) > least_v
+
+    still_v, moving_v = -side * span_v, side * span_v
+    _require_bracket(moves, still_v, moving_v, span_v, side)
+    while abs(moving_v - still_v) > RESOLUTION_V:
+        middle_v = 0.5 * (still_v + moving_v)
+        if moves(middle_v):
+            moving_v = middle_v
+        else:
+            still_v = middle_v
+    edge_v = 0.5 * (still_v + moving_v)
+    growth = side * _change_v(bench, at_pa, edge_v + side * _NEARBY_V) / _NEARBY_V
+    return _Edge(edge_v, least_v / max(growth, least_v / _NEARBY_V))
+
+
+def _change_v(bench: Bench, at_pa: float, command_v: float) -> float:
+    """Return how the sensor's voltage changes over a dwell that begins at a pressure."""
+    bench.bring_to(at_pa)
+    still = round(_COMING_TO_REST_S / bench.period_s)
+    bench.hold_pressure(at_pa, lambda samples: len(samples) >= still)
+    bench.hold(command_v, _STANDING_S)
+    begin = rest_of(bench.hold(command_v, _ENDS_S))
+    bench.hold(command_v, _DWELL_S - _ENDS_S)
+    return rest_of(bench.hold(command_v, _ENDS_S)).sensor_v - begin.sensor_v
+
+
+def _require_bracket(
+    moves: Callable[[float], bool], still_v: float, moving_v: float, span_v: float, side: int
+) -> None:
+    what = "rise" if side > 0 else "fall"
+    if moves(still_v) or not moves(moving_v):
+        raise CalibrationRefused(
+            f"the pressure does not begin to {what} between -{span_v:g} and {span_v:g} V around "
+            "the file's null; is the supply open, does the muscle leak, is driver_offset_v far "
+            "off? Widen with --span"
+        )
+
+
+def _outcome(bench: Bench, upper: _Edge, lower: _Edge, supply_pa: float) -> Outcome:
+    null_v = 0.5 * (upper.command_v + lower.command_v)
+    blur_v = upper.blur_v + lower.blur_v
+    width_v = max(0.0, upper.command_v - lower.command_v - blur_v)
+    uncertainty_v = RESOLUTION_V + 0.5 * blur_v
+    cal = bench.settings
+    offset_v = round(output_v(bench.calibration, null_v), 5)
+    seen = f"dead band {width_v * 1e3:.0f} mV" if width_v > uncertainty_v else "no dead band seen"
+    values = [
+        Value(
+            ("calibration", "driver_offset_v"),
+            offset_v,
+            "V",
+            uncertainty_v * cal.driver_gain,
+            f"rises above {upper.command_v * 1e3:+.1f} mV of the old null, falls below "
+            f"{lower.command_v * 1e3:+.1f} mV; {seen}",
+        )
+    ]
+    reach_v = min(offset_v - cal.driver_low_v, cal.driver_high_v - offset_v) / cal.driver_gain
+    if reach_v < bench.limits.command_v:
+        values.append(
+            Value(
+                ("limits", "command_v"),
+                math.floor(reach_v * 1e3) * 1e-3,
+                "V",
+                0.0,
+                "what the driver's range leaves on either side of this null",
+            )
+        )
+    supply_kpa = supply_pa * 1e-3
+    return Outcome(
+        tuple(values),
+        (
+            f"the supply gives {supply_kpa:.1f} kPa absolute ({bench.gauge_kpa(supply_pa):.1f} "
+            f"gauge): tank_pressure_pa: {supply_pa:.0f} in the plant file",
+        ),
+        {
+            "rises_above_v": upper.command_v,
+            "falls_below_v": lower.command_v,
+            "dead_band_v": width_v,
+            "supply_pressure_pa": supply_pa,
+        },
+    )

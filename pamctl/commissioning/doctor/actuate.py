@@ -1,0 +1,121 @@
+"""Does the valve do what its command says, and does the encoder see the muscle move.
+
+The only part of the doctor that moves anything: one short pulse each way, as homing's are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from hal.rig import RawSample
+from pamctl.commissioning.doctor.findings import Finding
+from pamctl.commissioning.hands_on import Bench, LimitMet, Rest, rest_of
+
+_END_SAMPLES = 5
+
+
+class Pulse(NamedTuple):
+    """What a pulse changed, by the sensors."""
+
+    rise_v: float
+    """Of the pressure sensor."""
+    counts: float
+    """Of the encoder; positive is contraction by the file's `encoder_sign`."""
+
+
+class Answer(NamedTuple):
+    """What the rig did when asked to fill, and then to exhaust."""
+
+    fill: Pulse
+    exhaust: Pulse
+
+
+def pulsed(bench: Bench) -> Answer:
+    """Fill for a moment, exhaust for a moment. Raises `LimitMet`."""
+    homing, sign = bench.homing, bench.settings.encoder_sign
+    begin = bench.settle(bench.safe_valve_v, 0.1)
+    top = _end(bench.hold(homing.fill_v, homing.fill_s))
+    bottom = _end(bench.hold(-homing.fill_v, homing.fill_s))
+    bench.hold(bench.safe_valve_v, bench.period_s)
+    return Answer(
+        Pulse(top.sensor_v - begin.sensor_v, sign * (top.counts - begin.counts)),
+        Pulse(bottom.sensor_v - top.sensor_v, sign * (bottom.counts - top.counts)),
+    )
+
+
+def actuation_findings(bench: Bench) -> Iterator[Finding]:
+    """Move the muscle and judge what it did."""
+    try:
+        answer = pulsed(bench)
+    except LimitMet as error:
+        fix = "mend that first; nothing can be said of valve and encoder"
+        yield Finding("valve.sign", "fault", f"stopped: {error}", "within the limits", fix)
+        return
+    yield valve_sign(bench, answer)
+    yield encoder_follows(bench, answer)
+
+
+def valve_sign(bench: Bench, answer: Answer) -> Finding:
+    """See that fill raises the pressure, and exhaust lowers it."""
+    name, (fill, exhaust), least_v = "valve.sign", answer, _least_v(bench)
+    data = {"fill_rise_v": fill.rise_v, "exhaust_rise_v": exhaust.rise_v}
+    volts, seconds = bench.homing.fill_v, bench.homing.fill_s
+    found = (
+        f"+{volts:g} V for {seconds:g} s changed the sensor by {fill.rise_v:+.3f} V, "
+        f"-{volts:g} V by {exhaust.rise_v:+.3f} V"
+    )
+    wanted = f"a rise, then a fall, of {least_v:g} V or more"
+    fills, exhausts = fill.rise_v >= least_v, exhaust.rise_v <= -least_v
+    if fills and exhausts:
+        return Finding(name, "ok", found, data=data)
+    if fill.rise_v <= -least_v and exhaust.rise_v >= least_v:
+        fix = (
+            "THE VALVE IS REVERSED, and the safe voltage fills. Shut the supply off; swap the "
+            "valve's ports or the driver's polarity, and run this again before anything else"
+        )
+        return Finding(name, "fault", f"reversed: {found}", wanted, fix, data)
+    if fills:
+        fix = "filled, but not exhausted: a blocked exhaust, or a null that is far off"
+    elif exhausts:
+        fix = "exhausted, but not filled: was the muscle full already? check supply and null"
+    elif abs(fill.counts) >= bench.homing.fill_counts:
+        fix = "the muscle moved, but the sensor did not: check its wire, and nidaq.pressure_channel"
+    else:
+        fix = (
+            "open the supply; check the driver's power, its command wire on nidaq.valve_channel, "
+            "and with a voltmeter that the output follows"
+        )
+    return Finding(name, "fault", found, wanted, fix, data)
+
+
+def encoder_follows(bench: Bench, answer: Answer) -> Finding:
+    """See that the encoder grows with contraction, which is what more pressure does."""
+    name, least = "encoder.alive", bench.homing.fill_counts
+    pulse = max(answer, key=lambda pulse: abs(pulse.rise_v))
+    data = {"fill_counts": answer.fill.counts, "exhaust_counts": answer.exhaust.counts}
+    found = f"{answer.fill.counts:+.0f} counts on fill, {answer.exhaust.counts:+.0f} on exhaust"
+    wanted = f"at least {least} counts, positive where the pressure rises"
+    if max(abs(pulse.counts) for pulse in answer) < least:
+        if abs(pulse.rise_v) < _least_v(bench):
+            fix = "the pressure did not change either: mend the valve first"
+            return Finding(name, "warning", f"not known: {found}", wanted, fix, data)
+        fix = (
+            "unplugged? check the encoder's plug, its 5 V supply, A and B lines, "
+            "nidaq.encoder_counter, and that the carriage is coupled"
+        )
+        return Finding(name, "fault", found, wanted, fix, data)
+    if pulse.counts * pulse.rise_v < 0:
+        sign = -bench.settings.encoder_sign
+        fix = f"set calibration.encoder_sign to {sign} in the rig file, or swap A and B"
+        return Finding(name, "fault", f"reversed: {found}", wanted, fix, data)
+    return Finding(name, "ok", found, data=data)
+
+
+def _least_v(bench: Bench) -> float:
+    # Zero switches the check off in homing; here it is what was asked for.
+    return bench.homing.fill_rise_v or 0.02
+
+
+def _end(samples: Sequence[RawSample]) -> Rest:
+    return rest_of(samples[-_END_SAMPLES:])

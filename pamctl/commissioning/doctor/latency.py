@@ -1,0 +1,162 @@
+"""How long things take: waking up on the loop's grid, and each call of the rig."""
+
+from __future__ import annotations
+
+import gc
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import NamedTuple
+
+from hal.rig import Rig
+from pamctl.commissioning.doctor.findings import Finding, Level
+from pamctl.realtime.clock import Clock
+
+CALLS = 2000
+_LONGEST_S = 2.0
+"""Of measuring calls: a rig so slow has shown it by then."""
+_EDGES_US = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
+
+_GOOD_SHARE, _BAD_SHARE = 0.05, 0.5
+"""Of a period, at the 99th percentile: below is ok, above is a fault."""
+
+
+class Spread(NamedTuple):
+    """Durations summed up, in microseconds."""
+
+    samples: int
+    p50_us: float
+    p99_us: float
+    max_us: float
+    histogram: dict[str, int]
+    """How many lay below each edge and not below the one before."""
+
+    def __str__(self) -> str:
+        """One phrase for people."""
+        return f"p50 {self.p50_us:.1f}, p99 {self.p99_us:.1f}, max {self.max_us:.1f} us"
+
+
+def spread(durations_ns: Sequence[int]) -> Spread:
+    """Sum up durations, at least one; percentiles are values that occurred."""
+    ordered = sorted(durations_ns)
+    last = len(ordered) - 1
+
+    def quantile_us(share: float) -> float:
+        return ordered[math.ceil(share * last)] * 1e-3
+
+    edges = (*_EDGES_US, math.inf)
+    counts = dict.fromkeys((f"below_{edge}_us" for edge in edges), 0)
+    for duration_ns in ordered:
+        edge = next(edge for edge in edges if duration_ns < edge * 1e3)
+        counts[f"below_{edge}_us"] += 1
+    histogram = {name: count for name, count in counts.items() if count}
+    return Spread(len(ordered), quantile_us(0.5), quantile_us(0.99), ordered[-1] * 1e-3, histogram)
+
+
+# --- waking up -------------------------------------------------------------------------------
+
+
+class WakeUps(NamedTuple):
+    """How late a clock woke up, and how many of its grid points passed unused."""
+
+    late: Spread
+    missed: int
+
+
+def measured_wake_ups(clock: Clock, duration_s: float) -> WakeUps:
+    """Wait for the grid again and again; needs nothing but a clock."""
+    ticks = max(10, round(duration_s * 1e9 / clock.period_ns))
+    late_ns, missed = [], 0
+    with _undisturbed():
+        last = clock.wait().tick + ticks
+        while True:
+            wake = clock.wait()
+            late_ns.append(wake.now_ns - wake.deadline_ns)
+            missed += wake.missed
+            if wake.tick >= last:
+                return WakeUps(spread(late_ns), missed)
+
+
+def wake_up_finding(name: str, wake_ups: WakeUps, period_s: float, how: str) -> Finding:
+    """Judge a measurement against the loop's period; `how` names the scheduling."""
+    late, missed = wake_ups
+    ticks = late.samples + missed
+    level = _judged(late.p99_us * 1e-6 / period_s)
+    if missed and level == "ok":
+        level = "fault" if missed > 0.01 * ticks else "warning"
+    return Finding(
+        name,
+        level,
+        f"{how}: late by {late}, {missed} of {ticks} ticks missed",
+        f"p99 below {_GOOD_SHARE * period_s * 1e6:.0f} us and no tick missed",
+        "grant what pc.fifo and pc.dma_latency say; close other programs; a virtual machine "
+        "needs processors of its own; a PREEMPT_RT kernel bounds the maximum",
+        {**late._asdict(), "missed": missed, "period_s": period_s},
+    )
+
+
+# --- calls of the rig ------------------------------------------------------------------------
+
+
+class Calls(NamedTuple):
+    """What the three calls of a tick cost."""
+
+    encoder: Spread
+    pressure: Spread
+    output: Spread
+
+
+def measured_calls(
+    rig: Rig, safe_volts: float, now_ns: Callable[[], int] = time.monotonic_ns, calls: int = CALLS
+) -> Calls:
+    """Read, and write the safe voltage, back to back; the rig is open.
+
+    A sample's own times part the encoder's share from the pressure sensor's: encoder first.
+    """
+    encoder_ns, pressure_ns, output_ns = [], [], []
+    until_ns = now_ns() + round(_LONGEST_S * 1e9)
+    with _undisturbed():
+        for _ in range(calls):
+            sample = rig.read()
+            read_ns = now_ns()
+            rig.write(safe_volts)
+            written_ns = now_ns()
+            encoder_ns.append(sample.pressure_t_ns - sample.encoder_t_ns)
+            pressure_ns.append(read_ns - sample.pressure_t_ns)
+            output_ns.append(written_ns - read_ns)
+            if written_ns > until_ns:
+                break
+    return Calls(spread(encoder_ns), spread(pressure_ns), spread(output_ns))
+
+
+def call_findings(calls: Calls, period_s: float) -> Iterator[Finding]:
+    """Judge each call against its third of the share that a tick may take."""
+    for name, cost in calls._asdict().items():
+        level = _judged(3.0 * cost.p99_us * 1e-6 / period_s)
+        if level == "ok" and cost.max_us * 1e-6 > period_s:
+            level = "warning"
+        yield Finding(
+            f"latency.{name}",
+            level,
+            f"{cost} of {cost.samples} calls",
+            f"p99 below {_GOOD_SHARE * period_s * 1e6 / 3:.0f} us, none longer than a tick",
+            "is the card on PCI or PCIe (a USB device takes a millisecond a call)? close other "
+            "programs that use it; see pc.fifo; or lower loop.rate_hz",
+            cost._asdict(),
+        )
+
+
+def _judged(share: float) -> Level:
+    return "ok" if share <= _GOOD_SHARE else "warning" if share <= _BAD_SHARE else "fault"
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()

@@ -1,0 +1,160 @@
+"""Is this computer fit: kernel, processors, permissions, room for rings and logs."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterator
+from pathlib import Path
+
+from pamctl.commissioning.doctor.findings import Finding, Level
+from pamctl.realtime.scheduling import Preparation
+
+_MB = 1 << 20
+_RING_BYTES = 64 * _MB
+_LOG_BYTES_PER_S = 250_000
+"""Some 200 bytes a tick at 1 kHz, and a little more."""
+_SHORTEST_LOG_S = 300.0
+_COMFORTABLE_LOG_S = 3600.0
+
+_RIGHTS = {
+    "fifo": "SCHED_FIFO, lest any other program delays the loop",
+    "mlock": "memory locked, lest a page has to be fetched within a tick",
+    "dma_latency": "deep sleep of the processors forbidden while the loop runs",
+    "affinity": "a processor of the loop's own",
+    "timer_slack": "timers without slack",
+}
+
+
+def pc_findings(shared_memory: Path, log_directory: Path) -> Iterator[Finding]:
+    """Look at what does not depend on the rig, and needs no measurement."""
+    yield kernel()
+    yield processors(os.cpu_count() or 1)
+    yield governor(Path("/sys/devices/system/cpu"))
+    yield shared_memory_room(shared_memory)
+    yield log_room(log_directory)
+
+
+def kernel() -> Finding:
+    """Look for PREEMPT_RT."""
+    release, version = platform.release(), platform.version()
+    is_real_time = "PREEMPT_RT" in version or _text(Path("/sys/kernel/realtime")) == "1"
+    found = f"{platform.system()} {release}, {'' if is_real_time else 'not '}PREEMPT_RT"
+    data = {"release": release, "preempt_rt": is_real_time}
+    if is_real_time:
+        return Finding("pc.kernel", "ok", found, data=data)
+    return Finding(
+        "pc.kernel",
+        "warning",
+        found,
+        "PREEMPT_RT, which bounds the rare long delays",
+        "apt install linux-image-rt-amd64 (Debian) or pro enable realtime-kernel (Ubuntu); "
+        "runs work without, see pc.wakeup",
+        data,
+    )
+
+
+def processors(count: int) -> Finding:
+    """Count them: the loop wants one for itself."""
+    data = {"processors": count}
+    if count > 1:
+        return Finding("pc.processors", "ok", f"{count}", data=data)
+    return Finding(
+        "pc.processors",
+        "warning",
+        "1",
+        "at least 2: one for the loop, one for all else",
+        "give the machine a second processor; the loop will not spin on this one",
+        data,
+    )
+
+
+def governor(cpus: Path) -> Finding:
+    """See at which clock rate the processors idle."""
+    files = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_governor"))
+    governors = sorted({_text(file) for file in files})
+    if not governors:
+        found = "not visible (a virtual machine, or the firmware's own)"
+        return Finding("pc.governor", "ok", found, data={"governors": []})
+    level: Level = "ok" if governors == ["performance"] else "warning"
+    return Finding(
+        "pc.governor",
+        level,
+        ", ".join(governors),
+        "performance",
+        "cpupower frequency-set -g performance",
+        {"governors": governors},
+    )
+
+
+def shared_memory_room(directory: Path) -> Finding:
+    """See that rings and locks can be laid into shared memory."""
+    name, wanted = "pc.shared_memory", f"writable, {_RING_BYTES // _MB} MB free for ring and locks"
+    if not (directory.is_dir() and os.access(directory, os.W_OK)):
+        fix = f"mount -t tmpfs -o mode=1777 tmpfs {directory}"
+        return Finding(name, "fault", f"{directory} cannot be written", wanted, fix)
+    free = _free_bytes(directory)
+    return Finding(
+        name,
+        "ok" if free >= _RING_BYTES else "fault",
+        f"{directory}: {free // _MB} MB free",
+        wanted,
+        f"remove what fills {directory} (ls -l {directory}); a ring of a run that died is "
+        "recovered by the next `pamctl run`",
+        {"free_bytes": free},
+    )
+
+
+def log_room(directory: Path) -> Finding:
+    """See how long a log may become."""
+    place = next(path for path in (directory, *directory.absolute().parents) if path.is_dir())
+    if not os.access(place, os.W_OK):
+        fix = "change to a directory of yours, or give --log to each run"
+        return Finding("pc.log_disk", "fault", f"{place} cannot be written", "writable", fix)
+    free = _free_bytes(place)
+    lasts_s = free / _LOG_BYTES_PER_S
+    level: Level = (
+        "fault"
+        if lasts_s < _SHORTEST_LOG_S
+        else "warning"
+        if lasts_s < _COMFORTABLE_LOG_S
+        else "ok"
+    )
+    return Finding(
+        "pc.log_disk",
+        level,
+        f"{place}: {free // _MB} MB free, logs of {lasts_s / 3600:.1f} h",
+        f"room for an hour ({_LOG_BYTES_PER_S * 3600 // _MB} MB)",
+        "remove old logs, or log to another disk with --log",
+        {"free_bytes": free, "log_s": lasts_s},
+    )
+
+
+def permission_findings(preparation: Preparation) -> Iterator[Finding]:
+    """Tell which steps of the preparation for real time this user is permitted."""
+    for step in preparation.steps:
+        if step.name not in _RIGHTS:
+            continue
+        # A refusal is worse timing and never a wrong run: `--rt require` is for who wants more.
+        level: Level = "ok" if step.done else "warning"
+        reason, _, fix = step.detail.partition("; ")
+        yield Finding(
+            f"pc.{step.name}",
+            level,
+            step.detail if step.done else f"refused: {reason}",
+            _RIGHTS[step.name],
+            "" if step.done else fix,
+            {"permitted": step.done},
+        )
+
+
+def _free_bytes(place: Path) -> int:
+    disk = os.statvfs(place)
+    return disk.f_bavail * disk.f_frsize
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""

@@ -1,0 +1,5 @@
+"""Hold the model against a log: the plant driven by the logged command.
+
+Each block alone, and both coupled, with the gap that is left.
+Read `coupled_gap.py` first.
+"""

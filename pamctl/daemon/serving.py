@@ -1,0 +1,218 @@
+"""What `pamctl daemon` is while it is up: the server, the watch over session and run.
+
+Apart from the verb, so that no other verb has to wait for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import NamedTuple
+
+from hal.rig import Rig, RigError
+from pamctl import __version__
+from pamctl.cli.failure import fail
+from pamctl.cli.live import live_view
+from pamctl.daemon.announcements import Announcements
+from pamctl.daemon.latch import Latch
+from pamctl.daemon.methods import methods_of
+from pamctl.daemon.notify import notify, watchdog_period_s
+from pamctl.daemon.server import Server, SocketError
+from pamctl.daemon.service import Service, State
+from pamctl.daemon.session import Workshop
+from pamctl.daemon.shelf import Shelf
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend
+from pamctl.processes.run_once import ring_path, run_meta, secured
+from pamctl.recording.orphans import finish_orphans_apart
+from pamctl.recording.ring import RingError
+from pamctl.settings.resolve import RunSettings
+
+_LOOK_EVERY_S = 5e-3
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_ERROR_OF_OURS = Ending(ExitCode.UNEXPECTED, "an error of the daemon's own")
+
+Tell = Callable[[Mapping[str, object]], object]
+
+
+class ServiceOptions(NamedTuple):
+    """What the command line says beside the settings."""
+
+    socket: Path
+    group: str | None
+    logs: Path
+    keep: int | None
+    idle_after_s: float
+    live_port: int | None
+    live_origins: Sequence[str]
+    announce: bool
+
+
+def serve(settings: RunSettings, names: Mapping[str, str], options: ServiceOptions) -> ExitCode:
+    """Hold the device and do what clients ask until a signal comes; return how it ended.
+
+    Leaves with 69 where device or socket cannot be had, with 2 where logs cannot be written.
+    """
+    try:
+        shelf = Shelf(options.logs, options.keep)
+    except OSError as error:
+        fail(ExitCode.USAGE, f"--logs {options.logs}: {error.strerror or error}")
+    announcements = Announcements(sys.stdout.fileno()) if options.announce else None
+    tell: Tell = _unheard if announcements is None else announcements.put
+    try:
+        require_backend(settings)
+        with secured(settings) as device:
+            finish_orphans_apart(SHARED_MEMORY)  # to stay as small as it is
+            service = Service(
+                settings,
+                names,
+                _workshop(settings, device),
+                shelf,
+                Latch(SHARED_MEMORY / f"pamctl-{device_of(settings)}.fault"),
+                idle_after_s=options.idle_after_s,
+                tell=tell,
+            )
+            live = live_view(
+                options.live_port, options.live_origins, "--socket", str(options.socket)
+            )
+            with live:
+                ending = asyncio.run(_serve(service, options.socket, options.group, tell))
+                _hear_no_more()
+        tell(_event("ended", exit_code=int(ending.code), reason=ending.reason))
+        return ending.code
+    except (SocketError, RingError, RigError) as error:
+        fail(ExitCode.UNAVAILABLE, str(error))
+    finally:
+        if announcements is not None:
+            announcements.end()
+
+
+def _unheard(event: Mapping[str, object]) -> None:
+    """Announce nothing."""
+
+
+def _event(event: str, **details: object) -> dict[str, object]:
+    return {"event": event, "time_s": time.time(), **details}
+
+
+def _workshop(settings: RunSettings, rig: Rig) -> Workshop:
+    start = [sys.executable, "-m"]
+    return Workshop(
+        loop=[*start, "pamctl.processes.session_main"],
+        guardian=[*start, "pamctl.processes.guardian_main"],
+        rig=rig,
+        meta=run_meta,
+        device=device_of(settings),
+        ring_path=ring_path,
+    )
+
+
+async def _serve(service: Service, path: Path, group: str | None, tell: Tell) -> Ending:
+    """Answer until a signal comes; then leave the valve safe. A second signal hurries it."""
+    events = asyncio.get_running_loop()
+    stop: asyncio.Future[Ending] = events.create_future()
+    _hear(lambda number: _stop(stop, service, _ended_by(number)))
+    server = Server(methods_of(service))
+    await server.listen(path, group)
+    watch = _Watch(
+        service, tell, partial(events.call_soon_threadsafe, _stop, stop, service, _ERROR_OF_OURS)
+    )
+    tell(_event("listening", socket=str(path), version=__version__))
+    watch.start()
+    print(f"pamctl daemon: listening on {path}", file=sys.stderr, flush=True)
+    notify("READY=1", "STATUS=idle")
+    try:
+        ending = await stop
+        notify("STOPPING=1")
+        await server.close()
+        await asyncio.to_thread(service.close)
+    finally:
+        watch.end()
+    return _ERROR_OF_OURS if watch.has_failed else ending
+
+
+def _hear(heard: Callable[[signal.Signals], object]) -> None:
+    """Call `heard` in the running event loop with each signal that asks for an end.
+
+    Not through the event loop's own handlers: it takes those away as it closes, and a signal
+    that comes then would kill a daemon that is about to end well.
+    """
+    events = asyncio.get_running_loop()
+
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        if not events.is_closed():
+            events.call_soon_threadsafe(heard, signal.Signals(number))
+
+    for number in _ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup asks for
+            signal.signal(number, on_signal)
+
+
+def _hear_no_more() -> None:
+    """The daemon has ended and the valve is safe; Python's own end is not to be cut short."""
+    for number in _ENDING:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _stop(stop: asyncio.Future[Ending], service: Service, ending: Ending) -> None:
+    if stop.done():
+        service.hurry()
+    else:
+        stop.set_result(ending)
+
+
+def _ended_by(number: signal.Signals) -> Ending:
+    """To be ended by a signal is how a daemon ends: all is well."""
+    return Ending(ExitCode.OK, f"stopped by {number.name}")
+
+
+class _Watch(threading.Thread):
+    """Looks after session and run, and tells the service manager that there is progress."""
+
+    def __init__(self, service: Service, tell: Tell, give_up: Callable[[], object]) -> None:
+        super().__init__(name="watch", daemon=True)
+        self.has_failed = False
+        self._service = service
+        self._tell = tell
+        self._give_up = give_up
+        self._ended = threading.Event()
+        self._period_s = watchdog_period_s()
+        self._fed_s = 0.0
+        self._said: State | None = None
+
+    def run(self) -> None:
+        try:
+            while not self._ended.wait(_LOOK_EVERY_S):
+                self._service.look()
+                self._report()
+        except Exception:
+            # An error of ours. Nobody looks after the loop any more: it must not go on.
+            traceback.print_exc()
+            self.has_failed = True
+            self._service.estop()
+            self._give_up()
+
+    def _report(self) -> None:
+        state = self._service.state
+        if state != self._said:
+            self._said = state
+            notify(f"STATUS={state}")
+            self._tell(_event("state", state=state, fault=self._service.fault))
+        now_s = time.monotonic()
+        due_s = self._fed_s + (self._period_s or 0.0) / 4.0
+        if self._period_s and now_s >= due_s and self._service.makes_progress():
+            self._fed_s = now_s
+            notify("WATCHDOG=1")
+
+    def end(self) -> None:
+        """Look no more."""
+        self._ended.set()
+        self.join()

@@ -1,0 +1,169 @@
+"""On request: what no known effect explains is added to the model as a table.
+
+The table is no cause. It is a force over displacement and load, or a flow over opening and
+pressure, fitted through the simulation like any number, and it stays out where it does not
+make the held-out gap smaller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pamctl.diagnose.fitting.block_fit import rms
+from pamctl.diagnose.fitting.drives import MECHANICS, Drive, stacked
+from pamctl.diagnose.fitting.evidence import SMALLEST
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.measured.record import Array, Record
+from pamctl.diagnose.show import levels
+from pamctl.plant.model import CorrectionSettings, FlowSettings, PlantSettings, PullSettings
+
+ROUNDS = 6
+LEAST_GAIN = 0.05
+"""A table that takes less off the held-out RMS of its block is not worth its numbers."""
+STIFFNESS = 1e-3
+"""How much a bend of the table costs, beside what the data say of a usual node of it."""
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """What became of the wish for a table."""
+
+    plant: PlantSettings
+    """With the table where it helps, else as it was."""
+    blocks: tuple[str, ...]
+    """Those that have one now."""
+    why: str
+    """In plain words."""
+    before: dict[str, float]
+    """RMS of the held-out gap without the table, by channel, in SI."""
+    after: dict[str, float]
+    """The same with it; equal where it was left out."""
+
+    def as_dict(self) -> dict[str, object]:
+        """Return what the document holds."""
+        gap = {
+            name: {"before": self.before[name], "after": self.after[name]} for name in self.after
+        }
+        return {"applied": bool(self.blocks), "blocks": [*self.blocks], "why": self.why, "gap": gap}
+
+
+def corrected(model: Model, plant: PlantSettings, holdout: Sequence[Record]) -> Corrected:
+    """Add a table to `plant` for each block that `model` leaves above its limit."""
+    evidence = model.evidence
+    before = levels(evidence, holdout, plant)
+    kept, blocks, refused = plant, [], []
+    for block in model.unexplained:
+        table = fitted(evidence.train[block], kept)
+        left = [rms(stacked(evidence.holdout[block], p)) for p in (kept, table)]
+        if left[1] <= (1.0 - LEAST_GAIN) * left[0]:
+            kept = table
+            blocks.append(block)
+        else:
+            refused.append(
+                f"a table for the {block} leaves {left[1] / left[0]:.2f} times what was left "
+                "of the held-out records"
+            )
+    after = levels(evidence, holdout, kept)
+    if worse := [name for name in after if after[name] > before[name] + SMALLEST[name]]:
+        refused = [f"tables for {' and '.join(blocks)} make the coupled gap of {worse[0]} larger"]
+        kept, blocks, after = plant, [], before
+    why = "; ".join([*(f"a table for the {b} is in the model" for b in blocks), *refused])
+    return Corrected(kept, tuple(blocks), why, before, after)
+
+
+def fitted(drives: Sequence[Drive], plant: PlantSettings) -> PlantSettings:
+    """Fit a block's table on drives, from zero, or from what the plant has already.
+
+    Gauss and Newton; bends cost a little, so that a node which no sample visits follows its
+    neighbours.
+    """
+    grid = _Grid.over(drives, plant)
+    nodes = grid.start
+    settings = grid.on(plant, nodes)
+    residual = stacked(drives, settings)
+    for _ in range(ROUNDS):
+        slope = np.column_stack(
+            [
+                (stacked(drives, grid.on(plant, nodes + step)) - residual) / grid.step
+                for step in grid.step * np.eye(len(nodes))
+            ]
+        )
+        bends = grid.bends
+        square = slope.T @ slope
+        cost = STIFFNESS * np.trace(square) / len(nodes) * (bends.T @ bends)
+        change = -np.linalg.solve(square + cost, slope.T @ residual + cost @ nodes)
+        for shorter in (1.0, 0.3, 0.1):
+            tried = grid.on(plant, nodes + shorter * change)
+            left = stacked(drives, tried)
+            if rms(left) < rms(residual):
+                break
+        else:
+            return settings
+        gained = 1.0 - rms(left) / rms(residual)
+        nodes, settings, residual = nodes + shorter * change, tried, left
+        if gained < 0.01:
+            break
+    return settings
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """The nodes of a block's table."""
+
+    block: str
+    first: Array
+    second: Array
+    step: float
+    """Of a node, small but visible."""
+    start: Array
+
+    @classmethod
+    def over(cls, drives: Sequence[Drive], plant: PlantSettings) -> _Grid:
+        """Lay the grid over where the drives were; a grid that the plant has stays."""
+        block = drives[0].block
+        known = plant.correction and (
+            plant.correction.pull if block == MECHANICS else plant.correction.flow
+        )
+        step = 0.1 if block == MECHANICS else 1e-6
+        if known:
+            table = known.table()
+            first, second = np.array(table.first), np.array(table.second)
+            return cls(block, first, second, step, np.array(table.values))
+        measured = np.concatenate([d.measured for d in drives])
+        if block == MECHANICS:
+            load = np.concatenate([d.driven for d in drives])
+            first, second = _even(measured, 6), _even(load, 6)
+        else:
+            # Closest near null, where valves are least like their formula.
+            widest_v = max(float(np.max(np.abs(d.valve_v))) for d in drives)
+            even = np.linspace(-1.0, 1.0, 9)
+            first, second = widest_v * even * np.abs(even), _even(measured, 4)
+        return cls(block, first, second, step, np.zeros(len(first) * len(second)))
+
+    @property
+    def bends(self) -> Array:
+        """Second differences along both axes, and a little of each node itself."""
+        rows, columns = len(self.first), len(self.second)
+        along = np.kron(np.diff(np.eye(rows), 2, axis=0), np.eye(columns))
+        across = np.kron(np.eye(rows), np.diff(np.eye(columns), 2, axis=0))
+        return np.vstack([along, across, 0.1 * np.eye(rows * columns)])
+
+    def on(self, plant: PlantSettings, nodes: Array) -> PlantSettings:
+        """Return the plant with these nodes (N, or kg/s)."""
+        rows = nodes.reshape(len(self.first), len(self.second)).tolist()
+        first, second = self.first.tolist(), self.second.tolist()
+        own: dict[str, object]
+        if self.block == MECHANICS:
+            own = {"pull": PullSettings(displacement_m=first, load=second, pull_n=rows)}
+        else:
+            own = {"flow": FlowSettings(opening_v=first, pressure_pa=second, flow_kg_per_s=rows)}
+        correction = (plant.correction or CorrectionSettings()).model_copy(update=own)
+        return plant.model_copy(update={"correction": correction})
+
+
+def _even(values: Array, lines: int) -> Array:
+    low, high = np.quantile(values, [0.001, 0.999])
+    return np.linspace(low, max(high, low + 1e-9), lines)

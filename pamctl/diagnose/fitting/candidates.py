@@ -1,0 +1,127 @@
+"""The effects that may be missing, and what a first small dose of each does.
+
+Of an effect's numbers some switch it on (a width, a stiffness), others only shape it (a
+time constant, a damping ratio). An effect with several forms (bristle or Maxwell slip, a
+stiff supply or a tank) is a candidate in each, under one name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose.fitting.numbers import Free, described, effects_on, of_effect, value_of
+from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.effects.description import EffectDescription, EffectForm
+from pamctl.plant.model import PlantSettings
+
+NEVER_NAMED = ("drift",)
+"""It would explain anything slow."""
+DOSES = (1.0, 6.0)
+"""In smallest sizes of interest: a large effect does not look like a small one."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect of the catalogue, in one of its forms, as the search sees it."""
+
+    name: str
+    form: str
+    free: tuple[Free, ...]
+    held: tuple[tuple[str, float], ...]
+    """Numbers that the form fixes, by full name."""
+    blocks: frozenset[str]
+    """The blocks that it reaches."""
+
+    @property
+    def held_alone(self) -> tuple[tuple[str, float], ...]:
+        """What the form fixes and no fit may move."""
+        moved = {f.name for f in self.free}
+        return tuple((name, value) for name, value in self.held if name not in moved)
+
+    @property
+    def switches(self) -> tuple[Free, ...]:
+        """The numbers that switch it on."""
+        return tuple(f for f in self.free if described(f).role == "size")
+
+    @property
+    def shapes(self) -> tuple[Free, ...]:
+        """The numbers that only shape it."""
+        return tuple(f for f in self.free if described(f).role == "shape")
+
+
+def candidates(evidence: Evidence, without: Collection[str] = ()) -> tuple[Candidate, ...]:
+    """Return the effects that reach a block of the evidence; `without` leaves some out.
+
+    Those that the start model has already, and those that no experiment can identify, are
+    not asked for.
+    """
+    on = effects_on(evidence.nominal)
+    return tuple(
+        candidate
+        for name, effect in CATALOGUE.items()
+        if name not in {*without, *NEVER_NAMED, *on} and effect.identifiable
+        for candidate in _forms(effect, evidence.blocks)
+    )
+
+
+def _forms(effect: EffectDescription, blocks: Collection[str]) -> Iterator[Candidate]:
+    reached = frozenset(block for block in effect.seen_by if block in blocks)
+    if not reached:
+        return
+    everything = tuple(p.name for p in effect.parameters if not p.choices)
+    for form in effect.forms or (EffectForm(effect.name, everything),):
+        held = tuple((f"{effect.name}.{n}", float(v)) for n, v in form.held.items())
+        yield Candidate(effect.name, form.name, of_effect(effect.name, form.free), held, reached)
+
+
+def dosed(number: Free, doses: float, neutral: float) -> float:
+    """Go from neutral by so many smallest sizes of interest, within the range."""
+    step = doses * number.scale
+    if neutral + step <= number.high:
+        return neutral + step
+    return max(neutral - step, number.low) if neutral >= number.high else number.high
+
+
+def trials(candidate: Candidate, settings: PlantSettings) -> Iterator[list[dict[str, float]]]:
+    """Yield sets of small doses: in each set one dose of every switch, under one shape."""
+    for shape, doses in product(_shapes(candidate, settings), DOSES):
+        yield [
+            {
+                **shape,
+                **dict(candidate.held),
+                s.name: dosed(s, doses, value_of(settings, s.name)),
+            }
+            for s in candidate.switches
+        ]
+
+
+def _shapes(candidate: Candidate, settings: PlantSettings) -> Iterator[dict[str, float]]:
+    usual = {f.name: _usual(f, settings) for f in candidate.shapes}
+    yield usual
+    for number in candidate.shapes:
+        for end in (number.low, number.high):
+            between = _between(usual[number.name], end, number.high)
+            if between != usual[number.name]:
+                yield {**usual, number.name: between}
+
+
+def _usual(number: Free, settings: PlantSettings) -> float:
+    """Return the catalogue's start of a shape, or else its value."""
+    start = described(number).start
+    return start if number.low < start < number.high else value_of(settings, number.name)
+
+
+def _between(value: float, end: float, high: float) -> float:
+    """Geometric mean, since shapes are times and speeds; a zero counts as a hundredth."""
+    least = 1e-2 * high
+    return float(np.sqrt(max(value, least) * max(end, least))) if high > 0.0 else value
+
+
+def reaching(found: Sequence[Candidate], blocks: Collection[str]) -> tuple[Candidate, ...]:
+    """Return the candidates that reach one of the blocks."""
+    return tuple(c for c in found if c.blocks & set(blocks))

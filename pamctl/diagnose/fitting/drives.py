@@ -1,0 +1,247 @@
+"""The two blocks, each driven by the other's measured signal, in output-error form.
+
+    pressure block:  u, measured x -> P          mechanics block:  measured P -> x
+
+A block that is innocent then stays at its noise floor whatever the other one hides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, savgol_filter, sosfiltfilt
+
+from pamctl.diagnose.measured.record import Array, Record
+from pamctl.diagnose.measured.sensor_noise import Noise
+from pamctl.plant.drive import (
+    STEPS_A_TICK,
+    Grid,
+    drive_coupled,
+    drive_mechanics,
+    drive_pressure,
+    grid_of,
+)
+from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.parameters import PlantParameters, at_rest
+
+PRESSURE, MECHANICS = "pressure", "mechanics"
+
+SMOOTH_HZ = 60.0
+"""Of a measured pressure before it drives the mechanics: friction rectifies its noise."""
+VENTED_PA = 20e3
+"""A sensor's zero may be off by so much; a muscle that starts higher does not start vented."""
+MODELLED_HZ = 1.0
+"""The same, of what is left of it beside a pressure block that is at its floor."""
+SETTLED = 1000
+"""Milliseconds after which a muscle stands still."""
+RUNAWAY = 1e6
+"""Deviations: the residual of a model that runs away, as a spring with a negative rate does."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One record as one block sees it: what goes in, and what should come out."""
+
+    block: str
+    name: str
+    step_s: Array
+    """Time from each sample to the next, shape (n - 1,)."""
+    valve_v: Array
+    """Command after each sample, shape (n,); of the mechanics, zeros."""
+    driven: Array
+    """Position (pressure block) or pressure (mechanics), smoothed, shape (n,)."""
+    cutoff_hz: float
+    """How strongly the noise of `driven` is smoothed; 0 for the encoder's 15 samples."""
+    measured: Array
+    """What the block should show, shape (n,)."""
+    deviation: float
+    """Residuals are counted in it: at first the sensor's own."""
+    slack: float
+    """How far off the measurement's zero may be: a converter's step, or more where the encoder
+    was zeroed on a muscle that a leak had filled a little."""
+    start: float
+    """Where the block is at first: atmospheric pressure, or the position at rest."""
+    steps: int = STEPS_A_TICK
+    has_position: bool = True
+    """False of a pressure block whose position was not measured: then the model moves itself."""
+    rows: NDArray[np.bool_] | None = None
+    """Which samples count, shape (n,); None for all."""
+
+    @property
+    def samples(self) -> int:
+        """How many samples count."""
+        return len(self.measured) if self.rows is None else int(self.rows.sum())
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The simulation's steps."""
+        return grid_of(self.step_s, len(self.measured), self.steps)
+
+    def simulated(self, settings: PlantSettings) -> Array:
+        """Simulate the block; return what its sensor would show without noise."""
+        return self.simulated_with(plant_parameters(settings))
+
+    def simulated_with(self, p: PlantParameters) -> Array:
+        """Simulate the block with the numbers that the kernels use."""
+        if not self.has_position:
+            return drive_coupled(p, self.valve_v, self.grid).pressure_pa
+        if self.block == PRESSURE:
+            rests = self.start == p.atmospheric_pressure_pa
+            start = None if rests else at_rest(p, float(self.driven[0]), self.start)
+            return drive_pressure(p, self.valve_v, self.driven, self.grid, start=start).pressure_pa
+        start = at_rest(p, self.start, p.atmospheric_pressure_pa) if self.start else None
+        return drive_mechanics(p, self.driven, self.grid, start=start).position_m
+
+    def resting_gauge_pa(self, settings: PlantSettings, samples: int) -> float:
+        """Return the true pressure above the atmosphere's that the valve leaves at rest."""
+        p = plant_parameters(settings)
+        if not (self.has_position and samples):
+            return 0.0
+        driven = drive_pressure(p, self.valve_v, self.driven, self.grid)
+        resting_pa = driven.true_pressure_pa[samples // 2 : samples]
+        return float(np.mean(resting_pa)) - p.atmospheric_pressure_pa
+
+    def residual(self, settings: PlantSettings) -> Array:
+        """Return measurement minus simulation, in deviations of the sensor, shape (samples,)."""
+        return self.compared(self.simulated(settings))
+
+    def compared(self, simulated: Array) -> Array:
+        """Return measurement minus a simulated output, in deviations of the sensor."""
+        most = RUNAWAY * self.deviation
+        error = np.nan_to_num(self.measured - simulated, nan=most).clip(-most, most)
+        if self.rows is not None:
+            error = error[self.rows]
+        if self.slack:
+            error = error - np.clip(np.mean(error), -self.slack, self.slack)
+        return error / self.deviation
+
+    def chance(self, *key: int) -> np.random.Generator:
+        """Return random numbers that are this record's own, and the same for the same key."""
+        return np.random.default_rng([crc32(self.measured.tobytes()), *key])
+
+    def disturbance(self, noise: Noise, replica: int) -> Array:
+        """Draw noise of the driving signal, smoothed as the signal itself was, shape (n,).
+
+        Kept: every model's floor is found with the same noise, and differs by the model alone.
+        """
+        if replica not in self._disturbances:
+            drawn = noise.sensed(np.zeros(len(self.driven)), self.chance(replica, 0))
+            smooth = _smoothed(drawn, float(np.median(self.step_s)), self.cutoff_hz)
+            self._disturbances[replica] = smooth
+        return self._disturbances[replica]
+
+    @cached_property
+    def _disturbances(self) -> dict[int, Array]:
+        return {}
+
+
+def pressure_drive(record: Record, noises: dict[str, Noise], atmosphere_pa: float) -> Drive:
+    """Prepare a record for the pressure block."""
+    has_position = record.position_m is not None
+    position_m = record["position_m"] if has_position else np.zeros(len(record))
+    return Drive(
+        PRESSURE,
+        record.name,
+        record.step_s,
+        record["valve_v"],
+        _smoothed(position_m, record.period_s, 0.0),
+        0.0,
+        record["pressure_pa"],
+        max(noises["pressure_pa"].total, 1.0),
+        0.0,
+        _rest_pa(record, noises["pressure_pa"], atmosphere_pa),
+        has_position=has_position,
+    )
+
+
+def mechanics_drive(
+    record: Record,
+    noises: dict[str, Noise],
+    modelled_pa: Array | None = None,
+    cutoff_hz: float = SMOOTH_HZ,
+) -> Drive:
+    """Prepare a record for the mechanical block.
+
+    `modelled_pa` is the pressure block's own account of the measured pressure: only the
+    difference to it is smoothed then, so that steep flanks stay as they are.
+    """
+    noise = noises["position_m"]
+    base = 0.0 if modelled_pa is None else modelled_pa
+    return Drive(
+        MECHANICS,
+        record.name,
+        record.step_s,
+        np.zeros(len(record)),
+        base + _smoothed(record["pressure_pa"] - base, record.period_s, cutoff_hz),
+        cutoff_hz,
+        record["position_m"],
+        max(noise.total, 1e-7),
+        noise.resolution,
+        rest_m(record, noise),
+    )
+
+
+def contraction_m(settings: PlantSettings, gauge_pa: float) -> float:
+    """Return how far a muscle moves, from the vented rest, under a constant pressure."""
+    p = plant_parameters(settings)
+    steady_pa = np.full(SETTLED, p.atmospheric_pressure_pa + gauge_pa)
+    return float(drive_mechanics(p, steady_pa, 1e-3).position_m[-1])
+
+
+def force_drive(record: Record, noises: dict[str, Noise]) -> Drive:
+    """Prepare a record of a mechanism that a measured force drives, no muscle between."""
+    noise = noises["position_m"]
+    return Drive(
+        MECHANICS,
+        record.name,
+        record.step_s,
+        np.zeros(len(record)),
+        _smoothed(record["force_n"], record.period_s, SMOOTH_HZ),
+        SMOOTH_HZ,
+        record["position_m"],
+        max(noise.total, 1e-7),
+        noise.resolution,
+        rest_m(record, noise),
+    )
+
+
+def rest_m(record: Record, noise: Noise) -> float:
+    """Where the muscle rests at first: at zero, unless the encoder clearly says otherwise."""
+    position_m = float(np.mean(record["position_m"][: max(min(record.rest_samples, 500), 1)]))
+    return position_m if abs(position_m) > 3.0 * max(noise.resolution, 1e-6) else 0.0
+
+
+def _rest_pa(record: Record, noise: Noise, atmosphere_pa: float) -> float:
+    """Return the pressure at first: the atmosphere's, where that is within a sensor's tolerance."""
+    count = max(min(record.rest_samples, 500), 1)
+    pressure_pa = float(np.mean(record["pressure_pa"][:count]))
+    near = abs(pressure_pa - atmosphere_pa) < max(VENTED_PA, 5.0 * noise.deviation)
+    return atmosphere_pa if near else pressure_pa
+
+
+def _smoothed(values: Array, period_s: float, cutoff_hz: float) -> Array:
+    """Smooth without delay: second order both ways, or a cubic over 15 samples."""
+    if cutoff_hz == 0.0:
+        cubic: Array = savgol_filter(values, 15, 3)
+        return cubic
+    relative = 2.0 * cutoff_hz * period_s
+    if relative >= 0.9:
+        return values
+    # Mirrored at the ends for a whole period: else the filter would start from a single noisy
+    # sample, and the muscle, which at rest follows every pascal, with it.
+    mirrored = min(round(2.0 / relative), len(values) - 1)
+    smooth: Array = sosfiltfilt(
+        butter(2, relative, output="sos"), values, padtype="even", padlen=mirrored
+    )
+    return smooth
+
+
+def stacked(drives: Sequence[Drive], settings: PlantSettings) -> Array:
+    """Return the residuals of several drives, one behind the other."""
+    p = plant_parameters(settings)
+    return np.concatenate([drive.compared(drive.simulated_with(p)) for drive in drives])

@@ -1,0 +1,179 @@
+"""The floor: the residual that this very model leaves on data that it generated itself.
+
+A p-value would call every trifle significant: residuals are autocorrelated, and the noise
+of the pressure is rectified by friction. So the model is simulated on the same commands,
+given the same noise and converters, put through the same smoothing and refitted; what then
+remains on the held-out records is what a perfect model leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pamctl.diagnose.fitting.block_fit import Fit, rms, sensitivity
+from pamctl.diagnose.fitting.drives import MECHANICS, Drive
+from pamctl.diagnose.fitting.repeatability import Spread
+from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.measured.sensor_noise import Noise
+from pamctl.plant.model import PlantSettings
+
+REPLICAS = 12
+SURE = 3.0
+"""Of the scatter: the few slow waves that a short record holds may all be high ones, and what a
+named effect leaves must not be called unexplained for it."""
+STRETCH_S = 0.25
+"""Residuals so far apart are taken to have forgotten each other."""
+
+
+@dataclass(frozen=True)
+class Floor:
+    """What a perfect model would leave of one block on the held-out drives."""
+
+    mean: float
+    """RMS in deviations of the sensor."""
+    scatter: float
+    limit: float
+    """What lies above is a discrepancy: the replicas' 95 % quantile or three sigma, and a
+    practical margin."""
+    shifts: Array
+    """How far noise alone moved the fitted numbers, in their scales, (replicas, p)."""
+    spread: Array
+    """RMS of each replica on the held-out drives."""
+    memory: float = 1.0
+    """How many samples of such a residual are one piece of news."""
+    repeatability: float = 0.0
+    """The limit that the rig's own repeatability sets; 0 where nothing is repeated."""
+
+    def with_repeatability(self, found: Spread) -> Floor:
+        """Raise the limit to what the rig itself does differently each time.
+
+        What it does beyond the floor counts with two sigma of its uncertainty. It is not held
+        down to the sensor's noise as the simulated floor is: no error of the model is in it,
+        since that is the same in both runs.
+        """
+        beyond = float(np.sqrt(max(found.rms**2 - self.mean**2, 0.0)))
+        level = float(np.hypot(self.mean, beyond * (1.0 + 2.0 * found.uncertainty)))
+        level = level if found.rms else 0.0
+        return replace(self, limit=max(self.limit, level), repeatability=level)
+
+    @property
+    def decided_by(self) -> str:
+        """Say which of the two is the limit."""
+        return "repeatability" if self.limit == self.repeatability else "self-simulation"
+
+
+def floor(
+    fitted: Fit,
+    holdout: Sequence[Drive],
+    noises: dict[str, Noise],
+    *,
+    margin: float,
+    replicas: int = REPLICAS,
+) -> Floor:
+    """Simulate the fitted plant with noise, refit, and measure the rest on `holdout`, of one block.
+
+    What was fitted on both blocks is refitted on both: each steadies the numbers of the other.
+
+    `margin` is the smallest excess that matters, in deviations of the sensor. The refit is
+    one Gauss-Newton step on the fit's own derivatives: noise moves the numbers but little.
+    """
+    made = imitations(fitted, holdout, noises, replicas=replicas)
+    spread = np.array([rms(imitation.residual) for imitation in made])
+    memories = [_memory(imitation.noise, holdout) for imitation in made]
+    mean = float(spread.mean())
+    scatter = float(spread.std(ddof=1))
+    sensor = sensor_of(holdout, noises)
+    high = max(float(np.quantile(spread, 0.95)), mean + SURE * scatter)
+    high *= 1.0 + 2.0 * sensor.uncertainty
+    limit, memory = float(np.hypot(high, margin)), max(float(np.mean(memories)), 1.0)
+    shifts = np.array([imitation.shift for imitation in made])
+    return Floor(mean, scatter, limit, shifts, spread, memory)
+
+
+@dataclass(frozen=True)
+class Imitation:
+    """One replica of the records: what noise alone leaves and moves."""
+
+    residual: Array
+    """On the held-out drives, after the refit."""
+    shift: Array
+    """Of the fitted numbers, in their scales."""
+    noise: Array
+    """The residual before the refit."""
+
+
+def imitations(
+    fitted: Fit,
+    holdout: Sequence[Drive],
+    noises: dict[str, Noise],
+    *,
+    replicas: int = REPLICAS,
+) -> list[Imitation]:
+    """Make records of the fitted plant with noise anew, and refit; each time the same ones."""
+    made = []
+    ideal_train = [d.simulated(fitted.settings) for d in fitted.drives]
+    ideal_hold = [d.simulated(fitted.settings) for d in holdout]
+    hold_slope = sensitivity(
+        holdout,
+        fitted.settings,
+        fitted.free,
+        np.concatenate([d.compared(ideal) for d, ideal in zip(holdout, ideal_hold, strict=True)]),
+    )
+    inverse = np.linalg.pinv(fitted.jacobian) if fitted.free else np.zeros((0, 1))
+    for replica in range(replicas):
+        train = _replica(fitted.drives, ideal_train, fitted.settings, noises, replica)
+        hold = _replica(holdout, ideal_hold, fitted.settings, noises, replica)
+        shift = -(inverse @ train) if fitted.free else np.zeros(0)
+        made.append(Imitation(hold + hold_slope @ shift, shift, hold))
+    return made
+
+
+def sensor_of(drives: Sequence[Drive], noises: dict[str, Noise]) -> Noise:
+    """Return the noise of what a block's drives are compared with."""
+    return noises["position_m" if drives[0].block == MECHANICS else "pressure_pa"]
+
+
+def _memory(residual: Array, drives: Sequence[Drive]) -> float:
+    """Return the variance of means over a stretch, times its samples, over that of the samples."""
+    length = max(int(STRETCH_S / float(np.median(drives[0].step_s))), 1)
+    whole = residual[: len(residual) // length * length].reshape(-1, length)
+    return float(np.mean(whole.mean(axis=1) ** 2) * length / np.mean(whole**2))
+
+
+def _replica(
+    drives: Sequence[Drive],
+    ideals: Sequence[Array],
+    settings: PlantSettings,
+    noises: dict[str, Noise],
+    replica: int,
+) -> Array:
+    """Residuals that noise alone would leave."""
+    return np.concatenate(
+        [
+            _noisy(drive, ideal, settings, noises, replica).residual(settings)
+            for drive, ideal in zip(drives, ideals, strict=True)
+        ]
+    )
+
+
+def _noisy(
+    drive: Drive,
+    ideal: Array,
+    settings: PlantSettings,
+    noises: dict[str, Noise],
+    replica: int,
+) -> Drive:
+    """Take the drive's inputs for the truth, and let the sensors see it anew."""
+    inner, outer = "position_m", "pressure_pa"
+    if drive.block == MECHANICS:
+        inner, outer = ("force_n" if settings.actuator == "direct" else "pressure_pa"), inner
+    driven = drive.driven
+    if inner in noises:
+        driven = driven + drive.disturbance(noises[inner], replica)
+    measured = noises[outer].sensed(ideal, drive.chance(replica, 1))
+    noisy = replace(drive, driven=driven, measured=measured)
+    noisy.__dict__["grid"] = drive.grid  # the steps stay
+    return noisy

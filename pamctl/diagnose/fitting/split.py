@@ -1,0 +1,44 @@
+"""What is fitted on and what is judged by: whole runs, or long stretches of a single one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pamctl.diagnose.fitting.drives import Drive
+from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose.measured.record import Record
+
+STRETCHES = 9
+"""A single run is cut into so many; every third is held out."""
+
+
+def by_run(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
+    """Hold every third run out, at least one; a single run is both, see `by_stretch`."""
+    if len(records) == 1:
+        return list(records), list(records)
+    held = set(range(1, len(records), 3))
+    return (
+        [r for i, r in enumerate(records) if i not in held],
+        [r for i, r in enumerate(records) if i in held],
+    )
+
+
+def by_stretch(evidence: Evidence) -> Evidence:
+    """Fit on two thirds of the samples of each run and judge by the others, in long stretches.
+
+    Never by samples: neighbours are much the same. The blocks are simulated over the whole
+    run either way, since only its beginning is a known state.
+    """
+    return replace(
+        evidence,
+        train={b: tuple(_third(d, False) for d in ds) for b, ds in evidence.train.items()},
+        holdout={b: tuple(_third(d, True) for d in ds) for b, ds in evidence.holdout.items()},
+    )
+
+
+def _third(drive: Drive, held_out: bool) -> Drive:
+    stretch = np.arange(len(drive.measured)) * STRETCHES // len(drive.measured)
+    return replace(drive, rows=(stretch % 3 == 1) == held_out)

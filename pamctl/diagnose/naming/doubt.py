@@ -1,0 +1,47 @@
+"""An effect whose size can hardly be told from nothing, and which explains little, is no name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.intervals import Estimate
+from pamctl.diagnose.fitting.numbers import value_of
+from pamctl.diagnose.naming.search import Search
+
+UNSURE = 0.6
+"""Half an interval over the distance from neutral: near 1 it reaches neutral."""
+SMALL_GAIN = 1.5
+"""The residual over the floor without the effect, over that with it."""
+
+
+def any_doubtful(model: Model, search: Search, numbers: Sequence[Estimate]) -> bool:
+    """Tell whether an effect of a model is doubtful on both accounts.
+
+    Either alone may happen to a true one: a small effect gains little, and the derivative of a
+    delay within a tick is not worth much.
+    """
+    return any(
+        _is_unsure(name, model, numbers) and _gain(name, model, search) < SMALL_GAIN
+        for name in model.names
+    )
+
+
+def _is_unsure(name: str, model: Model, numbers: Sequence[Estimate]) -> bool:
+    own = [number for number in numbers if number.name.startswith(f"{name}.")]
+    return bool(own) and all(
+        0.5 * (n.high - n.low) > UNSURE * abs(n.value - value_of(model.evidence.nominal, n.name))
+        for n in own
+    )
+
+
+def _gain(name: str, model: Model, search: Search) -> float:
+    """Return how much worse the worst block is without an effect; infinite if nobody tried."""
+    others = {*model.names} - {name}
+    tried = [search.base, *(m for level in search.levels for m in level)]
+    without = [_worst(m) for m in tried if {*m.names} == others]
+    return min(without, default=float("inf")) / _worst(model)
+
+
+def _worst(model: Model) -> float:
+    return max(model.ratio(block) for block in model.evidence.blocks)

@@ -1,0 +1,167 @@
+"""What else could it be: every named effect against the best other explanations.
+
+Each effect of the chosen set is taken out and the others are tried in its place, by the
+same score test and refit. A rival that is not clearly worse on the held-out records is no
+rival but an equal: then the data do not tell, and the verdict says so. What leaves something
+above the floor, where the chosen effects leave nothing, the data have refuted already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from pamctl.diagnose.fitting.candidates import Candidate
+from pamctl.diagnose.fitting.fitted_model import Model, extended
+from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.naming.score import Score, scores
+from pamctl.diagnose.naming.search import Search, finished, mapped, promising, proven, rank
+
+TRIED = 6
+SERIOUS = 3
+"""So many rivals are fitted to the end."""
+STRETCH_S = 0.25
+REPLICAS = 400
+MUCH = 0.05
+"""A rival is clearly worse when its mean square is, in 98 of 100 replicas, by so much."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another explanation for one effect."""
+
+    name: str
+    residual_over_floor: float
+    wins: float
+    """Share of the bootstrap replicas in which it does better."""
+    is_equal: bool
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One effect of the chosen set, and its rivals."""
+
+    effect: Candidate
+    rivals: tuple[Rival, ...]
+    confidence: float
+    is_needed: bool
+    """Without it something is left above the floor."""
+    heard: tuple[Model, ...] = ()
+    """The rivals' models."""
+
+    @property
+    def equals(self) -> tuple[str, ...]:
+        """Rivals that the data do not tell from it."""
+        return tuple(r.name for r in self.rivals if r.is_equal)
+
+
+def standings(
+    chosen: Model, search: Search, found: Sequence[Candidate], executor: Executor | None = None
+) -> tuple[Standing, ...]:
+    """Return every effect of the chosen model with its rivals, the nearest first."""
+    return tuple(_standing(chosen, effect, search, found, executor) for effect in chosen.effects)
+
+
+def _standing(
+    chosen: Model,
+    effect: Candidate,
+    search: Search,
+    found: Sequence[Candidate],
+    executor: Executor | None,
+) -> Standing:
+    others = tuple(c for c in chosen.effects if c != effect)
+    without = extended(search.base, others, [chosen.effect_values])
+    tried = _already_tried(search, chosen, effect)
+    known = {candidate for candidate, _ in tried}
+    jobs = [
+        (without, score)
+        for score in _promising(without, effect, found, chosen)
+        if score.candidate not in known
+    ]
+    fitted = mapped(_replaced, jobs, executor)
+    tried += [(score.candidate, m) for (_, score), m in zip(jobs, fitted, strict=True)]
+    models: dict[str, Model] = {}
+    for candidate, model in sorted(tried, key=lambda pair: rank(pair[1])):
+        models.setdefault(candidate.name, model)  # the best form of each name
+    for name in [*models][:SERIOUS]:
+        models[name] = proven(finished(models[name]))
+    rivals, wins = _judged(chosen, effect, models)
+    return Standing(effect, rivals, wins, not without.is_complete, tuple(models.values()))
+
+
+def _already_tried(
+    search: Search, chosen: Model, effect: Candidate
+) -> list[tuple[Candidate, Model]]:
+    """Find models of the search that differ from the chosen one in this effect only."""
+    kept = {*chosen.names} - {effect.name}
+    return [
+        (next(c for c in model.effects if c.name not in kept), model)
+        for level in search.levels
+        for model in level
+        if len(model.effects) == len(chosen.effects)
+        and kept < {*model.names}
+        and effect.name not in model.names
+    ]
+
+
+def _promising(
+    without: Model, effect: Candidate, found: Sequence[Candidate], chosen: Model
+) -> list[Score]:
+    open_to = [c for c in found if c.name not in chosen.names and c.blocks & effect.blocks]
+    best = {
+        s.candidate: s
+        for block in effect.blocks
+        for s in promising(scores(without.fit_of(block), open_to, block), TRIED)
+    }
+    return [*best.values()]
+
+
+def _replaced(job: tuple[Model, Score]) -> Model:
+    without, score = job
+    return extended(without, (*without.effects, score.candidate), [score.start])
+
+
+def _judged(
+    chosen: Model, effect: Candidate, models: dict[str, Model]
+) -> tuple[tuple[Rival, ...], float]:
+    """Compare by paired block bootstrap of the held-out mean squares."""
+    names = list(models)
+    blocks = sorted({b for c in (effect,) for b in c.blocks})
+    best = _mean_squares(chosen, blocks)
+    theirs = np.array([_mean_squares(models[n], blocks) for n in names]).reshape(
+        len(names), len(best)
+    )
+    random = np.random.default_rng(7)
+    picks = random.integers(0, len(best), (REPLICAS, len(best)))
+    own = np.log(best[picks].mean(axis=1))
+    others = np.log(theirs[:, picks].mean(axis=2))
+    margins = others - own
+    rivals = []
+    for index, name in enumerate(names):
+        low = float(np.quantile(margins[index], 0.02))
+        model = models[name]
+        rivals.append(
+            Rival(
+                name,
+                max(model.ratio(b) for b in blocks),
+                float(np.mean(margins[index] < 0.0)),
+                low < MUCH and bool(chosen.unexplained or not model.unexplained),
+            )
+        )
+    confidence = float(np.mean((margins > 0.0).all(axis=0))) if names else 1.0
+    return tuple(sorted(rivals, key=lambda r: r.residual_over_floor)), confidence
+
+
+def _mean_squares(model: Model, blocks: Sequence[str]) -> Array:
+    """Held-out mean squares over stretches, each block counted in its own floor, shape (m,)."""
+    pieces = []
+    for block in blocks:
+        residual = model.residuals[block] / model.floors[block].mean
+        period_s = float(np.median(model.evidence.holdout[block][0].step_s))
+        length = max(int(STRETCH_S / period_s), 1)
+        whole = residual[: len(residual) // length * length]
+        pieces.append((whole.reshape(-1, length) ** 2).mean(axis=1))
+    return np.concatenate(pieces)

@@ -1,0 +1,137 @@
+"""The score test: how much of what is left could an effect explain, to first order?
+
+A dose of the effect is simulated, what recalibration would make of it is projected out,
+and the rest is compared with the residual. One simulation a dose instead of a fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from pamctl.diagnose.fitting.block_fit import Fit
+from pamctl.diagnose.fitting.candidates import Candidate, trials
+from pamctl.diagnose.fitting.drives import stacked
+from pamctl.diagnose.fitting.numbers import value_of, with_values
+from pamctl.diagnose.measured.record import Array
+from pamctl.plant.model import PlantSettings
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a candidate promises."""
+
+    candidate: Candidate
+    explained: float
+    """Share of the residual's square, after recalibration."""
+    start: dict[str, float]
+    """Where a fit of it should start."""
+
+
+_KNOWN: WeakKeyDictionary[Fit, dict[tuple[Candidate, str], Score]] = WeakKeyDictionary()
+"""By fit, candidate and block: what is missing is asked of a recalibrated block more than once."""
+
+
+def scores(fitted: Fit, found: Sequence[Candidate], block: str) -> list[Score]:
+    """Score candidates on a fit's own drives by what they explain of a block, the best first.
+
+    A fit of both blocks counts with all its rows: the geometry that they share may explain
+    nothing of the one block that the other contradicts.
+    """
+    rows = np.concatenate([np.full(d.samples, d.block == block) for d in fitted.drives])
+    known = _KNOWN.setdefault(fitted, {})
+    asked = [candidate for candidate in found if (candidate, block) not in known]
+    if asked:
+        basis = _movable(fitted)
+        left = beside(basis, fitted.residual)
+        for candidate in asked:
+            known[candidate, block] = _score(fitted, basis, left, rows, candidate)
+    return sorted((known[candidate, block] for candidate in found), key=lambda s: -s.explained)
+
+
+def _movable(fitted: Fit) -> Array:
+    """Return an orthonormal basis of what recalibration can still do, shape (n, at most p).
+
+    A number at an end of its range cannot, and what it strains for may be an effect's.
+    """
+    bound = fitted.at_bound
+    open_to = [index for index, free in enumerate(fitted.free) if free.name not in bound]
+    if not open_to:
+        return np.zeros((len(fitted.residual), 0))
+    basis: Array = np.linalg.qr(fitted.jacobian[:, open_to])[0]
+    return basis
+
+
+def _score(
+    fitted: Fit, basis: Array, left: Array, rows: NDArray[np.bool_], candidate: Candidate
+) -> Score:
+    best = Score(candidate, 0.0, {})
+    for doses in trials(candidate, fitted.settings):
+        secants = np.column_stack([secant(fitted, dose) for dose in doses])
+        secants = beside(basis, secants)
+        amounts = _amounts(secants, left, _range(candidate, fitted.settings, doses))
+        rest = (left - secants @ amounts)[rows]
+        explained = 1.0 - float(np.sum(rest**2) / np.sum(left[rows] ** 2))
+        if explained > best.explained:
+            best = Score(candidate, explained, _start(candidate, fitted.settings, doses, amounts))
+    return best
+
+
+def secant(fitted: Fit, values: dict[str, float]) -> Array:
+    """Return how a dose moves the simulated outputs, in deviations of the sensors."""
+    moved = stacked(fitted.drives, with_values(fitted.settings, values))
+    return fitted.residual - moved
+
+
+def beside(basis: Array, vectors: Array) -> Array:
+    """Remove what the recalibrated numbers can do as well."""
+    beside: Array = vectors - basis @ (basis.T @ vectors)
+    return beside
+
+
+def _amounts(secants: Array, left: Array, bounds: tuple[Array, Array]) -> Array:
+    """Least squares for how much of each dose, within the numbers' ranges."""
+    triangle: Array = np.asarray(np.linalg.qr(np.column_stack([secants, left]), mode="r"))
+    size = secants.shape[1]
+    amounts: Array = lsq_linear(triangle[:size, :size], triangle[:size, size], bounds).x
+    return amounts
+
+
+def _range(
+    candidate: Candidate, settings: PlantSettings, doses: Sequence[dict[str, float]]
+) -> tuple[Array, Array]:
+    """How many doses of each switch its range allows."""
+    low, high = [], []
+    for number, dose in zip(candidate.switches, doses, strict=True):
+        neutral = value_of(settings, number.name)
+        step = dose[number.name] - neutral
+        ends = sorted(((number.low - neutral) / step, (number.high - neutral) / step))
+        low.append(min(ends[0], 0.0) - 1e-9)
+        high.append(max(ends[1], 0.0) + 1e-9)
+    return np.array(low), np.array(high)
+
+
+def _start(
+    candidate: Candidate,
+    settings: PlantSettings,
+    doses: Sequence[dict[str, float]],
+    amounts: Array,
+) -> dict[str, float]:
+    """Start a fit where the amounts say, but off the ends of the ranges."""
+    start = dict(doses[0])
+    for number, dose, amount in zip(candidate.switches, doses, amounts, strict=True):
+        neutral = value_of(settings, number.name)
+        value = neutral + amount * (dose[number.name] - neutral)
+        start[number.name] = inside(value, number.low, number.high, number.scale)
+    return start
+
+
+def inside(value: float, low: float, high: float, scale: float) -> float:
+    """Return the value, at least a fifth of a visible step away from the ends of its range."""
+    edge = min(0.2 * scale, 0.1 * (high - low))
+    return float(np.clip(value, low + edge, high - edge))

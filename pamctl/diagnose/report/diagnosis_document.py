@@ -1,0 +1,98 @@
+"""`diagnosis.json`, schema 1: the diagnosis for programs. Stable: keys are only ever added."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pamctl.diagnose.diagnosis import Diagnosis, where_left
+from pamctl.diagnose.fitting.integrator import SMALL
+from pamctl.diagnose.naming.rivals import Standing
+from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.report.next_experiment import ambiguous, blind_spots, next_experiment
+from pamctl.diagnose.report.sentences import sentence
+from pamctl.plant.effects import CATALOGUE
+
+SCHEMA = 1
+
+
+def document(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the document as plain values."""
+    if diagnosis.verdict is Verdict.BAD_DATA:
+        return {
+            "schema": SCHEMA,
+            "verdict": diagnosis.verdict.value,
+            "reason": diagnosis.reason,
+            "sentence": sentence(diagnosis),
+            "effects": [],
+            "ambiguous": [],
+            "recalibrated": {},
+            "blind_spots": [],
+            "next_experiment": None,
+            "gap": {},
+            "unexplained": None,
+        }
+    block, ratio, regimes = where_left(diagnosis)
+    return {
+        "schema": SCHEMA,
+        "verdict": diagnosis.verdict.value,
+        "sentence": sentence(diagnosis),
+        "effects": [_effect(diagnosis, s) for s in diagnosis.standings],
+        "ambiguous": ambiguous(diagnosis),
+        "recalibrated": {n.name: n.as_dict() for n in diagnosis.recalibrated},
+        "blind_spots": blind_spots(diagnosis),
+        "next_experiment": next_experiment(diagnosis),
+        "gap": {name: gap.as_dict() for name, gap in (diagnosis.gap or {}).items()},
+        "explained": diagnosis.explained,
+        "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
+        "limits": _limits(diagnosis),
+        "integrator": {
+            block: {"change_over_floor": change, "is_small": change <= SMALL}
+            for block, change in diagnosis.stepping.items()
+        },
+        "correction": _correction(diagnosis),
+        "regimes": [
+            {
+                "block": c.block,
+                "regime": c.regime,
+                "share": c.share,
+                "residual_over_floor": c.residual_over_floor,
+                "p_value": c.p_value,
+                "stands_out": c.stands_out,
+            }
+            for c in diagnosis.cells
+        ],
+    }
+
+
+def _limits(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+    """What counts as a discrepancy of each block, and whether simulation or the rig decided it."""
+    floors = diagnosis.model.floors if diagnosis.model else {}
+    return {
+        block: {"limit_over_floor": f.limit / f.mean, "decided_by": f.decided_by}
+        for block, f in floors.items()
+    }
+
+
+def _correction(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    if diagnosis.remainder is None:
+        return None
+    table = {"table": diagnosis.corrected.as_dict()} if diagnosis.corrected else {}
+    return {**diagnosis.remainder.as_dict(), **table}
+
+
+def _effect(diagnosis: Diagnosis, standing: Standing) -> dict[str, Any]:
+    name = standing.effect.name
+    return {
+        "name": name,
+        "block": CATALOGUE[name].block,
+        "form": standing.effect.form,
+        "parameters": {
+            n.name.split(".")[1]: n.as_dict()
+            for n in diagnosis.numbers
+            if n.name.startswith(f"{name}.")
+        },
+        "rivals": [
+            {"name": r.name, "residual_over_floor": r.residual_over_floor} for r in standing.rivals
+        ],
+        "confidence": standing.confidence,
+    }

@@ -1,0 +1,45 @@
+"""`report.html`: the diagnosis for a reader who was not there, on one page without a network.
+
+The first screen has the verdict in plain words, the gap before and after as a picture, and
+what to do next; the rest is what these rest on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.report.extended_plant_file import plant_file
+from pamctl.diagnose.report.findings_part import write_findings, write_tried
+from pamctl.diagnose.report.head_part import write_head
+from pamctl.diagnose.report.page_words import title
+from pamctl.diagnose.report.regime_map import write_map
+from pamctl.diagnose.report.remains_part import (
+    write_blind,
+    write_compared,
+    write_measured,
+    write_remains,
+)
+from pamctl.diagnose.report.traces_part import write_traces
+from pamctl.report.html_page import Page
+
+
+def page_of(diagnosis: Diagnosis, records: Sequence[Record]) -> Page:
+    """Return the page of a diagnosis; `records` are all that it was given, good or bad."""
+    names = [record.name for record in records]
+    page = Page(title(diagnosis), f"Diagnosis of {', '.join(names)}")
+    write_head(page, diagnosis)
+    if diagnosis.reason:
+        write_compared(page, diagnosis, records)
+        write_measured(page, records)
+        return page
+    write_traces(page, diagnosis)
+    write_map(page, diagnosis)
+    write_findings(page, diagnosis)
+    write_tried(page, diagnosis)
+    write_remains(page, diagnosis)
+    write_blind(page, diagnosis)
+    write_compared(page, diagnosis, records)
+    page.fold("plant.yaml", plant_file(diagnosis, names))
+    return page

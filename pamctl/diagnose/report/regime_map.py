@@ -1,0 +1,175 @@
+"""Where they disagree: each block's residual over its working plane, and by regime."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
+from pamctl.diagnose.fitting.false_discovery import RATE
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.locate import Cell
+from pamctl.diagnose.measured.record import Array
+from pamctl.report.html_page import Page
+from pamctl.report.svg import Axis, Plot
+
+_FEWEST = 15
+"""Samples that make a cell of a map."""
+_BRIGHT = 5.0
+"""Times the floor: the brightest colour stands for no less, so that noise stays dark."""
+_NAMES = {PRESSURE: "Pressure block", MECHANICS: "Mechanics"}
+
+
+class Plane(NamedTuple):
+    """Where a block was, sample by sample, and the grid that it is shown on."""
+
+    x: Array
+    y: Array
+    x_axis: Axis
+    y_axis: Axis
+    x_edges: Array
+    y_edges: Array
+
+
+def write_map(page: Page, diagnosis: Diagnosis) -> None:
+    """Draw before and after, then tell the regimes in numbers."""
+    model, base = diagnosis.model, diagnosis.base
+    if model is None or base is None:
+        return
+    page.section("Where they disagree")
+    page.text(
+        "Each block is simulated alone here, driven by the other's measured signal, so that a "
+        "block without a fault stays dark whatever the other one hides. Counted is the held-out "
+        "residual over its floor, which is what the model would leave on data that it had made "
+        "itself: 1 is nothing but noise."
+    )
+    blocks = sorted(model.evidence.blocks, key=base.ratio, reverse=True)
+    for block in blocks:
+        page.grid(*_maps(block, base, model), caption=_caption(block))
+    page.table(*_regimes(diagnosis.regimes, diagnosis.cells, model, blocks))
+    page.text(
+        "Each regime is held against the same regime of records that the model made itself. Those "
+        "that stand out do so by more than is too small to matter, and at such a level that of "
+        f"all that do {100.0 * RATE:.0f} % may be noise, in the mean (Benjamini and Hochberg)."
+    )
+
+
+def _caption(block: str) -> str:
+    if block == PRESSURE:
+        return "RMS of the pressure block's residual over command and pressure."
+    return "RMS of the mechanics' residual over velocity and displacement."
+
+
+def _maps(block: str, base: Model, model: Model) -> list[Plot]:
+    """Return one map, or two on one scale of colours."""
+    plane = plane_of(model.evidence.holdout[block], model)
+    labels = [(f"{_NAMES[block]}, recalibrated", base)]
+    if model.effects:
+        labels.append((f"{_NAMES[block]}, extended", model))
+    grids = [
+        np.sqrt(_means(plane, m.residuals[block] ** 2)) / m.floors[block].mean for _, m in labels
+    ]
+    brightest = np.nanmax(grids[0], initial=_BRIGHT)
+    return [
+        Plot(label, plane.x_axis, plane.y_axis).heat(
+            plane.x_edges, plane.y_edges, grid, "x floor", low=0.0, high=float(brightest)
+        )
+        for (label, _), grid in zip(labels, grids, strict=True)
+    ]
+
+
+def write_shape(page: Page, diagnosis: Diagnosis) -> None:
+    """Draw the mean of what is left, with its sign: a description, never a cause."""
+    model = diagnosis.model
+    if model is None or model.is_complete:
+        return
+    for block in model.unexplained:
+        plane = plane_of(model.evidence.holdout[block], model)
+        factor, unit = (1e-3, "kPa") if block == PRESSURE else (1e6, "µm")
+        deviation = model.evidence.holdout[block][0].deviation
+        grid = _means(plane, model.residuals[block] * deviation * factor)
+        widest = float(np.nanmax(np.abs(grid))) if np.isfinite(grid).any() else 1.0
+        plot = Plot(f"{_NAMES[block]}: unnamed correction", plane.x_axis, plane.y_axis)
+        plot.heat(plane.x_edges, plane.y_edges, grid, unit, low=-widest, high=widest)
+        page.figure(
+            plot,
+            caption="Mean of measurement \N{MINUS SIGN} simulation where the block was: what would "
+            "have to be added to the simulated signal. An unnamed correction: it says how the "
+            "model is wrong there, not why, and it holds for these excitations only.",
+        )
+
+
+def plane_of(drives: Sequence[Drive], model: Model) -> Plane:
+    """Return the working plane of a block, over the samples that count of all of its records."""
+    p = model.evidence.nominal.parameters
+    if drives[0].block == PRESSURE:
+        x = np.concatenate([_counted(d, d.valve_v) for d in drives])
+        gauge = [_counted(d, d.measured - p.atmospheric_pressure_pa) for d in drives]
+        y = np.concatenate(gauge) * 1e-3
+        axes = Axis("valve command", "V"), Axis("pressure, gauge", "kPa")
+    else:
+        x = np.concatenate([_counted(d, _velocity(d)) for d in drives]) * 1e3
+        y = np.concatenate([_counted(d, d.measured) for d in drives]) * 1e3
+        axes = Axis("velocity", "mm/s"), Axis("displacement", "mm")
+    return Plane(x, y, *axes, _edges(x, 41), _edges(y, 15))
+
+
+def _counted(drive: Drive, values: Array) -> Array:
+    return values if drive.rows is None else values[drive.rows]
+
+
+def _velocity(drive: Drive) -> Array:
+    period_s = float(np.median(drive.step_s))
+    velocity: Array = savgol_filter(drive.measured, 31, 2, deriv=1, delta=period_s)
+    return velocity
+
+
+def _edges(values: Array, cells: int) -> Array:
+    """Cut the usual range evenly; the odd sample beyond it is not drawn."""
+    low, high = np.quantile(values, [0.002, 0.998])
+    if high <= low:
+        low, high = low - 0.5, high + 0.5
+    return np.linspace(low, high, cells + 1)
+
+
+def _means(plane: Plane, values: Array) -> Array:
+    """Return the mean in every cell, shape (rows, columns); NaN where there is too little."""
+    edges = (plane.y_edges, plane.x_edges)
+    count = np.histogram2d(plane.y, plane.x, bins=edges)[0]
+    total = np.histogram2d(plane.y, plane.x, bins=edges, weights=values)[0]
+    means: Array = np.where(count >= _FEWEST, total / np.maximum(count, 1.0), np.nan)
+    return means
+
+
+def _regimes(
+    before: Sequence[Cell], after: Sequence[Cell], model: Model, blocks: Sequence[str]
+) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows: regimes of all blocks, the worst before first."""
+    later = {(c.block, c.regime): c for c in after}
+    header = ["block", "regime", "of the time", "of the misfit", "recalibrated, x floor"]
+    if model.effects:
+        header.append("extended, x floor")
+    header.append("stands out")
+    rows = []
+    for cell in sorted(before, key=lambda c: (blocks.index(c.block), -c.residual_over_floor)):
+        row = [cell.block, cell.regime, f"{100.0 * cell.share:.0f} %"]
+        row += [f"{100.0 * cell.excess_share:.0f} %", f"{cell.residual_over_floor:.2f}"]
+        last = later.get((cell.block, cell.regime)) if model.effects else None
+        if model.effects:
+            row.append(f"{last.residual_over_floor:.2f}" if last else "-")
+        rows.append([*row, _stands_out(cell, last)])
+    return header, rows
+
+
+def _stands_out(before: Cell, after: Cell | None) -> str:
+    still = after is not None and after.stands_out
+    return {
+        (True, True): "still",
+        (True, False): "yes" if after is None else "no longer",
+        (False, True): "now",
+        (False, False): "",
+    }[before.stands_out, still]

@@ -1,1 +1,0 @@
-"""Is this PC, and is this rig, fit for a run: findings, each with its fix."""

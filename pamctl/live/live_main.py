@@ -1,0 +1,48 @@
+"""What `--live` starts: `python -m pamctl.live.live_main PORT --socket|--ring PATH ORIGIN...`.
+
+Its standard input is a pipe whose end is the end of the process that started it. Whatever goes
+wrong here is one line on standard error: the run goes on.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from pamctl.live.feed import DaemonFeed, Feed, RingFeed
+from pamctl.recording.ring import Ring
+
+_NICE = 10
+"""Whoever looks on gives way to whoever works."""
+
+
+def main() -> NoReturn:
+    """Serve until standard input ends."""
+    os.nice(_NICE)
+    port, kind, source, origins = int(sys.argv[1]), sys.argv[2], Path(sys.argv[3]), sys.argv[4:]
+    sys.stdout = sys.stderr  # standard output is the result of the run
+    try:
+        from pamctl.live.foxglove import EVERY, serve
+
+        feed: Feed = (
+            DaemonFeed(source, EVERY)
+            if kind == "--socket"
+            else RingFeed(Ring.attach(source), EVERY)
+        )
+        serve(feed, port, origins, _goes_on)
+    except Exception as error:
+        print(f"live: not served on port {port}: {error}", file=sys.stderr)
+        sys.exit(1)
+    sys.exit(0)
+
+
+def _goes_on(seconds: float) -> bool:
+    """Sleep; tell whether standard input is still open."""
+    return not select.select([sys.stdin.fileno()], [], [], seconds)[0]
+
+
+if __name__ == "__main__":
+    main()

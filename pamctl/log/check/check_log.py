@@ -1,0 +1,128 @@
+"""Check a log: the file as MCAP, every checksum, and whether what it says can be.
+
+In bounded memory, however long the log is. An imported log is checked like one of ours,
+but for the configuration and the outcome that it cannot have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.opcode import Opcode
+
+from pamctl.log.check.conformance import Conformance
+from pamctl.log.check.log_problems import Finding, Findings, Severity
+from pamctl.log.check.plausible import TickOrder, check_columns
+from pamctl.log.contents import Contents
+from pamctl.log.framing import (
+    Damage,
+    LogError,
+    Record,
+    making_sense,
+    mapped,
+    unpack,
+    verify,
+    walk,
+)
+from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
+from pamctl.log.wire import UnknownLayout
+
+ConfigCheck = Callable[[str], Sequence[str]]
+"""Returns what is wrong with a resolved configuration, a sentence each."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was found of one log."""
+
+    path: str
+    ticks: int
+    findings: tuple[Finding, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is no error."""
+        return all(finding.severity != Severity.ERROR for finding in self.findings)
+
+
+def check(path: str | Path, problems_of_config: ConfigCheck = lambda text: ()) -> Report:
+    """Check a log; raise LogError if the file is none at all."""
+    path = Path(path)
+    findings = Findings()
+    order = TickOrder(findings)
+    contents = Contents((EVENT_TOPIC, TICK_TOPIC), order.take)
+    file = mapped(path)
+    try:
+        _walk(file, contents, Conformance(findings), findings)
+    except Damage as damage:
+        if damage.offset == 0:
+            raise LogError(f"{path} is no log: {damage}") from damage
+        findings.error("damage", str(damage))
+    except UnknownLayout as error:
+        findings.error("version", f"written by a version that we cannot read: {error}")
+    if contents.ticks is None and not findings.any(Severity.ERROR):
+        raise LogError(f"{path} is no log of pamctl: it has no channel {TICK_TOPIC}")
+    order.end()
+    _check_story(contents, findings, problems_of_config)
+    return Report(str(path), order.count, tuple(findings.told()))
+
+
+def _walk(
+    file: memoryview, contents: Contents, conformance: Conformance, findings: Findings
+) -> None:
+    """Take every record that is whole; raise Damage where no next one can be found."""
+    for record in walk(file):
+        try:
+            with making_sense(record):
+                _take(file, record, contents, conformance)
+        except Damage as damage:
+            findings.error("damage", str(damage))
+            conformance.lost(record)
+    if "damage" not in findings.kinds:
+        conformance.end()
+
+
+def _take(file: memoryview, record: Record, contents: Contents, conformance: Conformance) -> None:
+    verify(file, record)
+    inside = unpack(record) if record.opcode == Opcode.CHUNK else None
+    conformance.take(file, record, inside)
+    if inside is not None:
+        contents.inside(inside)
+    else:
+        contents.take(file[: record.end], record)
+
+
+def _check_story(contents: Contents, findings: Findings, problems_of_config: ConfigCheck) -> None:
+    """Check what a log tells beside its ticks: columns, configuration, outcome, origin."""
+    recovery = contents.metadata.get("recovery")
+    check_columns(contents, findings)
+    if recovery is not None:
+        lost = recovery.get("lossless") == "false"
+        told = f"the log was recovered: {recovery.get('damage') or 'nothing was lost'}"
+        (findings.warning if lost else findings.note)("recovered", told)
+        if lost:
+            findings.soften("gap")
+        if recovery.get("unverified"):
+            told = f"no checksum vouches for the metadata {recovery['unverified']}"
+            findings.warning("unverified", told)
+    if contents.is_imported:
+        source = contents.metadata.get("import", {}).get("source", "an unknown source")
+        findings.note("imported", f"imported from {source}: it has no configuration, no outcome")
+        return
+    _check_config(contents, findings, problems_of_config, lost=recovery is not None)
+    if not any(event.get("event") == "outcome" for event in contents.values[EVENT_TOPIC]):
+        findings.warning("outcome", "no outcome: the log does not say how the run ended")
+
+
+def _check_config(
+    contents: Contents, findings: Findings, problems_of_config: ConfigCheck, *, lost: bool
+) -> None:
+    text = contents.attachments.get("config.json")
+    if text is None:
+        say = findings.warning if lost else findings.error
+        say("config", "no configuration is attached: the run cannot be replayed")
+        return
+    for problem in problems_of_config(text.decode(errors="replace")):
+        findings.error("config", problem)

@@ -1,0 +1,248 @@
+"""Whether a file is MCAP as its specification has it: order, references, indexes.
+
+Checksums are checked where records are read (`pamctl.log.framing`). Here the index
+that the file should have is made of the records that it has, and the two are compared;
+the summary in `pamctl.log.check.summary_check`. https://mcap.dev/spec
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+from numpy.typing import NDArray
+
+from pamctl.log.check.log_problems import Findings
+from pamctl.log.check.summary_check import SummaryCheck
+from pamctl.log.framing import NO_CHECKSUM, Damage, Record, record_at
+from pamctl.log.ticks import INDEX_ENTRY, run_of
+
+_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_INDEX_ENTRY = np.dtype(INDEX_ENTRY)
+
+
+class Conformance:
+    """Goes along with the records of a file, and says at its end what does not agree."""
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+        self._last = 0
+        self._in_summary = False
+        self._schemas: dict[int, bytes] = {}
+        self._channels: dict[int, bytes] = {}
+        self._counts: Counter[int] = Counter()
+        self._times: list[int] = []
+        self._chunks: list[ChunkIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._expected_index: dict[int, NDArray[Any]] = {}
+        self._summary = SummaryCheck(findings)
+
+    def take(self, file: memoryview, record: Record, chunk: memoryview | None) -> None:
+        """Take the next record of the file; `chunk` is what is in it, if it is one."""
+        if self._last == 0 and record.opcode != Opcode.HEADER:
+            self._error("order", f"the file begins with a record {record.opcode}, not its header")
+        if self._in_summary:
+            self._summary.take(record)
+        elif record.opcode == Opcode.CHUNK and chunk is not None:
+            self._chunk(record, chunk)
+        elif record.opcode == Opcode.MESSAGE_INDEX:
+            self._message_index(record)
+        elif record.opcode == Opcode.MESSAGE:
+            self._messages(file, record, record.start, record.end)
+        else:
+            self._datum(record)
+        self._last = record.opcode
+
+    def lost(self, record: Record) -> None:
+        """Take a record that is damaged: what it held is neither known nor missed."""
+        self._last = record.opcode
+        self._in_summary = self._in_summary or record.opcode == Opcode.DATA_END
+
+    def _datum(self, record: Record) -> None:
+        match record.opcode:
+            case Opcode.SCHEMA:
+                self._schema(record)
+            case Opcode.CHANNEL:
+                self._channel(record)
+            case Opcode.ATTACHMENT:
+                a = Attachment.read(record.stream())
+                if record.body[-4:] == NO_CHECKSUM:
+                    self._unchecked(f"the attachment {a.name}")
+                self._attachments.append(
+                    AttachmentIndex(
+                        offset=record.start,
+                        length=record.end - record.start,
+                        log_time=a.log_time,
+                        create_time=a.create_time,
+                        data_size=len(a.data),
+                        name=a.name,
+                        media_type=a.media_type,
+                    )
+                )
+            case Opcode.METADATA:
+                name = Metadata.read(record.stream()).name
+                length = record.end - record.start
+                self._metadata.append(MetadataIndex(record.start, length, name))
+            case Opcode.DATA_END:
+                self._in_summary = True
+                if DataEnd.read(record.stream()).data_section_crc == 0:
+                    self._unchecked("the data section")
+            case Opcode.HEADER if self._last == 0:
+                pass
+            case _:
+                self._error("order", f"at byte {record.start}, a record {record.opcode} among data")
+
+    def _schema(self, record: Record) -> None:
+        number = int.from_bytes(record.body[:2], "little")
+        if number == 0:
+            self._error("schema", f"at byte {record.start}, a schema has the number 0")
+        if self._schemas.setdefault(number, bytes(record.body)) != record.body:
+            self._error("schema", f"schema {number} is described in two ways")
+        Schema.read(record.stream())
+
+    def _channel(self, record: Record) -> None:
+        channel = Channel.read(record.stream())
+        if channel.schema_id and channel.schema_id not in self._schemas:
+            self._error("channel", f"channel {channel.topic} has schema {channel.schema_id}: none")
+        if self._channels.setdefault(channel.id, bytes(record.body)) != record.body:
+            self._error("channel", f"channel {channel.id} is described in two ways")
+
+    # --- chunks ---------------------------------------------------------------------------
+
+    def _chunk(self, record: Record, inside: memoryview) -> None:
+        chunk, found = Chunk.read(record.stream()), []
+        at = 0
+        while at < len(inside):
+            part = record_at(inside, at)
+            if part.opcode not in _IN_CHUNKS:
+                raise Damage(record.start, f"a chunk holds a record {part.opcode}")
+            if part.opcode == Opcode.MESSAGE:
+                found.append(self._messages(inside, part, part.start, len(inside)))
+                at += found[-1][1]
+            else:
+                self._datum(part)
+                at = part.end
+        self._chunk_facts(record, chunk, inside, found)
+
+    def _messages(
+        self, data: memoryview, first: Record, start: int, end: int
+    ) -> tuple[NDArray[Any], int]:
+        """Take the run of messages that begins with the first; return them, and their bytes."""
+        messages = run_of(data[:end], first)
+        channel = int(messages["channel"][0])
+        if channel not in self._channels:
+            self._error("channel", f"at byte {start}, messages of channel {channel}, unknown yet")
+        self._counts[channel] += len(messages)
+        self._times += [int(messages["log_time"].min()), int(messages["log_time"].max())]
+        self._times = [min(self._times), max(self._times)]
+        return messages, messages.nbytes
+
+    def _chunk_facts(
+        self,
+        record: Record,
+        chunk: Chunk,
+        inside: memoryview,
+        found: list[tuple[NDArray[Any], int]],
+    ) -> None:
+        where = f"the chunk at byte {record.start}"
+        times = [messages["log_time"] for messages, _ in found]
+        start, end = (min(map(np.min, times)), max(map(np.max, times))) if times else (0, 0)
+        if (chunk.message_start_time, chunk.message_end_time) != (start, end):
+            self._error("chunk", f"{where} gives other times than its messages have")
+        if chunk.uncompressed_size != len(inside):
+            self._error(
+                "chunk",
+                f"{where} says that it holds {chunk.uncompressed_size} bytes, not {len(inside)}",
+            )
+        if chunk.uncompressed_crc == 0:
+            self._unchecked(where)
+        self._expected_index = _index_of(inside, found)
+        self._chunks.append(
+            ChunkIndex(
+                chunk_length=record.end - record.start,
+                chunk_start_offset=record.start,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
+                message_index_length=0,
+                message_index_offsets={},
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+
+    def _message_index(self, record: Record) -> None:
+        channel = int.from_bytes(record.body[:2], "little")
+        if self._last not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
+            self._error("order", f"at byte {record.start}, a message index is behind no chunk")
+        stored = np.frombuffer(record.body[6:], _INDEX_ENTRY)
+        expected = self._expected_index.get(channel, stored[:0])
+        size = int.from_bytes(record.body[2:6], "little")
+        if size != stored.nbytes or not np.array_equal(np.sort(stored), np.sort(expected)):
+            what = f"the message index of channel {channel} at byte {record.start}"
+            self._error("index", f"{what} is not that of its chunk")
+        if self._chunks:
+            index = self._chunks[-1]
+            index.message_index_offsets[channel] = record.start
+            index.message_index_length += record.end - record.start
+
+    def end(self) -> None:
+        """Compare the summary with what was there; call it for a file that is not damaged."""
+        self._summary.compare(
+            {
+                Opcode.SCHEMA: sorted(self._schemas.values()),
+                Opcode.CHANNEL: sorted(self._channels.values()),
+                Opcode.CHUNK_INDEX: self._chunks,
+                Opcode.ATTACHMENT_INDEX: self._attachments,
+                Opcode.METADATA_INDEX: self._metadata,
+                Opcode.STATISTICS: [self._statistics()],
+            }
+        )
+
+    def _statistics(self) -> Statistics:
+        start, end = self._times or (0, 0)
+        return Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._chunks),
+            message_count=sum(self._counts.values()),
+            message_end_time=end,
+            message_start_time=start,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+
+    def _error(self, kind: str, message: str) -> None:
+        self._findings.error(kind, message)
+
+    def _unchecked(self, what: str) -> None:
+        self._findings.warning("checksum", f"{what} has no checksum: damage to it would not show")
+
+
+def _index_of(inside: memoryview, found: list[tuple[NDArray[Any], int]]) -> dict[int, NDArray[Any]]:
+    """Return the message index that a chunk should have, by channel."""
+    base = np.frombuffer(inside, np.uint8).ctypes.data
+    index: dict[int, list[NDArray[Any]]] = {}
+    for messages, _ in found:
+        entries = np.zeros(len(messages), _INDEX_ENTRY)
+        entries["time"] = messages["log_time"]
+        first = messages.ctypes.data - base
+        entries["offset"] = first + messages.itemsize * np.arange(len(messages))
+        index.setdefault(int(messages["channel"][0]), []).append(entries)
+    return {channel: np.concatenate(parts) for channel, parts in index.items()}

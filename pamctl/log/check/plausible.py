@@ -1,0 +1,112 @@
+"""Whether what a log says of its ticks can be: numbers in order, times that agree, units."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.json_text import from_json
+from pamctl.log.check.log_problems import Findings
+from pamctl.log.container import SEQUENCE
+from pamctl.log.contents import Contents
+from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, unit_of
+from pamctl.log.ticks import TickBatch
+from pamctl.signals import TICK_FIELDS
+
+CLOCK_TOLERANCE_S = 1e-6
+"""Two clocks of one log differ by their rounding: nanoseconds, and doubles of hours."""
+_NEEDED = ("tick", "t_s", "dt_s", "missed")
+
+
+class TickOrder:
+    """Goes along with the batches of ticks, and says where number and time do not go on."""
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+        self._before: dict[str, NDArray[Any]] = {}
+        self._period_s = float("nan")
+        self.count = self.missed = self.gaps = 0
+
+    def take(self, batch: TickBatch) -> None:
+        """Take the next ticks."""
+        if not len(batch.sequence) or not all(name in batch.columns for name in _NEEDED):
+            return
+        now = {name: batch.columns[name] for name in _NEEDED}
+        now["time_ns"] = batch.log_time_ns.astype(np.int64)
+        if not self._before:
+            self._period_s = float(now["dt_s"][0])
+        ticks = {
+            name: np.concatenate([self._before.get(name, column[:0]), column])
+            for name, column in now.items()
+        }
+        self._numbers(ticks)
+        self._times(ticks)
+        if (now["tick"] & SEQUENCE != batch.sequence).any():
+            at = int(now["tick"][(now["tick"] & SEQUENCE != batch.sequence).argmax()])
+            self._findings.error("sequence", f"tick {at} is not the sequence of its message")
+        self.count += len(batch.sequence)
+        self._before = {name: column[-1:] for name, column in now.items()}
+
+    def _numbers(self, ticks: dict[str, NDArray[Any]]) -> None:
+        tick = ticks["tick"]
+        step, missed = np.diff(tick), ticks["missed"][1:]
+        self.missed += int(missed.sum())
+        self.gaps += int(np.count_nonzero(missed))
+        for i in np.flatnonzero(step <= 0):
+            self._findings.error("tick-order", f"tick {tick[i + 1]} follows tick {tick[i]}")
+        for i in np.flatnonzero((step > 0) & (step - 1 != missed)):
+            gone = f"{step[i] - 1} ticks are not there between {tick[i]} and {tick[i + 1]}"
+            self._findings.error("gap", f"{gone}, and {missed[i]} were missed by the loop")
+
+    def _times(self, ticks: dict[str, NDArray[Any]]) -> None:
+        tick, t_s, dt_s = ticks["tick"], ticks["t_s"], ticks["dt_s"]
+        step = np.diff(t_s)
+        for i in np.flatnonzero(~(step > 0)):
+            self._clock(f"t_s goes from {t_s[i]} to {t_s[i + 1]}", tick[i + 1])
+        # Across a gap that nobody counted the time since the last tick in the file says nothing.
+        whole = (np.diff(tick) - 1 == ticks["missed"][1:]) & (step > 0)
+        for i in np.flatnonzero(whole & ~(np.abs(dt_s[1:] - step) <= CLOCK_TOLERANCE_S)):
+            self._clock(f"dt_s is {dt_s[i + 1]}, t_s went on by {step[i]}", tick[i + 1])
+        wall = np.diff(ticks["time_ns"]) * 1e-9
+        for i in np.flatnonzero(~(np.abs(wall - step) <= CLOCK_TOLERANCE_S)):
+            self._clock(f"log_time went on by {wall[i]} s, t_s by {step[i]}", tick[i + 1])
+        periods = dt_s[1:] / self._period_s - (1 + ticks["missed"][1:])
+        for i in np.flatnonzero(whole & ~(np.abs(periods) <= 1.0)):
+            told = f"dt_s is {dt_s[i + 1]}, with {ticks['missed'][i + 1]} missed"
+            self._findings.warning("period", f"at tick {tick[i + 1]}, {told}")
+
+    def _clock(self, what: str, tick: int) -> None:
+        self._findings.error("clock", f"at tick {tick}, {what}")
+
+    def end(self) -> None:
+        """Say what was missed in all."""
+        if self.missed:
+            counted = f"{self.missed} ticks in {self.gaps} gaps were missed, and are counted"
+            self._findings.note("missed", counted)
+
+
+def check_columns(contents: Contents, findings: Findings) -> None:
+    """Check that a tick has the columns it should, each with its unit."""
+    if contents.ticks is None:
+        return
+    channel = next(c for c in contents.channels.values() if c.topic == TICK_TOPIC)
+    try:
+        version = int(channel.metadata.get("schema_version", 0))
+        stated = dict(from_json(channel.metadata.get("units", "{}")))
+    except (ValueError, TypeError) as error:
+        findings.error("units", f"the metadata of {TICK_TOPIC} makes no sense: {error}")
+        return
+    for name, column in contents.ticks.none.items():
+        unit = unit_of(name)
+        if column.dtype.kind == "f" and unit == "1":
+            findings.error("units", f"the name of {name} states no unit")
+        elif stated.get(name) != unit:
+            findings.error("units", f"{name} is said to be in {stated.get(name)}, its name {unit}")
+    if version > SCHEMA_VERSION:
+        findings.warning("version", f"schema {version} is newer than this pamctl's")
+    known = [field.name for field in TICK_FIELDS] if version == SCHEMA_VERSION else _NEEDED
+    for name in _NEEDED if contents.is_imported else known:
+        if name not in contents.ticks.none:
+            findings.error("columns", f"there is no column {name}")

@@ -1,0 +1,235 @@
+"""Repair a damaged log: copy all that is whole into a new file."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+
+from pamctl.json_text import from_json
+from pamctl.log.container import Packed
+from pamctl.log.framing import (
+    NO_CHECKSUM,
+    Damage,
+    LogError,
+    Record,
+    content_of,
+    making_sense,
+    mapped,
+    record_at,
+    records_in,
+    verify,
+)
+from pamctl.log.new_file import new_file
+from pamctl.log.repair.salvage import Hole, data_vouched, salvage, summary_of
+from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
+from pamctl.log.ticks import run_of
+from pamctl.log.writer import NO_SCHEMA, LogWriter
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What was saved, and what was not."""
+
+    source: str
+    destination: str
+    messages: dict[str, int]
+    """Saved messages by topic."""
+    damage: tuple[str, ...]
+    """What was wrong with the source, one clause each."""
+    lossless: bool
+    """Whether all that was ever logged is saved."""
+    bytes_lost: int
+    """Bytes of the source that nothing could be made of."""
+    unverified: tuple[str, ...] = ()
+    """Names of saved metadata that no whole checksum vouches for: they have none of their own."""
+
+
+def recover(source: str | Path, destination: str | Path) -> Recovery:
+    """Save all that is whole of a log into a new file; raise LogError if nothing is.
+
+    Works on any MCAP file. A damaged chunk is left out and the next one saved, which is
+    found by its checksum where lengths lead nowhere. The source is not touched.
+    """
+    source, destination = Path(source), Path(destination)
+    file = mapped(source)
+    with new_file(destination) as stream:
+        writer = LogWriter(stream)
+        copy = LogCopy(writer)
+        copy.file(file)
+        if not copy.saved:
+            raise LogError(f"nothing of {source} can be saved: {'; '.join(copy.damage)}")
+        recovery = Recovery(
+            source=str(source),
+            destination=str(destination),
+            messages=dict(copy.saved),
+            damage=tuple(copy.damage),
+            lossless=copy.lossless,
+            bytes_lost=copy.bytes_lost,
+            unverified=copy.unverified,
+        )
+        sign_recovery(writer, recovery)
+    return recovery
+
+
+def sign_recovery(writer: LogWriter, recovery: Recovery) -> None:
+    """Say in the log itself that it was mended, and end it."""
+    writer.metadata(
+        "recovery",
+        {
+            "source": recovery.source,
+            "damage": "; ".join(recovery.damage),
+            "lossless": str(recovery.lossless).lower(),
+            "unverified": ", ".join(recovery.unverified),
+        },
+    )
+    writer.finish()
+
+
+def _is_description(record: Record) -> bool:
+    return record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL)
+
+
+class LogCopy:
+    """Copies what is whole of one log into another."""
+
+    def __init__(self, writer: LogWriter) -> None:
+        self._writer = writer
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, tuple[str, int]] = {}
+        self.saved: Counter[str] = Counter()
+        self.damage: list[str] = []
+        self.lost = False
+        """Something within the file was damaged."""
+        self.cut = True
+        """The file has no end."""
+        self.bytes_lost = 0
+        self._vouched = False
+        """Whether a checksum of the whole file says that there is no damage in the data."""
+        self._metadata: dict[str, None] = {}
+        self._looked_ahead = False
+        self.last_tick = -(1 << 62)
+        self.last_row = -1
+
+    def file(self, file: memoryview) -> None:
+        """Copy a file's data section as far as it is whole; the summary is made anew."""
+        self._vouched = data_vouched(file)
+        self._learn_channels(file)
+        for part in salvage(file):
+            if isinstance(part, Hole):
+                self.damage.append(str(part.damage))
+                self.bytes_lost += part.bytes_lost
+                # Where the file was cut something else may go on: the ring.
+                self.lost = self.lost or (self.cut and not part.at_end)
+            else:
+                if part.opcode == Opcode.CHUNK and not self._looked_ahead:
+                    self._looked_ahead = True
+                    self._learn_ahead(file, part)
+                self._try(file, part)
+                self.cut = self.cut and part.opcode != Opcode.DATA_END
+
+    @property
+    def lossless(self) -> bool:
+        """Whether all that was ever in the file is saved."""
+        return not (self.lost or self.cut)
+
+    @property
+    def unverified(self) -> tuple[str, ...]:
+        """Names of metadata that were copied without any checksum's word for them."""
+        return () if self._vouched else tuple(self._metadata)
+
+    def _learn_channels(self, file: memoryview) -> None:
+        """Learn from a whole summary what a damaged first chunk would not tell."""
+        for record in summary_of(file):
+            if _is_description(record):
+                self._copy(file, record)
+
+    def _learn_ahead(self, file: memoryview, first: Record) -> None:
+        """Learn from the first chunk, or from the next one that tells it, which channels are."""
+        for part in salvage(file):
+            if isinstance(part, Hole) or part.opcode != Opcode.CHUNK or part.start < first.start:
+                continue
+            with suppress(Damage), making_sense(part):
+                for record in takewhile(
+                    _is_description, records_in(memoryview(self._unpacked(part).content))
+                ):
+                    self._copy(file, record)
+            if self._channels:
+                return
+
+    def _unpacked(self, record: Record) -> Packed:
+        chunk = Chunk.read(record.stream())
+        self._refuse_unchecked(record, chunk.uncompressed_crc != 0)
+        return Packed(content_of(chunk), chunk.compression, chunk.data, chunk.uncompressed_crc)
+
+    def _try(self, file: memoryview, record: Record) -> None:
+        try:
+            with making_sense(record):
+                if not (self._vouched and record.opcode == Opcode.DATA_END):  # done once
+                    verify(file, record)
+                if self.cut:  # what stands behind the data is made anew
+                    self._copy(file[: record.end], record)
+        except Damage as damage:
+            self.damage.append(str(damage))
+            self.lost = self.lost or self.cut
+            if record.opcode != Opcode.DATA_END:
+                self.bytes_lost += record.end - record.start
+
+    def _copy(self, data: memoryview, record: Record) -> int:
+        """Copy a record within `data`, a message with those alike behind it; return their end."""
+        match record.opcode:
+            case Opcode.CHUNK:
+                packed, at = self._unpacked(record), 0
+                inside = memoryview(packed.content)
+                while at < len(inside):
+                    at = self._copy(inside, record_at(inside, at))
+                self._writer.end_chunk(packed)
+            case Opcode.MESSAGE:
+                return self._copy_messages(data, record)
+            case Opcode.SCHEMA:
+                schema = Schema.read(record.stream())
+                self._schemas[schema.id] = schema
+            case Opcode.CHANNEL:
+                self._copy_channel(Channel.read(record.stream()))
+            case Opcode.ATTACHMENT:
+                a = Attachment.read(record.stream())
+                self._refuse_unchecked(record, record.body[-4:] != NO_CHECKSUM)
+                self._writer.attachment(a.name, a.data, a.log_time, a.media_type)
+            case Opcode.METADATA:
+                metadata = Metadata.read(record.stream())
+                self._writer.metadata(metadata.name, metadata.metadata)
+                self._metadata[metadata.name] = None
+        return record.end
+
+    def _refuse_unchecked(self, record: Record, checked: bool) -> None:
+        """Raise Damage for what has no checksum: where a block was zeroed, it looks like that."""
+        if not (checked or self._vouched):
+            raise Damage(record.start, "nothing says whether it is whole: it has no checksum")
+
+    def _copy_channel(self, channel: Channel) -> None:
+        schema = self._schemas.get(channel.schema_id)
+        known = (schema.name, schema.encoding, schema.data) if schema else NO_SCHEMA
+        copied = self._writer.channel(
+            channel.topic, channel.message_encoding, known, channel.metadata
+        )
+        self._channels[channel.id] = (channel.topic, copied)
+
+    def _copy_messages(self, data: memoryview, first: Record) -> int:
+        run = run_of(data, first)
+        channel = int(run["channel"][0])
+        if channel not in self._channels:
+            raise Damage(first.start, f"channel {channel} was described in a part that is lost")
+        topic, copied = self._channels[channel]
+        if topic in JSON_SCHEMAS:
+            rows = (from_json(bytes(body)).get("row", -1) for body in run["body"])
+            self.last_row = max(self.last_row, *rows)
+        elif topic == TICK_TOPIC:
+            self.last_tick = max(self.last_tick, int(run["sequence"].max()))
+        self._writer.add(copied, run.copy())
+        self.saved[topic] += len(run)
+        return first.start + run.nbytes

@@ -1,0 +1,118 @@
+"""Go through a damaged file: its records, and behind a hole the next chunk that is whole.
+
+A chunk is found again by its own checksum, so that nothing is taken for one by chance.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import NamedTuple
+
+from mcap.opcode import Opcode
+from mcap.records import Chunk, DataEnd, Footer
+from mcap.writer import MCAP0_MAGIC as MAGIC
+
+from pamctl.log.framing import (
+    FRAME,
+    Damage,
+    Record,
+    making_sense,
+    record_at,
+    records_in,
+    unpack,
+    verify,
+)
+
+_CHUNK_FRAME = re.compile(rb"(?=\x06.{4}\x00{4})", re.DOTALL)
+"""A chunk's opcode, and a length below 4 GiB."""
+_FOOTER_BYTES = FRAME.size + 20
+_DATA_END_BYTES = FRAME.size + 4
+
+
+class Hole(NamedTuple):
+    """Where no record is to be found."""
+
+    damage: Damage
+    bytes_lost: int
+    at_end: bool
+    """Whether nothing is found behind it."""
+
+
+def salvage(file: memoryview) -> Iterator[Record | Hole]:
+    """Yield what is there, in order, to the footer or the end of the file."""
+    if file[: len(MAGIC)] != MAGIC:
+        yield Hole(Damage(0, "it does not begin as an MCAP file does"), 0, at_end=False)
+    at = last = len(MAGIC)
+    in_data = True
+    while True:
+        try:
+            record = _known_record_at(file, at)
+        except Damage as damage:
+            # What came last may have had a wrong length, and have hidden a chunk in itself.
+            found = _next_chunk(file, last + 1) if in_data else None
+            if found is None:
+                yield Hole(damage, len(file) - at if in_data else 0, at_end=True)
+                return
+            yield Hole(damage, max(0, found.start - at), at_end=False)
+            record = found
+        yield record
+        at, last = record.end, record.start
+        in_data = in_data and record.opcode != Opcode.DATA_END
+        if record.opcode == Opcode.FOOTER:
+            if file[at:] != MAGIC:
+                yield Hole(Damage(at, "it does not end as an MCAP file does"), 0, at_end=True)
+            return
+
+
+def summary_of(file: memoryview) -> list[Record]:
+    """Return the records of the summary, none if it has no checksum that is right."""
+    footer = _vouched_footer(file)
+    if footer is None:
+        return []
+    start = Footer.read(footer.stream()).summary_start
+    return list(records_in(file[: footer.start], start))
+
+
+def data_vouched(file: memoryview) -> bool:
+    """Tell whether the file's end holds a checksum of all its data, and it is right."""
+    footer = _vouched_footer(file)
+    if footer is None:
+        return False
+    with suppress(Damage):
+        end = record_at(file, Footer.read(footer.stream()).summary_start - _DATA_END_BYTES)
+        with making_sense(end):
+            verify(file, end)
+            stored = DataEnd.read(end.stream()).data_section_crc
+            return end.opcode == Opcode.DATA_END and stored != 0
+    return False
+
+
+def _vouched_footer(file: memoryview) -> Record | None:
+    """Return the footer if it is there, and with it a summary that is whole."""
+    with suppress(Damage):
+        footer = record_at(file, max(0, len(file) - len(MAGIC) - _FOOTER_BYTES))
+        with making_sense(footer):
+            told = Footer.read(footer.stream())
+            if footer.opcode == Opcode.FOOTER and told.summary_start and told.summary_crc:
+                verify(file, footer)
+                return footer
+    return None
+
+
+def _known_record_at(file: memoryview, at: int) -> Record:
+    record = record_at(file, at)
+    # From 128 on opcodes are free for everyone's own use.
+    if Opcode.DATA_END < record.opcode < 128:
+        raise Damage(at, f"there is no record of kind {record.opcode}")
+    return record
+
+
+def _next_chunk(file: memoryview, at: int) -> Record | None:
+    for match in _CHUNK_FRAME.finditer(file, at):
+        with suppress(Exception):  # whatever a parser says of bytes that are no chunk
+            record = record_at(file, match.start())
+            if Chunk.read(record.stream()).uncompressed_crc and len(unpack(record)):
+                return record
+    return None

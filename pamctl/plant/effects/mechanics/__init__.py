@@ -1,0 +1,5 @@
+"""Effects on forces, friction and motion.
+
+One file an effect: parameters, kernel and description.
+Read `cubic_stiffness.py` first.
+"""

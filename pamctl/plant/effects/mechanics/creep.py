@@ -1,0 +1,92 @@
+"""The bladder creeps: after a step the muscle goes on for seconds."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pamctl.plant.effects.air.line_restriction import led
+from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
+
+FAST = 0.1
+"""Time constant of the fast branch over that of the slow one: the two look like a logarithm."""
+
+
+class Creep(NamedTuple):
+    """A spring and a dashpot beside the muscle, or two such branches."""
+
+    stiffness_n_per_m: float = 0.0
+    time_constant_s: float = 1.0
+    fast_share: float = 0.0
+    """Of the stiffness, in a second branch that is ten times as fast."""
+
+
+class Crept(NamedTuple):
+    """Positions at which the dashpots are."""
+
+    slow_m: float
+    fast_m: float
+
+
+def crept(creep: Creep, before: Crept, begin_m: float, end_m: float, step_s: float) -> Crept:
+    """Let the dashpots follow a straight motion: exact."""
+    kept, weight = led(creep.time_constant_s, step_s)
+    slow_m = kept * before.slow_m + (1.0 - kept) * begin_m + weight * (end_m - begin_m)
+    if creep.fast_share == 0.0:
+        return Crept(slow_m, slow_m)
+    kept, weight = led(FAST * creep.time_constant_s, step_s)
+    fast_m = kept * before.fast_m + (1.0 - kept) * begin_m + weight * (end_m - begin_m)
+    return Crept(slow_m, fast_m)
+
+
+def creep_force_n(creep: Creep, dashpots: Crept, position_m: float) -> float:
+    """Return the force of the branches, against displacement."""
+    slow_n = creep.stiffness_n_per_m * (1.0 - creep.fast_share) * (position_m - dashpots.slow_m)
+    fast_n = creep.stiffness_n_per_m * creep.fast_share * (position_m - dashpots.fast_m)
+    return slow_n + fast_n
+
+
+DESCRIPTION = EffectDescription(
+    name="creep",
+    block="mechanics",
+    equation="-k x - k_c (x - z),  tau z' = x - z; two branches: a share of k_c with tau / 10",
+    parameters=(
+        size(
+            "stiffness_n_per_m",
+            "N/m",
+            6000.0,
+            smallest=50.0,
+            start=300.0,
+            meaning="k_c, stiffness that relaxes",
+        ),
+        shape(
+            "time_constant_s",
+            "s",
+            0.05,
+            30.0,
+            usual=1.0,
+            smallest=0.1,
+            meaning="tau of the dashpot",
+        ),
+        shape(
+            "fast_share",
+            "1",
+            0.0,
+            1.0,
+            usual=0.0,
+            smallest=0.1,
+            meaning="share of k_c with a tenth of tau",
+        ),
+    ),
+    signature="slow drift at rest after every step, in the direction of the step",
+    best_experiment="long-holds",
+    parts=("mechanics",),
+    seen_by=("mechanics",),
+    forms=(
+        EffectForm("one branch", ("stiffness_n_per_m", "time_constant_s")),
+        EffectForm(
+            "two branches",
+            ("stiffness_n_per_m", "time_constant_s", "fast_share"),
+            {"fast_share": 0.4},
+        ),
+    ),
+)

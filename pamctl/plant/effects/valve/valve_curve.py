@@ -1,0 +1,61 @@
+"""The port's area is not proportional to the spool's travel."""
+
+from __future__ import annotations
+
+from math import pow
+from typing import NamedTuple
+
+from pamctl.plant.effects.description import EffectDescription, EffectForm, size
+from pamctl.plant.effects.valve.valve_saturation import FULL_COMMAND_V
+
+
+class ValveCurve(NamedTuple):
+    """A quadratic part of the area, or a power; the power's line meets the straight one at 5 V."""
+
+    curvature_per_v: float = 0.0
+    exponent: float = 1.0
+
+
+def curved_v(curve: ValveCurve, opening_v: float) -> float:
+    """Return the opening that a linear valve would need for the same area."""
+    travel = abs(opening_v)
+    bent_v = opening_v * (1.0 + curve.curvature_per_v * travel)
+    if curve.exponent != 1.0 and travel > 0.0:
+        bent_v *= pow(travel / FULL_COMMAND_V, curve.exponent - 1.0)
+    return bent_v
+
+
+DESCRIPTION = EffectDescription(
+    name="valve_curve",
+    block="pressure",
+    equation="A_v = K_Av u (1 + k_2 |u|) (|u| / 5 V)^(n - 1)",
+    parameters=(
+        size(
+            "curvature_per_v",
+            "1/V",
+            0.2,
+            smallest=0.006,
+            start=0.02,
+            meaning="k_2",
+            low=-0.15,
+        ),
+        size(
+            "exponent",
+            "1",
+            2.0,
+            smallest=0.03,
+            start=1.1,
+            meaning="n",
+            neutral=1.0,
+            low=0.5,
+        ),
+    ),
+    signature="the flow's error depends on the size of the command and not on its side",
+    best_experiment="null-staircase",
+    parts=("valve",),
+    seen_by=("pressure",),
+    forms=(
+        EffectForm("quadratic", free=("curvature_per_v",)),
+        EffectForm("power", free=("exponent",)),
+    ),
+)

@@ -1,0 +1,219 @@
+"""The front: starts the processes of a run, watches over them, and picks up the pieces.
+
+    front - recorder
+          - guardian    (not without a clock)
+          - loop
+
+Each child sees the front's death as the end of a pipe. None of them hears Ctrl-C: the
+front does, and passes it on to the loop alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from types import FrameType
+from typing import Any, NamedTuple
+
+from hal.rig import Rig
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.processes.guardian_handle import Guardianship
+from pamctl.processes.loop_supervisor import STOP_SIGNALS
+from pamctl.realtime.scheduling import Mode, on_watch
+from pamctl.recording.finish_apart import finish_apart
+from pamctl.recording.last_words import outcome, speak_for_the_dead
+from pamctl.recording.recorder import spawn
+from pamctl.recording.ring import RecorderFlag, Ring
+
+_POLL_S = 0.05
+_RECORDER_PATIENCE_S = 5.0
+
+Progress = Callable[[Mapping[str, float], float], None]
+"""Called with the newest tick's columns and the worst lateness (s) so far."""
+
+
+class FrontReport(NamedTuple):
+    """How a run ended, and what became of its log."""
+
+    ending: Ending
+    log_is_whole: bool
+    note: str
+    """What the user must know of the log; empty where all is well."""
+
+
+class Commands(NamedTuple):
+    """How to start the processes that belong to a rig; the ring's path is appended."""
+
+    loop: Sequence[str]
+    guardian: Sequence[str] | None
+
+
+def conduct(
+    ring: Ring, commands: Commands, rig: Rig, progress: Progress, mode: Mode
+) -> FrontReport:
+    """Run the loop on a fresh ring to its end; return when the log is on disk.
+
+    Takes over SIGINT and SIGTERM while it runs. `rig` is not opened here: it is made safe
+    where neither loop nor guardian is left to do it. `mode` is for this process alone: it
+    says whether the front may be scheduled in real time while it watches.
+    """
+    with _Forwarding() as signals:
+        # The loop inherits the block and lifts it when it can listen: a signal that comes
+        # while it starts waits for it, instead of killing it.
+        with blocked_signals():
+            recorder = spawn(ring.path)
+            guardian = Guardianship(ring, commands.guardian, rig)
+            loop = subprocess.Popen(
+                [*commands.loop, str(ring.path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                process_group=0,
+            )
+            ring.loop_pid = loop.pid
+        signals.to(loop)
+        with on_watch(mode):
+            _watch(ring, loop, recorder, guardian, progress)
+        ending = guardian.verdict_on(ending_of(loop))
+        if not ring.loop_done:
+            speak_for_the_dead(ring, outcome(ending))
+            ring.loop_done = 1
+        guardian.dismiss()
+        return close_log(ring, recorder, ending)
+
+
+@contextmanager
+def blocked_signals() -> Iterator[None]:
+    """Let a process that is started here inherit SIGINT and SIGTERM blocked."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Forwarding:
+    """Passes this process's signals on to the loop, those that came before it too."""
+
+    def __init__(self) -> None:
+        self._loop: subprocess.Popen[bytes] | None = None
+        self._early: list[int] = []
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> _Forwarding:
+        for number in STOP_SIGNALS:
+            self._before[number] = signal.signal(number, self._forward)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def to(self, loop: subprocess.Popen[bytes]) -> None:
+        self._loop = loop
+        for number in self._early:
+            self._forward(number, None)
+
+    def _forward(self, number: int, frame: FrameType | None) -> None:
+        if self._loop is None:
+            self._early.append(number)
+        elif self._loop.poll() is None:
+            self._loop.send_signal(number)
+
+
+def _watch(
+    ring: Ring,
+    loop: subprocess.Popen[bytes],
+    recorder: subprocess.Popen[bytes],
+    guardian: Guardianship,
+    progress: Progress,
+) -> None:
+    """Return when the loop has ended; end it when the recorder has."""
+    with closing(_Deaths([loop.pid, recorder.pid, guardian.pid])) as deaths:
+        while loop.poll() is None:
+            if recorder.poll() is not None:
+                ring.raise_flag(RecorderFlag.FAILED)
+            guardian.look()
+            tick = ring.latest_tick()
+            if tick is not None:
+                progress(tick, ring.worst_late_ns * 1e-9)
+            deaths.wait(_POLL_S)
+
+
+class _Deaths:
+    """Sleeps until one of the processes dies: each death wakes it once."""
+
+    def __init__(self, pids: Sequence[int | None]) -> None:
+        self._poll = select.poll()
+        # They are children not yet waited for: their ids cannot have gone to others.
+        self._fds = [os.pidfd_open(pid) for pid in pids if pid is not None]
+        for fd in self._fds:
+            self._poll.register(fd, select.POLLIN)
+
+    def wait(self, seconds: float) -> None:
+        for fd, _ in self._poll.poll(seconds * 1e3):
+            self._poll.unregister(fd)
+
+    def close(self) -> None:
+        for fd in self._fds:
+            os.close(fd)
+
+
+def ending_of(loop: subprocess.Popen[bytes]) -> Ending:
+    """Return how a loop process that has ended says it ended, or how it died."""
+    said, _ = loop.communicate()
+    try:
+        report = json.loads(said)
+        return Ending(ExitCode(report["code"]), report["reason"])
+    except (ValueError, KeyError, TypeError):
+        code = loop.returncode
+        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"left with {code}"
+        return Ending(ExitCode.UNEXPECTED, f"the loop process {how}")
+
+
+def close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:
+    """Wait for the recorder; where it is dead, finish its work from the ring."""
+    _await(recorder, ring)
+    _, said = recorder.communicate()
+    if recorder.returncode == 0:
+        ring.unlink()
+        return FrontReport(ending, True, "")
+    complaint = said.decode(errors="replace").strip().removeprefix("recorder: ")
+    complaint = complaint or f"the recorder died with {recorder.returncode}"
+    if not ring.recorder_flags & RecorderFlag.READY:
+        # Nothing was begun: there is no log to finish, and no tick to save.
+        ring.unlink()
+        return FrontReport(Ending(ExitCode.UNEXPECTED, complaint), False, "")
+    return _rescue(ring, ending, complaint)
+
+
+def _await(recorder: subprocess.Popen[bytes], ring: Ring) -> None:
+    """Let the recorder finish; kill one that has no pulse for long, its work can be done here."""
+    beats, since_s = ring.recorder_beats, time.monotonic()
+    while recorder.poll() is None:
+        if ring.recorder_beats != beats:
+            beats, since_s = ring.recorder_beats, time.monotonic()
+        elif time.monotonic() - since_s > _RECORDER_PATIENCE_S:
+            recorder.kill()
+            recorder.wait()
+        time.sleep(_POLL_S)
+
+
+def _rescue(ring: Ring, ending: Ending, complaint: str) -> FrontReport:
+    worst = ending if ending.code else Ending(ExitCode.UNEXPECTED, complaint)
+    if ring.recorder_flags & RecorderFlag.FINISHED:
+        ring.unlink()
+        return FrontReport(worst, True, complaint)
+    try:
+        finished = finish_apart(ring.path)
+    except Exception as error:
+        kept = f"{complaint}; the log could not be finished ({error}). Its last ticks are kept in "
+        kept += f"{ring.path}: make room, and the next `pamctl run` finishes it"
+        return FrontReport(worst, False, kept)
+    note = f"{complaint}; the log was finished from the ring: {finished.destination}"
+    return FrontReport(worst, finished.lossless, note)

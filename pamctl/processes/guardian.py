@@ -1,0 +1,151 @@
+"""The guardian: drives the safe voltage when the loop cannot.
+
+A card holds its last voltage when the process that wrote it dies, and a PCI-6221 has no
+watchdog. So a second process waits for the loop's death, of which the kernel tells it at
+once, and listens to its heartbeat in the ring's header. A loop that is silent for too long
+is killed, whatever the cause: only its death makes it let go of the output. A loop stopped
+by a debugger or by SIGSTOP is such a loop, too.
+
+The guardian and its decisions know no backend: all they ask of a rig is `make_safe`.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import time
+from typing import NamedTuple
+
+from hal.rig import Rig, RigError
+from pamctl.recording.ring import LoopStage, Ring
+
+POLL_MS = 5
+"""How often the guardian listens. A death wakes it in between."""
+_POLL_NS = POLL_MS * 1_000_000
+
+SETTING_UP_NS = 60_000_000_000
+LEAVING_NS = 5_000_000_000
+"""Patience before the first tick and after the last, when the valve stands safe: a driver may
+take seconds, but not for ever."""
+
+_DEATH_MS = 2_000
+"""How long to wait for the end of a killed loop before trying the output anyway."""
+_SAFE_PATIENCE_S = 10.0
+_RETRY_S = 1e-3
+
+
+class Takeover(NamedTuple):
+    """Why the guardian took the output over, and how it went."""
+
+    reason: str
+    """Empty where the loop just died: how, only its parent knows."""
+    silent_ms: float
+    """From the loop's last sign of life to the guardian noticing."""
+    latency_ms: float
+    """From noticing to the safe voltage, the killing of a frozen loop included."""
+    failure: str
+    """Why the safe voltage could not be driven; empty where it was."""
+
+    def event(self) -> dict[str, object]:
+        """What the log says of it."""
+        return {"event": "guardian_takeover", **self._asdict(), "reason": self.reason or "died"}
+
+
+class Listener:
+    """Measures how long the loop has been silent while the guardian was awake to hear it.
+
+    A shared virtual machine stands still for tens of milliseconds now and then, loop and
+    guardian alike; 60 ms have been seen. The one that wakes first must not take the other
+    for dead. So what counts between two looks is two periods at most: a guardian that comes
+    late knows by its own lateness that the loop may have had no time either. It is not
+    counted as nothing, lest a guardian that is always late never hears the silence.
+    """
+
+    def __init__(self, now_ns: int, beat_ns: int) -> None:
+        """Begin to listen: the loop counts as alive now."""
+        self._now_ns = now_ns
+        self._beat_ns = beat_ns
+        self._silent_ns = 0
+
+    def silent_ns(self, now_ns: int, beat_ns: int) -> int:
+        """Look at the heartbeat; return how long it has stood still."""
+        heard_ns = min(now_ns - self._now_ns, 2 * _POLL_NS)
+        if beat_ns == self._beat_ns:
+            self._silent_ns += heard_ns
+        else:
+            self._silent_ns = min(max(0, now_ns - beat_ns), heard_ns)
+        self._now_ns, self._beat_ns = now_ns, beat_ns
+        return self._silent_ns
+
+
+def patience_ns(stage: int, done: bool, heartbeat_ns: int) -> int:
+    """Return how long a loop may be silent: a tick's worth only while it drives the valve."""
+    if done or stage == LoopStage.LEAVING:
+        return LEAVING_NS
+    return heartbeat_ns if stage == LoopStage.TICKING else SETTING_UP_NS
+
+
+class LoopProcess:
+    """The loop as the guardian sees it: a handle that cannot be mistaken for a later process."""
+
+    def __init__(self, pid: int) -> None:
+        """A `pid` that is gone is a loop that is dead."""
+        self._poll = select.poll()
+        self._fd: int | None = None
+        try:
+            self._fd = os.pidfd_open(pid)
+            self._poll.register(self._fd, select.POLLIN)
+        except ProcessLookupError:
+            pass
+
+    def dies_within(self, timeout_ms: int) -> bool:
+        """Wait for its death; return whether it is dead."""
+        return self._fd is None or bool(self._poll.poll(timeout_ms))
+
+    def kill(self) -> None:
+        """End it, frozen or not."""
+        if self._fd is not None:
+            signal.pidfd_send_signal(self._fd, signal.SIGKILL)
+
+
+def guard(ring: Ring, loop: LoopProcess, rig: Rig, heartbeat_ns: int) -> Takeover | None:
+    """Watch the loop to its end, and leave the rig at its safe voltage.
+
+    Returns None after an orderly end.
+    """
+    listener = Listener(time.monotonic_ns(), ring.loop_beat_ns)
+    reason = ""
+    while not loop.dies_within(POLL_MS):
+        ring.guardian_beats += 1
+        silent_ns = listener.silent_ns(time.monotonic_ns(), ring.loop_beat_ns)
+        if silent_ns > patience_ns(ring.loop_stage, bool(ring.loop_done), heartbeat_ns):
+            reason = f"the loop was silent for {silent_ns * 1e-6:.0f} ms and was killed"
+            break
+    noticed_ns = time.monotonic_ns()
+    if reason:
+        loop.kill()
+        loop.dies_within(_DEATH_MS)
+    failure = drive_safe(rig)
+    if ring.loop_done and not failure:
+        return None
+    return Takeover(
+        reason=reason,
+        silent_ms=(noticed_ns - ring.loop_beat_ns) * 1e-6,
+        latency_ms=(time.monotonic_ns() - noticed_ns) * 1e-6,
+        failure=str(failure or ""),
+    )
+
+
+def drive_safe(rig: Rig, patience_s: float = _SAFE_PATIENCE_S) -> RigError | None:
+    """Drive the safe voltage; return why it was not possible within the time.
+
+    A driver may need a moment to notice that the owner of the output is dead.
+    """
+    deadline_s = time.monotonic() + patience_s
+    while True:
+        rig.make_safe()
+        failure = rig.safe_failure
+        if failure is None or time.monotonic() >= deadline_s:
+            return failure
+        time.sleep(_RETRY_S)

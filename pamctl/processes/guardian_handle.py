@@ -1,0 +1,98 @@
+"""The front's side of the guardian: start it, notice when it is gone, ask what it did."""
+
+from __future__ import annotations
+
+import json
+import select
+import subprocess
+from collections.abc import Sequence
+
+from hal.rig import Rig
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.processes.guardian import Takeover, drive_safe
+from pamctl.recording.ring import Ring
+
+_REPORT_PATIENCE_S = 1.0
+"""From a guardian that takes longer the front takes the work over."""
+_LEAVE_PATIENCE_S = 2.0
+
+
+class Guardianship:
+    """A guardian and its front. Without a `command` there is none, and nothing to guard."""
+
+    def __init__(self, ring: Ring, command: Sequence[str] | None, rig: Rig) -> None:
+        """Start the guardian of a run; `rig` is what the front can make safe itself."""
+        self._ring = ring
+        self._rig = rig
+        self._process = None if command is None else _spawn([*command, str(ring.path)])
+
+    def look(self) -> None:
+        """See whether the guardian lives; if not, the loop is safe within a few ticks.
+
+        Whether one that lives is frozen is for the loop to hear, from its heartbeat.
+        """
+        if self._process and self._process.poll() is not None:
+            self._ring.guardian_lost = 1
+
+    @property
+    def pid(self) -> int | None:
+        """The guardian's process, where there is one."""
+        return None if self._process is None else self._process.pid
+
+    def verdict_on(self, ending: Ending) -> Ending:
+        """Return how the run of a loop that is no more ended, the valve included."""
+        if not self._process:
+            return ending
+        report = _report_of(self._process)
+        if not report:
+            self._process.kill()
+            return self._stand_in(ending)
+        words = json.loads(report)
+        return _as_taken_over(Takeover(**words), ending) if words else ending
+
+    def dismiss(self) -> None:
+        """See the guardian off, once the loop's last words are in the ring."""
+        if self._process:
+            try:
+                self._process.wait(_LEAVE_PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+            self._process.communicate()
+
+    def _stand_in(self, ending: Ending) -> Ending:
+        """Do what the guardian cannot do any more."""
+        failure = drive_safe(self._rig)
+        if failure is not None:
+            return Ending(_worse(ending), _alarm(ending.reason, str(failure)))
+        return ending
+
+
+def _spawn(command: Sequence[str]) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0)
+
+
+def _report_of(guardian: subprocess.Popen[bytes]) -> bytes:
+    """Return the line that a guardian says in the end; nothing where it could not."""
+    assert guardian.stdout
+    heard, _, _ = select.select([guardian.stdout], [], [], _REPORT_PATIENCE_S)
+    return guardian.stdout.readline() if heard else b""
+
+
+def _as_taken_over(takeover: Takeover, ending: Ending) -> Ending:
+    reason = takeover.reason or ending.reason
+    if takeover.failure:
+        return Ending(_worse(ending), _alarm(reason, takeover.failure))
+    done = f"the guardian drove the safe voltage {takeover.latency_ms:.1f} ms later"
+    return Ending(ExitCode.UNEXPECTED, f"{reason}; {done}")
+
+
+def _worse(ending: Ending) -> ExitCode:
+    """An output that is not safe is no success, whatever else was."""
+    return ending.code or ExitCode.UNEXPECTED
+
+
+def _alarm(reason: str, failure: str) -> str:
+    return (
+        f"{reason}; THE SAFE VOLTAGE COULD NOT BE DRIVEN ({failure}): "
+        "cut the air supply, then try `pamctl safe`"
+    )

@@ -1,0 +1,91 @@
+"""The guardian process: `python -m pamctl.processes.guardian_main RING`, started by the front.
+
+All it needs is in the ring's meta. Its standard input is a pipe whose end is the front's
+death. Its standard output is one JSON line: what it had to do. Signals do not end it: it
+stays as long as the loop does.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import signal
+import sys
+import time
+from contextlib import suppress
+
+from hal.rig import RigError
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.processes.backends import clock_of, rig_of
+from pamctl.processes.guardian import POLL_MS, LoopProcess, Takeover, drive_safe, guard
+from pamctl.realtime.scheduling import keep_single_threaded, stand_guard
+from pamctl.recording.last_words import outcome, speak_for_the_dead
+from pamctl.recording.ring import Ring
+from pamctl.settings.resolve import from_resolved
+
+_IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_LOOP_STARTS_WITHIN_S = 10.0
+
+
+def main() -> int:
+    """Guard the loop of the ring that the first argument names; return the exit code."""
+    for number in _IGNORED:
+        signal.signal(number, signal.SIG_IGN)
+    keep_single_threaded()
+    with Ring.attach(sys.argv[1]) as ring:
+        try:
+            takeover = _guard(ring)
+        except RigError as error:
+            print(f"guardian: {error}", file=sys.stderr)
+            return int(ExitCode.UNAVAILABLE)
+        if takeover is not None:
+            speak_for_the_dead(ring, takeover.event())
+        with suppress(BrokenPipeError):  # nobody may be left to read it
+            print(json.dumps(takeover and takeover._asdict()), flush=True)
+        if takeover is not None:
+            _see_it_through(ring, takeover)
+    return int(ExitCode.OK)
+
+
+def _guard(ring: Ring) -> Takeover | None:
+    settings = from_resolved(json.dumps(ring.meta.config))
+    rig = rig_of(settings, clock_of(settings, may_spin=False)).rig
+    # Rehearsed before the loop opens the rig: who cannot make it safe now, could not then. It
+    # loads the driver as well, which would cost a fraction of a second when it counts.
+    failure = drive_safe(rig, patience_s=1.0)
+    if failure is not None:
+        raise failure
+    loop = LoopProcess(_loop_pid(ring))
+    stand_guard(settings.rt, settings.rig.loop.cpu)
+    ring.guardian_ready = 1
+    return guard(ring, loop, rig, round(settings.rig.loop.heartbeat_ms * 1e6))
+
+
+def _loop_pid(ring: Ring) -> int:
+    """Wait for the front to start the loop."""
+    deadline_s = time.monotonic() + _LOOP_STARTS_WITHIN_S
+    while not ring.loop_pid:
+        # A loop without a guardian that is ready never opens the rig: leaving is safe.
+        if _front_is_gone() or time.monotonic() > deadline_s:
+            raise RigError("there is no loop to guard")
+        time.sleep(1e-3)
+    return ring.loop_pid
+
+
+def _front_is_gone(within_ms: int = 0) -> bool:
+    front = select.poll()
+    front.register(sys.stdin.fileno(), select.POLLHUP | select.POLLERR)
+    return bool(front.poll(within_ms))
+
+
+def _see_it_through(ring: Ring, takeover: Takeover) -> None:
+    """Wait for the front to end the log, and do it where the front has died, too."""
+    while not ring.loop_done:
+        if _front_is_gone(within_ms=POLL_MS):
+            ending = Ending(ExitCode.UNEXPECTED, takeover.reason or "the loop process died")
+            speak_for_the_dead(ring, outcome(ending))
+            ring.loop_done = 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

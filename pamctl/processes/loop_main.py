@@ -1,0 +1,132 @@
+"""The loop process: `python -m pamctl.processes.loop_main RING`, started by the front.
+
+All it needs is in the ring's meta. Its standard input is a pipe whose end is the
+front's death. Its standard output is one JSON line: how the run ended.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import NoReturn
+
+from hal.rig import RigError
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.processes.backends import clock_of, require_backend, rig_of
+from pamctl.processes.loop_supervisor import LoopSupervisor
+from pamctl.realtime.loop import control
+from pamctl.realtime.scheduling import Preparation, SchedulingRefused, keep_single_threaded, prepare
+from pamctl.recording.last_words import outcome, put_last
+from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
+from pamctl.recording.run_journal import PatientJournal, RingJournal
+from pamctl.settings.build import nominal_zero_of, program_of, setup_of
+from pamctl.settings.resolve import RunSettings, from_resolved
+
+
+def main() -> NoReturn:
+    """Run the loop on the ring that the first argument names."""
+    keep_single_threaded()
+    with Ring.attach(sys.argv[1]) as ring:
+        ending = ending_of(partial(_run, ring))
+        # Where there is no room for it the front says it, when the recorder has made some.
+        ring.loop_done = _has_put_outcome(ring, ending)
+    leave(ending)
+
+
+def leave(ending: Ending) -> NoReturn:
+    """Tell the parent in one JSON line how it ended, and go."""
+    # Nobody may be left to read it.
+    with suppress(BrokenPipeError):
+        print(json.dumps({"code": int(ending.code), "reason": ending.reason}), flush=True)
+    sys.exit(int(ending.code))
+
+
+def ending_of(work: Callable[[], Ending]) -> Ending:
+    """Work; whatever happens becomes an ending."""
+    try:
+        return work()
+    except (RigError, SchedulingRefused) as error:
+        return Ending(ExitCode.UNAVAILABLE, str(error))
+    except RingError as error:
+        return Ending(ExitCode.UNEXPECTED, str(error))
+    except Exception as error:
+        import traceback
+
+        traceback.print_exc()
+        return Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
+
+
+def _has_put_outcome(ring: Ring, ending: Ending) -> bool:
+    """Put the last event into the log, waiting for a moment where the ring is full."""
+    deadline_s = time.monotonic() + 1.0
+    while time.monotonic() < deadline_s:
+        try:
+            put_last(ring, outcome(ending))
+        except RingFull:
+            time.sleep(5e-3)
+        else:
+            return True
+    return False
+
+
+def _run(ring: Ring) -> Ending:
+    settings = from_resolved(json.dumps(ring.meta.config))
+    supervisor = LoopSupervisor(ring, sys.stdin.fileno(), settings.rig.loop, patient=settings.fast)
+    supervisor.listen()
+    if not _recorder_is_ready(ring):
+        return Ending(ExitCode.UNEXPECTED, "the recorder did not start")
+    # Now, while this is a process like any other: loading a driver is no work for FIFO.
+    require_backend(settings)
+    if not settings.fast and not guardian_is_ready(ring):
+        return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
+    with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
+        _record_start(ring, settings, preparation)
+        parts = rig_of(settings, clock_of(settings, may_spin=preparation.may_spin))
+        return control(
+            parts.rig,
+            parts.clock,
+            setup_of(settings),
+            nominal_zero_of(settings),
+            program_of(settings),
+            PatientJournal(ring) if settings.fast else RingJournal(ring),
+            supervisor,
+            parts.truth,
+        )
+
+
+def _recorder_is_ready(ring: Ring) -> bool:
+    """Wait for the log to be open: no tick may run that could not be kept."""
+    deadline_s = time.monotonic() + 10.0
+    while not ring.recorder_flags & RecorderFlag.READY:
+        if ring.recorder_flags & RecorderFlag.FAILED or time.monotonic() > deadline_s:
+            return False
+        time.sleep(2e-3)
+    return True
+
+
+def guardian_is_ready(ring: Ring) -> bool:
+    """Wait for the guardian: no valve may be moved that nobody could close."""
+    deadline_s = time.monotonic() + 10.0
+    while not ring.guardian_ready:
+        if ring.guardian_lost or time.monotonic() > deadline_s:
+            return False
+        time.sleep(2e-3)
+    return True
+
+
+def _record_start(ring: Ring, settings: RunSettings, preparation: Preparation) -> None:
+    """Put on record how this process is scheduled, and the gains it begins with."""
+    setup = preparation.as_metadata()
+    if settings.fast:
+        setup = {"mode": "fast: no clock"}
+    event = {"event": "timing_setup", **setup}
+    ring.put_event(0, ring.meta.start_mono_ns, event)
+    ring.put_gains(0, ring.meta.start_mono_ns, settings.controller.model_dump(mode="json"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""What ends a run from outside: a signal, the death of another process, a recorder in trouble.
+
+A signal, a full disk and a slow recorder leave time for a smooth stop. The death of a process
+does not: whoever kills one may kill the loop next, and a smooth stop that is cut short leaves
+the valve open.
+"""
+
+from __future__ import annotations
+
+import math
+import select
+import signal
+import time
+from types import FrameType
+
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.recording.ring import RecorderFlag, Ring
+from pamctl.recording.run_journal import SILENT_RECORDER_S
+
+STOP_SIGNALS = {signal.SIGINT: ExitCode.SIGINT, signal.SIGTERM: ExitCode.SIGTERM}
+_LOOK_EVERY_S = 8e-3
+
+
+class LoopSupervisor:
+    """Asked once a tick; costs a fraction of a microsecond in most of them."""
+
+    def __init__(
+        self, ring: Ring, front_fd: int | None, pace: LoopSettings, *, patient: bool = False
+    ) -> None:
+        """`front_fd` is a pipe whose other end the front holds; its end is the front's.
+
+        A `patient` run waits for a slow recorder instead of giving up on it.
+        """
+        self._ring = ring
+        self._recorded: Ring | None = ring
+        self._asked = 0
+        # Counted in questions: a tick's number may be among the missed ones.
+        self._look_every = max(1, round(pace.rate_hz * _LOOK_EVERY_S))
+        # Room for the ticks of a smooth stop must be left when the ring is called too full.
+        self._spare_rows = pace.stop_rows
+        self._patient = patient
+        # Counted in looks of our own: a machine that stands still is no evidence.
+        silent_looks = math.ceil(pace.heartbeat_ms * 1e-3 * pace.rate_hz / self._look_every)
+        self._guardian = _Pulse(max(2, silent_looks))
+        self._is_time_to_look = False
+        self._loss = ""
+        self._signals: list[int] = []
+        self._beats = -1
+        self._beat_s = time.monotonic()
+        self._front = select.poll()
+        if front_fd is not None:
+            self._front.register(front_fd, select.POLLHUP | select.POLLERR)
+
+    def watch_recording(self, ring: Ring | None) -> None:
+        """Watch the recorder of another ring from now on; None where nothing is recorded."""
+        self._recorded = ring
+        self._beats, self._beat_s = -1, time.monotonic()
+
+    def listen(self) -> None:
+        """Take over SIGINT and SIGTERM: the first stops smoothly, the second at once."""
+        for number in STOP_SIGNALS:
+            signal.signal(number, self._on_signal)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self._signals.append(number)
+
+    def abort_wanted(self) -> bool:
+        """Tell whether a second signal came, or a process died: then there is no time to lose.
+
+        Asked first in every tick, and during a smooth stop as well.
+        """
+        self._asked += 1
+        # Every few milliseconds is often enough.
+        self._is_time_to_look = not self._asked % self._look_every
+        if self._is_time_to_look and not self._loss:
+            self._loss = self._found_loss()
+        return bool(self._loss) or len(self._signals) > 1
+
+    def stop_wanted(self, tick: int) -> Ending | None:
+        """Return why and how to stop, once there is a reason to."""
+        if self._signals:
+            number = signal.Signals(self._signals[0])
+            return Ending(STOP_SIGNALS[number], f"stopped by {number.name}")
+        if self._loss:
+            return Ending(ExitCode.UNEXPECTED, self._loss)
+        return self._recorder_trouble() if self._is_time_to_look else None
+
+    def _found_loss(self) -> str:
+        """Say which of the other processes is gone; nothing where all are there."""
+        ring, recorded = self._ring, self._recorded
+        flags = recorded.recorder_flags if recorded else 0
+        if flags & RecorderFlag.FAILED and not flags & RecorderFlag.DISK_FULL:
+            return "the recorder failed"
+        if ring.guardian_lost:
+            return "the guardian is gone"
+        if not self._patient and self._guardian.is_lost(ring.guardian_beats):
+            return "the guardian gives no sign of life"
+        if self._front.poll(0):
+            return "the commanding process is gone"
+        return ""
+
+    def _recorder_trouble(self) -> Ending | None:
+        ring = self._recorded
+        if ring is None:
+            return None
+        if ring.recorder_flags & RecorderFlag.DISK_FULL:
+            return Ending(ExitCode.UNEXPECTED, "the log's disk is full")
+        if self._patient:
+            return None
+        if ring.pending > ring.rows - self._spare_rows:
+            return Ending(ExitCode.UNEXPECTED, "the recorder is too far behind")
+        if ring.recorder_beats != self._beats:
+            self._beats, self._beat_s = ring.recorder_beats, time.monotonic()
+        elif time.monotonic() - self._beat_s > SILENT_RECORDER_S:
+            return Ending(ExitCode.UNEXPECTED, "the recorder gives no sign of life")
+        return None
+
+
+class _Pulse:
+    """A heartbeat that is looked at now and then."""
+
+    def __init__(self, most_looks: int) -> None:
+        """After `most_looks` in a row without a beat it is lost."""
+        self._most = most_looks
+        self._beats = -1
+        self._still = 0
+
+    def is_lost(self, beats: int) -> bool:
+        """Look once more."""
+        self._still = 0 if beats != self._beats else self._still + 1
+        self._beats = beats
+        return self._still >= self._most

@@ -1,0 +1,85 @@
+"""The loop process of a daemon: `python -m pamctl.processes.session_main RING ORDERS_FD`.
+
+It takes orders until it is stopped. The ring is the session's own, which nobody reads; each
+run brings another. Its standard input is a pipe whose end is the daemon's death. Its
+standard output is one JSON line: how the session ended.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import suppress
+from functools import partial
+from typing import NoReturn
+
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.processes.backends import clock_of, require_backend, rig_of
+from pamctl.processes.loop_main import ending_of, guardian_is_ready, leave
+from pamctl.processes.loop_supervisor import LoopSupervisor
+from pamctl.processes.session_supervisor import SessionSupervisor
+from pamctl.realtime.loop import control
+from pamctl.realtime.orders import Orders
+from pamctl.realtime.scheduling import keep_single_threaded, prepare
+from pamctl.realtime.steering import Steered
+from pamctl.recording.ring import Ring, RingFull
+from pamctl.recording.session_journal import SessionJournal
+from pamctl.settings.build import nominal_zero_of, ordered_program, setup_of
+from pamctl.settings.resolve import RunSettings, from_resolved
+
+
+def main() -> NoReturn:
+    """Run the session on the ring and with the orders that the arguments name."""
+    keep_single_threaded()
+    with Ring.attach(sys.argv[1]) as ring:
+        orders = Orders(int(sys.argv[2]))
+        settings = from_resolved(json.dumps(ring.meta.config))
+        supervisor = LoopSupervisor(ring, sys.stdin.fileno(), settings.rig.loop)
+        journal = SessionJournal(ring, supervisor.watch_recording)
+        ending = ending_of(partial(_run, ring, settings, orders, journal, supervisor))
+        with suppress(RingFull):
+            journal.end_last_run(ending)
+        ring.loop_done = 1
+    leave(ending)
+
+
+def _run(
+    ring: Ring,
+    settings: RunSettings,
+    orders: Orders,
+    journal: SessionJournal,
+    supervisor: LoopSupervisor,
+) -> Ending:
+    supervisor.watch_recording(None)
+    supervisor.listen()
+    # Now, while this is a process like any other: loading a driver is no work for FIFO.
+    require_backend(settings)
+    if not guardian_is_ready(ring):
+        return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
+    with prepare(settings.rt, settings.rig.loop.cpu) as preparation:
+        setup = setup_of(settings)
+        start = {"event": "timing_setup", **preparation.as_metadata()}
+        journal.put_event(0, ring.meta.start_mono_ns, start)
+        parts = rig_of(settings, clock_of(settings, may_spin=preparation.may_spin))
+        steered = Steered(
+            orders,
+            journal,
+            setup,
+            settings.controller.model_dump(mode="json"),
+            partial(ordered_program, settings),
+        )
+        return control(
+            parts.rig,
+            parts.clock,
+            setup,
+            nominal_zero_of(settings),
+            steered,
+            journal,
+            SessionSupervisor(supervisor, orders),
+            parts.truth,
+            steered,
+        )
+
+
+if __name__ == "__main__":
+    main()

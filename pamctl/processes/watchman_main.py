@@ -1,0 +1,80 @@
+"""The watchman: `python -m pamctl.processes.watchman_main`, started by whoever works on the rig.
+
+`doctor` and `calibrate` drive the valve from the process that talks to a person, and a card
+holds its last voltage when that process is killed. So this one waits for its death, of which
+the end of a pipe tells it at once, and then drives the safe voltage. A word on the pipe says
+that all ended well, and there is nothing to do.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from hal.rig import Rig, RigError
+from pamctl.exit_codes import ExitCode
+from pamctl.processes.backends import clock_of, require_backend, rig_of
+from pamctl.processes.guardian import drive_safe
+from pamctl.settings.resolve import RunSettings, from_resolved, to_json
+
+_ALL_WELL = b"all is well\n"
+_IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@contextmanager
+def watched(settings: RunSettings, rig: Rig) -> Iterator[None]:
+    """Keep a watchman for the block; it makes the rig safe if this process dies in it.
+
+    Raises `RigError` where the watchman cannot do its work, or where the rig, which the block
+    closes, could not be made safe: then the watchman has tried as well.
+    """
+    command = [sys.executable, "-m", "pamctl.processes.watchman_main"]
+    watchman = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+    )
+    assert watchman.stdin is not None
+    assert watchman.stdout is not None
+    try:
+        with suppress(BrokenPipeError):
+            watchman.stdin.write(json.dumps(to_json(settings)).encode() + b"\n")
+            watchman.stdin.flush()
+        if watchman.stdout.readline() != b"ready\n":
+            raise RigError("the watchman process did not start", fix="see its words above")
+        yield
+    finally:
+        with suppress(BrokenPipeError):
+            if rig.safe_failure is None:
+                watchman.stdin.write(_ALL_WELL)
+            watchman.stdin.close()
+        watchman.wait()
+        watchman.stdout.close()
+    if rig.safe_failure is not None:
+        raise rig.safe_failure
+
+
+def main() -> int:
+    """Wait for the end of standard input; make the rig safe unless all is well."""
+    for number in _IGNORED:
+        signal.signal(number, signal.SIG_IGN)
+    settings = from_resolved(json.loads(sys.stdin.buffer.readline()))
+    try:
+        # Loaded now: it would cost a fraction of a second when it counts.
+        require_backend(settings)
+    except RigError as error:
+        print(f"watchman: {error}", file=sys.stderr)
+        return int(ExitCode.UNAVAILABLE)
+    rig = rig_of(settings, clock_of(settings, may_spin=False)).rig
+    os.write(sys.stdout.fileno(), b"ready\n")
+    if sys.stdin.buffer.readline() == _ALL_WELL:
+        return int(ExitCode.OK)
+    failure = drive_safe(rig)
+    return int(ExitCode.OK if failure is None else ExitCode.UNAVAILABLE)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,186 @@
+"""Bring the ring's rows into the log, until the run is over.
+
+The tail moves only when a chunk is in the file. Whatever happens to this process
+before that, the rows are still in the ring, and `pamctl.log.repair.recover` brings them in.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from io import BufferedWriter
+from pathlib import Path
+from time import monotonic
+from typing import Protocol
+
+from pamctl.log.framing import LogError
+from pamctl.log.writer import LogWriter
+from pamctl.recording.disk_space import Reserve, is_full
+from pamctl.recording.ring import ROW_BYTES, RecorderFlag, Ring
+from pamctl.recording.rows import RowLogger
+
+ROUND_S = 0.05
+CHUNK_ROWS = 250
+"""Rows that make a chunk, or `CHUNK_S`, whichever comes first: small ones compress badly."""
+CHUNK_S = 0.5
+MAX_CHUNK_ROWS = 2048
+SYNC_S = 1.0
+STALLED_S = 1.0
+"""A loop that shows no sign of life for so long, and whose owner is gone, is dead."""
+
+_MESSAGE_BYTES = 31 + 16
+"""What a message takes beside its payload: its frame, and its place in the index."""
+
+
+class Owner(Protocol):
+    """Whoever started the recorder."""
+
+    def wait(self, seconds: float) -> None:
+        """Sleep, but wake when the owner goes."""
+
+    @property
+    def gone(self) -> bool:
+        """Whether it has gone."""
+
+
+def record(ring: Ring, owner: Owner) -> bool:
+    """Write the whole log of a run; return False if the disk was too small for it.
+
+    Raise LogError if the log cannot be created, OSError if writing it fails: the
+    rows that are not in the file are then still in the ring.
+    """
+    path = Path(ring.meta.log_path)
+    with _create(path) as file:
+        reserve = _reserve(ring, file, path)
+        ring.log_inode = os.fstat(file.fileno()).st_ino
+        recording = _Recording(ring, file, reserve)
+        ring.raise_flag(RecorderFlag.READY)
+        loop = _SignsOfLife(ring)
+        while not (ring.loop_done or (owner.gone and loop.ceased())):
+            recording.round()
+            if not recording.behind:
+                owner.wait(ROUND_S)
+        recording.finish()
+    return not ring.recorder_flags & RecorderFlag.DISK_FULL
+
+
+def _create(path: Path) -> BufferedWriter:
+    try:
+        return path.open("xb")
+    except FileExistsError:
+        raise LogError(
+            f"{path} exists, and a log is never overwritten; give --log another name"
+        ) from None
+    except OSError as error:
+        raise LogError(
+            f"cannot create the log {path}: {error.strerror}; give --log another place"
+        ) from error
+
+
+def _reserve(ring: Ring, file: BufferedWriter, path: Path) -> Reserve:
+    reserve = Reserve(file.fileno(), ring.rows * (ROW_BYTES + _MESSAGE_BYTES))
+    try:
+        reserve.extend(0, 0)
+    except OSError as error:
+        path.unlink()
+        if is_full(error):
+            ring.raise_flag(RecorderFlag.DISK_FULL)
+        raise LogError(
+            f"no room for a log at {path}: {error.strerror}; free some, or give --log another place"
+        ) from error
+    if not reserve.supported:
+        print(f"recorder: note: the file system of {path} cannot reserve space", file=sys.stderr)
+    return reserve
+
+
+class _SignsOfLife:
+    """Watches the loop through the ring, with no clock in common.
+
+    A machine that stood still for long is no loop that is dead: of the time between two looks no
+    more than two rounds count.
+    """
+
+    def __init__(self, ring: Ring) -> None:
+        self._ring = ring
+        self._last = (-1, -1)
+        self._looked_s = monotonic()
+        self._silent_s = 0.0
+
+    def ceased(self) -> bool:
+        now_s, sign = monotonic(), (self._ring.head, self._ring.loop_beat_ns)
+        self._silent_s += min(now_s - self._looked_s, 2.0 * ROUND_S)
+        self._looked_s = now_s
+        if sign != self._last:
+            self._last, self._silent_s = sign, 0.0
+        return self._silent_s > STALLED_S
+
+
+class _Recording:
+    """The log being written, chunk by chunk."""
+
+    def __init__(self, ring: Ring, file: BufferedWriter, reserve: Reserve) -> None:
+        self._ring = ring
+        self._file = file
+        self._reserve = reserve
+        self._writer = LogWriter(file)
+        self._rows = RowLogger(self._writer, ring.meta)
+        self._file.flush()
+        self._full = False
+        # A slow disk may take seconds; the ring must be emptied, and we seen to live, meanwhile.
+        self._syncing = ThreadPoolExecutor(1)
+        self._sync = self._syncing.submit(os.fdatasync, file.fileno())
+        self._chunk_at = self._synced_at = monotonic()
+        # A small ring must be emptied long before it has as many rows as we would like.
+        self._least = min(CHUNK_ROWS, ring.rows // 8)
+        self._most = min(MAX_CHUNK_ROWS, ring.rows // 4)
+
+    @property
+    def behind(self) -> bool:
+        """Whether there is a full chunk to write at once."""
+        return self._ring.pending >= self._most
+
+    def round(self) -> None:
+        """Write a chunk if one is due, and show that we live."""
+        self._ring.recorder_beats += 1
+        now = monotonic()
+        pending = self._ring.pending
+        if pending >= self._least or (pending and now - self._chunk_at >= CHUNK_S):
+            self._write_chunk()
+            self._chunk_at = now
+        if now - self._synced_at >= SYNC_S and self._sync.done():
+            self._sync.result()
+            self._sync = self._syncing.submit(os.fdatasync, self._file.fileno())
+            self._synced_at = now
+
+    def finish(self) -> None:
+        """Write what is left, the index and the footer; return when it is on the disk."""
+        while self._ring.pending:
+            self._ring.recorder_beats += 1
+            self._write_chunk()
+        self._syncing.shutdown()
+        # A failed write-back is reported once: to this, or else to the fsync below.
+        self._sync.result()
+        self._writer.finish()
+        self._file.flush()
+        self._reserve.release(self._file.tell())
+        os.fsync(self._file.fileno())
+        self._ring.raise_flag(RecorderFlag.FINISHED)
+
+    def _write_chunk(self) -> None:
+        self._extend_reserve()
+        batch = self._ring.drain(self._most)
+        self._rows.write(batch)
+        self._ring.commit(batch.end_row)
+
+    def _extend_reserve(self) -> None:
+        if self._full:
+            return
+        try:
+            self._reserve.extend(self._file.tell(), self._writer.chunks)
+        except OSError as error:
+            if not is_full(error):
+                raise
+            # The loop stops on this flag; until it has, its rows go into the reserve.
+            self._full = True
+            self._ring.raise_flag(RecorderFlag.DISK_FULL)

@@ -1,0 +1,150 @@
+"""Finish the log of a recorder that died: what the file has, and then what the ring still holds.
+
+A log that was cut short lacks its index, and the chunk that was being written.
+That chunk's rows are still in the ring, unless the machine itself went down.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BufferedWriter
+from itertools import count
+from pathlib import Path
+from time import monotonic_ns
+from typing import NamedTuple
+
+from pamctl.log.framing import LogError, mapped
+from pamctl.log.new_file import new_file
+from pamctl.log.repair.recover import LogCopy, Recovery, sign_recovery
+from pamctl.log.writer import LogWriter
+from pamctl.recording.ring import RecorderFlag, Ring
+from pamctl.recording.rows import RowLogger
+
+_LOOP_DEAD_NS = 2_000_000_000
+
+
+class Orphan(NamedTuple):
+    """A ring that nobody held: its log was finished, or `problem` says why not."""
+
+    ring: Path
+    recovery: Recovery | None
+    problem: str
+
+
+def finish_from_ring(ring_path: str | Path) -> Recovery:
+    """Finish the log of a recorder that died, in its place; then remove the ring.
+
+    The recorder must be dead, and the loop must have put its last row. Raise
+    RingError if there is no such ring, LogError or OSError if the log cannot be
+    written: then the ring stays, and so does the part of the log that there is.
+    """
+    with Ring.attach(ring_path) as ring:
+        ring.hold()  # the next start must not take it for an orphan's
+        recovery = _finish(ring)
+        ring.unlink()
+    return recovery
+
+
+def recover_orphans(directory: str | Path = "/dev/shm") -> list[Orphan]:
+    """Finish the logs of runs that died with all their processes; remove their rings.
+
+    Never raises for a ring that cannot be dealt with: its `Orphan` says why.
+    """
+    found: list[Orphan] = []
+    for path in sorted(Path(directory).glob("pamctl-*.ring")):
+        try:
+            if not _is_my_file(path):
+                continue
+            with Ring.attach(path) as ring:
+                if ring.claim() and monotonic_ns() - ring.loop_beat_ns > _LOOP_DEAD_NS:
+                    _require_home(ring)
+                    found.append(Orphan(path, _finish(ring), ""))
+                    ring.unlink()
+        # One bad ring must not keep a rig from starting, nor another log from being saved.
+        except Exception as error:
+            if path.exists():  # a run that ended meanwhile took its ring along
+                found.append(Orphan(path, None, str(error)))
+    return found
+
+
+def _is_my_file(path: Path) -> bool:
+    """Another user's ring is that user's to recover: it says which file to write.
+
+    Root, who may open it, must not be told by anyone which of its files to replace.
+    """
+    return not path.is_symlink() and path.stat().st_uid == os.geteuid()
+
+
+def _require_home(ring: Ring) -> None:
+    folder = Path(ring.meta.log_path).parent
+    if not folder.is_dir():
+        told = f"{folder} is gone; make it again for the next start to finish the log in"
+        raise LogError(f"{told}, or give the log up: rm {ring.path}")
+
+
+def _finish(ring: Ring) -> Recovery:
+    target = Path(ring.meta.log_path)
+    if ring.recorder_flags & RecorderFlag.FINISHED:
+        return Recovery(str(target), str(target), {}, (), lossless=True, bytes_lost=0)
+    has_part = _is_ours(target, ring)
+    if has_part:
+        # One who was here before may have put it there: the draft's inode is about to replace
+        # that one's in the ring, and until the draft stands in its place this file is still ours.
+        ring.log_inode = target.stat().st_ino
+    else:
+        target = _unused(target)
+    with _replacing(target, ring) as stream:
+        writer = LogWriter(stream)
+        rows = RowLogger(writer, ring.meta)
+        copy = LogCopy(writer)
+        if has_part and target.stat().st_size:
+            copy.file(mapped(target))
+        rows.last_tick, rows.last_row = copy.last_tick, copy.last_row
+        rest = ring.drain(ring.rows)
+        rows.write(rest)
+        recovery = Recovery(
+            source=f"{target if has_part else 'no file'} and {ring.path}",
+            destination=str(target),
+            messages=dict(copy.saved + rows.written),
+            damage=tuple(copy.damage),
+            # Where the file was cut the ring goes on.
+            lossless=not copy.lost,
+            bytes_lost=copy.bytes_lost,
+            unverified=copy.unverified,
+        )
+        sign_recovery(writer, recovery)
+    ring.commit(rest.end_row)
+    ring.raise_flag(RecorderFlag.FINISHED)
+    return recovery
+
+
+def _is_ours(path: Path, ring: Ring) -> bool:
+    """Tell whether the file is the one that the ring's recorder created."""
+    return path.exists() and path.stat().st_ino in (ring.log_inode, ring.mended_inode)
+
+
+def _unused(path: Path) -> Path:
+    names = (path.with_stem(f"{path.stem}{suffix}") for suffix in _suffixes())
+    return next(name for name in names if not name.exists())
+
+
+def _suffixes() -> Iterator[str]:
+    yield ""
+    yield "-recovered"
+    yield from (f"-recovered-{number}" for number in count(2))
+
+
+@contextmanager
+def _replacing(target: Path, ring: Ring) -> Iterator[BufferedWriter]:
+    """Open a file beside the target that takes its place when the block ends well."""
+    draft = target.with_name(f"{target.name}.recovering")
+    draft.unlink(missing_ok=True)
+    with new_file(draft) as stream:
+        yield stream
+        ring.mended_inode = os.fstat(stream.fileno()).st_ino
+    draft.replace(target)
+    directory = os.open(target.parent, os.O_RDONLY)
+    os.fsync(directory)
+    os.close(directory)

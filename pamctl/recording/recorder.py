@@ -1,0 +1,109 @@
+"""The recorder process: `python -m pamctl.recording.recorder RING`.
+
+It ends when the loop says that it is done, or when the loop is dead and whoever
+holds the other end of standard input is gone. Signals do not end it: those of a
+terminal or a service manager reach every process of a run, and the log is what
+has to be there after the others have gone.
+
+Exit codes: 0 the log is whole, 3 it ends early for want of disk space, 1 failure.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from pamctl.recording.disk_space import is_full
+from pamctl.recording.ring import RecorderFlag, Ring, RingError
+
+_POLL_S = 0.005
+
+
+class RecorderError(Exception):
+    """The recorder did not start. The message is its own."""
+
+
+def spawn(ring_path: str | Path) -> subprocess.Popen[bytes]:
+    """Start the recorder; it takes the closing of its `stdin` as the end of its owner."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "pamctl.recording.recorder", str(ring_path)],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        # Ctrl-C goes to the terminal's process group, and must not reach it while it starts.
+        process_group=0,
+    )
+
+
+def await_ready(ring: Ring, process: subprocess.Popen[bytes], timeout_s: float = 10.0) -> None:
+    """Return once the log is open; raise RecorderError if it is not within the time."""
+    deadline = time.monotonic() + timeout_s
+    while not ring.recorder_flags & RecorderFlag.READY:
+        if process.poll() is not None:
+            said = process.stderr.read().decode().strip() if process.stderr else ""
+            raise RecorderError(said or f"the recorder ended with code {process.returncode}")
+        if time.monotonic() > deadline:
+            raise RecorderError(f"the recorder is not ready after {timeout_s:g} s")
+        time.sleep(_POLL_S)
+
+
+class _Pipe:
+    """The owner, as seen from the reading end of a pipe."""
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        self.gone = False
+
+    def wait(self, seconds: float) -> None:
+        if self.gone:
+            time.sleep(seconds)
+        elif select.select([self._fd], [], [], seconds)[0]:
+            self.gone = os.read(self._fd, 4096) == b""
+
+
+def main(arguments: list[str]) -> int:
+    """Record the ring named by the only argument; return the exit code."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    try:
+        (ring_path,) = arguments
+        with Ring.attach(ring_path) as ring:
+            ring.hold()
+            return _record(ring, _Pipe(sys.stdin.fileno()))
+    except (ValueError, RingError) as error:
+        print(f"recorder: {error}", file=sys.stderr)
+        return 1
+
+
+def _record(ring: Ring, owner: _Pipe) -> int:
+    try:
+        # Slow imports, after the signals are dealt with and the ring is held.
+        from pamctl.recording.drain import record
+
+        whole = record(ring, owner)
+    # Whatever went wrong, the loop must learn of it, and the user in one line.
+    except Exception as error:
+        full = isinstance(error, OSError) and is_full(error)
+        ring.raise_flag(RecorderFlag.FAILED | (RecorderFlag.DISK_FULL if full else 0))
+        kept = f"; {ring.pending} rows are kept in {ring.path}" if ring.pending else ""
+        print(f"recorder: {_sentence(error)}{kept}", file=sys.stderr)
+        return 3 if ring.recorder_flags & RecorderFlag.DISK_FULL else 1
+    if owner.gone:
+        ring.unlink()
+    if not whole:
+        print(f"recorder: the disk is full: {ring.meta.log_path} ends early", file=sys.stderr)
+    return 0 if whole else 3
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, OSError):
+        return f"writing the log failed: {error.strerror or error}"
+    return str(error) or type(error).__name__
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

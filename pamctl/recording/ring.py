@@ -1,0 +1,455 @@
+"""The ring between the loop and the recorder: a file in shared memory.
+
+    header, 4 KiB | run meta, JSON | rows of 512 bytes
+
+One process puts rows, one takes them; neither ever waits for the other. The head
+moves after a row is whole, the tail after it is in the log: whatever lies between
+the two survives the death of either process, or of both. Payloads longer than a
+row go on in the rows behind it, and appear with a single move of the head.
+
+The order of stores that this rests on is the one x86 keeps. Rows and header are
+little-endian; times are nanoseconds of the monotonic clock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import mmap
+import os
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from time import monotonic_ns
+from typing import NamedTuple
+
+from pamctl.json_text import to_json
+from pamctl.log.run_meta import RunMeta
+from pamctl.signals import TICK_FIELDS, Field, TickRecord
+
+ROW_BYTES = 512
+HEADER_BYTES = 4096
+ROW_HEADER = struct.Struct("<IIqq")
+"""Kind, bytes of payload (of all rows it spans), tick, monotonic ns."""
+PAYLOAD_BYTES = ROW_BYTES - ROW_HEADER.size
+
+_MAGIC = b"PAMRING\n"
+_VERSION = 1
+_CODES = {int: "q", float: "d", bool: "?"}
+_HEAD = 8
+_MADV_POPULATE_WRITE = 23
+
+
+class RowKind:
+    """What a row holds."""
+
+    TICK = 1
+    EVENT = 2
+    GAINS = 3
+    KEYFRAME = 4
+    CONTINUATION = 5
+
+
+class RecorderFlag:
+    """Bits of `Ring.recorder_flags`. The loop must stop on `DISK_FULL` and on `FAILED`."""
+
+    READY = 1
+    DISK_FULL = 2
+    FAILED = 4
+    FINISHED = 8
+
+
+class LoopStage:
+    """How long the loop may be silent: `Ring.loop_stage`, in this order."""
+
+    SETTING_UP = 0
+    TICKING = 1
+    LEAVING = 2
+    """The rig is safe, no tick follows."""
+
+
+class RingError(Exception):
+    """The ring cannot be made, or what lies there is not a ring of this version."""
+
+
+class RingFull(RingError):
+    """No room for the row: the recorder is behind, or gone."""
+
+
+class Entry(NamedTuple):
+    """One thing that was put: `payload` is the tick row's packed columns, JSON, or doubles."""
+
+    row: int
+    kind: int
+    tick: int
+    t_ns: int
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Whole rows copied out of the ring, never cut within an entry."""
+
+    first_row: int
+    """Count of rows ever put before this one."""
+    data: bytes
+
+    @property
+    def rows(self) -> int:
+        """How many rows."""
+        return len(self.data) // ROW_BYTES
+
+    @property
+    def end_row(self) -> int:
+        """What to commit once these rows are safe."""
+        return self.first_row + self.rows
+
+    def entry(self, index: int) -> Entry:
+        """Return the entry that begins at row `index` of this batch."""
+        kind, size, tick, t_ns = ROW_HEADER.unpack_from(self.data, index * ROW_BYTES)
+        span = range(index, index + _rows_for(size))
+        pieces = (self.data[at * ROW_BYTES + ROW_HEADER.size : (at + 1) * ROW_BYTES] for at in span)
+        return Entry(self.first_row + index, kind, tick, t_ns, b"".join(pieces)[:size])
+
+    def entries(self) -> Iterator[Entry]:
+        """Go through all that was put."""
+        index = 0
+        while index < self.rows:
+            entry = self.entry(index)
+            yield entry
+            index += _rows_for(len(entry.payload))
+
+
+@contextlib.contextmanager
+def _explained(what: str) -> Iterator[None]:
+    try:
+        yield
+    except FileExistsError as error:
+        raise RingError(f"{what}: it is there already; a run goes on, or died there") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RingError(f"{what}: {error}") from error
+
+
+@contextlib.contextmanager
+def _closed_on_error(fd: int) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        os.close(fd)
+        raise
+
+
+def _give_name(fd: int, path: Path) -> None:
+    """Let an unnamed file appear at `path`, if nothing is there."""
+    directory = os.open(path.parent, os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        # Only with a directory does Python follow the link, as it must here.
+        os.link(f"/proc/self/fd/{fd}", path.name, dst_dir_fd=directory, follow_symlinks=True)
+    finally:
+        os.close(directory)
+
+
+def _rows_for(size: int) -> int:
+    return max(1, -(-size // PAYLOAD_BYTES))
+
+
+def tick_struct(fields: Sequence[Field]) -> struct.Struct:
+    """Return the packing of a tick's columns: int as q, float as d, bool as ?."""
+    return struct.Struct("<" + "".join(_CODES[field.kind] for field in fields))
+
+
+class _Word:
+    """A 64-bit word of the header, at `index`. Each has one writing process."""
+
+    def __init__(self, index: int) -> None:
+        self._index = index
+
+    def __get__(self, ring: Ring, owner: type | None = None) -> int:
+        return ring._words[self._index]
+
+    def __set__(self, ring: Ring, value: int) -> None:
+        ring._words[self._index] = value
+
+
+class Ring:
+    """A ring attached to this process. Rows may be put by one process, committed by one."""
+
+    # Words that different processes write stand on different cache lines (8 words each).
+    # The magic is word 0.
+    _version, _row_bytes, _row_count = _Word(1), _Word(2), _Word(3)
+    _meta_bytes, _rows_start = _Word(4), _Word(5)
+    head = _Word(_HEAD)
+    """Rows ever put. Written by the loop."""
+    tail = _Word(16)
+    """Rows known to be in the log. Written by the recorder."""
+    recorder_beats = _Word(24)
+    """Goes up with every round of the recorder."""
+    recorder_flags = _Word(25)
+    """Bits of `RecorderFlag`. Written by the recorder."""
+    log_inode = _Word(26)
+    """The file the recorder created, so that nobody takes another for it; zero before."""
+    mended_inode = _Word(27)
+    """The file that takes its place when another process finishes the log; zero before."""
+    loop_beat_ns = _Word(32)
+    """Monotonic time of the loop's last sign of life."""
+    loop_done = _Word(33)
+    """Not zero once the last row is put."""
+    worst_late_ns = _Word(34)
+    """The loop's worst wake-up so far."""
+    loop_stage = _Word(36)
+    """One of `LoopStage`. Written by the loop."""
+    missed_ticks = _Word(37)
+    """Grid points skipped so far. Written by the loop of a session."""
+    guardian_ready = _Word(40)
+    """Not zero once the guardian watches the loop. Written by the guardian."""
+    guardian_beats = _Word(41)
+    """Goes up whenever the guardian has looked at the loop."""
+    loop_pid = _Word(48)
+    """The loop process; zero before it is started. Written by the front."""
+    guardian_lost = _Word(49)
+    """Not zero once the guardian is dead or frozen. Written by the front."""
+
+    def __init__(self, path: Path, fd: int) -> None:
+        """Map the ring behind `fd`, which this object owns from now on."""
+        self.path = path
+        self._fd = fd
+        self._map = mmap.mmap(fd, 0, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        self._buffer = memoryview(self._map)
+        self._check_header()
+        self._words = self._buffer[:HEADER_BYTES].cast("Q")
+        self._check_layout()
+        self.meta = RunMeta.from_text(self._buffer[HEADER_BYTES:][: self._meta_bytes].tobytes())
+        self.rows = self._row_count
+        self._rows_at = self._rows_start
+        self._head = self.head
+        self._full_at = self.tail + self.rows
+        self._prepare_packing()
+        # A first write to a page that is only mapped would still fault, within a tick.
+        with contextlib.suppress(OSError):
+            self._map.madvise(_MADV_POPULATE_WRITE)
+
+    @classmethod
+    def create(cls, path: str | Path, meta: RunMeta, rows: int = 16384) -> Ring:
+        """Make a ring, hold it, and return it; raise RingError if one is there already.
+
+        It appears under its name whole or not at all, readable by this user only,
+        with all its memory taken now rather than when the disk of memory is full.
+        """
+        path = Path(path)
+        text = replace(meta, log_path=os.path.abspath(meta.log_path)).to_text()
+        rows_at = HEADER_BYTES + -(-len(text) // mmap.PAGESIZE) * mmap.PAGESIZE
+        header = struct.pack("<8s5Q", _MAGIC, _VERSION, ROW_BYTES, rows, len(text), rows_at)
+        with _explained(f"cannot make the ring {path}"):
+            fd = os.open(path.parent, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
+            with _closed_on_error(fd):
+                os.posix_fallocate(fd, 0, rows_at + rows * ROW_BYTES)
+                os.pwrite(fd, header, 0)
+                os.pwrite(fd, text, HEADER_BYTES)
+                ring = cls(path, fd)
+                ring.loop_beat_ns = monotonic_ns()
+                ring.hold()
+                _give_name(fd, path)
+        return ring
+
+    @classmethod
+    def attach(cls, path: str | Path) -> Ring:
+        """Map an existing ring; raise RingError if there is none of this version."""
+        with _explained(f"cannot attach to the ring {path}"):
+            fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+            with _closed_on_error(fd):
+                return cls(Path(path), fd)
+
+    def _check_header(self) -> None:
+        if len(self._buffer) < HEADER_BYTES or self._buffer[: len(_MAGIC)] != _MAGIC:
+            raise RingError(f"{self.path} is not a ring of pamctl")
+
+    def _check_layout(self) -> None:
+        if (self._version, self._row_bytes) != (_VERSION, ROW_BYTES):
+            raise RingError(
+                f"{self.path} is a ring of layout {self._version}, this pamctl knows {_VERSION}; "
+                "recover it with the version that made it"
+            )
+        if self._rows_start + self._row_count * ROW_BYTES != len(self._buffer):
+            raise RingError(f"{self.path} is not whole")
+
+    def _prepare_packing(self) -> None:
+        columns = tick_struct(self.meta.tick_fields)
+        if columns.size > PAYLOAD_BYTES:
+            raise RingError(f"a tick of {columns.size} bytes exceeds a row's {PAYLOAD_BYTES}")
+        self._tick = columns
+        self._pack_row: Callable[..., None] = struct.Struct(
+            ROW_HEADER.format + columns.format[1:]
+        ).pack_into
+        self._keyframe = struct.Struct(f"<{len(self.meta.keyframe_fields)}d")
+
+    # The loop's side.
+
+    def put_tick(self, record: TickRecord) -> None:
+        """Put one tick, at the time of its encoder sample. Raise RingFull if there is no room."""
+        head = self._head
+        if head >= self._full_at:
+            self._make_room(1)
+        self._pack_row(
+            self._buffer,
+            self._rows_at + head % self.rows * ROW_BYTES,
+            RowKind.TICK,
+            self._tick.size,
+            record.timing.tick,
+            record.raw.encoder_t_ns,
+            *chain(*record),
+        )
+        self._head = self._words[_HEAD] = head + 1
+
+    def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
+        """Put an event: a JSON object whose key `event` names it.
+
+        The log adds the keys `tick`, `t_ns` and `row`. Raise RingFull if there is no room.
+        """
+        self._put(RowKind.EVENT, tick, t_ns, to_json(event))
+
+    def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
+        """Put the gains that hold from this tick on; as `put_event`."""
+        self._put(RowKind.GAINS, tick, t_ns, to_json(gains))
+
+    def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
+        """Put the frozen state, one double for each of the meta's `keyframe_fields`."""
+        self._put(RowKind.KEYFRAME, tick, t_ns, self._keyframe.pack(*state))
+
+    def _put(self, kind: int, tick: int, t_ns: int, payload: bytes) -> None:
+        span = _rows_for(len(payload))
+        if span > self.rows // 2:
+            raise RingError(f"{len(payload)} bytes of JSON exceed half the ring")
+        if self._head + span > self._full_at:
+            self._make_room(span)
+        for index in range(span):
+            at = self._rows_at + (self._head + index) % self.rows * ROW_BYTES
+            piece = payload[index * PAYLOAD_BYTES : (index + 1) * PAYLOAD_BYTES]
+            ROW_HEADER.pack_into(self._buffer, at, kind, len(payload), tick, t_ns)
+            self._buffer[at + ROW_HEADER.size :][: len(piece)] = piece
+            kind = RowKind.CONTINUATION
+        self._head = self.head = self._head + span
+
+    def succeed(self) -> None:
+        """Put from here on in the place of a producer that is dead."""
+        self._head = self.head
+        self._full_at = self.tail + self.rows
+
+    def _make_room(self, rows: int) -> None:
+        self._full_at = self.tail + self.rows
+        if self._head + rows > self._full_at:
+            raise RingFull(f"the ring's {self.rows} rows are full: the recorder is behind or gone")
+
+    # The recorder's side.
+
+    @property
+    def pending(self) -> int:
+        """Rows put and not yet committed."""
+        return self.head - self.tail
+
+    def drain(self, max_rows: int) -> Batch:
+        """Copy out the oldest rows, about `max_rows` at most, without taking them."""
+        first, head = self.tail, self.head
+        end = min(first + max_rows, head)
+        while end < head and self._kind(end) == RowKind.CONTINUATION:
+            end += 1
+        return Batch(first, self._copy(first, end))
+
+    def commit(self, end_row: int) -> None:
+        """Give the rows before `end_row` back to the loop."""
+        self.tail = end_row
+
+    def raise_flag(self, flag: int) -> None:
+        """Set a bit of `RecorderFlag`."""
+        self.recorder_flags |= flag
+
+    def _kind(self, row: int) -> int:
+        at = self._rows_at + row % self.rows * ROW_BYTES
+        return int.from_bytes(self._buffer[at : at + 4], "little")
+
+    def _copy(self, first: int, end: int) -> bytes:
+        rows = self._buffer[self._rows_at :]
+        start, count = first % self.rows, end - first
+        until_wrap = min(count, self.rows - start)
+        ahead = rows[start * ROW_BYTES : (start + until_wrap) * ROW_BYTES]
+        behind = rows[: (count - until_wrap) * ROW_BYTES]
+        return b"".join((ahead, behind))
+
+    # The front's side.
+
+    def latest_tick(self) -> dict[str, float] | None:
+        """Return the newest tick's columns by name, taken or not; None before the first."""
+        while True:
+            head = self.head
+            # Rows up to half a ring back are never being overwritten, see `_put`.
+            oldest = max(-1, head - 1 - self.rows // 4)
+            newest = range(head - 1, oldest, -1)
+            row = next((row for row in newest if self._kind(row) == RowKind.TICK), None)
+            payload = b"" if row is None else self._copy(row, row + 1)[ROW_HEADER.size :]
+            if self.head - head <= self.rows // 4:
+                return None if row is None else self._tick_columns(payload)
+
+    def recent_ticks(self, after: int, every: int, most: int) -> list[dict[str, float]]:
+        """Return the ticks newer than tick `after` whose number `every` divides, oldest first.
+
+        The newest `most` of them, and of the newest quarter of the ring: those beyond may be
+        overwritten meanwhile.
+        """
+        while True:
+            head = self.head
+            payloads: list[bytes] = []
+            for row in range(head - 1, max(-1, head - 1 - self.rows // 4), -1):
+                kind, _, tick, _ = self._row_header(row)
+                if kind == RowKind.TICK:
+                    if tick <= after or len(payloads) == most:
+                        break
+                    if not tick % every:
+                        payloads.append(self._copy(row, row + 1)[ROW_HEADER.size :])
+            if self.head - head <= self.rows // 4:
+                return [self._tick_columns(payload) for payload in reversed(payloads)]
+
+    def _row_header(self, row: int) -> tuple[int, int, int, int]:
+        at = self._rows_at + row % self.rows * ROW_BYTES
+        kind, size, tick, t_ns = ROW_HEADER.unpack_from(self._buffer, at)
+        return kind, size, tick, t_ns
+
+    def _tick_columns(self, payload: bytes) -> dict[str, float]:
+        names = (field.name for field in self.meta.tick_fields)
+        return dict(zip(names, self._tick.unpack_from(payload), strict=True))
+
+    # Life and death.
+
+    def hold(self) -> None:
+        """Say that this process uses the ring, until it closes it or dies."""
+        fcntl.flock(self._fd, fcntl.LOCK_SH)
+
+    def claim(self) -> bool:
+        """Take the ring for this process alone, if nobody holds it."""
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
+
+    def unlink(self) -> None:
+        """Remove the file, if it is still there; those who mapped it keep their memory."""
+        self.path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Unmap, and let go of the lock."""
+        self._words.release()
+        self._buffer.release()
+        self._map.close()
+        os.close(self._fd)
+
+    def __enter__(self) -> Ring:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
+
+assert tick_struct(TICK_FIELDS).size <= PAYLOAD_BYTES, "a tick must fit into one row"

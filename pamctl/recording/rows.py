@@ -1,0 +1,114 @@
+"""From the ring's rows to the log's messages, ticks by columns and never one by one."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.json_text import from_json, to_json
+from pamctl.log.container import message_record, message_records
+from pamctl.log.run_meta import RunMeta
+from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
+from pamctl.log.wire import TickLayout
+from pamctl.log.writer import LogWriter, begin
+from pamctl.recording.ring import ROW_BYTES, ROW_HEADER, Batch, Entry, RowKind
+from pamctl.signals import Field
+
+_TOPICS = {
+    RowKind.EVENT: EVENT_TOPIC,
+    RowKind.GAINS: GAINS_TOPIC,
+    RowKind.KEYFRAME: KEYFRAME_TOPIC,
+}
+_NUMPY_TYPES = {int: "<i8", float: "<f8", bool: "?"}
+
+
+class RowLogger:
+    """Writes batches of a run's rows into a log."""
+
+    def __init__(self, writer: LogWriter, meta: RunMeta) -> None:
+        """Begin the log."""
+        self._writer = writer
+        self._meta = meta
+        self._layout = TickLayout.of_fields(meta.tick_fields)
+        self._row = _row_dtype(meta.tick_fields)
+        self._channels = begin(writer, meta)
+        self.last_tick = -(1 << 62)
+        """Ticks up to this one are in the log already, and are left out."""
+        self.last_row = -1
+        """As `last_tick`, for everything else."""
+        self.written: Counter[str] = Counter()
+        """Messages by topic."""
+
+    def write(self, batch: Batch) -> None:
+        """Add a batch, in the order in which it was put, as one chunk."""
+        rows = np.frombuffer(batch.data, self._row)
+        start = 0
+        for index in np.flatnonzero(rows["kind"] != RowKind.TICK).tolist():
+            self._write_ticks(rows[start:index])
+            start = index + 1
+            if rows["kind"][index] != RowKind.CONTINUATION:
+                self._write_entry(batch.entry(index))
+        self._write_ticks(rows[start:])
+        self._writer.end_chunk()
+
+    def _write_ticks(self, rows: NDArray[Any]) -> None:
+        rows = rows[rows["tick"] > self.last_tick]
+        messages = message_records(
+            self._layout.encode(rows["columns"]),
+            np.maximum(rows["t_ns"] + self._wall_less_mono, 0),
+            rows["tick"],
+        )
+        self._writer.add(self._channels[TICK_TOPIC], messages)
+        self.written[TICK_TOPIC] += len(rows)
+
+    def _write_entry(self, entry: Entry) -> None:
+        if entry.row <= self.last_row:
+            return
+        value = self._value(entry)
+        if value.get("event") in _METADATA_EVENTS:
+            self._writer.metadata(value["event"], _as_text(value))
+        where = {"tick": entry.tick, "t_ns": entry.t_ns, "row": entry.row}
+        time = max(entry.t_ns + self._wall_less_mono, 0)
+        topic = _TOPICS[entry.kind]
+        message = message_record(to_json({**value, **where}), time, entry.tick)
+        self._writer.add(self._channels[topic], message)
+        self.written[topic] += 1
+
+    def _value(self, entry: Entry) -> dict[str, Any]:
+        if entry.kind != RowKind.KEYFRAME:
+            return dict(from_json(entry.payload))
+        state = struct.unpack(f"<{len(entry.payload) // 8}d", entry.payload)
+        return {"state": dict(zip(self._meta.keyframe_fields, state, strict=True))}
+
+    @property
+    def _wall_less_mono(self) -> int:
+        return self._meta.start_wall_ns - self._meta.start_mono_ns
+
+
+_METADATA_EVENTS = ("timing_setup", "rig")
+"""What the loop finds out about itself at its start: of the whole run, not of a moment."""
+
+
+def _as_text(value: Mapping[str, object]) -> dict[str, str]:
+    return {
+        name: part if isinstance(part, str) else to_json(part).decode()
+        for name, part in value.items()
+        if name != "event"
+    }
+
+
+def _row_dtype(fields: Sequence[Field]) -> np.dtype[Any]:
+    columns = np.dtype([(field.name, _NUMPY_TYPES[field.kind]) for field in fields])
+    return np.dtype(
+        {
+            "names": ["kind", "tick", "t_ns", "columns"],
+            "formats": ["<u4", "<i8", "<i8", columns],
+            "offsets": [0, 8, 16, ROW_HEADER.size],
+            "itemsize": ROW_BYTES,
+        }
+    )

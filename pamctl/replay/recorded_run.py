@@ -1,0 +1,126 @@
+"""A log as a replay sees it: the state, the set-up and the inputs of every tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hal.calibration import Zero
+from hal.converter import Output
+from pamctl.control.law import ControllerSettings
+from pamctl.log import Log
+from pamctl.realtime.gain_ramp import Tuning
+from pamctl.realtime.tick import TickSetup, TickState, first_state, rezeroed
+from pamctl.replay.retick import Inputs, inputs_of
+from pamctl.settings.build import output_of, setup_of
+from pamctl.settings.resolve import RunSettings
+
+
+class NotReplayable(Exception):
+    """There is nothing to replay, or not by this version. The message says why, and what to do."""
+
+
+class BehindTheEnd(NotReplayable):
+    """The log is fine, and ends before the time that was asked for."""
+
+
+class Change(NamedTuple):
+    """Gains that were taken over on a ramp."""
+
+    tick: int
+    """The first one with them, as it stands in the log."""
+    controller: ControllerSettings
+    from_t_s: float
+    ramp_s: float
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A log as a replay sees it. Ticks are counted as they stand in the log, from 0."""
+
+    log: Log
+    settings: RunSettings
+    zeros: Mapping[int, Zero]
+    """The sensors' zeros, by the tick that they hold from."""
+    gains: ControllerSettings
+    """Those that the run began with."""
+    changes: tuple[Change, ...]
+    """Those that it took over while it ran, in order."""
+    orders: Mapping[int, Mapping[str, Any]]
+    """Runs that were ordered of a daemon's loop, by the tick that they hold from."""
+    stops: frozenset[int]
+    """Ticks in which the run began to stop."""
+    keyframes: Mapping[int, TickState]
+    """The frozen state after a tick."""
+    losses: frozenset[int]
+    """Ticks before which others are missing that the run did not miss: the log lost them."""
+
+    def __len__(self) -> int:
+        """Return the number of ticks."""
+        return len(self.log)
+
+    def inputs(self, begin: int, end: int) -> Inputs:
+        """Return what the ticks from `begin` to before `end` were fed."""
+        return inputs_of(self.log.columns, begin, end)
+
+    def stretches(self, begin: int) -> list[tuple[int, int]]:
+        """Cut the ticks from `begin` on where state or gains change, or are known."""
+        after_keyframes = {tick + 1 for tick in self.keyframes}
+        cuts = {*self.zeros, *self.losses, *after_keyframes, *self.orders, begin, len(self)}
+        cuts.update(*(self._ramp(change) for change in self.changes))
+        return list(pairwise(sorted(cut for cut in cuts if begin <= cut <= len(self))))
+
+    def state_at(self, tick: int, after_last: TickState | None) -> TickState | None:
+        """Return the state that a tick begins with; None where a loss lies before it.
+
+        `after_last` is the state after the tick before; None where that is not known.
+        """
+        lost = tick in self.losses
+        zero = self.zeros.get(tick)
+        if zero is not None and tick == 0 and not lost:
+            return first_state(zero, self.setup_at(0).limits.safe_valve_v)
+        if lost or after_last is None or zero is None:
+            return None if lost else after_last
+        return rezeroed(after_last, zero)
+
+    def _ramp(self, change: Change) -> range:
+        """Return the ticks in which gains move, and the first one with the new ones."""
+        times_s = self.log.t
+        end = int(np.searchsorted(times_s, change.from_t_s + change.ramp_s))
+        return range(change.tick, min(end + 1, len(self)))
+
+    def setup_at(self, tick: int) -> TickSetup:
+        """Return the tick's setup: on a ramp it holds for this tick alone."""
+        tuning = Tuning(self._first_setup)
+        for change in self.changes:
+            if change.tick <= tick:
+                tuning.change(change.controller, change.from_t_s, change.ramp_s)
+        return tuning.at(float(self.log.t[tick]))
+
+    @cached_property
+    def _first_setup(self) -> TickSetup:
+        return setup_of(self.settings.model_copy(update={"controller": self.gains}))
+
+    @cached_property
+    def output(self) -> Output:
+        """The valve's output."""
+        return output_of(self.settings)
+
+    def tick_before(self, t_s: float) -> int:
+        """Return the last tick with a keyframe that is not later than `t_s`, or -1."""
+        times_s = self.log.t
+        if not t_s <= times_s[-1]:
+            raise BehindTheEnd(
+                f"{self.log.path} ends at {times_s[-1]:g} s: there is nothing from {t_s:g} s on"
+            )
+        if not self.keyframes and t_s > times_s[0]:
+            raise NotReplayable(
+                f"{self.log.path} has no frozen state that this version knows; "
+                "replay it from its beginning"
+            )
+        return max((tick for tick in self.keyframes if times_s[tick] <= t_s), default=-1)

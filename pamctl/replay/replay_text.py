@@ -1,0 +1,223 @@
+"""What a replay found, as one line, as a few, or as a document."""
+
+from __future__ import annotations
+
+import math
+import platform
+from typing import Any
+
+from pamctl.log import Log
+from pamctl.log.schema import unit_of
+from pamctl.replay import Replay
+from pamctl.replay.differences import Difference, within
+from pamctl.replay.tolerance import OTHER_CPU, OTHER_CPU_NAME
+from pamctl.replay.what_if import WhatIf
+from pamctl.safety import explain
+from pamctl.settings.resolve import RunSettings
+from pamctl.signals import TICK_FIELDS, Phase
+
+
+def as_document(found: Replay, tolerance: str | None) -> dict[str, Any]:
+    """Return the findings as one JSON document; ticks are those of the loop's grid."""
+    first = found.differences[0] if found.differences else None
+    return {
+        "schema": 1,
+        "path": str(found.recording.log.path),
+        "equal": found.is_equal,
+        "whole": found.is_whole,
+        "tolerance": tolerance,
+        "from_tick": _tick(found, found.begin),
+        "ticks": found.ticks,
+        "skipped_ticks": found.skipped,
+        "ticks_without_reference": found.unasked,
+        "fields": [".".join(place) for place in found.fields],
+        "fields_not_in_log": list(found.absent),
+        "first": None if first is None else _first(found, first),
+        "differences": [
+            {
+                **difference.place._asdict(),
+                "first_tick": _tick(found, difference.first.tick),
+                "ticks": difference.ticks,
+                "largest": difference.largest,
+                "unit": unit_of(difference.place.name),
+            }
+            for difference in found.differences
+        ],
+        "made_by": _maker(found),
+        "speed_x_real_time": found.speed,
+    }
+
+
+def what_if_document(log: Log, settings: RunSettings, answer: WhatIf) -> dict[str, Any]:
+    """Return what another law would have commanded as one JSON document."""
+    return {
+        "schema": 1,
+        "path": str(log.path),
+        "what_if": True,
+        "open_loop": True,
+        "law": settings.controller.model_dump(mode="json"),
+        "logged_law": log.config["controller"],
+        "phases": [figures._asdict() for figures in answer.phases],
+    }
+
+
+def what_if_text(law: str, answer: WhatIf) -> str:
+    """Return what another law would have commanded, a line each phase."""
+    names = ("logged RMS", "other RMS", "diff. RMS", "diff. max")
+    rows = [
+        f"{row.phase:<10}{row.ticks:>8}"
+        + "".join(f"{volts:>12.4f}" for volts in row[2:6])
+        + f"{row.logged_saturated:>9.1%} ->{row.other_saturated:>7.1%}"
+        for row in answer.phases
+    ]
+    return "\n".join(
+        [
+            f"what {law} would have commanded on the same samples, open loop: "
+            "the muscle did not follow it",
+            f"{'V':<10}{'ticks':>8}{''.join(f'{name:>12}' for name in names)}{'saturated':>19}",
+            *rows,
+        ]
+    )
+
+
+def _first(found: Replay, difference: Difference) -> dict[str, Any]:
+    at, logged, replayed = difference.first
+    return {
+        "tick": _tick(found, at),
+        "t_s": float(found.recording.log.t[at]),
+        "phase": _phase(found, at),
+        **difference.place._asdict(),
+        "unit": unit_of(difference.place.name),
+        "logged": logged,
+        "replayed": replayed,
+        "around": [
+            {"tick": _tick(found, pair.tick), "logged": pair.logged, "replayed": pair.replayed}
+            for pair in difference.around
+        ],
+    }
+
+
+def as_text(found: Replay) -> str:
+    """Return one line where all is equal; else what differs, first and after that."""
+    log = found.recording.log
+    lines = _difference_lines(found)
+    if not lines:
+        lines = [
+            f"{log.path}: equal, {found.ticks} ticks, {len(found.fields)} fields, "
+            f"{found.speed:.0f} x real time"
+        ]
+    if found.begin:
+        lines.append(f"from tick {_tick(found, found.begin)}, by the frozen state before it")
+    if found.absent:
+        lines.append(f"not in this log, and not compared: {', '.join(found.absent)}")
+    if found.skipped:
+        lines.append(
+            f"not replayed: {found.skipped} ticks behind ticks that the log has lost, "
+            "up to the next frozen state"
+        )
+    if found.unasked:
+        lines.append(f"reference not compared in {found.unasked} ticks, for ticks lost before them")
+    return "\n".join(lines)
+
+
+def _difference_lines(found: Replay) -> list[str]:
+    if found.is_equal:
+        return []
+    first = found.differences[0]
+    at, logged, replayed = first.first
+    log = found.recording.log
+    name = first.place.name
+    return [
+        f"{log.path}: differs from tick {_tick(found, at)} on (t = {log.t[at]:.3f} s, "
+        f"{_phase(found, at)}), first in {first.place.stage}: {name}",
+        f"  logged    {_shown(name, logged)}",
+        f"  replayed  {_shown(name, replayed)}",
+        "",
+        f"  {'tick':>8}  {'logged':>24}  {'replayed':>24}",
+        *(
+            f"{'>' if pair.tick == at else ' ':>2}{_tick(found, pair.tick):>8}"
+            f"  {pair.logged!r:>24}  {pair.replayed!r:>24}"
+            for pair in first.around
+        ),
+        "",
+        *_stage_lines(found),
+        *_advice(found),
+    ]
+
+
+def _shown(name: str, value: float) -> str:
+    """Spell a value out to its last bit, a code by its meaning."""
+    if name == "verdicts":
+        return "; ".join(explain(int(value))) or "no verdict"
+    if name == "phase" and value >= 0:
+        return Phase(int(value)).name.lower()
+    if name in _FLAGS:
+        return "yes" if value else "no"
+    return f"{value!r} {_unit(name)}".rstrip()
+
+
+_FLAGS = [field.name for field in TICK_FIELDS if field.kind is bool]
+_CODES = [*_FLAGS, "verdicts", "phase"]
+
+
+def _unit(name: str) -> str:
+    unit = unit_of(name)
+    return "" if unit == "1" else unit
+
+
+def _stage_lines(found: Replay) -> list[str]:
+    """Say stage by stage what differs, in the order in which they begin to."""
+    lines = []
+    for stage in dict.fromkeys(difference.place.stage for difference in found.differences):
+        fields = [d for d in found.differences if d.place.stage == stage]
+        since = _tick(found, fields[0].first.tick)
+        ticks = max(difference.ticks for difference in fields)
+        shown = ", ".join(map(_magnitude, fields[:_FIELDS_SHOWN]))
+        more = f" and {len(fields) - _FIELDS_SHOWN} more" if len(fields) > _FIELDS_SHOWN else ""
+        often = "1 tick" if ticks == 1 else f"{ticks} ticks"
+        lines.append(f"{stage} differs from tick {since} on, in {often}: {shown}{more}")
+    untouched = dict.fromkeys(place.stage for place in found.fields)
+    equal = [s for s in untouched if all(d.place.stage != s for d in found.differences)]
+    return [*lines, f"equal: {', '.join(equal)}"] if equal else lines
+
+
+_FIELDS_SHOWN = 5
+
+
+def _magnitude(difference: Difference) -> str:
+    name = difference.place.name
+    if name in _CODES:
+        return name
+    if math.isinf(difference.largest):
+        return f"{name} (is no number in one of the two)"
+    return f"{name} (by up to {f'{difference.largest:.2g} {_unit(name)}'.rstrip()})"
+
+
+def _advice(found: Replay) -> list[str]:
+    made = _maker(found)
+    lines = [f"made by pamctl {made['version']} on {made['machine']}; this is {_us()}"]
+    if within(OTHER_CPU, found.differences):
+        lines.append(
+            "no more than another CPU's or C library's rounding: "
+            f"compare with --tolerance {OTHER_CPU_NAME}"
+        )
+    return lines
+
+
+def _us() -> str:
+    from pamctl import __version__
+
+    return f"pamctl {__version__} on {platform.machine()}"
+
+
+def _maker(found: Replay) -> dict[str, str]:
+    origin = found.recording.log.metadata.get("pamctl", {})
+    return {name: origin.get(name, "?") for name in ("version", "machine", "python")}
+
+
+def _tick(found: Replay, index: int) -> int:
+    return int(found.recording.log["tick"][index])
+
+
+def _phase(found: Replay, index: int) -> str:
+    return Phase(int(found.recording.log["phase"][index])).name.lower()

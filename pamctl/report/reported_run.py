@@ -1,0 +1,135 @@
+"""A log as a report sees it: columns that may be missing, on a time axis that fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from os.path import commonpath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.log import Log
+from pamctl.settings.resolve import resolve as shipped
+from pamctl.settings.resolve import to_data
+from pamctl.signals import Phase
+from pamctl.simulate.merit import TABLE_IV
+
+Floats = NDArray[np.float64]
+
+PAPERS = ("tracking-1", "tracking-2")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One log, under a name that tells it from the others."""
+
+    log: Log
+    name: str
+
+    def __len__(self) -> int:
+        """Return the number of ticks."""
+        return len(self.log)
+
+    def column(self, name: str, scale: float = 1.0) -> Floats | None:
+        """Return a column times `scale`, shape (n,); None where nothing of it was measured."""
+        values = self.log.columns.get(name)
+        if values is None or not np.isfinite(values).any():
+            return None
+        return np.asarray(values, np.float64) * scale
+
+    @cached_property
+    def phase(self) -> NDArray[np.int64]:
+        """What the loop was doing; -1 throughout where nobody knows."""
+        known = self.log.columns.get("phase")
+        return np.full(len(self), -1) if known is None else np.asarray(known, np.int64)
+
+    @cached_property
+    def shown(self) -> NDArray[np.bool_]:
+        """The ticks that plots show: not homing nor the final stop, unless there is no more."""
+        course: NDArray[np.bool_] = np.isin(self.phase, (Phase.HOMING, Phase.STOPPING), invert=True)
+        return course if bool(course.any()) else np.ones(len(self), np.bool_)
+
+    @property
+    def homes(self) -> bool:
+        """Whether plots leave a homing out, and time counts from its end."""
+        return len(self) > 0 and not bool(self.shown[0])
+
+    @cached_property
+    def t_s(self) -> Floats:
+        """Seconds since the first tick that is shown."""
+        t_s = np.asarray(self.log.columns.get("t_s", np.zeros(0)), np.float64)
+        first = int(self.shown.argmax()) if len(self) else 0
+        return t_s - t_s[first] if len(t_s) else t_s
+
+    @cached_property
+    def tracked(self) -> NDArray[np.bool_]:
+        """The ticks that the figures of merit count."""
+        counted: NDArray[np.bool_] = np.isin(self.phase, (Phase.TRACK, Phase.REST))
+        return counted
+
+    @property
+    def pursued(self) -> NDArray[np.bool_]:
+        """The ticks that show the law at work: while tracking, or else in the approach."""
+        return self.tracked if self.tracked.any() else self.shown
+
+    @cached_property
+    def error_m(self) -> Floats | None:
+        """Measured displacement minus reference; None where nothing was asked."""
+        position, reference = self.column("position_m"), self.column("reference_m")
+        return None if position is None or reference is None else position - reference
+
+    @property
+    def meta(self) -> dict[str, str]:
+        """What the log says about its run: law, controller, experiment, plant, rig, backend."""
+        return dict(self.log.metadata.get("run", {}))
+
+    @property
+    def fast(self) -> bool:
+        """Whether it was simulated without a clock."""
+        return bool(self.log.config.get("fast"))
+
+    @property
+    def outcome(self) -> dict[str, Any] | None:
+        """How the run ended; None where the log does not say."""
+        ended = (e for e in reversed(self.log.events) if e.get("event") == "outcome")
+        return next(ended, None)
+
+    @property
+    def paper_experiment(self) -> str | None:
+        """Which experiment of the paper it is, to the last setting; None if none."""
+        experiment = self.log.config.get("experiment")
+        return next((name for name in PAPERS if _settings_of(name) == experiment), None)
+
+
+def runs_of(logs: Sequence[Log]) -> list[Run]:
+    """Return the logs under names as short as they may be."""
+    paths = [log.path for log in logs]
+    if len({path.stem for path in paths}) == len(paths):
+        return [Run(log, path.stem) for log, path in zip(logs, paths, strict=True)]
+    whole = [path.absolute() for path in paths]
+    above = Path(commonpath([path.parent for path in whole]))
+    names = [str(path.relative_to(above).with_suffix("")) for path in whole]
+    numbered = len(set(names)) < len(names)
+    return [
+        Run(log, f"{name} ({number})" if numbered else name)
+        for number, (log, name) in enumerate(zip(logs, names, strict=True), 1)
+    ]
+
+
+def law_name(law: str) -> str:
+    """Return a law's name as the paper writes it."""
+    return {"qsmc": "qSMC"}.get(law, law.upper())
+
+
+def paper_rows(experiment: str | None) -> list[Any]:
+    """Return the columns of Table IV about an experiment."""
+    return [row for row in TABLE_IV if row.experiment == experiment]
+
+
+def _settings_of(experiment: str) -> dict[str, Any]:
+    found: dict[str, Any] = to_data(shipped(experiment=experiment).experiment)
+    return found

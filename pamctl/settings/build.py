@@ -1,0 +1,104 @@
+"""From settings to what the tick and the program need: the same for a run and for its replay.
+
+No backend is chosen here, and nothing is opened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from hal.calibration import Calibration, Zero, calibration, valve_v
+from hal.converter import Output
+from hal.nidaq.card_settings import card_output
+from hal.rig import RawSample
+from hal.sim.sim_rig import simulated_output
+from pamctl.control.experiment import Course, ExperimentSettings, from_here, segments
+from pamctl.control.homing import Homing, HomingSettings
+from pamctl.control.law import filter_gains, law_gains
+from pamctl.plant.model import plant_parameters
+from pamctl.realtime.program import Program
+from pamctl.realtime.tick import TickSetup
+from pamctl.safety import limits
+from pamctl.settings.resolve import RunSettings
+from pamctl.settings.rig_file import NidaqRigSettings, SimRigSettings
+
+_EXPERIMENT: TypeAdapter[Any] = TypeAdapter(ExperimentSettings)
+
+
+def setup_of(settings: RunSettings) -> TickSetup:
+    """Return what the tick needs to know."""
+    cal = calibration(settings.rig.calibration)
+    return TickSetup(
+        calibration=cal,
+        filters=filter_gains(settings.controller),
+        gains=law_gains(settings.controller),
+        limits=limits(
+            settings.rig.limits,
+            safe_valve_v=safe_valve_v(settings, cal),
+            count_m=abs(cal.encoder_m_per_count),
+            model=plant_parameters(settings.plant).paper,
+            pinned=settings.readonly,
+        ),
+    )
+
+
+def safe_valve_v(settings: RunSettings, cal: Calibration) -> float:
+    """Return the valve command that the safe output voltage carries."""
+    return valve_v(cal, settings.rig.safe_volts)
+
+
+def program_of(settings: RunSettings, *, course_begin_s: float | None = None) -> Program:
+    """Return the order of the run; from `course_begin_s` on, where its homing is over by then."""
+    rig = settings.rig
+    return Program(
+        new_homing(settings) if course_begin_s is None else None,
+        Course(segments(settings.experiment), settings.duration_s),
+        safe_valve_v=safe_valve_v(settings, calibration(rig.calibration)),
+        stop_ramp_s=rig.loop.stop_ramp_s,
+        course_begin_s=course_begin_s,
+    )
+
+
+def ordered_program(settings: RunSettings, order: Mapping[str, Any]) -> Program:
+    """Return the program of a run that was ordered of a loop which goes on.
+
+    `order` is the log's event: the experiment, where its motion starts, and whether it homes.
+    """
+    experiment = _EXPERIMENT.validate_python(order["experiment"])
+    course = from_here(segments(experiment), order["start_m"])
+    return Program(
+        new_homing(settings) if order["homes"] else None,
+        Course(course, order["duration_s"]),
+        safe_valve_v=safe_valve_v(settings, calibration(settings.rig.calibration)),
+        stop_ramp_s=settings.rig.loop.stop_ramp_s,
+    )
+
+
+def new_homing(settings: RunSettings) -> Homing | None:
+    """Return how the muscle is homed from now on; None where it is not."""
+    rig = settings.rig
+    return Homing(homing_of(settings), rig.calibration) if rig.homing.enabled else None
+
+
+def homing_of(settings: RunSettings) -> HomingSettings:
+    """Return how to home; a run that may move nothing takes its zeros at the safe voltage."""
+    homing = settings.rig.homing
+    return homing.model_copy(update={"fills": 0}) if settings.readonly else homing
+
+
+def nominal_zero_of(settings: RunSettings) -> Callable[[RawSample], Zero]:
+    """Return the zeros until homing: the file's sensor zero, the encoder where it stands."""
+    sensor_zero_v = settings.rig.calibration.sensor_zero_v
+    return lambda sample: Zero(sensor_zero_v, float(sample.encoder_counts))
+
+
+def output_of(settings: RunSettings) -> Output:
+    """Return the valve's analog output, as a write to the rig realises it."""
+    match settings.rig:
+        case SimRigSettings() as rig:
+            return simulated_output(rig.sim)
+        case NidaqRigSettings() as rig:
+            return card_output(rig.nidaq)

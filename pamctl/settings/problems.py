@@ -1,0 +1,301 @@
+"""What is wrong with a configuration, in the words of the person who wrote it.
+
+Pydantic finds the errors and names the place in its own terms; here both are
+translated: keys as they stand in the file, bounds as a sentence, the nearest name for a
+slip, the habit behind a wrong value.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, NamedTuple
+
+from pydantic_core import ErrorDetails
+
+from pamctl.settings.yaml12 import KeyPath
+
+JsonSchema = dict[str, Any]
+
+
+class Problem(NamedTuple):
+    """One thing to mend."""
+
+    where: str
+    """`file:line:column`, or the option of the command line that is at fault."""
+    key: str
+    """Dotted, from the section on; empty where the trouble is a whole file."""
+    message: str
+
+    def __str__(self) -> str:
+        """Return the one line a user reads."""
+        return ": ".join(part for part in self if part)
+
+
+class ConfigError(Exception):
+    """Settings that cannot be used, with everything that is wrong with them."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        """Keep the problems; they are the message, a line each."""
+        self.problems = tuple(problems)
+        super().__init__("\n".join(map(str, self.problems)))
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where one of pydantic's error locations leads, followed through the JSON schema.
+
+    On the way pydantic names not only keys but also the members of unions it tried
+    (`controller.qsmc.lambda_per_s`); the schema tells the ones from the others.
+    """
+
+    schema: JsonSchema
+    nodes: tuple[JsonSchema, ...]
+    """What may stand here; several where a union's member is not known."""
+    at: KeyPath = ()
+
+    def step(self, name: str | int) -> _Place:
+        if name == "[key]":  # pydantic's mark of an error in a key itself
+            return self
+        members = [member for node in self.nodes for member in self._members(node)]
+        if any(len(self._members(node)) > 1 for node in self.nodes):
+            named = [m for m in members if _is_called(m, name)]
+            return _Place(self.schema, tuple(named or members), self.at)
+        children = (_child(member, name) for member in members)
+        return _Place(self.schema, tuple(c for c in children if c is not None), (*self.at, name))
+
+    def names(self) -> list[str]:
+        """Return the keys that may stand here."""
+        return list(dict.fromkeys(name for properties in self._properties() for name in properties))
+
+    def description(self, name: str) -> str:
+        """Return what the model says of one of its keys."""
+        told = (p[name].get("description", "") for p in self._properties() if name in p)
+        return next(told, "")
+
+    def choices(self, tag: str) -> list[str]:
+        """Return the values of the key that tells a union's members apart."""
+        tags = (properties.get(tag, {}) for properties in self._properties())
+        return [value for tag in tags for value in tag.get("enum", [tag.get("const")])]
+
+    def _properties(self) -> list[JsonSchema]:
+        members = (member for node in self.nodes for member in self._members(node))
+        return [member.get("properties", {}) for member in members]
+
+    def _members(self, node: JsonSchema) -> list[JsonSchema]:
+        """Return the alternatives of a union, or the node itself; null is none of them."""
+        if "$ref" in node:
+            return self._members(self.schema["$defs"][node["$ref"].rpartition("/")[2]])
+        choices = node.get("oneOf", node.get("anyOf"))
+        if choices is None:
+            return [] if node.get("type") == "null" else [node]
+        return [member for choice in choices for member in self._members(choice)]
+
+
+def _is_called(member: JsonSchema, label: str | int) -> bool:
+    properties = member.get("properties", {}).values()
+    return label == member.get("title") or any(label == p.get("const") for p in properties)
+
+
+def _child(node: JsonSchema, name: str | int) -> JsonSchema | None:
+    if isinstance(name, str):
+        others = node.get("additionalProperties")
+        child = node.get("properties", {}).get(name, others if isinstance(others, dict) else None)
+    else:
+        leading = node.get("prefixItems", [])
+        child = leading[name] if name < len(leading) else node.get("items")
+    return child if isinstance(child, dict) else None
+
+
+_MISSING = "missing, and has no default"
+
+
+class _Complaint(NamedTuple):
+    """One of pydantic's errors: what the value must be, or else a whole message."""
+
+    at: KeyPath
+    must: str = ""
+    message: str = ""
+    got: object = None
+    meant: KeyPath | None = None
+    """The key that an unknown one seems to stand for."""
+
+
+def findings(errors: Iterable[ErrorDetails], schema: JsonSchema, title: str) -> dict[KeyPath, str]:
+    """Say of each place what is wrong there, in one message however many ways were tried."""
+    complaints = [_complaint(error, schema, title) for error in errors]
+    meant = {complaint.meant for complaint in complaints}
+    found: dict[KeyPath, list[_Complaint]] = {}
+    for complaint in complaints:
+        if not (
+            complaint.message.startswith(_MISSING) and complaint.at in meant
+        ):  # one slip, one line
+            found.setdefault(complaint.at, []).append(complaint)
+    return {at: _said(at_one_place) for at, at_one_place in found.items()}
+
+
+def _said(complaints: Sequence[_Complaint]) -> str:
+    musts = list(dict.fromkeys(c.must for c in complaints if c.must))
+    if not musts:
+        return "; ".join(c.message for c in complaints)
+    got = complaints[0].got
+    return f"must be {' or '.join(musts)} (got {_got(got)}){_hint(musts, got)}"
+
+
+def _complaint(error: ErrorDetails, schema: JsonSchema, title: str) -> _Complaint:
+    kind, way, context = error["type"], error["loc"], error.get("ctx", {})
+    if kind in {"extra_forbidden", "missing"}:
+        return _about_key(kind, _place(schema, way[:-1]), way[-1], title)
+    place = _place(schema, way)
+    if kind in {"union_tag_not_found", "union_tag_invalid"}:
+        return _about_tag(place, context["discriminator"].strip("'"), error["input"])
+    if kind in {"value_error", "assertion_error"}:
+        return _Complaint(place.at, message=str(context["error"]))
+    if kind in {"too_short", "too_long"}:
+        bound = "least {min_length}" if kind == "too_short" else "most {max_length}"
+        message = f"must hold at {bound} items (got {{actual_length}})".format(**context)
+        return _Complaint(place.at, message=message)
+    if kind in _MUST:
+        numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
+        return _Complaint(place.at, _MUST[kind].format(**numbers), got=error["input"])
+    said = error["msg"]
+    must = said.removeprefix("Input should be ").replace("valid ", "")
+    return _Complaint(place.at, must if must != said else "", said, error["input"])
+
+
+def names_in(schema: JsonSchema) -> set[str]:
+    """Return the keys that a schema's mappings may hold."""
+    return set(_place(schema, ()).names())
+
+
+def _place(schema: JsonSchema, way: Iterable[str | int]) -> _Place:
+    place = _Place(schema, (schema,))
+    for name in way:
+        place = place.step(name)
+    return place
+
+
+def _about_key(kind: str, parent: _Place, key: str | int, title: str) -> _Complaint:
+    at = (*parent.at, key)
+    if isinstance(key, int):
+        return _Complaint(parent.at, message=f"must hold more than {key} items")
+    if kind == "missing":
+        about = parent.description(key)
+        return _Complaint(at, message=f"{_MISSING} ({about})" if about else _MISSING)
+    if (title, *at) in {(key, key), ("", key, key)}:
+        message = f"unknown key; a {key}'s keys stand in its file without this heading"
+        return _Complaint(at, message=message)
+    meant, hint = _meant(key, parent.names())
+    return _Complaint(at, message=f"unknown key{hint}", meant=(*parent.at, meant))
+
+
+def _about_tag(place: _Place, tag: str, given: Any) -> _Complaint:
+    at = (*place.at, tag)
+    expected = any_of(place.choices(tag))
+    if tag not in given:
+        return _Complaint(at, message=f"missing; it must be {expected}")
+    return _Complaint(at, must=expected, got=given[tag])
+
+
+# --- words -----------------------------------------------------------------------------
+
+_NUMBER, _WHOLE, _TRUTH, _TEXT = "a number", "a whole number", "true or false", "text"
+_LIST, _MAPPING = "a list", "a mapping of keys to values"
+_MUST = {
+    "bool_type": _TRUTH,
+    "dict_type": _MAPPING,
+    "enum": "{expected}",
+    "finite_number": "a finite number",
+    "float_type": _NUMBER,
+    "frozen_set_type": _LIST,
+    "greater_than": "greater than {gt}",
+    "greater_than_equal": "at least {ge}",
+    "int_from_float": _WHOLE,
+    "int_type": _WHOLE,
+    "less_than": "less than {lt}",
+    "less_than_equal": "at most {le}",
+    "list_type": _LIST,
+    "literal_error": "{expected}",
+    "model_attributes_type": _MAPPING,
+    "model_type": _MAPPING,
+    "multiple_of": "a multiple of {multiple_of}",
+    "none_required": "null",
+    "set_type": _LIST,
+    "string_pattern_mismatch": "text of the form {pattern}",
+    "string_too_long": "text of at most {max_length} characters",
+    "string_too_short": "text of at least {min_length} characters",
+    "string_type": _TEXT,
+    "tuple_type": _LIST,
+}
+"""Pydantic's error types, as the end of a sentence that begins with `must be`."""
+
+_UNIT = re.compile(
+    r"per|length|(?:[muk]?m|inch|in|s)[23]?|[mun]s|min|k?hz|rad|deg|m?n|k?g|[km]?pa|bar|psi|atm"
+    r"|m?v|k|c|j|counts?|ticks?|percent"
+)
+
+
+def _stem(key: str) -> str:
+    """Return a key without the unit at its end: `lambda` of `lambda_per_s`."""
+    parts = key.lower().split("_")
+    while len(parts) > 1 and _UNIT.fullmatch(parts[-1]):
+        parts.pop()
+    return "_".join(parts)
+
+
+def _meant(key: str, known: Sequence[str]) -> tuple[str, str]:
+    """Return the key that was probably meant ('' if none is near), and how to say so."""
+    stems = {_stem(name): name for name in reversed(known)}
+    if _stem(key) in stems and key not in known:
+        name = stems[_stem(key)]
+        return name, f"; did you mean '{name}'? The unit is part of the name"
+    near = get_close_matches(key.lower(), known, n=1) or [
+        stems[stem] for stem in get_close_matches(_stem(key), stems, n=1)
+    ]
+    if near:
+        return near[0], f"; did you mean '{near[0]}'?"
+    return "", f"; there are {', '.join(known)}" if 0 < len(known) <= 12 else ""
+
+
+def any_of(values: Iterable[object]) -> str:
+    """Write a choice: `'a', 'b' or 'c'`."""
+    *first, last = (f"'{value}'" if isinstance(value, str) else str(value) for value in values)
+    return f"{', '.join(first)} or {last}" if first else last
+
+
+def _got(value: object) -> str:
+    """Show a value as the user wrote it, or what kind of thing it is."""
+    if value is None or isinstance(value, dict):
+        return "nothing" if value is None else "a mapping"
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"{value}".replace("nan", ".nan").replace("inf", ".inf")
+    written = repr(value) if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return written if len(written) <= 40 else f"{written[:37]}..."
+
+
+def _hint(musts: Sequence[str], got: object) -> str:
+    """Name the habit behind a wrong value, where there is a common one."""
+    if got is None and _MAPPING in musts:
+        return "; leave the key out, or write {}"
+    if not isinstance(got, str):
+        return ""
+    if _TRUTH in musts and got.lower() in {"on", "off", "yes", "no", "y", "n"}:
+        return "; YAML 1.2 knows only true and false"
+    if _NUMBER not in musts and _WHOLE not in musts:
+        return ""
+    if re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?", got):
+        return "; leave out the quotes"
+    if re.fullmatch(r"[-+]?\d+,\d+", got):
+        return "; write the decimals after a point"
+    if re.match(r"[-+]?[\d.]+\s*[^\d\s]", got):
+        return "; a bare number, in the unit that the key names"
+    return ""
+
+
+def dotted(at: KeyPath) -> str:
+    """Write a path of keys as a user does: `controller.lambda_per_s`."""
+    return ".".join(map(str, at))

@@ -1,0 +1,385 @@
+"""From names, files and overrides to one validated, immutable `RunSettings`.
+
+The models stand beside what they configure; this module finds the files, lays the
+overrides over them, and says what is wrong in the user's words: one line a problem,
+with the file and line, all problems at once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
+
+from hal.configured import Configured
+from pamctl.control.experiment import ExperimentSettings
+from pamctl.control.filters import HIGHEST_PER_RATE
+from pamctl.control.law import ControllerSettings
+from pamctl.log.importing.column_map import ImportMap
+from pamctl.plant.model import PlantSettings
+from pamctl.settings.problems import (
+    ConfigError,
+    JsonSchema,
+    Problem,
+    any_of,
+    dotted,
+    findings,
+    names_in,
+)
+from pamctl.settings.rig_file import RigSettings
+from pamctl.settings.yaml12 import Document, KeyPath, YamlError, dump, load, parse, parse_value
+
+Settings = TypeVar("Settings")
+
+
+class RunSettings(Configured):
+    """All that a run depends on; embedded in its log, and rebuilt from there by replay."""
+
+    controller: ControllerSettings
+    experiment: ExperimentSettings
+    rig: RigSettings
+    plant: PlantSettings
+    seed: int = Field(default=0, ge=0, description="of the simulated rig's noise")
+    duration_s: float | None = Field(
+        default=None, gt=0, description="ends the run early; the experiment's own end if absent"
+    )
+    fast: bool = Field(default=False, description="simulate without a clock")
+    readonly: bool = Field(
+        default=False, description="the whole loop, but nothing leaves it except the safe voltage"
+    )
+    rt: Literal["auto", "require", "off"] = Field(
+        default="auto", description="real-time scheduling: where permitted, or else fail, or never"
+    )
+
+    @model_validator(mode="after")
+    def _filters_suit_the_rate(self) -> RunSettings:
+        highest_hz = HIGHEST_PER_RATE * self.rig.loop.rate_hz
+        for name in ("lpf1_hz", "lpf2_hz"):
+            if getattr(self.controller, name) > highest_hz:
+                raise ValueError(
+                    f"controller.{name} {getattr(self.controller, name):g} is above "
+                    f"{HIGHEST_PER_RATE:g} of rig.loop.rate_hz {self.rig.loop.rate_hz:g}"
+                )
+        return self
+
+
+RUN: TypeAdapter[RunSettings] = TypeAdapter(RunSettings)
+SECTIONS: Mapping[str, TypeAdapter[Any]] = {
+    "controller": TypeAdapter(ControllerSettings),
+    "experiment": TypeAdapter(ExperimentSettings),
+    "rig": TypeAdapter(RigSettings),
+    "plant": TypeAdapter(PlantSettings),
+}
+"""One folder of `config/` each."""
+KINDS: Mapping[str, TypeAdapter[Any]] = {**SECTIONS, "import-map": TypeAdapter(ImportMap)}
+"""Every file that a user writes: the sections of a run, and what `pamctl log import` reads."""
+
+DEFAULT_NAMES: Mapping[str, str] = {
+    "controller": "qsmc",
+    "experiment": "tracking-2",
+    "rig": "sim",
+    "plant": "paper",
+}
+"""What `pamctl run` runs when it is told nothing."""
+
+
+_CHOSEN_BY_FILE = {"controller": "law", "rig": "backend", "experiment": "kind"}
+"""The key of a section that says which keys stand beside it."""
+
+
+# --- the whole way ---------------------------------------------------------------------
+
+
+def resolve(
+    *,
+    controller: str | None = None,
+    experiment: str | None = None,
+    rig: str | None = None,
+    plant: str | None = None,
+    overrides: Sequence[str] = (),
+    seed: int | None = None,
+    duration_s: float | None = None,
+    fast: bool | None = None,
+    readonly: bool | None = None,
+    rt: str | None = None,
+) -> RunSettings:
+    """Settle a run from the command line's words; what is None takes its default.
+
+    Sections are names of shipped files or paths; overrides read `controller.lambda_per_s=12`.
+    Raises `ConfigError`.
+    """
+    chosen = {"controller": controller, "experiment": experiment, "rig": rig, "plant": plant}
+    options = {
+        "seed": ("--seed", seed),
+        "duration_s": ("--duration", duration_s),
+        "fast": ("--fast", fast),
+        "readonly": ("--readonly", readonly),
+        "rt": ("--rt", rt),
+    }
+    raw = Raw()
+    _together(
+        partial(raw.add_section, section, DEFAULT_NAMES[section] if name is None else name)
+        for section, name in chosen.items()
+    )
+    for key, (option, value) in options.items():
+        if value is not None:
+            raw.put((key,), value, f"{option} {value}")
+    _together(partial(raw.override, override) for override in overrides)
+    return validated(RUN, raw)
+
+
+def check(path: Path) -> str:
+    """Validate one file by itself and return its kind: a section, or `run` for a resolved one.
+
+    Raises `ConfigError`.
+    """
+    raw = Raw.read(path)
+    kind = kind_of(path, raw.data)
+    if kind == "run":
+        validated(RUN, raw)
+    else:
+        validated(KINDS[kind], raw, title=kind)
+    return kind
+
+
+def kind_of(path: Path, data: Mapping[str, object]) -> str:
+    """Tell a file's kind from its folder, or else from the keys it holds."""
+    if path.resolve().parent.name in SECTIONS:
+        return path.resolve().parent.name
+    known = {kind: names_in(adapter.json_schema()) & data.keys() for kind, adapter in KINDS.items()}
+    known["run"] = SECTIONS.keys() & data.keys()
+    best, second = sorted(known, key=lambda kind: len(known[kind]), reverse=True)[:2]
+    if len(known[best]) == len(known[second]):
+        message = f"cannot tell what this configures; put it into a folder {any_of(SECTIONS)}"
+        raise ConfigError([Problem(shown(path), "", message)])
+    return best
+
+
+def to_data(settings: Configured) -> dict[str, Any]:
+    """Return settings as mappings, lists and scalars, every default spelled out.
+
+    What is None is left out: in every model here None is the default wherever it is allowed.
+    """
+    return settings.model_dump(mode="json", round_trip=True, exclude_none=True)
+
+
+def to_yaml(settings: Configured) -> str:
+    """Write settings as YAML; of a `RunSettings`, `from_resolved` returns the equal."""
+    return dump(to_data(settings))
+
+
+def to_json(settings: Configured) -> str:
+    """Write settings as one JSON document, which `from_resolved` reads as well."""
+    return json.dumps(to_data(settings), indent=2, allow_nan=False)
+
+
+def from_resolved(text: str, name: str = "resolved configuration") -> RunSettings:
+    """Rebuild a run from `to_yaml` or `to_json`; `name` is what errors call the text."""
+    return validated(RUN, Raw.parse(text, Path(name)))
+
+
+def schema() -> JsonSchema:
+    """Return the one JSON schema for the files of all sections, whichever an editor opens.
+
+    The alternatives are the models themselves, not the sections: an editor then measures
+    a file against `qsmc` or `tracking`, and completes the keys of that one.
+    """
+    mode: Literal["validation"] = "validation"
+    sections, shared = TypeAdapter.json_schemas(
+        [(kind, mode, adapter) for kind, adapter in KINDS.items()],
+        title="A configuration file of pamctl",
+    )
+    models = (sections[kind, mode] for kind in KINDS)
+    alternatives = [choice for model in models for choice in model.get("oneOf", [model])]
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    return {"$schema": dialect, **shared, "anyOf": alternatives}
+
+
+# --- where the files are ---------------------------------------------------------------
+
+
+def config_dir() -> Path:
+    """Return the shipped configuration: inside an installed package, or the checkout's."""
+    package = Path(str(files("pamctl")))
+    installed = package / "_config"
+    return installed if installed.is_dir() else package.parent / "config"
+
+
+def names(section: str) -> list[str]:
+    """Return what is shipped for one section."""
+    return sorted(path.stem for path in (config_dir() / section).glob("*.yaml"))
+
+
+def find(section: str, name: str, option: str = "") -> Path:
+    """Return the file that a name or path on the command line means; raise `ConfigError`.
+
+    `option` is what the user wrote before the name, if that is not called as its section.
+    """
+    if Path(name).suffix in {".yaml", ".yml"} or Path(name).name != name:
+        return Path(name)
+    if name in names(section):
+        return config_dir() / section / f"{name}.yaml"
+    near = get_close_matches(name, names(section), n=1)
+    meant = f"did you mean '{near[0]}'? There are" if near else "there are"
+    listed = ", ".join(names(section)) or "none"
+    message = f"there is no such {section}; {meant} {listed}; or give the path of a .yaml file"
+    raise ConfigError([Problem(f"{option or f'--{section}'} {name}", "", message)])
+
+
+def shown(path: Path) -> str:
+    """Return a path as short as a terminal opened here needs it."""
+    try:
+        return str(path.resolve().relative_to(Path.cwd()))
+    except (ValueError, OSError):
+        return str(path)
+
+
+# --- values before validation ----------------------------------------------------------
+
+
+@dataclass
+class Raw:
+    """Values as written, and where each was written."""
+
+    data: dict[str, Any] = field(default_factory=dict)
+    origins: dict[KeyPath, str] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, path: Path) -> Raw:
+        """Read one file; raise `ConfigError`."""
+        return cls._of(lambda: load(Path(shown(path))))
+
+    @classmethod
+    def parse(cls, text: str, path: Path) -> Raw:
+        """Read YAML or JSON text; `path` is what errors call it."""
+        try:  # JSON first: its escaped surrogate pairs are the one thing YAML reads otherwise
+            data = json.loads(text)
+        except (ValueError, RecursionError):
+            data = None
+        if isinstance(data, dict):
+            return cls(data, {(): str(path)})
+        return cls._of(lambda: parse(text, path))
+
+    @classmethod
+    def _of(cls, reading: Callable[[], Document]) -> Raw:
+        try:
+            document = reading()
+        except YamlError as error:
+            raise ConfigError([Problem(error.where, "", error.message)]) from None
+        places = document.marks.items()
+        return cls(document.data, {at: f"{document.path}:{m.line}:{m.column}" for at, m in places})
+
+    def add_section(self, section: str, name: str) -> None:
+        """Take in the file of a section, given by name or path; raise `ConfigError`."""
+        file = Raw.read(find(section, name))
+        self.data[section] = file.data
+        self.origins |= {(section, *at): origin for at, origin in file.origins.items()}
+
+    def put(self, keys: Sequence[str], value: object, origin: str) -> None:
+        """Set one value, making the mappings on the way to it.
+
+        Raises `LookupError` where the way leads through something that holds no keys.
+        """
+        container: Any = self.data
+        at: KeyPath = ()
+        for key in keys[:-1]:
+            slot = _slot(container, key, at)
+            at = (*at, slot)
+            if isinstance(container, dict) and container.get(key) is None:
+                container[key] = {}
+                self.origins[at] = origin
+            container = container[slot]
+        slot = _slot(container, keys[-1], at)
+        at = (*at, slot)
+        container[slot] = value
+        self.origins = {o: w for o, w in self.origins.items() if o[: len(at)] != at}
+        self.origins[at] = origin
+
+    def override(self, text: str) -> None:
+        """Lay one `section.key=value` over the files; raise `ConfigError` naming the option."""
+        origin = f"--set {text}"
+        key, equals, value = (part.strip() for part in text.partition("="))
+        keys = key.split(".")
+        if not equals or not all(keys):
+            message = "must read KEY=VALUE, as in controller.lambda_per_s=12"
+            raise ConfigError([Problem(origin, "", message)])
+        try:
+            parsed = parse_value(value)
+            self._require_same_model(keys, parsed, origin)
+            self.put(keys, parsed, origin)
+        except YamlError as error:
+            raise ConfigError([Problem(origin, key, error.message)]) from None
+        except LookupError as error:
+            raise ConfigError([Problem(origin, key, str(error.args[0]))]) from None
+
+    def _require_same_model(self, keys: Sequence[str], value: object, origin: str) -> None:
+        """Refuse to turn one file's keys into those of another law, backend or experiment."""
+        section, _, key = ".".join(keys).partition(".")
+        if _CHOSEN_BY_FILE.get(section) != key:
+            return
+        written = self.data.get(section, {}).get(key)
+        if written in (None, value):
+            return
+        message = (
+            f"the {key} belongs to the {section} file, which is for {written!r} and has its keys; "
+            f"choose another file with --{section} ({', '.join(names(section))})"
+        )
+        raise ConfigError([Problem(origin, ".".join(keys), message)])
+
+    def origin(self, at: KeyPath) -> str:
+        """Return where a value, or else the nearest mapping around it, was written."""
+        return next((self.origins[near] for near in _outwards(at) if near in self.origins), "")
+
+    def rank(self, at: KeyPath) -> int:
+        """Return the place of a value in the order of writing."""
+        order = list(self.origins)
+        return next((order.index(near) for near in _outwards(at) if near in self.origins), 0)
+
+
+def _slot(container: object, key: str, at: KeyPath) -> str | int:
+    if isinstance(container, dict):
+        return key
+    if not isinstance(container, list):
+        raise LookupError(f"'{dotted(at)}' holds no keys")
+    if not key.isdecimal() or int(key) >= len(container):
+        raise LookupError(f"'{dotted(at)}' has no item {key}; it holds {len(container)}")
+    return int(key)
+
+
+def _outwards(at: KeyPath) -> Iterable[KeyPath]:
+    return (at[:depth] for depth in range(len(at), -1, -1))
+
+
+def _together(steps: Iterable[Callable[[], None]]) -> None:
+    """Take every step, and only then raise the problems of them all."""
+    problems: list[Problem] = []
+    for step in steps:
+        try:
+            step()
+        except ConfigError as error:
+            problems += error.problems
+    if problems:
+        raise ConfigError(problems)
+
+
+def validated(adapter: TypeAdapter[Settings], raw: Raw, title: str = "") -> Settings:
+    """Make settings of raw values; `title` is the section they are, if they are one by itself.
+
+    Raises `ConfigError`. The values go in as JSON, because pydantic is then strict about
+    types (no text for a number, no 1 for true) and still takes a list for a tuple.
+    """
+    try:
+        return adapter.validate_json(json.dumps(raw.data), strict=True)
+    except ValidationError as error:
+        found = findings(error.errors(include_url=False), adapter.json_schema(), title)
+    raise ConfigError(
+        Problem(raw.origin(at), dotted((title, *at) if title else at), message)
+        for at, message in sorted(found.items(), key=lambda finding: raw.rank(finding[0]))
+    )

@@ -1,0 +1,85 @@
+"""A run as a batch: the settings of `pamctl run` on the compiled closed loop, and its figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.sim.sim_rig import sensor_chain
+from pamctl.control.experiment import Segment, segments
+from pamctl.plant.model import plant_parameters
+from pamctl.settings.build import setup_of
+from pamctl.settings.resolve import RunSettings
+from pamctl.settings.rig_file import SimRigSettings
+from pamctl.simulate.closed_loop import BatchRun, references, sensor_noise, simulate
+from pamctl.simulate.merit import Merit, merit
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A simulated run from the vented muscle, without a homing before it."""
+
+    settings: RunSettings
+    run: BatchRun
+    t_s: Floats
+    """Time of each tick, as long as the columns of the run."""
+
+    def __getitem__(self, column: str) -> Floats:
+        """Return a column of `pamctl.simulate.closed_loop.BatchRow`, or of `Reference`."""
+        return self.run[column]
+
+    @property
+    def tripped_s(self) -> float | None:
+        """When safety ended the run; None if it did not."""
+        return None if self.run.tripped_tick < 0 else float(self.t_s[-1])
+
+    @property
+    def error_m(self) -> Floats:
+        """Measured displacement minus reference; NaN in open loop."""
+        return self.run["position_m"] - self.run["reference_m"]
+
+    def merit(self) -> Merit | None:
+        """Return the figures of the run; None where safety ended it, or nothing was tracked."""
+        if self.run.tripped_tick >= 0:
+            return None
+        return merit(self.t_s, self.run["phase"].astype(np.int64), self.error_m)
+
+
+def simulated(settings: RunSettings) -> Batch:
+    """Simulate a run; raise ValueError for a rig that is not simulated."""
+    rig = settings.rig
+    if not isinstance(rig, SimRigSettings):
+        raise ValueError("only a simulated rig can be run as a batch")
+    period_s = 1.0 / rig.loop.rate_hz
+    table = _table(segments(settings.experiment), period_s, settings.duration_s)
+    run = simulate(
+        setup_of(settings),
+        plant_parameters(settings.plant),
+        sensor_chain(rig.sim, rig.calibration),
+        table,
+        _noise(len(table), settings.seed),
+        period_s=period_s,
+        output_delay_ticks=rig.sim.output_delay_ticks,
+    )
+    return Batch(settings, run, np.arange(len(run.rows), dtype=np.float64) * period_s)
+
+
+def tracked(settings: RunSettings) -> Merit | None:
+    """Simulate a run from the vented muscle; return its figures, or None where safety ended it."""
+    return simulated(settings).merit()
+
+
+# Tabulated in plain Python, these two would cost more than the run: many runs share them.
+@lru_cache(maxsize=8)
+def _table(course: tuple[Segment, ...], period_s: float, duration_s: float | None) -> Floats:
+    return references(course, period_s, duration_s)
+
+
+@lru_cache(maxsize=8)
+def _noise(ticks: int, seed: int) -> Floats:
+    return sensor_noise(ticks, seed)

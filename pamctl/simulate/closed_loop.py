@@ -1,0 +1,194 @@
+"""The closed loop in one compiled batch: plant, sensors, tick, valve.
+
+It calls the very kernels that the loop process and the simulated rig call, in the same
+order; a test holds the two equal tick by tick. Tuning and diagnosis run on it.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hal.calibration import output_v, valve_v
+from hal.converter import converted_v
+from hal.rig import RawSample
+from hal.sim.sim_rig import SensorChain, sensed_counts, sensed_pressure_v
+from pamctl.compiled import compiled
+from pamctl.control.experiment import Course, Segment
+from pamctl.plant.delayed_command import plant_advance_late
+from pamctl.plant.parameters import PlantParameters, PlantState, vented
+from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
+from pamctl.plant.simulated import LONGEST_STEP_S
+from pamctl.plant.step import plant_advance
+from pamctl.realtime.tick import TickSetup, TickState, first_state, step
+from pamctl.signals import Reference, Timing
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+
+class BatchRow(NamedTuple):
+    """What the batch keeps of each tick."""
+
+    true_position_m: float
+    true_pressure_pa: float
+    position_m: float
+    pressure_pa: float
+    error_m: float
+    command_v: float
+    valve_v: float
+
+
+@dataclass(frozen=True)
+class BatchRun:
+    """One batch simulation: columns of `BatchRow`, each of the same length as `reference`."""
+
+    reference: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    tripped_tick: int
+    """Tick at which safety tripped and the simulation ended; -1 if it did not."""
+
+    def __getitem__(self, column: str) -> NDArray[np.float64]:
+        """Return one column of `BatchRow`, or of `Reference`, by its name."""
+        if column in BatchRow._fields:
+            return self.rows[:, BatchRow._fields.index(column)]
+        return self.reference[: len(self.rows), Reference._fields.index(column)]
+
+
+def references(
+    segments: Sequence[Segment], period_s: float, duration_s: float | None = None
+) -> NDArray[np.float64]:
+    """Tabulate an experiment at the ticks: one row a tick, columns of `Reference`."""
+    course = Course(segments, duration_s)
+    period_ns = round(period_s * 1e9)  # the loop's clock counts whole nanoseconds
+    rows: list[Reference] = []
+    while (reference := course.at(len(rows) * period_ns * 1e-9)) is not None:
+        rows.append(reference)
+    return np.array(rows, dtype=np.float64).reshape(-1, len(Reference._fields))
+
+
+def sensor_noise(ticks: int, seed: int) -> NDArray[np.float64]:
+    """Draw the noise that a simulated rig with this seed draws."""
+    gauss = random.Random(seed).gauss
+    return np.array([gauss(0.0, 1.0) for _ in range(ticks)])
+
+
+def simulate(
+    setup: TickSetup,
+    plant: PlantParameters,
+    chain: SensorChain,
+    reference: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    *,
+    period_s: float = 1e-3,
+    output_delay_ticks: int = 0,
+    longest_step_s: float = LONGEST_STEP_S,
+) -> BatchRun:
+    """Run the closed loop over a table of references from the vented muscle at rest.
+
+    `reference` and `noise` have one row a tick. Ends early where safety trips.
+    """
+    rows = np.full((len(reference), len(BatchRow._fields)), math.nan)
+    start = vented(plant)
+    ticks = _compiled_run()(
+        setup,
+        first_state(
+            chain.zero._replace(encoder_zero_counts=math.floor(chain.zero[1]) + 0.0),
+            setup.limits.safe_valve_v,
+        ),
+        plant,
+        start,
+        chain,
+        reference,
+        noise,
+        round(period_s * 1e9) * 1e-9,
+        output_delay_ticks,
+        longest_step_s,
+        rows,
+    )
+    tripped = ticks if ticks < len(reference) else -1
+    return BatchRun(reference, rows[: ticks + 1], tripped)
+
+
+@cache
+def _compiled_run() -> Callable[..., int]:
+    return compiled(run)
+
+
+def run(
+    setup: TickSetup,
+    state: TickState,
+    plant: PlantParameters,
+    muscle: PlantState,
+    chain: SensorChain,
+    references: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    period_s: float,
+    output_delay_ticks: int,
+    longest_step_s: float,
+    rows: NDArray[np.float64],
+) -> int:
+    """Kernel: fill `rows` tick by tick; return the tick that tripped, or the number of ticks."""
+    output = converted_v(
+        chain.output_converter, output_v(setup.calibration, setup.limits.safe_valve_v)
+    )
+    written = valve = valve_v(chain.calibration, output)
+    late = plant.effects.command_delay.delay_s > 0.0
+    written_s, written_v = np.zeros(len(references)), np.zeros(len(references))
+    arrived, now_s = 0, 0.0
+    for tick in range(len(references)):
+        if tick and late:
+            written_s[tick - 1] = now_s
+            written_v[tick - 1] = valve
+            muscle, arrived = plant_advance_late(
+                plant,
+                muscle,
+                written_s,
+                written_v,
+                tick,
+                arrived,
+                now_s,
+                period_s,
+                longest_step_s,
+            )
+            now_s += period_s
+        elif tick:
+            muscle = plant_advance(plant, muscle, valve, period_s, longest_step_s)
+        t_ns = 0
+        raw = RawSample(
+            sensed_pressure_v(
+                chain,
+                sensed_pressure_pa(plant, muscle.pressure_pa, muscle.air, muscle.sensors),
+                noise[tick],
+            ),
+            sensed_counts(chain, sensed_position_m(plant, muscle.position_m, muscle.sensors)),
+            t_ns,
+            t_ns,
+        )
+        asked = references[tick]
+        reference = Reference(int(asked[0]), asked[1], asked[2], asked[3], asked[4], asked[5])
+        timing = Timing(tick, tick * period_s, period_s, 0.0, 0)
+        state, decision = step(setup, state, raw, reference, timing)
+        rows[tick, 0] = muscle.position_m
+        rows[tick, 1] = muscle.pressure_pa
+        rows[tick, 2] = state.measurement.position_m
+        rows[tick, 3] = state.measurement.pressure_pa
+        rows[tick, 4] = state.estimate.error_m
+        rows[tick, 5] = state.command.command_v
+        rows[tick, 6] = decision.valve_v
+        if decision.tripped:
+            return tick
+        if output_delay_ticks:
+            valve = written
+        output = converted_v(chain.output_converter, output_v(setup.calibration, decision.valve_v))
+        written = valve_v(chain.calibration, output)
+        if not output_delay_ticks:
+            valve = written
+    return len(references)

@@ -1,0 +1,260 @@
+"""The search: differential evolution (current-to-pbest), a generation at a time.
+
+Every generation has a random generator of its own, made of the seed and its number, and
+starts from the population before it. So a search that was interrupted goes on exactly as if
+it had not been, and the same seed gives the same gains on any number of processes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.tune.gains_trial import Trial
+from pamctl.tune.plant_ensemble import Member
+from pamctl.tune.search_space import SPACES
+
+Floats = NDArray[np.float64]
+
+POPULATION_PER_AXIS = 5
+BESIDE = 0.1
+"""How far around the start half of the first population lies, in widths of the space."""
+_AMONG_BEST = 0.2
+_STRIDES = (0.4, 0.9)
+_CROSSED = 0.8
+_HOPELESS = 10.0
+"""Costs beyond it are not looked into: an oscillation, or a safety trip."""
+_NO_GAINS = 1e3
+
+
+class SearchError(Exception):
+    """A search cannot be begun or gone on with. The message says why."""
+
+
+class Found(NamedTuple):
+    """The best so far."""
+
+    gains: dict[str, Any]
+    cost: float
+    generation: int
+    evaluations: int
+    """Runs of one plant each."""
+
+
+class Jury(NamedTuple):
+    """The plants that judge."""
+
+    drawn: tuple[Member, ...]
+    quantile: float
+    """Of the drawn ones: 1 is the worst, 0.95 leaves the worst 5 % to themselves."""
+    named: tuple[Member, ...]
+    """Beside them; the worst of these counts, and counts as much as all drawn ones."""
+
+    @property
+    def forgiven(self) -> int:
+        """How many of the drawn ones may be beyond a limit that the quantile keeps."""
+        last = len(self.drawn) - 1
+        return last - math.floor(self.quantile * last)
+
+
+class Cost(NamedTuple):
+    """What a point costs, and what it cost to know."""
+
+    value: float
+    """Where it is beyond the limit: at least so much."""
+    runs: int
+    ratios: tuple[float, ...] = ()
+    """Of each drawn plant; none where not all were asked."""
+
+
+def cost_of(controller: Any, limit: float, jury: Jury, trial: Trial, order: Sequence[int]) -> Cost:
+    """Return what gains cost: the largest error over its bound, named plants plus drawn ones.
+
+    Of the drawn ones the quantile counts; they are asked in the given order. As soon as those
+    asked suffice to bring the gains beyond the limit, the rest is spared.
+    """
+    if controller is None:  # gains that contradict each other are no gains
+        return Cost(_NO_GAINS, 0)
+    worst_named = 0.0
+    for runs, member in enumerate(jury.named, 1):
+        worst_named = max(worst_named, trial.verdict(controller, member).cost)
+        if worst_named > limit:
+            return Cost(worst_named, runs)
+    ratios = np.full(len(jury.drawn), math.nan)
+    for runs, at in enumerate(order, len(jury.named) + 1):
+        ratios[at] = trial.verdict(controller, jury.drawn[at]).cost
+        beyond = ratios[worst_named + ratios > limit]
+        if len(beyond) > jury.forgiven:
+            return Cost(worst_named + float(beyond.min()), runs)
+    of_drawn = float(np.quantile(ratios, jury.quantile)) if jury.drawn else 0.0
+    return Cost(worst_named + of_drawn, len(jury.named) + len(jury.drawn), tuple(ratios.tolist()))
+
+
+@dataclass
+class Search:
+    """A search for gains of one law before a jury of plants."""
+
+    law: str
+    jury: Jury
+    seed: int
+    start: dict[str, Any] | None = None
+    """Gains to begin beside, in mm; the usual ones where there are none."""
+    state: Path | None = None
+    """Where the search is kept after each generation, so that it can be resumed."""
+    trial: Trial = field(default_factory=Trial)
+
+    def __post_init__(self) -> None:
+        """Begin, or take up what `state` holds; raise `SearchError` if that is another search."""
+        self._space = SPACES[self.law]
+        self._order = list(range(len(self.jury.drawn)))
+        self._generation = 0
+        self._runs = 0
+        self._population = self._first_population()
+        self._costs = np.full(len(self._population), np.inf)
+        if self.state is not None and self.state.exists():
+            self._resume(self.state)
+
+    def _first_population(self) -> Floats:
+        from scipy.stats import qmc  # a second to import, and no worker process needs it
+
+        low, high = np.array(self._space.bounds).T
+        size = POPULATION_PER_AXIS * len(low)
+        points = qmc.LatinHypercube(len(low), rng=self.seed).random(size)
+        population: Floats = low + points * (high - low)
+        start = self._space.usual if self.start is None else self._space.point(self.start)
+        draw = np.random.default_rng(self.seed)
+        beside = BESIDE * draw.standard_normal((size // 2, len(low))) * (high - low)
+        beside[0] = 0.0
+        population[: size // 2] = np.clip(start + beside, low, high)
+        return population
+
+    def advance(self, executor: Executor | None = None) -> Found:
+        """Go on by one generation; return the best so far."""
+        points = self._population if self._generation == 0 else self._offspring()
+        controllers = [self._controller(point) for point in points]
+        cost = partial(cost_of, jury=self.jury, trial=self.trial, order=self._order)
+        limits = np.minimum(self._costs, _HOPELESS).tolist()
+        share_out = map if executor is None else executor.map
+        tried = list(share_out(cost, controllers, limits))
+        costs = np.array([each.value for each in tried])
+        better = costs < self._costs
+        self._population = np.where(better[:, None], points, self._population)
+        self._costs = np.where(better, costs, self._costs)
+        self._generation += 1
+        self._runs += sum(each.runs for each in tried)
+        if better[np.argmin(self._costs)]:
+            # Where the best has its troubles a rival fails soonest, and costs least.
+            ratios = np.array(tried[int(np.argmin(self._costs))].ratios)
+            if len(ratios):
+                self._order = np.argsort(-ratios, kind="stable").tolist()
+        self._keep()
+        return self.best
+
+    def _controller(self, point: Floats) -> Any:
+        try:
+            return self._space.controller(point)
+        except ValueError:
+            return None
+
+    def _offspring(self) -> Floats:
+        """Return a rival for each: a stride towards one of the best and along a difference."""
+        draw = np.random.default_rng([self.seed, self._generation])
+        old = self._population
+        size, axes = old.shape
+        best = np.argsort(self._costs, kind="stable")[: max(2, round(_AMONG_BEST * size))]
+        towards = old[draw.choice(best, size)]
+        one, other = old[draw.integers(size, size=(2, size))]
+        stride = draw.uniform(*_STRIDES, (size, 1))
+        new = old + stride * (towards - old + one - other)
+        low, high = np.array(self._space.bounds).T
+        new = np.where(new < low, 0.5 * (old + low), np.where(new > high, 0.5 * (old + high), new))
+        crossed = draw.random((size, axes)) < _CROSSED
+        crossed[np.arange(size), draw.integers(axes, size=size)] = True
+        return np.where(crossed, new, old)
+
+    @property
+    def generation(self) -> int:
+        """How many generations are done."""
+        return self._generation
+
+    @property
+    def best(self) -> Found:
+        """The best so far; raises `SearchError` before the first generation."""
+        if self._generation == 0:
+            raise SearchError("no gains have been tried yet")
+        at = int(np.argmin(self._costs))
+        return Found(
+            self._space.gains(self._population[at]),
+            float(self._costs[at]),
+            self._generation,
+            self._runs,
+        )
+
+    # --- interrupted, and taken up again -------------------------------------------------
+
+    def _identity(self) -> dict[str, Any]:
+        return {
+            "law": self.law,
+            "seed": self.seed,
+            "quantile": self.jury.quantile,
+            "trial": self.trial.length,
+            "drawn": [member.name for member in self.jury.drawn],
+            "named": [member.name for member in self.jury.named],
+            "digest": self._digest(),
+            "start": self.start,
+        }
+
+    def _digest(self) -> str:
+        """Tell plants and spaces apart that changed and kept their names."""
+        plants = (*self.jury.drawn, *self.jury.named)
+        text = [repr(self._space[:2]), *(repr(plant.__reduce__()[1]) for plant in plants)]
+        return hashlib.sha256("\n".join(text).encode()).hexdigest()[:16]
+
+    def _keep(self) -> None:
+        if self.state is None:
+            return
+        kept = {
+            **self._identity(),
+            "generation": self._generation,
+            "runs": self._runs,
+            "order": self._order,
+            "population": self._population.tolist(),
+            "costs": self._costs.tolist(),
+        }
+        scratch = self.state.with_suffix(self.state.suffix + ".new")
+        scratch.write_text(json.dumps(kept))
+        os.replace(scratch, self.state)
+
+    def _resume(self, state: Path) -> None:
+        try:
+            kept = json.loads(state.read_text())
+            mine = {name: kept[name] for name in self._identity()}
+            population = np.array(kept["population"], dtype=np.float64)
+            costs = np.array(kept["costs"], dtype=np.float64)
+            generation, runs = int(kept["generation"]), int(kept["runs"])
+            order = [int(at) for at in kept["order"]]
+        except (ValueError, KeyError, TypeError) as error:
+            raise SearchError(f"{state} is no search that could be resumed: {error}") from error
+        if (
+            mine != self._identity()
+            or population.shape != self._population.shape
+            or costs.shape != self._costs.shape
+            or sorted(order) != sorted(self._order)
+        ):
+            raise SearchError(
+                f"{state} belongs to another search (law, plants, bounds, seed or start differ); "
+                "remove it, or ask for the same again"
+            )
+        self._generation, self._runs = generation, runs
+        self._population, self._costs, self._order = population, costs, order

@@ -1,0 +1,183 @@
+"""How well gains do on a plant: each error over its bound in Table IV, the worst counts.
+
+A search cannot afford the paper's two experiments in full. One cycle of experiment 1 has all
+that they ask: the transitions, and a steady state at each end. Its rests are not cut short: the
+steady error counts after 5 s of rest, and a law that had to be there at once would need an
+integral so strong that it hunts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from pamctl.control.experiment import TrackingSettings
+from pamctl.settings.resolve import RunSettings, resolve
+from pamctl.settings.rig_file import SimRigSettings
+from pamctl.signals import Phase
+from pamctl.simulate.batch import Batch, simulated
+from pamctl.simulate.merit import TABLE_IV, merit
+from pamctl.tune.plant_ensemble import Member
+
+_OTHERS = 0.1
+"""Weight of the mean error beside the worst one."""
+TRIPPED = 100.0
+"""Of a run that safety ended at its beginning; half of it where it came half-way."""
+
+SHORT = TrackingSettings(kind="tracking", rest_s=10.0, cycles=1, approach_s=3.0, settle_s=0.5)
+SHORT_S, WHOLE_S = 33.5, 67.0 + 37.0
+"""How long that takes, and both experiments."""
+
+
+class Bounds(NamedTuple):
+    """The strictest column of Table IV, in m."""
+
+    max_m: float
+    rms_m: float
+    moving_rms_m: float
+    """RMS of experiment 2, where nothing rests."""
+    steady_m: float
+
+
+def _strictest() -> Bounds:
+    resting = [row.merit for row in TABLE_IV if row.experiment == "tracking-1"]
+    moving = [row.merit for row in TABLE_IV if row.experiment == "tracking-2"]
+    return Bounds(
+        min(m.max_m for m in resting),
+        min(m.rms_m for m in resting),
+        min(m.rms_m for m in moving),
+        min(m.steady_m for m in resting),
+    )
+
+
+BOUNDS = _strictest()
+
+
+class Verdict(NamedTuple):
+    """What one plant says of gains."""
+
+    worst: float
+    """The largest error over its bound; below 1 is inside Table IV."""
+    why: str
+    """Which error that is, or that safety ended the run."""
+    figures_um: dict[str, float]
+    mean: float
+    """Mean of all errors over their bounds."""
+
+    @property
+    def cost(self) -> float:
+        """What a search goes by: the worst error; of gains with the same one, the others.
+
+        Many have the same: the steady error is a whole number of the encoder's counts.
+        """
+        return self.worst + _OTHERS * self.mean
+
+    @property
+    def is_inside(self) -> bool:
+        """Every error is within its bound."""
+        return self.worst <= 1.0
+
+
+_Errors = dict[str, tuple[float, float]]
+"""Errors and their bounds, in m, by name."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A set-up in which gains are tried: `short` for a search, `whole` for what is reported."""
+
+    length: Literal["short", "whole"] = "short"
+
+    @property
+    def duration_s(self) -> float:
+        """How long the muscle moves for a verdict."""
+        return SHORT_S if self.length == "short" else WHOLE_S
+
+    def verdict(self, controller: Any, member: Member) -> Verdict:
+        """Run gains (a controller's settings) on one plant."""
+        if self.length == "short":
+            return _judged_short(simulated(_settings(controller, member, SHORT)))
+        errors: _Errors = {}
+        for name in ("tracking-1", "tracking-2"):
+            batch = simulated(_settings(controller, member, None, name))
+            if batch.run.tripped_tick >= 0:
+                return _tripped(batch)
+            errors |= _errors_of(batch, name)
+        return _worst(errors)
+
+
+def _settings(
+    controller: Any, member: Member, experiment: Any, name: str = "tracking-1"
+) -> RunSettings:
+    base = _base(name)
+    assert isinstance(base.rig, SimRigSettings)
+    sim = base.rig.sim.model_copy(
+        update={
+            "sensor_noise_v": member.noise_v,
+            "output_delay_ticks": member.output_delay_ticks,
+        }
+    )
+    return base.model_copy(
+        update={
+            "controller": controller,
+            "plant": member.plant,
+            "rig": base.rig.model_copy(update={"sim": sim}),
+            "experiment": experiment or base.experiment,
+            "seed": member.seed,
+        }
+    )
+
+
+_bases: dict[str, RunSettings] = {}
+
+
+def _base(name: str) -> RunSettings:
+    if name not in _bases:
+        _bases[name] = resolve(experiment=name)
+    return _bases[name]
+
+
+def _judged_short(batch: Batch) -> Verdict:
+    if batch.run.tripped_tick >= 0:
+        return _tripped(batch)
+    found = merit(batch.t_s, batch.run["phase"].astype(np.int64), batch.error_m)
+    assert found is not None
+    moving = batch.run["phase"] == Phase.TRACK
+    moving_rms_m = float(np.sqrt(np.mean(batch.error_m[moving] ** 2)))
+    return _worst(
+        {
+            "max": (found.max_m, BOUNDS.max_m),
+            "RMS": (found.rms_m, BOUNDS.rms_m),
+            "moving RMS": (moving_rms_m, BOUNDS.moving_rms_m),
+            "steady": (found.steady_m, BOUNDS.steady_m),
+        }
+    )
+
+
+def _errors_of(batch: Batch, name: str) -> _Errors:
+    found = batch.merit()
+    assert found is not None
+    bounds = [row.merit for row in TABLE_IV if row.experiment == name]
+    number = name[-1]
+    errors = {
+        f"max {number}": (found.max_m, min(b.max_m for b in bounds)),
+        f"RMS {number}": (found.rms_m, min(b.rms_m for b in bounds)),
+    }
+    if name == "tracking-1":
+        errors["steady 1"] = (found.steady_m, BOUNDS.steady_m)
+    return errors
+
+
+def _worst(errors: _Errors) -> Verdict:
+    ratios = {name: error / bound for name, (error, bound) in errors.items()}
+    why = max(ratios, key=lambda name: ratios[name])
+    figures_um = {name: error * 1e6 for name, (error, _) in errors.items()}
+    return Verdict(ratios[why], why, figures_um, sum(ratios.values()) / len(ratios))
+
+
+def _tripped(batch: Batch) -> Verdict:
+    share = len(batch.t_s) / len(batch.run.reference)
+    lost = TRIPPED * (1.0 - 0.9 * share)
+    return Verdict(lost, "safety trip", {}, lost)

@@ -1,0 +1,293 @@
+"""What `pamctl tune` does: processes, progress, and the file that says how it was made."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from pamctl.exit_codes import ExitCode
+from pamctl.log.naming import bare
+from pamctl.settings.problems import ConfigError, Problem
+from pamctl.settings.resolve import SECTIONS, Raw, find, to_data, validated
+from pamctl.tune.gains_file import Scores, gains_file, scores
+from pamctl.tune.gains_search import Found, Jury, Search, SearchError
+from pamctl.tune.gains_trial import Trial, Verdict
+from pamctl.tune.plant_ensemble import Member, ensemble, fixed_members
+from pamctl.tune.search_space import SPACES
+
+_DEFAULT_SIZE = 16
+_FRESH = 1_000_003
+"""Added to the seed for plants that the search has not seen."""
+_SHOWN_FAILURES = 8
+_WHICH = {"fresh": "fresh plants", "named": "named plants"}
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the options mean."""
+
+    law: str
+    drawn: list[Member]
+    """Plants of which a quantile counts."""
+    named: list[Member]
+    """Plants of which each counts."""
+    fresh: list[Member]
+    """Drawn plants for the score, none of which the search sees."""
+    seed: int
+    quantile: float
+    out: Path | None
+    checked: Any
+    """Controller to score; None to seek one."""
+    start: dict[str, Any] | None
+
+    @property
+    def trial(self) -> Trial:
+        """How they are judged in a search: a few named plants by the whole experiments."""
+        return Trial("short" if self.drawn else "whole")
+
+    @property
+    def jury(self) -> Jury:
+        """Who judges in a search."""
+        return Jury(tuple(self.drawn), self.quantile, tuple(self.named))
+
+    @classmethod
+    def of(
+        cls,
+        law: str | None,
+        plants: Sequence[str],
+        size: int | None,
+        seed: int,
+        quantile: float,
+        held_out: int,
+        out: Path | None,
+        check: str | None,
+        start: str | None,
+    ) -> Asked:
+        """Make sense of the options; raise `ConfigError`."""
+        checked = None if check is None else _controller(check, "--check")
+        law = checked.law if checked is not None else law
+        if law not in SPACES:
+            raise _wrong(f"--law {law or ''}".strip(), f"must be one of {', '.join(SPACES)}")
+        if checked is None:
+            _require_new(out)
+        began = None if start is None else _controller(start, "--start")
+        if began is not None and began.law != law:
+            raise _wrong(f"--start {start}", f"holds gains of {began.law}, not of {law}")
+        if began is not None and began.length_unit != "mm":
+            raise _wrong(f"--start {start}", "gains are sought in mm, these are in inches")
+        named = fixed_members([(bare(name), _plant(name)) for name in plants])
+        draws = size is not None or not plants
+        drawn = ensemble(size or _DEFAULT_SIZE, seed) if draws else []
+        fresh = ensemble(held_out, seed + _FRESH) if draws else []
+        begun = None if began is None else to_data(began)
+        return cls(law, drawn, named, fresh, seed, quantile, out, checked, begun)
+
+
+def _wrong(where: str, message: str) -> ConfigError:
+    return ConfigError([Problem(where, "", message)])
+
+
+def _require_new(out: Path | None) -> None:
+    if out is None:
+        raise _wrong("--out", "where shall the gains go? Name a file that does not exist yet")
+    if out.exists():
+        raise _wrong(f"--out {out}", "exists, and gains are never overwritten")
+    if not out.parent.is_dir():
+        raise _wrong(f"--out {out}", f"there is no directory {out.parent}")
+
+
+def _controller(name: str, option: str) -> Any:
+    raw = Raw.read(find("controller", name, option))
+    return validated(SECTIONS["controller"], raw, "controller")
+
+
+def _plant(name: str) -> Any:
+    return validated(SECTIONS["plant"], Raw.read(find("plant", name)), "plant")
+
+
+def check_gains(asked: Asked, jobs: int | None, *, as_json: bool) -> ExitCode:
+    """Score given gains on fresh plants, or on named ones, and print how they did."""
+    with _processes(jobs) as executor:
+        found = _scored(executor, asked.checked, asked)
+    document = {"law": asked.law, "gains": to_data(asked.checked), **_document(found)}
+    typer.echo(json.dumps(document, indent=2) if as_json else _told(asked.law, found))
+    return ExitCode.OK
+
+
+def seek_gains(
+    asked: Asked, jobs: int | None, generations: int, command: str, *, as_json: bool
+) -> ExitCode:
+    """Search, write the gains and print how they do on plants the search has not seen."""
+    assert asked.out is not None
+    state = asked.out.with_suffix(".search.json")
+    began_s = time.monotonic()
+    interrupted = False
+    found: dict[str, Scores]
+    with _processes(jobs) as executor:
+        try:
+            search = Search(asked.law, asked.jury, asked.seed, asked.start, state, asked.trial)
+            while search.generation < generations:
+                _show(search.advance(executor), generations, began_s)
+        except SearchError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return ExitCode.USAGE
+        except KeyboardInterrupt:
+            interrupted = True
+        try:
+            best = search.best
+        except SearchError as error:
+            print(f"\nerror: stopped before the first generation: {error}", file=sys.stderr)
+            return ExitCode.SIGINT
+        controller = SECTIONS["controller"].validate_python(best.gains)
+        try:
+            found = _scored(executor, controller, asked)
+        except KeyboardInterrupt:  # in no mood to wait: the gains all the same
+            interrupted, found = True, {}
+    text = gains_file(best.gains, command, _effort(asked, best), _reported(found))
+    with asked.out.open("x") as file:
+        file.write(text)
+    if not interrupted:
+        state.unlink(missing_ok=True)
+    document = {
+        "law": asked.law,
+        "gains": best.gains,
+        "cost": best.cost,
+        "generations": best.generation,
+        "runs": best.evaluations,
+        "took_s": time.monotonic() - began_s,
+        "interrupted": interrupted,
+        **_document(found),
+        "out": str(asked.out),
+    }
+    if as_json:
+        typer.echo(json.dumps(document, indent=2))
+    else:
+        typer.echo(_told(asked.law, found) if found else "not scored")
+        typer.echo(f"gains: {asked.out}")
+    if interrupted:
+        print(
+            f"interrupted; without {asked.out} the same command goes on from {state}",
+            file=sys.stderr,
+        )
+    return ExitCode.SIGINT if interrupted else ExitCode.OK
+
+
+# --- processes -------------------------------------------------------------------------------
+
+
+@contextmanager
+def _processes(jobs: int | None) -> Iterator[ProcessPoolExecutor]:
+    # Not forked: a fork of a process with numba's and numpy's threads may hang.
+    context = multiprocessing.get_context("spawn")
+    executor = ProcessPoolExecutor(jobs or os.cpu_count(), context, initializer=_begin_work)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+def _begin_work() -> None:
+    """Leave Ctrl-C to the one who shares the work out, and end when that one is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # A worker waits on a pipe of which it holds both ends: it would wait there for ever.
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _scored(executor: ProcessPoolExecutor, controller: Any, asked: Asked) -> dict[str, Scores]:
+    """Return scores on fresh plants and on the named ones, where there are any."""
+    verdict = partial(_verdict, controller)
+    members = [*asked.fresh, *asked.named]
+    verdicts = list(executor.map(verdict, members, chunksize=max(1, len(members) // 50)))
+    drawn = len(asked.fresh)
+    parts = {"fresh": slice(drawn), "named": slice(drawn, None)}
+    return {
+        which: scores(members[part], verdicts[part])
+        for which, part in parts.items()
+        if members[part]
+    }
+
+
+def _verdict(controller: Any, member: Member) -> Verdict:
+    return Trial("whole").verdict(controller, member)
+
+
+# --- words -----------------------------------------------------------------------------------
+
+
+def _show(best: Found, generations: int, began_s: float) -> None:
+    took_s = time.monotonic() - began_s
+    line = f"generation {best.generation} of {generations}: {best.cost:.3f}, {took_s:.0f} s"
+    if sys.stderr.isatty():
+        print(f"\r{line}   ", end="", file=sys.stderr, flush=True)
+    else:
+        print(line, file=sys.stderr, flush=True)
+
+
+def _effort(asked: Asked, best: Found) -> str:
+    kind = f"the quantile {asked.quantile:g}" if asked.quantile < 1.0 else "the worst"
+    drawn = f"{kind} of {len(asked.drawn)} drawn plants" if asked.drawn else ""
+    named = " and ".join(member.name for member in asked.named)
+    judges = ", and for ".join(filter(None, [drawn, named]))
+    return (
+        f"Differential evolution, {best.generation} generations, {best.evaluations} runs of "
+        f"{asked.trial.duration_s:g} s, for {judges}; cost {best.cost:.3f}."
+    )
+
+
+def _reported(found: dict[str, Scores]) -> str:
+    if not found:
+        return "Not scored: interrupted."
+    said = [
+        f"on {one.plants} {_WHICH[which]} {one.inside} inside Table IV ({100 * one.share:.1f} %), "
+        f"score median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
+        for which, one in found.items()
+    ]
+    return f"Both experiments in full: {'; '.join(said)}."
+
+
+def _told(law: str, found: dict[str, Scores]) -> str:
+    return "\n".join(_told_of(f"{law}, {_WHICH[which]}", one) for which, one in found.items())
+
+
+def _told_of(title: str, found: Scores) -> str:
+    lines = [
+        f"{title}: {found.inside} of {found.plants} inside every bound of Table IV "
+        f"({100 * found.share:.1f} %)",
+        f"largest error over its bound: median {found.median:.2f}, 95 % {found.p95:.2f}, "
+        f"worst {found.worst:.2f}",
+    ]
+    for name, why, worst in found.failures[:_SHOWN_FAILURES]:
+        lines.append(f"  outside: plant {name}: {why}, {worst:.2f} times the bound")
+    if len(found.failures) > _SHOWN_FAILURES:
+        lines.append(f"  and {len(found.failures) - _SHOWN_FAILURES} more")
+    return "\n".join(lines)
+
+
+def _document(found: dict[str, Scores]) -> dict[str, Any]:
+    return {"scores": {which: _of_plants(one) for which, one in found.items()} or None}
+
+
+def _of_plants(found: Scores) -> dict[str, Any]:
+    failures = [{"plant": n, "why": why, "worst": worst} for n, why, worst in found.failures]
+    return {**found._asdict(), "share": found.share, "failures": failures}

@@ -1,0 +1,181 @@
+"""The verbs that read logs write what they were asked to, and never over what is not theirs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from support.patience import PATIENCE_S
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"
+
+
+@pytest.fixture
+def log(tmp_path):
+    return shutil.copy(GOLDEN, tmp_path / "run.mcap")
+
+
+def refused(*arguments):
+    """Run a verb that must leave with 2; return what it says, in one line."""
+    done = CliRunner().invoke(app, [str(word) for word in arguments])
+    assert done.exit_code == 2, done.output
+    assert not done.stdout
+    return " ".join(done.stderr.replace("│", " ").split())
+
+
+@pytest.mark.parametrize("verb", [("report",), ("compare", "--plant", "paper")])
+def test_a_page_replaces_an_older_page_and_nothing_else(verb, log):
+    option = "--out" if verb[0] == "report" else "--plot"
+    before = log.read_bytes()
+    assert "is something else" in refused(*verb, log, option, log)
+    assert log.read_bytes() == before
+    page = log.with_name("page.html")
+    page.write_text("<!doctype html>an older one")
+    assert CliRunner().invoke(app, [*verb, str(log), option, str(page)]).exit_code == 0
+    assert "an older one" not in page.read_text()
+
+
+def test_a_page_where_no_file_can_be_is_refused(log):
+    assert "is a directory" in refused("compare", log, "--plot", log.parent)
+    assert "there is no directory" in refused("compare", log, "--plot", log.parent / "a" / "b.html")
+    assert "there is no directory" in refused("report", log, "--out", log.parent / "a" / "b.html")
+    assert not (log.parent / "a").exists()
+    assert "cannot make the directory" in refused("reproduce", "fig3", "--out", log / "inside")
+
+
+def test_the_table_of_a_what_if_is_never_written_over_a_file(log):
+    table = log.with_name("table.csv")
+    what_if = ("replay", log, "--set", "controller.eta=0", "--csv", table)
+    assert CliRunner().invoke(app, [str(word) for word in what_if]).exit_code == 0
+    before = table.read_bytes()
+    assert "never overwritten" in refused(*what_if)
+    assert table.read_bytes() == before
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "-1"])
+def test_a_replay_starts_at_a_time_that_can_be(seconds, log):
+    assert "must be seconds, 0 or more" in refused("replay", log, "--from", seconds)
+
+
+@pytest.mark.parametrize("options", [(), ("--set", "controller.eta=0")])
+def test_a_replay_from_behind_the_end_is_a_wrong_option_and_no_bad_log(options, log):
+    assert "there is nothing from 1e+09 s on" in refused("replay", log, "--from", "1e9", *options)
+
+
+@pytest.fixture
+def impatient():
+    """An alarm for what would wait, or read, for ever."""
+    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it hangs"))
+    signal.alarm(20)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("kind", ["a directory", "a pipe", "a device"])
+@pytest.mark.parametrize(
+    ("verb", "code"),
+    [
+        ("replay {}", 65), ("compare {}", 65), ("report {}", 65), ("audit {}", 78),
+        ("diagnose {} --out out", 65), ("log info {}", 65), ("log check {}", 65),
+        ("log recover {} out.mcap", 65), ("log export {} out.csv", 65),
+        ("log import {} out.mcap", 65), ("log import {} out.mcap --map {}", 78),
+        ("run --dry-run --rig {}", 78), ("config check {}", 78),
+    ],
+)  # fmt: skip
+def test_what_is_no_file_is_refused_and_never_waited_for(verb, code, kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "input"
+    match kind:
+        case "a directory":
+            path.mkdir()
+        case "a pipe":
+            os.mkfifo(path)
+        case "a device":
+            path = Path("/dev/zero")
+    done = CliRunner().invoke(app, verb.format(*2 * [path]).split())
+    assert done.exit_code == code, done.output
+    assert f"{kind}, not a file" in done.output
+    assert list(tmp_path.iterdir()) in ([], [path])
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_what_is_told_of_a_damaged_log_ends_with_3_and_the_way_out(log, options):
+    whole = CliRunner().invoke(app, ["log", "info", str(log), *options])
+    assert (whole.exit_code, whole.stderr) == (0, "")
+    log.write_bytes(log.read_bytes()[:-1000])
+    cut = CliRunner().invoke(app, ["log", "info", str(log), *options])
+    assert cut.exit_code == 3
+    assert f"pamctl log recover {log}" in cut.stderr
+    assert "qsmc" in cut.stdout, "what is whole is told nevertheless"
+
+
+def test_the_command_line_starts_without_what_only_some_verbs_need():
+    heavy = "numpy scipy numba matplotlib pyarrow nidaqmx asyncio"
+    script = f"import sys, pamctl.cli.app; print(set('{heavy}'.split()) & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.strip() == "set()", done.stderr
+
+
+ELSEWHERE = """
+import mmap, os, select, signal, socket, sys
+import subprocess, asyncio, multiprocessing.pool  # the standard library knows where it is
+
+for name in ("fcntl", "grp", "pwd", "resource", "syslog", "termios"):
+    sys.modules[name] = None
+hidden = {
+    os: ["sched_", "SCHED_", "eventfd", "P_PID", "waitid", "get", "fch", "O_NOFOLLOW", "O_CLOEXEC",
+         "fork", "pread", "pwrite", "posix_", "setsid", "kill", "fdatasync", "memfd"],
+    signal: ["SIGHUP", "SIGSTOP", "SIGTSTP", "SIGKILL", "SIGCONT", "SIGALRM", "pthread", "setit"],
+    select: ["poll", "epoll"], socket: ["AF_UNIX"], mmap: ["MAP_", "PROT_"],
+}
+kept = ("getpid", "getcwd", "getcwdb", "getenv", "getenvb", "get_terminal_size", "get_exec_path")
+for module, beginnings in hidden.items():
+    for name in [n for n in dir(module) if n.startswith(tuple(beginnings)) and n not in kept]:
+        delattr(module, name)
+
+from pamctl.cli.app import app
+for verb in sys.argv[1:]:
+    try:
+        app(verb.split())
+    except SystemExit as end:
+        assert not end.code, (verb, end.code)
+"""
+"""Several calls of `pamctl` where there is nothing that only Linux has."""
+
+
+def test_the_verbs_that_drive_nothing_need_nothing_that_only_linux_has(log):
+    verbs = [
+        "replay {}", "replay {} --tolerance default-for-other-cpu", "compare {}",
+        "report {} --out page.html", "log info {}", "log check {}",
+        "log recover {} saved.mcap", "log export {} out.csv", "log import out.csv again.mcap",
+        "config check", "run --dry-run",
+    ]  # fmt: skip
+    command = [sys.executable, "-c", ELSEWHERE, *(verb.format(log) for verb in verbs)]
+    done = subprocess.run(
+        command, cwd=log.parent, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "verb",
+    ["run", "safe", "doctor", "daemon", "watch", "status", "calibrate pressure --out a.yaml"],
+)
+def test_a_verb_that_drives_a_rig_says_elsewhere_that_it_needs_linux(verb, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("pamctl.cli.linux.sys", SimpleNamespace(platform="elsewhere"))
+    done = CliRunner().invoke(app, verb.split())
+    assert done.exit_code == 69, done.output
+    assert done.stderr.startswith("error: this verb needs Linux")
+    assert not list(tmp_path.iterdir())

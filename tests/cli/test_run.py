@@ -1,0 +1,469 @@
+"""`pamctl run` as its user meets it: real processes, real signals, real files."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.killing import kill_as_one
+from support.patience import BUSY_PC, PATIENCE_S
+from support.rings import await_phase, await_tick, ring_left
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+from pamctl.log.reader import Log, read
+from pamctl.processes.backends import SHARED_MEMORY
+from pamctl.settings.resolve import from_resolved, resolve
+from pamctl.signals import Phase
+
+PAMCTL = str(Path(sys.executable).with_name("pamctl"))
+DEVICE = f"testrun{os.getpid()}"
+ON_OUR_DEVICE = tuple(
+    part
+    for setting in (f"rig.sim.device={DEVICE}", "rig.homing.enabled=false", *BUSY_PC)
+    for part in ("--set", setting)
+)
+"""In real time a run needs a device for itself, and others may be running on this PC."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _device() -> Iterator[None]:
+    yield
+    for left in SHARED_MEMORY.glob(f"pamctl-{DEVICE}.*"):
+        left.unlink()
+
+
+def pamctl(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [PAMCTL, *arguments], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def fast_run(cwd: Path, *arguments: str, log: str = "run.mcap") -> tuple[dict[str, object], Log]:
+    """Run without a clock: the loop and its recorder are real, the front is in this process."""
+    options = ["--fast", "--json", "--log", str(cwd / log), *arguments]
+    done = CliRunner().invoke(app, ["run", *options])
+    assert done.stdout, done.stderr
+    return json.loads(done.stdout), read(cwd / log)
+
+
+@contextmanager
+def running(cwd: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run in real time until the block ends; it must not need longer."""
+    front = subprocess.Popen(
+        [PAMCTL, "run", "--quiet", "--log", "run.mcap", *ON_OUR_DEVICE, *arguments],
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with front:
+        try:
+            yield front
+        finally:
+            front.kill()
+
+
+def children(front: subprocess.Popen[str]) -> dict[str, int]:
+    """Return the process ids of a front's children, once all are there."""
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        found = {}
+        for pid in Path(f"/proc/{front.pid}/task/{front.pid}/children").read_text().split():
+            command = Path(f"/proc/{pid}/cmdline").read_text()
+            for name in ("loop_main", "recording.recorder", "guardian_main"):
+                if name in command:
+                    found[name] = int(pid)
+        if len(found) == 3:
+            return found
+        time.sleep(0.02)
+    raise AssertionError("the front did not start its processes")
+
+
+def await_ticks(front: subprocess.Popen[str], ticks: int) -> None:
+    await_tick(front.pid, lambda newest: newest["tick"] >= ticks)
+
+
+def assert_gapless_but_for_missed_ticks(log: Log) -> None:
+    assert np.array_equal(np.diff(log["tick"]) - 1, log["missed"][1:])
+
+
+def outcome(log: Log) -> dict[str, object]:
+    return next(event for event in log.events if event["event"] == "outcome")
+
+
+# --- a run without a clock ---------------------------------------------------------------
+
+SHORT = ("--duration", "0.5", "--seed", "7", "--set", "rig.loop.stop_ramp_s=0.25")
+
+
+BRISK = (
+    "--duration", "5", "--set", "experiment.approach_s=2", "--set", "experiment.settle_s=1"
+)  # fmt: skip
+"""Two seconds of tracking, after three to get there."""
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    return fast_run(tmp_path_factory.mktemp("short"), *SHORT)[1]
+
+
+@pytest.fixture(scope="module")
+def of_every_phase(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    return fast_run(tmp_path_factory.mktemp("whole"), *BRISK)[1]
+
+
+def test_a_fast_run_says_how_well_it_tracked_beside_table_iv(tmp_path: Path) -> None:
+    report, log = fast_run(tmp_path)
+    assert report["exit_code"] == 0
+    tracked = np.isin(log["phase"], (Phase.TRACK, Phase.REST))
+    error_m = (log["position_m"] - log["reference_m"])[tracked]
+    assert report["tracking"]["measured"]["max_m"] == pytest.approx(np.abs(error_m).max())
+    assert report["tracking"]["measured"]["rms_m"] == pytest.approx(np.sqrt(np.mean(error_m**2)))
+    assert {row["law"] for row in report["paper"]} == {"qsmc", "smc"}
+    assert report["timing"] is None
+    assert outcome(log)["code"] == 0
+
+
+def test_the_same_seed_gives_the_same_bytes_of_payload_and_another_seed_does_not(
+    tmp_path: Path, short: Log
+) -> None:
+    def payload(log: Log) -> list[bytes]:
+        return [np.ascontiguousarray(log[column]).tobytes() for column in log.columns]
+
+    assert payload(fast_run(tmp_path, *SHORT, log="b.mcap")[1]) == payload(short)
+    assert payload(fast_run(tmp_path, *SHORT, "--seed", "8", log="c.mcap")[1]) != payload(short)
+
+
+def test_a_run_homes_approaches_tracks_and_stops_in_this_order(of_every_phase: Log) -> None:
+    log = of_every_phase
+    phases = log["phase"][np.flatnonzero(np.diff(log["phase"], prepend=-1))]
+    assert phases.tolist() == [Phase.HOMING, Phase.APPROACH, Phase.TRACK, Phase.STOPPING]
+    zeroed = [event for event in log.events if event["event"] == "zeroed"]
+    assert zeroed[-1]["sensor_zero_v"] == pytest.approx(0.215, abs=1e-3)
+    assert zeroed[-1]["encoder_zero_counts"] == 1000.0
+
+
+def test_duration_counts_from_the_end_of_homing(short: Log) -> None:
+    assert np.count_nonzero(short["phase"] == Phase.APPROACH) == 500
+
+
+def test_the_valve_ends_on_a_ramp_at_its_safe_voltage(of_every_phase: Log) -> None:
+    log = of_every_phase
+    stopping = log["phase"] == Phase.STOPPING
+    assert log["applied_v"][-1] == pytest.approx(0.0, abs=0.02)
+    assert np.all(np.diff(log["applied_v"][stopping]) <= 0)
+
+
+def test_an_open_loop_square_moves_the_muscle_as_the_model_says(tmp_path: Path) -> None:
+    report, log = fast_run(tmp_path, "--experiment", "square-1")
+    assert report["exit_code"] == 0
+    assert report["tracking"]["measured"]["max_m"] is None
+    swing = log["true_position_m"][log["phase"] == Phase.OPEN_LOOP]
+    assert swing.max() == pytest.approx(23.7e-3, abs=0.2e-3)
+
+
+@pytest.mark.parametrize("controller", ["qsmc", "smc", "pid", "smc-paper-plant"])
+def test_every_shipped_law_runs_the_experiment_to_its_end(tmp_path: Path, controller: str) -> None:
+    report, _ = fast_run(tmp_path, "--controller", controller, *BRISK)
+    assert report["exit_code"] == 0
+    assert report["tracking"]["measured"]["max_m"] < 292e-6
+
+
+def test_the_log_carries_the_resolved_configuration(short: Log) -> None:
+    embedded = from_resolved(json.dumps(short.config))
+    asked = resolve(duration_s=0.5, seed=7, fast=True, overrides=["rig.loop.stop_ramp_s=0.25"])
+    assert embedded == asked
+    assert short.gains[0]["law"] == "qsmc"
+    assert short.metadata["run"]["controller"] == "qsmc"
+
+
+def test_a_dry_run_prints_a_configuration_that_resolves_to_itself(tmp_path: Path) -> None:
+    done = pamctl("run", "--dry-run", "--set", "controller.lambda_per_s=12", cwd=tmp_path)
+    assert done.returncode == 0
+    assert from_resolved(done.stdout) == resolve(overrides=["controller.lambda_per_s=12"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_log_info_says_what_a_log_holds(tmp_path: Path, short: Log) -> None:
+    done = pamctl("log", "info", str(short.path), "--json", cwd=tmp_path)
+    found = json.loads(done.stdout)
+    assert found["complete"]
+    assert found["law"] == "qsmc"
+    assert found["phases"]["approach"] == 500
+    assert found["channels"]["/pam/tick"] == found["ticks"]
+
+
+# --- a run in real time ------------------------------------------------------------------
+
+
+def test_in_real_time_the_ticks_lie_on_the_grid_and_missed_ones_are_counted(
+    tmp_path: Path,
+) -> None:
+    options = ("--duration", "1", "--log", "run.mcap", "--json")
+    done = pamctl("run", *options, *ON_OUR_DEVICE, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    report, log = json.loads(done.stdout), read(tmp_path / "run.mcap")
+    assert_gapless_but_for_missed_ticks(log)
+    off_grid_s = log["t_s"] - log["tick"] * 1e-3
+    # No drift: whatever happens to single ticks, the last lie where the grid has them.
+    assert np.abs(np.median(off_grid_s[-200:]) - np.median(off_grid_s[:200])) < 2e-3
+    assert np.allclose(log["dt_s"][1:], np.diff(log["t_s"]), atol=1e-9)
+    assert report["timing"]["wake_up"]["p50_s"] >= 0
+    setup = log.metadata["timing_setup"]
+    assert setup["mode"] == "auto"
+
+
+def test_ctrl_c_stops_smoothly_and_the_log_is_whole(tmp_path: Path) -> None:
+    with running(tmp_path) as front:
+        await_ticks(front, 300)
+        front.send_signal(signal.SIGINT)
+        _, said = front.communicate(timeout=PATIENCE_S)
+    assert front.returncode == 130
+    assert "SIGINT" in said
+    log = read(tmp_path / "run.mcap")
+    assert_gapless_but_for_missed_ticks(log)
+    assert log["phase"][-1] == Phase.STOPPING
+    assert outcome(log)["code"] == 130
+
+
+def test_an_impatient_second_ctrl_c_stops_at_once(tmp_path: Path) -> None:
+    with running(tmp_path, "--set", "rig.loop.stop_ramp_s=5") as front:
+        await_ticks(front, 300)
+        front.send_signal(signal.SIGINT)
+        await_phase(front.pid, Phase.STOPPING)
+        front.send_signal(signal.SIGINT)
+        front.communicate(timeout=PATIENCE_S)
+    assert front.returncode == 130
+    log = read(tmp_path / "run.mcap")
+    assert 0 < np.count_nonzero(log["phase"] == Phase.STOPPING) < 4900
+
+
+def test_sigterm_ends_a_run_with_143(tmp_path: Path) -> None:
+    with running(tmp_path) as front:
+        await_ticks(front, 200)
+        front.terminate()
+        front.communicate(timeout=PATIENCE_S)
+    assert front.returncode == 143
+    assert outcome(read(tmp_path / "run.mcap"))["code"] == 143
+
+
+# --- sudden deaths -----------------------------------------------------------------------
+
+
+def test_a_killed_recorder_ends_the_run_and_the_log_is_complete_to_the_last_tick(
+    tmp_path: Path,
+) -> None:
+    with running(tmp_path) as front:
+        pids = children(front)
+        await_ticks(front, 700)
+        os.kill(pids["recording.recorder"], signal.SIGKILL)
+        _, said = front.communicate(timeout=PATIENCE_S)
+    assert front.returncode == 1
+    assert "finished from the ring" in said
+    log = read(tmp_path / "run.mcap")
+    assert_gapless_but_for_missed_ticks(log)
+    assert outcome(log)["reason"] == "the recorder failed"
+    assert not ring_left(front.pid)
+
+
+def test_a_recorder_frozen_for_good_ends_the_run_and_loses_nothing(tmp_path: Path) -> None:
+    with running(tmp_path) as front:
+        pids = children(front)
+        await_ticks(front, 300)
+        os.kill(pids["recording.recorder"], signal.SIGSTOP)
+        _, said = front.communicate(timeout=PATIENCE_S)
+    assert front.returncode == 1
+    assert "finished from the ring" in said
+    log = read(tmp_path / "run.mcap")
+    assert_gapless_but_for_missed_ticks(log)
+    assert "no sign of life" in str(outcome(log)["reason"])
+
+
+def test_a_killed_loop_is_reported_and_its_last_tick_is_in_the_log(tmp_path: Path) -> None:
+    with running(tmp_path) as front:
+        pids = children(front)
+        await_ticks(front, 500)
+        os.kill(pids["loop_main"], signal.SIGKILL)
+        _, said = front.communicate(timeout=PATIENCE_S)
+    assert front.returncode == 1
+    assert "killed by SIGKILL" in said
+    log = read(tmp_path / "run.mcap")
+    assert_gapless_but_for_missed_ticks(log)
+    assert log["tick"][-1] >= 490
+    reason = str(outcome(log)["reason"])
+    assert reason.startswith("the loop process was killed by SIGKILL; the guardian drove")
+
+
+def test_when_the_front_is_killed_the_others_finish_their_work(tmp_path: Path) -> None:
+    with running(tmp_path) as front:
+        await_ticks(front, 300)
+        front.kill()
+        front.wait()
+    deadline = time.monotonic() + PATIENCE_S
+    while ring_left(front.pid):
+        assert time.monotonic() < deadline, "the ring was left behind"
+        time.sleep(0.05)
+    log = read(tmp_path / "run.mcap")
+    assert outcome(log)["reason"] == "the commanding process is gone"
+
+
+def test_when_all_are_killed_at_once_the_next_run_finishes_the_log(tmp_path: Path) -> None:
+    with running(tmp_path) as front:
+        pids = (front.pid, *children(front).values())
+        await_ticks(front, 400)
+        kill_as_one(*pids)
+        front.wait()
+    ring = ring_left(front.pid)
+    assert ring
+    time.sleep(2.1)  # a ring younger than that might belong to a run that is just starting
+    done = pamctl("run", "--fast", "--duration", "0.1", "--log", "next.mcap", cwd=tmp_path)
+    assert f"a run died before ({ring}): finished {tmp_path / 'run.mcap'}" in done.stderr
+    assert done.returncode == 0
+    assert not ring.exists()
+    log = read(tmp_path / "run.mcap")
+    assert_gapless_but_for_missed_ticks(log)
+    assert log["tick"][-1] >= 390
+
+
+# --- trips -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "reason"),
+    [
+        ("{kind: pressure_nan, from_tick: 2500}", 4, "no finite number"),
+        ("{kind: broken_wire, from_tick: 2500}", 4, "electrical range"),
+        ("{kind: encoder_jump, from_tick: 2500, size: 9000}", 4, "faster than the muscle can"),
+        ("{kind: read_error, from_tick: 2500}", 69, "read_error injected at tick 2500"),
+        ("{kind: write_error, from_tick: 2500}", 69, "write_error injected at tick 2500"),
+    ],
+)
+def test_a_rehearsed_fault_ends_the_run_with_its_exit_code_and_reason(
+    tmp_path: Path, fault: str, code: int, reason: str
+) -> None:
+    at_once = ("--set", "rig.homing.enabled=false")
+    report, log = fast_run(tmp_path, "--set", f"rig.faults=[{fault}]", *at_once)
+    assert report["exit_code"] == code
+    assert reason in report["reason"]
+    assert len(log) >= 2500
+    if code == 4:
+        assert log["tripped"][-1]
+        assert log["applied_v"][-1] == pytest.approx(0.0, abs=1e-3)
+        table = (tmp_path / "run-trip.csv").read_text().splitlines()
+        assert len(table) - 1 in (2000, 2001)  # as the first of 2 s rounds
+        assert table[0].startswith("tick,t_s,dt_s")
+
+
+# --- bad input ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "complaint"),
+    [
+        (["--duration", "0"], 2, "--duration 0.0: duration_s: must be greater than 0"),
+        (["--duration", "nan"], 2, "must be a finite number"),
+        (["--backend", "moog"], 2, "--backend moog: unknown; there are sim, nidaq"),
+        (["--backend", "nidaq", "--fast"], 2, "only a simulation can do without a clock"),
+        (["--backend", "nidaq", "--rig", "sim"], 2, "is for the backend sim"),
+        (["--controller", "qsmk"], 2, "did you mean 'qsmc'?"),
+        (["--controller", "missing.yaml"], 78, "missing.yaml"),
+        (["--set", "controller.lamda=1"], 78, "did you mean 'lambda_per_s'?"),
+        (["--set", "controller.lambda_per_s=-1"], 78, "must be greater than 0 (got -1)"),
+        (["--set", "nonsense"], 78, "must read KEY=VALUE"),
+        (["--log", "there-already.mcap"], 2, "exists, and a log is never overwritten"),
+        (["--log", "no/such/place.mcap"], 2, "there is no directory no/such"),
+        (["--log", "/proc/log.mcap"], 2, "cannot be created"),
+        (["--no-such-option"], 2, "No such option"),
+    ],
+)
+def test_bad_input_gets_one_clear_error_and_changes_nothing(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    code: int,
+    complaint: str,
+) -> None:
+    (tmp_path / "there-already.mcap").write_bytes(b"precious")
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["run", *arguments])
+    assert done.exit_code == code, done.exception
+    assert complaint in done.stderr
+    assert "Traceback" not in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["there-already.mcap"]
+    assert (tmp_path / "there-already.mcap").read_bytes() == b"precious"
+
+
+def test_without_a_run_json_still_prints_one_document(tmp_path: Path) -> None:
+    no_driver = pamctl("run", "--backend", "nidaq", "--json", cwd=tmp_path)
+    assert "install NI-DAQmx" in no_driver.stderr
+    assert "Traceback" not in no_driver.stderr
+    assert not list(tmp_path.iterdir())
+    assert json.loads(no_driver.stdout)["exit_code"] == no_driver.returncode == 69
+    bad = pamctl("run", "--set", "controller.lamda=1", "--json", cwd=tmp_path)
+    assert json.loads(bad.stdout)["exit_code"] == bad.returncode == 78
+
+
+def test_a_changed_experiment_is_not_held_against_table_iv(tmp_path: Path) -> None:
+    changed, _ = fast_run(tmp_path, "--set", "experiment.amplitude_mm=1", "--duration", "8")
+    assert changed["paper"] == []
+
+
+def test_a_log_is_named_after_the_whole_name_of_the_experiment(tmp_path: Path) -> None:
+    pamctl("run", "--fast", "--experiment", "square-0.25", "--duration", "0.1", cwd=tmp_path)
+    (log,) = (tmp_path / "logs").iterdir()
+    assert log.name.endswith("-qsmc-square-0.25.mcap")
+
+
+def test_a_bad_line_of_a_file_is_named_with_its_place(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text(
+        "law: pid\nlength_unit: mm\nlpf2_hz: 1e2\n"
+        "kp_v_per_length: 1e-1\nki_v_per_length_s: -2\nkd_v_s_per_length: 0\n"
+    )
+    done = pamctl("run", "--controller", "mine.yaml", cwd=tmp_path)
+    assert done.returncode == 78
+    said = "mine.yaml:5:1: controller.ki_v_per_length_s: must be at least 0 (got -2)"
+    assert done.stderr.strip() == said
+
+
+def test_a_log_on_a_full_disk_ends_the_run_and_is_complete_to_its_last_tick(
+    tmp_path: Path,
+) -> None:
+    if os.geteuid():
+        pytest.skip("mounting a small file system needs root")
+    small = tmp_path / "small"
+    small.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=14m", "tmpfs", small], check=True)
+    try:
+        done = pamctl(
+            "run", "--fast", "--experiment", "tracking-1", "--log", "small/run.mcap", cwd=tmp_path
+        )
+        assert done.returncode == 1
+        assert "disk is full" in done.stderr
+        log = read(small / "run.mcap")
+        assert np.array_equal(log["tick"], np.arange(len(log)))
+        assert outcome(log)["reason"] == "the log's disk is full"
+        assert log["phase"][-1] == Phase.STOPPING
+    finally:
+        subprocess.run(["umount", small], check=True)
+
+
+def test_require_fails_where_real_time_scheduling_is_refused(tmp_path: Path) -> None:
+    if os.geteuid():
+        pytest.skip("giving up privileges needs root")
+    # Without CAP_SYS_NICE and CAP_IPC_LOCK root is refused like anyone else.
+    drop = ["setpriv", "--bounding-set", "-sys_nice,-ipc_lock", "--inh-caps", "-all"]
+    options = ["--rt", "require", "--log", "run.mcap", "--quiet", *ON_OUR_DEVICE]
+    command = [*drop, PAMCTL, "run", *options]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 69
+    assert "fifo: " in done.stderr

@@ -1,0 +1,621 @@
+"""`pamctl doctor`: each fault that a rig or a PC can have is found, named, and told how to mend."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from standin.standin import PERMIT, Card, here
+from support.patience import PATIENCE_S
+from support.runs import AO_STEP_V, MS, parts, run_settings
+
+from hal.faulty import FaultSettings
+from hal.rig import RigError
+from hal.sim.register import peek_v
+from pamctl.commissioning.doctor.actuate import actuation_findings
+from pamctl.commissioning.doctor.card import (
+    card_findings,
+    clock_finding,
+    device_nodes,
+    reservations,
+)
+from pamctl.commissioning.doctor.findings import Finding, report, worst
+from pamctl.commissioning.doctor.latency import (
+    WakeUps,
+    call_findings,
+    measured_calls,
+    measured_wake_ups,
+    spread,
+    wake_up_finding,
+)
+from pamctl.commissioning.doctor.pc import (
+    governor,
+    log_room,
+    permission_findings,
+    processors,
+    shared_memory_room,
+)
+from pamctl.commissioning.doctor.sensors import moved_by_hand, resting, sensor_findings
+from pamctl.commissioning.hands_on import Bench, LimitMet
+from pamctl.plant.simulated import SimulatedPlant
+from pamctl.processes.backends import SHARED_MEMORY, ao_path
+from pamctl.processes.interrupts import Interrupted, Interrupts
+from pamctl.realtime.clock import VirtualClock, Wake
+from pamctl.realtime.scheduling import Preparation, Step
+from pamctl.settings.resolve import RunSettings, resolve
+
+PAMCTL = str(Path(sys.executable).with_name("pamctl"))
+READ_VOLTS = "DAQmxReadAnalogScalarF64"
+
+
+def named(findings: list[Finding]) -> dict[str, Finding]:
+    """Return findings by name, each of them once."""
+    assert len({finding.name for finding in findings}) == len(findings)
+    return {finding.name: finding for finding in findings}
+
+
+def bench_of(settings: RunSettings, rig: object, clock: VirtualClock) -> Bench:
+    file = settings.rig
+    rig.open()  # type: ignore[attr-defined]
+    return Bench(rig, clock, file.calibration, file.limits, file.homing, file.safe_volts)  # type: ignore[arg-type]
+
+
+def examined(bench: Bench, *, actuate: bool = True) -> dict[str, Finding]:
+    findings = list(sensor_findings(bench, resting(bench)))
+    return named([*findings, *(actuation_findings(bench) if actuate else ())])
+
+
+# --- the rig, simulated ------------------------------------------------------------------
+
+
+def simulated(*faults: FaultSettings, plant: object = None, **homing: object) -> Bench:
+    """Return a bench over the simulated rig on a virtual clock."""
+    settings = run_settings()
+    made = parts(settings, faults)
+    if plant is not None:
+        made.rig._plant = plant
+    return bench_of(settings, made.whole, made.clock)
+
+
+def fault(kind: str, size: float = 0.0) -> FaultSettings:
+    return FaultSettings(kind=kind, from_tick=0, size=size)  # type: ignore[arg-type]
+
+
+class Reversed(SimulatedPlant):
+    """A valve plumbed the wrong way."""
+
+    def advance(self, command_v: float, duration_s: float) -> None:
+        super().advance(-command_v, duration_s)
+
+
+def test_a_sound_rig_has_nothing_but_ok() -> None:
+    found = examined(simulated())
+    assert {finding.level for finding in found.values()} == {"ok"}
+    assert set(found) == {
+        "sensor.voltage",
+        "sensor.noise",
+        "encoder.rest",
+        "valve.sign",
+        "encoder.alive",
+    }
+
+
+def test_a_broken_wire_is_a_fault_that_names_the_wire() -> None:
+    found = examined(simulated(fault("broken_wire")), actuate=False)
+    assert found["sensor.voltage"].level == "fault"
+    assert "broken wire" in found["sensor.voltage"].fix
+
+
+def test_an_encoder_that_stands_while_the_muscle_moves_is_found_unplugged() -> None:
+    found = examined(simulated(fault("stuck_encoder")))
+    assert found["encoder.rest"].level == "ok"  # at rest nobody can tell
+    assert found["valve.sign"].level == "ok"
+    assert found["encoder.alive"].level == "fault"
+    assert "unplugged" in found["encoder.alive"].fix
+
+
+def test_a_reversed_encoder_is_told_which_sign_to_set() -> None:
+    found = examined(simulated(fault("reversed_encoder")))
+    assert found["encoder.alive"].level == "fault"
+    assert "encoder_sign to -1" in found["encoder.alive"].fix
+
+
+def test_a_reversed_valve_shows_at_the_safe_voltage_and_by_its_pulses() -> None:
+    from pamctl.plant.model import plant_parameters
+
+    plant = Reversed(plant_parameters(run_settings().plant))
+    found = examined(simulated(plant=plant))
+    assert found["sensor.voltage"].level == "fault"
+    assert "reversed" in found["sensor.voltage"].fix
+    assert found["valve.sign"].level == "fault"
+    assert "THE VALVE IS REVERSED" in found["valve.sign"].fix
+    assert found["encoder.alive"].level == "ok"
+
+
+def test_without_supply_nothing_moves_and_the_valve_is_blamed_before_the_encoder() -> None:
+    class Shut(SimulatedPlant):
+        def advance(self, command_v: float, duration_s: float) -> None:
+            super().advance(min(command_v, 0.0), duration_s)
+
+    from pamctl.plant.model import plant_parameters
+
+    found = examined(simulated(plant=Shut(plant_parameters(run_settings().plant))))
+    assert found["valve.sign"].level == "fault"
+    assert "supply" in found["valve.sign"].fix
+    assert found["encoder.alive"].level == "warning"
+
+
+def test_a_sensor_that_breaks_during_a_pulse_stops_it_by_the_limits() -> None:
+    late = FaultSettings(kind="broken_wire", from_tick=400)
+    settings = run_settings()
+    made = parts(settings, [late])
+    bench = bench_of(settings, made.whole, made.clock)
+    found = named(list(actuation_findings(bench)))
+    assert found["valve.sign"].level == "fault"
+    assert found["valve.sign"].found.startswith("stopped: the pressure sensor gives 0.000 V")
+
+
+def test_a_bench_keeps_the_limits_of_pressure_and_travel() -> None:
+    for override, complaint in [
+        ("rig.limits.pressure_pa=150e3", "above limits.pressure_pa"),
+        ("rig.limits.stroke_high_mm=3", "has gone"),
+    ]:
+        settings = run_settings(override)
+        made = parts(settings)
+        bench = bench_of(settings, made.whole, made.clock)
+        with pytest.raises(LimitMet, match=complaint):
+            bench.hold(5.0, 1.0)
+
+
+def test_a_loose_encoder_line_is_a_fault_and_a_creeping_one_a_warning() -> None:
+    jumping = FaultSettings(kind="encoder_jump", from_tick=1200, ticks=1, size=900)
+    assert examined(simulated(jumping), actuate=False)["encoder.rest"].level == "fault"
+    creeping = FaultSettings(kind="encoder_jump", from_tick=1200, size=5)
+    assert examined(simulated(creeping), actuate=False)["encoder.rest"].level == "warning"
+
+
+def test_a_motion_by_hand_proves_the_encoder_alive_or_not() -> None:
+    assert moved_by_hand(900).level == "ok"
+    assert moved_by_hand(0).level == "fault"
+
+
+# --- the card, over the stand-in ---------------------------------------------------------
+
+
+@pytest.fixture
+def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
+    monkeypatch.setenv(PERMIT, "1")
+    here().power_up()
+    yield here()
+    here().mend()
+    here().registers.is_gone = 0
+
+
+class CardClock(VirtualClock):
+    """Takes the card's time along."""
+
+    def __init__(self, card: Card) -> None:
+        super().__init__(MS)
+        self._card = card
+        card.stop_time()
+
+    def wait(self) -> Wake:
+        wake = super().wait()
+        self._card.set_time_ns(wake.now_ns)
+        return wake
+
+
+@pytest.fixture
+def wired(card: Card) -> Iterator[Callable[..., Bench]]:
+    """Make a bench over the card on a virtual clock; it is closed at the end."""
+    from hal.nidaq.on_demand import NidaqRig
+
+    made = []
+
+    def make(*overrides: str) -> Bench:
+        settings = resolve(rig="pci6221", overrides=overrides)
+        clock = CardClock(card)
+        made.append(
+            NidaqRig(settings.rig.nidaq, safe_output_v=0.0, now_ns=clock.now_ns)  # type: ignore[union-attr]
+        )
+        return bench_of(settings, made[-1], clock)
+
+    yield make
+    card.mend()
+    for rig in made:
+        rig.close()
+
+
+def cards(*overrides: str) -> dict[str, Finding]:
+    return named(list(card_findings(resolve(rig="pci6221", overrides=overrides).rig)))  # type: ignore[arg-type]
+
+
+def test_a_sound_card_is_named_with_its_driver_and_writes_nothing_to_its_output(card: Card) -> None:
+    card.registers.ao_v[0] = 3.0
+    found = cards()
+    assert worst(found.values()) == "ok"
+    assert "NI-DAQmx 26.8.0" in found["card.driver"].found
+    assert "PCI-6221, serial DECAF, bus PCI" in found["card.device"].found
+    assert found["card.input_range"].data["step_pa"] == pytest.approx(23.7, abs=0.1)
+    assert found["timing.on_demand"].level == "ok"
+    assert card.registers.ao_v[0] == 3.0
+    assert card.registers.ao_writes == 0
+
+
+def test_the_stand_in_is_refused_where_tests_do_not_permit_it(
+    card: Card, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(PERMIT)
+    found = cards()
+    assert found["card.device"].level == "fault"
+    assert "stand-in" in found["card.device"].found
+
+
+@pytest.mark.parametrize(
+    ("override", "name", "wanted"),
+    [
+        ("rig.nidaq.device=Dev7", "card.device", "Dev7"),
+        ("rig.nidaq.pressure_channel=ai40", "card.channels", "nidaq.pressure_channel"),
+        ("rig.nidaq.input_high_v=1.0", "card.input_range", "0.1 to 4.8 V"),
+        ("rig.nidaq.input_low_v=0.15", "card.input_range", "0.1 to 4.8 V"),
+    ],
+)
+def test_what_the_rig_file_gets_wrong_about_the_card_is_found(
+    card: Card, override: str, name: str, wanted: str
+) -> None:
+    found = cards(override)
+    assert found[name].level == "fault"
+    assert wanted in found[name].wanted
+    assert found[name].fix
+
+
+HOLD = """
+import time
+from nidaqmx import Task
+task = Task("holder")
+task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+task.start()
+print("holding", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_part_of_the_card_that_another_program_holds_is_named_with_the_program(
+    card: Card,
+) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD], env=card.environment(), stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "holding\n"
+        found = cards()["card.reservations"]
+        holder.kill()
+    assert found.level == "fault"
+    assert found.data["channels"] == ["ao0"]
+    assert str(holder.pid) in found.fix
+
+
+def test_a_holder_that_cannot_be_seen_is_still_a_fault() -> None:
+    held = RigError("reserving Dev1/ai0: no", fix="another program holds it", code=-50103)
+    found = reservations({"ai0": held}, [])
+    assert found.level == "fault"
+    assert "another program" in found.fix
+
+
+def test_the_card_s_clock_is_tried_with_the_safe_voltage_on_the_output(card: Card) -> None:
+    card.registers.ao_v[0] = 3.0
+    rig = resolve(rig="pci6221", overrides=["rig.safe_volts=1.25"]).rig
+    found = clock_finding(rig)  # type: ignore[arg-type]
+    assert (found.name, found.level) == ("timing.hardware", "ok")
+    assert "works" in found.found
+    assert card.written_v == [pytest.approx(1.25, abs=AO_STEP_V)] * card.registers.ao_writes
+
+
+@pytest.mark.parametrize(("timing", "level"), [("on_demand", "ok"), ("hardware_timed", "fault")])
+def test_a_card_whose_clock_cannot_pace_says_why_and_it_matters_where_the_file_asks_for_it(
+    card: Card, timing: str, level: str
+) -> None:
+    card.fail("DAQmxCfgSampClkTiming", -200077)
+    rig = resolve(rig="pci6221", overrides=[f"rig.nidaq.timing={timing}"]).rig
+    found = clock_finding(rig)  # type: ignore[arg-type]
+    assert found.level == level
+    assert "-200077" in found.found
+    assert card.output_v == pytest.approx(0.0, abs=AO_STEP_V)
+
+
+def test_the_card_s_own_rig_is_found_sound_and_each_of_its_faults(card: Card, wired) -> None:
+    assert {finding.level for finding in examined(wired()).values()} == {"ok"}
+
+
+def test_an_unplugged_pressure_sensor_is_found_at_rest(card: Card, wired) -> None:
+    card.registers.wire_is_broken = 1
+    found = examined(wired(), actuate=False)
+    assert found["sensor.voltage"].level == "fault"
+    assert "voltmeter" in found["sensor.voltage"].fix
+
+
+def test_an_unplugged_encoder_is_found_once_the_muscle_moves(card: Card, wired) -> None:
+    card.registers.encoder_is_unplugged = 1
+    found = examined(wired())
+    assert found["encoder.rest"].level == "ok"
+    assert found["encoder.alive"].level == "fault"
+
+
+def test_a_reversed_valve_on_the_card_is_found(card: Card, wired) -> None:
+    card.registers.driver_gain = -1.0
+    found = examined(wired())
+    assert found["valve.sign"].level == "fault"
+    assert "REVERSED" in found["valve.sign"].fix
+
+
+def test_slow_calls_of_the_driver_are_found_and_the_slow_one_is_named(card: Card, wired) -> None:
+    from hal.nidaq.on_demand import NidaqRig
+
+    rig = NidaqRig(resolve(rig="pci6221").rig.nidaq, safe_output_v=0.0)  # type: ignore[union-attr]
+    rig.open()
+    try:
+        card.fail(READ_VOLTS, hang_s=0.004)
+        found = named(list(call_findings(measured_calls(rig, 0.0, calls=40), 1e-3)))
+    finally:
+        card.mend()
+        rig.close()
+    assert found["latency.pressure"].level == "fault"
+    assert found["latency.pressure"].data["p50_us"] > 4000
+    assert found["latency.encoder"].data["p50_us"] < 2000
+    assert found["latency.output"].data["p50_us"] < 2000
+
+
+# --- the PC ------------------------------------------------------------------------------
+
+
+def test_durations_are_summed_up_by_values_that_occurred() -> None:
+    found = spread([2_000] * 98 + [40_000, 3_000_000])
+    assert (found.p50_us, found.p99_us, found.max_us) == (2.0, 3000.0, 3000.0)
+    assert found.histogram == {"below_5_us": 98, "below_50_us": 1, "below_5000_us": 1}
+
+
+@pytest.mark.parametrize(
+    ("late_us", "missed", "level"),
+    [(3, 0, "ok"), (3, 1, "warning"), (3, 50, "fault"), (200, 0, "warning"), (700, 0, "fault")],
+)
+def test_wake_ups_are_judged_against_the_period(late_us: int, missed: int, level: str) -> None:
+    found = wake_up_finding("pc.wakeup", WakeUps(spread([late_us * 1000] * 1000), missed), 1e-3, "")
+    assert found.level == level
+
+
+def test_a_clock_that_misses_ticks_is_measured_so() -> None:
+    found = measured_wake_ups(VirtualClock(MS, {100: 7, 150: 1}), 0.5)
+    assert found.missed == 8
+    assert found.late.max_us == 0.0
+
+
+def test_every_right_that_was_refused_is_a_warning_with_its_fix() -> None:
+    from contextlib import ExitStack
+
+    steps = (
+        Step("gc", True, "objects frozen"),
+        Step("mlock", True, "all memory"),
+        Step("fifo", False, "Operation not permitted; RLIMIT_RTPRIO is 0: put ..."),
+    )
+    found = named(list(permission_findings(Preparation("auto", steps, ExitStack()))))
+    assert set(found) == {"pc.mlock", "pc.fifo"}
+    assert found["pc.fifo"].level == "warning"
+    assert found["pc.fifo"].found == "refused: Operation not permitted"
+    assert found["pc.fifo"].fix.startswith("RLIMIT_RTPRIO")
+
+
+def test_one_processor_and_a_saving_governor_are_warnings(tmp_path: Path) -> None:
+    assert processors(1).level == "warning"
+    assert processors(2).level == "ok"
+    assert governor(tmp_path).level == "ok"
+    for number, name in enumerate(["performance", "powersave"]):
+        place = tmp_path / f"cpu{number}" / "cpufreq"
+        place.mkdir(parents=True)
+        (place / "scaling_governor").write_text(f"{name}\n")
+    assert governor(tmp_path).level == "warning"
+    assert "cpupower" in governor(tmp_path).fix
+
+
+def test_places_that_cannot_be_written_are_faults(tmp_path: Path) -> None:
+    assert shared_memory_room(tmp_path / "no-shm").level == "fault"
+    assert shared_memory_room(SHARED_MEMORY).data["free_bytes"]
+    assert log_room(tmp_path / "not" / "yet" / "there").level == "ok"
+
+
+def test_device_nodes_are_judged_by_what_this_user_may(tmp_path: Path) -> None:
+    assert list(device_nodes(tmp_path)) == []
+    (tmp_path / "nipalk").touch()
+    assert [finding.level for finding in device_nodes(tmp_path)] == ["ok"]
+    if os.geteuid():
+        (tmp_path / "nipalk").chmod(0)
+        assert [finding.level for finding in device_nodes(tmp_path)] == ["fault"]
+
+
+def test_the_report_gives_the_way_out_below_what_is_wrong_and_nothing_below_what_is_well() -> None:
+    bad = Finding("a.b", "fault", "broken", "whole", "mend it", {"x": 1})
+    good = Finding("a.c", "ok", "fine", "unused", "unused")
+    lines = list(report([bad, good]))
+    assert [line.split()[0] for line in lines] == ["fault", "should", "fix:", "ok"]
+
+
+# --- the command -------------------------------------------------------------------------
+
+
+def device() -> str:
+    return f"sim-doctor-{os.getpid()}"
+
+
+def own_card(place: Path) -> Card:
+    """Return a card that this process does not drive, under a name that nobody else locks."""
+    return Card(place / "registers", f"Dev{os.getpid()}doctor")
+
+
+def command(*arguments: str, backend: str = "sim") -> list[str]:
+    which = ["--set", f"rig.sim.device={device()}"] if backend == "sim" else []
+    return [PAMCTL, "doctor", "--backend", backend, "--rt-seconds", "0.1", *which, *arguments]
+
+
+def run(
+    *arguments: str, cwd: Path, backend: str = "sim", env: dict[str, str] | None = None
+) -> tuple[int, dict[str, Finding]]:
+    done = subprocess.run(
+        command(*arguments, "--json", backend=backend),
+        cwd=cwd,
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    told = json.loads(done.stdout)
+    assert told["exit_code"] == done.returncode, done.stderr
+    assert "Traceback" not in done.stderr
+    return done.returncode, named([Finding(**finding) for finding in told["findings"]])
+
+
+def test_without_a_driver_the_doctor_says_what_to_install_and_exits_with_3(tmp_path: Path) -> None:
+    without = {k: v for k, v in os.environ.items() if k not in {"LD_LIBRARY_PATH", "LIBRARY_PATH"}}
+    code, found = run(cwd=tmp_path, backend="nidaq", env=without)
+    assert code == 3
+    assert found["card.driver"].level == "fault"
+    assert "install NI-DAQmx" in found["card.driver"].fix
+    assert {"pc.kernel", "pc.fifo", "pc.wakeup"} <= set(found)
+
+
+def test_the_whole_examination_of_a_card_passes_and_ends_at_the_safe_voltage(
+    tmp_path: Path,
+) -> None:
+    here()  # for the compiler
+    own = own_card(tmp_path)
+    named_so = ["--set", f"rig.nidaq.device={own.name}"]
+    environment = dict(own.environment())
+    code, found = run("--actuate", *named_so, cwd=tmp_path, backend="nidaq", env=environment)
+    faults = {
+        name for name, one in found.items() if one.level == "fault" and not name.startswith("pc.")
+    }
+    # A busy machine may be slow; nothing else may be wrong.
+    assert {name for name in faults if not name.startswith("latency.")} == set()
+    assert found["latency.pressure"].data["samples"] > 100
+    assert found["timing.on_demand"].level == "ok"
+    assert "timing.hardware" in found
+    assert found["valve.sign"].level == found["encoder.alive"].level == "ok"
+    assert code in (0, 3)
+    assert max(own.written_v) <= 10.0
+    assert own.output_v == pytest.approx(0.0, abs=AO_STEP_V)
+
+
+def test_at_a_terminal_the_carriage_is_moved_by_hand_to_see_the_encoder_alive(
+    tmp_path: Path,
+) -> None:
+    here()  # for the compiler
+    own = own_card(tmp_path)
+    keyboard, terminal = pty.openpty()
+    with subprocess.Popen(
+        command("--set", f"rig.nidaq.device={own.name}", backend="nidaq"),
+        cwd=tmp_path,
+        env=dict(own.environment()),
+        stdin=terminal,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        asked = ""
+        while "[Enter" not in asked:
+            letter = process.stderr.read(1)
+            assert letter, asked
+            asked += letter
+        own.registers.counter += 777
+        os.write(keyboard, b"\n")
+        said, _ = process.communicate(timeout=PATIENCE_S)
+    os.close(keyboard)
+    os.close(terminal)
+    (line,) = [line for line in said.splitlines() if "encoder.alive" in line]
+    assert line.startswith("ok")
+    assert "777 counts" in line
+    assert set(own.written_v) == {0.0}
+
+
+def test_a_device_that_a_run_holds_is_refused_and_left_alone(tmp_path: Path) -> None:
+    from hal.reservation import reserved
+
+    with reserved(SHARED_MEMORY / f"pamctl-{device()}.lock", device()):
+        code, found = run("--actuate", cwd=tmp_path)
+    assert code == 3
+    assert found["rig.device"].level == "fault"
+    assert f"held by process {os.getpid()}" in found["rig.device"].found
+    assert "valve.sign" not in found
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
+def test_whatever_ends_it_in_the_middle_of_a_pulse_the_valve_is_safe(
+    tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    endless = ["--actuate", "--set", "rig.homing.fill_s=10", "--set", "rig.homing.fill_v=1"]
+    with subprocess.Popen(
+        command(*endless), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not ao_path(device()).exists() or peek_v(ao_path(device())) < 5.9:
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline_s, "the valve was never opened"
+            time.sleep(0.01)
+        process.send_signal(number)
+        said, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == code
+    assert "Traceback" not in complaints
+    deadline_s = time.monotonic() + PATIENCE_S
+    while peek_v(ao_path(device())) != 0.0:
+        assert time.monotonic() < deadline_s, "the valve was left open"
+        time.sleep(0.005)
+    if number == signal.SIGINT:
+        assert "stopped by SIGINT" in said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_one_signal_ends_the_work_and_no_second_one_cuts_the_way_out_short(
+    number: signal.Signals,
+) -> None:
+    way_out = []
+    before = signal.getsignal(number)
+    with pytest.raises(Interrupted) as caught, Interrupts() as interrupts:
+        try:
+            with interrupts.heeded():
+                signal.raise_signal(number)
+                way_out.append("never")
+        finally:
+            signal.raise_signal(number)
+            signal.raise_signal(signal.SIGTSTP)
+            way_out.append("safe")
+    assert way_out == ["safe"]
+    assert caught.value.code == 128 + number
+    assert signal.getsignal(number) is before
+
+
+def test_a_signal_outside_the_work_waits_for_its_begin_or_for_its_end() -> None:
+    with pytest.raises(Interrupted), Interrupts() as interrupts:
+        signal.raise_signal(signal.SIGTERM)
+        with interrupts.heeded():
+            pytest.fail("the work was begun")
+    done = []
+    with pytest.raises(Interrupted), Interrupts() as interrupts:
+        with interrupts.heeded():
+            pass
+        signal.raise_signal(signal.SIGTERM)
+        done.append("closed")
+    assert done == ["closed"]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _leave_no_device() -> Iterator[None]:
+    yield
+    ao_path(device()).unlink(missing_ok=True)
+    (SHARED_MEMORY / f"pamctl-{device()}.lock").unlink(missing_ok=True)

@@ -1,0 +1,220 @@
+"""The model against a measurement: what agrees, what does not, and which block it is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+from pamctl.compare.coupled_gap import compare, gap_of, regimes_of
+from pamctl.log import LogError, read, signals
+from pamctl.log.importing.imported_log import write_imported
+from pamctl.plant.drive import drive_coupled
+from pamctl.plant.flat import parameters_of
+from pamctl.plant.model import PlantSettings, plant_parameters
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+PAPER = parameters_of({})
+PERIOD_S = 1e-3
+COUNT_M = 3.175e-6
+NOISE_PA = 300.0
+
+
+def command(ticks: int = 4000) -> NDArray[np.float64]:
+    """Fill, exhaust and hold: every side of the valve, and every motion."""
+    t_s = np.arange(ticks) * PERIOD_S
+    return np.where(np.floor(t_s / 0.4) % 4 == 3, 0.0, 1.2 * np.sin(2 * np.pi * 0.9 * t_s) + 0.15)
+
+
+def measured(
+    path: Path,
+    changes: dict[str, float],
+    *leave_out: str,
+    command_v: NDArray[np.float64] | None = None,
+) -> Path:
+    """Let a plant that differs from the paper's be measured by another lab's system."""
+    valve_v = command() if command_v is None else command_v
+    driven = drive_coupled(parameters_of(changes), valve_v, PERIOD_S)
+    noise = np.random.default_rng(1).normal(0.0, NOISE_PA, len(valve_v))
+    columns = {
+        "valve_v": valve_v,
+        "pressure_pa": driven.pressure_pa + noise,
+        "position_m": np.round(driven.position_m / COUNT_M) * COUNT_M,
+    }
+    for name in leave_out:
+        del columns[name]
+    write_imported(path, np.arange(len(valve_v)) * PERIOD_S, columns, {})
+    return path
+
+
+# --- a model that is right ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "rms_counts"), [("qsmc", 1.5), ("smc", 1.5), ("steps", 1.5), ("pid-delayed", 3.5)]
+)
+def test_a_simulated_run_agrees_with_its_own_plant_to_its_sensors(
+    name: str, rms_counts: float
+) -> None:
+    log = read(GOLDEN / f"{name}.mcap")
+    plant = plant_parameters(PlantSettings.model_validate(log.config["plant"]))
+    found = compare(log, plant)
+    assert found.gap(found.coupled, "position_m").rms < rms_counts * COUNT_M
+    for way in (found.coupled, found.pressure_block):
+        assert found.gap(way, "pressure_pa").rms == pytest.approx(311.0, rel=0.15)
+    assert found.measured.t_s[0] > 0.3  # homing is left out
+
+
+def test_a_card_that_puts_out_at_its_next_edge_agrees_whatever_edges_the_pc_has_missed() -> None:
+    log = read(GOLDEN / "card-clocked.mcap")
+    assert log["missed"].sum() > 100
+    found = compare(log, plant_parameters(PlantSettings.model_validate(log.config["plant"])))
+    assert found.gap(found.pressure_block, "pressure_pa").max < 700.0  # a tick off: 2700
+
+
+def test_an_imported_measurement_of_the_very_plant_agrees_as_well(tmp_path: Path) -> None:
+    found = compare(read(measured(tmp_path / "lab.mcap", {})), PAPER)
+    assert found.gap(found.coupled, "position_m").rms < COUNT_M
+    assert found.gap(found.coupled, "pressure_pa").rms == pytest.approx(NOISE_PA, rel=0.05)
+
+
+# --- a model that is wrong -----------------------------------------------------------------------
+
+
+def test_a_wrong_stiffness_is_seen_in_the_mechanics_and_not_in_the_pressure_block(
+    tmp_path: Path,
+) -> None:
+    found = compare(read(measured(tmp_path / "a.mcap", {"stiffness_n_per_m": 9000.0})), PAPER)
+    assert found.gap(found.mechanics, "position_m").rms > 20 * COUNT_M
+    assert found.gap(found.pressure_block, "pressure_pa").rms == pytest.approx(NOISE_PA, rel=0.05)
+
+
+def test_a_wrong_valve_gain_is_seen_in_the_pressure_block_and_not_in_the_mechanics(
+    tmp_path: Path,
+) -> None:
+    right = compare(read(measured(tmp_path / "a.mcap", {})), PAPER)
+    wrong = compare(read(measured(tmp_path / "b.mcap", {"valve_gain_m2_per_v": 1.2e-6})), PAPER)
+    assert wrong.gap(wrong.pressure_block, "pressure_pa").rms > 10 * NOISE_PA
+    floor = right.gap(right.mechanics, "position_m").rms
+    assert wrong.gap(wrong.mechanics, "position_m").rms == pytest.approx(floor, rel=0.3)
+
+
+def test_a_slow_valve_is_seen_while_it_moves_and_not_while_it_rests(tmp_path: Path) -> None:
+    changes = {"valve_spool.time_constant_s": 4e-3, "valve_spool.damping_ratio": 0.7}
+    found = compare(read(measured(tmp_path / "a.mcap", changes)), PAPER)
+    by_name = {regime.name: regime for regime in found.regimes()}
+    assert by_name["at rest"].pressure_pa.rms < by_name["contracting"].pressure_pa.rms
+    by_valve = [by_name[f"valve {how}"].ticks for how in ("fills", "exhausts", "near null")]
+    assert sum(by_valve) == len(found.measured)
+
+
+# --- what a log holds, and what it does not ------------------------------------------------------
+
+
+def test_without_a_command_the_mechanics_alone_can_be_compared(tmp_path: Path) -> None:
+    found = compare(read(measured(tmp_path / "a.mcap", {}, "valve_v")), PAPER)
+    assert found.coupled.position_m is found.pressure_block.pressure_pa is None
+    assert found.gap(found.mechanics, "position_m").rms < 5 * COUNT_M
+    assert np.isnan(found.gap(found.coupled, "pressure_pa").rms)
+
+
+def test_without_an_encoder_the_coupled_model_is_held_against_the_pressure(tmp_path: Path) -> None:
+    found = compare(read(measured(tmp_path / "a.mcap", {}, "position_m")), PAPER)
+    assert found.gap(found.coupled, "pressure_pa").rms == pytest.approx(NOISE_PA, rel=0.05)
+    assert np.isnan(found.gap(found.coupled, "position_m").rms)
+
+
+def test_one_signal_alone_is_refused(tmp_path: Path) -> None:
+    path = measured(tmp_path / "a.mcap", {}, "position_m", "pressure_pa")
+    with pytest.raises(LogError, match="holds valve_v only"):
+        compare(read(path), PAPER)
+    done = CliRunner().invoke(app, ["compare", str(path), "--json"])
+    assert done.exit_code == 65
+    assert json.loads(done.stdout)["exit_code"] == 65
+
+
+def test_what_is_no_number_is_left_out_and_the_model_begins_anew_behind_it(tmp_path: Path) -> None:
+    path = measured(tmp_path / "a.mcap", {})
+    log = read(path)
+    broken = {name: column.copy() for name, column in signals_of(path).items()}
+    broken["pressure_pa"][1000:1100] = np.nan
+    write_imported(tmp_path / "b.mcap", log.t, broken, {})
+    found = compare(read(tmp_path / "b.mcap"), PAPER)
+    assert np.isnan(found.coupled.position_m[1000:1100]).all()
+    assert np.isfinite(np.delete(found.coupled.position_m, slice(1000, 1100))).all()
+    assert found.gap(found.coupled, "pressure_pa", slice(1100, None)).rms < 3 * NOISE_PA
+
+
+def signals_of(path: Path) -> dict[str, NDArray[np.float64]]:
+    here = signals(read(path))
+    return {name: getattr(here, name) for name in ("valve_v", "pressure_pa", "position_m")}
+
+
+def test_a_recovered_log_is_compared_on_both_sides_of_what_it_lost(tmp_path: Path) -> None:
+    log = read(GOLDEN / "qsmc.mcap")
+    keep = np.ones(len(log), bool)
+    keep[600:700] = False
+    holed = type(log)(
+        **{
+            **{field: getattr(log, field) for field in log.__dataclass_fields__},
+            "columns": {name: column[keep] for name, column in log.columns.items()},
+            "time_ns": log.time_ns[keep],
+        }
+    )
+    found = compare(holed, PAPER)
+    assert found.gap(found.coupled, "position_m").rms < 5 * COUNT_M
+    assert np.isfinite(found.coupled.position_m).all()
+
+
+def test_a_gap_is_root_mean_square_and_maximum_of_what_is_a_number() -> None:
+    model, seen = np.array([1.0, 2.0, np.nan, 4.0]), np.array([1.0, 5.0, 3.0, 0.0])
+    assert gap_of(model, seen, slice(None)) == pytest.approx((np.sqrt(25 / 3), 4.0))
+    assert gap_of(model, seen, np.array([True, False, True, False])) == (0.0, 0.0)
+
+
+def test_regimes_are_told_by_what_the_valve_did_before_the_sample(tmp_path: Path) -> None:
+    step = np.where(np.arange(1000) < 500, 1.0, -1.0)
+    found = signals(read(measured(tmp_path / "a.mcap", {}, command_v=step)))
+    regimes = dict(regimes_of(found))
+    assert np.flatnonzero(regimes["valve exhausts"]).tolist() == list(range(501, 1000))
+    assert regimes["contracting"][100:300].all()
+    assert regimes["extending"][600:700].all()
+
+
+# --- the verb ------------------------------------------------------------------------------------
+
+
+def test_two_models_stand_side_by_side_and_the_next_step_is_named(tmp_path: Path) -> None:
+    log = GOLDEN / "pid-delayed.mcap"
+    page = tmp_path / "compare.html"
+    arguments = ["compare", str(log), "--plant", "paper", "--plant", "paper-valve109"]
+    done = CliRunner().invoke(app, [*arguments, "--plot", str(page)])
+    assert done.exit_code == 0, done.stderr
+    assert "paper-valve109" in done.stdout
+    assert f"pamctl diagnose {log} --plant paper" in done.stdout
+    html = page.read_text()
+    assert html.count("<figure") == 3
+    assert "paper-valve109" in html
+    document = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
+    gaps = {p["plant"]: p["gap"]["pressure_block"]["pressure_pa"] for p in document["plants"]}
+    assert gaps["paper-valve109"]["rms"] < gaps["paper"]["rms"]
+    assert document["plants"][0]["gap"]["mechanics"]["pressure_pa"] == {"rms": None, "max": None}
+    assert {r["regime"] for r in document["plants"][0]["regimes"]} >= {"approach", "track"}
+
+
+def test_a_plant_that_does_not_exist_is_refused_with_the_nearest() -> None:
+    done = CliRunner().invoke(app, ["compare", str(GOLDEN / "qsmc.mcap"), "--plant", "papr"])
+    assert done.exit_code == 2
+    assert "did you mean 'paper'" in done.stderr
+
+
+def test_a_page_that_has_no_place_is_refused_before_anything_is_computed(tmp_path: Path) -> None:
+    page = tmp_path / "nowhere" / "page.html"
+    done = CliRunner().invoke(app, ["compare", str(tmp_path / "no.mcap"), "--plot", str(page)])
+    assert done.exit_code == 2
+    assert "there is no directory" in done.stderr

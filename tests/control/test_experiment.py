@@ -1,0 +1,172 @@
+"""What the shipped experiments ask for, and that the walk through them loses nothing."""
+
+from __future__ import annotations
+
+import math
+from itertools import groupby, pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+from support.runs import run_settings
+
+from pamctl.control.experiment import (
+    Course,
+    Segment,
+    SquareSettings,
+    Step,
+    StepsSettings,
+    TrackingSettings,
+    held,
+    reference_at,
+    segments,
+)
+from pamctl.signals import Phase, Reference
+
+LOW_M, HIGH_M = 6.4e-3, 17.2e-3
+
+
+def shipped(name: str) -> tuple[Segment, ...]:
+    return segments(run_settings(experiment=name).experiment)
+
+
+def outline(course: tuple[Segment, ...]) -> list[tuple[Phase, float, float, float]]:
+    return [
+        (Phase(s.phase), s.duration_s, round(s.start_m * 1e3, 9), round(s.end_m * 1e3, 9))
+        for s in course
+    ]
+
+
+APPROACH = [(Phase.APPROACH, 5.0, 0.0, 6.4), (Phase.APPROACH, 2.0, 6.4, 6.4)]
+UP, DOWN = (Phase.TRACK, 5.0, 6.4, 17.2), (Phase.TRACK, 5.0, 17.2, 6.4)
+
+
+def test_experiment_1_rests_ten_seconds_at_6_4_and_at_17_2_mm() -> None:
+    low, high = (Phase.REST, 10.0, 6.4, 6.4), (Phase.REST, 10.0, 17.2, 17.2)
+    assert outline(shipped("tracking-1")) == APPROACH + [low, UP, high, DOWN] * 2
+
+
+def test_experiment_2_does_not_rest() -> None:
+    assert outline(shipped("tracking-2")) == APPROACH + [UP, DOWN] * 3
+
+
+@pytest.mark.parametrize(("name", "half_s"), [("0.25", 2.0), ("0.5", 1.0), ("1", 0.5), ("2", 0.25)])
+def test_a_square_wave_fills_first_then_exhausts_for_equally_long(name, half_s) -> None:
+    wave = shipped(f"square-{name}")
+    assert len(wave) % 2 == 0
+    assert {s.phase for s in wave} == {Phase.OPEN_LOOP}
+    assert [s.duration_s for s in wave] == [half_s] * len(wave)
+    assert [s.valve_v for s in wave] == [5.0, -5.0] * (len(wave) // 2)
+
+
+def test_steps_are_held_in_order_and_repeated() -> None:
+    steps = (Step(valve_v=1.0, hold_s=0.5), Step(valve_v=-2.0, hold_s=0.25))
+    course = segments(StepsSettings(kind="steps", steps=steps, repeat=2))
+    assert [(s.valve_v, s.duration_s) for s in course] == [(1.0, 0.5), (-2.0, 0.25)] * 2
+
+
+def test_a_settling_time_of_nothing_leaves_no_segment() -> None:
+    course = segments(TrackingSettings(kind="tracking", settle_s=0.0, cycles=1))
+    assert [s.phase for s in course] == [Phase.APPROACH, Phase.TRACK, Phase.TRACK]
+
+
+def test_a_set_point_below_the_vented_muscle_is_refused() -> None:
+    with pytest.raises(ValidationError, match=r"amplitude_mm 6 exceeds offset_mm 5"):
+        TrackingSettings(kind="tracking", offset_mm=5.0, amplitude_mm=6.0)
+    lowest = segments(TrackingSettings(kind="tracking", offset_mm=5.0, amplitude_mm=5.0))
+    assert min(s.start_m for s in lowest) == 0.0
+
+
+def test_a_held_command_asks_for_no_motion_and_a_motion_for_no_command() -> None:
+    asked = held(Phase.OPEN_LOOP, -3.0)
+    assert (asked.phase, asked.reference_valve_v) == (Phase.OPEN_LOOP, -3.0)
+    assert all(math.isnan(value) for value in asked[1:5])
+    moving = reference_at(Segment(Phase.TRACK, 5.0, LOW_M, HIGH_M, math.nan), 2.5)
+    assert math.isnan(moving.reference_valve_v)
+    assert moving.reference_m == pytest.approx(11.8e-3)
+
+
+def test_a_rest_asks_for_a_standing_muscle() -> None:
+    resting = reference_at(Segment(Phase.REST, 10.0, LOW_M, LOW_M, math.nan), 3.3)
+    assert resting[:5] == (Phase.REST, LOW_M, 0.0, 0.0, 0.0)
+
+
+def walked(course: Course, period_s: float = 1e-3, last_tick: int = 10**6) -> list[Reference]:
+    asked = []
+    for tick in range(last_tick):
+        reference = course.at(tick * period_s)
+        if reference is None:
+            break
+        asked.append(reference)
+    return asked
+
+
+def test_the_reference_has_no_jump_anywhere_in_experiment_1() -> None:
+    asked = walked(Course(shipped("tracking-1")))
+    assert len(asked) == 67_000
+    fastest = 10.8e-3 / 5.0 * 140 / 64 * 1e-3
+    steps = [b.reference_m - a.reference_m for a, b in pairwise(asked)]
+    assert max(map(abs, steps)) <= fastest * 1.001
+
+
+def test_a_course_that_is_cut_short_ends_there() -> None:
+    course = Course(shipped("tracking-2"), duration_s=1.5)
+    assert course.duration_s == 1.5
+    assert len(walked(course)) == 1500
+
+
+def test_a_course_cannot_be_cut_longer() -> None:
+    course = Course(shipped("square-2"), duration_s=1e4)
+    assert course.duration_s == sum(s.duration_s for s in shipped("square-2"))
+
+
+def test_after_the_end_there_is_nothing_more() -> None:
+    course = Course(shipped("square-2"))
+    assert course.at(course.duration_s) is None
+    assert course.at(course.duration_s + 1.0) is None
+
+
+@given(
+    st.lists(st.integers(1, 40), min_size=1, max_size=30),
+    st.sampled_from([1e-3, 5e-4, 1 / 300.0, 0.1, 1e-2]),
+    st.integers(0, 10**6),
+)
+def test_segments_of_whole_ticks_last_so_many_ticks_each(lengths, period_s, first) -> None:
+    """Ends are sums of floats and ticks are products: the sums must not win or lose a tick."""
+    course = Course([Segment(Phase.OPEN_LOOP, n * period_s, 0, 0, float(i)) for i, n in
+                     enumerate(lengths)])  # fmt: skip
+    begin_s = first * period_s
+    asked = []
+    while (reference := course.at((first + len(asked)) * period_s - begin_s)) is not None:
+        asked.append(reference.reference_valve_v)
+    runs = [(valve_v, len(list(run))) for valve_v, run in groupby(asked)]
+    assert runs == [(float(i), n) for i, n in enumerate(lengths)]
+
+
+@given(st.integers(1, 60), st.sampled_from([1e-3, 5e-4, 1 / 300.0]), st.integers(0, 10**6))
+def test_a_course_cut_to_whole_ticks_lasts_so_many_ticks(ticks, period_s, first) -> None:
+    course = Course([Segment(Phase.OPEN_LOOP, 1.0, 0, 0, 1.0)], duration_s=ticks * period_s)
+    begin_s = first * period_s
+    lasted = 0
+    while course.at((first + lasted) * period_s - begin_s) is not None:
+        lasted += 1
+    assert lasted == ticks
+
+
+@pytest.mark.parametrize("frequency_hz", [0.25, 0.3, 1.0, 3.0, 7.0])
+def test_a_long_square_wave_keeps_its_frequency(frequency_hz: float) -> None:
+    wave = segments(SquareSettings(kind="square", frequency_hz=frequency_hz, cycles=20))
+    asked = walked(Course(wave))
+    for tick, reference in enumerate(asked):
+        halves = tick * 1e-3 * 2 * frequency_hz
+        if abs(halves - round(halves)) > 1e-6:  # on the edge either is right
+            assert reference.reference_valve_v == (5.0 if math.floor(halves) % 2 == 0 else -5.0)
+    assert len(asked) == math.ceil(20 / frequency_hz * 1e3 - 1e-6)
+
+
+def test_missed_ticks_may_skip_whole_segments_without_losing_the_time() -> None:
+    course = Course([Segment(Phase.OPEN_LOOP, 0.01, 0, 0, float(i)) for i in range(10)])
+    times_s = [0.0, 0.005, 0.0501, 0.0999]
+    assert [course.at(t).reference_valve_v for t in times_s] == [0.0, 0.0, 5.0, 9.0]
+    assert course.at(0.1) is None

@@ -1,0 +1,442 @@
+"""The laws against the paper's equations, written out anew, and against the model's own flow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from support.paper_equations import (
+    P_ATM,
+    P_TANK,
+    C,
+    M,
+    drive,
+    grip,
+    kinetic_friction,
+    pressure_rate,
+)
+
+from pamctl.control.law import Gains, law_gains, respond
+from pamctl.control.pid import PidSettings
+from pamctl.control.qsmc import QsmcSettings
+from pamctl.control.smc import SmcSettings, linearised
+from pamctl.control.surface import ARMED, LawState
+from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.realtime.keyframe import frozen
+from pamctl.signals import Command, Estimate, Phase, Reference
+
+NAN = math.nan
+DT_S = 1e-3
+INCH_M = 25.4e-3
+
+QSMC = {
+    "law": "qsmc",
+    "length_unit": "inch",
+    "lambda_per_s": 10.0,
+    "q": 1.75,
+    "kp_v_s3_per_length": 2e-4,
+    "eta": 0.4016,
+    "phi": 0.02008,
+    "lpf2_hz": 0.5,
+}
+SMC = {
+    "law": "smc",
+    "length_unit": "mm",
+    "lambda_per_s": 200.0,
+    "q": 1.0,
+    "kp": 1.0,
+    "eta": 25.4,
+    "phi": 2.54,
+    "lpf2_hz": 185.0,
+}
+PID = {
+    "law": "pid",
+    "length_unit": "mm",
+    "kp_v_per_length": 2.0,
+    "ki_v_per_length_s": 30.0,
+    "kd_v_s_per_length": 0.05,
+    "lpf2_hz": 185.0,
+}
+_MODELS: dict[str, Any] = {"qsmc": QsmcSettings, "smc": SmcSettings, "pid": PidSettings}
+
+
+def gains(law: dict[str, Any], **changes: Any) -> Gains:
+    return law_gains(_MODELS[law["law"]](**{**law, **changes}))
+
+
+def unlimited(made: Gains) -> Gains:
+    """Without the command limit every term shows in the command."""
+    free = 1e12
+    return made._replace(
+        qsmc=made.qsmc._replace(sliding=made.qsmc.sliding._replace(limit_v=free)),
+        smc=made.smc._replace(sliding=made.smc.sliding._replace(limit_v=free)),
+        pid=made.pid._replace(limit_v=free),
+    )
+
+
+def errors(e: float, rate: float, acceleration: float, x: float = 0.01, p: float = 2e5) -> Estimate:
+    return Estimate(x, p, e, rate, acceleration)
+
+
+def moving(jerk: float = 0.0, velocity: float = 0.0, acceleration: float = 0.0) -> Reference:
+    return Reference(Phase.TRACK, 0.01, velocity, acceleration, jerk, NAN)
+
+
+REST = moving()
+
+
+def eq_15(literal: bool, eta: float, phi: float, s: float) -> float:
+    sat = s / phi if abs(s / phi) < 1 else math.copysign(1.0, s)
+    return eta * abs(s) * sat if literal else eta * sat
+
+
+def eq_17(
+    law: dict[str, Any], e: float, rate: float, acceleration: float, jerk: float, absement: float
+) -> float:
+    """Everything in the unit of the gains, as the paper has it."""
+    le = law["lambda_per_s"] ** law["q"]
+    s = acceleration + 3 * le * rate + 3 * le**2 * e + le**3 * absement
+    u_rb = eq_15(law.get("reaching_law", "eta_abs_s") == "eta_abs_s", law["eta"], law["phi"], s)
+    equivalent = jerk - 3 * le * acceleration - 3 * le**2 * rate - le**3 * e
+    return law["kp_v_s3_per_length"] * (equivalent - u_rb)
+
+
+small = st.floats(-1e-3, 1e-3)
+rates = st.floats(-0.1, 0.1)
+accelerations = st.floats(-10, 10)
+jerks = st.floats(-100, 100)
+absements = st.floats(-1e-3, 1e-3)
+units = st.sampled_from(["mm", "inch"])
+readings = st.sampled_from(["eta_abs_s", "eta"])
+UNIT_M = {"mm": 1e-3, "inch": INCH_M}
+
+
+@given(small, rates, accelerations, jerks, absements, units, readings, st.floats(0.5, 2.0))
+def test_qsmc_is_eq_17_in_the_unit_of_its_gains(e, rate, acc, jerk, absement, unit, reading, q):
+    law = {**QSMC, "length_unit": unit, "reaching_law": reading, "q": q}
+    command, state = respond(
+        unlimited(gains(law)), LawState(absement), moving(jerk), errors(e, rate, acc), DT_S
+    )
+    one = UNIT_M[unit]
+    sum_of_errors = absement + e * DT_S
+    expected = eq_17(law, e / one, rate / one, acc / one, jerk / one, sum_of_errors / one)
+    size = sum(map(abs, (command.equivalent_v, command.robust_v, 1e-9)))
+    assert command.command_v == pytest.approx(expected, abs=1e-9 * size)
+    assert command.command_v == pytest.approx(command.equivalent_v + command.robust_v)
+    assert state.absement_m_s == pytest.approx(sum_of_errors)
+    assert not command.saturated
+
+
+def test_the_surface_on_record_is_eq_11_in_si() -> None:
+    pole = 10.0**1.75
+    command, _ = respond(gains(QSMC), LawState(2e-6), REST, errors(1e-5, 2e-4, 3e-3), DT_S)
+    absement = 2e-6 + 1e-5 * DT_S
+    s = 3e-3 + 3 * pole * 2e-4 + 3 * pole**2 * 1e-5 + pole**3 * absement
+    assert command.surface_m_per_s2 == pytest.approx(s, rel=1e-12)
+
+
+@given(small, rates, accelerations, absements)
+def test_the_same_numbers_in_inches_and_in_mm_are_two_laws(e, rate, acc, absement) -> None:
+    assume(abs(e) > 1e-5)
+    answers = [
+        respond(
+            unlimited(gains(QSMC, length_unit=unit)),
+            LawState(absement),
+            REST,
+            errors(e, rate, acc),
+            DT_S,
+        )[0]
+        for unit in ("inch", "mm")
+    ]
+    # K_p [V s^3/length] alone would make the mm law 25.4 times as strong ...
+    assert answers[1].equivalent_v == pytest.approx(25.4 * answers[0].equivalent_v, rel=1e-9)
+    # ... but the robust term saturates at another size of s, so that more than K_p differs.
+    s_inch = abs(answers[0].surface_m_per_s2) / INCH_M
+    if 1e-6 < s_inch < QSMC["phi"]:
+        assert abs(answers[1].robust_v) > 25.4 * abs(answers[0].robust_v) * (1 + 1e-9)
+
+
+@given(small, rates, accelerations, jerks, absements, readings)
+def test_gains_converted_with_their_units_are_the_same_law(e, rate, acc, jerk, absement, reading):
+    """K_p carries 1/length, phi length; eta is 1/s in Eq. 15 as printed, else length/s^3."""
+    mm_per_inch = 25.4
+    in_mm = {
+        "length_unit": "mm",
+        "kp_v_s3_per_length": QSMC["kp_v_s3_per_length"] / mm_per_inch,
+        "phi": QSMC["phi"] * mm_per_inch,
+        "eta": QSMC["eta"] * (1.0 if reading == "eta_abs_s" else mm_per_inch),
+    }
+    asked = (LawState(absement), moving(jerk), errors(e, rate, acc), DT_S)
+    inch, _ = respond(unlimited(gains(QSMC, reaching_law=reading)), *asked)
+    mm, _ = respond(unlimited(gains(QSMC, reaching_law=reading, **in_mm)), *asked)
+    size = 1e-9 * (abs(inch.equivalent_v) + abs(inch.robust_v)) + 1e-12
+    assert mm.command_v == pytest.approx(inch.command_v, abs=size)
+    assert mm.robust_v == pytest.approx(inch.robust_v, abs=size)
+
+
+@given(small, rates, accelerations, absements, readings)
+def test_smc_gains_convert_with_their_units_too(e, rate, acc, absement, reading) -> None:
+    """Its K_p has no unit."""
+    in_inch = {
+        "length_unit": "inch",
+        "phi": SMC["phi"] / 25.4,
+        "eta": SMC["eta"] / (1.0 if reading == "eta_abs_s" else 25.4),
+    }
+    asked = (LawState(absement), REST, errors(e, rate, acc), DT_S)
+    mm, _ = respond(unlimited(gains(SMC, reaching_law=reading)), *asked)
+    inch, _ = respond(unlimited(gains(SMC, reaching_law=reading, **in_inch)), *asked)
+    assert inch.command_v == pytest.approx(mm.command_v, rel=1e-9, abs=1e-9)
+    assert inch.robust_v == pytest.approx(mm.robust_v, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("share", [-3.0, -1.0, -0.5, 0.0, 0.25, 1.0, 7.0])
+def test_both_readings_of_eq_15(share: float) -> None:
+    """At rest with nothing but absement, s = lambda^(3 q) int e."""
+    eta, phi = 0.4016, 0.02008  # inch/s^2
+    s = share * phi
+    absement = s * INCH_M / (10.0**1.75) ** 3
+    robust = {
+        reading: respond(
+            gains(QSMC, reaching_law=reading), LawState(absement), REST, errors(0, 0, 0), DT_S
+        )[0].robust_v
+        for reading in ("eta_abs_s", "eta")
+    }
+    sat = max(-1.0, min(1.0, share))
+    assert robust["eta_abs_s"] == pytest.approx(-2e-4 * eta * abs(s) * sat, abs=1e-18)
+    assert robust["eta"] == pytest.approx(-2e-4 * eta * sat, abs=1e-18)
+
+
+def test_the_robust_term_of_the_second_reading_stays_below_3_mv() -> None:
+    law = gains(QSMC, reaching_law="eta", eta=10.2, length_unit="mm", phi=0.51)
+    command, _ = respond(law, LawState(1.0), REST, errors(0, 0, 0), DT_S)
+    assert 0 < abs(command.robust_v) < 3e-3
+
+
+@given(small, rates, accelerations, absements, st.floats(1.0, 20.0), st.floats(0.5, 3.0))
+def test_q_enters_as_lambda_to_its_power(e, rate, acc, absement, lam, q) -> None:
+    asked = (LawState(absement), REST, errors(e, rate, acc), DT_S)
+    for law in (QSMC, SMC):
+        raised, _ = respond(gains(law, lambda_per_s=lam, q=q), *asked)
+        plain, _ = respond(gains(law, lambda_per_s=lam**q, q=1.0), *asked)
+        assert raised.command_v == pytest.approx(plain.command_v, rel=1e-9, abs=1e-12)
+        assert raised.surface_m_per_s2 == pytest.approx(plain.surface_m_per_s2, rel=1e-9, abs=1e-12)
+
+
+def acceleration_of(x: float, v: float, p: float) -> float:
+    """Second row of Eq. 9 away from rest."""
+    friction = C * v + (kinetic_friction(x, p) + grip(p) * v if v > 0 else 0.0)
+    return (drive(x, p) - friction) / M
+
+
+def jerk_along_flow(x: float, v: float, p: float, u: float) -> float:
+    """Central difference of x'' along the flow of Eq. 9."""
+    a, p_rate = acceleration_of(x, v, p), pressure_rate(u, x, v, p)
+
+    def at(t: float) -> float:
+        return acceleration_of(x + v * t, v + a * t, p + p_rate * t)
+
+    step = min(1e-6, 1e-3 * abs(v) / max(abs(a), 1e-9))  # never through v = 0
+    return (at(step) - at(-step)) / (2 * step)
+
+
+MODEL = plant_parameters(PlantSettings()).paper
+
+states = st.tuples(
+    st.floats(0.0, 0.024),
+    st.floats(1e-3, 0.3) | st.floats(-0.3, -1e-3),
+    st.floats(P_ATM * 1.03, P_TANK * 0.97),
+)
+commands = st.floats(0.01, 5) | st.floats(-5, -0.01)
+
+
+@given(states, commands)
+def test_the_model_of_smc_is_the_third_derivative_along_the_flow(state, u) -> None:
+    x, v, p = state
+    a = acceleration_of(x, v, p)
+    model = linearised(MODEL, x, v, a, p)
+    gain = model.fill_gain if u > 0 else model.exhaust_gain
+    # x''' is a small difference of large terms: the size of each is what the error scales with.
+    size = abs(model.drift_m_per_s3) + abs(gain * u) + abs(a) * C / M
+    assert model.drift_m_per_s3 + gain * u == pytest.approx(
+        jerk_along_flow(x, v, p, u), abs=2e-7 * size
+    )
+
+
+def test_the_light_end_of_the_muscle_makes_the_gain_of_the_model_huge() -> None:
+    vented = linearised(MODEL, 0.0, 0.0, 0.0, 1.2e5)
+    assert vented.fill_gain == pytest.approx(4.2e4, rel=0.05)
+    filled = linearised(MODEL, 0.0172, 0.0, 0.0, 3.4e5)
+    assert filled.exhaust_gain == pytest.approx(1.7e4, rel=0.05)
+
+
+@given(
+    states,
+    st.floats(-1e-4, 1e-4),
+    st.floats(-0.05, 0.05),
+    st.floats(-50, 50),
+    st.floats(-1e4, 1e4),
+    st.floats(-1e-6, 1e-6),
+)
+def test_smc_cancels_a_muscle_that_is_as_its_model(state, e, rate, error_acc, jerk, absement):
+    """With K_p = 1 the muscle's x''' under the command is the x''' that Eq. 16 wants."""
+    x, v, p = state
+    a = acceleration_of(x, v, p)
+    asked = Reference(Phase.TRACK, x - e, v - rate, a - error_acc, jerk, NAN)
+    command, state_after = respond(
+        unlimited(gains(SMC)), LawState(absement), asked, Estimate(x, p, e, rate, error_acc), DT_S
+    )
+    le = SMC["lambda_per_s"]
+    s = error_acc + 3 * le * rate + 3 * le**2 * e + le**3 * state_after.absement_m_s
+    u_rb_mm = eq_15(True, SMC["eta"], SMC["phi"], s * 1e3)
+    wanted = jerk - 3 * le * error_acc - 3 * le**2 * rate - le**3 * e - u_rb_mm * 1e-3
+    size = abs(wanted) + abs(command.command_v) * 4e4 + abs(a) * C / M
+    assert jerk_along_flow(x, v, p, command.command_v) == pytest.approx(wanted, abs=2e-6 * size)
+
+
+def test_half_of_k_p_is_half_of_the_command() -> None:
+    asked = (ARMED, moving(1e3), errors(1e-4, 1e-3, 0.1), DT_S)
+    whole, _ = respond(unlimited(gains(SMC)), *asked)
+    half, _ = respond(unlimited(gains(SMC, kp=0.5)), *asked)
+    assert half.command_v == pytest.approx(0.5 * whole.command_v, rel=1e-12)
+
+
+@pytest.mark.parametrize("x", [-10.0, -0.033, 0.2, 0.5, 10.0])
+@pytest.mark.parametrize("p", [0.0, P_ATM, P_TANK, 2e6])
+def test_an_encoder_gone_astray_makes_smc_no_error_but_a_number_for_safety(x, p) -> None:
+    for velocity in (-10.0, 0.0, 10.0):
+        command, _ = respond(
+            gains(SMC), ARMED, moving(velocity=velocity), errors(1e-3, 0, 0, x, p), DT_S
+        )
+        assert abs(command.command_v) <= 5.0
+
+
+def test_a_balanced_pressure_asks_for_no_infinite_command() -> None:
+    """At tank or atmospheric pressure no air flows whatever the valve does: g-hat is kept up."""
+    for p in (P_ATM, P_TANK):
+        for jerk in (1e3, -1e3):
+            command, _ = respond(
+                unlimited(gains(SMC)), ARMED, moving(jerk), errors(0, 0, 0, 0.01, p), DT_S
+            )
+            assert abs(command.command_v) < 1e3 / 1e3
+
+
+def test_pid_is_the_sum_of_its_three_terms() -> None:
+    command, state = respond(gains(PID), LawState(1e-5), REST, errors(0.2e-3, -1e-3, 7.0), DT_S)
+    absement_mm = 1e-2 + 0.2 * DT_S
+    assert state.absement_m_s == pytest.approx(absement_mm * 1e-3)
+    assert command.equivalent_v == pytest.approx(-(2.0 * 0.2 + 0.05 * -1.0))
+    assert command.robust_v == pytest.approx(-30.0 * absement_mm)
+    assert command.command_v == pytest.approx(command.equivalent_v + command.robust_v)
+    assert math.isnan(command.surface_m_per_s2)
+
+
+def test_pid_gains_in_inches_are_per_inch() -> None:
+    e = errors(1e-4, 2e-3, 0.0)
+    scaled = {
+        key: PID[key] * 25.4
+        for key in ("kp_v_per_length", "ki_v_per_length_s", "kd_v_s_per_length")
+    }
+    mm, _ = respond(gains(PID), LawState(1e-5), REST, e, DT_S)
+    inch, _ = respond(gains(PID, length_unit="inch", **scaled), LawState(1e-5), REST, e, DT_S)
+    assert inch[0] == pytest.approx(mm[0], rel=1e-12)
+    assert inch[2:4] == pytest.approx(mm[2:4], rel=1e-12)
+
+
+every_law = pytest.mark.parametrize("law", [QSMC, SMC, PID], ids=lambda law: law["law"])
+
+
+@every_law
+def test_a_muscle_too_long_is_filled_and_one_too_short_exhausted(law) -> None:
+    too_long, _ = respond(gains(law), ARMED, REST, errors(-1e-3, 0, 0), DT_S)
+    too_short, _ = respond(gains(law), ARMED, REST, errors(1e-3, 0, 0), DT_S)
+    assert too_long.command_v > 0 > too_short.command_v
+
+
+@every_law
+@pytest.mark.parametrize("limit_v", [1.0, 5.0])
+def test_the_command_stops_at_the_laws_limit_and_says_so(law, limit_v) -> None:
+    made = gains(law, command_limit_v=limit_v)
+    for e, expected in ((0.5, -limit_v), (-0.5, limit_v)):
+        command, _ = respond(made, ARMED, REST, errors(e, 0, 0), DT_S)
+        assert command.command_v == expected
+        assert command.saturated
+        assert abs(command.equivalent_v + command.robust_v) > limit_v
+    command, _ = respond(made, ARMED, REST, errors(0.0, 0, 0), DT_S)
+    assert not command.saturated
+
+
+def answers(made: Gains, errors_m: Sequence[float], state: LawState = ARMED) -> list[Any]:
+    found: list[tuple[Command, LawState]] = []
+    for e in errors_m:
+        command, state = respond(made, state, REST, errors(e, 0, 0), DT_S)
+        found.append((command, state))
+    return found
+
+
+@every_law
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_ten_saturated_seconds_wind_nothing_up(law, sign) -> None:
+    made = gains(law)
+    found = answers(made, [sign * 0.05] * 10_000)
+    first_cut = next(n for n, (command, _) in enumerate(found) if command.saturated)
+    held = found[first_cut][1]
+    assert all(command.saturated and state == held for command, state in found[first_cut:])
+    # It holds no more than what one tick ago was still within the limit.
+    assert abs(held.absement_m_s) <= 0.05 * DT_S * (first_cut + 1)
+
+
+@every_law
+def test_recovery_from_saturation_is_quick(law) -> None:
+    """After a minute at the limit the law answers to a small error as it did before."""
+    made = gains(law)
+    small_error = {"qsmc": 2e-5, "smc": 1e-6, "pid": 2e-4}[law["law"]]
+    _, wound = answers(made, [-0.05] * 60_000)[-1]
+    command, _ = respond(made, wound, REST, errors(small_error, 0, 0), DT_S)
+    fresh, _ = respond(made, ARMED, REST, errors(small_error, 0, 0), DT_S)
+    assert not command.saturated
+    assert command.command_v == pytest.approx(fresh.command_v, abs=0.05)
+
+
+@every_law
+def test_an_integral_that_is_too_large_is_unwound_even_at_the_limit(law) -> None:
+    made = gains(law)
+    wound = LawState(1e-2)  # holds the command at the lower limit by itself
+    found = answers(made, [-1e-4] * 50, wound)
+    absements = [state.absement_m_s for _, state in found]
+    assert found[0][0].command_v == -5.0
+    assert absements == sorted(absements, reverse=True)
+    assert absements[-1] == pytest.approx(1e-2 - 50 * 1e-4 * DT_S)
+
+
+@every_law
+@given(valve_v=st.floats(-5, 5), absement=absements)
+def test_a_valve_command_is_obeyed_and_clears_the_integral(law, valve_v, absement) -> None:
+    asked = Reference(Phase.OPEN_LOOP, NAN, NAN, NAN, NAN, valve_v)
+    nothing = Estimate(0.01, 2e5, NAN, NAN, NAN)
+    command, state = respond(gains(law), LawState(absement), asked, nothing, DT_S)
+    assert command.command_v == valve_v
+    assert (command.equivalent_v, command.robust_v, command.saturated) == (0.0, 0.0, False)
+    assert math.isnan(command.surface_m_per_s2)
+    assert state == ARMED
+
+
+@every_law
+@given(inputs=st.lists(st.tuples(small, rates, accelerations, jerks), min_size=2, max_size=20))
+def test_a_law_is_pure_and_goes_on_from_a_thawed_state(law, inputs) -> None:
+    made = gains(law)
+
+    def replayed(thaw: Callable[[LawState], LawState]) -> list[tuple[Command, LawState]]:
+        state, found = ARMED, []
+        for e, rate, acc, jerk in inputs:
+            asked = (moving(jerk), errors(e, rate, acc), DT_S)
+            command, state = respond(made, thaw(state), *asked)
+            found.append((command._replace(surface_m_per_s2=0.0), state))
+        return found
+
+    straight = replayed(lambda state: state)
+    assert replayed(lambda state: state) == straight
+    assert replayed(lambda state: LawState(*frozen(state))) == straight

@@ -1,0 +1,336 @@
+"""The daemon: its life cycle, its gains, and what it refuses."""
+
+from __future__ import annotations
+
+import socket
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.daemons import (
+    SQUARE,
+    TRACKING,
+    Daemon,
+    as_root,
+    daemon,
+    nobody,
+    parked,
+    run_to_its_end,
+)
+from support.patience import PATIENCE_S
+
+from pamctl.daemon.client import Client, Declined, Unreachable
+from pamctl.log import Log, read
+from pamctl.log.check.check_log import check
+from pamctl.processes.backends import SHARED_MEMORY, ao_path
+from pamctl.replay import replay
+from pamctl.settings.resolve import resolve
+from pamctl.signals import Phase
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+
+
+@pytest.fixture(scope="module")
+def shared_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    # What compiles a replay must not do so beside a loop that ticks: for both it takes longer.
+    assert replay(read(GOLDEN / "qsmc.mcap")).is_equal
+    with daemon(tmp_path_factory.mktemp("up"), "up") as made:
+        yield made
+
+
+@pytest.fixture
+def up(shared_up: Daemon) -> Daemon:
+    """A daemon that is shared by tests which leave it as they found it: parked or idle."""
+    if shared_up.state() == "fault":  # a test that has failed does not take all others along
+        shared_up.ask("ack")
+    return shared_up
+
+
+# --- the life cycle ------------------------------------------------------------------
+
+
+def test_a_run_homes_runs_stops_and_leaves_the_muscle_parked(up: Daemon) -> None:
+    if up.state() == "ready":
+        up.ask("disarm")
+    log = up.ask("start", experiment=SQUARE, name="square")["log"]
+    seen = {}
+    while "ready" not in seen:
+        seen[up.state()] = True
+    order = ["homing", "running", "stopping", "ready"]
+    assert [*seen] == [state for state in order if state in seen]  # one may be missed, if short
+    parked(up)
+    assert up.is_safe()
+    phase = read(log)["phase"]
+    went_through = phase[np.flatnonzero(np.diff(phase, prepend=-1))]
+    assert went_through[:3].tolist() == [Phase.HOMING, Phase.OPEN_LOOP, Phase.STOPPING]
+
+
+def test_each_run_has_a_whole_log_of_its_own_that_replays_to_the_bit_and_the_first_one_homes(
+    up: Daemon,
+) -> None:
+    if up.state() == "ready":
+        up.ask("disarm")
+    first = run_to_its_end(up, SQUARE, "first")
+    second = run_to_its_end(up, TRACKING, "second")
+    assert first != second
+    for path, name in ((first, "first"), (second, "second")):
+        log = read(path)
+        assert log.metadata["run"]["experiment"] == name
+        assert log.events[-1]["event"] == "outcome"
+        assert log.events[-1]["code"] == 0
+        replayed = replay(log)
+        assert replayed.is_equal, replayed.differences
+        assert replayed.is_whole
+        assert check(path).ok
+    assert 0 in read(first)["phase"]
+    assert 0 not in read(second)["phase"]
+    assert read(second)["tick"][0] > read(first)["tick"][-1], "the loop went on between the runs"
+
+
+def test_a_position_is_held_until_another_is_asked_for_or_it_is_stopped(up: Daemon) -> None:
+    log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+    held = up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+    assert held["tick"]["reference_m"] == pytest.approx(8e-3)
+    assert up.ask("goto", position_m=5e-3, within_s=0.5)["log"] == log
+    up.wait_until(lambda s: s["tick"]["reference_m"] == pytest.approx(5e-3))
+    up.ask("stop")
+    parked(up)
+    ran = read(log)
+    moved = np.isfinite(ran["reference_m"])
+    speed = np.abs(np.diff(ran["reference_m"][moved]) / np.diff(ran.t[moved]))
+    assert speed.max() < 2.2 * 8e-3 / 0.5, "the reference never jumps"
+    assert replay(ran).is_equal
+
+
+def test_a_run_from_a_held_position_begins_there(up: Daemon) -> None:
+    up.ask("goto", position_m=9e-3, within_s=0.5)
+    up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+    log = run_to_its_end(up, TRACKING)
+    ran = read(log)
+    assert ran["reference_m"][0] == pytest.approx(9e-3, abs=1e-5)
+    assert replay(ran).is_equal
+
+
+def test_a_stop_is_smooth_and_says_so_in_the_log(up: Daemon) -> None:
+    log = up.ask("start", experiment=TRACKING | {"cycles": 50}, name="long")["log"]
+    up.wait_for("running")
+    up.ask("stop")
+    parked(up)
+    ran = read(log)
+    assert [e["reason"] for e in ran.events if e["event"] == "stopping"] == ["stopped by request"]
+    stopping = ran["phase"] == Phase.STOPPING
+    assert np.ptp(ran["t_s"][stopping]) > 0.15
+    assert np.all(np.diff(ran["valve_v"][stopping]) <= 1e-12), "a ramp down to the safe command"
+
+
+def test_a_remark_stands_in_the_log_where_it_was_made(up: Daemon) -> None:
+    log = up.ask("start", experiment=SQUARE | {"cycles": 50}, name="marked")["log"]
+    up.wait_for("running")
+    up.ask("mark", text="a bump")
+    up.ask("stop")
+    parked(up)
+    assert [e["text"] for e in read(log).events if e["event"] == "mark"] == ["a bump"]
+
+
+# --- gains ---------------------------------------------------------------------------
+
+
+def ticks_since_the_encoder_counted(log: Log) -> np.ndarray:
+    """A count, of which the law takes derivatives, jolts the command by tenths of a volt."""
+    index = np.arange(len(log))
+    counted = np.diff(log["position_m"], prepend=log["position_m"][0]) != 0.0
+    return index - np.maximum.accumulate(np.where(counted, index, 0))
+
+
+def test_gains_change_while_it_holds_without_a_jump_and_replay_honours_them(up: Daemon) -> None:
+    log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+    up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+    before = up.ask("status")["controller"]["lambda_per_s"]
+    up.ask("set", changes=["controller.lambda_per_s=25"], ramp_s=0.2)
+    time.sleep(0.5)
+    up.ask("set", changes=[f"controller.lambda_per_s={before}"], ramp_s=0.2)
+    time.sleep(0.5)
+    up.ask("stop")
+    parked(up)
+    ran = read(log)
+    assert [g["lambda_per_s"] for g in ran.gains] == [before, 25, before]
+    resting = ran["phase"] == 3
+    changed, changed_back = (gains["tick"] for gains in ran.gains[1:])
+    between = resting & (ran["tick"] >= changed) & (ran["tick"] < changed_back)
+    calm = between & (ticks_since_the_encoder_counted(ran) > 30) & (ran["missed"] == 0)
+    assert np.count_nonzero(calm) > 20
+    step_v = np.abs(np.diff(ran["command_v"], prepend=np.nan))
+    assert step_v[calm].max() < 0.02
+    replayed = replay(ran)
+    assert replayed.is_equal, replayed.differences
+
+
+def test_a_replay_with_the_gains_left_as_they_were_would_differ(up: Daemon) -> None:
+    """Or the test above would prove nothing."""
+    log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+    up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+    up.ask("set", changes=["controller.kp_v_s3_per_length=5e-8"], ramp_s=0.1)
+    time.sleep(0.3)
+    up.ask("set", changes=["controller.kp_v_s3_per_length=9.95e-08"], ramp_s=0.1)
+    up.ask("stop")
+    parked(up)
+    ran = read(log)
+    del ran.gains[1:]
+    replayed = replay(ran)
+    assert replayed.differences[0].place.stage == "command"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["controller.lambda_per_s=-1"], "^controller.lambda_per_s.* greater than 0"),
+        (["controller.lambda_per_s"], "KEY=VALUE"),
+        (["controller.eta=-0.1"], "at least 0"),
+        (["controller.lambda=12"], "lambda_per_s"),
+        (["controller.lambda_per_s=fast"], "number"),
+        (["controller.lpf1_hz=499"], "0.45"),
+        (["rig.limits.pressure_pa=9e9"], "only keys of the controller"),
+    ],
+)
+def test_a_gain_out_of_bounds_is_refused_with_the_bound_and_changes_nothing(
+    up: Daemon, changes: list[str], said: str
+) -> None:
+    before = up.ask("status")["controller"]
+    with pytest.raises(Declined, match=said):
+        up.ask("set", changes=changes)
+    assert up.ask("status")["controller"] == before
+
+
+def test_another_law_is_refused_while_a_run_goes_on_and_taken_between_runs(up: Daemon) -> None:
+    from pamctl.settings.resolve import to_data
+
+    pid, qsmc = (to_data(resolve(controller=name).controller) for name in ("pid", "qsmc"))
+    up.ask("start", experiment=SQUARE | {"cycles": 50}, name="square")
+    up.wait_for("running")
+    with pytest.raises(Declined, match="another law"):
+        up.ask("load", controller=pid, name="pid")
+    up.ask("stop")
+    parked(up)
+    up.ask("load", controller=pid, name="pid")
+    log = run_to_its_end(up, TRACKING)
+    up.ask("load", controller=qsmc, name="qsmc")
+    assert read(log).metadata["run"]["law"] == "pid"
+    assert replay(read(log)).is_equal
+
+
+# --- refusals ------------------------------------------------------------------------
+
+
+def test_a_second_run_is_refused_while_one_goes_on(up: Daemon) -> None:
+    up.ask("start", experiment=SQUARE | {"cycles": 50}, name="square")
+    up.wait_for("running")
+    with pytest.raises(Declined, match="the state is running"):
+        up.ask("start", experiment=SQUARE, name="again")
+    with pytest.raises(Declined, match="stop it first"):
+        up.ask("goto", position_m=5e-3)
+    up.ask("stop")
+    parked(up)
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "said"),
+    [
+        ("start", {"experiment": {"kind": "square"}, "name": "x"}, "frequency_hz"),
+        ("start", {"experiment": {"kind": "dance"}, "name": "x"}, "kind"),
+        ("start", {"experiment": SQUARE, "name": "../../etc/passwd"}, "name"),
+        ("start", {"experiment": SQUARE, "name": "x", "duration_s": 0}, "duration_s"),
+        ("goto", {"position_m": 0.5}, "outside the stroke"),
+        ("goto", {"position_m": "far"}, "position_m"),
+        ("stop", {}, "nothing is running"),
+        ("ack", {}, "no fault"),
+        ("mark", {"text": "x"}, "nothing is being logged"),
+        ("mark", {}, "text"),
+        ("explode", {}, "no method"),
+        ("status", {"verbose": True}, "verbose"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_the_reason(
+    up: Daemon, method: str, params: dict[str, Any], said: str
+) -> None:
+    parked(up)
+    with pytest.raises(Declined, match=said):
+        up.ask(method, **params)
+
+
+def test_a_second_daemon_on_the_device_or_the_socket_is_refused(up: Daemon, tmp_path: Path) -> None:
+    def another(*options: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "pamctl", "daemon", "--logs", str(tmp_path), *options]
+        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+
+    here = another("--socket", str(tmp_path / "s"), "--set", f"rig.sim.device={up.device}")
+    assert here.returncode == 69
+    assert "is held by process" in here.stderr
+    there = another("--socket", str(up.socket), "--set", f"rig.sim.device={up.device}-2")
+    for suffix in (".ao", ".lock"):
+        ao_path(f"{up.device}-2").with_suffix(suffix).unlink(missing_ok=True)
+    assert there.returncode == 69
+    assert "a daemon answers there already" in there.stderr
+    assert up.state() in ("idle", "ready")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [((), "there is something else"), (("--group", "no-such-group"), "there is no such group")],
+)
+def test_where_no_socket_can_be_no_file_is_lost_and_none_is_left(
+    tmp_path: Path, options: tuple[str, ...], said: str
+) -> None:
+    path = tmp_path / "notes.txt"
+    if not options:
+        path.write_text("mine")
+    command = [sys.executable, "-m", "pamctl", "daemon", "--logs", str(tmp_path / "logs")]
+    command += ["--socket", str(path), "--set", "rig.sim.device=test-no-socket", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 69
+    assert said in done.stderr
+    assert (path.read_text() == "mine") if not options else not path.exists()
+
+
+def test_an_experiment_may_stand_in_a_file_of_any_name(up: Daemon, tmp_path: Path) -> None:
+    parked(up)
+    path = tmp_path / "_mein Versuch äöü 1.yaml"
+    path.write_text("kind: square\nfrequency_hz: 4.0\ncycles: 1\n")
+    command = [sys.executable, "-m", "pamctl", "start", str(path), "--socket", str(up.socket)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip().endswith("-mein-Versuch-1.mcap")
+    parked(up)
+
+
+def test_a_position_below_zero_is_no_option(up: Daemon) -> None:
+    parked(up)
+    command = [sys.executable, "-m", "pamctl", "goto", "-300mm", "--socket", str(up.socket)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 3
+    assert "-300 mm lies outside the stroke" in done.stderr
+
+
+def test_without_a_daemon_a_client_says_how_to_start_one(tmp_path: Path) -> None:
+    with pytest.raises(Unreachable, match="pamctl daemon"):
+        Client(tmp_path / "nothing")
+
+
+def test_only_user_and_group_may_steer(up: Daemon) -> None:
+    assert stat.S_IMODE(up.socket.stat().st_mode) == 0o660
+
+
+@as_root
+def test_who_may_not_steer_is_told_who_may() -> None:
+    path = SHARED_MEMORY / "forbidden.sock"
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(path))
+        listening.listen()
+        path.chmod(0o600)
+        with nobody(), pytest.raises(Unreachable, match="not permitted; its group may"):
+            Client(path)

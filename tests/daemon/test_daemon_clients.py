@@ -1,0 +1,303 @@
+"""Clients of the daemon that hang, flood, lie or vanish: nobody else notices."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from support.daemons import Daemon, daemon
+from support.patience import PATIENCE_S
+
+from pamctl.daemon.allowance import BURST, Allowance
+from pamctl.daemon.protocol import (
+    LARGEST_REQUEST,
+    Method,
+    NoParams,
+    RequestError,
+    failure,
+    result,
+    understood,
+)
+from pamctl.daemon.server import MOST_CLIENTS, Server
+
+METHODS = {"status": Method(NoParams, lambda _: {}, changes=False)}
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+# --- what a request is, without a socket -----------------------------------------------------
+
+
+@given(st.binary(max_size=400))
+def test_whatever_bytes_come_in_the_answer_is_one_line_of_json(line: bytes) -> None:
+    assert_refused_in_one_line(line)
+
+
+@given(
+    st.fixed_dictionaries(
+        {}, optional={"jsonrpc": st.just("2.0") | anything, "id": anything, "method": anything}
+    )
+)
+def test_whatever_document_comes_in_the_answer_is_one_line_of_json(document: Any) -> None:
+    assert_refused_in_one_line(json.dumps({**document, "params": {"x": 1}}).encode())
+
+
+def assert_refused_in_one_line(line: bytes) -> None:
+    with pytest.raises(RequestError) as caught:
+        understood(line, METHODS)
+    answer = failure(caught.value)
+    assert answer.count(b"\n") == 1
+    told = json.loads(answer)
+    assert told["error"]["message"]
+    assert told["error"]["code"] < 0
+
+
+@given(st.integers() | st.text())
+def test_an_answer_carries_the_number_of_its_request(number: int | str) -> None:
+    line = json.dumps({"jsonrpc": "2.0", "id": number, "method": "status"}).encode()
+    request = understood(line, METHODS)
+    assert json.loads(result(request.id, {"state": "idle"})) == {
+        "jsonrpc": "2.0",
+        "id": number,
+        "result": {"state": "idle"},
+    }
+
+
+def test_deeply_nested_json_is_refused_like_any_other_nonsense() -> None:
+    assert_refused_in_one_line(b"[" * 100_000)
+
+
+def test_an_allowance_is_spent_and_fills_again() -> None:
+    allowance = Allowance(0.0)
+    assert all(allowance.spend(0.0) for _ in range(int(BURST)))
+    assert not allowance.spend(0.0)
+    assert allowance.spend(0.015)
+    assert not allowance.spend(0.015)
+
+
+# --- a daemon that holds a position while they try ------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    with daemon(tmp_path_factory.mktemp("held"), "held", "rig.homing.enabled=false") as made:
+        made.ask("goto", position_m=8e-3, within_s=0.5)
+        made.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
+        yield made
+
+
+@contextmanager
+def unaffected(made: Daemon) -> Iterator[Callable[[], None]]:
+    """The loop goes on, the position is held, and honest clients are answered all the while.
+
+    What it yields returns once one has been, asked no earlier than now: whatever another client
+    is at in the meantime, nobody waits for it to come to its end.
+    """
+    before = made.ask("status")
+    answers, stop = threading.Semaphore(0), threading.Event()
+
+    def honest() -> None:
+        with made.client() as client:
+            while not stop.is_set():
+                client.call("status")
+                answers.release()
+                time.sleep(0.05)
+
+    def answered() -> None:
+        while answers.acquire(blocking=False):
+            pass
+        for _ in range(2):  # the first may have been asked for before
+            assert answers.acquire(timeout=PATIENCE_S)
+
+    thread = threading.Thread(target=honest)
+    thread.start()
+    try:
+        yield answered
+    finally:
+        stop.set()
+        thread.join(PATIENCE_S)
+    after = made.wait_until(lambda s: s["tick"]["tick"] > before["tick"]["tick"])
+    assert not thread.is_alive()
+    assert (after["state"], after["log"]) == (before["state"], before["log"])
+    assert after["tick"]["reference_m"] == before["tick"]["reference_m"]
+    assert after["controller"] == before["controller"]
+
+
+def connected(made: Daemon) -> socket.socket:
+    client = socket.socket(socket.AF_UNIX)
+    client.settimeout(PATIENCE_S)
+    client.connect(str(made.socket))
+    return client
+
+
+def request(method: str, **params: Any) -> bytes:
+    document = {"jsonrpc": "2.0", "id": 1, "method": method, "params": params}
+    return json.dumps(document).encode() + b"\n"
+
+
+def test_one_that_says_nothing_and_one_that_says_half_a_message(held: Daemon) -> None:
+    with unaffected(held) as answered, connected(held) as silent, connected(held) as half:
+        half.sendall(request("status")[:-5])
+        answered()
+        # Not because the others had been given up.
+        half.sendall(request("status")[-5:])
+        silent.sendall(request("status"))
+        for client in (half, silent):
+            assert b"result" in client.makefile("rb").readline()
+
+
+def test_one_that_vanishes_in_the_middle_of_a_message_and_one_before_its_answer(
+    held: Daemon,
+) -> None:
+    with unaffected(held) as answered:
+        for sent in (request("stop")[:-5], request("status")):
+            client = connected(held)
+            client.sendall(sent)
+            client.close()
+            answered()
+
+
+def test_one_that_sends_garbage_is_answered_and_may_go_on(held: Daemon) -> None:
+    with unaffected(held), connected(held) as client:
+        answers = client.makefile("rb")
+        for garbage in (b"\x00\xff\n", b"{}\n", b"[1,2]\n", b'"stop"\n', b"\n"):
+            client.sendall(garbage)
+            assert json.loads(answers.readline())["error"]["code"] in (-32700, -32600)
+        client.sendall(request("status"))
+        assert json.loads(answers.readline())["result"]["state"] == "ready"
+
+
+def test_one_that_sends_a_hundred_megabytes_is_cut_off_early(held: Daemon) -> None:
+    sent = 0
+    with unaffected(held), connected(held) as client, suppress(OSError):
+        while sent < 100e6:
+            sent += client.send(b"x" * 65536)
+    assert sent < 100 * LARGEST_REQUEST
+
+
+def test_one_that_floods_is_told_to_slow_down_but_may_always_stop(held: Daemon) -> None:
+    with unaffected(held) as answered, connected(held) as client:
+        answers = client.makefile("rb")
+        client.sendall(request("status") * 400)
+        told = [json.loads(answers.readline()) for _ in range(400)]
+        answered()
+    refused = [answer for answer in told if "error" in answer]
+    assert 0 < len(refused) <= 400 - BURST
+    assert {answer["error"]["code"] for answer in refused} == {2}
+
+
+def test_one_that_never_reads_its_answers_is_let_go(held: Daemon) -> None:
+    with unaffected(held) as answered, connected(held) as client:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        client.settimeout(0.5)
+        with suppress(OSError):
+            for _ in range(20_000):
+                client.sendall(request("status") * 10)
+        answered()
+
+
+def test_of_too_many_clients_the_longest_silent_makes_room(held: Daemon) -> None:
+    with ExitStack() as stack:
+        crowd = [stack.enter_context(connected(held)) for _ in range(MOST_CLIENTS)]
+        for client in crowd[::-1]:
+            client.sendall(request("status"))
+            assert b"result" in client.makefile("rb").readline()
+        with held.client() as late:
+            assert late.call("status")["state"] == "ready"
+        assert crowd[-1].recv(1) == b""
+        crowd[0].sendall(request("status"))
+        assert b"result" in crowd[0].makefile("rb").readline()
+
+
+def test_whoever_wants_the_emergency_stop_waits_for_no_crowd(tmp_path: Path) -> None:
+    looked_up, when_stopped = 0, []
+
+    def look_up(_: object) -> None:
+        nonlocal looked_up
+        looked_up += 1
+        time.sleep(0.01)
+
+    def estop(_: object) -> None:
+        when_stopped.append(looked_up)
+
+    methods = {
+        "status": Method(NoParams, look_up, changes=False),
+        "estop": Method(NoParams, estop, changes=False),
+    }
+
+    async def crowded() -> int:
+        server = Server(methods)
+        await server.listen(tmp_path / "socket")
+        crowd = [await asyncio.open_unix_connection(tmp_path / "socket") for _ in range(20)]
+        for _, one in crowd:
+            one.write(request("status") * 100)
+        while looked_up < 5:
+            await asyncio.sleep(0.01)
+        asked_at = looked_up
+        answers, client = await asyncio.open_unix_connection(tmp_path / "socket")
+        client.write(request("estop"))
+        await answers.readline()
+        await server.close()
+        for one in (client, *(writer for _, writer in crowd)):
+            one.transport.abort()
+        await asyncio.sleep(0.05)
+        return asked_at
+
+    asked_at = asyncio.run(crowded())
+    assert when_stopped[0] - asked_at < 10, "not after the two thousand that came before"
+
+
+@pytest.mark.parametrize("turns", range(6))
+def test_who_comes_just_as_the_socket_closes_is_answered_and_not_left_hanging(
+    tmp_path: Path, turns: int
+) -> None:
+    async def late() -> bytes:
+        server = Server({"status": Method(NoParams, lambda _: "there", changes=False)})
+        await server.listen(tmp_path / "socket")
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(tmp_path / "socket"))
+            client.sendall(request("status"))
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            await server.close()
+            client.settimeout(PATIENCE_S)
+            return await asyncio.to_thread(client.recv, 1000)
+
+    assert b"there" in asyncio.run(late())
+    assert not (tmp_path / "socket").exists()
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(
+        st.binary(max_size=60)
+        | st.sampled_from([request("status"), request("set"), request("mark", text=1), b"\n"]),
+        max_size=6,
+    )
+)
+def test_no_sequence_of_bytes_stops_the_loop_or_moves_the_muscle(
+    held: Daemon, pieces: list[bytes]
+) -> None:
+    with connected(held) as client, suppress(OSError):
+        for piece in pieces:
+            client.sendall(piece)
+        client.shutdown(socket.SHUT_WR)
+        while client.recv(65536):
+            pass
+    status = held.ask("status")
+    assert status["state"] == "ready"
+    assert status["tick"]["reference_m"] == pytest.approx(8e-3)

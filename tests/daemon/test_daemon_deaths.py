@@ -1,0 +1,337 @@
+"""What becomes of the daemon and its runs when something is stopped, dies or freezes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.daemons import (
+    NOT_HOMED,
+    SQUARE,
+    Daemon,
+    as_root,
+    daemon,
+    nobody,
+    parked,
+    run_to_its_end,
+)
+from support.killing import kill_as_one
+from support.patience import PATIENCE_S
+
+from pamctl.daemon.announcements import Announcements
+from pamctl.daemon.client import Declined, Unreachable
+from pamctl.daemon.latch import Latch
+from pamctl.daemon.refusal import Refused
+from pamctl.daemon.service import Service
+from pamctl.daemon.session import Workshop
+from pamctl.daemon.shelf import Shelf
+from pamctl.log import LogError, read
+from pamctl.processes.backends import SHARED_MEMORY, ao_path, rig_of
+from pamctl.processes.run_once import ring_path, run_meta
+from pamctl.realtime.clock import VirtualClock
+from pamctl.replay import replay
+from pamctl.settings.resolve import resolve
+
+
+@pytest.fixture(scope="module")
+def shared_hurt(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    with daemon(tmp_path_factory.mktemp("hurt"), "hurt", NOT_HOMED) as made:
+        yield made
+
+
+@pytest.fixture
+def hurt(shared_hurt: Daemon) -> Iterator[Daemon]:
+    """A daemon whose processes are hurt, and which has to recover from that."""
+    yield shared_hurt
+    if shared_hurt.state() == "fault":
+        shared_hurt.wait_until(lambda status: not status["pids"])
+        shared_hurt.ask("ack")
+    shared_hurt.ask("disarm")
+    assert shared_hurt.state() == "idle"
+
+
+@pytest.fixture
+def own(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
+    """A daemon for one test that will end it."""
+    name = f"own{abs(hash(request.node.name)) % 10**6}"
+    with daemon(tmp_path, name, NOT_HOMED) as made:
+        yield made
+
+
+def test_it_starts_idle_with_the_valve_safe(own: Daemon) -> None:
+    status = own.ask("status")
+    assert (status["state"], status["tick"], status["log"]) == ("idle", None, None)
+    assert own.is_safe()
+
+
+def holding(made: Daemon) -> Path:
+    """Bring the muscle under pressure, so that the safe voltage is a change."""
+    log = made.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+    made.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None and not made.is_safe())
+    return Path(log)
+
+
+def test_an_emergency_stop_is_safe_within_a_few_ticks_and_latched(hurt: Daemon) -> None:
+    log = holding(hurt)
+    hurt.ask("estop")
+    hurt.wait_safe()
+    status = hurt.wait_for("fault")
+    assert status["fault"] == "emergency stop"
+    hurt.wait_until(lambda s: not s["pids"])
+    with pytest.raises(Declined, match="acknowledge"):
+        hurt.ask("start", experiment=SQUARE, name="square")
+    assert hurt.ask("ack")["fault"] == "emergency stop"
+    ran = read(log)
+    assert ran.events[-1]["reason"] == "emergency stop"
+    assert replay(ran).is_equal
+    run_to_its_end(hurt, SQUARE)
+
+
+def test_a_daemon_that_is_restarted_remembers_its_fault_until_it_is_acknowledged(
+    tmp_path: Path,
+) -> None:
+    with daemon(tmp_path, "latch", NOT_HOMED, forget=False) as first:
+        first.ask("estop")
+        first.process.kill()
+        first.process.wait()
+    with daemon(tmp_path, "latch", NOT_HOMED) as again:
+        assert again.ask("status")["fault"] == "emergency stop"
+        with pytest.raises(Declined, match="acknowledge"):
+            again.ask("start", experiment=SQUARE, name="square")
+        again.ask("ack")
+    with daemon(tmp_path, "latch", NOT_HOMED) as third:
+        assert third.state() == "idle"
+
+
+@as_root
+def test_another_users_daemon_knows_the_fault_too_and_may_have_it_acknowledged() -> None:
+    place = SHARED_MEMORY / "several-users"  # as /dev/shm is
+    place.mkdir()
+    place.chmod(0o1777)
+    Latch(place / "rig.fault").close_on("safety trip")
+    with nobody():
+        assert Latch(place / "rig.fault").release() == "safety trip"
+    assert Latch(place / "rig.fault").reason == ""
+
+
+def test_a_safety_trip_is_latched_with_its_reason(tmp_path: Path) -> None:
+    with daemon(tmp_path, "trip", NOT_HOMED, "rig.limits.stroke_high_mm=6") as made:
+        made.ask("start", experiment=SQUARE, name="square")
+        status = made.wait_for("fault")
+        assert "stroke" in status["fault"] or "displacement" in status["fault"]
+        made.wait_safe()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_loop_that_dies_or_freezes_is_a_fault_and_the_log_is_whole(
+    hurt: Daemon, number: signal.Signals
+) -> None:
+    log = holding(hurt)
+    os.kill(hurt.ask("status")["pids"]["loop"], number)
+    hurt.wait_safe()
+    status = hurt.wait_for("fault")
+    assert "loop" in status["fault"]
+    hurt.wait_until(lambda s: not s["pids"])
+    ran = read(log)
+    assert ran.events[-1]["event"] == "outcome"
+    assert replay(ran).is_equal
+    hurt.ask("ack")
+    run_to_its_end(hurt, SQUARE)
+
+
+def holds_numpy(made: Daemon) -> bool:
+    return "numpy" in Path(f"/proc/{made.process.pid}/maps").read_text()
+
+
+def test_a_recorder_that_dies_is_a_fault_and_its_ticks_are_rescued(hurt: Daemon) -> None:
+    log = holding(hurt)
+    os.kill(hurt.ask("status")["pids"]["recorder"], signal.SIGKILL)
+    hurt.wait_safe()
+    assert "recorder" in hurt.wait_for("fault")["fault"]
+    hurt.wait_until(lambda s: not s["pids"])
+    finished = [path for path in hurt.finished_logs() if path.name.startswith(log.stem)]
+    assert any(read(path).events[-1]["event"] == "outcome" for path in finished)
+    # A process of its own did it: this one stays small, and never lets go of the rig.
+    assert not holds_numpy(hurt)
+
+
+def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_log_whole(own: Daemon) -> None:
+    log = holding(own)
+    pids = own.ask("status")["pids"]
+    own.process.kill()
+    own.wait_safe()
+    own.process.wait()
+    deadline_s = time.monotonic() + PATIENCE_S
+    while any(_lives(pid) for pid in pids.values()):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    ran = read(log)
+    assert ran.events[-1]["event"] == "outcome"
+    assert "commanding process" in ran.events[-1]["reason"]
+
+
+def test_what_was_killed_as_a_whole_is_finished_by_the_next_start_which_stays_small(
+    own: Daemon, tmp_path: Path
+) -> None:
+    log = holding(own)
+    kill_as_one(own.process.pid, *own.ask("status")["pids"].values())
+    own.process.wait()
+    with pytest.raises(LogError):
+        read(log)
+    time.sleep(2.1)  # a ring younger than that might belong to a run that is just starting
+    with daemon(tmp_path, "next", NOT_HOMED) as after:
+        assert len(read(log)) > 0
+        assert f"finished {log}" in (tmp_path / "daemon.err").read_text()
+        assert not holds_numpy(after)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_stops_it_smoothly_and_it_exits_with_0(
+    own: Daemon, number: signal.Signals
+) -> None:
+    log = holding(own)
+    own.process.send_signal(number)
+    assert own.process.wait(PATIENCE_S) == 0
+    assert own.is_safe()
+    ran = read(log)
+    assert np.ptp(ran["t_s"][ran["phase"] == 5]) > 0.15
+    assert not own.socket.exists()
+
+
+def test_a_stop_may_be_slower_than_the_ticks_that_are_kept_between_runs(tmp_path: Path) -> None:
+    # How far behind a recorder may be is a matter of its run's ring.
+    with daemon(tmp_path, "slow", NOT_HOMED, "rig.loop.stop_ramp_s=5") as made:
+        log = holding(made)
+        made.ask("stop")
+        parked(made)
+        assert read(log).events[-1]["reason"] == "stopped by request"
+
+
+def test_a_second_signal_ends_it_at_once_and_leaves_no_fault(tmp_path: Path) -> None:
+    slowly = ("rig.loop.stop_ramp_s=5", "rig.loop.ring_rows=65536")
+    with daemon(tmp_path, "hurry", NOT_HOMED, *slowly) as made:
+        log = holding(made)
+        made.process.send_signal(signal.SIGTERM)
+        with pytest.raises(Unreachable):  # it has heard the first one
+            made.wait_until(lambda status: False)
+        made.process.send_signal(signal.SIGTERM)
+        assert made.process.wait(PATIENCE_S) == 0
+        assert made.is_safe()
+        ran = read(log)
+        assert np.count_nonzero(ran["phase"] == 5) < 4900, "the ramp was cut short"
+        assert not ao_path(made.device).with_suffix(".fault").exists()
+
+
+def test_no_number_of_signals_cuts_short_how_it_ends(tmp_path: Path) -> None:
+    with daemon(tmp_path, "impatient", NOT_HOMED) as made:
+        log = holding(made)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while made.process.poll() is None:
+            assert time.monotonic() < deadline_s
+            made.process.send_signal(signal.SIGTERM)
+            time.sleep(1e-3)
+        assert made.process.returncode == 0
+        assert made.is_safe()
+        assert read(log).events[-1]["event"] == "outcome"
+        assert not made.socket.exists()
+
+
+def test_nothing_begins_any_more_in_a_daemon_that_is_being_ended(tmp_path: Path) -> None:
+    settings = resolve()
+    workshop = Workshop([], [], rig_of(settings, VirtualClock(1)).rig, run_meta, "none", ring_path)
+    latch = Latch(tmp_path / "fault")
+    service = Service(settings, {"controller": "qsmc"}, workshop, Shelf(tmp_path), latch)
+    service.close()
+    for ask in (partial(service.start, SQUARE, "late", None), partial(service.goto, 8e-3, None)):
+        with pytest.raises(Refused, match="is being ended"):
+            ask()
+
+
+def test_with_json_its_life_stands_on_standard_output_a_line_for_whatever_happens(
+    tmp_path: Path,
+) -> None:
+    with daemon(tmp_path, "json", NOT_HOMED, options=["--json"]) as made:
+        log = run_to_its_end(made, SQUARE, "square")
+        made.ask("estop")
+        made.wait_until(lambda status: not status["pids"])
+        made.ask("ack")
+        made.process.send_signal(signal.SIGTERM)
+        assert made.process.wait(PATIENCE_S) == 0
+    told = [json.loads(line) for line in made.told.read_text().splitlines()]
+    assert all(event["time_s"] > 1e9 for event in told)
+    assert told[0]["event"] == "listening"
+    assert (told[-1]["event"], told[-1]["exit_code"]) == ("ended", 0)
+    assert told[-1]["reason"] == "stopped by SIGTERM"
+    events = [event["event"] for event in told if event["event"] != "state"]
+    for expected in ("run begins", "run over", "estop", "acknowledged", "ended"):
+        assert expected in events
+        events = events[events.index(expected) :]
+    assert {event["log"] for event in told if event["event"] == "run over"} == {str(log)}
+    states = [(event["state"], event["fault"]) for event in told if event["event"] == "state"]
+    assert states[0] == ("idle", "")
+    assert ("running", "") in states
+    assert ("fault", "emergency stop") in states
+
+
+def test_who_reads_its_announcements_slowly_not_at_all_or_no_longer_holds_up_nobody() -> None:
+    ours, its = os.pipe()
+    stuck = Announcements(its)
+    for number in range(20_000):
+        stuck.put({"number": number})
+    stuck.end()
+    first = os.read(ours, 1 << 16).splitlines()
+    assert [json.loads(line)["number"] for line in first[:100]] == list(range(100))
+    os.close(ours)
+    gone = Announcements(its)
+    gone.put({"number": 1})
+    gone.end()
+    os.close(its)
+
+
+def test_a_session_that_is_parked_for_long_ends(tmp_path: Path) -> None:
+    with daemon(tmp_path, "idle", NOT_HOMED, options=["--idle-after", "1"]) as made:
+        run_to_its_end(made, SQUARE)
+        assert made.wait_for("idle")["pids"] == {}
+
+
+def test_only_the_newest_of_its_own_logs_are_kept_where_that_was_asked_for(tmp_path: Path) -> None:
+    with daemon(tmp_path, "keep", NOT_HOMED, options=["--keep", "2"]) as made:
+        others = [made.logs / "20250101-000000-qsmc-tracking-1.mcap", made.logs / "mine.csv"]
+        for path in others:
+            path.touch()
+        first = run_to_its_end(made, SQUARE, "run0")
+        beside = first.with_name(f"{first.stem}-trip.csv")
+        beside.touch()
+        logs = [run_to_its_end(made, SQUARE, f"run{n}") for n in (1, 2)]
+        deadline_s = time.monotonic() + PATIENCE_S
+        while first.exists():  # it is tidied once the run is over, and said to be
+            assert time.monotonic() < deadline_s
+            time.sleep(0.02)
+        assert made.finished_logs() == sorted([others[0], *logs])
+        assert others[1].exists()
+        assert not beside.exists()
+
+
+def _lives(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as status:
+            return status.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_sockets_of_the_dead_are_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "control.sock"
+    dead = socket.socket(socket.AF_UNIX)
+    dead.bind(str(path))
+    dead.close()
+    with daemon(tmp_path, "stale") as made:
+        assert made.state() == "idle"

@@ -1,0 +1,32 @@
+"""The README's example of a diagnosis from Python, as it stands there."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+
+README = Path(__file__).parents[2] / "README.md"
+
+
+def test_the_example_with_an_executor_runs_as_it_stands(tmp_path: Path) -> None:
+    for seed, name in (("1", "a.mcap"), ("2", "b.mcap")):
+        run = ["run", "--fast", "--quiet", "--experiment", "diagnosis", "--duration", "3.5"]
+        run += ["--seed", seed, "--set", f"experiment.seed={seed}", "--log", str(tmp_path / name)]
+        result = CliRunner().invoke(app, run)
+        assert result.exit_code == 0, result.output
+    (example,) = re.findall(
+        r"```python\n(from concurrent\.futures.*?)```", README.read_text(), re.DOTALL
+    )
+    script = tmp_path / "example.py"
+    script.write_text(example)
+    done = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert "nothing is missing" in done.stdout.lower()

@@ -1,0 +1,86 @@
+"""Intervals hold the truth about as often as they say, and what the integrator does is told."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from support.made_records import measured, pair
+
+from pamctl.diagnose.fitting.candidates import candidates
+from pamctl.diagnose.fitting.evidence import prepared
+from pamctl.diagnose.fitting.fitted_model import Model, extended, recalibrated
+from pamctl.diagnose.fitting.integrator import SMALL, changes, finer, integrator_told
+from pamctl.diagnose.fitting.intervals import Estimate, estimates
+from pamctl.plant.flat import PAPER
+from pamctl.plant.model import PlantSettings
+
+STICKY = {"stribeck.rise": 0.3, "stribeck.speed_m_per_s": 0.0075}
+"""Friction that falls so steeply with speed that the muscle moves by jumps."""
+
+
+@cache
+def sticky() -> Model:
+    """The true structure fitted to a rig of steep friction, simulated in far finer steps."""
+    train, held = pair(**{name.replace(".", "__"): value for name, value in STICKY.items()})
+    evidence = prepared(train, held, PlantSettings())
+    form = next(c for c in candidates(evidence) if (c.name, c.form) == ("stribeck", "Gaussian"))
+    return extended(recalibrated(evidence), (form,), [STICKY])
+
+
+def of(model: Model) -> dict[str, Estimate]:
+    """Its numbers by name."""
+    return {number.name: number for number in estimates(model)}
+
+
+def test_intervals_of_calibrated_numbers_hold_the_truth_about_as_often_as_they_say() -> None:
+    inside = []
+    for seed in range(6):
+        off = {"stiffness_n_per_m": 9400.0 + 90.0 * seed, "damping_n_s_per_m": 560.0}
+        train, held = [measured("fit", 20 + seed, **off)], [measured("judge", 70 + seed, **off)]
+        found = of(recalibrated(prepared(train, held, PlantSettings())))
+        inside += [found[n].low <= (PAPER | off)[n] <= found[n].high for n in found]
+    assert len(inside) == 36
+    assert np.mean(inside) > 0.75  # 90 %, less two standard errors of six rigs
+
+
+def test_an_interval_is_as_wide_as_the_replicas_scatter_and_they_are_few() -> None:
+    train, held = pair()
+    model = recalibrated(prepared(train, held, PlantSettings()))
+    fitted, floor = model.fit_of("pressure"), model.floors["pressure"]
+    place = [f.name for f in fitted.free].index("tank_pressure_pa")
+    number = of(model)["tank_pressure_pa"]
+    half = 0.5 * (number.high - number.low) / fitted.free[place].scale
+    assert len(floor.shifts) == 12
+    # Student's t of 11 degrees at 95 % is 1.796; of a next draw, not of the mean.
+    assert half >= 1.796 * np.sqrt(13 / 12) * floor.shifts[:, place].std(ddof=1)
+
+
+def test_half_the_sub_step_changes_nothing_that_matters_of_the_papers_muscle() -> None:
+    train, held = pair()
+    found = changes(recalibrated(prepared(train, held, PlantSettings())))
+    assert set(found) == {"pressure", "mechanics"}
+    assert max(found.values()) < SMALL
+    assert integrator_told(found) == ""
+
+
+def test_half_the_sub_step_is_half_of_it() -> None:
+    train, held = pair()
+    drives = prepared(train, held, PlantSettings()).train["pressure"]
+    assert [d.steps for d in finer(drives)] == [2 * d.steps for d in drives]
+
+
+def test_an_integrator_too_coarse_for_steep_friction_is_told() -> None:
+    found = changes(sticky())
+    assert found["mechanics"] > SMALL
+    said = integrator_told(found)
+    assert "mechanics by" in said
+    assert "pressure" not in said
+
+
+@pytest.mark.parametrize("name", STICKY)
+def test_intervals_have_room_for_what_a_coarse_integrator_does_to_the_numbers(name: str) -> None:
+    number = of(sticky())[name]
+    assert number.low <= STICKY[name] <= number.high
+    assert number.high - number.low < 0.25 * STICKY[name]

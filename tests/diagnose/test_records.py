@@ -1,0 +1,51 @@
+"""Where a measured run begins to move: what lies before it tells the sensors' noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.measured.sensor_noise import estimate
+
+RESTED = 800
+
+
+def pulled(
+    newtons_per_s: float, noise_n: float = 0.05, step_n: float = 0.0, keep: float = 0.0
+) -> Record:
+    """A force that rests for 0.8 s and then rises; its noise may remember."""
+    t_s = np.arange(3000) * 1e-3
+    random = np.random.default_rng(5)
+    noise = random.normal(0.0, noise_n, len(t_s))
+    for k in range(1, len(noise)):
+        noise[k] = keep * noise[k - 1] + np.sqrt(1.0 - keep**2) * noise[k]
+    force_n = newtons_per_s * np.maximum(t_s - RESTED * 1e-3, 0.0) + noise + 3.0
+    if step_n:
+        force_n = np.round(force_n / step_n) * step_n
+    return Record("pulled", t_s, force_n=force_n)
+
+
+@pytest.mark.parametrize("newtons_per_s", [2.0, 20.0, 130.0, 4000.0])
+@pytest.mark.parametrize("keep", [0.0, 0.8])
+def test_the_rest_of_a_force_ends_where_its_ramp_begins(newtons_per_s: float, keep: float) -> None:
+    rest = pulled(newtons_per_s, keep=keep).rest_samples
+    # As far off as the ramp takes through four deviations of the noise.
+    assert abs(rest - RESTED) <= 3 + 1e3 * 4.0 * 0.05 / newtons_per_s
+
+
+def test_the_noise_of_a_force_is_that_of_its_rest_and_not_of_its_ramp() -> None:
+    noise = estimate([pulled(20.0)], "force_n")
+    assert noise.total == pytest.approx(0.05, rel=0.05)
+
+
+def test_the_steps_of_a_converter_are_no_beginning() -> None:
+    assert abs(pulled(50.0, noise_n=0.02, step_n=0.05).rest_samples - RESTED) <= 5
+
+
+def test_a_force_that_never_leaves_its_start_rests_throughout() -> None:
+    assert pulled(0.0).rest_samples == 3000
+
+
+def test_a_force_without_noise_leaves_its_rest_with_the_first_change() -> None:
+    assert abs(pulled(10.0, noise_n=0.0).rest_samples - RESTED) <= 1

@@ -1,0 +1,148 @@
+"""A real rig never reaches a simulated floor: what it does differently each time is no effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import lfilter
+from support.made_records import COUNT_M, PERIOD_S, all_but, command_v, measured
+
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, record_of, summary
+from pamctl.diagnose.fitting.evidence import prepared
+from pamctl.diagnose.fitting.repeatability import repeatability, repeats
+from pamctl.diagnose.report.diagnosis_document import document
+from pamctl.plant.drive import drive_coupled
+from pamctl.plant.flat import parameters_of
+from pamctl.plant.model import PlantSettings
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+DEAD_BAND = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}
+
+
+def restless(program: str, seed: int, **hidden: float) -> Record:
+    """A run whose pressure wanders by 1.2 kPa as soon as it is not at rest, in no model's way."""
+    record = measured(program, seed, **hidden)
+    random = np.random.default_rng(100 + seed)
+    kept = np.exp(-PERIOD_S / 0.1)
+    wander = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], random.normal(size=len(record)))
+    awake = np.arange(len(record)) > record.rest_samples
+    return replace(record, pressure_pa=record["pressure_pa"] + 1.2e3 * wander * awake)
+
+
+def found(*, again: bool, **hidden: float) -> Diagnosis:
+    """Diagnose a restless rig from one run or two runs of the same commands."""
+    train = [restless("fit", seed, **hidden) for seed in ((1, 3) if again else (1,))]
+    held = [restless("judge", 2, **hidden)]
+    few = all_but("valve_deadband")
+    return diagnose(train, held, PlantSettings(), without=few)
+
+
+def test_two_runs_of_the_same_commands_are_a_repeat_and_one_run_cut_in_two_is_none() -> None:
+    one, other = measured("fit", 1), measured("fit", 3)
+    (repeat,) = repeats([one, other])
+    assert (repeat.one, repeat.other, repeat.length) == (0, 1, len(one))
+    assert repeats([one, one]) == ()
+    assert repeats([one, measured("judge", 2)]) == ()
+
+
+def test_periods_are_repeats_once_their_past_is_the_same() -> None:
+    command = np.where(np.arange(12_000) // 500 % 2, -5.0, 5.0)
+    record = Record("squares", np.arange(12_000) * 1e-3, valve_v=command)
+    (repeat,) = repeats([record])
+    assert (repeat.again - repeat.start) % 1000 == 0
+    assert repeat.start >= 3000
+    assert repeat.length >= 7000
+
+
+def test_a_restless_rig_is_not_blamed_where_its_runs_are_repeated() -> None:
+    alone, repeated = found(again=False), found(again=True)
+    assert alone.verdict is Verdict.NONE_KNOWN
+    assert document(alone)["limits"]["pressure"]["decided_by"] == "self-simulation"
+    assert repeated.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
+    limit = document(repeated)["limits"]["pressure"]
+    assert limit["decided_by"] == "repeatability"
+    assert 2.0 < limit["limit_over_floor"] < 8.0
+    assert "the rig does not repeat itself any better" in summary(repeated)
+
+
+def test_an_effect_is_named_on_a_rig_that_repeats_itself_badly() -> None:
+    repeated = found(again=True, **DEAD_BAND)
+    assert repeated.verdict is Verdict.NAMED
+    assert [s.effect.name for s in repeated.standings] == ["valve_deadband"]
+
+
+def looped(seed: int, hand_v: float = 0.005, wander_pa: float = 0.0, **hidden: float) -> Record:
+    """A run under a loop: to the same reference each run has a command a little of its own."""
+    truth = parameters_of({name.replace("__", "."): value for name, value in hidden.items()})
+    random = np.random.default_rng(seed)
+    asked_v = command_v("fit")
+    own_v = lfilter([0.1], [1.0, -0.9], random.normal(0.0, 4.0 * hand_v, len(asked_v)))
+    command = np.clip(asked_v + own_v * (np.arange(len(asked_v)) > 600), -5.0, 5.0)
+    driven = drive_coupled(truth, command, PERIOD_S, steps=8)
+    kept = np.exp(-PERIOD_S / 0.1)
+    wander = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], random.normal(size=len(command)))
+    wander *= np.arange(len(command)) > 600
+    return Record(
+        f"looped-{seed}",
+        np.arange(len(command)) * PERIOD_S,
+        valve_v=command,
+        pressure_pa=driven.pressure_pa
+        + random.normal(0.0, 300.0, len(wander))
+        + wander_pa * wander,
+        position_m=np.floor(driven.position_m / COUNT_M + random.uniform()) * COUNT_M,
+        reference_m=1e-3 * asked_v,
+    )
+
+
+def spread_over_noise(**loop: float) -> float:
+    """What the pressure block of two looped runs does not repeat, in deviations of its sensor."""
+    records = [looped(seed, **loop) for seed in (1, 2)]
+    evidence = prepared(records, [], PlantSettings())
+    return repeatability(evidence.train["pressure"], PlantSettings(), evidence.repeated).rms
+
+
+def test_runs_to_the_same_reference_are_repeats_though_their_commands_differ() -> None:
+    one, other = looped(1), looped(2)
+    (repeat,) = repeats([one, other])
+    assert repeat.by_reference
+    assert repeat.length == len(one)
+    assert repeats([replace(one, reference_m=None), replace(other, reference_m=None)]) == ()
+
+
+def test_equal_commands_come_before_equal_references() -> None:
+    record = looped(1)
+    (repeat,) = repeats([record, replace(looped(2), valve_v=record.valve_v)])
+    assert not repeat.by_reference
+
+
+def test_periods_of_a_reference_are_repeats() -> None:
+    t_s = np.arange(12_000) * 1e-3
+    hand_v = np.random.default_rng(3).normal(0.0, 0.01, len(t_s))
+    wanted_m = 1e-3 * np.sin(2.0 * np.pi * t_s)
+    record = Record("sine", t_s, valve_v=np.sin(6.3 * t_s) + hand_v, reference_m=wanted_m)
+    (repeat,) = repeats([record])
+    assert repeat.by_reference
+    assert (repeat.again - repeat.start) % 1000 == 0
+    assert repeat.length >= 7000
+
+
+def test_what_the_model_lacks_is_no_restlessness_of_the_rig_under_a_loop() -> None:
+    # Without the dead band the model is 60 deviations off, in both runs alike.
+    assert spread_over_noise(**DEAD_BAND) < 1.3
+
+
+def test_what_the_rig_does_differently_under_a_loop_is_counted() -> None:
+    assert 3.0 < spread_over_noise(wander_pa=1.2e3) < 5.0
+
+
+def test_a_loop_that_hunts_tells_nothing_rather_than_too_much() -> None:
+    assert spread_over_noise(hand_v=0.3, **DEAD_BAND) < 3.0
+
+
+def test_a_log_of_a_closed_loop_brings_its_reference() -> None:
+    record = record_of(GOLDEN / "qsmc.mcap")
+    assert record.reference_m is not None
+    assert len(record.reference_m) == len(record)
+    assert len(record.between(5, 9, "part").reference_m) == 4

@@ -1,0 +1,289 @@
+"""The stand-in driver against what it stands in for: the package's view, and the plant."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+from collections.abc import Iterator
+
+import pytest
+from standin.standin import HERE, PERMIT, Card, advance, here
+
+from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.simulated import SimulatedPlant
+
+SOURCE = (HERE / "daqmx.c").read_text()
+
+
+@pytest.fixture
+def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
+    monkeypatch.setenv(PERMIT, "1")
+    here().power_up()
+    yield here()
+    here().mend()
+
+
+def test_its_muscle_is_that_of_the_simulation(card: Card) -> None:
+    plant = SimulatedPlant(plant_parameters(PlantSettings()))
+    state = (0.0, 0.0, 101.3e3)
+    for tick in range(1000):
+        command_v = (5.0, -3.0, 0.0, 1.2, -5.0)[tick // 70 % 5]
+        plant.advance(command_v, 1e-3)
+        state = tuple(advance(state, command_v, 1e-3))
+        assert state[0] == pytest.approx(plant.position_m, abs=1e-9)
+        assert state[2] == pytest.approx(plant.pressure_pa, abs=1e-3)
+    assert max(abs(plant.state.velocity_m_per_s), plant.position_m) > 0
+
+
+def test_its_muscle_rests_for_as_long_as_nobody_looks(card: Card) -> None:
+    """A decay to the smallest numbers there are must not end in one that is none."""
+    state = (0.008, 0.0, 250e3)
+    for _ in range(60):
+        state = tuple(advance(state, -4.375, 1.0))
+    assert state == pytest.approx((0.0, 0.0, 101.3e3))
+
+
+# --- names and numbers -------------------------------------------------------------------
+
+
+def enumerated(marker: str) -> dict[str, int]:
+    """Return the enum of the source that follows a comment."""
+    body = SOURCE[SOURCE.index(marker) :]
+    body = body[: body.index("};")]
+    return {name: int(value) for name, value in re.findall(r"(\w+) = (-?\d+),", body)}
+
+
+def test_its_error_numbers_are_ni_s() -> None:
+    from nidaqmx.error_codes import DAQmxErrors
+
+    numbers = enumerated("/* Names as in nidaqmx.error_codes.DAQmxErrors. */")
+    assert len(numbers) > 10
+    assert {name: DAQmxErrors[name].value for name in numbers} == numbers
+
+
+def test_its_constants_are_ni_s() -> None:
+    from nidaqmx import constants
+
+    numbers = enumerated("/* Names as in nidaqmx.constants")
+    assert len(numbers) > 10
+    for name, number in numbers.items():
+        kind, _, member = name.partition("__")
+        assert getattr(constants, kind)[member].value == number, name
+
+
+def test_the_fixes_of_the_backend_are_for_errors_that_exist() -> None:
+    from nidaqmx.error_codes import DAQmxErrors
+
+    from hal.nidaq.driver_errors import FIXES
+
+    assert set(FIXES) <= {error.value for error in DAQmxErrors}
+
+
+# --- signatures --------------------------------------------------------------------------
+
+
+def declared() -> dict[str, list[str]]:
+    """Return the C types of each exported function's arguments; `...` is left out."""
+    found = re.findall(r"EXPORT int32_t (DAQmx\w+)\(([^)]*)\)", SOURCE)
+    return {
+        name: [c_type(argument) for argument in arguments.split(",") if "..." not in argument]
+        for name, arguments in found
+    }
+
+
+def c_type(argument: str) -> str:
+    return re.sub(r"\w+$", "", " ".join(argument.split())).strip()
+
+
+def expected_types() -> dict[str, list[type]]:
+    """What the package may pass where the stand-in has declared a C type."""
+    from nidaqmx._lib import CtypesByteString, c_bool32
+
+    pointer = ctypes.POINTER
+    return {
+        "TaskHandle": [ctypes.c_void_p],
+        "TaskHandle *": [pointer(ctypes.c_void_p)],
+        "const char *": [CtypesByteString],
+        "char *": [ctypes.c_char_p],
+        "int32_t": [ctypes.c_int],
+        "uint64_t": [ctypes.c_ulonglong],
+        "uint32_t": [ctypes.c_uint],
+        "uint32_t *": [pointer(ctypes.c_uint)],
+        "bool32": [c_bool32],
+        "bool32 *": [pointer(c_bool32)],
+        "double": [ctypes.c_double],
+        "double *": [pointer(ctypes.c_double)],
+    }
+
+
+def call_everything() -> None:
+    """Call each function of the stand-in through the package."""
+    from nidaqmx import Task
+    from nidaqmx.constants import AcquisitionType, LengthUnits, TaskMode
+    from nidaqmx.errors import DaqError, DaqWarning
+    from nidaqmx.stream_readers import AnalogSingleChannelReader, CounterReader
+    from nidaqmx.stream_writers import AnalogSingleChannelWriter
+    from nidaqmx.system import Device, System
+
+    assert System.local().driver_version
+    device = Device("Dev1")
+    assert device.product_type == "PCI-6221"
+    device.reset_device()
+    with Task("out") as out, Task("volts") as volts, Task("counts") as counts:
+        out.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        out.control(TaskMode.TASK_VERIFY)
+        assert out.is_task_done()
+        here().fail("DAQmxStartTask", 200010, times=1)
+        with pytest.warns(DaqWarning):
+            out.start()
+        AnalogSingleChannelWriter(out.out_stream).write_one_sample(1.0)
+        volts.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        AnalogSingleChannelReader(volts.in_stream).read_one_sample()
+        volts.timing.cfg_samp_clk_timing(1e3, sample_mode=AcquisitionType.HW_TIMED_SINGLE_POINT)
+        channel = counts.ci_channels.add_ci_lin_encoder_chan("Dev1/ctr0", units=LengthUnits.TICKS)
+        channel.ci_encoder_a_input_dig_fltr_enable = False
+        assert channel.physical_channel.name == "Dev1/ctr0"
+        reader = CounterReader(counts.in_stream)
+        assert reader.read_one_sample_uint32() == reader.read_one_sample_double() == 0
+        with pytest.raises(DaqError, match="-200077"):
+            channel.ci_encoder_a_input_dig_fltr_min_pulse_width = 1e-6
+        out.stop()
+
+
+def test_its_signatures_are_those_the_package_calls(card: Card) -> None:
+    call_everything()
+    from nidaqmx._lib import lib_importer
+
+    types = expected_types()
+    for name, arguments in declared().items():
+        called_with = getattr(lib_importer.windll, name).argtypes
+        assert called_with is not None, f"{name} was not called"
+        assert len(called_with) == len(arguments), name
+        for passed, argument in zip(called_with, arguments, strict=True):
+            assert passed in types[argument], f"{name}: {passed} for {argument}"
+
+
+def test_a_function_it_lacks_is_one_the_package_says_the_driver_lacks(card: Card) -> None:
+    from nidaqmx import Task
+    from nidaqmx.errors import DaqFunctionNotSupportedError
+
+    with Task() as task:
+        task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        with pytest.raises(DaqFunctionNotSupportedError):
+            task.timing.cfg_implicit_timing()
+
+
+# --- the card's ways that the backend must know ------------------------------------------
+
+
+def test_an_encoder_task_that_does_not_run_reads_zero_for_ever(card: Card) -> None:
+    """NI starts and stops it for each read, which sets it back: the classic complaint."""
+    from nidaqmx import Task
+    from nidaqmx.constants import LengthUnits
+    from nidaqmx.stream_readers import CounterReader
+
+    card.stop_time()
+    with Task("idle") as task:
+        task.ci_channels.add_ci_lin_encoder_chan("Dev1/ctr0", units=LengthUnits.TICKS)
+        reader = CounterReader(task.in_stream)
+        card.registers.ao_v[0] = 10.0
+        for tick in range(200):
+            card.set_time_ns(tick * 1_000_000)
+            assert reader.read_one_sample_double() == 0.0
+    assert card.registers.plant.position_m > 5e-3
+
+
+@pytest.mark.parametrize(("decoding", "counts_per_cycle"), [("X_1", 1), ("X_2", 2), ("X_4", 4)])
+def test_a_cycle_of_the_strip_has_as_many_counts_as_the_decoding_says(
+    card: Card, decoding: str, counts_per_cycle: int
+) -> None:
+    from nidaqmx import Task
+    from nidaqmx.constants import EncoderType, LengthUnits
+    from nidaqmx.stream_readers import CounterReader
+
+    card.stop_time()
+    readings = {}
+    for units in (LengthUnits.METERS, LengthUnits.TICKS):
+        card.power_up()
+        card.stop_time()
+        with Task() as task:
+            task.ci_channels.add_ci_lin_encoder_chan(
+                "Dev1/ctr0",
+                decoding_type=EncoderType[decoding],
+                units=units,
+                dist_per_pulse=25.4e-3 / 2000.0,
+            )
+            task.start()
+            card.registers.ao_v[0] = 10.0
+            card.set_time_ns(100_000_000)
+            readings[units] = CounterReader(task.in_stream).read_one_sample_double()
+    position_m = card.registers.plant.position_m
+    resolution_m = 25.4e-3 / 2000.0 / counts_per_cycle
+    assert readings[LengthUnits.METERS] == pytest.approx(position_m, abs=resolution_m)
+    assert readings[LengthUnits.TICKS] * resolution_m == pytest.approx(
+        readings[LengthUnits.METERS], rel=1e-12
+    )
+
+
+def test_a_filter_longer_than_the_pulses_loses_counts(card: Card) -> None:
+    """What the two longer filters of an M Series card do to an encoder."""
+    from nidaqmx import Task
+    from nidaqmx.constants import LengthUnits
+    from nidaqmx.stream_readers import CounterReader
+
+    lost = {}
+    for width_s in (125e-9, 2.55e-3):
+        card.power_up()
+        card.stop_time()
+        with Task() as task:
+            channel = task.ci_channels.add_ci_lin_encoder_chan("Dev1/ctr0", units=LengthUnits.TICKS)
+            channel.ci_encoder_a_input_dig_fltr_min_pulse_width = width_s
+            channel.ci_encoder_a_input_dig_fltr_enable = True
+            task.start()
+            card.registers.ao_v[0] = 10.0
+            for tick in range(100):
+                card.set_time_ns(tick * 1_000_000)
+                counted = CounterReader(task.in_stream).read_one_sample_double()
+        lost[width_s] = card.registers.plant.position_m / 3.175e-6 - counted
+    assert abs(lost[125e-9]) < 1
+    assert lost[2.55e-3] > 1000
+
+
+def test_sensor_noise_is_there_when_asked_for_and_the_same_each_time(card: Card) -> None:
+    from nidaqmx import Task
+    from nidaqmx.stream_readers import AnalogSingleChannelReader
+
+    def readings(noise_v: float) -> list[float]:
+        card.power_up()
+        card.stop_time()
+        card.registers.noise_v = noise_v
+        with Task() as task:
+            task.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-5.0, max_val=5.0)
+            task.start()
+            reader = AnalogSingleChannelReader(task.in_stream)
+            return [reader.read_one_sample() for _ in range(500)]
+
+    assert len(set(readings(0.0))) == 1
+    noisy = readings(2e-3)
+    assert noisy == readings(2e-3)
+    mean_v = sum(noisy) / len(noisy)
+    assert mean_v == pytest.approx(0.215, abs=5e-4)
+    spread_v = (sum((v - mean_v) ** 2 for v in noisy) / len(noisy)) ** 0.5
+    assert spread_v == pytest.approx(2e-3, rel=0.2)
+
+
+def test_a_second_input_task_is_refused_for_there_is_one_converter(card: Card) -> None:
+    from nidaqmx import DaqError, Task
+
+    with Task() as first, Task() as second:
+        first.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        second.ai_channels.add_ai_voltage_chan("Dev1/ai1")
+        first.start()
+        with pytest.raises(DaqError, match="-50103"):
+            second.start()
+
+
+def test_its_driver_is_not_found_by_a_process_that_does_not_ask_for_it(card: Card) -> None:
+    assert "standin" not in os.environ.get("LD_LIBRARY_PATH", "")
+    assert "STANDIN_DEVICE" not in os.environ

@@ -1,0 +1,223 @@
+"""`pamctl watch` in the terminal: what it shows, in how much room, and what it survives."""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import json
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+from support.daemons import daemon
+from support.patience import PATIENCE_S
+
+from pamctl.live.feed import DaemonFeed
+from pamctl.live.history import BLOCKS, History, sparkline
+from pamctl.live.screen import HISTORY_S, screen, with_error
+
+NOT_HOMED = "rig.homing.enabled=false"
+SHOW_CURSOR, LEAVE_SCREEN = "\x1b[?25h", "\x1b[?1049l"
+
+TICK = {
+    "tick": 1000, "t_s": 1.0, "phase": 2, "position_m": 11.801e-3, "reference_m": 11.8e-3,
+    "pressure_pa": 301.3e3, "valve_v": -0.25,
+}  # fmt: skip
+STATUS: dict[str, Any] = {
+    "state": "running", "fault": "", "run": "tracking-2", "log": "/a/rather/long/" + "x" * 90,
+    "tick": TICK, "worst_late_s": 123.4e-6, "missed_ticks": 7, "backend": "sim", "device": "sim0",
+    "events": [{"event": "mark", "time_s": 0.0, "text": "y" * 200}] * 10,
+}  # fmt: skip
+
+
+def drawn(status: dict[str, Any] | None, *ticks: dict[str, float], size: tuple[int, int]) -> str:
+    history = History(HISTORY_S)
+    history.extend(with_error(tick) for tick in ticks)
+    paper = io.StringIO()
+    console = Console(file=paper, width=200, height=60, force_terminal=False)
+    console.print(screen(status, "no daemon", history, size))
+    return paper.getvalue()
+
+
+@given(st.lists(st.floats(-1e6, 1e6) | st.just(float("nan")), max_size=80))
+def test_a_sparkline_is_lowest_where_the_values_are(values: list[float]) -> None:
+    line, low, high = sparkline(values)
+    assert len(line) == len(values)
+    for block, value in zip(line, values, strict=True):
+        if value != value:
+            assert block == " "
+        elif low < high:
+            assert abs(BLOCKS.index(block) - 7 * (value - low) / (high - low)) <= 0.5 + 1e-6
+
+
+def test_a_peak_of_one_tick_is_not_averaged_away() -> None:
+    history = History(10.0)
+    history.extend({"t_s": n * 0.01, "error_m": 5.0 if n == 333 else 0.0} for n in range(1001))
+    assert max(history.binned("error_m", 40)) == 5.0
+
+
+def test_a_history_begins_anew_with_a_session_whose_time_goes_back() -> None:
+    history = History(10.0)
+    history.extend({"t_s": t_s, "error_m": 9.0} for t_s in (50.0, 50.5))
+    history.extend([{"t_s": 0.1, "error_m": 1.0}])
+    assert [value for value in history.binned("error_m", 10) if value == value] == [1.0]
+
+
+@pytest.mark.parametrize(
+    "status",
+    [
+        STATUS,
+        None,
+        {**STATUS, "state": "fault", "fault": "safety trip: " + "z" * 200},
+        {**STATUS, "tick": None, "state": "idle", "run": None, "log": None, "events": []},
+        {**STATUS, "tick": {**TICK, "reference_m": None, "pressure_pa": None}},
+    ],
+)
+def test_every_state_fits_into_80_columns_and_24_lines(status: dict[str, Any] | None) -> None:
+    lines = drawn(status, {**TICK, "t_s": 0.5}, TICK, size=(80, 24)).rstrip("\n").split("\n")
+    assert len(lines) <= 24
+    assert max(len(line.rstrip()) for line in lines) <= 80
+
+
+def test_figures_stand_in_the_units_of_the_users_edge() -> None:
+    text = drawn(STATUS, TICK, size=(80, 24))
+    for figure in ("11.800 mm", "11.801 mm", "+1.0 um", "301.3 kPa", "-0.250 V", "123.4 us", "7"):
+        assert figure in text
+
+
+def test_values_are_those_of_the_log_and_a_restarted_daemon_is_found_again(tmp_path: Path) -> None:
+    from pamctl.log import read
+
+    seen = []
+    with daemon(tmp_path, "feed", NOT_HOMED) as made:
+        feed = DaemonFeed(made.socket, every=10)
+        log = made.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+        made.wait_until(lambda status: status["state"] == "ready" and status["log"] is not None)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while len(seen) < 60:
+            assert time.monotonic() < deadline_s, "there is nothing to see"
+            seen += feed.look().ticks
+            time.sleep(0.05)
+    away = feed.look()
+    assert (away.status, away.ticks) == (None, [])
+    assert "pamctl daemon" in away.problem
+    ran = read(log)
+    rows = {int(tick): row for row, tick in enumerate(ran["tick"])}
+    logged = [tick for tick in seen if int(tick["tick"]) in rows]
+    assert len(logged) >= 10
+    for tick in logged:
+        row = rows[int(tick["tick"])]
+        for name, value in tick.items():
+            assert value == ran[name][row] or (value != value and ran[name][row] != ran[name][row])
+    with daemon(tmp_path, "feed", NOT_HOMED):
+        back = feed.look().status
+        assert back is not None
+        assert back["state"] == "idle"
+        feed.close()
+
+
+def test_in_a_terminal_it_draws_and_in_a_pipe_it_writes_lines(tmp_path: Path) -> None:
+    with daemon(tmp_path, "watch", NOT_HOMED) as made:
+        made.ask("goto", position_m=8e-3, within_s=0.5)
+        command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(made.socket)]
+        picture = _seen_in_a_terminal(command, until="8.00")
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as piped:
+            try:
+                assert piped.stdout is not None
+                lines = [piped.stdout.readline() for _ in range(2)]
+                piped.send_signal(signal.SIGINT)
+                assert piped.wait(PATIENCE_S) == 0
+            finally:
+                piped.kill()
+    assert "position" in picture
+    assert any(block in picture for block in BLOCKS)
+    assert all(re.search(r"\(goto\), sim .* x +-?\d+\.\d+ mm", line) for line in lines)
+
+
+def test_lines_of_json_are_what_the_page_is_sent(tmp_path: Path) -> None:
+    with daemon(tmp_path, "lines", NOT_HOMED) as made:
+        made.ask("goto", position_m=8e-3, within_s=0.5)
+        made.wait_until(lambda status: status["tick"] is not None)
+        told = _json_lines(made.socket)
+    away = _json_lines(made.socket, 69)
+    assert [line["status"]["run"] for line in told] == 3 * ["goto"]
+    ticks = [row[told[0]["fields"].index("tick")] for line in told for row in line["ticks"]]
+    assert ticks == sorted(set(ticks))
+    assert all(tick % 20 == 0 for tick in ticks)
+    assert [line["status"] for line in away] == 3 * [None]
+    assert "pamctl daemon" in away[0]["problem"]
+
+
+def _json_lines(socket: Path, code: int = 0) -> list[dict[str, Any]]:
+    command = [sys.executable, "-m", "pamctl", "watch", "--json", "--count", "3"]
+    command += ["--socket", str(socket)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == code, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_a_terminal_gets_its_cursor_and_its_lines_back_whatever_ends_it(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(tmp_path / "none")]
+    for number, code in ((signal.SIGINT, 0), (signal.SIGTERM, 143)):
+        seen = _seen_in_a_terminal(command, until="away", number=number, code=code)
+        assert seen.endswith(SHOW_CURSOR + LEAVE_SCREEN), repr(seen[-100:])
+
+
+def test_a_terminal_that_cannot_draw_gets_lines(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(tmp_path / "none")]
+    assert _seen_in_a_terminal(command, until="away:", kind="dumb").startswith("away:")
+
+
+def _seen_in_a_terminal(
+    command: list[str],
+    until: str,
+    *,
+    kind: str = "xterm-256color",
+    number: signal.Signals = signal.SIGINT,
+    code: int = 0,
+) -> str:
+    """Run in a terminal of 80 x 24 until a text is seen; then a signal ends it with `code`."""
+    ours, its = pty.openpty()
+    fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    environment = {**os.environ, "TERM": kind}
+    process = subprocess.Popen(command, stdin=its, stdout=its, stderr=its, env=environment)
+    os.close(its)
+    seen, deadline_s = b"", time.monotonic() + PATIENCE_S
+    try:
+        while until not in seen.decode(errors="replace"):
+            assert time.monotonic() < deadline_s, seen[-2000:]
+            if select.select([ours], [], [], 0.1)[0]:
+                seen += os.read(ours, 65536)
+        process.send_signal(number)
+        rest: list[bytes] = []
+        drain = threading.Thread(target=_drain, args=(ours, rest), daemon=True)
+        drain.start()
+        assert process.wait(PATIENCE_S) == code
+        drain.join(PATIENCE_S)
+    finally:
+        process.kill()
+        process.wait()
+    os.close(ours)
+    return (seen + b"".join(rest)).decode(errors="replace")
+
+
+def _drain(fd: int, rest: list[bytes]) -> None:
+    try:
+        while piece := os.read(fd, 65536):
+            rest.append(piece)
+    except OSError:
+        pass  # the other end is closed

@@ -1,0 +1,268 @@
+"""`pamctl watch --web`: what a browser sees and may do, and what other sites may not."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from support.chromium import page
+from support.daemons import Daemon, daemon
+from support.patience import PATIENCE_S
+
+NOT_HOMED = "rig.homing.enabled=false"
+
+OUTSIDE = """[...document.querySelectorAll("body *")].filter(
+  e => e.getBoundingClientRect().right > 391).map(e => e.outerHTML.slice(0, 80))"""
+
+
+class Served(NamedTuple):
+    """A page that is served, and by whom it is fed."""
+
+    daemon: Daemon
+    address: str
+    port: int
+    token: str
+
+    def ask(
+        self, method: str, path: str, body: bytes | None = None, **headers: str
+    ) -> tuple[int, bytes, http.client.HTTPMessage]:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
+        sent = {name.replace("_", "-"): value for name, value in headers.items()}
+        connection.request(method, path, body, sent)
+        answer = connection.getresponse()
+        read = b"" if path == "/stream" and answer.status == 200 else answer.read()
+        connection.close()
+        return answer.status, read, answer.headers
+
+    def order(self, what: object, **headers: str) -> tuple[int, str]:
+        given = {"Content_Type": "application/json", "Authorization": f"Bearer {self.token}"}
+        status, body, _ = self.ask("POST", "/do", json.dumps(what).encode(), **{**given, **headers})
+        told: dict[str, Any] | None = json.loads(body)
+        return status, (told or {}).get("error", "")
+
+
+@contextmanager
+def served(made: Daemon, *options: str) -> Iterator[Served]:
+    command = [sys.executable, "-m", "pamctl", "watch", "--web", "--port", "0", *options]
+    process = subprocess.Popen(
+        [*command, "--socket", str(made.socket)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    try:
+        line = process.stdout.readline().strip()
+        found = re.fullmatch(r"(http://127\.0\.0\.1:(\d+)/)(?:#(\S+))?", line)
+        assert found is not None, line
+        yield Served(made, line, int(found[2]), found[3] or "")
+    finally:
+        with process:
+            process.send_signal(signal.SIGINT)
+            try:
+                assert process.wait(PATIENCE_S) == 0
+            finally:
+                process.kill()
+
+
+@pytest.fixture(scope="module")
+def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    with daemon(tmp_path_factory.mktemp("web"), "web", NOT_HOMED, options=["--rt", "auto"]) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def controlled(up: Daemon) -> Iterator[Served]:
+    with served(up, "--allow-control") as made:
+        yield made
+
+
+# --- in a browser ------------------------------------------------------------------------------
+
+
+def test_plots_move_nothing_overflows_and_the_emergency_stop_ends_at_the_safe_voltage(
+    up: Daemon, controlled: Served, tmp_path: Path
+) -> None:
+    up.ask("goto", position_m=8e-3, within_s=1.0)
+    with page(tmp_path) as tab:
+        tab.open(controlled.address, width=1280, height=900)
+        tab.wait_for("charts[0].chart.data[0].length > 20")
+        tab.wait_for("document.querySelector('#state').textContent === 'ready'")
+        count = tab.value("series.t[series.t.length - 1]")
+        before = tab.value("document.querySelector('.plot canvas').toDataURL()")
+        tab.wait_for(f"series.t[series.t.length - 1] > {count} + 0.5")
+        assert tab.value("document.querySelector('.plot canvas').toDataURL()") != before
+        shown_mm = tab.value("parseFloat(document.querySelector('#position').textContent)")
+        assert shown_mm == pytest.approx(8.0, abs=0.05)
+        tab.screenshot(tmp_path / "desktop.png")
+
+        tab.open(controlled.address, width=390, height=844)
+        tab.wait_for("charts[0].chart.data[0].length > 20")
+        tab.screenshot(tmp_path / "phone.png")
+        assert tab.value("document.documentElement.scrollWidth") <= 390
+        assert tab.value(OUTSIDE) == []
+
+        tab.value("document.querySelector('#target').value = '9'")
+        tab.click("#goto")
+        up.wait_until(lambda s: s["tick"]["reference_m"] == pytest.approx(9e-3))
+        assert not up.is_safe()
+        tab.click("#estop")
+        up.wait_safe()
+        tab.wait_for("document.querySelector('#state').textContent === 'fault'")
+        assert "emergency stop" in tab.value("document.querySelector('#what').textContent")
+        tab.screenshot(tmp_path / "fault.png")
+        assert tab.complaints == []
+        own = f"http://127.0.0.1:{controlled.port}/"
+        assert {
+            a for a in tab.asked if not a.startswith(own) and not a.startswith("data:")
+        } == set()
+    up.wait_until(lambda s: not s["pids"])
+    up.ask("ack")
+
+
+def test_a_page_that_is_open_survives_the_restart_of_the_daemon(tmp_path: Path) -> None:
+    with (
+        daemon(tmp_path, "again", NOT_HOMED) as first,
+        served(first) as shown,
+        page(tmp_path) as tab,
+    ):
+        tab.open(shown.address, width=1280, height=900)
+        tab.wait_for("document.querySelector('#state').textContent === 'idle'")
+        assert tab.value("document.querySelector('#estop').disabled"), "read-only"
+        first.process.send_signal(signal.SIGTERM)
+        first.process.wait(PATIENCE_S)
+        tab.wait_for("document.querySelector('#state').textContent === 'away'")
+        with daemon(tmp_path, "again", NOT_HOMED):
+            tab.wait_for("document.querySelector('#state').textContent === 'idle'")
+        assert tab.complaints == []
+
+
+# --- who may ask what --------------------------------------------------------------------------
+
+
+def test_every_answer_carries_a_policy_that_lets_nothing_foreign_in(controlled: Served) -> None:
+    for path in ("/", "/page.js", "/page.css", "/uplot.js", "/uplot.css", "/icon.svg", "/nothing"):
+        status, body, headers = controlled.ask("GET", path)
+        assert status == (404 if path == "/nothing" else 200)
+        policy = headers["Content-Security-Policy"]
+        assert "default-src 'none'" in policy
+        assert "unsafe" not in policy
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert "Access-Control-Allow-Origin" not in headers
+        assert controlled.token.encode() not in body
+    page_text = controlled.ask("GET", "/")[1].decode()
+    assert not re.search(r"<script(?![^>]*src=)|<style|\son\w+=|style=|https?://", page_text)
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1", "", "[::1]:1"])
+def test_a_name_that_was_bound_to_this_address_is_not_served(controlled: Served, host: str) -> None:
+    for method, path in (("GET", "/"), ("GET", "/stream"), ("POST", "/do")):
+        assert controlled.ask(method, path, Host=host)[0] == 421
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "https://127.0.0.1:{port}"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Sec_Fetch_Site": "cross-site"},
+        {"Sec_Fetch_Site": "same-site"},
+    ],
+)
+def test_another_site_may_neither_read_nor_order_even_with_the_token(
+    controlled: Served, headers: dict[str, str]
+) -> None:
+    given = {name: value.format(port=controlled.port) for name, value in headers.items()}
+    assert controlled.ask("GET", "/stream", **given)[0] == 403
+    assert controlled.order({"do": "stop"}, **given)[0] == 403
+
+
+@pytest.mark.parametrize("token", ["", "x", "Bearer", "\u00e9"])
+def test_without_the_token_nothing_can_be_ordered(controlled: Served, token: str) -> None:
+    status, said = controlled.order({"do": "estop"}, Authorization=f"Bearer {token}")
+    assert status == 401
+    assert "whole address" in said
+    assert controlled.daemon.state() != "fault"
+
+
+def test_without_allow_control_nothing_can_be_ordered_by_anybody(up: Daemon) -> None:
+    with served(up) as shown:
+        assert shown.token == ""
+        assert shown.order({"do": "estop"})[0] == 403
+        assert shown.order({"do": "estop"}, Authorization="Bearer ")[0] == 403
+        assert shown.ask("GET", "/stream")[0] == 200
+    assert up.state() != "fault"
+
+
+@pytest.mark.parametrize(
+    ("what", "status"),
+    [
+        ({"do": "explode"}, 400), ({"do": "set", "changes": []}, 400), ([], 400), ("estop", 400),
+        ({"do": "goto"}, 400), ({"do": "goto", "position_mm": "far"}, 400),
+        ({"do": "goto", "position_mm": 500}, 409), ({"do": "stop"}, 409),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused(controlled: Served, what: object, status: int) -> None:
+    controlled.daemon.wait_for("idle", "ready")
+    assert controlled.order(what)[0] == status
+
+
+def test_an_order_is_small_json_with_a_length(controlled: Served) -> None:
+    bearer = {"Authorization": f"Bearer {controlled.token}"}
+    json_type = {**bearer, "Content_Type": "application/json"}
+    assert controlled.ask("POST", "/do", b"{}", **bearer)[0] == 415
+    assert controlled.ask("POST", "/do", b"{}", **bearer, Content_Type="text/plain")[0] == 415
+    assert controlled.ask("POST", "/do", b"{", **json_type)[0] == 400
+    assert controlled.ask("POST", "/do", b"[" * 4000, **json_type)[0] == 400
+    assert controlled.ask("POST", "/do", b" " * 5000, **json_type)[0] == 413
+    huge = {**json_type, "Content_Length": "99999999999"}
+    assert controlled.ask("POST", "/do", None, **huge)[0] == 413
+
+
+def test_a_flood_is_told_to_wait_but_the_emergency_stop_gets_through(controlled: Served) -> None:
+    body = b'{"do": "explode"}'
+    request = (
+        f"POST /do HTTP/1.1\r\nHost: 127.0.0.1:{controlled.port}\r\nContent-Length: {len(body)}\r\n"
+        f"Content-Type: application/json\r\nAuthorization: Bearer {controlled.token}\r\n\r\n"
+    ).encode() + body
+    refused, deadline_s = b"", time.monotonic() + PATIENCE_S
+    while b" 429 " not in refused:  # several at once: faster than the busiest PC refills
+        assert time.monotonic() < deadline_s, refused
+        with ExitStack() as stack:
+            at = ("127.0.0.1", controlled.port)
+            crowd = [stack.enter_context(socket.create_connection(at)) for _ in range(4)]
+            for one in crowd:
+                one.sendall(request)
+            refused = b"".join(one.makefile("rb").readline() for one in crowd)
+    assert controlled.order({"do": "estop"})[0] == 200
+    controlled.daemon.wait_for("fault")
+    controlled.daemon.ask("ack")
+
+
+def test_it_listens_to_this_pc_only(controlled: Served) -> None:
+    listening = Path("/proc/net/tcp").read_text().splitlines()[1:]
+    ours = [line.split()[1] for line in listening if line.split()[3] == "0A"]
+    assert f"0100007F:{controlled.port:04X}" in ours
+    assert f"00000000:{controlled.port:04X}" not in ours
+
+
+def test_a_port_that_is_taken_is_one_clear_line(up: Daemon) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        command = [sys.executable, "-m", "pamctl", "watch", "--web", "--port", port]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 69
+    assert done.stderr.startswith(f"error: port {port}:")
+    assert "--port" in done.stderr

@@ -1,0 +1,516 @@
+"""The log: what was put is what is read, here and by readers that others wrote."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import random
+import shutil
+import subprocess
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.decoder import DecoderFactory
+from support.installing import alone
+from support.made_up import (
+    START_MONO_NS,
+    START_WALL_NS,
+    columns,
+    log_run,
+    meta,
+    put,
+    recording,
+    tick,
+)
+from support.patience import PATIENCE_S
+
+from pamctl.json_text import from_json, to_json
+from pamctl.log import LogError, info, read
+from pamctl.log.check.check_log import check
+from pamctl.log.framing import mapped, walk
+from pamctl.log.importing.imported_log import write_imported
+from pamctl.log.repair.recover import recover
+from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, tick_descriptor, unit_of
+from pamctl.recording.ring import Ring
+from pamctl.signals import TICK_FIELDS, Field
+
+TICKS = 1500
+FOREIGN = Path(__file__).parents[1] / "foreign"
+
+
+@pytest.fixture(scope="module")
+def log_path(tmp_path_factory) -> Path:
+    """Return a short log written by a real recorder."""
+    directory = tmp_path_factory.mktemp("log")
+    return log_run(directory / "pamctl-log.ring", directory / "run.mcap", TICKS, rows=1024)
+
+
+# What was put is what is read.
+
+
+def test_every_column_of_every_tick_is_read_as_it_was_put(log_path):
+    log = read(log_path)
+    expected = [columns(tick(index)) for index in range(TICKS)]
+    assert len(log) == TICKS
+    assert list(log.columns) == [field.name for field in TICK_FIELDS]
+    for name, column in log.columns.items():
+        assert column.tolist() == [row[name] for row in expected], name
+
+
+def test_a_column_has_the_type_of_its_field(log_path):
+    kinds = {float: np.float64, int: np.int64, bool: np.bool_}
+    for field in TICK_FIELDS:
+        assert read(log_path)[field.name].dtype == kinds[field.kind]
+
+
+def test_ticks_carry_the_wall_time_of_their_sample(log_path):
+    log = read(log_path)
+    expected = START_WALL_NS + log["encoder_t_ns"] - START_MONO_NS
+    assert log.time_ns.tolist() == expected.tolist()
+
+
+def test_events_gains_and_keyframes_are_read_with_the_tick_they_belong_to(log_path):
+    log = read(log_path)
+    assert [(event["event"], event["tick"]) for event in log.events] == [
+        ("timing_setup", 0),
+        ("outcome", TICKS - 1),
+    ]
+    assert log.gains[0]["lambda_per_s"] == 10.0
+    (keyframe,) = log.keyframes
+    assert keyframe["tick"] == TICKS - 1
+    assert keyframe["state"] == {
+        "lpf1_a": 1.0,
+        "lpf1_b": pytest.approx(math.nan, nan_ok=True),
+        "integral": -math.inf,
+    }
+
+
+def test_the_log_carries_the_configuration_and_what_was_attached(log_path):
+    log = read(log_path)
+    assert log.config == {"controller": {"law": "qsmc", "lambda_per_s": 10.0}, "limit": math.inf}
+    assert log.attachments["config.yaml"] == b"law: qsmc\n"
+    assert log.metadata["run"]["backend"] == "sim"
+    assert log.metadata["pamctl"]["schema_version"] == str(SCHEMA_VERSION)
+    assert log.metadata["timing_setup"]["fifo"] == "true"
+
+
+def test_what_a_run_says_of_its_origin_joins_what_the_recorder_says(tmp_path):
+    path = tmp_path / "a.mcap"
+    log_run(tmp_path / "a.ring", path, 1, metadata={"pamctl": {"version": "9", "card": "6221"}})
+    origin = read(path).metadata["pamctl"]
+    assert (origin["version"], origin["card"]) == ("9", "6221")
+    assert origin["schema_version"] == str(SCHEMA_VERSION)
+
+
+def test_a_run_of_no_ticks_is_a_whole_log_with_empty_columns(tmp_path):
+    path = tmp_path / "empty.mcap"
+    with Ring.create(tmp_path / "a.ring", meta(path)) as ring, recording(ring) as process:
+        ring.loop_done = 1
+        assert process.wait(PATIENCE_S) == 0
+    log = read(path)
+    assert len(log) == 0
+    assert log["position_m"].shape == (0,)
+    assert info(path)["complete"]
+
+
+def test_a_log_read_for_its_events_only_has_no_ticks(log_path):
+    log = read(log_path, "/pam/event")
+    assert len(log.events) == 2
+    assert (len(log), log.keyframes) == (0, [])
+
+
+def test_a_column_that_is_not_there_is_refused_with_the_nearest_name(log_path):
+    with pytest.raises(LogError, match=r"no column position_mm; did you mean position_m\?"):
+        read(log_path)["position_mm"]
+
+
+def test_info_sums_up_a_run(log_path):
+    summary = info(log_path)
+    assert summary["complete"]
+    assert summary["ticks"] == TICKS
+    assert summary["duration_s"] == pytest.approx((TICKS - 1) * 1e-3)
+    assert summary["phases"] == {"track": TICKS}
+    assert summary["law"] == "qsmc"
+    assert summary["outcome"]["reason"] == "done"
+    assert summary["bytes_per_tick"] < 400
+    assert json.loads(json.dumps(summary)) == summary
+
+
+def test_info_counts_the_ticks_that_were_missed(tmp_path):
+    path = tmp_path / "gaps.mcap"
+    with Ring.create(tmp_path / "a.ring", meta(path)) as ring, recording(ring) as process:
+        put(ring, [*range(10), *range(13, 20), *range(21, 30)])
+        ring.loop_done = 1
+        assert process.wait(PATIENCE_S) == 0
+    summary = info(path)
+    assert (summary["gaps"], summary["missed_ticks"]) == (2, 4)
+
+
+def test_numbers_that_are_not_finite_survive_in_a_tick(tmp_path):
+    path = tmp_path / "nan.mcap"
+    record = tick(0)
+    broken = record._replace(
+        measurement=record.measurement._replace(position_m=math.nan, pressure_pa=-math.inf)
+    )
+    with Ring.create(tmp_path / "a.ring", meta(path)) as ring, recording(ring) as process:
+        ring.put_tick(broken)
+        ring.loop_done = 1
+        assert process.wait(PATIENCE_S) == 0
+    log = read(path)
+    assert math.isnan(log["position_m"][0])
+    assert log["pressure_pa"][0] == -math.inf
+
+
+JSON_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda values: st.lists(values) | st.dictionaries(st.text(), values),
+    max_leaves=10,
+)
+
+
+@given(JSON_VALUES)
+def test_every_value_survives_json_and_every_json_is_valid(value):
+    text = to_json(value)
+    json.loads(text, parse_constant=pytest.fail)
+    assert repr(from_json(text)) == repr(value)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("position_m", "m"),
+        ("pressure_pa", "Pa"),
+        ("reference_jerk_m_per_s3", "m/s^3"),
+        ("velocity_m_per_s", "m/s"),
+        ("valve_v", "V"),
+        ("stiffness_n_per_m", "N/m"),
+        ("encoder_t_ns", "ns"),
+        ("dt_s", "s"),
+        ("encoder_counts", "counts"),
+        ("verdicts", "1"),
+        ("saturated", "1"),
+    ],
+)
+def test_a_unit_is_what_the_suffix_of_the_name_says(name, unit):
+    assert unit_of(name) == unit
+
+
+# Readers that others wrote.
+
+
+def test_the_stock_protobuf_decoder_reads_every_tick_as_it_was_put(log_path):
+    with log_path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        decoded = list(reader.iter_decoded_messages(topics=[TICK_TOPIC]))
+    assert len(decoded) == TICKS
+    for _, _, message, proto in decoded:
+        put_in = columns(tick(message.sequence))
+        assert {name: getattr(proto, name) for name in put_in} == put_in
+        assert all(proto.HasField(name) for name in put_in)
+
+
+def test_the_stock_reader_finds_units_and_schema_version_beside_the_channel(log_path):
+    with log_path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    channels = {channel.topic: channel for channel in summary.channels.values()}
+    metadata = channels[TICK_TOPIC].metadata
+    assert metadata["schema_version"] == str(SCHEMA_VERSION)
+    assert json.loads(metadata["units"])["surface_m_per_s2"] == "m/s^2"
+    for schema in summary.schemas.values():
+        assert schema.encoding == "protobuf" or json.loads(schema.data)["type"] == "object"
+
+
+def missing(why: str) -> None:
+    """Skip, except where everything is meant to be there."""
+    (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(why)
+
+
+@pytest.fixture(scope="module")
+def foreign_reader(request) -> Callable[[Path], dict[str, Any]]:
+    """Return a reader in another language, by another author: @mcap/core, protobufjs."""
+    if shutil.which("npm") is None:
+        missing("npm is not installed")
+    home = request.config.cache.mkdir("foreign")
+    for name in ("package.json", "validate.mjs"):
+        shutil.copy(FOREIGN / name, home)
+    command = ["npm", "install", "--no-package-lock", "--no-audit", "--no-fund", "--prefer-offline"]
+    with alone():
+        installed = subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=300)
+    if installed.returncode != 0:
+        missing(f"npm install failed: {installed.stderr[-500:]}")
+
+    def read_foreign(path: Path) -> dict[str, Any]:
+        command = ["node", "validate.mjs", str(path)]
+        ran = subprocess.run(command, cwd=home, capture_output=True, text=True, timeout=PATIENCE_S)
+        assert ran.returncode == 0, ran.stderr
+        return dict(json.loads(ran.stdout))
+
+    return read_foreign
+
+
+def test_a_foreign_reader_finds_every_message_and_every_value(log_path, foreign_reader):
+    seen = foreign_reader(log_path)
+    assert seen["messages"] == {
+        "/pam/tick": TICKS,
+        "/pam/event": 2,
+        "/pam/gains": 1,
+        "/pam/keyframe": 1,
+    }
+    assert sorted(seen["attachments"]) == ["config.json", "config.yaml", "filters.json"]
+    assert seen["first"] == pytest.approx(columns(tick(0)))
+    assert seen["last"] == pytest.approx(columns(tick(TICKS - 1)))
+    assert seen["keyframe"]["state"]["lpf1_b"] == "nan"
+
+
+def test_a_foreign_reader_accepts_a_recovered_log(log_path, foreign_reader, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log_path.read_bytes()[:-5000])
+    recovery = recover(cut, tmp_path / "saved.mcap")
+    assert foreign_reader(tmp_path / "saved.mcap")["messages"] == recovery.messages
+
+
+def test_a_damaged_copy_is_refused_by_the_foreign_reader_and_by_check(
+    log_path, foreign_reader, tmp_path
+):
+    damaged = bytearray(log_path.read_bytes())
+    chunk = next(record for record in walk(mapped(log_path)) if record.opcode == 6)
+    damaged[(chunk.start + chunk.end) // 2] ^= 1
+    (tmp_path / "a.mcap").write_bytes(damaged)
+    with pytest.raises(AssertionError):
+        foreign_reader(tmp_path / "a.mcap")
+    assert not check(tmp_path / "a.mcap").ok
+
+
+def test_a_foreign_reader_accepts_an_imported_log(foreign_reader, tmp_path):
+    t_s = np.arange(100) * 1e-3
+    write_imported(tmp_path / "a.mcap", t_s, {"position_m": 0.1 * t_s}, {"source": "lab.csv"})
+    seen = foreign_reader(tmp_path / "a.mcap")
+    assert seen["messages"] == {"/pam/tick": 100}
+    assert seen["last"] == {
+        "tick": 99,
+        "t_s": t_s[99],
+        "dt_s": t_s[99] - t_s[98],
+        "missed": 0,
+        "position_m": 0.1 * t_s[99],
+    }
+
+
+GOLDEN = sorted((Path(__file__).parents[1] / "golden").glob("*.mcap"))
+
+
+@pytest.mark.parametrize("path", GOLDEN, ids=lambda path: path.stem)
+def test_a_foreign_reader_reads_every_golden_log_as_we_do(path, foreign_reader):
+    seen, log = foreign_reader(path), read(path)
+    assert seen["messages"] == log.counts
+    assert sorted(seen["attachments"]) == sorted(log.attachments)
+    for row, ours in (("first", 0), ("last", -1)):
+        for name, column in log.columns.items():
+            value = seen[row][name]  # JSON has no NaN
+            found = math.nan if value is None else float(value)
+            assert found == pytest.approx(float(column[ours]), nan_ok=True, abs=0), name
+
+
+# Logs that another version wrote.
+
+
+def write_ticks(path: Path, descriptor: bytes, payloads: list[bytes], encoding: str = "protobuf"):
+    """Write a log of ticks by another hand."""
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.LZ4)
+        writer.start()
+        schema = writer.register_schema("pamctl.Tick", "protobuf", descriptor)
+        channel = writer.register_channel(TICK_TOPIC, encoding, schema)
+        for index, payload in enumerate(payloads):
+            writer.add_message(channel, index, payload, index, index)
+        writer.finish()
+
+
+def proto_class(descriptor: bytes) -> Any:
+    from google.protobuf.descriptor_pool import DescriptorPool
+    from google.protobuf.message_factory import GetMessageClass
+
+    pool = DescriptorPool()
+    pool.Add(FileDescriptorSet.FromString(descriptor).file[0])
+    return GetMessageClass(pool.FindMessageTypeByName("pamctl.Tick"))
+
+
+def test_a_log_whose_columns_are_in_another_order_is_read_by_name(tmp_path):
+    fields = [Field("later_m", float, "x"), *reversed(TICK_FIELDS)]
+    descriptor = tick_descriptor(fields)
+    message = proto_class(descriptor)
+    rows = [{**columns(tick(index)), "later_m": 0.5} for index in range(20)]
+    write_ticks(tmp_path / "a.mcap", descriptor, [message(**r).SerializeToString() for r in rows])
+    log = read(tmp_path / "a.mcap")
+    for name in rows[0]:
+        assert log[name].tolist() == [row[name] for row in rows]
+
+
+def test_a_log_with_fields_of_other_widths_or_missing_floats_is_read_by_its_descriptor(tmp_path):
+    files = FileDescriptorSet.FromString(tick_descriptor(TICK_FIELDS))
+    by_name = {field.name: field for field in files.file[0].message_type[0].field}
+    by_name["tick"].type = FieldDescriptorProto.TYPE_INT32
+    descriptor = files.SerializeToString()
+    message = proto_class(descriptor)
+    rows = [columns(tick(index)) for index in range(300)]
+    for row in rows[10:]:
+        del row["position_m"]
+    write_ticks(tmp_path / "a.mcap", descriptor, [message(**r).SerializeToString() for r in rows])
+    log = read(tmp_path / "a.mcap")
+    assert log["tick"].tolist() == list(range(300))
+    assert log["position_m"][:10].tolist() == [row["position_m"] for row in rows[:10]]
+    assert np.isnan(log["position_m"][10:]).all()
+    assert log["saturated"].tolist() == [row["saturated"] for row in rows]
+
+
+def test_fields_in_another_order_on_the_wire_are_not_taken_for_each_other(tmp_path):
+    fields = [Field("a_m", float, "x"), Field("b_m", float, "x")]
+    descriptor = tick_descriptor(fields)
+    message = proto_class(descriptor)
+    a, b = message(a_m=1.0).SerializeToString(), message(b_m=2.0).SerializeToString()
+    write_ticks(tmp_path / "a.mcap", descriptor, [a + b, b + a])
+    log = read(tmp_path / "a.mcap")
+    assert log["a_m"].tolist() == [1.0, 1.0]
+    assert log["b_m"].tolist() == [2.0, 2.0]
+
+
+def test_a_tick_without_an_integer_is_refused_since_no_integer_means_missing(tmp_path):
+    descriptor = tick_descriptor(TICK_FIELDS)
+    write_ticks(tmp_path / "a.mcap", descriptor, [proto_class(descriptor)().SerializeToString()])
+    with pytest.raises(LogError, match="version we cannot read: a tick lacks its tick"):
+        read(tmp_path / "a.mcap")
+
+
+def test_a_tick_with_a_text_is_refused(tmp_path):
+    files = FileDescriptorSet.FromString(tick_descriptor(TICK_FIELDS))
+    files.file[0].message_type[0].field[3].type = FieldDescriptorProto.TYPE_STRING
+    write_ticks(tmp_path / "a.mcap", files.SerializeToString(), [])
+    with pytest.raises(LogError, match="is not a plain number"):
+        read(tmp_path / "a.mcap")
+
+
+def test_an_mcap_file_without_ticks_is_refused_as_no_log_of_ours(tmp_path):
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.finish()
+    with pytest.raises(LogError, match="it has no channel /pam/tick"):
+        read(tmp_path / "a.mcap")
+
+
+def test_the_schema_version_goes_up_when_the_columns_change():
+    digests = {1: 0x90B4066}
+    digest = zlib.crc32(tick_descriptor(TICK_FIELDS))
+    assert digests[SCHEMA_VERSION] == digest, "raise SCHEMA_VERSION, and add its digest here"
+
+
+# Damaged files.
+
+
+@pytest.mark.parametrize("content", [b"", b"not a log", b"\0" * 5000])
+def test_a_file_that_is_no_log_is_refused_by_read_info_and_recover(tmp_path, content):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    for use in (read, info, lambda path: recover(path, tmp_path / "b.mcap")):
+        with pytest.raises(LogError):
+            use(path)
+    assert not (tmp_path / "b.mcap").exists()
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(LogError, match=r"cannot read .*: No such file"):
+        read(tmp_path / "a.mcap")
+
+
+def test_every_flipped_bit_is_refused(log_path, tmp_path):
+    whole = log_path.read_bytes()
+    chance = random.Random(1)
+    for _ in range(150):
+        flipped = bytearray(whole)
+        flipped[chance.randrange(len(whole))] ^= 1 << chance.randrange(8)
+        (tmp_path / "a.mcap").write_bytes(flipped)
+        with pytest.raises(LogError):
+            read(tmp_path / "a.mcap")
+
+
+def test_a_truncated_log_is_refused_with_what_to_do_and_info_still_tells_of_it(log_path, tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(log_path.read_bytes()[:-20_000])
+    with pytest.raises(LogError, match=r"damaged: at byte \d+, .*cut short; .*pamctl log recover"):
+        read(path)
+    summary = info(path)
+    assert not summary["complete"]
+    assert 0 < summary["ticks"] < TICKS
+
+
+def test_recovery_of_a_truncated_log_saves_an_exact_prefix(log_path, tmp_path):
+    whole, log = log_path.read_bytes(), read(log_path)
+    chance = random.Random(2)
+    for attempt in range(20):
+        path, saved = tmp_path / "a.mcap", tmp_path / f"saved{attempt}.mcap"
+        path.write_bytes(whole[: chance.randrange(len(whole) // 4, len(whole))])
+        recovery = recover(path, saved)
+        prefix = read(saved)
+        assert recovery.messages.get(TICK_TOPIC, 0) == len(prefix)
+        assert prefix["position_m"].tolist() == log["position_m"][: len(prefix)].tolist()
+        assert prefix.config == log.config
+        assert prefix.metadata["recovery"]["lossless"] == str(recovery.lossless).lower()
+        assert recovery.lossless == (len(prefix) == TICKS and len(prefix.events) == 2)
+
+
+def test_recovery_leaves_out_a_damaged_chunk_and_saves_the_next(log_path, tmp_path):
+    whole = bytearray(log_path.read_bytes())
+    chunks = [record for record in walk(mapped(log_path)) if record.opcode == 6]
+    assert len(chunks) > 2
+    whole[(chunks[0].start + chunks[0].end) // 2] ^= 1
+    (tmp_path / "a.mcap").write_bytes(whole)
+    recovery = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    log = read(tmp_path / "b.mcap")
+    assert not recovery.lossless
+    assert recovery.bytes_lost == chunks[0].end - chunks[0].start
+    assert "makes no sense" in recovery.damage[0]
+    assert log["tick"][-1] == TICKS - 1
+    assert 0 < len(log) < TICKS
+
+
+def test_recovery_of_a_zero_filled_tail_saves_what_is_before_it(log_path, tmp_path):
+    whole = log_path.read_bytes()
+    (tmp_path / "a.mcap").write_bytes(whole[:-30_000] + bytes(30_000))
+    recovery = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert 0 < recovery.messages[TICK_TOPIC] < TICKS
+    assert recovery.bytes_lost >= 30_000 - 2000
+
+
+def test_recovery_never_overwrites_a_file(log_path, tmp_path):
+    (tmp_path / "b.mcap").write_bytes(b"precious")
+    with pytest.raises(LogError, match="never overwritten"):
+        recover(log_path, tmp_path / "b.mcap")
+    assert (tmp_path / "b.mcap").read_bytes() == b"precious"
+
+
+def test_recovery_of_a_whole_log_changes_nothing_that_can_be_read(log_path, tmp_path):
+    recovery = recover(log_path, tmp_path / "b.mcap")
+    before, after = read(log_path), read(tmp_path / "b.mcap")
+    assert recovery.lossless
+    assert recovery.damage == ()
+    assert before.events == after.events
+    assert before.attachments == after.attachments
+    assert all((before[name] == after[name]).all() for name in before.columns)
+
+
+def test_reading_and_recovering_need_nothing_that_only_linux_has():
+    import sys
+
+    code = "import sys, pamctl.log.reader, pamctl.log.repair.recover; print(*sys.modules)"
+    loaded = subprocess.check_output([sys.executable, "-c", code], text=True).split()
+    assert "pamctl.recording.ring" not in loaded

@@ -1,0 +1,276 @@
+"""`pamctl log check` and `recover`: what is wrong with a file is named, and nothing else is."""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.opcode import Opcode
+from support.made_up import columns, tick
+from support.patience import PATIENCE_S
+from support.small_log import CHUNK_TICKS, rewritten, write_small
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+from pamctl.log import LogError, read
+from pamctl.log.check.check_log import Report, check
+from pamctl.log.check.log_problems import Severity
+from pamctl.log.container import DESCRIBED_EVERY, message_records
+from pamctl.log.framing import Record, mapped, walk
+from pamctl.log.new_file import new_file
+from pamctl.log.repair.recover import recover
+from pamctl.log.run_meta import RunMeta
+from pamctl.log.schema import TICK_TOPIC
+from pamctl.log.wire import TickLayout
+from pamctl.log.writer import LogWriter, begin
+from pamctl.signals import TICK_FIELDS
+
+
+def pamctl(*arguments: str | Path) -> Any:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """Return the log of a real run."""
+    path = tmp_path_factory.mktemp("run") / "run.mcap"
+    experiment = ("--experiment", "square-1", "--duration", "1")
+    command = [sys.executable, "-m", "pamctl", "run", "--fast", *experiment, "--log", str(path)]
+    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_S)
+    return path
+
+
+def write_ticks(path: Path, changes: dict[str, Any], count: int = 50) -> Path:
+    """Write made-up ticks whose columns were changed; each change maps a column to values."""
+    layout = TickLayout.of_fields(TICK_FIELDS)
+    table = np.zeros(count, layout.dtype)
+    for index in range(count):
+        for name, value in columns(tick(index)).items():
+            table[name][index] = value
+    time_ns = changes.pop("time_ns", np.arange(count) * 1_000_000)
+    for name, values in changes.items():
+        table[name] = values
+    with new_file(path) as stream:
+        writer = LogWriter(stream)
+        channels = begin(writer, RunMeta(str(path)))
+        messages = message_records(layout.encode(table), time_ns, table["tick"])
+        writer.add(channels[TICK_TOPIC], messages)
+        writer.end_chunk()
+        writer.finish()
+    return path
+
+
+def kinds(report: Report, severity: Severity = Severity.ERROR) -> set[str]:
+    return {finding.kind for finding in report.findings if finding.severity == severity}
+
+
+# What is as it should be.
+
+
+def test_the_log_of_a_run_passes_without_a_word(run):
+    done = pamctl("log", "check", run)
+    assert done.exit_code == 0
+    assert done.stdout.splitlines() == [f"{run}: ok, {len(read(run))} ticks"]
+
+
+def test_an_imported_log_passes_and_is_called_one(tmp_path):
+    report = check(write_small(tmp_path / "a.mcap"))
+    assert report.ok
+    assert kinds(report, Severity.NOTE) == {"imported"}
+
+
+def test_ticks_that_were_missed_and_counted_are_a_note_and_no_error(tmp_path):
+    at = np.concatenate([np.arange(20), np.arange(23, 53)])
+    missed = np.where(at == 23, 3, 0)
+    dt_s = np.diff(at * 1e-3, prepend=-1e-3)
+    changes = {"tick": at, "t_s": at * 1e-3, "dt_s": dt_s, "missed": missed}
+    report = check(write_ticks(tmp_path / "a.mcap", {**changes, "time_ns": at * 1_000_000}))
+    assert report.ok
+    assert kinds(report, Severity.NOTE) == {"missed"}
+
+
+# What is not.
+
+
+def with_one(values: Any, index: int, value: Any) -> Any:
+    changed = np.array(values)
+    changed[index] = value
+    return changed
+
+
+STEPS = np.arange(50)
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind"),
+    [
+        ({"tick": np.where(STEPS < 30, STEPS, STEPS + 2)}, "gap"),
+        ({"missed": with_one(STEPS * 0, 7, 1)}, "gap"),
+        ({"tick": with_one(STEPS, 30, 3)}, "tick-order"),
+        ({"t_s": with_one(STEPS * 1e-3, 30, 0.01)}, "clock"),
+        ({"t_s": np.where(STEPS < 30, STEPS * 1e-3, STEPS * 1e-3 + 0.5)}, "clock"),
+        ({"dt_s": with_one(STEPS * 0 + 1e-3, 30, 2e-3)}, "clock"),
+        ({"t_s": with_one(STEPS * 1e-3, 30, np.nan)}, "clock"),
+        ({"time_ns": np.where(STEPS < 30, STEPS, STEPS + 9) * 1_000_000}, "clock"),
+    ],
+)
+def test_numbers_and_times_that_do_not_go_on_are_named(tmp_path, changes, kind):
+    assert kind in kinds(check(write_ticks(tmp_path / "a.mcap", changes)))
+
+
+def test_a_million_errors_of_a_kind_are_told_in_a_screenful(tmp_path):
+    report = check(write_ticks(tmp_path / "a.mcap", {"missed": STEPS + 1}))
+    told = [finding.message for finding in report.findings if finding.kind == "gap"]
+    assert len(told) == 21
+    assert told[-1] == "and 29 more of these"
+
+
+def test_a_column_without_a_unit_and_a_missing_one_are_named(tmp_path):
+    from pamctl.signals import Field
+
+    fields = (*TICK_FIELDS[:-1], Field("mystery", float, "x"))
+    path = tmp_path / "a.mcap"
+    with new_file(path) as stream:
+        writer = LogWriter(stream)
+        begin(writer, RunMeta(str(path), tick_fields=fields))
+        writer.finish()
+    messages = [finding.message for finding in check(path).findings]
+    assert "the name of mystery states no unit" in messages
+    assert f"there is no column {TICK_FIELDS[-1].name}" in messages
+
+
+def test_a_configuration_that_cannot_be_used_and_a_missing_outcome_are_named(tmp_path):
+    path = write_ticks(tmp_path / "a.mcap", {})
+    done = pamctl("log", "check", "--json", path)
+    (report,) = json.loads(done.stdout)
+    assert done.exit_code == 3
+    found = {(finding["severity"], finding["kind"]) for finding in report["findings"]}
+    assert found == {("error", "config"), ("warning", "outcome")}
+    assert any("rig: missing" in finding["message"] for finding in report["findings"])
+
+
+@pytest.mark.parametrize(
+    "opcode",
+    [
+        Opcode.MESSAGE_INDEX,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.METADATA_INDEX,
+        Opcode.STATISTICS,
+        Opcode.SUMMARY_OFFSET,
+    ],
+)
+def test_an_index_that_is_wrong_is_found_though_every_checksum_is_right(tmp_path, opcode):
+    whole = write_small(tmp_path / "whole.mcap")
+    chance = random.Random(int(opcode))
+    for trial in range(40):
+        target = chance.choice([r for r in records_of(whole) if r.opcode == opcode])
+        at, bit = chance.randrange(len(target.body)), 1 << chance.randrange(8)
+
+        def flip(record: Record, target=target, at=at, bit=bit) -> bytes:
+            body = bytearray(record.body)
+            if record.start == target.start:
+                body[at] ^= bit
+            return bytes(body)
+
+        (tmp_path / f"{trial}.mcap").write_bytes(rewritten(whole, flip))
+        assert not check(tmp_path / f"{trial}.mcap").ok, (target.start, at, bit)
+
+
+def records_of(path: Path) -> list[Record]:
+    from pamctl.log.framing import mapped, walk
+
+    return list(walk(mapped(path)))
+
+
+def test_a_file_rewritten_as_it_is_passes_so_that_it_is_the_edit_that_is_found(tmp_path):
+    whole = write_small(tmp_path / "whole.mcap")
+    assert rewritten(whole, lambda record: bytes(record.body)) == whole.read_bytes()
+
+
+@pytest.mark.parametrize("content", [b"", b"not a log", b"\0" * 5000])
+def test_a_file_that_is_no_log_is_bad_data_and_the_others_are_still_checked(tmp_path, run, content):
+    (tmp_path / "a.mcap").write_bytes(content)
+    done = pamctl("log", "check", tmp_path / "a.mcap", run)
+    assert done.exit_code == 65
+    assert f"{tmp_path / 'a.mcap'}: no log" in done.stdout
+    assert f"{run}: ok" in done.stdout
+
+
+# Recovery, as a user meets it.
+
+
+def test_recovering_a_cut_log_saves_its_whole_chunks_and_says_that_the_rest_is_lost(run, tmp_path):
+    (tmp_path / "cut.mcap").write_bytes(run.read_bytes()[:-60_000])
+    done = pamctl("log", "recover", tmp_path / "cut.mcap", tmp_path / "saved.mcap")
+    assert done.exit_code == 3
+    assert "lost" in done.stdout
+    saved, whole = read(tmp_path / "saved.mcap"), read(run)
+    assert 0 < len(saved) < len(whole)
+    assert (saved["position_m"] == whole["position_m"][: len(saved)]).all()
+    checked = pamctl("log", "check", tmp_path / "saved.mcap")
+    assert checked.exit_code == 0
+    assert "the log was recovered" in checked.stdout
+
+
+def test_recovering_a_whole_log_loses_nothing(run, tmp_path):
+    done = pamctl("log", "recover", "--json", run, tmp_path / "saved.mcap")
+    recovery = json.loads(done.stdout)
+    assert (done.exit_code, recovery["lossless"], recovery["damage"]) == (0, True, [])
+    assert pamctl("log", "check", tmp_path / "saved.mcap").exit_code == 0
+
+
+def test_whole_chunks_are_copied_as_they_are_packed(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("pamctl.log.container.zstandard.compress", lambda _: pytest.fail("packed"))
+    recover(run, tmp_path / "saved.mcap")
+    assert chunks_of(tmp_path / "saved.mcap") == chunks_of(run)
+
+
+def chunks_of(path):
+    return [bytes(record.body) for record in walk(mapped(path)) if record.opcode == Opcode.CHUNK]
+
+
+@pytest.mark.parametrize("lost", [1, 2, DESCRIBED_EVERY])
+def test_without_its_first_chunks_and_its_summary_a_log_is_understood_by_a_later_chunk(
+    tmp_path, lost
+):
+    whole = write_small(tmp_path / "a.mcap", chunks=DESCRIBED_EVERY + 2)
+    chunks = [record for record in walk(mapped(whole)) if record.opcode == Opcode.CHUNK]
+    content = bytearray(whole.read_bytes()[: chunks[-1].end])
+    for chunk in chunks[:lost]:
+        content[chunk.start : chunk.end] = bytes(chunk.end - chunk.start)
+    (tmp_path / "b.mcap").write_bytes(content)
+    recovery = recover(tmp_path / "b.mcap", tmp_path / "c.mcap")
+    assert not recovery.lossless
+    ticks = read(whole)["position_m"][lost * CHUNK_TICKS :]
+    assert read(tmp_path / "c.mcap")["position_m"].tolist() == ticks.tolist()
+    assert check(tmp_path / "c.mcap").ok
+
+
+def test_recovery_does_not_touch_a_file_that_is_there(run, tmp_path):
+    (tmp_path / "mine.mcap").write_bytes(b"precious")
+    done = pamctl("log", "recover", run, tmp_path / "mine.mcap")
+    assert done.exit_code == 2
+    assert "never overwritten" in done.stderr
+    assert (tmp_path / "mine.mcap").read_bytes() == b"precious"
+
+
+def test_a_chunk_whose_length_is_damaged_is_passed_over_and_the_next_is_found(run, tmp_path):
+    content = bytearray(run.read_bytes())
+    chunks = [record for record in records_of(run) if record.opcode == Opcode.CHUNK]
+    content[chunks[1].start + 3] ^= 0x10
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(LogError, match="is damaged"):
+        read(tmp_path / "a.mcap")
+    done = pamctl("log", "recover", tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert done.exit_code == 3
+    saved = read(tmp_path / "b.mcap")
+    assert saved["tick"][-1] == read(run)["tick"][-1]
+    assert kinds(check(tmp_path / "b.mcap")) == set()
+    assert "gap" in kinds(check(tmp_path / "b.mcap"), Severity.WARNING)

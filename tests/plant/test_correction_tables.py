@@ -1,0 +1,166 @@
+"""Tables of a plant: what no effect explains, without a name, in the model all the same."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import pytest
+from support.made_records import all_but, pair
+
+import pamctl.diagnose.correction
+from pamctl.compiled import compiled
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
+from pamctl.diagnose.correction import corrected as corrected_by_table
+from pamctl.diagnose.report.diagnosis_document import document
+from pamctl.diagnose.report.extended_plant_file import plant_file
+from pamctl.diagnose.report.sentences import correction_told
+from pamctl.plant.correction_tables import Table, corrected
+from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.parameters import AirState, PlantState, ValveState, vented
+from pamctl.plant.step import plant_advance, pressure_block_step
+from pamctl.settings.resolve import SECTIONS, ConfigError, Raw, validated
+
+SLOPING = Table((0.0, 1.0, 3.0), (10.0, 20.0), (0.0, 10.0, 2.0, 12.0, 6.0, 16.0))
+"""2 first + second - 10."""
+
+
+def pull(force_n: Any = lambda x: 0.0) -> dict[str, Any]:
+    lines = [0.0, 0.01, 0.02]
+    rows = [[force_n(x)] * 2 for x in lines]
+    return {"pull": {"displacement_m": lines, "load": [1e5, 4.4e5], "pull_n": rows}}
+
+
+def flow(kg_per_s: float = 0.0) -> dict[str, Any]:
+    rows = [[kg_per_s] * 2] * 3
+    return {"flow": {"opening_v": [-5, 0, 5], "pressure_pa": [1e5, 4.4e5], "flow_kg_per_s": rows}}
+
+
+def plant(**keys: Any) -> PlantSettings:
+    return PlantSettings.model_validate(keys)
+
+
+def driven(settings: PlantSettings, ticks: int = 400) -> list[PlantState]:
+    p = plant_parameters(settings)
+    states = [vented(p)]
+    for tick in range(ticks):
+        command_v = 3.0 * math.sin(0.02 * tick)
+        states.append(plant_advance(p, states[-1], command_v, 1e-3, 0.5e-3))
+    return states
+
+
+def apart_m(one: list[PlantState], other: list[PlantState]) -> float:
+    return max(abs(a.position_m - b.position_m) for a, b in zip(one, other, strict=True))
+
+
+# --- in the plant ----------------------------------------------------------------------
+
+
+def test_a_table_is_straight_between_its_lines_and_constant_beyond_them() -> None:
+    for lookup in (corrected, compiled(corrected)):
+        for first, second in ((0.0, 10.0), (0.5, 13.0), (1.0, 20.0), (2.9, 19.0), (3.0, 10.0)):
+            assert lookup(SLOPING, first, second) == pytest.approx(2.0 * first + second - 10.0)
+        assert lookup(SLOPING, 9.0, 99.0) == lookup(SLOPING, 3.0, 20.0)
+        assert lookup(SLOPING, -9.0, -99.0) == lookup(SLOPING, 0.0, 10.0)
+        assert lookup(None, 1.0, 2.0) == 0.0
+
+
+def test_tables_of_zeros_leave_the_papers_model_to_the_bit() -> None:
+    tabled, paper = driven(plant(correction={**pull(), **flow()})), driven(PlantSettings())
+    assert [state[:3] for state in tabled] == [state[:3] for state in paper]
+
+
+def test_a_pull_against_displacement_is_a_stiffer_spring() -> None:
+    tabled = driven(plant(correction=pull(lambda x: -500.0 * x)))
+    stiffer = driven(plant(parameters={"stiffness_n_per_m": 9680.0 + 500.0}))
+    assert apart_m(tabled, stiffer) < 1e-9
+    assert apart_m(tabled, driven(PlantSettings())) > 1e-4
+
+
+def test_a_constant_flow_fills_a_closed_muscle_at_a_constant_rate() -> None:
+    p = plant_parameters(plant(correction=flow(1e-5)))
+    pressure_pa, valve, air = 2e5, ValveState(), AirState(p.tank_pressure_pa, 2e5)
+    for _ in range(100):
+        pressure_pa, valve, air = pressure_block_step(
+            p, pressure_pa, valve, air, 0.0, 0.01, 0.01, 0.01, 1e-3
+        )
+    length, braid = 0.19, 0.232
+    room_m3 = length * (braid**2 - length**2) / (4.0 * math.pi * 1.94**2)
+    risen_pa = 287.1 * 273.0 * 1e-5 * 0.1 / room_m3
+    assert pressure_pa - 2e5 == pytest.approx(risen_pa, rel=1e-9)
+
+
+def test_a_table_that_does_not_fit_together_is_refused_with_the_reason(tmp_path) -> None:
+    ragged = pull()
+    ragged["pull"]["pull_n"] = [[0.0, 0.0]] * 2
+    falling = pull()
+    falling["pull"]["load"] = [4.4e5, 1e5]
+    for table, reason in ((ragged, "needs 3 rows of 2 values"), (falling, "load must increase")):
+        with pytest.raises(ValueError, match=reason):
+            plant(correction=table)
+    path = tmp_path / "plant.yaml"
+    path.write_text("correction: {pull: {displacement_m: [0, 0.02]}}\n")
+    with pytest.raises(ConfigError, match=r"correction\.pull\.load"):
+        validated(SECTIONS["plant"], Raw.read(path), title="plant")
+
+
+# --- by the diagnosis ------------------------------------------------------------------
+
+
+def without_command(**hidden: float) -> tuple[list[Record], list[Record]]:
+    """Pressure and position alone: one block, and half the work."""
+    train, held = pair(**hidden)
+    for part in (train, held):
+        part[:] = [
+            Record(r.name, r.t_s, pressure_pa=r.pressure_pa, position_m=r.position_m) for r in part
+        ]
+    return train, held
+
+
+@cache
+def nameless() -> Diagnosis:
+    """A hardening spring, diagnosed by a catalogue that has no such thing."""
+    records = without_command(cubic_stiffness__n_per_m3=4e6)
+    return diagnose(*records, PlantSettings(), without=all_but("creep"), correction=True)
+
+
+def test_what_has_no_name_is_added_on_request_and_the_held_out_gap_shrinks() -> None:
+    found = nameless()
+    assert found.verdict is Verdict.NONE_KNOWN
+    assert not found.standings
+    gap = document(found)["gap"]["position_m"]
+    assert gap["corrected"] < 0.4 * gap["recalibrated"]
+    table = document(found)["correction"]["table"]
+    assert table["applied"]
+    assert table["blocks"] == ["mechanics"]
+    assert table["gap"]["position_m"]["after"] == gap["corrected"]
+    assert "Unnamed correction added to the model" in summary(found)
+
+
+def test_the_plant_file_with_the_table_is_read_again(tmp_path) -> None:
+    path = tmp_path / "plant.yaml"
+    path.write_text(plant_file(nameless(), ["a.mcap"]))
+    assert validated(SECTIONS["plant"], Raw.read(path), title="plant") == nameless().plant
+    assert "Unnamed correction" in path.read_text()
+
+
+def test_a_table_that_makes_the_held_out_gap_larger_is_left_out(monkeypatch) -> None:
+    found = nameless()
+    before = found.plant.model_copy(update={"correction": None})
+    worse = found.plant.parameters.model_copy(update={"stiffness_n_per_m": 20e3})
+    bad = found.plant.model_copy(update={"parameters": worse})
+    monkeypatch.setattr(pamctl.diagnose.correction, "fitted", lambda drives, plant: bad)
+    assert found.base is not None
+    kept = corrected_by_table(found.base, before, found.holdout)
+    assert kept.plant == before
+    assert kept.after == kept.before
+    assert "left out of the model" in correction_told(kept)
+
+
+def test_nothing_is_added_where_nobody_asks_or_nothing_is_left() -> None:
+    records = without_command()
+    found = diagnose(*records, PlantSettings(), without=all_but("creep"), correction=True)
+    assert found.verdict is Verdict.NO_DISCREPANCY
+    assert found.corrected is None
+    assert found.plant.correction is None

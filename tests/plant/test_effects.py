@@ -1,0 +1,260 @@
+"""The catalogue of effects: neutral to the bit, the same compiled, and described completely.
+
+The physics of each effect is held against independent solutions in `test_effects_physics.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hal.sim.sim_rig import SimRig, sensor_chain
+from pamctl.plant import drive
+from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
+from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.effects.description import EffectParameter
+from pamctl.plant.flat import NEUTRAL, parameters_of
+from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
+from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.simulated import SimulatedPlant
+from pamctl.settings.resolve import resolve
+
+TICK_S = 1e-3
+COMMAND_V = np.array(
+    [5.0 if i < 150 else -5.0 if i < 300 else 1.5 * math.sin(0.03 * i) for i in range(900)]
+    + [0.0] * 100
+)
+names = pytest.mark.parametrize("name", CATALOGUE)
+
+
+def switched_on(name: str, **changes: float) -> dict[str, float]:
+    """An effect at the values where a fit would start."""
+    return {f"{name}.{p.name}": changes.get(p.name, p.start) for p in CATALOGUE[name].parameters}
+
+
+ALL_ON = {
+    key: value
+    for name in CATALOGUE
+    for key, value in switched_on(name).items()
+    if name not in ("command_delay", "moving_mass")
+}
+"""At once, with bristles of LuGre's kind, a tank, a line that has a volume, and two creeps."""
+ALL_ON |= {
+    "presliding.form": 2.0,
+    "presliding.bristle_damping_n_s_per_m": 20.0,
+    "supply_droop.refill_time_s": 0.05,
+    "line_restriction.volume_m3": 3e-6,
+    "creep.fast_share": 0.4,
+    "command_delay.delay_s": 1.3e-3,
+    "moving_mass.added_kg": 0.1,
+}
+
+
+def through_every_part(p: PlantParameters) -> PlantParameters:
+    """The general equations, even where none of their effects acts."""
+    return p._replace(valve_acts=True, air_acts=True, mechanics_act=True, sensors_act=True)
+
+
+# --- neutral ------------------------------------------------------------------------------------
+
+
+def test_the_general_equations_at_neutral_values_are_the_papers_to_the_bit() -> None:
+    paper = parameters_of({})
+    expected = drive_coupled(paper, COMMAND_V, TICK_S)
+    general = drive_coupled(through_every_part(paper), COMMAND_V, TICK_S)
+    np.testing.assert_array_equal(np.array(general), np.array(expected))
+
+
+@names
+def test_an_effect_whose_sizes_are_neutral_does_nothing_whatever_its_shapes(name: str) -> None:
+    shapes = {p.name: p.high for p in CATALOGUE[name].parameters if p.role == "shape"}
+    neutral = {
+        f"{name}.{p.name}": shapes.get(p.name, p.neutral) for p in CATALOGUE[name].parameters
+    }
+    p = parameters_of(neutral)
+    assert not any((p.valve_acts, p.air_acts, p.mechanics_act, p.sensors_act))
+    assert p.paper == parameters_of({}).paper
+    if name == "line_restriction":
+        return  # without resistance its volume is a dead volume, and no effect of its own
+    expected = drive_coupled(parameters_of({}), COMMAND_V, TICK_S)
+    general = drive_coupled(through_every_part(p), COMMAND_V, TICK_S)
+    np.testing.assert_array_equal(np.array(general), np.array(expected))
+
+
+@names
+def test_an_effect_enters_smoothly(name: str) -> None:
+    """A size of a thousandth is felt a thousandth as much, or less: a fit finds its way from 0."""
+    plain = np.array(drive_coupled(parameters_of({}), COMMAND_V, TICK_S))[:2]
+
+    def change(share: float) -> float:
+        values = {
+            f"{name}.{p.name}": p.neutral + share * (p.start - p.neutral)
+            if p.role == "size"
+            else p.start
+            for p in CATALOGUE[name].parameters
+        }
+        moved = np.array(drive_coupled(parameters_of(values), COMMAND_V, TICK_S))[:2] - plain
+        return float(np.sqrt((moved / [[1e-6], [10.0]]) ** 2).mean())
+
+    full = change(1.0)
+    assert full > 0.05
+    # The root of a share: how a flow answers near equal pressures, or friction at a standstill.
+    assert change(1e-3) < 0.06 * full
+
+
+# --- twins --------------------------------------------------------------------------------------
+
+
+def assert_twins_agree(p: PlantParameters, monkeypatch: pytest.MonkeyPatch) -> None:
+    some_v = COMMAND_V[100:420]
+    compiled = drive_coupled(p, some_v, TICK_S)
+    pressure = drive_pressure(p, some_v, compiled.position_m, TICK_S)
+    mechanics = drive_mechanics(p, compiled.pressure_pa, TICK_S)
+    assert np.isfinite(np.array(compiled)).all()
+    monkeypatch.setattr(drive, "_twin", lambda kernel: kernel)
+    for plain, twin in (
+        (drive_coupled(p, some_v, TICK_S), compiled),
+        (drive_pressure(p, some_v, compiled.position_m, TICK_S), pressure),
+        (drive_mechanics(p, compiled.pressure_pa, TICK_S), mechanics),
+    ):
+        np.testing.assert_array_equal(np.array(plain), np.array(twin))
+
+
+@names
+def test_compiled_and_plain_agree_to_the_bit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert_twins_agree(parameters_of(switched_on(name)), monkeypatch)
+
+
+def test_they_agree_with_everything_on_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert_twins_agree(parameters_of(ALL_ON), monkeypatch)
+
+
+@pytest.mark.parametrize("form", [0.0, 1.0, 2.0])
+def test_they_agree_in_every_form_of_presliding(
+    form: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = switched_on("presliding", form=form, bristle_damping_n_s_per_m=20.0)
+    assert_twins_agree(parameters_of(values), monkeypatch)
+
+
+# --- the blocks, and the ways to use them -------------------------------------------------------
+
+
+@names
+def test_the_blocks_alone_show_what_the_coupled_plant_shows(name: str) -> None:
+    """Driven by sensed signals, with the sensors' own effects undone where they can be.
+
+    The line's jumps and the sensor's lag fall between the samples: some are left. A backlash cannot
+    be undone at all.
+    """
+    p = parameters_of(switched_on(name))
+    coupled = drive_coupled(p, COMMAND_V, TICK_S)
+    pressure = drive_pressure(p, COMMAND_V, coupled.position_m, TICK_S)
+    mechanics = drive_mechanics(p, coupled.pressure_pa, TICK_S)
+    paper = parameters_of({})
+    near_pa, near_m = 100.0 if name == "encoder_backlash" else 40.0, 4e-6
+    missed_pa = drive_pressure(paper, COMMAND_V, coupled.position_m, TICK_S).pressure_pa
+    missed_m = drive_mechanics(paper, coupled.pressure_pa, TICK_S).position_m
+    seen_by = CATALOGUE[name].seen_by
+
+    def rms(difference: Any) -> float:
+        return float(np.sqrt(np.mean(difference**2)))
+
+    error_pa = rms(pressure.pressure_pa - coupled.pressure_pa)
+    error_m = rms(mechanics.position_m - coupled.position_m)
+    assert error_pa < max(near_pa, 0.1 * rms(missed_pa - coupled.pressure_pa))
+    assert error_m < max(near_m, 0.1 * rms(missed_m - coupled.position_m))
+    if CATALOGUE[name].identifiable and name != "drift":
+        if "pressure" not in seen_by:
+            assert rms(missed_pa - coupled.pressure_pa) < near_pa
+        if "mechanics" not in seen_by:
+            assert rms(missed_m - coupled.position_m) < near_m
+
+
+def test_a_delayed_command_arrives_in_the_simulated_rig_as_in_the_drive() -> None:
+    p = parameters_of({"command_delay.delay_s": 2.3e-3})
+    driven = drive_coupled(p, COMMAND_V, TICK_S)
+    plant = SimulatedPlant(p)
+    for k, command in enumerate(COMMAND_V.tolist()):
+        assert plant.position_m == pytest.approx(driven.position_m[k], abs=1e-6)
+        assert plant.pressure_pa == pytest.approx(driven.pressure_pa[k], abs=10.0)
+        plant.advance(command, TICK_S)
+
+
+def test_a_simulated_rig_reads_what_the_sensors_show() -> None:
+    p = parameters_of({"pressure_sensor_offset.offset_pa": 5e3, "encoder_scale.scale": 1.05})
+    settings = resolve(fast=True)
+    rig: Any = settings.rig
+    chain = sensor_chain(rig.sim.model_copy(update={"sensor_noise_v": 0.0}), rig.calibration)
+    now_ns, plant = 0, SimulatedPlant(p)
+    sim = SimRig(plant, chain, safe_output_v=0.0, now_ns=lambda: now_ns)
+    sim.open()
+    sim.write(10.0)
+    now_ns = 500_000_000
+    raw = sim.read()
+    shown_pa = (raw.pressure_v - rig.sim.sensor_zero_v) * rig.calibration.sensor_pa_per_v + 101.3e3
+    assert shown_pa == pytest.approx(plant.state.pressure_pa + 5e3, abs=30.0)
+    shown_m = (raw.encoder_counts - 1000.4) * rig.calibration.encoder_m_per_count
+    assert shown_m == pytest.approx(1.05 * plant.state.position_m, abs=3.3e-6)
+    assert plant.state.position_m > 20e-3
+
+
+# --- descriptions -------------------------------------------------------------------------------
+
+
+def test_the_catalogue_is_that_of_the_design() -> None:
+    assert " ".join(CATALOGUE) == (
+        "valve_deadband valve_asymmetry valve_saturation valve_curve valve_spool valve_hysteresis "
+        "valve_leak command_delay chamber_leak discharge_ratio supply_droop line_restriction "
+        "dead_volume polytropic presliding stribeck return_friction coulomb_friction "
+        "pressure_damping cubic_stiffness creep bladder_threshold braid_stretch end_cap "
+        "external_load moving_mass pressure_sensor_lag pressure_sensor_offset "
+        "pressure_sensor_gain encoder_scale encoder_backlash drift"
+    )
+    assert [name for name, e in CATALOGUE.items() if not e.identifiable] == ["moving_mass"]
+
+
+def is_sane(p: EffectParameter) -> bool:
+    return (
+        p.low <= p.neutral <= p.high
+        and p.low <= p.start <= p.high
+        and p.smallest_of_interest > 0.0
+        and (p.role == "shape" or (p.neutral in (0.0, 1.0) and p.low < p.start < p.high))
+    )
+
+
+@names
+def test_every_effect_is_described_so_that_a_fit_can_start(name: str) -> None:
+    effect = CATALOGUE[name]
+    assert effect.name == name
+    assert effect.equation
+    assert effect.signature
+    assert effect.best_experiment
+    assert effect.seen_by
+    assert all(is_sane(p) for p in effect.parameters)
+    known = {p.name for p in effect.parameters}
+    for form in effect.forms:
+        assert {*form.free, *form.held} <= known
+        assert any(p.role == "size" for p in effect.parameters if p.name in form.free)
+
+
+@names
+def test_a_plant_file_can_name_it(name: str) -> None:
+    values = switched_on(name)
+    settings = settings_of(values)
+    assert list(settings.effects.model_dump(exclude_none=True)) == [name]
+    assert plant_parameters(settings) == parameters_of(values)
+    assert values_of(settings).items() >= values.items()
+
+
+def test_a_form_is_chosen_by_its_name() -> None:
+    settings = PlantSettings.model_validate(
+        {"effects": {"presliding": {"compliance_m_per_n": 1e-5, "form": "dahl"}}}
+    )
+    assert plant_parameters(settings).effects.mechanics.presliding.form == 1.0
+    assert NEUTRAL["presliding.form"] == 0.0
+    with pytest.raises(ValueError, match="elasto_plastic"):
+        PlantSettings.model_validate({"effects": {"presliding": {"form": "maxwell"}}})

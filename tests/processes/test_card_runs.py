@@ -1,0 +1,149 @@
+"""`pamctl run` on the card, from the command to the log, over the stand-in driver."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from standin.standin import PERMIT, Card, library
+from support.card_rigs import READ_COUNT, READ_VOLTS, WRITE
+from support.card_runs import AT_ONCE, OWN_SAFE_V, RUN, await_writes, log_of, of, own, start
+from support.patience import PATIENCE_S
+from support.runs import (
+    AO_STEP_V,
+)
+
+from pamctl.signals import Phase
+
+assert own  # a fixture
+
+
+def test_a_run_on_the_card_is_complete_and_ends_at_the_safe_voltage(own: Card) -> None:
+    # In the plainest of locales: every name handed to the driver must survive it.
+    process = start(own, "--duration", "1", "--json", LC_ALL="C")
+    said, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, complaints
+    report = json.loads(said)
+    assert report["log_is_whole"]
+    assert report["backend"] == "nidaq"
+
+    assert own.written_v[-1] == own.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+    log = log_of(own)
+    assert log["phase"][-1] == Phase.STOPPING
+    assert np.ptp(log["t_s"][log["phase"] == Phase.APPROACH]) > 0.5
+    identity = log.metadata["rig"]
+    assert identity["library"] == str(library())
+    assert identity["serial_number"] == "DECAF"
+    # Every tick's write is on record as the card saw it: the last ones, whole.
+    last_writes = own.written_v[-20:-4]
+    applied = log["applied_v"].tolist()
+    found = [applied[at : at + 16] == last_writes for at in range(len(applied) - 16, 0, -1)]
+    assert any(found[:16])
+
+
+def test_the_first_thing_a_run_does_to_the_card_is_to_make_it_safe(own: Card) -> None:
+    # So short that the card still knows of all its writes.
+    short = ("--duration", "0.001", "--set", "rig.loop.stop_ramp_s=0.02")
+    process = start(own, *short, *AT_ONCE)
+    await_writes(own, process, 1)
+    assert own.written_v[0] == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+    process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+
+
+def test_ctrl_c_leaves_the_card_at_the_safe_voltage(own: Card) -> None:
+    process = start(own, *AT_ONCE)
+    await_writes(own, process, 500)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+    assert own.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+    assert log_of(own)["phase"][-1] == Phase.STOPPING
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_when_the_loop_dies_or_freezes_the_guardian_takes_the_card_over(
+    own: Card, number: signal.Signals
+) -> None:
+    process = start(own, *AT_ONCE)
+    await_writes(own, process, 700)
+    loop = next(
+        int(pid)
+        for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        if "loop_main" in Path(f"/proc/{pid}/cmdline").read_text()
+    )
+    os.kill(loop, number)
+    _, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert "the guardian drove the safe voltage" in complaints
+    assert own.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+    assert any(event["event"] == "guardian_takeover" for event in log_of(own).events)
+
+
+@pytest.mark.parametrize("function", [READ_COUNT, READ_VOLTS, WRITE])
+def test_a_card_that_fails_in_the_middle_of_a_run_ends_it_with_69_and_safe(
+    own: Card, function: str
+) -> None:
+    own.fail(function, -201003, after=700, times=1)
+    process = start(own, *AT_ONCE)
+    _, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 69
+    assert "device error -201003" in complaints
+    assert "nilsdev" in complaints
+    assert "Traceback" not in complaints
+    assert own.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+    log = log_of(own)
+    assert 650 < len(log) <= 701
+    assert next(e for e in log.events if e["event"] == "outcome")["code"] == 69
+
+
+def test_a_broken_wire_trips_the_run_on_the_card(own: Card) -> None:
+    process = start(own, *AT_ONCE)
+    await_writes(own, process, 300)
+    own.registers.wire_is_broken = 1
+    _, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 4
+    assert "broken wire" in complaints
+    assert own.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "environment", "complaint"),
+    [
+        ([], {PERMIT: None}, "stand-in of pamctl's tests"),
+        (["--set", "rig.nidaq.device=Dev9"], {}, "nilsdev"),
+        ([], {"LD_LIBRARY_PATH": None}, "install NI-DAQmx"),
+    ],
+)
+def test_a_card_that_cannot_be_had_is_refused_before_anything_is_touched(
+    own: Card, arguments: list[str], environment: dict[str, None], complaint: str
+) -> None:
+    within = {k: v for k, v in own.environment().items() if k not in environment}
+    done = subprocess.run(
+        [*RUN, *of(own), *arguments],
+        cwd=own.path.parent / "cwd",
+        env=within,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 69
+    assert complaint in done.stderr
+    assert "Traceback" not in done.stderr
+    assert own.output_v == 8.0
+    assert not list((own.path.parent / "cwd").iterdir())
+
+
+def test_a_broken_env_file_beside_the_run_is_named_as_the_culprit(own: Card) -> None:
+    (own.path.parent / "cwd" / ".env").write_bytes(b"\xff\xfe")
+    process = start(own, *AT_ONCE)
+    _, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 69
+    assert "a broken .env" in complaints
+    assert "Traceback" not in complaints

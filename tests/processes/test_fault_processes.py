@@ -1,0 +1,207 @@
+"""Faults that need real processes, over the card's stand-in: `pamctl run` from end to end.
+
+After each: the output at the safe voltage, the log complete to its last tick, the exit code as
+documented, the next start clean. Made-up time and the other faults: `test_faults.py`.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from standin.standin import PERMIT, Card
+from support.card_rigs import READ_VOLTS
+from support.card_runs import AT_ONCE, OWN_SAFE_V, PAMCTL, await_writes, log_of, own, start
+from support.killing import kill_as_one
+from support.patience import PATIENCE_S
+from support.rings import await_phase
+from support.runs import AO_STEP_V
+
+from pamctl.log.reader import Log
+from pamctl.signals import Phase
+
+assert own  # a fixture
+
+TIMINGS = {name: ("--set", f"rig.nidaq.timing={name}") for name in ("on_demand", "hardware_timed")}
+every_timing = pytest.mark.parametrize("timing", TIMINGS)
+MOVING = 300
+"""Writes after which the valve is off its safe voltage."""
+
+
+def assert_left_in_order(card: Card, process: subprocess.Popen[str], code: int) -> str:
+    """Check what must hold after every end; return what was said of it."""
+    _, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == code, said
+    assert card.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+    log = log_of(card)
+    assert np.array_equal(np.diff(log["tick"]) - 1, log["missed"][1:])
+    assert [event["event"] for event in log.events].count("outcome") == 1
+    assert len(log) > MOVING // 2
+    return said
+
+
+def assert_next_start_is_clean(card: Card, timing: str) -> None:
+    card.mend()
+    (card.path.parent / "cwd" / "run.mcap").unlink()
+    process = start(card, *AT_ONCE, *TIMINGS[timing], "--duration", "0.1")
+    _, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, said
+    assert card.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+
+
+def child_of(front: subprocess.Popen[str], name: str) -> int:
+    """Wait for a process of the run; return its id."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline_s:
+        for pid in Path(f"/proc/{front.pid}/task/{front.pid}/children").read_text().split():
+            if name in Path(f"/proc/{pid}/cmdline").read_text():
+                return int(pid)
+        time.sleep(0.02)
+    raise AssertionError(f"no {name}")
+
+
+@every_timing
+def test_a_driver_that_never_returns_is_killed_with_its_loop(own: Card, timing: str) -> None:
+    """The read heeds neither its timeout nor a signal: only the guardian is left."""
+    own.fail(READ_VOLTS, hang_s=60.0, is_deaf=True, after=MOVING, times=1)
+    process = start(own, *AT_ONCE, *TIMINGS[timing])
+    said = assert_left_in_order(own, process, code=1)
+    assert "silent for" in said
+    assert "the guardian drove the safe voltage" in said
+    assert any(event["event"] == "guardian_takeover" for event in log_of(own).events)
+    assert_next_start_is_clean(own, timing)
+
+
+def test_a_card_that_is_gone_ends_with_69_its_own_words_and_an_alarm(own: Card) -> None:
+    """Nothing that software does reaches the output then: a person must."""
+    process = start(own, *AT_ONCE)
+    await_writes(own, process, MOVING)
+    own.registers.is_gone = 1
+    _, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 69, said
+    assert "reading the encoder" in said
+    assert "-201003" in said
+    assert "THE SAFE VOLTAGE COULD NOT BE DRIVEN" in said
+    assert "cut the air supply" in said
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_loop_paced_by_the_card_that_dies_or_freezes_leaves_it_safe(
+    own: Card, number: signal.Signals
+) -> None:
+    process = start(own, *AT_ONCE, *TIMINGS["hardware_timed"])
+    await_writes(own, process, MOVING)
+    loop = child_of(process, "loop_main")
+    # Whatever the driver's package loads: a thread more would have to die, too.
+    assert len(list(Path(f"/proc/{loop}/task").iterdir())) == 1
+    os.kill(loop, number)
+    assert "the guardian drove the safe voltage" in assert_left_in_order(own, process, code=1)
+
+
+@every_timing
+def test_a_tick_that_takes_too_long_is_recorded_as_missed_and_the_run_goes_on(
+    own: Card, timing: str
+) -> None:
+    own.fail("DAQmxWriteAnalogScalarF64", hang_s=6.5e-3, is_deaf=True, after=MOVING, times=1)
+    process = start(own, *AT_ONCE, *TIMINGS[timing], "--duration", "0.6")
+    assert_left_in_order(own, process, code=0)
+    assert log_of(own)["missed"].max() >= 5
+
+
+@pytest.mark.parametrize(("signals", "code"), [([signal.SIGTERM], 143), ([signal.SIGINT] * 2, 130)])
+def test_signals_leave_the_card_safe_whatever_paces_the_loop(
+    own: Card, signals: list[signal.Signals], code: int
+) -> None:
+    ramp_s = 1.0 if len(signals) == 1 else 5.0
+    slowly = ("--set", f"rig.loop.stop_ramp_s={ramp_s}")
+    process = start(own, *AT_ONCE, *TIMINGS["hardware_timed"], *slowly)
+    await_writes(own, process, MOVING)
+    *first, last = signals
+    for number in first:  # two at once would merge into one
+        process.send_signal(number)
+        await_phase(process.pid, Phase.STOPPING)
+    process.send_signal(last)
+    assert_left_in_order(own, process, code)
+    # The whole of the ramp after one signal; not nearly all of it after the second.
+    whole = spent_s(log_of(own), Phase.STOPPING) > 0.8 * ramp_s
+    assert whole == (len(signals) == 1)
+
+
+def spent_s(log: Log, phase: Phase) -> float:
+    """How long a phase took, ticks that were missed in it included."""
+    return float(np.sum(log["dt_s"][log["phase"] == phase]))
+
+
+BUG = """
+import sys
+if "pamctl.processes.loop_main" in sys.orig_argv:
+    from pamctl.realtime import tick
+    right, calls = tick.respond, []
+
+    def wrong(*arguments):
+        calls.append(None)
+        return right(*arguments) if len(calls) < 300 else 1 / 0
+
+    tick.respond = wrong
+"""
+
+
+@pytest.mark.parametrize("backend", ["nidaq", "sim"])
+def test_an_exception_in_the_law_ends_with_1_and_its_name(
+    own: Card, tmp_path: Path, backend: str
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(BUG)
+    path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    if backend == "nidaq":
+        process = start(own, *AT_ONCE, PYTHONPATH=path)
+        said = assert_left_in_order(own, process, code=1)
+        log = log_of(own)
+    else:
+        from pamctl.log.reader import read
+
+        done = subprocess.run(
+            [PAMCTL, "run", "--fast", "--quiet", "--log", "bug.mcap", *AT_ONCE],
+            cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}, capture_output=True,
+            text=True, timeout=PATIENCE_S, check=False,
+        )  # fmt: skip
+        assert done.returncode == 1
+        said, log = done.stderr, read(tmp_path / "bug.mcap")
+    assert "ZeroDivisionError" in said
+    assert len(log) == 299
+    assert log.events[-1]["reason"].startswith("ZeroDivisionError")
+
+
+def test_a_log_that_can_grow_no_more_stops_the_run_smoothly_and_is_whole(own: Card) -> None:
+    process = start(own, *AT_ONCE, "--set", "rig.loop.ring_rows=2048")
+    recorder = child_of(process, "recording.recorder")
+    await_writes(own, process, 10)
+    most = 1_200_000
+    resource.prlimit(recorder, resource.RLIMIT_FSIZE, (most, most))
+    assert "disk is full" in assert_left_in_order(own, process, code=1)
+    assert spent_s(log_of(own), Phase.STOPPING) > 0.4
+
+
+def test_pamctl_safe_drives_the_card_after_everything_was_killed(own: Card) -> None:
+    process = start(own, *AT_ONCE, *TIMINGS["hardware_timed"])
+    await_writes(own, process, MOVING)
+    parts = [child_of(process, n) for n in ("guardian_main", "recording.recorder", "loop_main")]
+    kill_as_one(process.pid, *parts)
+    process.communicate(timeout=PATIENCE_S)
+    assert own.output_v > OWN_SAFE_V + 1.0
+    done = subprocess.run(
+        [PAMCTL, "safe", "--backend", "nidaq", *start_options(own)],
+        env={**own.environment(), PERMIT: "1"}, capture_output=True, text=True, timeout=PATIENCE_S,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert own.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
+
+
+def start_options(card: Card) -> list[str]:
+    return ["--set", f"rig.nidaq.device={card.name}", "--set", f"rig.safe_volts={OWN_SAFE_V}"]

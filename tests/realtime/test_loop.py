@@ -1,0 +1,545 @@
+"""The loop from end to end in memory: however a run ends, the rig is safe and the log says why."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from support.runs import (
+    AO_STEP_V,
+    MS,
+    MemoryJournal,
+    Run,
+    ScriptedSupervisor,
+    parts,
+    run,
+    run_settings,
+)
+
+from hal.faulty import FaultSettings
+from hal.rig import RigError
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.realtime import loop
+from pamctl.realtime.keyframe import keyframe_fields
+from pamctl.realtime.loop import KEYFRAME_TICKS
+from pamctl.safety import (
+    ENCODER_JUMP,
+    MEASUREMENT_NOT_FINITE,
+    OVERRUNS,
+    SENSOR_RANGE,
+    STALE_SAMPLE,
+    STROKE_LIMIT,
+    TRACKING_ERROR,
+    explain,
+)
+from pamctl.settings.build import nominal_zero_of, program_of, setup_of
+from pamctl.signals import Phase
+
+SHORT = (
+    "experiment.approach_s=1.0",
+    "experiment.settle_s=0.2",
+    "experiment.transition_s=1.5",
+    "experiment.cycles=1",
+    "rig.loop.stop_ramp_s=0.1",
+)
+UNHOMED = (*SHORT, "rig.homing.enabled=false")
+APPROACH_TICKS, TRACK_TICKS, STOP_TICKS = 1200, 3000, 100
+SAFE_OUTPUT_V = 1.0
+BENCH = (
+    f"rig.safe_volts={SAFE_OUTPUT_V}",
+    "rig.limits.sample_age_s=0.05",
+    "rig.limits.missed_ticks=100",
+)
+
+
+def short(*overrides: str, **choices: Any):
+    """Four seconds of tracking with a safe voltage that nothing else would put out."""
+    return run_settings(*UNHOMED, *BENCH, *overrides, **choices)
+
+
+def fault(kind: str, from_tick: int = 2000, ticks: int = 10**9, size: float = 0.0) -> FaultSettings:
+    return FaultSettings(kind=kind, from_tick=from_tick, ticks=ticks, size=size)
+
+
+def assert_left_safe(ran: Run) -> None:
+    assert ran.rig.output_v == pytest.approx(SAFE_OUTPUT_V, abs=AO_STEP_V / 2)
+    with pytest.raises(RigError, match="not open"):
+        ran.rig.read()
+
+
+# --- an undisturbed run ----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> Run:
+    return run(short())
+
+
+def test_a_run_ends_complete_and_safe(undisturbed: Run) -> None:
+    assert undisturbed.ending == Ending(ExitCode.OK, "the experiment is complete")
+    assert_left_safe(undisturbed)
+
+
+def test_every_tick_is_on_record_once_and_in_order(undisturbed: Run) -> None:
+    ticks = [record.timing.tick for record in undisturbed.journal.ticks]
+    assert ticks == list(range(APPROACH_TICKS + TRACK_TICKS + STOP_TICKS))
+    phases = [record.reference.phase for record in undisturbed.journal.ticks]
+    assert (
+        phases
+        == [Phase.APPROACH] * APPROACH_TICKS
+        + [Phase.TRACK] * TRACK_TICKS
+        + [Phase.STOPPING] * STOP_TICKS
+    )
+
+
+def test_a_record_says_what_was_applied_to_the_code(undisturbed: Run) -> None:
+    for record in undisturbed.journal.ticks:
+        asked_v = 5.0 + record.decision.valve_v
+        assert abs(record.outcome.applied_v - asked_v) <= AO_STEP_V / 2 * (1 + 1e-9)
+        assert (record.outcome.applied_v / AO_STEP_V).is_integer()
+
+
+def test_without_a_clock_all_durations_are_zero_and_all_ticks_one_period(undisturbed: Run) -> None:
+    for record in undisturbed.journal.ticks:
+        assert record.outcome[1:] == (0.0, 0.0, 0.0)
+        assert record.timing.dt_s == pytest.approx(1e-3, abs=1e-15)
+        assert record.timing.t_s == pytest.approx(record.timing.tick * 1e-3, abs=1e-12)
+        assert (record.timing.late_s, record.timing.missed) == (0.0, 0)
+
+
+def test_the_muscle_followed_its_reference(undisturbed: Run) -> None:
+    settled = undisturbed.journal.phase(Phase.TRACK)
+    true_m = [record.truth.true_position_m - record.reference.reference_m for record in settled]
+    assert max(map(abs, true_m)) < 1.5e-3
+    reached = [record.truth.true_position_m for record in settled]
+    assert max(reached) == pytest.approx(17.2e-3, abs=1.5e-3)
+
+
+def test_the_stop_is_a_ramp_from_the_last_command_to_the_safe_one(undisturbed: Run) -> None:
+    last = undisturbed.journal.phase(Phase.TRACK)[-1].decision.valve_v
+    ramp = [record.decision.valve_v for record in undisturbed.journal.phase(Phase.STOPPING)]
+    safe_v = SAFE_OUTPUT_V - 5.0
+    for n, valve_v in enumerate(ramp):
+        assert valve_v == pytest.approx(last + (safe_v - last) * n / STOP_TICKS, abs=1e-6)
+    assert abs(ramp[-1] - safe_v) < 0.05
+    assert undisturbed.journal.named("stopping") == [
+        {"event": "stopping", "reason": "the experiment is complete"}
+    ]
+
+
+def test_once_a_second_a_keyframe_holds_the_state_after_its_tick(undisturbed: Run) -> None:
+    assert [tick for tick, _ in undisturbed.journal.keyframes] == [999, 1999, 2999, 3999]
+    names = keyframe_fields(loop.first_state(loop.Zero(0.0, 0.0), 0.0))
+    for tick, state in undisturbed.journal.keyframes:
+        record = undisturbed.journal.ticks[tick]
+        numbers = dict(zip(names, state, strict=True))
+        assert numbers["measurement.position_m"] == record.measurement.position_m
+        assert numbers["command.command_v"] == record.command.command_v
+        assert numbers["safety.valve_v"] == record.decision.valve_v
+    assert KEYFRAME_TICKS == 1000
+
+
+def test_a_missed_tick_costs_no_keyframe() -> None:
+    ran = run(short(), missed={999: 1, 1990: 20, 2998: 1, 3998: 3})
+    assert [tick for tick, _ in ran.journal.keyframes] == [1000, 2010, 2999, 4001]
+
+
+def test_the_same_seed_gives_the_same_run_and_another_one_another(undisturbed: Run) -> None:
+    assert repr(run(short()).journal) == repr(undisturbed.journal)
+    other = run(short(seed=1))
+    assert repr(other.journal) != repr(undisturbed.journal)
+    assert other.ending.code == ExitCode.OK
+
+
+def test_with_an_output_delay_the_run_ends_as_well() -> None:
+    delayed = run(short("rig.sim.output_delay_ticks=1"))
+    assert delayed.ending.code == ExitCode.OK
+    assert_left_safe(delayed)
+
+
+def test_an_open_loop_experiment_writes_its_steps_as_steps() -> None:
+    square = run(
+        run_settings(
+            "rig.homing.enabled=false",
+            f"rig.safe_volts={SAFE_OUTPUT_V}",
+            experiment="square-2",
+            duration_s=0.6,
+        )
+    )
+    assert square.ending.code == ExitCode.OK
+    held = [record.decision.valve_v for record in square.journal.phase(Phase.OPEN_LOOP)]
+    assert held == [5.0] * 250 + [-5.0] * 250 + [5.0] * 100
+    assert all(math.isnan(r.estimate.error_m) for r in square.journal.phase(Phase.OPEN_LOOP))
+
+
+# --- homing ----------------------------------------------------------------------------
+
+
+def homing(*overrides: str, **changes: Any) -> Run:
+    return run(run_settings(*SHORT, *BENCH, *overrides), **changes)
+
+
+def test_homing_comes_first_and_its_zeros_are_on_record() -> None:
+    homed = homing("duration_s=0.5")
+    assert homed.ending.code == ExitCode.OK
+    nominal, found = homed.journal.named("zeroed")
+    assert (nominal["sensor_zero_v"], nominal["encoder_zero_counts"]) == (0.2, 1000.0)
+    assert found["sensor_zero_v"] == pytest.approx(0.215, abs=1e-3)
+    assert found["encoder_zero_counts"] == 1000.0
+    phases = [Phase(record.reference.phase) for record in homed.journal.ticks]
+    began = phases.index(Phase.APPROACH)
+    assert set(phases[:began]) == {Phase.HOMING}
+    assert phases.count(Phase.APPROACH) == 500
+    first = homed.journal.ticks[began]
+    assert first.measurement.pressure_pa == pytest.approx(101.3e3, abs=2e3)
+    assert first.estimate.error_rate_m_per_s == 0.0
+    assert [tick for tick, event in homed.journal.events if event["event"] == "zeroed"][1] == began
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (("rig.sim.sensor_zero_v=0.45",), "outside 0.184 to 0.409 V"),
+        (("rig.sim.sensor_zero_v=0.15",), "outside 0.184 to 0.409 V"),
+        (("rig.homing.timeout_s=0.3", "rig.homing.steady_v=1e-6"), "still moving 0.3 s"),
+    ],
+)
+def test_a_rig_that_cannot_be_homed_ends_with_code_4_and_the_reason(overrides, said) -> None:
+    failed = homing(*overrides)
+    assert failed.ending.code == ExitCode.SAFETY_TRIP == 4
+    assert said in failed.ending.reason
+    assert_left_safe(failed)
+    assert {record.reference.phase for record in failed.journal.ticks} == {Phase.HOMING}
+
+
+# --- faults ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["read_error", "device_lost"])
+def test_a_failing_read_ends_with_code_69_at_the_safe_voltage(kind: str) -> None:
+    ran = run(short(), fault(kind))
+    assert ran.ending.code == ExitCode.UNAVAILABLE == 69
+    assert f"{kind} injected at tick 2000" in ran.ending.reason
+    assert_left_safe(ran)
+    assert len(ran.journal.ticks) == 2000
+    assert all(math.isfinite(record.outcome.applied_v) for record in ran.journal.ticks)
+
+
+def test_a_failing_write_ends_with_code_69_and_its_tick_is_on_record() -> None:
+    ran = run(short(), fault("write_error"))
+    assert ran.ending.code == ExitCode.UNAVAILABLE
+    assert "write_error injected at tick 2000" in ran.ending.reason
+    assert_left_safe(ran)
+    assert len(ran.journal.ticks) == 2001
+    last = ran.journal.ticks[-1]
+    assert last.timing.tick == 2000
+    assert math.isnan(last.outcome.applied_v)
+    assert math.isfinite(last.decision.valve_v)
+    assert all(math.isfinite(record.outcome.applied_v) for record in ran.journal.ticks[:-1])
+
+
+@pytest.mark.parametrize("kind", ["read_error", "write_error", "device_lost"])
+def test_a_device_that_fails_in_the_first_tick_ends_safe_too(kind: str) -> None:
+    ran = run(short(), fault(kind, from_tick=0))
+    assert ran.ending.code == ExitCode.UNAVAILABLE
+    assert_left_safe(ran)
+
+
+class Shut:
+    """A device that cannot be opened."""
+
+    def __init__(self, rig: Any) -> None:
+        self._rig = rig
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rig, name)
+
+    def open(self) -> None:
+        raise RigError("no such device Dev1", fix="check the name", code=-200220)
+
+
+def test_a_device_that_does_not_open_ends_with_code_69_and_its_own_words() -> None:
+    ran = run(short(), wrap=Shut)
+    assert ran.ending.code == ExitCode.UNAVAILABLE
+    assert ran.ending.reason == "no such device Dev1 (device error -200220); check the name"
+    assert_left_safe(ran)
+    assert ran.journal.ticks == []
+
+
+TRIPS = {
+    "pressure_nan": (MEASUREMENT_NOT_FINITE, 1),
+    "broken_wire": (SENSOR_RANGE, 21),
+    "stale_sample": (STALE_SAMPLE, 2),
+    "encoder_jump": (ENCODER_JUMP, 1),
+    "stuck_encoder": (TRACKING_ERROR, 1200),
+    "reversed_encoder": (TRACKING_ERROR | STROKE_LIMIT, 1200),
+}
+
+
+@pytest.mark.parametrize("kind", TRIPS)
+@pytest.mark.parametrize("controller", ["paper-table3-qsmc", "smc"])
+def test_a_sensor_gone_bad_ends_with_code_4_and_the_reason(kind, controller, smc_file) -> None:
+    bit, within = TRIPS[kind]
+    settings = short(controller=smc_file if controller == "smc" else controller)
+    ran = run(settings, fault(kind, from_tick=1600, size=-20_000))
+    last = ran.journal.ticks[-1]
+    assert ran.ending.code == ExitCode.SAFETY_TRIP == 4
+    assert last.decision.tripped
+    assert last.decision.verdicts & bit
+    assert ran.ending.reason == "safety trip: " + "; ".join(explain(last.decision.verdicts))
+    assert 1600 <= last.timing.tick < 1600 + within
+    assert ran.journal.named("tripped") == [
+        {"event": "tripped", "reasons": explain(last.decision.verdicts)}
+    ]
+    assert not any(record.decision.tripped for record in ran.journal.ticks[:-1])
+    # The tick that tripped already wrote the safe voltage.
+    assert last.outcome.applied_v == pytest.approx(SAFE_OUTPUT_V, abs=AO_STEP_V / 2)
+    assert_left_safe(ran)
+
+
+@pytest.fixture(scope="module")
+def smc_file(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("controller") / "smc.yaml"
+    path.write_text(
+        "law: smc\nlength_unit: mm\nlambda_per_s: 300\nq: 1\nkp: 0.1\neta: 0\nphi: 1\n"
+        "lpf2_hz: 185\n"
+    )
+    return str(path)
+
+
+def test_a_muscle_that_smc_can_drive_is_what_those_faults_met(smc_file: str) -> None:
+    ran = run(short(controller=smc_file))
+    assert ran.ending.code == ExitCode.OK
+
+
+@pytest.mark.parametrize("kind", ["stale_sample", "pressure_nan", "broken_wire"])
+def test_a_sensor_that_is_bad_while_homing_trips_too(kind: str) -> None:
+    ran = run(run_settings(*SHORT, *BENCH), fault(kind, from_tick=300))
+    assert ran.ending.code == ExitCode.SAFETY_TRIP
+    assert ran.journal.ticks[-1].reference.phase == Phase.HOMING
+    assert_left_safe(ran)
+
+
+def test_a_glitch_that_is_soon_over_does_not_end_the_run() -> None:
+    ran = run(short(), fault("broken_wire", ticks=15), fault("encoder_jump", ticks=1, size=300))
+    assert ran.ending.code == ExitCode.OK
+
+
+# --- errors of our own -----------------------------------------------------------------
+
+
+class Bug(Exception):
+    pass
+
+
+@pytest.mark.parametrize("raised", [Bug, KeyboardInterrupt, SystemExit])
+def test_an_error_in_the_tick_is_raised_with_the_rig_already_safe(monkeypatch, raised) -> None:
+    right, calls = loop.step, []
+
+    def wrong(*arguments: Any) -> Any:
+        calls.append(arguments)
+        if len(calls) > 500:
+            raise raised("in the law")
+        return right(*arguments)
+
+    monkeypatch.setattr(loop, "step", wrong)
+    rigs: list[Any] = []
+    with pytest.raises(raised, match="in the law"):
+        run(short(), wrap=lambda rig: rigs.append(rig) or rig)
+    sim = rigs[0]._inner
+    assert sim.output_v == pytest.approx(SAFE_OUTPUT_V, abs=AO_STEP_V / 2)
+    with pytest.raises(RigError, match="not open"):
+        sim.read()
+
+
+class FullJournal(MemoryJournal):
+    def put_tick(self, record: Any) -> None:
+        if len(self.ticks) == 700:
+            raise OverflowError("the ring is full")
+        super().put_tick(record)
+
+
+def test_a_tick_that_cannot_be_kept_ends_the_run_safe() -> None:
+    rigs: list[Any] = []
+    with pytest.raises(OverflowError, match="ring is full"):
+        run(short(), journal=FullJournal(), wrap=lambda rig: rigs.append(rig) or rig)
+    assert rigs[0]._inner.output_v == pytest.approx(SAFE_OUTPUT_V, abs=AO_STEP_V / 2)
+
+
+# --- stopped from outside --------------------------------------------------------------
+
+INTERRUPTED = Ending(ExitCode.SIGINT, "stopped by SIGINT")
+
+
+def test_the_first_signal_stops_smoothly_and_gives_its_exit_code() -> None:
+    ran = run(short(), supervisor=ScriptedSupervisor(INTERRUPTED, stop_at=2000))
+    assert ran.ending == INTERRUPTED
+    assert ran.ending.code == 130
+    phases = [record.reference.phase for record in ran.journal.ticks]
+    assert phases[2000] == Phase.TRACK  # the tick is finished before it is asked
+    assert phases[2001:] == [Phase.STOPPING] * (STOP_TICKS - 1)
+    steps = [record.decision.valve_v for record in ran.journal.ticks[2000:]]
+    # Some 4 V in 0.1 s, in equal steps: nothing jumps.
+    assert max(abs(b - a) for a, b in pairwise(steps)) < 0.1
+    assert ran.journal.named("stopping") == [{"event": "stopping", "reason": "stopped by SIGINT"}]
+    assert_left_safe(ran)
+
+
+def test_the_second_signal_stops_at_once() -> None:
+    ran = run(short(), supervisor=ScriptedSupervisor(INTERRUPTED, stop_at=2000, abort_at=2030))
+    assert ran.ending == INTERRUPTED
+    assert ran.journal.ticks[-1].timing.tick == 2030
+    assert_left_safe(ran)
+
+
+class TwoSignals(ScriptedSupervisor):
+    """Both signals arrive in one tick, right after the loop asked one of its questions."""
+
+    def __init__(self, after: str) -> None:
+        super().__init__(INTERRUPTED)
+        self.after = after
+
+    def stop_wanted(self, tick: int) -> Ending | None:
+        wanted = super().stop_wanted(tick)
+        self._arrive("stop_wanted")
+        return wanted
+
+    def abort_wanted(self) -> bool:
+        wanted = super().abort_wanted()
+        self._arrive("abort_wanted")
+        return wanted
+
+    def _arrive(self, question: str) -> None:
+        if question == self.after and self.tick == 2000:
+            self.stop_at = self.abort_at = 0
+
+
+@pytest.mark.parametrize("after", ["stop_wanted", "abort_wanted"])
+def test_two_signals_within_one_tick_are_no_success(after: str) -> None:
+    ran = run(short(), supervisor=TwoSignals(after))
+    assert ran.ending == INTERRUPTED
+    assert ran.journal.ticks[-1].timing.tick in (2000, 2001, 2002)
+    assert_left_safe(ran)
+
+
+def test_a_stop_while_homing_ends_smoothly_too() -> None:
+    ran = homing(supervisor=ScriptedSupervisor(INTERRUPTED, stop_at=100))
+    assert ran.ending == INTERRUPTED
+    assert {record.reference.phase for record in ran.journal.ticks} == {
+        Phase.HOMING,
+        Phase.STOPPING,
+    }
+    assert_left_safe(ran)
+
+
+def test_a_stop_that_is_wanted_from_the_start_leaves_the_law_one_tick() -> None:
+    ran = run(short(), supervisor=ScriptedSupervisor(INTERRUPTED, stop_at=0))
+    assert ran.ending == INTERRUPTED
+    phases = [record.reference.phase for record in ran.journal.ticks]
+    assert phases == [Phase.APPROACH] + [Phase.STOPPING] * (STOP_TICKS - 1)
+
+
+def test_a_fault_during_the_stop_still_trips() -> None:
+    supervisor = ScriptedSupervisor(INTERRUPTED, stop_at=2000)
+    ran = run(short(), fault("pressure_nan", from_tick=2050), supervisor=supervisor)
+    assert ran.ending.code == ExitCode.SAFETY_TRIP
+    assert_left_safe(ran)
+
+
+# --- missed ticks ----------------------------------------------------------------------
+
+
+def test_missed_ticks_are_counted_and_the_measured_dt_is_used_and_tracking_goes_on() -> None:
+    gaps = {at: 1 + n % 4 for n, at in enumerate(range(150, 4000, 170))}
+    late = run(short(), missed=gaps)
+    assert late.ending.code == ExitCode.OK
+    records = late.journal.ticks
+    lost = sum(record.timing.missed for record in records)
+    assert lost > 30
+    assert records[-1].timing.tick + 1 == len(records) + lost
+    for before, record in pairwise(records):
+        gap = record.timing.tick - before.timing.tick
+        assert record.timing.missed == gap - 1
+        assert record.timing.dt_s == pytest.approx(gap * 1e-3, abs=1e-12)
+        assert record.raw.encoder_t_ns == record.timing.tick * MS
+    tracked = late.journal.phase(Phase.TRACK)
+    true_m = [record.truth.true_position_m - record.reference.reference_m for record in tracked]
+    assert max(map(abs, true_m)) < 1.5e-3
+
+
+def test_the_reference_goes_by_time_and_not_by_ticks(undisturbed: Run) -> None:
+    late = run(short(), missed={1500: 40})
+    by_tick = {record.timing.tick: record.reference for record in undisturbed.journal.ticks}
+    for record in late.journal.phase(Phase.TRACK):
+        expected = by_tick[record.timing.tick]
+        assert record.reference.reference_m == pytest.approx(expected.reference_m, abs=1e-15)
+
+
+def test_too_many_missed_ticks_end_with_code_5() -> None:
+    ran = run(short(), missed=dict.fromkeys(range(1500, 4000), 1))
+    assert ran.ending.code == ExitCode.OVERRUNS == 5
+    assert ran.journal.ticks[-1].decision.verdicts == OVERRUNS
+    assert_left_safe(ran)
+
+
+def test_overruns_together_with_worse_end_with_code_4() -> None:
+    ran = run(short(), missed={1500: 120})
+    assert ran.journal.ticks[-1].decision.verdicts == OVERRUNS | STALE_SAMPLE
+    assert ran.ending.code == ExitCode.SAFETY_TRIP
+
+
+def test_a_gap_longer_than_a_sample_may_be_old_is_a_stale_sample() -> None:
+    ran = run(short(), missed={1500: 51})
+    assert ran.ending.code == ExitCode.SAFETY_TRIP
+    assert ran.journal.ticks[-1].decision.verdicts & STALE_SAMPLE
+
+
+# --- what the clock sees ---------------------------------------------------------------
+
+
+class SlowClock:
+    """A real grid in made-up time: a look at the clock costs 10 us, a wake is 30 us late."""
+
+    period_ns = MS
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+        self._tick = -1
+
+    def now_ns(self) -> int:
+        self._now_ns += 10_000
+        return self._now_ns
+
+    def wall_offset_ns(self) -> int:
+        return 0
+
+    def wait(self) -> Any:
+        self._tick += 1
+        deadline_ns = (self._tick + 10) * MS
+        self._now_ns = deadline_ns + 30_000
+        return loop.Wake(self._tick, deadline_ns, self._now_ns, 0)
+
+
+def test_a_record_says_how_late_the_tick_was_and_how_long_its_parts_took() -> None:
+    settings = short(duration_s=0.1)
+    made, journal, clock = parts(settings), MemoryJournal(), SlowClock()
+    made.rig._now_ns = clock.now_ns
+    ending = loop.control(
+        made.whole,
+        clock,
+        setup_of(settings),
+        nominal_zero_of(settings),
+        program_of(settings),
+        journal,
+        ScriptedSupervisor(),
+        lambda: loop.Truth(0.0, 0.0),
+    )
+    assert ending.code == ExitCode.OK
+    for record in journal.ticks:
+        assert record.timing.late_s == pytest.approx(30e-6)
+        assert record.outcome.read_s == pytest.approx(20e-6)
+        assert record.outcome.compute_s == pytest.approx(10e-6)
+        assert record.outcome.write_s == pytest.approx(20e-6)
+        assert record.timing.dt_s == pytest.approx(1e-3)

@@ -1,0 +1,215 @@
+"""The tick: pure, complete on record, and frozen without loss."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import signal
+from support.runs import run_settings
+
+from hal.calibration import Zero
+from hal.rig import RawSample
+from pamctl.control.experiment import held
+from pamctl.realtime.keyframe import frozen, keyframe_fields, thawed
+from pamctl.realtime.tick import TickSetup, TickState, first_state, measure, step
+from pamctl.safety import MEASUREMENT_NOT_FINITE, SENSOR_RANGE
+from pamctl.settings.build import setup_of
+from pamctl.signals import TICK_FIELDS, Decision, Phase, Reference, TickRecord, Timing
+
+NAN = math.nan
+ZERO = Zero(0.2, 1000.0)
+SETUP = setup_of(run_settings())
+
+
+def sample(tick: int, counts: int = 3016, volts: float = 0.9) -> RawSample:
+    return RawSample(volts, counts, tick * 1_000_000, tick * 1_000_000)
+
+
+def timing(tick: int, dt_s: float = 1e-3) -> Timing:
+    return Timing(tick, tick * 1e-3, dt_s, 0.0, 0)
+
+
+def track(position_m: float = 6.4e-3) -> Reference:
+    return Reference(Phase.TRACK, position_m, 0.0, 0.0, 0.0, NAN)
+
+
+def moving(tick: int) -> RawSample:
+    return sample(tick, 3016 + round(40 * math.sin(0.05 * tick)), 0.9 + 0.01 * math.cos(0.3 * tick))
+
+
+def run(
+    ticks: range, state: TickState | None = None, setup: TickSetup = SETUP
+) -> tuple[TickState, list[Decision]]:
+    state = first_state(ZERO, -5.0) if state is None else state
+    found = []
+    for tick in ticks:
+        state, decision = step(setup, state, moving(tick), track(), timing(tick))
+        found.append(decision)
+    return state, found
+
+
+def test_a_tick_is_calibrated_estimated_commanded_and_admitted() -> None:
+    state, decision = step(SETUP, first_state(ZERO, -5.0), sample(0), track(), timing(0))
+    assert state.measurement == measure(SETUP.calibration, ZERO, sample(0))
+    assert state.measurement.position_m == pytest.approx(2016 * 3.175e-6)
+    assert state.measurement.pressure_pa == pytest.approx(101.3e3 + 0.7 / 6.429e-6, rel=1e-5)
+    assert state.estimate.position_filtered_m == pytest.approx(state.measurement.position_m)
+    assert state.estimate.error_m == pytest.approx(2016 * 3.175e-6 - 6.4e-3)
+    assert decision == Decision(state.command.command_v, 0, False)
+    assert state.safety.valve_v == decision.valve_v
+    assert state.zero == ZERO
+
+
+def test_every_stage_remembers_the_tick_before() -> None:
+    before, _ = step(SETUP, first_state(ZERO, -5.0), sample(0), track(), timing(0))
+    after, _ = step(SETUP, before, sample(1, counts=3116), track(), timing(1))
+    passed = after.estimate.position_filtered_m - before.estimate.position_filtered_m
+    # What a 300 Hz Butterworth lets through of a step in its first tick.
+    share = signal.lfilter(*signal.butter(3, 300.0, fs=1000.0), [1.0])[0]
+    assert passed == pytest.approx(100 * 3.175e-6 * share, rel=1e-9)
+    assert after.estimate.error_rate_m_per_s > 0.0
+    gained = after.law.absement_m_s - before.law.absement_m_s
+    assert gained == pytest.approx(after.estimate.error_m * 1e-3, rel=1e-9)
+    assert after.safety.position_m == after.measurement.position_m
+
+
+def test_a_tick_changes_nothing_but_what_it_returns() -> None:
+    """And gives the same answer to the same question, however often it is asked."""
+    state, _ = run(range(50))
+    before = copy.deepcopy(state)
+    answers = [step(SETUP, state, moving(50), track(), timing(50)) for _ in range(3)]
+    assert answers[0] == answers[1] == answers[2]
+    assert state == before
+
+
+def test_a_pressure_that_is_no_number_trips_to_the_safe_command() -> None:
+    state, _ = run(range(50))
+    state, decision = step(SETUP, state, sample(50, volts=NAN), track(), timing(50))
+    assert decision == Decision(SETUP.limits.safe_valve_v, MEASUREMENT_NOT_FINITE, True)
+    _, later = run(range(51, 60), state)
+    assert all(d.tripped and d.valve_v == SETUP.limits.safe_valve_v for d in later)
+
+
+@pytest.mark.parametrize("controller", ["paper-table3-qsmc", "smc", "pid"])
+@given(
+    samples=st.lists(
+        st.tuples(
+            st.integers(-(10**7), 10**7) | st.integers(900, 8000),
+            st.floats() | st.floats(0, 5),
+            st.floats() | st.sampled_from([0.0, 1e-3, -1e-3, 0.02]),
+            st.booleans(),
+        ),
+        max_size=8,
+    )
+)
+def test_whatever_the_sensors_say_the_valve_gets_a_number_it_may_have(controller, samples) -> None:
+    setup = LAWS[controller]
+    state, tripped = first_state(ZERO, -5.0), False
+    for tick, (counts, volts, dt_s, open_loop) in enumerate(samples):
+        reference = held(Phase.OPEN_LOOP, 1.0) if open_loop else track()
+        raw = RawSample(volts, counts, 0, 0)
+        state, decision = step(setup, state, raw, reference, timing(tick, dt_s))
+        assert abs(decision.valve_v) <= 5.0
+        tripped = tripped or decision.tripped
+        assert decision.tripped == tripped
+        if tripped:
+            assert decision.valve_v == setup.limits.safe_valve_v
+
+
+SMC = """law: smc
+length_unit: mm
+lambda_per_s: 200
+q: 1
+kp: 0.1
+eta: 25.4
+phi: 2.54
+lpf2_hz: 185
+"""
+PID = """law: pid
+length_unit: mm
+kp_v_per_length: 2
+ki_v_per_length_s: 10
+kd_v_s_per_length: 0.01
+lpf2_hz: 100
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _laws(tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("controller")
+    LAWS["paper-table3-qsmc"] = SETUP
+    for name, text in (("smc", SMC), ("pid", PID)):
+        path = folder / f"{name}.yaml"
+        path.write_text(text)
+        LAWS[name] = setup_of(run_settings(controller=str(path)))
+
+
+LAWS: dict[str, TickSetup] = {}
+
+
+def test_a_broken_wire_is_noticed_in_raw_volts_whatever_the_zero() -> None:
+    state, decision = first_state(Zero(0.0, 1000.0), -5.0), None
+    for tick in range(30):
+        state, decision = step(SETUP, state, sample(tick, volts=0.05), track(), timing(tick))
+    assert decision is not None
+    assert decision.verdicts & SENSOR_RANGE
+
+
+# --- the record ------------------------------------------------------------------------
+
+
+def test_every_column_of_the_log_has_its_own_name_and_a_plain_type() -> None:
+    names = [field.name for field in TICK_FIELDS]
+    assert len(names) == len(set(names))
+    assert {field.kind for field in TICK_FIELDS} <= {int, float, bool}
+    assert [field.stage for field in TICK_FIELDS] == sorted(
+        (field.stage for field in TICK_FIELDS), key=TickRecord._fields.index
+    )
+
+
+def test_every_physical_column_says_its_unit() -> None:
+    without = {field.name for field in TICK_FIELDS if not field.name.endswith(UNITS)}
+    assert without == {"tick", "missed", "phase", "saturated", "verdicts", "tripped"}
+
+
+UNITS = ("_s", "_s2", "_s3", "_v", "_m", "_pa", "_counts", "_ns")
+
+
+# --- keyframes -------------------------------------------------------------------------
+
+
+def test_a_keyframe_names_each_of_its_numbers_once() -> None:
+    names = keyframe_fields(first_state(ZERO, -5.0))
+    assert len(names) == len(set(names)) == len(frozen(first_state(ZERO, -5.0)))
+    for expected in (
+        "zero.sensor_zero_v",
+        "filters.rate.pole",
+        "law.absement_m_s",
+        "safety.model_pressure_pa",
+        "safety.tripped",
+    ):
+        assert expected in names
+
+
+def test_a_keyframe_holds_each_number_under_its_name() -> None:
+    state, _ = run(range(300))
+    numbers = dict(zip(keyframe_fields(state), frozen(state), strict=True))
+    assert numbers["zero.encoder_zero_counts"] == 1000.0
+    assert numbers["filters.position.pair_level"] == state.filters.position.pair_level
+    assert numbers["law.absement_m_s"] == state.law.absement_m_s != 0.0
+    assert numbers["safety.valve_v"] == state.safety.valve_v
+
+
+@pytest.mark.parametrize("law", ["paper-table3-qsmc", "smc", "pid"])
+def test_a_thawed_state_goes_on_bit_for_bit(law: str) -> None:
+    setup = LAWS[law]
+    middle, _ = run(range(200), setup=setup)
+    again = thawed(middle, frozen(middle))
+    assert again == middle
+    straight = run(range(200, 400), middle, setup)
+    assert run(range(200, 400), again, setup) == straight
+    assert len({d.valve_v for d in straight[1]}) > 100

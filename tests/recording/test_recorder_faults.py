@@ -1,0 +1,429 @@
+"""Whatever dies, fills up or is in the way: no row that was put is lost, no file overwritten."""
+
+from __future__ import annotations
+
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from support.made_up import START_MONO_NS, columns, end, meta, put, recording, tick
+from support.patience import PATIENCE_S
+
+from pamctl.log import info, read
+from pamctl.log.repair.recover import recover
+from pamctl.recording.finish_from_ring import finish_from_ring, recover_orphans
+from pamctl.recording.recorder import RecorderError, await_ready, spawn
+from pamctl.recording.ring import RecorderFlag, Ring, RingError
+
+LONG_AGO_NS = 1
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return tmp_path / "run.mcap"
+
+
+@contextmanager
+def new_ring(log: Path, rows: int = 16384) -> Iterator[Ring]:
+    with Ring.create(log.parent / "pamctl-run.ring", meta(log), rows) as ring:
+        yield ring
+
+
+def put_with_events(ring: Ring, ticks: range) -> None:
+    for index in ticks:
+        if index % 100 == 0:
+            ring.put_event(index, START_MONO_NS, {"event": "mark", "text": "x" * (index % 1300)})
+        put(ring, [index])
+
+
+def assert_complete(log: Path, ticks: int) -> None:
+    """Check that each tick and each event of `put_with_events` is there, once, as it was put."""
+    seen = read(log)
+    assert seen["tick"].tolist() == list(range(ticks))
+    for index in range(0, ticks, 97):
+        assert {name: seen[name][index] for name in seen.columns} == columns(tick(index))
+    assert [event["tick"] for event in seen.events] == list(range(0, ticks, 100))
+    assert all(len(event["text"]) == event["tick"] % 1300 for event in seen.events)
+
+
+# The recorder dies.
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_after_the_recorder_is_killed_the_log_is_complete_to_the_last_tick(log, seed):
+    ticks, moment = 6000, random.Random(seed).uniform(0.0, 0.25)
+    with new_ring(log) as ring, recording(ring) as process:
+        killer = threading.Timer(moment, process.kill)
+        killer.start()
+        put_with_events(ring, range(ticks))
+        killer.join()
+        assert process.wait() == -signal.SIGKILL
+        recovery = finish_from_ring(ring.path)
+        assert not ring.path.exists()
+    assert recovery.lossless
+    assert recovery.messages["/pam/tick"] == ticks
+    assert_complete(log, ticks)
+    assert list(log.parent.iterdir()) == [log]
+
+
+def test_of_a_killed_recorders_file_alone_every_whole_chunk_is_recovered(log):
+    with new_ring(log) as ring, recording(ring) as process:
+        put(ring, range(3000))
+        while not ring.tail:
+            time.sleep(1e-3)
+        put(ring, range(3000, 6000))
+        process.kill()
+        process.wait()
+        in_file = ring.tail  # it moves when a chunk is in the file
+    recovery = recover(log, log.with_name("saved.mcap"))
+    saved = read(log.with_name("saved.mcap"))
+    assert len(saved) >= in_file > 0
+    assert saved["tick"].tolist() == list(range(len(saved)))
+    assert recovery.messages["/pam/tick"] == len(saved)
+    assert not recovery.lossless
+
+
+def test_a_recorder_killed_before_it_had_a_file_costs_nothing(log):
+    with new_ring(log) as ring:
+        put_with_events(ring, range(500))
+        finish_from_ring(ring.path)
+    assert_complete(log, 500)
+
+
+def test_a_log_that_is_finished_twice_has_nothing_twice(log):
+    with new_ring(log) as ring, recording(ring) as process:
+        put_with_events(ring, range(600))
+        time.sleep(0.2)
+        process.kill()
+        process.wait()
+        ring.tail = 0  # as if the recorder had died before it moved the tail
+        finish_from_ring(ring.path)
+    assert_complete(log, 600)
+
+
+FINISH = """
+import sys
+from pamctl.recording.finish_from_ring import finish_from_ring
+import pamctl.recording.rows
+print("ready", flush=True)
+finish_from_ring(sys.argv[1])
+"""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_whoever_finishes_the_log_may_die_too(log, seed):
+    chance = random.Random(seed)
+    with new_ring(log) as ring, recording(ring) as process:
+        put_with_events(ring, range(3000))
+        process.kill()
+        process.wait()
+        for _ in range(3):
+            command = [sys.executable, "-c", FINISH, ring.path]
+            with subprocess.Popen(command, stdout=subprocess.PIPE) as finisher:
+                assert finisher.stdout is not None
+                finisher.stdout.readline()
+                time.sleep(chance.uniform(0, 0.04))
+                finisher.kill()
+        if ring.path.exists():
+            finish_from_ring(ring.path)
+    assert_complete(log, 3000)
+    assert list(log.parent.iterdir()) == [log]
+
+
+DIE_AT_THE_EXCHANGE = """
+import os, signal, sys
+from pathlib import Path
+from pamctl.recording.finish_from_ring import finish_from_ring
+exchange = Path.replace
+def replace(draft, target):
+    if sys.argv[2] == "after":
+        exchange(draft, target)
+    os.kill(os.getpid(), signal.SIGKILL)
+Path.replace = replace
+finish_from_ring(sys.argv[1])
+"""
+
+
+@pytest.mark.parametrize("deaths", [("before", "before"), ("after", "before"), ("after", "after")])
+def test_dying_on_either_side_of_the_exchange_of_the_files_leaves_one_log(log, deaths):
+    with new_ring(log) as ring, recording(ring) as process:
+        put_with_events(ring, range(500))
+        process.kill()
+        process.wait()
+        for death in deaths:
+            command = [sys.executable, "-c", DIE_AT_THE_EXCHANGE, ring.path, death]
+            assert subprocess.run(command).returncode == -signal.SIGKILL
+        finish_from_ring(ring.path)
+    assert_complete(log, 500)
+    assert list(log.parent.iterdir()) == [log]
+
+
+# Others die, or say that it is time.
+
+
+def test_the_recorder_goes_on_without_its_owner_as_long_as_the_loop_does(log):
+    with new_ring(log) as ring, recording(ring) as process:
+        assert process.stdin is not None
+        process.stdin.close()
+        for first in range(0, 1500, 100):
+            put_with_events(ring, range(first, first + 100))
+            time.sleep(0.1)
+        assert process.poll() is None
+        ring.loop_done = 1
+        assert process.wait(PATIENCE_S) == 0
+    assert_complete(log, 1500)
+
+
+def test_the_recorder_finishes_the_log_of_a_loop_that_died_with_its_owner(log):
+    with new_ring(log) as ring, recording(ring) as process:
+        assert process.stdin is not None
+        put_with_events(ring, range(300))
+        process.stdin.close()
+        assert process.wait(PATIENCE_S) == 0
+        assert ring.recorder_flags == RecorderFlag.READY | RecorderFlag.FINISHED
+        assert not ring.path.exists()
+    assert_complete(log, 300)
+
+
+def test_the_recorder_ignores_the_signals_that_end_everyone_else(log):
+    with new_ring(log) as ring, recording(ring) as process:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
+            process.send_signal(number)
+        put_with_events(ring, range(1000))
+        time.sleep(0.1)
+        ring.loop_done = 1
+        assert end(process) == (0, "")
+    assert_complete(log, 1000)
+
+
+def test_the_recorder_shows_that_it_lives_while_there_is_nothing_to_do(log):
+    with new_ring(log) as ring, recording(ring):
+        beats, deadline_s = ring.recorder_beats + 3, time.monotonic() + PATIENCE_S
+        while ring.recorder_beats < beats:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+
+
+def test_a_tick_does_not_wait_for_the_next_one_to_be_in_the_file(log):
+    with new_ring(log) as ring, recording(ring):
+        put_with_events(ring, range(20))
+        deadline_s = time.monotonic() + PATIENCE_S
+        while ring.pending:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+        assert info(log)["ticks"] == 20
+
+
+def test_a_recorder_that_is_behind_loses_nothing_of_a_loop_that_waits_for_it(log):
+    with new_ring(log, rows=64) as ring, recording(ring) as process:
+        put(ring, range(1500))
+        ring.loop_done = 1
+        assert end(process) == (0, "")
+    assert read(log)["tick"].tolist() == list(range(1500))
+
+
+# The log cannot be written.
+
+
+def refused(ring: Ring) -> str:
+    process = spawn(ring.path)
+    with pytest.raises(RecorderError) as refusal:
+        await_ready(ring, process)
+    assert end(process)[0] == 1
+    assert ring.recorder_flags & RecorderFlag.FAILED
+    return str(refusal.value)
+
+
+def test_a_log_is_never_written_over_a_file(log):
+    log.write_bytes(b"precious")
+    with new_ring(log) as ring:
+        put_with_events(ring, range(10))
+        assert "run.mcap exists, and a log is never overwritten" in refused(ring)
+        finish_from_ring(ring.path)
+    assert log.read_bytes() == b"precious"
+    assert_complete(log.with_name("run-recovered.mcap"), 10)
+
+
+def test_a_directory_that_is_missing_or_none_is_named(log):
+    log.write_bytes(b"")
+    for path in (log.parent / "missing" / "run.mcap", log / "run.mcap"):
+        with Ring.create(log.parent / "pamctl-a.ring", meta(path), 64) as ring:
+            assert f"cannot create the log {path}" in refused(ring)
+            ring.unlink()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_directory_that_may_not_be_written_is_named(log):
+    log.parent.joinpath("closed").mkdir(mode=0o555)
+    path = log.parent / "closed" / "run.mcap"
+    with Ring.create(log.parent / "pamctl-a.ring", meta(path), 64) as ring:
+        assert "Permission denied" in refused(ring)
+
+
+def test_a_recorder_without_a_ring_says_so_in_one_line(tmp_path):
+    code, said = end(spawn(tmp_path / "missing.ring"))
+    assert code == 1
+    assert said.count("\n") == 1
+    assert "cannot attach to the ring" in said
+
+
+# The disk is full.
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    if os.geteuid() != 0:
+        pytest.skip("mounting a small disk needs root")
+    mount = tmp_path / "disk"
+    mount.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=8m", "none", mount]
+    if subprocess.run(command, capture_output=True).returncode != 0:
+        pytest.skip("mounting is not permitted here")
+    yield mount
+    subprocess.run(["umount", mount], check=True)
+
+
+def put_until_told_to_stop(ring: Ring) -> int:
+    """Put ticks as a loop does that stops safe on a full disk; return how many."""
+    ticks = 0
+    while not ring.recorder_flags & RecorderFlag.DISK_FULL:
+        put(ring, range(ticks, ticks + 100))
+        ticks += 100
+        assert ticks < 100_000
+    # It takes a while to stop.
+    put(ring, range(ticks, ticks + 1000))
+    ring.loop_done = 1
+    return ticks + 1000
+
+
+def test_on_a_full_disk_the_log_is_whole_to_the_last_tick_of_the_stop(small_disk, tmp_path):
+    log = small_disk / "run.mcap"
+    with Ring.create(tmp_path / "pamctl-a.ring", meta(log), 2048) as ring, recording(ring) as rec:
+        ticks = put_until_told_to_stop(ring)
+        code, said = end(rec)
+    assert code == 3
+    assert "the disk is full" in said
+    assert read(log)["tick"].tolist() == list(range(ticks))
+    assert info(log)["complete"]
+    assert log.stat().st_blocks * 512 < log.stat().st_size + (64 << 10), "the reserve is given back"
+
+
+def test_on_a_disk_without_room_for_the_reserve_no_run_starts(small_disk, tmp_path):
+    log = small_disk / "run.mcap"
+    (small_disk / "hog").write_bytes(bytes(7 << 20))
+    with Ring.create(tmp_path / "pamctl-a.ring", meta(log), 2048) as ring:
+        process = spawn(ring.path)
+        with pytest.raises(RecorderError, match=r"no room for a log at .*No space left"):
+            await_ready(ring, process)
+        assert end(process)[0] == 3
+        assert ring.recorder_flags == RecorderFlag.FAILED | RecorderFlag.DISK_FULL
+    assert not log.exists()
+
+
+def test_at_the_limit_of_a_files_size_the_log_is_whole_too(log):
+    with new_ring(log, rows=512) as ring, recording(ring) as process:
+        limit = 6 << 20
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, limit))
+        ticks = put_until_told_to_stop(ring)
+        assert end(process)[0] == 3
+    assert read(log)["tick"].tolist() == list(range(ticks))
+
+
+def test_when_even_the_reserve_is_lost_the_rows_stay_in_the_ring(log):
+    with new_ring(log) as ring, recording(ring) as process:
+        put_with_events(ring, range(2000))
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+        put_with_events(ring, range(2000, 5000))
+        code, said = end(process)
+        assert code == 3
+        assert "File too large" in said
+        assert f"rows are kept in {ring.path}" in said
+        assert ring.recorder_flags & RecorderFlag.FAILED
+        finish_from_ring(ring.path)
+    assert_complete(log, 5000)
+
+
+# All at once.
+
+
+def orphan(directory: Path, name: str, log: Path, ticks: int) -> Path:
+    """Leave a ring behind as a run does that was killed as a whole."""
+    path = directory / f"pamctl-{name}.ring"
+    with Ring.create(path, meta(log), 4096) as ring, recording(ring) as process:
+        put_with_events(ring, range(ticks))
+        process.kill()
+        process.wait()
+        ring.loop_beat_ns = LONG_AGO_NS
+    return path
+
+
+def test_the_next_start_finishes_the_logs_of_runs_that_were_killed_as_a_whole(tmp_path):
+    for name in "ab":
+        orphan(tmp_path, name, tmp_path / f"{name}.mcap", 700)
+    found = recover_orphans(tmp_path)
+    assert [(o.ring.name, o.problem) for o in found] == [
+        ("pamctl-a.ring", ""),
+        ("pamctl-b.ring", ""),
+    ]
+    assert list(tmp_path.glob("*.ring")) == []
+    for name in "ab":
+        assert_complete(tmp_path / f"{name}.mcap", 700)
+
+
+def test_a_ring_that_someone_holds_is_left_alone(tmp_path):
+    with Ring.create(tmp_path / "pamctl-a.ring", meta(tmp_path / "a.mcap"), 64) as ring:
+        ring.loop_beat_ns = LONG_AGO_NS
+        assert recover_orphans(tmp_path) == []
+        assert ring.path.exists()
+
+
+def test_a_ring_whose_loop_still_lives_is_left_alone(tmp_path):
+    with Ring.create(tmp_path / "pamctl-a.ring", meta(tmp_path / "a.mcap"), 64) as ring:
+        pass
+    assert recover_orphans(tmp_path) == []
+    assert ring.path.exists()
+
+
+def test_a_ring_that_goes_while_the_others_are_looked_at_is_no_problem(tmp_path, monkeypatch):
+    ended = tmp_path / "pamctl-a.ring"  # of a run that ended after the directory was read
+    there = orphan(tmp_path, "b", tmp_path / "b.mcap", 300)
+    monkeypatch.setattr(Path, "glob", lambda *_: [ended, there])
+    (found,) = recover_orphans(tmp_path)
+    assert (found.ring, found.problem) == (there, "")
+
+
+def test_a_bad_ring_is_reported_and_does_not_keep_the_others_from_being_saved(tmp_path):
+    (tmp_path / "pamctl-a.ring").write_bytes(b"\0" * 10_000)
+    orphan(tmp_path, "c", tmp_path / "c.mcap", 300)
+    bad, good = recover_orphans(tmp_path)
+    assert "not a ring" in bad.problem
+    assert good.problem == ""
+    assert_complete(tmp_path / "c.mcap", 300)
+
+
+def test_a_log_that_cannot_be_finished_stays_where_it_is_with_its_ring(tmp_path):
+    (tmp_path / "logs").mkdir()
+    path = orphan(tmp_path, "a", tmp_path / "logs" / "a.mcap", 300)
+    (tmp_path / "logs").rename(tmp_path / "moved")
+    (found,) = recover_orphans(tmp_path)
+    assert f"{tmp_path / 'logs'} is gone; make it again" in found.problem
+    assert found.problem.endswith(f"or give the log up: rm {path}")
+    assert path.exists()
+    (tmp_path / "moved").rename(tmp_path / "logs")
+    (found,) = recover_orphans(tmp_path)
+    assert found.problem == ""
+    assert_complete(tmp_path / "logs" / "a.mcap", 300)
+
+
+def test_finishing_a_ring_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(RingError, match="cannot attach"):
+        finish_from_ring(tmp_path / "missing.ring")

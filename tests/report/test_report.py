@@ -1,0 +1,207 @@
+"""Reports: one page for any log, which a browser shows without a word of complaint."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.browser import look, printed
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+from pamctl.log import read
+from pamctl.log.importing.imported_log import write_imported
+from pamctl.report.compose import report
+from pamctl.report.html_page import Page
+from pamctl.report.reported_run import runs_of
+from pamctl.report.svg import Axis, Plot
+
+HOSTILE = "<script>alert('x')</script>"
+
+
+def run_to(path: Path, *options: str) -> Path:
+    """A real run in simulation, in a process of its own as always."""
+    command = ["run", "--fast", "--quiet", "--log", str(path), *options]
+    result = CliRunner().invoke(app, command)
+    assert path.exists(), result.output
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("logs")
+
+
+@pytest.fixture(scope="module")
+def minute(folder: Path) -> Path:
+    """Experiment 1 with the paper's qSMC: more than 60 s."""
+    return run_to(
+        folder / "minute.mcap", "--experiment", "tracking-1", "--controller", "paper-table3-qsmc"
+    )
+
+
+@pytest.fixture(scope="module")
+def tripped(folder: Path) -> Path:
+    return run_to(folder / "tripped.mcap", "--controller", "paper-table3-smc")
+
+
+@pytest.fixture(scope="module")
+def square(folder: Path) -> Path:
+    return run_to(folder / "square.mcap", "--experiment", "square-2", "--duration", "2")
+
+
+@pytest.fixture(scope="module")
+def imported(folder: Path) -> Path:
+    t_s = np.arange(3000) * 1e-3
+    write_imported(
+        folder / "imported.mcap",
+        t_s,
+        {"pressure_pa": 2e5 + 1e4 * np.sin(t_s)},
+        {"source": HOSTILE},
+    )
+    return folder / "imported.mcap"
+
+
+def page_of(*paths: Path) -> str:
+    return report([read(path) for path in paths]).html()
+
+
+def test_the_page_of_a_minute_stays_below_a_megabyte_and_holds_the_whole_story(minute):
+    html = page_of(minute)
+    assert len(html.encode()) < 1_000_000
+    for heading in ("Summary", "Motion", "Law", "Filters", "Timing", "Safety", "Events"):
+        assert f">{heading}</h2>" in html
+    assert "paper&#x27;s qSMC on its rig, tracking-1" in html
+    assert "lambda_per_s: 10.0" in html
+
+
+def test_the_figures_of_the_page_are_those_of_the_run(minute):
+    log = read(minute)
+    counted = np.isin(log["phase"], (2, 3))
+    error_um = (log["position_m"] - log["reference_m"])[counted] * 1e6
+    html = page_of(minute)
+    assert f"{np.abs(error_um).max():.1f}</td>" in html
+    assert f"{np.sqrt(np.mean(error_um**2)):.1f}</td>" in html
+
+
+def test_a_trip_is_told_with_its_reason_and_its_time(tripped):
+    html = page_of(tripped)
+    assert "Ended with exit code 4" in html
+    at_s = read(tripped)["t_s"][-1] - read(tripped)["t_s"][runs_of([read(tripped)])[0].shown][0]
+    assert re.search(rf"trip</td>.*tracking error above its limit.*{at_s:.3f}", html)
+
+
+def test_an_open_loop_log_has_no_law_and_says_that_nothing_was_tracked(square):
+    html = page_of(square)
+    assert "Nothing was tracked" in html
+    assert ">Law</h2>" not in html
+    assert ">Displacement <" in html
+
+
+def test_an_imported_log_shows_what_it_has_and_its_source_stays_a_text(imported):
+    html = page_of(imported)
+    assert ">Pressure <" in html
+    assert ">Displacement <" not in html
+    assert "<script" not in html
+    assert "&lt;script&gt;" in html
+    _, after = html.split("Time between samples", 1)
+    (left, right), *others = re.findall(r"M(\d+) [^VH]*V\d+H(\d+)V\d+z", after)
+    assert int(right) - int(left) >= 50  # equal steps are a bar that can be seen, and the only one
+    assert not others
+
+
+def test_a_log_without_ticks_and_one_with_a_single_tick_are_reported_in_words(folder, imported):
+    log = read(imported)
+    for count in (0, 1):
+        columns = {name: values[:count] for name, values in log.columns.items()}
+        short = type(log)(**{**vars(log), "columns": columns, "time_ns": log.time_ns[:count]})
+        html = report([short]).html()
+        words = "holds no tick" if count == 0 else "Too few ticks"
+        assert words in html
+
+
+def test_several_runs_share_a_page_a_time_axis_and_a_table_of_what_differs(minute, tripped, square):
+    html = page_of(minute, tripped, square)
+    assert "3 runs side by side" in html
+    assert re.search(r"<td>controller.lambda_per_s</td>.*?10.*?225", html)
+    assert html.count(">Displacement <") == 3  # three experiments, three time axes
+
+
+def test_gains_that_changed_in_the_run_are_told_with_their_time(square):
+    log = read(square)
+    later = {**log.gains[0], "lambda_per_s": 12.5, "tick": 3000}
+    html = report([type(log)(**{**vars(log), "gains": [log.gains[0], later]})]).html()
+    (row,) = re.findall(r"<td[^>]*>lambda_per_s</td><td[^>]*>([\d.]+)</td><td[^>]*>12.5</td>", html)
+    assert float(row) == log.gains[0]["lambda_per_s"]
+
+
+def test_a_run_that_never_tracked_does_not_hide_one_that_did(tripped, folder):
+    good = run_to(folder / "good.mcap", "--duration", "9")
+    assert read(tripped).config["experiment"] == read(good).config["experiment"]
+    html = page_of(good, tripped)
+    assert "is cut at the axis" in html
+    assert "is cut at the axis" not in page_of(tripped)
+
+
+def test_logs_of_the_same_name_are_told_apart_by_their_folders(folder, square):
+    twin = folder / "elsewhere"
+    twin.mkdir()
+    (twin / square.name).write_bytes(square.read_bytes())
+    names = [run.name for run in runs_of([read(square), read(twin / square.name)])]
+    assert names == ["square", "elsewhere/square"]
+
+
+def test_a_damaged_log_is_refused_with_the_way_out(folder, square):
+    broken = folder / "broken.mcap"
+    broken.write_bytes(square.read_bytes()[:-4000])
+    result = CliRunner().invoke(app, ["report", str(broken)])
+    assert result.exit_code == 65
+    assert "pamctl log recover" in result.output
+    assert not broken.with_suffix(".html").exists()
+
+
+def test_the_command_names_the_page_and_its_size(folder, square):
+    target = folder / "the page.html"
+    result = CliRunner().invoke(app, ["report", str(square), "--out", str(target), "--json"])
+    assert result.exit_code == 0
+    found = json.loads(result.stdout)
+    assert found["page"] == str(target)
+    assert found["bytes"] == target.stat().st_size
+
+
+@pytest.mark.parametrize("which", ["minute", "tripped", "imported"])
+def test_a_phone_shows_the_page_without_complaint_and_without_scrolling_sideways(
+    which, request, tmp_path
+):
+    page = tmp_path / "report.html"
+    page.write_text(page_of(request.getfixturevalue(which)))
+    found, console, asked = look(page, tmp_path, width=390)
+    assert console == []
+    assert set(asked) <= {"/look.html", "/page.html", "/favicon.ico"}
+    assert found["outside"] == []
+    assert found["needed"] <= found["width"] <= 390
+    assert found["plots"] > 0
+    assert found["smallest"] >= 11.0  # px: a plot's words do not shrink with it
+
+
+def test_the_look_sees_what_is_wrong_with_a_page(tmp_path):
+    page = tmp_path / "report.html"
+    wrong = Page("wrong")
+    wrong.figure(Plot("p", Axis("x"), Axis("y")).line([0.0, 1.0], [0.0, 1.0]))
+    bad = '<div style="width:900px">wide</div><img src="picture.png"></main>'
+    page.write_text(wrong.html().replace("</main>", bad))
+    found, console, _ = look(page, tmp_path, width=390)
+    assert found["outside"]
+    assert any("Content Security Policy" in line for line in console)
+
+
+def test_the_page_prints_with_its_folded_texts(minute, tmp_path):
+    page = tmp_path / "report.html"
+    page.write_text(page_of(minute))
+    document = printed(page, tmp_path)
+    assert document.startswith(b"%PDF")
+    pages = len(re.findall(rb"/Type\s*/Page\b", document))
+    assert 4 <= pages <= 20

@@ -1,0 +1,576 @@
+"""From names, files and overrides to settings, and every error in the user's words."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import settings as examples
+from hypothesis import strategies as st
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError, model_validator
+from typer.testing import CliRunner
+
+from hal.configured import Configured
+from pamctl.cli.config import config_app
+from pamctl.settings.problems import ConfigError
+from pamctl.settings.resolve import (
+    DEFAULT_NAMES,
+    SECTIONS,
+    Raw,
+    RunSettings,
+    check,
+    config_dir,
+    find,
+    from_resolved,
+    names,
+    resolve,
+    schema,
+    to_json,
+    to_yaml,
+    validated,
+)
+
+SCHEMA_LINE = "# yaml-language-server: $schema=../pamctl.schema.json"
+
+
+# --- a toy with every shape that a settings model may take -------------------------------
+
+
+class Sliding(Configured):
+    law: Literal["sliding"]
+    lambda_per_s: float = Field(gt=0, le=1000)
+    limit_v: float = Field(default=5.0, ge=0)
+    pressure_pa: float = 1e5
+    taps: tuple[float, float] = (0.0, 1.0)
+    cutoff_hz: float | Literal["auto"] = "auto"
+    cycles: int = 1
+    literal: bool = True
+    notes: str | None = None
+    offsets_v: dict[str, float] = Field(default={})
+
+
+class Pid(Configured):
+    law: Literal["pid"] = "pid"
+    kp_v_per_m: float = 1.0
+
+
+class Limits(Configured):
+    low_m: float = Field(default=0.0, ge=-1, le=1)
+    high_m: float = 1.0
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Limits:
+        if self.low_m >= self.high_m:
+            raise ValueError("low_m must lie below high_m")
+        return self
+
+
+class Toy(Configured):
+    controller: Annotated[Sliding | Pid, Field(discriminator="law")]
+    limits: Limits | None = None
+    steps: list[Limits] = Field(default=[])
+
+
+TOY = TypeAdapter(Toy)
+
+
+@pytest.fixture(autouse=True)
+def _in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def toy_problems(text: str, *overrides: str) -> list[str]:
+    Path("my.yaml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        toy(Raw.read(Path("my.yaml")), *overrides)
+    return str(caught.value).splitlines()
+
+
+def toy(raw: Raw, *overrides: str) -> Toy:
+    for override in overrides:
+        raw.override(override)
+    return validated(TOY, raw)
+
+
+SLIDING = "controller:\n  law: sliding\n  lambda_per_s: 225\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("limit_v: -2", "limit_v: must be at least 0 (got -2)"),
+        ("limit_v: .nan", "limit_v: must be a finite number (got .nan)"),
+        ("limit_v: -.inf", "limit_v: must be a finite number (got -.inf)"),
+        ("limit_v: true", "limit_v: must be a number (got true)"),
+        ("limit_v:", "limit_v: must be a number (got nothing)"),
+        ("limit_v: '5'", "limit_v: must be a number (got '5'); leave out the quotes"),
+        ("limit_v: 2,5", "limit_v: must be a number (got '2,5'); write the decimals after a point"),
+        (
+            "limit_v: 5 V",
+            "limit_v: must be a number (got '5 V'); a bare number, in the unit that the key names",
+        ),
+        ("limit_v: {a: 1}", "limit_v: must be a number (got a mapping)"),
+        ("cycles: 1.5", "cycles: must be a whole number (got 1.5)"),
+        ("cycles: true", "cycles: must be a whole number (got true)"),
+        (
+            "literal: on",
+            "literal: must be true or false (got 'on'); YAML 1.2 knows only true and false",
+        ),
+        ("notes: 3", "notes: must be text (got 3)"),
+        ("taps: [1, 2, 3]", "taps: must hold at most 2 items (got 3)"),
+        ("taps: [1]", "taps: must hold more than 1 items"),
+        ("taps: [1, x]", "taps.1: must be a number (got 'x')"),
+        ("taps: 1", "taps: must be a list (got 1)"),
+        ("cutoff_hz: fast", "cutoff_hz: must be a number or 'auto' (got 'fast')"),
+        ("offsets_v: {a: b}", "offsets_v.a: must be a number (got 'b')"),
+        ("offsets_v:", "offsets_v: must be a mapping of keys to values (got nothing); leave the"),
+        ("limitv: 1", "limitv: unknown key; did you mean 'limit_v'?"),
+        ("lamda: 1", "lamda: unknown key; did you mean 'lambda_per_s'?"),
+        (
+            "pressure_kpa: 1",
+            "pressure_kpa: unknown key; did you mean 'pressure_pa'? The unit is part of the name",
+        ),
+        ("pressure: 1", "pressure: unknown key; did you mean 'pressure_pa'? The unit is part of"),
+        ("zzz: 1", "zzz: unknown key; there are law, lambda_per_s, limit_v, pressure_pa, taps,"),
+    ],
+)
+def test_a_bad_value_is_one_line_with_its_place_and_what_was_expected(
+    line: str, problem: str
+) -> None:
+    (said,) = toy_problems(f"{SLIDING}  {line}\n")
+    assert said.startswith("my.yaml:4:")
+    assert f": controller.{problem}" in said
+
+
+def test_the_bound_of_a_field_is_named_with_the_line_of_the_value() -> None:
+    assert toy_problems(SLIDING.replace("225", "-225")) == [
+        "my.yaml:3:3: controller.lambda_per_s: must be greater than 0 (got -225)"
+    ]
+
+
+def test_a_key_with_another_unit_is_one_problem_not_an_unknown_and_a_missing_one() -> None:
+    assert toy_problems("controller:\n  law: sliding\n  lambda_hz: 35\n") == [
+        "my.yaml:3:3: controller.lambda_hz: unknown key; "
+        "did you mean 'lambda_per_s'? The unit is part of the name"
+    ]
+
+
+def test_a_missing_key_is_placed_at_the_mapping_it_is_missing_from() -> None:
+    assert toy_problems("limits: {}\ncontroller:\n  law: sliding\n") == [
+        "my.yaml:2:1: controller.lambda_per_s: missing, and has no default"
+    ]
+
+
+def test_an_unknown_or_missing_tag_of_a_union_lists_the_choices() -> None:
+    assert toy_problems("controller:\n  law: slidin\n") == [
+        "my.yaml:2:3: controller.law: must be 'sliding' or 'pid' (got 'slidin')"
+    ]
+    assert toy_problems("controller: {}\n") == [
+        "my.yaml:1:1: controller.law: missing; it must be 'sliding' or 'pid'"
+    ]
+    assert toy_problems("controller: 3\n") == [
+        "my.yaml:1:1: controller: must be a mapping of keys to values (got 3)"
+    ]
+
+
+def test_a_rule_between_keys_speaks_for_itself_at_the_mapping() -> None:
+    assert toy_problems(f"{SLIDING}limits:\n  low_m: 1\n  high_m: 0\n") == [
+        "my.yaml:4:1: limits: low_m must lie below high_m"
+    ]
+
+
+def test_problems_in_lists_are_placed_at_the_item() -> None:
+    assert toy_problems(f"{SLIDING}steps:\n  - low_m: 0\n  - low_m: 9\n    hihg_m: 1\n") == [
+        "my.yaml:6:5: steps.1.low_m: must be at most 1 (got 9)",
+        "my.yaml:7:5: steps.1.hihg_m: unknown key; did you mean 'high_m'?",
+    ]
+
+
+def test_all_problems_of_a_file_come_at_once_in_the_order_of_its_lines() -> None:
+    lines = toy_problems(f"{SLIDING}  cycles: x\n  limit_v: -1\nlimits: 3\nstep: []\n")
+    assert [line.split(": ")[0] for line in lines] == [
+        "my.yaml:4:3",
+        "my.yaml:5:3",
+        "my.yaml:6:1",
+        "my.yaml:7:1",
+    ]
+
+
+JARGON = ("input", "Input", "extra", "permitted", "instance", "tag", "Field required", "model")
+
+
+@given(
+    data=st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats() | st.text("abc1. ", max_size=5),
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(
+                st.sampled_from(
+                    [
+                        "controller",
+                        "law",
+                        "limits",
+                        "steps",
+                        "low_m",
+                        "taps",
+                        "cutoff_hz",
+                        "offsets_v",
+                        "q",
+                    ]
+                ),
+                inner | st.sampled_from(["sliding", "pid"]),
+                max_size=4,
+            )
+        ),
+        max_leaves=12,
+    )
+)
+@examples(max_examples=300, deadline=None)
+def test_pydantics_jargon_never_reaches_the_user(data: Any) -> None:
+    mapping = data if isinstance(data, dict) else {"controller": data}
+    try:
+        toy(Raw(mapping, {(): "my.yaml:1:1"}))
+    except ConfigError as error:
+        said = str(error)
+    else:
+        return
+    assert not [word for word in JARGON if word in said]
+    assert all(line.startswith("my.yaml:1:1: ") for line in said.splitlines())
+
+
+# --- overrides ---------------------------------------------------------------------------
+
+
+def test_an_override_takes_a_scalar_or_a_flow_value_and_makes_the_mappings_on_its_way() -> None:
+    made = toy(
+        Raw.parse(f"{SLIDING}steps: [{{low_m: 0}}]\n", Path("my.yaml")),
+        "controller.lambda_per_s=1e1",
+        "controller.taps=[3, 4]",
+        "limits.low_m=-0.5",
+        "steps.0={low_m: 0.25}",
+        "controller.notes=a = b",
+    )
+    assert isinstance(made.controller, Sliding)
+    assert made.controller.lambda_per_s == 10.0
+    assert made.controller.taps == (3.0, 4.0)
+    assert made.controller.notes == "a = b"
+    assert made.limits == Limits(low_m=-0.5)
+    assert made.steps == [Limits(low_m=0.25)]
+
+
+@pytest.mark.parametrize(
+    ("override", "problem"),
+    [
+        ("controller.lambda_per_s=0", "controller.lambda_per_s: must be greater than 0 (got 0)"),
+        ("controller.lamda_per_s=1", "controller.lamda_per_s: unknown key; did you mean 'lambda_p"),
+        ("controler.limit_v=1", "controler: unknown key; did you mean 'controller'?"),
+        ("limits.low_m=7", "limits.low_m: must be at most 1 (got 7)"),
+        ("limits={low_m: 7}", "limits.low_m: must be at most 1 (got 7)"),
+        ("controller.law.x=1", "controller.law.x: 'controller.law' holds no keys"),
+        ("steps.3.low_m=0", "steps.3.low_m: 'steps' has no item 3; it holds 0"),
+        ("controller.taps=[1", "controller.taps: a bracket or brace is never closed"),
+        ("controller", "must read KEY=VALUE, as in controller.lambda_per_s=12"),
+        ("controller..x=1", "must read KEY=VALUE, as in controller.lambda_per_s=12"),
+    ],
+)
+def test_a_bad_override_is_blamed_itself_and_not_the_file(override: str, problem: str) -> None:
+    (said,) = toy_problems(f"{SLIDING}steps: []\n", override)
+    assert said.startswith(f"--set {override}: {problem}")
+
+
+# --- round trip --------------------------------------------------------------------------
+
+
+@given(
+    st.floats(1e-300, 1000, exclude_min=True),
+    st.floats(0, allow_infinity=False),
+    st.text(st.characters(exclude_categories=["Cs"])),
+)
+@examples(deadline=None)
+def test_settings_come_back_equal_from_yaml_and_from_json(
+    rate: float, limit: float, notes: str
+) -> None:
+    gains = Sliding(law="sliding", lambda_per_s=rate, limit_v=limit, notes=notes)
+    made = Toy(controller=gains, steps=[Limits(low_m=1e-05)])
+    for text in (to_yaml(made), to_json(made)):
+        assert toy(Raw.parse(text, Path("log"))) == made
+
+
+# --- the shipped files -------------------------------------------------------------------
+
+
+def shipped() -> Iterator[Path]:
+    for section in SECTIONS:
+        yield from sorted((config_dir() / section).glob("*.yaml"))
+
+
+def test_every_shipped_file_names_the_schema_and_is_valid() -> None:
+    assert list(shipped())
+    for path in shipped():
+        assert path.read_text().splitlines()[0] == SCHEMA_LINE, path
+        assert check(path) == path.parent.name
+
+
+def test_every_section_ships_its_default() -> None:
+    for section, name in DEFAULT_NAMES.items():
+        assert name in names(section)
+
+
+def test_the_committed_schema_equals_the_generated_one() -> None:
+    committed = json.loads((config_dir() / "pamctl.schema.json").read_text())
+    assert committed == schema(), "run: pamctl config schema > config/pamctl.schema.json"
+
+
+def test_every_reference_within_the_schema_leads_somewhere() -> None:
+    text = json.dumps(schema())
+    used = {part.split('"')[0] for part in text.split('"#/$defs/')[1:]}
+    assert used <= set(schema()["$defs"])
+    assert len(schema()["anyOf"]) > len(SECTIONS)
+
+
+def _models(model: type[BaseModel], seen: set[type[BaseModel]]) -> set[type[BaseModel]]:
+    """Every settings model that can be reached from one, through unions and containers."""
+
+    def within(annotation: Any) -> None:
+        is_model = isinstance(annotation, type) and issubclass(annotation, BaseModel)
+        if is_model and annotation not in seen:
+            _models(annotation, seen)
+        for argument in getattr(annotation, "__args__", ()):
+            within(argument)
+
+    seen.add(model)
+    for field in model.model_fields.values():
+        within(field.annotation)
+    return seen
+
+
+def test_where_none_is_allowed_it_is_the_default_so_that_it_need_not_be_written() -> None:
+    for model in _models(RunSettings, set()):
+        for name, field in model.model_fields.items():
+            if type(None) in getattr(field.annotation, "__args__", ()):
+                assert field.default is None, f"{model.__name__}.{name}"
+
+
+def test_the_default_of_a_nested_model_is_that_models_own() -> None:
+    """Or an override of one of its keys would silently change the others."""
+    for model in _models(RunSettings, set()):
+        for name, field in model.model_fields.items():
+            default = field.get_default(call_default_factory=True, validated_data={})
+            if isinstance(default, BaseModel):
+                assert default == type(default)(), f"{model.__name__}.{name}"
+
+
+def test_every_settings_model_is_frozen_and_refuses_unknown_keys() -> None:
+    for model in _models(RunSettings, set()):
+        assert issubclass(model, Configured), model.__name__
+
+
+# --- resolving a run ---------------------------------------------------------------------
+
+
+def test_a_run_told_nothing_is_the_default_run_and_comes_back_equal_from_its_log() -> None:
+    run = resolve()
+    assert run == from_resolved(to_yaml(run)) == from_resolved(to_json(run))
+    assert run.seed == 0
+    with pytest.raises(ValidationError):
+        run.seed = 1  # type: ignore[misc]
+
+
+@given(st.floats(1e-300, 1e300), st.integers(0, 2**63))
+@examples(max_examples=20, deadline=None)
+def test_numbers_of_a_run_come_back_to_the_bit(duration_s: float, seed: int) -> None:
+    run = default_run().model_copy(update={"duration_s": duration_s, "seed": seed})
+    assert from_resolved(to_yaml(run)) == run
+
+
+@cache
+def default_run() -> RunSettings:
+    return resolve()
+
+
+def test_options_and_overrides_reach_the_run() -> None:
+    run = resolve(seed=7, duration_s=2.5, fast=True, rt="off", overrides=["rig.safe_volts=5"])
+    assert (run.seed, run.duration_s, run.fast, run.rt) == (7, 2.5, True, "off")
+    assert run.rig.safe_volts == 5
+
+
+def test_a_bad_option_is_blamed_by_its_name() -> None:
+    with pytest.raises(ConfigError) as caught:
+        resolve(seed=-1, duration_s=0.0, rt="always")
+    assert str(caught.value).splitlines() == [
+        "--seed -1: seed: must be at least 0 (got -1)",
+        "--duration 0.0: duration_s: must be greater than 0 (got 0.0)",
+        "--rt always: rt: must be 'auto', 'require' or 'off' (got 'always')",
+    ]
+
+
+def test_problems_of_several_files_come_at_once() -> None:
+    Path("my.yaml").write_text("base: papr\n")
+    Path("other.yaml").write_text("backend: nidaq\n")
+    with pytest.raises(ConfigError) as caught:
+        resolve(plant="my.yaml", rig="other.yaml")
+    assert str(caught.value).splitlines() == [
+        "other.yaml:1:1: rig.safe_volts: missing, and has no default "
+        "(output V that is safe: 0 vents, driver_offset_v holds)",
+        "my.yaml:1:1: plant.base: must be 'paper' (got 'papr')",
+    ]
+    with pytest.raises(ConfigError) as caught:
+        resolve(plant="none.yaml", controller="nobody")
+    assert [problem.where for problem in caught.value.problems] == [
+        "--controller nobody",
+        "none.yaml",
+    ]
+
+
+def test_an_unknown_name_gets_the_nearest_and_the_list() -> None:
+    with pytest.raises(ConfigError) as caught:
+        find("plant", "papr")
+    assert str(caught.value).startswith(
+        "--plant papr: there is no such plant; did you mean 'paper'? There are paper"
+    )
+    with pytest.raises(ConfigError, match="there is no such controller"):
+        resolve(controller="")  # an empty shell variable is not the default
+    assert find("plant", "paper") == config_dir() / "plant" / "paper.yaml"
+    assert find("plant", "here/paper") == Path("here/paper")
+
+
+def test_a_resolved_configuration_that_no_longer_fits_names_itself() -> None:
+    with pytest.raises(ConfigError) as caught:
+        from_resolved('{"seed": -1}', "run.mcap")
+    assert "run.mcap: seed: must be at least 0 (got -1)" in str(caught.value).splitlines()
+
+
+def test_a_files_kind_is_told_by_its_folder_or_by_its_keys() -> None:
+    Path("rig").mkdir()
+    for name, text in {
+        "rig/mine.yaml": "backend: sim\n",
+        "plant.yaml": "base: paper\n",
+        "motion.yaml": "kind: tracking\ncycles: 1\n",
+        "resolved.yaml": to_yaml(default_run()),
+    }.items():
+        Path(name).write_text(text)
+    kinds = [check(Path(name)) for name in ("rig/mine.yaml", "plant.yaml", "motion.yaml")]
+    assert kinds == ["rig", "plant", "experiment"]
+    assert check(Path("resolved.yaml")) == "run"
+    Path("what.yaml").write_text("colour: red\n")
+    with pytest.raises(ConfigError, match=r"what\.yaml: cannot tell what this configures"):
+        check(Path("what.yaml"))
+
+
+def test_a_file_with_its_sections_heading_is_told_to_drop_it() -> None:
+    Path("plant").mkdir()
+    Path("plant/mine.yaml").write_text("plant:\n  base: paper\n")
+    with pytest.raises(ConfigError) as caught:
+        check(Path("plant/mine.yaml"))
+    assert str(caught.value) == (
+        "plant/mine.yaml:1:1: plant.plant: unknown key; "
+        "a plant's keys stand in its file without this heading"
+    )
+
+
+def test_settings_load_without_the_heavy_packages() -> None:
+    heavy = ["numpy", "scipy", "numba", "matplotlib", "mcap", "nidaqmx"]
+    code = f"import sys, pamctl.settings.resolve; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+# --- the command ---------------------------------------------------------------------------
+
+
+def config(*arguments: str) -> tuple[int, str, str]:
+    done = CliRunner().invoke(config_app, list(arguments))
+    return done.exit_code, done.stdout, done.stderr
+
+
+def test_config_check_says_ok_of_every_shipped_file() -> None:
+    code, out, err = config("check")
+    assert code == 0
+    assert err == ""
+    assert [line.rpartition(": ")[2] for line in out.splitlines()] == [
+        f"ok ({path.parent.name})" for path in shipped()
+    ]
+
+
+def test_config_check_lists_problems_and_exits_with_78() -> None:
+    Path("bad.yaml").write_text("base: papr\n")
+    Path("good.yaml").write_text("base: paper\n")
+    code, out, _ = config("check", "bad.yaml", "good.yaml", "none.yaml")
+    assert code == 78
+    assert out.splitlines() == [
+        "bad.yaml:1:1: plant.base: must be 'paper' (got 'papr')",
+        "good.yaml: ok (plant)",
+        "none.yaml: no such file",
+    ]
+    code, out, _ = config("check", "--json", "bad.yaml", "good.yaml")
+    assert code == 78
+    bad, good = json.loads(out)
+    assert (good["file"], good["kind"], good["ok"]) == ("good.yaml", "plant", True)
+    assert bad["problems"] == [
+        {"where": "bad.yaml:1:1", "key": "plant.base", "message": "must be 'paper' (got 'papr')"}
+    ]
+
+
+def test_config_show_prints_what_the_run_would_use() -> None:
+    options = ("--set", "plant.parameters.mass_kg=0.1", "--seed", "3")
+    expected = resolve(overrides=["plant.parameters.mass_kg=0.1"], seed=3)
+    for form in ((), ("--json",)):
+        code, out, _ = config("show", *options, *form)
+        assert code == 0
+        assert from_resolved(out) == expected
+
+
+def test_config_show_knows_the_backend_as_run_does() -> None:
+    code, out, _ = config("show", "--backend", "nidaq", "--json")
+    assert code == 0
+    assert from_resolved(out) == resolve(rig="pci6221")
+    code, _, err = config("show", "--backend", "sim", "--rig", "pci6221")
+    assert code == 2
+    assert "for the backend nidaq" in err
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        (
+            "controller.law=pid",
+            "for 'qsmc' and has its keys; choose another file with --controller",
+        ),
+        ("rig.backend=nidaq", "choose another file with --rig (pci6221, sim)"),
+        ("experiment.kind=steps", "choose another file with --experiment"),
+    ],
+)
+def test_a_law_a_backend_and_a_kind_of_experiment_belong_to_their_files(
+    override: str, says: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        resolve(overrides=[override])
+    (problem,) = caught.value.problems
+    assert says in problem.message
+    key, _, value = override.partition("=")
+    chosen = {"controller.law": "qsmc", "rig.backend": "sim", "experiment.kind": "tracking"}
+    resolve(overrides=[f"{key}={chosen[key]}"])  # what the file says already may be said again
+    assert value not in chosen.values()
+
+
+def test_config_show_keeps_problems_off_stdout() -> None:
+    code, out, err = config("show", "--set", "plant.parameters.mass_kg=-1")
+    assert (code, out) == (78, "")
+    assert err == (
+        "--set plant.parameters.mass_kg=-1: plant.parameters.mass_kg: "
+        "must be greater than 0 (got -1)\n"
+    )
+    assert config("show", "--no-such-option")[0] == 2
+
+
+def test_config_schema_prints_the_schema() -> None:
+    code, out, _ = config("schema")
+    assert code == 0
+    assert json.loads(out) == schema()

@@ -1,0 +1,195 @@
+"""The machine-code twins of the kernels: the same values, and stale code never."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import pamctl.compiled
+from pamctl.compiled import compiled
+from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.paper.valve import orifice_flow
+from pamctl.plant.parameters import PlantState, vented
+from pamctl.plant.step import plant_advance, plant_step
+
+VALVE_109_HZ = {"valve_spool": {"time_constant_s": 1 / (2 * math.pi * 109), "damping_ratio": 0.7}}
+OVERDAMPED = {"valve_spool": {"time_constant_s": 2e-3, "damping_ratio": 1.5}}
+
+
+def command_v(tick: int) -> float:
+    """A square of 2 Hz, then small sines with rests: every branch of the plant."""
+    if tick < 500:
+        return 5.0 if tick % 500 < 250 else -5.0
+    return 0.0 if tick // 100 % 3 == 2 else 1.5 * math.sin(0.02 * tick)
+
+
+@pytest.mark.parametrize("effects", [{}, VALVE_109_HZ, OVERDAMPED])
+def test_a_second_of_the_plant_is_the_same_to_the_bit(effects: dict[str, dict[str, float]]) -> None:
+    """Both call the same libm, and numba fuses no multiplication with an addition unasked.
+
+    Where another platform's compiler brings its own exp or pow, this may have to become a
+    relative tolerance of some 1e-15.
+    """
+    p = plant_parameters(PlantSettings(effects=effects))
+    twin = compiled(plant_advance)
+    plain_state = twin_state = vented(p)
+    for tick in range(1000):
+        plain_state = plant_advance(p, plain_state, command_v(tick), 1e-3, 0.5e-3)
+        twin_state = twin(p, twin_state, command_v(tick), 1e-3, 0.5e-3)
+        assert tuple(twin_state) == tuple(plain_state), tick
+    assert plain_state.position_m > 1e-3
+
+
+def test_a_twin_returns_the_kernels_own_types() -> None:
+    p = plant_parameters(PlantSettings())
+    state = compiled(plant_advance)(p, vented(p), 1.0, 1e-3, 1e-3)
+    assert type(state) is PlantState
+
+
+def test_a_kernel_has_one_twin() -> None:
+    assert compiled(plant_advance) is compiled(plant_advance)
+
+
+def test_a_kernel_that_another_one_calls_can_be_called_from_python_too() -> None:
+    """The cache keeps both kinds of its code apart."""
+    p = plant_parameters(PlantSettings())
+    state = compiled(plant_advance)(p, vented(p), 1.0, 1e-3, 1e-3)
+    assert compiled(plant_step)(p, vented(p), 1.0, 1e-3) == state
+
+
+def test_a_twin_raises_where_the_kernel_does() -> None:
+    """Numba's own way would be a silent infinity."""
+    p = plant_parameters(PlantSettings())
+    for flow in (orifice_flow, compiled(orifice_flow)):
+        with pytest.raises(ZeroDivisionError):
+            flow(p.paper, 0.0, 1e5)
+
+
+def test_compiling_leaves_the_plain_function_plain() -> None:
+    before = plant_advance.__globals__["plant_step"]
+    compiled(plant_advance)
+    assert plant_advance.__globals__["plant_step"] is before
+    assert type(before).__name__ == "function"
+
+
+# --- the cache --------------------------------------------------------------------------------
+
+PACKAGE = Path(pamctl.compiled.__file__).parent
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A copy of all our sources."""
+    only_sources = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(PACKAGE, tmp_path / "pamctl", ignore=only_sources)
+    shutil.copytree(PACKAGE.parent / "hal", tmp_path / "hal", ignore=only_sources)
+    return tmp_path
+
+
+def digest(checkout: Path) -> str:
+    """What a copy's own `compiled.py` says of the sources of the closed loop."""
+    spec = importlib.util.spec_from_file_location(
+        "compiled_of_a_copy", checkout / "pamctl" / "compiled.py"
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return str(module._sources_digest("pamctl.simulate.closed_loop"))
+
+
+def test_the_cache_is_keyed_by_every_source_that_a_kernel_can_depend_on(checkout: Path) -> None:
+    """Kernels call each other across files: numba by itself would keep a caller's stale code."""
+    unchanged = digest(checkout)
+    assert unchanged == digest(checkout)
+    seen = {unchanged}
+    for changed in (
+        "pamctl/plant/paper/valve.py",
+        "pamctl/plant/effects/valve/valve_spool.py",
+        "pamctl/control/qsmc.py",
+        "hal/calibration.py",
+    ):
+        with (checkout / changed).open("a") as source:
+            source.write("# another line\n")
+        seen.add(digest(checkout))
+    assert len(seen) == 5
+
+
+def test_what_no_kernel_can_reach_leaves_the_cache_alone(checkout: Path) -> None:
+    before = digest(checkout)
+    for changed in ("pamctl/cli/run.py", "pamctl/log/writer.py"):
+        with (checkout / changed).open("a") as source:
+            source.write("# another line\n")
+    assert digest(checkout) == before
+
+
+class Compiled(NamedTuple):
+    risen_pa: float
+    compiled_now: int
+
+
+ONE_STEP = """
+from pamctl.compiled import compiled
+from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.paper.pressure import pressure_step
+
+p = plant_parameters(PlantSettings()).paper
+twin = compiled(pressure_step)
+pressure_pa = begin_pa = p.atmospheric_pressure_pa
+for _ in range(50):
+    pressure_pa = twin(p, pressure_pa, pressure_pa, 1.0, 0.0, 0.0, 0.5e-3)
+print(pressure_pa - begin_pa, sum(twin.stats.cache_misses.values()))
+"""
+
+
+def one_step(checkout: Path, cache: Path) -> Compiled:
+    """Fill the muscle for 25 ms in a process of its own."""
+    run = subprocess.run(
+        [sys.executable, "-c", ONE_STEP],
+        env={**os.environ, "XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(checkout)},
+        cwd=checkout,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    risen_pa, misses = run.stdout.split()
+    return Compiled(float(risen_pa), int(misses))
+
+
+def test_the_next_process_finds_the_machine_code_unless_a_called_kernel_changed(
+    checkout: Path, tmp_path: Path
+) -> None:
+    cache = tmp_path / "cache"
+    first = one_step(checkout, cache)
+    again = one_step(checkout, cache)
+    assert (first.compiled_now, again.compiled_now) == (1, 0)
+    assert again.risen_pa == first.risen_pa
+    assert {folder.name[:8] for folder in (cache / "pamctl").iterdir()} == {"kernels-"}
+
+    # `pressure_step` is in pressure.py, which stays as it is.
+    valve = checkout / "pamctl" / "plant" / "valve.py"
+    half = valve.read_text().replace("p.valve_gain_m2_per_v * abs(", "0.5 * abs(1e-6 * ")
+    assert half != valve.read_text()
+    valve.write_text(half)
+    after = one_step(checkout, cache)
+    assert after.compiled_now == 1
+    assert 0.0 < after.risen_pa < 0.8 * first.risen_pa
+
+
+# --- who must do without ------------------------------------------------------------------------
+
+
+def test_the_loop_process_imports_nothing_heavy() -> None:
+    """It starts in a blink, and a page fault of a megabyte of machine code cannot hit a tick."""
+    heavy = {"numba", "llvmlite", "scipy", "numpy", "nidaqmx", "mcap", "matplotlib"}
+    code = f"import sys, pamctl.processes.loop_main; print(sorted({heavy} & sys.modules.keys()))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"

@@ -1,0 +1,130 @@
+"""A browser that is told what to do: Chromium's own protocol, over a pair of pipes."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import select
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from support.browser import PATIENCE_S, browser
+
+
+class Page:
+    """One tab, and everything that was asked for and said in it."""
+
+    def __init__(self, sends: int, hears: int) -> None:
+        self._sends, self._hears = sends, hears
+        self._buffer = b""
+        self._last_id = 0
+        self._session = ""
+        self.events: list[dict[str, Any]] = []
+        target = self._call("Target.createTarget", url="about:blank")["targetId"]
+        attached = self._call("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self._call(f"{domain}.enable")
+
+    def _call(self, method: str, **params: Any) -> Any:
+        self._last_id += 1
+        request = {"id": self._last_id, "method": method, "params": params}
+        if self._session:
+            request["sessionId"] = self._session
+        os.write(self._sends, json.dumps(request).encode() + b"\0")
+        deadline_s = time.monotonic() + PATIENCE_S
+        while True:
+            message = self._message(deadline_s)
+            if message.get("id") == self._last_id:
+                assert "error" not in message, (method, message["error"])
+                return message["result"]
+            self.events.append(message)
+
+    def _message(self, deadline_s: float) -> dict[str, Any]:
+        while b"\0" not in self._buffer:
+            assert time.monotonic() < deadline_s, "the browser does not answer"
+            if select.select([self._hears], [], [], 0.5)[0]:
+                piece = os.read(self._hears, 1 << 20)
+                assert piece, "the browser has gone"
+                self._buffer += piece
+        line, _, self._buffer = self._buffer.partition(b"\0")
+        message: dict[str, Any] = json.loads(line)
+        return message
+
+    def open(self, address: str, *, width: int, height: int) -> None:
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        self._call("Emulation.setDeviceMetricsOverride", **size)
+        self._call("Page.navigate", url=address)
+
+    def value(self, expression: str) -> Any:
+        """Evaluate JavaScript in the page; a promise is waited for."""
+        asked = {"expression": expression, "returnByValue": True, "awaitPromise": True}
+        answer = self._call("Runtime.evaluate", **asked)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def wait_for(self, expression: str) -> None:
+        """Evaluate until it is true; a page that is not there yet is not an error."""
+        tolerant = f"(() => {{ try {{ return {expression} }} catch {{ return false }} }})()"
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not self.value(tolerant):
+            assert time.monotonic() < deadline_s, (
+                expression,
+                self.value("document.body.innerText"),
+            )
+            time.sleep(0.05)
+
+    def click(self, selector: str) -> None:
+        """Press and release the left button in the middle of an element."""
+        where = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
+        x, y = self.value(f"(b => [b.x + b.width / 2, b.y + b.height / 2])({where})")
+        for kind in ("mousePressed", "mouseReleased"):
+            self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def screenshot(self, path: Path) -> None:
+        path.write_bytes(base64.b64decode(self._call("Page.captureScreenshot")["data"]))
+
+    @property
+    def complaints(self) -> list[str]:
+        """What stood on the console, errors of the network and of the security policy included."""
+        wanted = ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded")
+        return [json.dumps(e["params"]) for e in self.events if e.get("method") in wanted]
+
+    @property
+    def asked(self) -> list[str]:
+        """All addresses that were asked for."""
+        sent = [e for e in self.events if e.get("method") == "Network.requestWillBeSent"]
+        return [event["params"]["request"]["url"] for event in sent]
+
+
+@contextmanager
+def page(folder: Path) -> Iterator[Page]:
+    """Start a browser with one tab; end it."""
+    its_input, our_output = os.pipe()
+    our_input, its_output = os.pipe()
+    # The protocol's pipes are file descriptors 3 and 4.
+    script = f'exec "$@" 3<&{its_input} 4>&{its_output}'
+    command = [
+        browser(), "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+        "--no-first-run", "--remote-debugging-pipe", f"--user-data-dir={folder / 'profile'}",
+    ]  # fmt: skip
+    process = subprocess.Popen(
+        ["bash", "-c", script, "bash", *command],
+        pass_fds=(its_input, its_output),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(its_input)
+    os.close(its_output)
+    try:
+        yield Page(our_output, our_input)
+    finally:
+        process.terminate()
+        process.wait(PATIENCE_S)
+        os.close(our_output)
+        os.close(our_input)

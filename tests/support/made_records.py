@@ -1,0 +1,77 @@
+"""Short records of a muscle in which something is hidden, for the tests of the diagnosis."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pamctl.control.excitation import ProgramSettings, commands
+from pamctl.diagnose import Record
+from pamctl.plant.drive import drive_coupled
+from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.flat import parameters_of
+
+COUNT_M = 25.4e-3 / 8000.0
+PERIOD_S = 1e-3
+REST = {"wave": "hold", "valve_v": -5, "duration_s": 0.6}
+VENT = {**REST, "duration_s": 0.4}
+PROGRAMS = {
+    "fit": [
+        REST,
+        {"wave": "square", "frequency_hz": 1.25, "amplitude_v": 5, "cycles": 2},
+        {"wave": "hold", "valve_v": 2, "duration_s": 0.12},
+        {"wave": "staircase", "levels_v": [0.2, 0.5, 1.0], "hold_s": 0.1},
+        {
+            "wave": "multisine",
+            "low_hz": 0.5,
+            "high_hz": 40,
+            "amplitude_v": 2.5,
+            "duration_s": 3,
+        },
+    ],
+    "judge": [
+        REST,
+        {"wave": "square", "frequency_hz": 1, "amplitude_v": 4, "cycles": 1},
+        {
+            "wave": "multisine",
+            "low_hz": 0.7,
+            "high_hz": 50,
+            "amplitude_v": 1.5,
+            "bias_v": 0.1,
+            "duration_s": 3,
+        },
+    ],
+    "squares": [REST, {"wave": "square", "frequency_hz": 1, "amplitude_v": 5, "cycles": 4}],
+}
+
+
+def command_v(program: str) -> np.ndarray:
+    """Sample a program's command at 1 kHz."""
+    held = commands(ProgramSettings(kind="program", parts=PROGRAMS[program]))
+    return np.concatenate([np.full(round(h.duration_s / PERIOD_S), h.valve_v) for h in held])
+
+
+def measured(program: str, seed: int = 0, **hidden: float) -> Record:
+    """Run a program on the paper's muscle with `hidden` numbers, `__` for a dot, finely stepped."""
+    truth = parameters_of({name.replace("__", "."): value for name, value in hidden.items()})
+    command = command_v(program)
+    driven = drive_coupled(truth, command, PERIOD_S, steps=16)
+    random = np.random.default_rng(seed)
+    noisy = driven.pressure_pa + random.normal(0.0, 300.0, len(command))
+    counts = np.floor(driven.position_m / COUNT_M + random.uniform())
+    return Record(
+        f"{program}-{seed}",
+        np.arange(len(command)) * PERIOD_S,
+        valve_v=command,
+        pressure_pa=np.round(noisy / 47.5) * 47.5,
+        position_m=counts * COUNT_M,
+    )
+
+
+def pair(**hidden: float) -> tuple[list[Record], list[Record]]:
+    """Return what to fit on and what to judge by."""
+    return [measured("fit", 1, **hidden)], [measured("judge", 2, **hidden)]
+
+
+def all_but(*names: str) -> set[str]:
+    """Leave out the rest of the catalogue, where a test does not need it."""
+    return {*CATALOGUE} - {*names}

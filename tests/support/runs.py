@@ -1,0 +1,139 @@
+"""Runs in memory, shared by the tests of the loop and of what it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from hal.faulty import FaultSettings, FaultyRig
+from hal.sim.sim_rig import Plant, SimRig, sensor_chain
+from pamctl.exit_codes import Ending
+from pamctl.plant.model import plant_parameters
+from pamctl.plant.simulated import SimulatedPlant
+from pamctl.realtime.clock import VirtualClock
+from pamctl.realtime.loop import control
+from pamctl.settings.build import nominal_zero_of, program_of, setup_of
+from pamctl.settings.resolve import RunSettings, resolve
+from pamctl.signals import Phase, TickRecord, Truth
+
+MS = 1_000_000
+COUNT_M = 25.4e-3 / 8000.0
+AO_STEP_V = 20.0 / 65536.0
+
+
+def run_settings(*overrides: str, **choices: Any) -> RunSettings:
+    """Return the settings of a simulated run without a clock, under the paper's own gains."""
+    return resolve(
+        **{"controller": "paper-table3-qsmc", "fast": True, **choices}, overrides=overrides
+    )
+
+
+@dataclass
+class MemoryJournal:
+    """Keeps everything, and loses nothing."""
+
+    ticks: list[TickRecord] = field(default_factory=list)
+    events: list[tuple[int, Mapping[str, object]]] = field(default_factory=list)
+    keyframes: list[tuple[int, Sequence[float]]] = field(default_factory=list)
+
+    def put_tick(self, record: TickRecord) -> None:
+        self.ticks.append(record)
+
+    def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
+        self.events.append((tick, event))
+
+    def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
+        self.keyframes.append((tick, state))
+
+    def no_more_ticks(self) -> None:
+        pass
+
+    def named(self, name: str) -> list[Mapping[str, object]]:
+        """Return the events of one name."""
+        return [event for _, event in self.events if event["event"] == name]
+
+    def phase(self, phase: Phase) -> list[TickRecord]:
+        """Return the ticks of one phase."""
+        return [record for record in self.ticks if record.reference.phase == phase]
+
+
+@dataclass
+class ScriptedSupervisor:
+    """Wants what the test wants, from given ticks on; None is never."""
+
+    ending: Ending | None = None
+    stop_at: int | None = None
+    abort_at: int | None = None
+    tick: int = -1
+
+    def abort_wanted(self) -> bool:
+        self.tick += 1  # asked once in every tick
+        return self.abort_at is not None and self.tick >= self.abort_at
+
+    def stop_wanted(self, tick: int) -> Ending | None:
+        return self.ending if self.stop_at is not None and tick >= self.stop_at else None
+
+
+class Run(NamedTuple):
+    """A run that is over, and all that it left behind."""
+
+    ending: Ending
+    journal: MemoryJournal
+    rig: SimRig
+    plant: Plant
+
+
+class Faulted(NamedTuple):
+    """The parts of a run that has not begun: a rig inside its faults."""
+
+    rig: SimRig
+    whole: FaultyRig
+    plant: Plant
+    clock: VirtualClock
+
+
+def parts(
+    settings: RunSettings,
+    faults: Sequence[FaultSettings] = (),
+    missed: Mapping[int, int] | None = None,
+    plant: Plant | None = None,
+) -> Faulted:
+    """Build the simulated rig of a run, so that a test can look behind its wires."""
+    clock = VirtualClock(MS, missed)
+    plant = plant or SimulatedPlant(plant_parameters(settings.plant))
+    sim = settings.rig.sim  # type: ignore[union-attr]
+    rig = SimRig(
+        plant,
+        sensor_chain(sim, settings.rig.calibration),
+        safe_output_v=settings.rig.safe_volts,
+        now_ns=clock.now_ns,
+        output_delay_ticks=sim.output_delay_ticks,
+        seed=settings.seed,
+    )
+    return Faulted(rig, FaultyRig(rig, faults), plant, clock)
+
+
+def run(
+    settings: RunSettings,
+    *faults: FaultSettings,
+    missed: Mapping[int, int] | None = None,
+    supervisor: ScriptedSupervisor | None = None,
+    journal: MemoryJournal | None = None,
+    wrap: Callable[[FaultyRig], Any] = lambda rig: rig,
+    plant: Plant | None = None,
+) -> Run:
+    """Run the loop to its end, on the settings' plant or another one."""
+    made = parts(settings, faults, missed, plant)
+    journal = journal or MemoryJournal()
+    ending = control(
+        wrap(made.whole),
+        made.clock,
+        setup_of(settings),
+        nominal_zero_of(settings),
+        program_of(settings),
+        journal,
+        supervisor or ScriptedSupervisor(),
+        lambda: Truth(made.plant.position_m, made.plant.pressure_pa),
+    )
+    return Run(ending, journal, made.rig, made.plant)

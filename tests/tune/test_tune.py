@@ -1,0 +1,340 @@
+"""Gains by search: the same seed gives the same gains, whatever happens on the way."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pamctl.control.experiment import segments
+from pamctl.control.law import law_gains, respond
+from pamctl.control.surface import ARMED
+from pamctl.plant.model import PlantSettings
+from pamctl.settings.resolve import check, resolve, to_data
+from pamctl.signals import Estimate, Phase, Reference
+from pamctl.simulate.batch import tracked
+from pamctl.tune import Jury, Member, Search, SearchError, Trial, ensemble, fixed_members
+from pamctl.tune.gains_search import cost_of
+from pamctl.tune.gains_trial import SHORT, Verdict
+from pamctl.tune.plant_ensemble import OFF_BY, UNSURE, holds_the_farthest_point
+from pamctl.tune.search_space import SPACES
+
+PID = resolve(controller="pid").controller
+PAPER = fixed_members([("paper", resolve().plant)])
+BEFORE_PAPER = Jury((), 1.0, tuple(PAPER))
+
+# --- the plants ----------------------------------------------------------------------
+
+
+def test_the_same_seed_draws_the_same_plants_and_a_larger_ensemble_only_adds() -> None:
+    assert ensemble(8, 3)[:5] == ensemble(5, 3)
+    assert ensemble(5, 3) != ensemble(5, 4)
+
+
+def test_no_parameter_is_further_off_than_promised_and_each_plant_can_do_the_experiments() -> None:
+    nominal = PlantSettings().parameters
+    members = ensemble(40, 0)
+    for name in UNSURE:
+        found = [getattr(m.plant.parameters, name) / getattr(nominal, name) for m in members]
+        assert 1.0 - OFF_BY <= min(found) < 0.9
+        assert 1.1 < max(found) <= 1.0 + OFF_BY
+    assert all(holds_the_farthest_point(m.plant) for m in members)
+
+
+def test_a_drawn_plant_is_the_same_after_a_journey() -> None:
+    members = ensemble(3, 1)
+    assert pickle.loads(pickle.dumps(members)) == members
+
+
+def test_a_muscle_too_weak_for_the_upper_set_point_is_known_as_such() -> None:
+    weak = {"parameters": {"tank_pressure_pa": 200e3}}
+    assert not holds_the_farthest_point(PlantSettings.model_validate(weak))
+    assert holds_the_farthest_point(PlantSettings())
+
+
+# --- the trial -----------------------------------------------------------------------
+
+
+def test_the_whole_trial_says_what_the_paper_s_experiments_say() -> None:
+    verdict = Trial("whole").verdict(PID, PAPER[0])
+    for number, experiment in (("1", "tracking-1"), ("2", "tracking-2")):
+        found = tracked(resolve(controller="pid", experiment=experiment))
+        assert found is not None
+        assert verdict.figures_um[f"max {number}"] == found.max_m * 1e6
+        assert verdict.figures_um[f"RMS {number}"] == found.rms_m * 1e6
+    assert verdict.is_inside
+
+
+def test_the_short_trial_ranks_gains_as_the_whole_one_does() -> None:
+    """It is what the search goes by."""
+    weak = [PID.model_copy(update={"kp_v_per_length": kp}) for kp in (9.5, 3.0, 1.0, 0.3)]
+    short, whole = (
+        [Trial(length).verdict(gains, PAPER[0]).worst for gains in weak]  # type: ignore[arg-type]
+        for length in ("short", "whole")
+    )
+    assert sorted(short) == short
+    assert sorted(whole) == whole
+    assert np.corrcoef(np.log(short), np.log(whole))[0, 1] > 0.95
+
+
+def test_trials_take_as_long_as_they_say_and_the_short_one_rests_as_long_as_the_paper() -> None:
+    """A steady error counted too early asks for an integral that hunts."""
+    experiments = [resolve(experiment=f"tracking-{number}").experiment for number in (1, 2)]
+    assert SHORT.rest_s == experiments[0].rest_s  # type: ignore[union-attr]
+    assert Trial("short").duration_s == sum(s.duration_s for s in segments(SHORT))
+    both = [s.duration_s for experiment in experiments for s in segments(experiment)]
+    assert Trial("whole").duration_s == pytest.approx(sum(both))
+
+
+def test_gains_that_trip_cost_more_than_any_that_do_not() -> None:
+    wild = PID.model_copy(update={"kp_v_per_length": 100.0, "kd_v_s_per_length": 2.0})
+    verdict = Trial().verdict(wild, Member("delayed", PAPER[0].plant, output_delay_ticks=1))
+    assert verdict.worst > 5.0
+    assert not verdict.is_inside
+
+
+# --- the space -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", SPACES)
+@given(data=st.data())
+def test_every_point_is_a_controller_that_can_be_written_and_read(
+    law: str, data: st.DataObject
+) -> None:
+    space = SPACES[law]
+    point = np.array([data.draw(st.floats(low, high)) for low, high in space.bounds])
+    controller = space.controller(point)
+    gains = space.gains(point)
+    assert {name: to_data(controller)[name] for name in gains if name != "model"} == {
+        name: value for name, value in gains.items() if name != "model"
+    }
+    assert space.point(gains) == pytest.approx(point, abs=2e-3)
+
+
+@pytest.mark.parametrize("law", SPACES)
+def test_a_sought_stiffness_is_what_the_law_answers_an_error_with(law: str) -> None:
+    """So that all laws are sought between the same bounds of it."""
+    point = SPACES[law].usual
+    sought = dict(zip((axis.name for axis in SPACES[law].axes), 10.0**point, strict=True))
+    gains = law_gains(SPACES[law].controller(point))
+    resting = Reference(Phase.REST, 11.81e-3, 0.0, 0.0, 0.0, np.nan)
+    half_filled_pa = 0.5 * (441.3e3 + 101.3e3)
+    short_of_it = Estimate(11.8e-3, half_filled_pa, -0.01e-3, 0.0, 0.0)
+    command, _ = respond(gains, ARMED, resting, short_of_it, 1e-9)
+    stiffness = sought.get("stiffness_v_per_mm", sought.get("kp_v_per_length"))
+    assert command.command_v == pytest.approx(0.01 * stiffness, rel=0.01)
+
+
+def answer_v(controller: Any, rate_m_per_s: float, acceleration_m_per_s2: float) -> float:
+    """Return a law's command to an error that changes, at mid-stroke, half filled."""
+    resting = Reference(Phase.REST, 11.8e-3, 0.0, 0.0, 0.0, np.nan)
+    estimate = Estimate(11.8e-3, 271e3, 0.0, rate_m_per_s, acceleration_m_per_s2)
+    return respond(law_gains(controller), ARMED, resting, estimate, 1e-9)[0].command_v
+
+
+def test_with_the_mass_of_table_i_smc_undamps_and_with_the_sought_one_it_damps() -> None:
+    """f-hat cancels the muscle's own damping: why the mass is sought."""
+    sought = SPACES["smc"].controller(SPACES["smc"].usual)
+    of_table_i = sought.model_copy(update={"model": PlantSettings()})
+    assert answer_v(of_table_i, -1e-3, 0.0) < 0.0 < answer_v(sought, -1e-3, 0.0)
+    assert answer_v(of_table_i, 0.0, -0.1) < 0.0 < answer_v(sought, 0.0, -0.1)
+
+
+# --- the jury ------------------------------------------------------------------------
+
+
+class Told(Trial):
+    """A trial whose verdicts are known beforehand: a plant's name is its ratio."""
+
+    def verdict(self, controller: object, member: Member) -> Verdict:
+        return Verdict(float(member.name), "told", {}, 0.0)
+
+
+def called(*ratios: float) -> tuple[Member, ...]:
+    return tuple(Member(str(ratio), PAPER[0].plant) for ratio in ratios)
+
+
+def test_gains_cost_the_worst_named_plant_and_a_quantile_of_the_drawn_ones() -> None:
+    jury = Jury(called(*range(11)), 0.9, called(20, 30))
+    found = cost_of(PID, np.inf, jury, Told(), range(11))
+    assert found.value == 30.0 + 9.0
+    assert found.runs == 13
+
+
+def test_plants_are_spared_once_it_is_certain_that_the_gains_are_beyond_the_limit() -> None:
+    jury = Jury(called(1, 1, 1, 5, 5, 5, 1, 1, 1, 1, 1), 0.9, called(1))
+    in_order = cost_of(PID, 4.0, jury, Told(), range(11))
+    hardest_first = cost_of(PID, 4.0, jury, Told(), [5, 4, 3, 0, 1, 2, 6, 7, 8, 9, 10])
+    assert (in_order.value, in_order.runs) == (6.0, 1 + 5)
+    assert (hardest_first.value, hardest_first.runs) == (6.0, 1 + 2)
+    assert cost_of(PID, 0.5, jury, Told(), range(11)).runs == 1
+
+
+@given(
+    drawn=st.lists(st.integers(1, 9), min_size=1, max_size=12),
+    named=st.lists(st.integers(1, 9), max_size=3),
+    quantile=st.floats(0.5, 1.0),
+    limit=st.floats(0.5, 20.0),
+    data=st.data(),
+)
+def test_sparing_plants_never_changes_who_wins(
+    drawn: list[int], named: list[int], quantile: float, limit: float, data: st.DataObject
+) -> None:
+    jury = Jury(called(*drawn), quantile, called(*named))
+    order = data.draw(st.permutations(range(len(drawn))))
+    whole = cost_of(PID, np.inf, jury, Told(), range(len(drawn)))
+    raced = cost_of(PID, limit, jury, Told(), order)
+    assert raced.value <= whole.value
+    assert (raced.value <= limit) == (whole.value <= limit)
+    assert raced.value > limit or raced == whole._replace(ratios=raced.ratios)
+
+
+# --- the search ----------------------------------------------------------------------
+
+
+def search(state: Path | None = None, seed: int = 1) -> Search:
+    return Search("pid", BEFORE_PAPER, seed, state=state)
+
+
+@pytest.fixture(scope="module")
+def three_generations() -> list[float]:
+    going = search()
+    return [going.advance().cost for _ in range(3)]
+
+
+def test_it_gets_better_and_never_worse(three_generations: list[float]) -> None:
+    assert three_generations == sorted(three_generations, reverse=True)
+    assert three_generations[-1] < 1.0
+
+
+def test_in_several_processes_or_threads_it_finds_the_same(three_generations: list[float]) -> None:
+    going = search()
+    with ThreadPoolExecutor(2) as executor:
+        assert [going.advance(executor).cost for _ in range(2)] == three_generations[:2]
+
+
+def test_interrupted_and_resumed_it_goes_on_as_if_nothing_had_happened(
+    three_generations: list[float], tmp_path: Path
+) -> None:
+    state = tmp_path / "search.json"
+    before = search(state)
+    before.advance()
+    before.advance()
+    after = search(state)
+    assert after.generation == 2
+    assert after.best.gains == before.best.gains
+    assert after.advance().cost == three_generations[2]
+
+
+def test_another_search_s_state_is_refused(tmp_path: Path) -> None:
+    state = tmp_path / "search.json"
+    search(state).advance()
+    with pytest.raises(SearchError, match="another search"):
+        search(state, seed=2)
+    heavier = PlantSettings.model_validate({"parameters": {"mass_kg": 0.06}})
+    with pytest.raises(SearchError, match="another search"):
+        changed = Jury((), 1.0, tuple(fixed_members([("paper", heavier)])))
+        Search("pid", changed, 1, state=state)
+    state.write_text("{")
+    with pytest.raises(SearchError, match="no search"):
+        search(state)
+
+
+# --- the command ---------------------------------------------------------------------
+
+
+def tune(*options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pamctl", "tune", *options]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd)
+
+
+def test_the_file_says_how_it_was_made_and_can_be_run(tmp_path: Path) -> None:
+    small = ["--plant", "paper", "--generations", "1", "--jobs", "1"]
+    made = tune("--law", "pid", *small, "--out", "mine.yaml", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    text = (tmp_path / "mine.yaml").read_text()
+    assert "pamctl tune --law pid --plant paper --generations 1 --jobs 1 --out mine.yaml" in text
+    assert check(tmp_path / "mine.yaml") == "controller"
+    assert yaml.safe_load(text)["law"] == "pid"
+    assert "pid, named plants: 1 of 1 inside" in made.stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.yaml"]
+
+
+def test_given_gains_are_scored_and_nothing_is_written(tmp_path: Path) -> None:
+    made = tune("--check", "pid", "--plant", "paper", "--jobs", "1", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    said = "pid, named plants: 1 of 1 inside every bound of Table IV (100.0 %)"
+    assert made.stdout.startswith(said)
+    assert not list(tmp_path.iterdir())
+
+
+def test_drawn_plants_find_their_way_into_other_processes(tmp_path: Path) -> None:
+    which = ["--ensemble", "16", "--held-out", "2", "--plant", "paper"]
+    made = tune("--check", "pid", *which, "--jobs", "2", "--json", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    found = json.loads(made.stdout)["scores"]
+    ratios = [Trial("whole").verdict(PID, member).worst for member in ensemble(2, 1_000_003)]
+    assert found["fresh"]["plants"] == 2
+    assert found["fresh"]["worst"] == max(ratios)
+    assert found["named"]["plants"] == found["named"]["inside"] == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--out", "x.yaml"], "--law: must be one of"),
+        (["--law", "lqr", "--out", "x.yaml"], "--law lqr: must be one of"),
+        (["--law", "pid"], "--out: where shall the gains go"),
+        (["--law", "pid", "--out", "there.yaml"], "never overwritten"),
+        (["--law", "pid", "--out", "no/where.yaml"], "no directory"),
+        (["--law", "pid", "--out", "x.yaml", "--plant", "papier"], "did you mean 'paper'"),
+        (["--law", "pid", "--out", "x.yaml", "--start", "qsmc"], "gains of qsmc"),
+        (["--law", "pid", "--out", "x.yaml", "--start", "nope"], "--start nope: there is no such"),
+        (["--check", "pid", "--out", "x.yaml"], "for --out: belongs to a search: with --check"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(tmp_path: Path, options: list[str], said: str) -> None:
+    (tmp_path / "there.yaml").write_text("")
+    made = tune(*options, cwd=tmp_path)
+    assert made.returncode == 2
+    assert said in made.stderr
+
+
+def test_ctrl_c_keeps_the_best_so_far_and_the_search(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pamctl", "tune", "--law", "pid", "--plant", "paper"]
+    process = subprocess.Popen(
+        [*command, "--generations", "1000", "--out", "mine.yaml"],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        cwd=tmp_path,
+    )
+    deadline_s = time.monotonic() + 120
+    while not (tmp_path / "mine.search.json").exists():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 130, said
+    assert check(tmp_path / "mine.yaml") == "controller"
+    assert (tmp_path / "mine.search.json").exists()
+    assert b"without mine.yaml the same command goes on from mine.search.json" in said
+    assert not _children_of(process.pid)
+
+
+def _children_of(pid: int) -> list[str]:
+    listed = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True
+    )
+    return listed.stdout.split()

@@ -13,7 +13,7 @@ class Converter(NamedTuple):
     levels: float = 65536.0
 
 
-def converted_v(converter: Converter, volts: float) -> float:
+def quantise_v(converter: Converter, volts: float) -> float:
     """Return the voltage of the nearest code; half a step below full scale at the most."""
     full_scale_v, levels = converter
     step = 2.0 * full_scale_v / levels
@@ -33,16 +33,16 @@ class Output(NamedTuple):
     highest_v: float
 
 
-def within(converter: Converter, low_v: float, high_v: float) -> Output:
+def make_output(converter: Converter, low_v: float, high_v: float) -> Output:
     """Return an output whose range is that of the outermost codes between two voltages."""
     step = 2.0 * converter.full_scale_v / converter.levels
     return Output(
         converter,
-        converted_v(converter, math.ceil(low_v / step) * step),
-        converted_v(converter, math.floor(high_v / step) * step),
+        quantise_v(converter, math.ceil(low_v / step) * step),
+        quantise_v(converter, math.floor(high_v / step) * step),
     )
 
 
-def applied_v(output: Output, volts: float) -> float:
+def nearest_output_v(output: Output, volts: float) -> float:
     """Return the voltage that an output really applies when told `volts`."""
-    return min(max(converted_v(output.converter, volts), output.lowest_v), output.highest_v)
+    return min(max(quantise_v(output.converter, volts), output.lowest_v), output.highest_v)

@@ -45,7 +45,7 @@ class FaultSettings(Configured):
     ] = 0.0
 
     @model_validator(mode="after")
-    def _possible(self) -> FaultSettings:
+    def _check_size(self) -> FaultSettings:
         if self.kind == "slow_read" and not 0.0 <= self.size <= 60.0:
             raise ValueError(f"the size of a slow_read is 0 to 60 s (got {self.size:g})")
         if self.kind == "stuck_valve" and not -10.0 <= self.size <= 10.0:

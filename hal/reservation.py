@@ -57,7 +57,7 @@ def reserve(fd: int, what: str, pid_at: int = 0) -> None:
 
 
 @contextmanager
-def reserved(path: Path, what: str) -> Iterator[None]:
+def hold_reservation(path: Path, what: str) -> Iterator[None]:
     """Hold `what` within the block; raise `RigError` if another process does."""
     fd = open_shared(path, 0)
     try:

@@ -79,7 +79,7 @@ class Rig(Protocol):
 
 
 @contextmanager
-def opened(rig: Rig) -> Iterator[Rig]:
+def open_rig(rig: Rig) -> Iterator[Rig]:
     """Open a rig, and leave it safe and closed on every path out of the block."""
     try:
         rig.open()

@@ -17,14 +17,14 @@ def main() -> None:
     try:
         _import_all()
         from pamctl.cli.app import app
-        from pamctl.cli.failure import documented
+        from pamctl.cli.failure import document_failures
         from pamctl.realtime.scheduling import keep_single_threaded
 
         # The algebra here is small: threads wait for each other more than they work, and would
         # take from a loop, or from other workers, a second CPU for nothing. In all processes that
         # are started from here, too; the start alone of each takes 0.1 s of CPU less.
         keep_single_threaded()
-        with documented(sys.argv[1:]):
+        with document_failures(sys.argv[1:]):
             app()
     except KeyboardInterrupt:
         sys.exit(130)

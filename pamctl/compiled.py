@@ -1,7 +1,7 @@
 """Kernels: plain scalar functions that Python runs as they stand and numba compiles.
 
 A kernel takes and returns floats, ints, bools and NamedTuples of them, and calls
-only `math` and other kernels of this house. `compiled(kernel)` gives its machine-code
+only `math` and other kernels of this house. `compile_kernel(kernel)` gives its machine-code
 twin, built from the same source: every kernel it names is replaced by that one's
 twin. The loop process runs the plain functions and never imports numba.
 """
@@ -23,17 +23,17 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 _HOUSE = ("pamctl", "hal")
 
 
-def compiled(kernel: Kernel) -> Kernel:
+def compile_kernel(kernel: Kernel) -> Kernel:
     """Return the numba twin of a kernel: same arguments, same values, at machine speed.
 
     The first call compiles (seconds); the machine code is kept in the user's cache
     for the next process, under a key made of every source that the kernel can depend on.
     """
-    return cast(Kernel, _twin(kernel, for_python=True))
+    return cast(Kernel, _make_twin(kernel, for_python=True))
 
 
 @cache
-def _twin(kernel: FunctionType, *, for_python: bool) -> Any:
+def _make_twin(kernel: FunctionType, *, for_python: bool) -> Any:
     """Return a twin that Python can call, or one that only other twins call.
 
     What takes Python's tuples apart, and C's, is longer than most kernels: without it the
@@ -42,14 +42,17 @@ def _twin(kernel: FunctionType, *, for_python: bool) -> Any:
     used = {*kernel.__code__.co_names, "__builtins__", "__name__"}
     twin = FunctionType(
         kernel.__code__,
-        {name: _twin_if_kernel(kernel.__globals__[name]) for name in used & {*kernel.__globals__}},
+        {
+            name: _make_twin_if_kernel(kernel.__globals__[name])
+            for name in used & {*kernel.__globals__}
+        },
         kernel.__name__,
         kernel.__defaults__,
     )
     # numba's cache knows a function by its name: a kernel may be called both ways.
     twin.__qualname__ = kernel.__qualname__ + ("" if for_python else "_for_kernels")
     twin.__module__ = kernel.__module__
-    return _numba(kernel.__module__).njit(
+    return _import_numba(kernel.__module__).njit(
         twin,
         cache=_may_cache(),
         error_model="python",  # division by zero raises, as in the plain function
@@ -58,19 +61,19 @@ def _twin(kernel: FunctionType, *, for_python: bool) -> Any:
     )
 
 
-def _twin_if_kernel(value: object) -> object:
+def _make_twin_if_kernel(value: object) -> object:
     is_kernel = isinstance(value, FunctionType) and value.__module__.split(".")[0] in _HOUSE
-    return _twin(value, for_python=False) if is_kernel else value
+    return _make_twin(value, for_python=False) if is_kernel else value
 
 
-def _numba(module: str) -> ModuleType:
+def _import_numba(module: str) -> ModuleType:
     """Return numba, told to keep the code of this module's kernels by all they depend on."""
     import numba
 
     # numba looks only at a kernel's own file to see whether its cached code is stale;
     # ours call each other, and use each other's types, across files.
     settings: Any = numba.config
-    settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_sources_digest(module)}")
+    settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_hash_sources(module)}")
     return numba
 
 
@@ -89,11 +92,11 @@ def _may_cache() -> bool:
 
 
 @cache
-def _sources_digest(module: str) -> str:
+def _hash_sources(module: str) -> str:
     """Hash the sources of a module and of all in this house that it imports, on any way."""
     waiting, found = [module], {module}
     while waiting:
-        new = _imports(waiting.pop()) - found
+        new = _find_imports(waiting.pop()) - found
         found |= new
         waiting += new
     digest = hashlib.sha256()
@@ -103,7 +106,7 @@ def _sources_digest(module: str) -> str:
 
 
 @cache
-def _imports(module: str) -> set[str]:
+def _find_imports(module: str) -> set[str]:
     """Find the modules of this house that a module's source names, those for types included."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(_source_of(module).read_bytes())):

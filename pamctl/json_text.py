@@ -20,7 +20,7 @@ def to_json(value: object) -> bytes:
     try:
         return _dump(value)
     except ValueError:
-        return _dump(_spell(value))
+        return _dump(_spell_out(value))
 
 
 def from_json(text: bytes | str) -> Any:
@@ -29,27 +29,27 @@ def from_json(text: bytes | str) -> Any:
 
 
 def _dump(value: object) -> bytes:
-    text = json.dumps(value, allow_nan=False, separators=(",", ":"), default=_plain)
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"), default=_make_plain)
     return text.encode()
 
 
-def _plain(value: object) -> object:
+def _make_plain(value: object) -> object:
     if isinstance(value, Mapping):
         return dict(value)
     item = getattr(value, "item", None)
     return item() if callable(item) else str(value)
 
 
-def _spell(value: object) -> object:
+def _spell_out(value: object) -> object:
     if isinstance(value, float):
         return value if math.isfinite(value) else str(float(value))
     if isinstance(value, Mapping):
-        return {name: _spell(part) for name, part in value.items()}
+        return {name: _spell_out(part) for name, part in value.items()}
     if isinstance(value, list | tuple):
-        return [_spell(part) for part in value]
+        return [_spell_out(part) for part in value]
     if value is None or isinstance(value, int | str):
         return value
-    return _spell(_plain(value))
+    return _spell_out(_make_plain(value))
 
 
 def _restore(value: Any) -> Any:

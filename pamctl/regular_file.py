@@ -6,7 +6,7 @@ import stat
 from pathlib import Path
 
 
-def what_else(path: Path) -> str:
+def describe_irregular_file(path: Path) -> str:
     """Say what is there that is no file; nothing for a file, or where there is nothing.
 
     Ask before opening: a pipe waits for its other end then, and `/dev/zero` never ends.

@@ -57,7 +57,7 @@ VERDICTS: dict[int, str] = {
 """Meaning of each bit of `Decision.verdicts`."""
 
 
-def explain(verdicts: int) -> list[str]:
+def explain_verdicts(verdicts: int) -> list[str]:
     """Name every bit that is set."""
     return [meaning for bit, meaning in VERDICTS.items() if verdicts & bit]
 
@@ -136,11 +136,11 @@ class SafetyState(NamedTuple):
     tripped: int
 
 
-WATCHFUL = SafetyState(math.nan, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0)
+INITIAL_SAFETY_STATE = SafetyState(math.nan, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0)
 """The state before the first tick."""
 
 
-def limits(
+def convert_limits(
     settings: LimitSettings,
     *,
     safe_valve_v: float,
@@ -186,7 +186,7 @@ def admit(
 ) -> tuple[Decision, SafetyState]:
     """Decide what reaches the valve in this tick."""
     dt_s = timing.dt_s
-    trips = _trips_at_once(limits, state, measurement, reference, command, dt_s)
+    trips = _check_instant_trips(limits, state, measurement, reference, command, dt_s)
 
     # Sensor, error and model limits may be broken for a moment; each has its stop watch.
     sensor_bad_s = error_bad_s = model_bad_s = 0.0
@@ -199,7 +199,7 @@ def admit(
         error_bad_s = state.error_bad_s + dt_s
         if error_bad_s > limits.patience_s:
             trips |= TRACKING_ERROR
-    model_pa, excess_pa = _followed_pressure(limits, state, measurement, dt_s)
+    model_pa, excess_pa = _follow_pressure(limits, state, measurement, dt_s)
     if abs(excess_pa) > limits.pressure_model_pa:
         model_bad_s = state.model_bad_s + dt_s
         if model_bad_s > limits.patience_s:
@@ -216,7 +216,7 @@ def admit(
         if limits.pinned:
             clips = PINNED
         else:
-            valve_v, clips = _clipped(limits, state, reference, command.command_v, dt_s)
+            valve_v, clips = _clip_command(limits, state, reference, command.command_v, dt_s)
     return (
         Decision(valve_v, tripped | clips, tripped != 0),
         SafetyState(
@@ -232,7 +232,7 @@ def admit(
     )
 
 
-def _trips_at_once(
+def _check_instant_trips(
     limits: Limits,
     state: SafetyState,
     measurement: Measurement,
@@ -259,7 +259,7 @@ def _trips_at_once(
     return trips
 
 
-def _clipped(
+def _clip_command(
     limits: Limits, state: SafetyState, reference: Reference, command_v: float, dt_s: float
 ) -> tuple[float, int]:
     """Cut to the envelope, then to the slew limit; open-loop steps may be steps."""
@@ -277,7 +277,7 @@ def _clipped(
     return valve_v, clips
 
 
-def _followed_pressure(
+def _follow_pressure(
     limits: Limits, state: SafetyState, measurement: Measurement, dt_s: float
 ) -> tuple[float, float]:
     """Let the model's pressure follow the last command, and forget differences slowly.

@@ -100,7 +100,7 @@ class Decision(NamedTuple):
     """The run must end at the safe voltage."""
 
 
-class Outcome(NamedTuple):
+class TickOutcome(NamedTuple):
     """What really happened at the end of the tick."""
 
     applied_v: float
@@ -130,7 +130,7 @@ class TickRecord(NamedTuple):
     estimate: Estimate
     command: Command
     decision: Decision
-    outcome: Outcome
+    outcome: TickOutcome
     truth: Truth
 
 

@@ -32,7 +32,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from hal.sim.register import peek_v
-from pamctl.daemon.client import Client, Unreachable
+from pamctl.daemon.client import Client, DaemonUnreachableError
 from pamctl.log import read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 
@@ -67,7 +67,7 @@ class Bench:
         """Return the status once it is as wanted."""
         deadline_s = time.monotonic() + PATIENCE_S
         while True:
-            with suppress(Unreachable):
+            with suppress(DaemonUnreachableError):
                 status: dict[str, Any] = self.ask("status")
                 if holds(status):
                     return status

@@ -21,7 +21,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from pamctl.log.reader import read
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
-from pamctl.recording.recorder import await_ready, spawn
+from pamctl.recording.recorder import await_recorder, spawn_recorder
 from pamctl.recording.ring import Ring, RingFull
 from pamctl.signals import TickRecord
 
@@ -68,8 +68,11 @@ def quantile(values: list[int], share: float) -> int:
 
 def record(directory: Path, ticks: list[TickRecord], log: Path) -> dict[str, float]:
     """Log ticks as fast as a real recorder process takes them."""
-    with Ring.create(directory / "record.ring", RunMeta(str(log))) as ring, spawn(ring.path) as rec:
-        await_ready(ring, rec)
+    with (
+        Ring.create(directory / "record.ring", RunMeta(str(log))) as ring,
+        spawn_recorder(ring.path) as rec,
+    ):
+        await_recorder(ring, rec)
         began = time.perf_counter()
         for tick in ticks:
             put_when_there_is_room(ring, tick)

@@ -21,14 +21,14 @@ import numpy as np
 from bench_log import made_up_ticks, put_when_there_is_room
 
 from pamctl.log import read
-from pamctl.log.container import message_records
-from pamctl.log.framing import Damage, mapped, walk
-from pamctl.log.repair.recover import recover
+from pamctl.log.container import make_message_records
+from pamctl.log.framing import Damage, map_log_file, walk_records
+from pamctl.log.repair.recover import recover_file
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
 from pamctl.log.wire import TickLayout
-from pamctl.log.writer import LogWriter, begin
-from pamctl.recording.recorder import await_ready, spawn
+from pamctl.log.writer import LogWriter, begin_log
+from pamctl.recording.recorder import await_recorder, spawn_recorder
 from pamctl.recording.ring import Ring
 from pamctl.signals import TICK_FIELDS
 
@@ -37,14 +37,15 @@ CHUNK = 6
 
 TOOLS = {
     "info": "from pamctl.log import info; info({path!r})",
-    "check": "from pamctl.log.check.check_log import check; check({path!r})",
+    "check": "from pamctl.log.check.check_log import check_log; check_log({path!r})",
     "read, all columns": "from pamctl.log import read; read({path!r})",
     "read, four columns": (
         "from pamctl.log import read;"
         "read({path!r}, fields=('t_s', 'applied_v', 'pressure_pa', 'position_m'))"
     ),
     "recover": (
-        "from pamctl.log.repair.recover import recover; recover({path!r}, {path!r} + '.saved')"
+        "from pamctl.log.repair.recover import recover_file;"
+        "recover_file({path!r}, {path!r} + '.saved')"
     ),
 }
 
@@ -56,7 +57,7 @@ def write_long(path: Path, ticks: int) -> None:
     kinds = {field.name: field.kind for field in TICK_FIELDS}
     with path.open("wb") as stream:
         writer = LogWriter(stream)
-        channel = begin(writer, RunMeta(str(path)))[TICK_TOPIC]
+        channel = begin_log(writer, RunMeta(str(path)))[TICK_TOPIC]
         for start in range(0, ticks, CHUNK_TICKS):
             tick = np.arange(start, min(start + CHUNK_TICKS, ticks))
             table = np.zeros(len(tick), layout.dtype)
@@ -64,7 +65,7 @@ def write_long(path: Path, ticks: int) -> None:
                 noise = chance.normal(1e-3 * tick, 1e-4)
                 table[name] = noise if kinds[name] is float else np.zeros(len(tick))
             table["tick"], table["t_s"], table["dt_s"] = tick, tick * 1e-3, 1e-3
-            messages = message_records(layout.encode(table), tick * 1_000_000, tick)
+            messages = make_message_records(layout.encode(table), tick * 1_000_000, tick)
             writer.add(channel, messages)
             writer.end_chunk()
         writer.finish()
@@ -98,15 +99,18 @@ def _memory_kb(pid: int) -> dict[str, int]:
 def killed_recorder(directory: Path, rings: Path) -> dict[str, Any]:
     """Kill a recorder in mid-run, and recover its file alone, without the ring."""
     path, saved = directory / "killed.mcap", directory / "saved.mcap"
-    with Ring.create(rings / "kill.ring", RunMeta(str(path))) as ring, spawn(ring.path) as process:
-        await_ready(ring, process)
+    with (
+        Ring.create(rings / "kill.ring", RunMeta(str(path))) as ring,
+        spawn_recorder(ring.path) as process,
+    ):
+        await_recorder(ring, process)
         for tick in made_up_ticks(20_000):
             put_when_there_is_room(ring, tick)
         process.send_signal(signal.SIGKILL)
         process.wait()
         ring.unlink()
     began = time.perf_counter()
-    recovery = recover(path, saved)
+    recovery = recover_file(path, saved)
     took = time.perf_counter() - began
     return {
         "chunks_in_file": _whole_chunks(path),
@@ -120,7 +124,7 @@ def killed_recorder(directory: Path, rings: Path) -> dict[str, Any]:
 def _whole_chunks(path: Path) -> int:
     count = 0
     with suppress(Damage):  # where the file was cut
-        for record in walk(mapped(path)):
+        for record in walk_records(map_log_file(path)):
             count += record.opcode == CHUNK
     return count
 

@@ -35,21 +35,21 @@ from scipy.integrate import odeint, solve_ivp
 
 from hal.rig import RawSample
 from hal.sim.sim_rig import sensed_counts, sensed_pressure_v, sensor_chain
-from pamctl.compiled import compiled
-from pamctl.control.experiment import segments
+from pamctl.compiled import compile_kernel
+from pamctl.control.experiment import build_segments
 from pamctl.control.law import respond
 from pamctl.control.surface import ARMED, LawState
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper.friction import axial_forces
 from pamctl.plant.paper.muscle import force_area_m2, volume_m3
 from pamctl.plant.paper.valve import valve_flow
-from pamctl.plant.parameters import PlantParameters, PlantState, vented
-from pamctl.plant.step import plant_advance
+from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
+from pamctl.plant.step import advance_plant
 from pamctl.realtime.tick import TickState, first_state, step
-from pamctl.settings.build import setup_of
+from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Estimate, Reference, Timing
-from pamctl.simulate.closed_loop import references, sensor_noise, simulate
+from pamctl.simulate.closed_loop import draw_sensor_noise, simulate, tabulate_references
 
 TICK_S = 1e-3
 LAWS = ("qsmc", "smc", "pid")
@@ -79,22 +79,22 @@ def run_plant(
 ) -> PlantState:
     """Kernel: hold each command for a tick."""
     for i in range(len(commands_v)):
-        state = plant_advance(p, state, commands_v[i], 1e-3, longest_step_s)
+        state = advance_plant(p, state, commands_v[i], 1e-3, longest_step_s)
         positions_m[i] = state.position_m
     return state
 
 
 def run_plant_plain(commands_v: Sequence[float], steps: int) -> list[float]:
-    state, positions_m = vented(P), []
+    state, positions_m = vented_state(P), []
     for command_v in commands_v:
-        state = plant_advance(P, state, command_v, TICK_S, TICK_S / steps)
+        state = advance_plant(P, state, command_v, TICK_S, TICK_S / steps)
         positions_m.append(state.position_m)
     return positions_m
 
 
 def run_plant_compiled(commands_v: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
     positions_m = np.empty_like(commands_v)
-    compiled(run_plant)(P, vented(P), commands_v, TICK_S / steps, positions_m)
+    compile_kernel(run_plant)(P, vented_state(P), commands_v, TICK_S / steps, positions_m)
     return positions_m
 
 
@@ -154,7 +154,7 @@ def rates(t: float, y: Any, command_v: float, slip_m_per_s: float) -> tuple[floa
 
 
 def run_lsoda(how: Lsoda, commands_v: Sequence[float]) -> list[float]:
-    right_hand_side = compiled(rates) if how.compiled_rates else rates
+    right_hand_side = compile_kernel(rates) if how.compiled_rates else rates
     atol = [how.rtol * scale for scale in (1e-3, 1e-1, 1e5)]
     state: Any = [0.0, 0.0, P.paper.atmospheric_pressure_pa]
     positions_m = []
@@ -189,10 +189,10 @@ class ClosedLoop:
     def __init__(self, law: str) -> None:
         settings = resolve(controller=law, overrides=["rig.homing.enabled=false"], fast=True)
         rig: Any = settings.rig
-        self.setup = setup_of(settings)
+        self.setup = build_tick_setup(settings)
         self.chain = sensor_chain(rig.sim, rig.calibration)
-        self.reference = references(segments(settings.experiment), TICK_S)
-        self.noise = sensor_noise(len(self.reference), 0)
+        self.reference = tabulate_references(build_segments(settings.experiment), TICK_S)
+        self.noise = draw_sensor_noise(len(self.reference), 0)
         self.batch = self.simulate()
         self.seconds = len(self.batch["position_m"]) * TICK_S
 

@@ -41,13 +41,18 @@ from readme_table import table, write_between  # noqa: E402
 from taken_up import taken_up  # noqa: E402
 
 from pamctl.diagnose import Record  # noqa: E402
-from pamctl.diagnose.fitting.candidates import Candidate, candidates, reaching  # noqa: E402
+from pamctl.diagnose.fitting.candidates import Candidate, list_candidates, select_reaching  # noqa: E402
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE  # noqa: E402
-from pamctl.diagnose.fitting.evidence import Evidence, prepared, with_modelled_pressure  # noqa: E402
-from pamctl.diagnose.fitting.fitted_model import Model, extended, recalibrated  # noqa: E402
-from pamctl.diagnose.fitting.intervals import estimates  # noqa: E402
-from pamctl.diagnose.naming.score import scores  # noqa: E402
-from pamctl.diagnose.naming.search import finished, other_starts, proven, rank  # noqa: E402
+from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure  # noqa: E402
+from pamctl.diagnose.fitting.fitted_model import Model, fit_model, recalibrate  # noqa: E402
+from pamctl.diagnose.fitting.intervals import estimate_intervals  # noqa: E402
+from pamctl.diagnose.naming.score import score_candidates  # noqa: E402
+from pamctl.diagnose.naming.search import (  # noqa: E402
+    confirm_complete,
+    fit_to_end_if_near,
+    list_other_starts,
+    rank,
+)
 from pamctl.plant.drive import drive_coupled  # noqa: E402
 from pamctl.plant.flat import NEUTRAL, PAPER, parameters_of  # noqa: E402
 from pamctl.plant.model import PlantSettings  # noqa: E402
@@ -169,34 +174,36 @@ def _drawn(effect: str, random: np.random.Generator) -> dict[str, float]:
 
 
 def _everything() -> tuple[Candidate, ...]:
-    return candidates(Evidence(PlantSettings(), {PRESSURE: (), MECHANICS: ()}, {}, {}))
+    return list_candidates(Evidence(PlantSettings(), {PRESSURE: (), MECHANICS: ()}, {}, {}))
 
 
 def fitted(runs: Runs, effect: str) -> Model:
     """Fit the true structure as the diagnosis would that has found it."""
     train, held = runs
-    evidence = prepared(train, held, PlantSettings())
-    forms = [c for c in candidates(evidence) if c.name == effect]
-    air = _best(evidence.only({PRESSURE}), reaching(forms, {PRESSURE}))
+    evidence = prepare_evidence(train, held, PlantSettings())
+    forms = [c for c in list_candidates(evidence) if c.name == effect]
+    air = _best(evidence.select_blocks({PRESSURE}), select_reaching(forms, {PRESSURE}))
     evidence = with_modelled_pressure(
         evidence, train, held, air.fit_of(PRESSURE).settings, trusted=air.is_complete
     )
-    return _best(evidence.counted(recalibrated(evidence).floors), forms)
+    return _best(evidence.weigh_by_floors(recalibrate(evidence).floors), forms)
 
 
 def _best(evidence: Evidence, forms: Sequence[Candidate]) -> Model:
     """Fit the most promising form from where it promises most; more only where that falls short."""
-    base = proven(recalibrated(evidence))
+    base = confirm_complete(recalibrate(evidence))
     ranked = [
         score
         for block in evidence.blocks
-        for score in scores(base.fit_of(block), reaching(forms, {block}), block)
+        for score in score_candidates(base.fit_of(block), select_reaching(forms, {block}), block)
         if score.start
     ]
     best = base
     for score in sorted(ranked, key=lambda s: -s.explained):
-        for starts in ([score.start], [*other_starts(base, score)]):
-            model = proven(finished(extended(base, (score.candidate,), starts)))
+        for starts in ([score.start], [*list_other_starts(base, score)]):
+            model = confirm_complete(
+                fit_to_end_if_near(fit_model(base, (score.candidate,), starts))
+            )
             best = model if best is base else min(best, model, key=rank)
             if best.is_complete:
                 return best
@@ -208,7 +215,7 @@ def examined(task: Task) -> dict[str, Any]:
     runs, true = {"own": own, "hidden": hidden}[task.rig](task)
     began = time.process_time()
     model = fitted(runs, task.effect)
-    found = estimates(model)
+    found = estimate_intervals(model)
     return {
         "key": task.key,
         "rig": task.rig,

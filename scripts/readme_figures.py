@@ -15,11 +15,11 @@ import tempfile
 from pathlib import Path
 
 from pamctl.log import read
-from pamctl.report.compose import report
+from pamctl.report.compose import compose_report
 from pamctl.report.html_page import Page
-from pamctl.report.svg import Axis, Plot
+from pamctl.report.svg import PlotAxis, SvgPlot
 from pamctl.reproduce.paper_cases import PRINTED_QSMC, TUNED
-from pamctl.reproduce.reproduction import reproduce
+from pamctl.reproduce.reproduction import reproduce_paper
 from pamctl.signals import Phase
 
 PICTURES = Path(__file__).resolve().parents[1] / ".readme"
@@ -55,14 +55,16 @@ def diagnosed(folder: Path) -> Path:
 def laws() -> Page:
     """The error of four gains files in experiment 2, one plot each, on the same axes."""
     page = Page("True error in experiment 2", "On the model of Tables I and II", numbered=False)
-    time, plots = Axis("time since the end of the approach", "s", tight=True), []
+    time, plots = PlotAxis("time since the end of the approach", "s", tight=True), []
     for colour, case in enumerate((PRINTED_QSMC, *TUNED[:3])):
         run = case.run("tracking-2", "paper", 0)
         shown = (run["phase"] == Phase.TRACK) | (run["phase"] == Phase.REST)
         error_um = (run["true_position_m"] - run["reference_m"])[shown] * 1e6
         t_s = run.t_s[shown] - run.t_s[shown][0]
-        axis = Axis("x \N{MINUS SIGN} x_D", "µm", low=-100.0, high=200.0)
-        plots.append(Plot(case.name, time, axis, height_px=90).line(t_s, error_um, colour=colour))
+        axis = PlotAxis("x \N{MINUS SIGN} x_D", "µm", low=-100.0, high=200.0)
+        plots.append(
+            SvgPlot(case.name, time, axis, height_px=90).line(t_s, error_um, colour=colour)
+        )
     page.figure(*plots)
     return page
 
@@ -94,9 +96,9 @@ def page_of(name: str, folder: Path) -> Path:
         return diagnosed(folder)
     file = folder / f"{name}.html"
     if name == "report":
-        page = report([read(logged(folder))])
+        page = compose_report([read(logged(folder))])
     else:
-        page = laws() if name == "laws" else reproduce([name], 0).page
+        page = laws() if name == "laws" else reproduce_paper([name], 0).page
     file.write_text(page.html(), encoding="utf-8")
     return file
 

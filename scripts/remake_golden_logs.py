@@ -24,7 +24,7 @@ from pamctl.exit_codes import ExitCode
 from pamctl.log import read
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.recording.ring import Ring
-from pamctl.replay import replay
+from pamctl.replay import replay_log
 
 ROOT = Path(__file__).resolve().parent.parent
 GOLDEN = Path("tests/golden")
@@ -150,7 +150,7 @@ def complaint(recipe: Recipe, code: int, log: Path) -> str:
     """Say what is wrong with a fresh log; empty where it may be kept."""
     if code != recipe.ends_with:
         return f"ended with {code} instead of {int(recipe.ends_with)}"
-    found = replay(read(log))
+    found = replay_log(read(log))
     if not (found.is_equal and found.is_whole):
         return f"does not replay: {found.differences[:1]}"
     if log.stat().st_size > LARGEST_BYTES:

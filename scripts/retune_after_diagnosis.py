@@ -31,12 +31,12 @@ from support.runs import run  # noqa: E402
 
 from pamctl.diagnose import Diagnosis, diagnose, sentence  # noqa: E402
 from pamctl.diagnose import Record as Measured  # noqa: E402
-from pamctl.diagnose.report.diagnosis_document import document  # noqa: E402
+from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document  # noqa: E402
 from pamctl.exit_codes import ExitCode  # noqa: E402
 from pamctl.plant.model import PlantSettings  # noqa: E402
 from pamctl.settings.resolve import resolve  # noqa: E402
-from pamctl.simulate.merit import merit  # noqa: E402
-from pamctl.tune import Jury, Search, fixed_members  # noqa: E402
+from pamctl.simulate.merit import compute_merit  # noqa: E402
+from pamctl.tune import GainsSearch, Jury, make_fixed_members  # noqa: E402
 from pamctl.tune.search_space import SPACES  # noqa: E402
 
 HIDDEN = ("valve_deadband:5", "valve_hysteresis:5", "command_delay:10", "valve_spool:5")
@@ -80,7 +80,7 @@ def retuned(hidden: str, law: str, generations: int, searches: int) -> Retuned:
         for seed in range(searches):
             gains, cost = tuned(law, plant, generations, seed)
             rows.append(tracked_on(rig, label, gains, cost))
-    named = [effect["name"] for effect in document(found)["effects"]]
+    named = [effect["name"] for effect in build_diagnosis_document(found)["effects"]]
     return Retuned(hidden, found.verdict.value, named, rows)
 
 
@@ -97,8 +97,8 @@ def measured(record: Record) -> Measured:
 def tuned(law: str, plant: PlantSettings, generations: int, seed: int) -> tuple[Any, float]:
     """Search gains on a plant; return them and their cost there."""
     start = resolve(controller=law).controller.model_dump()
-    jury = Jury((), 1.0, tuple(fixed_members([("plant", plant)])))
-    search = Search(law, jury, seed, start=start)
+    jury = Jury((), 1.0, tuple(make_fixed_members([("plant", plant)])))
+    search = GainsSearch(law, jury, seed, start=start)
     for _ in range(generations):
         best = search.advance()
     tell(f"  {generations} generations, seed {seed}: {best.cost:.3f} of Table IV")
@@ -114,7 +114,7 @@ def tracked_on(rig: HiddenRig, plant: str, controller: Any, cost: float | None) 
     phase = np.array([r.reference.phase for r in ticks])
     error_m = np.array([r.measurement.position_m - r.reference.reference_m for r in ticks])
     whole = done.ending.code == ExitCode.OK
-    found = merit(t_s, phase, error_m) if whole else None
+    found = compute_merit(t_s, phase, error_m) if whole else None
     worst_um, rms_um = (found.max_m * 1e6, found.rms_m * 1e6) if found else (None, None)
     outcome = "complete" if whole else done.ending.reason
     tracked = Tracked(plant, cost, worst_um, rms_um, outcome)

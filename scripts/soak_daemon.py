@@ -28,12 +28,12 @@ from typing import Any
 import numpy as np
 
 from hal.sim.register import peek_v
-from pamctl.daemon.client import Client, Declined, Unreachable
+from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.protocol import INTERNAL_ERROR
 from pamctl.log import read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
-from pamctl.replay import replay
-from pamctl.settings.resolve import resolve, to_data
+from pamctl.replay import replay_log
+from pamctl.settings.resolve import resolve, settings_to_data
 
 SHARE_OF_ONE_LIFE = 0.75
 SAMPLE_EVERY_S = 10.0
@@ -50,7 +50,9 @@ EXPERIMENTS: list[dict[str, Any]] = [
         "approach_s": 1.0, "settle_s": 0.2, "cycles": 1,
     },
 ]  # fmt: skip
-CONTROLLERS = {name: to_data(resolve(controller=name).controller) for name in ("qsmc", "pid")}
+CONTROLLERS = {
+    name: settings_to_data(resolve(controller=name).controller) for name in ("qsmc", "pid")
+}
 
 
 class Amiss(Exception):
@@ -74,7 +76,7 @@ class Rig:
         process = subprocess.Popen(command, stderr=self._errors)
         deadline_s = time.monotonic() + PATIENCE_S
         while True:
-            with suppress(Unreachable), Client(self.socket) as client:
+            with suppress(DaemonUnreachableError), Client(self.socket) as client:
                 client.call("status")
                 return process
             if process.poll() is not None or time.monotonic() > deadline_s:
@@ -86,7 +88,7 @@ class Rig:
         try:
             with Client(self.socket) as client:
                 return client.call(method, params)
-        except Declined as error:
+        except DaemonDeclinedError as error:
             if error.code == INTERNAL_ERROR:
                 raise Amiss(f"{method}: {error}") from error
             return None
@@ -270,7 +272,7 @@ def judged_logs(folder: Path) -> tuple[int, int, list[str]]:
             continue
         log = read(path)
         ticks += len(log)
-        replayed = replay(log) if len(log) else None
+        replayed = replay_log(log) if len(log) else None
         if replayed is not None and not replayed.is_equal:
             wrong.append(f"{path.name}: replay differs: {replayed.differences[:1]}")
     return len(logs), ticks, wrong
@@ -331,7 +333,7 @@ def main() -> int:
             rig.end()
             if rig.shared_memory():
                 wrong.append(f"left in shared memory: {rig.shared_memory()}")
-        except (Amiss, Unreachable, subprocess.TimeoutExpired) as amiss:
+        except (Amiss, DaemonUnreachableError, subprocess.TimeoutExpired) as amiss:
             wrong.append(f"{type(amiss).__name__}: {amiss}")
         finally:
             rig.process.kill()

@@ -28,13 +28,13 @@ import numpy as np
 from bench_simulation import LAW_TICKS, ClosedLoop, interleaved, run_law, run_nothing
 from readme_table import table, write_between
 
-from pamctl.control.smc import linearised
+from pamctl.control.smc import linearise_model
 from pamctl.plant.model import plant_parameters
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.simulate.batch import simulated, tracked
+from pamctl.simulate.batch import simulate_merit, simulate_run
 from pamctl.simulate.merit import TABLE_IV, Merit
-from pamctl.tune import Member, ensemble, fixed_members
-from pamctl.tune.gains_trial import Trial
+from pamctl.tune import Member, draw_ensemble, make_fixed_members
+from pamctl.tune.gains_trial import GainsTrial
 
 LAWS = ("qsmc", "smc", "pid")
 EXPERIMENTS = ("tracking-1", "tracking-2")
@@ -88,7 +88,7 @@ def run_of(law: str, experiment: str, sensors: Sequence[str], member: Member | N
 
 
 def both(law: str, sensors: Sequence[str], member: Member | None) -> list[Merit | None]:
-    return [tracked(run_of(law, experiment, sensors, member)) for experiment in EXPERIMENTS]
+    return [simulate_merit(run_of(law, experiment, sensors, member)) for experiment in EXPERIMENTS]
 
 
 def is_inside(found: Sequence[Merit | None]) -> bool:
@@ -185,7 +185,7 @@ def _linearised(**factors: float) -> Any:
     p = plant_parameters(plant.model_copy(update={"parameters": parameters})).paper
     # Moving both ways, filled above and below the critical pressure.
     states = [(x, v, 0.1, pa) for x in (8e-3, 15e-3) for v in (-5e-3, 5e-3) for pa in (2e5, 4e5)]
-    return [linearised(p, *state) for state in states]
+    return [linearise_model(p, *state) for state in states]
 
 
 # --- sensitivity and q ------------------------------------------------------------------
@@ -193,7 +193,7 @@ def _linearised(**factors: float) -> Any:
 
 def hard_plant() -> Member:
     """The paper's plant with the 109 Hz valve and a tick of delay."""
-    (member,) = fixed_members([("109 Hz, 1 tick", resolve(plant="paper-valve109").plant)])
+    (member,) = make_fixed_members([("109 Hz, 1 tick", resolve(plant="paper-valve109").plant)])
     return Member(member.name, member.plant, output_delay_ticks=1)
 
 
@@ -202,7 +202,7 @@ def sensitivity(law: str) -> dict[str, list[float]]:
     controller, member = resolve(controller=law).controller, hard_plant()
     return {
         name: [
-            Trial("whole").verdict(_changed(controller, name, factor), member).worst
+            GainsTrial("whole").verdict(_changed(controller, name, factor), member).worst
             for factor in (0.5, 1.0, 2.0)
         ]
         for name in gains_of(law)
@@ -230,18 +230,20 @@ class AtQ(NamedTuple):
 def sweep_q(values: Sequence[float]) -> list[AtQ]:
     controller, member = resolve(controller="qsmc").controller, hard_plant()
     pole = controller.lambda_per_s**controller.q
-    base = simulated(resolve(controller="qsmc"))["true_position_m"]
+    base = simulate_run(resolve(controller="qsmc"))["true_position_m"]
     rows = []
     for q in values:
         same_lambda = controller.model_copy(update={"q": q})
         lambda_per_s = pole ** (1.0 / q)
         same_pole = controller.model_copy(update={"q": q, "lambda_per_s": lambda_per_s})
-        moved = simulated(resolve(controller="qsmc").model_copy(update={"controller": same_pole}))
+        moved = simulate_run(
+            resolve(controller="qsmc").model_copy(update={"controller": same_pole})
+        )
         rows.append(
             AtQ(
                 q,
-                Trial("whole").verdict(same_lambda, member).worst,
-                Trial("whole").verdict(same_pole, member).worst,
+                GainsTrial("whole").verdict(same_lambda, member).worst,
+                GainsTrial("whole").verdict(same_pole, member).worst,
                 float(np.abs(moved["true_position_m"] - base).max() * 1e6),
             )
         )
@@ -253,7 +255,7 @@ def sweep_q(values: Sequence[float]) -> list[AtQ]:
 
 def study(plants: int, rounds: int, values: Sequence[float], jobs: int) -> dict[str, Any]:
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as executor:
-        tracked_errors = tracking(ensemble(plants, SEED), executor)
+        tracked_errors = tracking(draw_ensemble(plants, SEED), executor)
     return {
         "tracking": tracked_errors,
         "cost": costs(rounds),

@@ -15,8 +15,8 @@ import math
 
 from readme_table import table, write_between
 
-from pamctl.settings.resolve import names, resolve
-from pamctl.simulate.batch import tracked
+from pamctl.settings.resolve import list_shipped, resolve
+from pamctl.simulate.batch import simulate_merit
 from pamctl.simulate.merit import TABLE_IV, Merit
 
 PLANTS = {
@@ -34,7 +34,7 @@ Found = dict[str, dict[str, dict[str, Merit | None]]]
 def figures(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
     """Simulate one cell of a table; None where safety ended it."""
     delay = f"rig.sim.output_delay_ticks={delay_ticks}"
-    return tracked(
+    return simulate_merit(
         resolve(controller=controller, experiment=experiment, plant=plant, overrides=[delay])
     )
 
@@ -44,7 +44,7 @@ def measured() -> Found:
     return {
         experiment: {
             controller: {p: figures(controller, experiment, *PLANTS[p]) for p in PLANTS}
-            for controller in names("controller")
+            for controller in list_shipped("controller")
         }
         for experiment in EXPERIMENTS.values()
     }

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from hal.configured import Configured
-from hal.converter import Converter, Output, within
+from hal.converter import Converter, Output, make_output
 
 
 class NidaqSettings(Configured):
@@ -48,7 +48,7 @@ class NidaqSettings(Configured):
     ] = 0.02
 
     @model_validator(mode="after")
-    def _ordered(self) -> NidaqSettings:
+    def _check_order(self) -> NidaqSettings:
         if self.input_low_v >= self.input_high_v:
             raise ValueError("input_low_v must be below input_high_v")
         if self.output_low_v >= self.output_high_v:
@@ -62,4 +62,4 @@ _CONVERTER = Converter(10.0)
 
 def card_output(settings: NidaqSettings) -> Output:
     """Return the valve's output as the card realises it."""
-    return within(_CONVERTER, settings.output_low_v, settings.output_high_v)
+    return make_output(_CONVERTER, settings.output_low_v, settings.output_high_v)

@@ -25,15 +25,15 @@ from hal.nidaq.driver_errors import LATE
 from hal.nidaq.edges import Edge, EdgeGrid
 from hal.nidaq.on_demand import (
     NidaqRig,
-    Wired,
-    count_reader,
-    encoder_task,
-    pressure_task,
-    reported,
+    TaskCalls,
+    make_count_reader,
+    make_encoder_task,
+    make_pressure_task,
+    make_valve_task,
+    make_valve_writer,
+    make_volt_reader,
+    raise_rig_errors,
     require_card,
-    valve_task,
-    valve_writer,
-    volt_reader,
 )
 from hal.rig import RawSample
 
@@ -57,7 +57,7 @@ class HardwareTimedRig(NidaqRig):
         """`rate_hz` is that of the sample clock, and so of the loop."""
         super().__init__(settings, safe_output_v=safe_output_v, now_ns=now_ns)
         self._rate_hz = rate_hz
-        self._grid = self._new_grid()
+        self._grid = self._make_grid()
         self._awaited: tuple[Edge, float] | None = None
 
     def await_edge(self) -> Edge:
@@ -66,7 +66,7 @@ class HardwareTimedRig(NidaqRig):
         Raises `RigError` where the card does not sample within the timeout.
         """
         wired = self._require_open()
-        with reported("waiting for the card's next sample"):
+        with raise_rig_errors("waiting for the card's next sample"):
             volts = wired.read_v(self._settings.timeout_s)
         edge = self._grid.place(self._now_ns())
         self._awaited = edge, volts
@@ -79,7 +79,7 @@ class HardwareTimedRig(NidaqRig):
             self.await_edge()
         assert self._awaited is not None
         (edge, volts), self._awaited = self._awaited, None
-        with reported("reading the encoder"):
+        with raise_rig_errors("reading the encoder"):
             counts = self._unwrap(wired.read_count(self._settings.timeout_s))
         return RawSample(volts, counts, edge.t_ns, edge.t_ns)
 
@@ -96,10 +96,10 @@ class HardwareTimedRig(NidaqRig):
     def _sample_clock(self) -> str:
         return f"/{self._settings.device}/ai/SampleClock"
 
-    def _new_grid(self) -> EdgeGrid:
+    def _make_grid(self) -> EdgeGrid:
         return EdgeGrid(round(1e9 / self._rate_hz))
 
-    def _wire(self, acquired: ExitStack) -> Wired:
+    def _wire(self, acquired: ExitStack) -> TaskCalls:
         """Start what follows the clock before what makes it; stop output, input, counter.
 
         The safe voltage goes out on demand before that: the sample clock has no edges yet.
@@ -107,9 +107,9 @@ class HardwareTimedRig(NidaqRig):
         settings = self._settings
         self._write_on_demand(self._safe_v)
         self._identity = require_card(settings)
-        encoder = acquired.enter_context(encoder_task(settings))
-        pressure = acquired.enter_context(pressure_task(settings))
-        valve = acquired.enter_context(valve_task(settings))
+        encoder = acquired.enter_context(make_encoder_task(settings))
+        pressure = acquired.enter_context(make_pressure_task(settings))
+        valve = acquired.enter_context(make_valve_task(settings))
         point = AcquisitionType.HW_TIMED_SINGLE_POINT
         pressure.timing.cfg_samp_clk_timing(self._rate_hz, sample_mode=point)
         for follower in (encoder, valve):
@@ -118,14 +118,14 @@ class HardwareTimedRig(NidaqRig):
             )
         for task in (encoder, valve, pressure):
             task.start()
-        self._grid, self._awaited = self._new_grid(), None
-        return Wired(
-            self._again_if_late(valve_writer(valve)),
-            self._again_if_late(count_reader(encoder)),
-            self._again_if_late(volt_reader(pressure)),
+        self._grid, self._awaited = self._make_grid(), None
+        return TaskCalls(
+            self._retry_if_late(make_valve_writer(valve)),
+            self._retry_if_late(make_count_reader(encoder)),
+            self._retry_if_late(make_volt_reader(pressure)),
         )
 
-    def _again_if_late(self, call: Callable[P, R]) -> Callable[P, R]:
+    def _retry_if_late(self, call: Callable[P, R]) -> Callable[P, R]:
         """Count what came too late for its edge, and do it for the next one."""
 
         def patient(*arguments: P.args, **options: P.kwargs) -> R:
@@ -140,7 +140,7 @@ class HardwareTimedRig(NidaqRig):
 
         return patient
 
-    def _write_safe_as_wired(self, wired: Wired) -> None:
+    def _write_safe_as_wired(self, wired: TaskCalls) -> None:
         """Write the safe voltage and wait until it is out."""
         super()._write_safe_as_wired(wired)
         self._awaited = None

@@ -31,7 +31,7 @@ from nidaqmx.stream_readers import AnalogSingleChannelReader, CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
 from nidaqmx.system import Device, System
 
-from hal.converter import applied_v
+from hal.converter import nearest_output_v
 from hal.nidaq.card_settings import NidaqSettings, card_output
 from hal.nidaq.driver_errors import INSTALL, ON_DEMAND, fix_of
 from hal.rig import RawSample, RigError
@@ -66,13 +66,13 @@ def require_card(settings: NidaqSettings) -> Mapping[str, object]:
 
     Raises `RigError` where one is missing, or where the card is the tests' stand-in.
     """
-    with reported(f"looking for {settings.device}"):
+    with raise_rig_errors(f"looking for {settings.device}"):
         version = System.local().driver_version
         device = Device(settings.device)
         serial = int(device.serial_num)
         bus = device.bus_type
         identity = {
-            "library": _loaded_library(),
+            "library": _find_loaded_library(),
             "driver_version": ".".join(map(str, version)),
             "product_type": str(device.product_type),
             "serial_number": f"{serial:X}",
@@ -92,7 +92,7 @@ def require_card(settings: NidaqSettings) -> Mapping[str, object]:
     return identity
 
 
-def _loaded_library() -> str:
+def _find_loaded_library() -> str:
     """Return the path of the driver library that this process has really loaded."""
     for mapping in Path("/proc/self/maps").read_text().splitlines():
         if "/libnidaqmx.so" in mapping:
@@ -103,7 +103,7 @@ def _loaded_library() -> str:
 # --- the driver's troubles ---------------------------------------------------------------
 
 
-def _rig_error(doing: str, error: Exception) -> RigError:
+def _make_rig_error(doing: str, error: Exception) -> RigError:
     """Say what the driver said, with its number and with what to do about it."""
     if isinstance(error, _NO_DRIVER):
         return RigError("no NI-DAQmx driver on this computer", fix=INSTALL)
@@ -115,16 +115,16 @@ def _rig_error(doing: str, error: Exception) -> RigError:
 
 
 @contextmanager
-def reported(doing: str) -> Iterator[None]:
+def raise_rig_errors(doing: str) -> Iterator[None]:
     """Turn every failure of driver and package into a `RigError`."""
     try:
         yield
     except _FAILURES as error:
-        raise _rig_error(doing, error) from error
+        raise _make_rig_error(doing, error) from error
 
 
 @contextmanager
-def _warnings_to(note: Callable[[int], None]) -> Iterator[None]:
+def _divert_warnings(note: Callable[[int], None]) -> Iterator[None]:
     """Hand the driver's warnings over instead of printing one in every tick."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", DaqWarning)
@@ -143,15 +143,15 @@ def _warnings_to(note: Callable[[int], None]) -> Iterator[None]:
 # --- tasks -------------------------------------------------------------------------------
 
 
-def _task(purpose: str) -> Task:
+def _make_task(purpose: str) -> Task:
     """Make a task. Its name is ASCII whatever the locale, and unique in this process."""
     return Task(f"pamctl_{purpose}_{os.getpid()}_{next(_task_number)}")
 
 
 @contextmanager
-def valve_task(settings: NidaqSettings) -> Iterator[Task]:
+def make_valve_task(settings: NidaqSettings) -> Iterator[Task]:
     """Make the output's task, not yet started."""
-    with _task("valve") as task:
+    with _make_task("valve") as task:
         task.ao_channels.add_ao_voltage_chan(
             f"{settings.device}/{settings.valve_channel}",
             # A second guard of the range, in the driver.
@@ -162,9 +162,9 @@ def valve_task(settings: NidaqSettings) -> Iterator[Task]:
 
 
 @contextmanager
-def pressure_task(settings: NidaqSettings) -> Iterator[Task]:
+def make_pressure_task(settings: NidaqSettings) -> Iterator[Task]:
     """Make the analog input's task, not yet started."""
-    with _task("pressure") as task:
+    with _make_task("pressure") as task:
         task.ai_channels.add_ai_voltage_chan(
             f"{settings.device}/{settings.pressure_channel}",
             # Never the default: that is differential, and half of the sensor would hang loose.
@@ -176,9 +176,9 @@ def pressure_task(settings: NidaqSettings) -> Iterator[Task]:
 
 
 @contextmanager
-def encoder_task(settings: NidaqSettings) -> Iterator[Task]:
+def make_encoder_task(settings: NidaqSettings) -> Iterator[Task]:
     """Make the counter's task, not yet started."""
-    with _task("encoder") as task:
+    with _make_task("encoder") as task:
         channel = task.ci_channels.add_ci_lin_encoder_chan(
             f"{settings.device}/{settings.encoder_counter}",
             decoding_type=EncoderType.X_4,
@@ -197,7 +197,7 @@ def encoder_task(settings: NidaqSettings) -> Iterator[Task]:
         yield task
 
 
-def valve_writer(task: Task) -> Callable[[float, float], None]:
+def make_valve_writer(task: Task) -> Callable[[float, float], None]:
     """Return what writes volts within a timeout (s); the task must run."""
     write: Callable[[float, float], None] = AnalogSingleChannelWriter(
         task.out_stream, auto_start=False
@@ -205,19 +205,19 @@ def valve_writer(task: Task) -> Callable[[float, float], None]:
     return write
 
 
-def count_reader(task: Task) -> Callable[[float], float]:
+def make_count_reader(task: Task) -> Callable[[float], float]:
     """Return what reads the counter within a timeout (s)."""
     read: Callable[[float], float] = CounterReader(task.in_stream).read_one_sample_double
     return read
 
 
-def volt_reader(task: Task) -> Callable[[float], float]:
+def make_volt_reader(task: Task) -> Callable[[float], float]:
     """Return what reads the input's volts within a timeout (s)."""
     read: Callable[[float], float] = AnalogSingleChannelReader(task.in_stream).read_one_sample
     return read
 
 
-class Wired(NamedTuple):
+class TaskCalls(NamedTuple):
     """What the running tasks do; each is called with its timeout (s) last."""
 
     write_v: Callable[[float, float], None]
@@ -228,7 +228,7 @@ class Wired(NamedTuple):
 # --- the rig -----------------------------------------------------------------------------
 
 
-def unwrapped(last: int, reading: int) -> int:
+def unwrap_count(last: int, reading: int) -> int:
     """Return the count nearest to `last` that a 32-bit counter shows as `reading`.
 
     Whether the counter shows what lies below zero as negative or from 2^32 down makes no
@@ -252,9 +252,9 @@ class NidaqRig:
         self._settings = settings
         self._now_ns = now_ns
         self._output = card_output(settings)
-        self._safe_v = applied_v(self._output, safe_output_v)
+        self._safe_v = nearest_output_v(self._output, safe_output_v)
         self._safe_output_v = safe_output_v
-        self._wired: Wired | None = None
+        self._wired: TaskCalls | None = None
         self._tasks = ExitStack()
         self._counts = 0
         self._identity: Mapping[str, object] = {}
@@ -266,8 +266,8 @@ class NidaqRig:
         if self._wired is not None:
             raise RigError("the rig is open already", fix="call close() first")
         self._warnings.clear()
-        with reported(f"opening {self._settings.device}"), ExitStack() as acquired:
-            acquired.enter_context(_warnings_to(self._note_warning))
+        with raise_rig_errors(f"opening {self._settings.device}"), ExitStack() as acquired:
+            acquired.enter_context(_divert_warnings(self._note_warning))
             wired = self._wire(acquired)
             self._counts = 0
             self._wired, self._tasks = wired, acquired.pop_all()
@@ -283,7 +283,7 @@ class NidaqRig:
             pressure_t_ns = self._now_ns()
             pressure_v = wired.read_v(timeout_s)
         except _FAILURES as error:
-            raise _rig_error(doing, error) from error
+            raise _make_rig_error(doing, error) from error
         return RawSample(pressure_v, self._unwrap(reading), pressure_t_ns, encoder_t_ns)
 
     def write(self, ao_v: float) -> float:
@@ -291,11 +291,11 @@ class NidaqRig:
         wired = self._require_open()
         if not math.isfinite(ao_v):
             raise RigError(f"refused to output {ao_v} V", fix="a law must command a finite voltage")
-        admitted_v = applied_v(self._output, ao_v)
+        admitted_v = nearest_output_v(self._output, ao_v)
         try:
             wired.write_v(admitted_v, self._settings.timeout_s)
         except _FAILURES as error:
-            raise _rig_error("writing to the valve", error) from error
+            raise _make_rig_error("writing to the valve", error) from error
         return admitted_v
 
     def make_safe(self) -> None:
@@ -344,24 +344,24 @@ class NidaqRig:
     def safe_failure(self) -> RigError | None:
         """Why the last `make_safe` could not drive the safe voltage; None where it did."""
         failure = self._safe_failure
-        return None if failure is None else _rig_error("driving the safe voltage", failure)
+        return None if failure is None else _make_rig_error("driving the safe voltage", failure)
 
-    def _wire(self, acquired: ExitStack) -> Wired:
+    def _wire(self, acquired: ExitStack) -> TaskCalls:
         """Write the safe voltage, and only then take the inputs."""
         settings = self._settings
-        valve = acquired.enter_context(valve_task(settings))
+        valve = acquired.enter_context(make_valve_task(settings))
         valve.start()
-        write_v = valve_writer(valve)
+        write_v = make_valve_writer(valve)
         write_v(self._safe_v, settings.timeout_s)
         self._identity = require_card(settings)
-        encoder = acquired.enter_context(encoder_task(settings))
+        encoder = acquired.enter_context(make_encoder_task(settings))
         encoder.start()
-        pressure = acquired.enter_context(pressure_task(settings))
+        pressure = acquired.enter_context(make_pressure_task(settings))
         pressure.start()
-        return Wired(write_v, count_reader(encoder), volt_reader(pressure))
+        return TaskCalls(write_v, make_count_reader(encoder), make_volt_reader(pressure))
 
     def _unwrap(self, reading: float) -> int:
-        self._counts = unwrapped(self._counts, round(reading))
+        self._counts = unwrap_count(self._counts, round(reading))
         return self._counts
 
     def _drive_safe(self, *, as_open: bool) -> None:
@@ -371,14 +371,14 @@ class NidaqRig:
         self._release()
         self._write_on_demand(self._safe_v)
 
-    def _write_safe_as_wired(self, wired: Wired) -> None:
+    def _write_safe_as_wired(self, wired: TaskCalls) -> None:
         wired.write_v(self._safe_v, self._settings.timeout_s)
 
     def _write_on_demand(self, volts: float) -> None:
         """Write over a task made for this alone; the output holds what it is left at."""
-        with valve_task(self._settings) as valve:
+        with make_valve_task(self._settings) as valve:
             valve.start()
-            valve_writer(valve)(volts, self._settings.timeout_s)
+            make_valve_writer(valve)(volts, self._settings.timeout_s)
 
     def _release(self) -> None:
         self._wired = None
@@ -389,7 +389,7 @@ class NidaqRig:
     def _note_warning(self, code: int) -> None:
         self._warnings[code] = self._warnings.get(code, 0) + 1
 
-    def _require_open(self) -> Wired:
+    def _require_open(self) -> TaskCalls:
         if self._wired is None:
             raise RigError("the card is not open", fix="call open() first")
         return self._wired

@@ -17,8 +17,8 @@ from nidaqmx.system import Device, System
 
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.hardware_timed import HardwareTimedRig
-from hal.nidaq.on_demand import _loaded_library, _task, reported, require_card
-from hal.rig import RigError, opened
+from hal.nidaq.on_demand import _find_loaded_library, _make_task, raise_rig_errors, require_card
+from hal.rig import RigError, open_rig
 
 _HARDWARE_TIMED_SAMPLES = 20
 
@@ -50,40 +50,40 @@ class Card(NamedTuple):
     output_ranges: tuple[Range, ...]
 
 
-class User(NamedTuple):
+class DriverUser(NamedTuple):
     """A process that has the driver loaded."""
 
     pid: int
     command: str
 
 
-def driver() -> Driver:
+def identify_driver() -> Driver:
     """Load the driver; raise `RigError` where there is none."""
-    with reported("asking the driver for its version and devices"):
+    with raise_rig_errors("asking the driver for its version and devices"):
         system = System.local()
         numbers = system.driver_version
         names = tuple(device.name for device in system.devices)
-    return Driver(version("nidaqmx"), ".".join(map(str, numbers)), _loaded_library(), names)
+    return Driver(version("nidaqmx"), ".".join(map(str, numbers)), _find_loaded_library(), names)
 
 
-def card(name: str) -> Card:
+def identify_card(name: str) -> Card:
     """Ask a card who it is; raise `RigError` where it does not answer."""
-    with reported(f"looking for {name}"):
+    with raise_rig_errors(f"looking for {name}"):
         device = Device(name)
         return Card(
             product_type=str(device.product_type),
             serial_number=int(device.serial_num),
             bus=str(device.bus_type.name),
             is_simulated=bool(device.is_simulated),
-            inputs=_channels(device.ai_physical_chans),
-            outputs=_channels(device.ao_physical_chans),
-            counters=_channels(device.ci_physical_chans),
-            input_ranges=_ranges(device.ai_voltage_rngs),
-            output_ranges=_ranges(device.ao_voltage_rngs),
+            inputs=_strip_device_names(device.ai_physical_chans),
+            outputs=_strip_device_names(device.ao_physical_chans),
+            counters=_strip_device_names(device.ci_physical_chans),
+            input_ranges=_pair_ranges(device.ai_voltage_rngs),
+            output_ranges=_pair_ranges(device.ao_voltage_rngs),
         )
 
 
-def conflicts(settings: NidaqSettings) -> dict[str, RigError]:
+def find_conflicts(settings: NidaqSettings) -> dict[str, RigError]:
     """Try to reserve input, counter and output; return what each that fails says, by its name."""
     found = {}
     for channel in (settings.pressure_channel, settings.encoder_counter, settings.valve_channel):
@@ -94,7 +94,7 @@ def conflicts(settings: NidaqSettings) -> dict[str, RigError]:
     return found
 
 
-def driver_users(ignore: Sequence[int]) -> list[User]:
+def find_driver_users(ignore: Sequence[int]) -> list[DriverUser]:
     """Find other processes with the driver loaded, as far as this user may look."""
     users = []
     for process in Path("/proc").glob("[0-9]*"):
@@ -107,16 +107,16 @@ def driver_users(ignore: Sequence[int]) -> list[User]:
             command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
         except (OSError, UnicodeDecodeError):
             continue
-        users.append(User(pid, command))
+        users.append(DriverUser(pid, command))
     return sorted(users)
 
 
-def on_demand_failure(settings: NidaqSettings) -> RigError | None:
+def try_on_demand_read(settings: NidaqSettings) -> RigError | None:
     """Read the input once when asked; return why that does not work."""
-    return _tried(lambda: _read_on_demand(settings))
+    return _catch_rig_error(lambda: _read_on_demand(settings))
 
 
-def hardware_timed_failure(
+def try_hardware_timing(
     settings: NidaqSettings, rate_hz: float, safe_output_v: float
 ) -> RigError | None:
     """Let the card pace a few ticks, the safe voltage on its output; return why that fails.
@@ -128,23 +128,23 @@ def hardware_timed_failure(
     def tick() -> None:
         require_card(timed)
         rig = HardwareTimedRig(timed, rate_hz=rate_hz, safe_output_v=safe_output_v)
-        with opened(rig):
+        with open_rig(rig):
             for _ in range(_HARDWARE_TIMED_SAMPLES):
                 rig.await_edge()
                 rig.read()
                 rig.write(safe_output_v)
 
-    return _tried(tick)
+    return _catch_rig_error(tick)
 
 
 def _read_on_demand(settings: NidaqSettings) -> None:
-    with reported("reading when asked"), _task("probe") as task:
+    with raise_rig_errors("reading when asked"), _make_task("probe") as task:
         _add_input(task, settings)
         task.start()
         AnalogSingleChannelReader(task.in_stream).read_one_sample(settings.timeout_s)
 
 
-def _tried(reading: Callable[[], None]) -> RigError | None:
+def _catch_rig_error(reading: Callable[[], None]) -> RigError | None:
     try:
         reading()
     except RigError as error:
@@ -153,7 +153,7 @@ def _tried(reading: Callable[[], None]) -> RigError | None:
 
 
 def _reserve(settings: NidaqSettings, channel: str) -> None:
-    with reported(f"reserving {settings.device}/{channel}"), _task("probe") as task:
+    with raise_rig_errors(f"reserving {settings.device}/{channel}"), _make_task("probe") as task:
         physical = f"{settings.device}/{channel}"
         if channel == settings.pressure_channel:
             _add_input(task, settings)
@@ -176,10 +176,10 @@ def _add_input(task, settings: NidaqSettings) -> None:  # type: ignore[no-untype
     )
 
 
-def _channels(collection) -> tuple[str, ...]:  # type: ignore[no-untyped-def]
+def _strip_device_names(collection) -> tuple[str, ...]:  # type: ignore[no-untyped-def]
     """Return the names behind the device's: `ai0` of `Dev1/ai0`."""
     return tuple(name.partition("/")[2] for name in collection.channel_names)
 
 
-def _ranges(flat: Sequence[float]) -> tuple[Range, ...]:
+def _pair_ranges(flat: Sequence[float]) -> tuple[Range, ...]:
     return tuple(zip(flat[::2], flat[1::2], strict=True))

@@ -73,7 +73,7 @@ class SharedRegister:
         try:
             reserve(fd, f"the output of {self._device}", _PID_AT)
             # The mapping duplicates its descriptor, and a duplicate would keep the lock.
-            self._volts = memoryview(_mapped(self._path)).cast("d")
+            self._volts = memoryview(_map_file(self._path)).cast("d")
         except BaseException:
             os.close(fd)
             raise
@@ -88,10 +88,10 @@ class SharedRegister:
 
 def peek_v(path: Path) -> float:
     """Read a register as a voltmeter does: without asking anybody."""
-    return memoryview(_mapped(path)).cast("d")[0]
+    return memoryview(_map_file(path)).cast("d")[0]
 
 
-def _mapped(path: Path) -> mmap.mmap:
+def _map_file(path: Path) -> mmap.mmap:
     fd = open_shared(path, _SIZE)
     try:
         return mmap.mmap(fd, _SIZE)

@@ -20,7 +20,7 @@ from hal.calibration import (
     valve_v,
 )
 from hal.configured import Configured
-from hal.converter import Converter, Output, converted_v, within
+from hal.converter import Converter, Output, make_output, quantise_v
 from hal.rig import RawSample, RigError
 from hal.sim.register import PrivateRegister, Register
 
@@ -90,13 +90,13 @@ def sensor_chain(settings: SimSettings, nominal: CalibrationSettings) -> SensorC
 def simulated_output(settings: SimSettings) -> Output:
     """Return the valve's output: the whole range of its converter."""
     full_scale_v = settings.output_full_scale_v
-    return within(Converter(full_scale_v), -full_scale_v, full_scale_v)
+    return make_output(Converter(full_scale_v), -full_scale_v, full_scale_v)
 
 
 def sensed_pressure_v(chain: SensorChain, pressure_pa: float, noise: float) -> float:
     """Voltage that the input converter reports; `noise` is a standard normal deviate."""
     true_v = sensor_v(chain.calibration, chain.zero, pressure_pa)
-    return converted_v(chain.input_converter, true_v + chain.noise_v * noise)
+    return quantise_v(chain.input_converter, true_v + chain.noise_v * noise)
 
 
 def sensed_counts(chain: SensorChain, position_m: float) -> int:
@@ -212,7 +212,7 @@ class SimRig:
         }
 
     def _drive(self, ao_v: float) -> float:
-        volts = self._register.volts = converted_v(self._chain.output_converter, ao_v)
+        volts = self._register.volts = quantise_v(self._chain.output_converter, ao_v)
         return volts
 
     def _apply(self) -> None:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.config import JsonOption, PlantOption, config_errors_exit, file_of_argument
-from pamctl.cli.diagnose import plant_named
-from pamctl.cli.offline import bad_data_exits, print_json
+from pamctl.cli.config import JsonOption, PlantOption, exit_on_config_errors, find_argument_file
+from pamctl.cli.diagnose import read_plant_settings
+from pamctl.cli.offline import exit_on_bad_data, print_json
 from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -26,33 +26,33 @@ def audit(
 
     An experiment is simulated with the default controller and the simulated rig's sensors.
     """
-    with bad_data_exits(as_json=as_json), config_errors_exit(as_json=as_json):
-        start = plant_named(plant)
-        from pamctl.diagnose.audit import audit_of
+    with exit_on_bad_data(as_json=as_json), exit_on_config_errors(as_json=as_json):
+        start = read_plant_settings(plant)
+        from pamctl.diagnose.audit import audit_run
         from pamctl.diagnose.measured.refuse import BadData
 
         try:
-            found = audit_of(_record(what, plant), start)
+            found = audit_run(_make_record(what, plant), start)
         except BadData as error:
             typer.echo(f"error: {error}", err=True)
             raise typer.Exit(ExitCode.BAD_DATA) from None
     if as_json:
-        print_json(found.document())
+        print_json(found.as_dict())
     else:
-        typer.echo("\n".join(_lines(found)))
+        typer.echo("\n".join(_format_audit(found)))
 
 
-def _record(what: str, plant: str | None) -> Record:
+def _make_record(what: str, plant: str | None) -> Record:
     if Path(what).suffix == ".mcap":
         from pamctl.diagnose.measured.from_log import record_of
 
         return record_of(what)
     from pamctl.diagnose import Record
     from pamctl.settings.resolve import resolve
-    from pamctl.simulate.batch import simulated
+    from pamctl.simulate.batch import simulate_run
 
-    file_of_argument("experiment", what)  # leaves first: resolve would blame an option
-    run = simulated(resolve(experiment=what, plant=plant))
+    find_argument_file("experiment", what)  # leaves first: resolve would blame an option
+    run = simulate_run(resolve(experiment=what, plant=plant))
     return Record(
         Path(what).stem,
         run.t_s,
@@ -62,12 +62,13 @@ def _record(what: str, plant: str | None) -> Record:
     )
 
 
-def _lines(found: Audit) -> list[str]:
+def _format_audit(found: Audit) -> list[str]:
     lines = [f"shows {len(found.sees)} effects: {', '.join(found.sees) or 'none'}", ""]
     if found.blind_spots:
         lines.append("cannot show, at the smallest size of interest:")
         lines += [
-            f"  {s.name:<24}{s.why}; {_advice(s.visible, s.experiment)}" for s in found.blind_spots
+            f"  {s.name:<24}{s.why}; {_format_advice(s.visibility, s.experiment)}"
+            for s in found.blind_spots
         ]
     else:
         lines.append("no blind spots")
@@ -80,5 +81,5 @@ def _lines(found: Audit) -> list[str]:
     return lines
 
 
-def _advice(visible: str, experiment: str) -> str:
+def _format_advice(visible: str, experiment: str) -> str:
     return f"{visible}; add: {experiment}" if experiment else visible

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pamctl.cli.backend import BackendOption
-from pamctl.cli.config import JsonOption, RigOption, SetOption, config_errors_exit
+from pamctl.cli.config import JsonOption, RigOption, SetOption, exit_on_config_errors
 from pamctl.cli.linux import require_linux
 from pamctl.settings.problems import ConfigError, Problem
 
 if TYPE_CHECKING:  # no other verb has to wait for these
-    from pamctl.commissioning.calibrate.outcome import Operator, Outcome
+    from pamctl.commissioning.calibrate.outcome import CalibrationOutcome, Operator
     from pamctl.commissioning.hands_on import Bench
 
 calibrate_app = typer.Typer(
@@ -52,7 +52,11 @@ def pressure(
 ) -> None:
     """Sensor zero at the atmosphere; gain against a reference gauge, at one point or more."""
     require_linux()
-    from pamctl.commissioning.calibrate.guided import Order, answers_of, calibrate_rig
+    from pamctl.commissioning.calibrate.guided import (
+        CalibrationOptions,
+        calibrate_rig,
+        check_answers,
+    )
     from pamctl.commissioning.calibrate.pressure_sensor import (
         DEFAULT_POINTS_KPA,
         calibrate_pressure,
@@ -62,8 +66,8 @@ def pressure(
     calibrate_rig(
         "pressure",
         lambda bench, operator: calibrate_pressure(bench, operator, points),
-        Order(backend, rig, overrides or [], out, yes, as_json, points),
-        answers_of("--reading", readings_kpa, points),
+        CalibrationOptions(backend, rig, overrides or [], out, yes, as_json, points),
+        check_answers("--reading", readings_kpa, points),
     )
 
 
@@ -94,24 +98,30 @@ def encoder(
         calibrate_encoder_by_hand,
         calibrate_encoder_by_muscle,
     )
-    from pamctl.commissioning.calibrate.guided import Order, answers_of, calibrate_rig
+    from pamctl.commissioning.calibrate.guided import (
+        CalibrationOptions,
+        calibrate_rig,
+        check_answers,
+    )
 
     points = tuple(points_kpa or DEFAULT_POINTS_KPA)
     known = tuple(displacements_mm or ())
 
-    def work(bench: Bench, operator: Operator) -> Outcome:
+    def work(bench: Bench, operator: Operator) -> CalibrationOutcome:
         if by == "muscle":
             return calibrate_encoder_by_muscle(bench, operator, points)
         return calibrate_encoder_by_hand(bench, operator, known)
 
-    with config_errors_exit(as_json=as_json):
+    with exit_on_config_errors(as_json=as_json):
         if by not in {"hand", "muscle"}:
             raise ConfigError([Problem(f"--by {by}", "", "must be 'hand' or 'muscle'")])
     calibrate_rig(
         "encoder",
         work,
-        Order(backend, rig, overrides or [], out, yes, as_json, points if by == "muscle" else ()),
-        answers_of("--displacement-mm", displacements_mm, points) if by == "muscle" else None,
+        CalibrationOptions(
+            backend, rig, overrides or [], out, yes, as_json, points if by == "muscle" else ()
+        ),
+        check_answers("--displacement-mm", displacements_mm, points) if by == "muscle" else None,
     )
 
 
@@ -129,11 +139,11 @@ def valve(
 ) -> None:
     """Sign, null voltage, dead band and supply pressure."""
     require_linux()
-    from pamctl.commissioning.calibrate.guided import Order, calibrate_rig
+    from pamctl.commissioning.calibrate.guided import CalibrationOptions, calibrate_rig
     from pamctl.commissioning.calibrate.valve_null import calibrate_valve
 
     calibrate_rig(
         "valve",
         lambda bench, operator: calibrate_valve(bench, span_v),
-        Order(backend, rig, overrides or [], out, yes, as_json),
+        CalibrationOptions(backend, rig, overrides or [], out, yes, as_json),
     )

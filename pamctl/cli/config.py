@@ -17,14 +17,14 @@ from pamctl.settings.resolve import (
     DEFAULT_NAMES,
     SECTIONS,
     RunSettings,
-    check,
+    build_config_schema,
+    check_config_file,
     config_dir,
-    find,
+    find_config_file,
     resolve,
-    schema,
-    shown,
-    to_json,
-    to_yaml,
+    settings_to_json,
+    settings_to_yaml,
+    shorten_path,
 )
 
 config_app = typer.Typer(
@@ -60,7 +60,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON documen
 
 
 @contextmanager
-def config_errors_exit(*, as_json: bool = False) -> Iterator[None]:
+def exit_on_config_errors(*, as_json: bool = False) -> Iterator[None]:
     """Print what is wrong, a line each; exit with 2 for options and 78 for configuration."""
     try:
         yield
@@ -80,16 +80,16 @@ def _exit_code(problems: Iterable[Problem]) -> ExitCode:
     return ExitCode.USAGE if options_only else ExitCode.BAD_CONFIG
 
 
-def file_of_argument(section: str, name: str) -> Path:
+def find_argument_file(section: str, name: str) -> Path:
     """Return the file that an argument without an option means; leave with 2 where none is."""
     try:
-        return find(section, name)
+        return find_config_file(section, name)
     except ConfigError as error:
         told = "; ".join(problem.message for problem in error.problems)
         raise typer.BadParameter(f"{name!r}: {told}") from None
 
 
-class Choice(NamedTuple):
+class ResolvedOptions(NamedTuple):
     """What the options of a verb come to."""
 
     settings: RunSettings
@@ -97,7 +97,7 @@ class Choice(NamedTuple):
     """Of the files, by section."""
 
 
-class Words(TypedDict, total=False):
+class VerbOptions(TypedDict, total=False):
     """Options of a verb beside its rig; those that it has not got are left out."""
 
     controller: str | None
@@ -110,22 +110,22 @@ class Words(TypedDict, total=False):
     rt: str | None
 
 
-def chosen(
+def resolve_options(
     backend: str | None,
     rig: str | None,
     overrides: Sequence[str] | None,
     *,
     as_json: bool = False,
-    **words: Unpack[Words],
-) -> Choice:
-    """Settle what the options mean together; leave as `config_errors_exit` does."""
-    with config_errors_exit(as_json=as_json):
+    **words: Unpack[VerbOptions],
+) -> ResolvedOptions:
+    """Settle what the options mean together; leave as `exit_on_config_errors` does."""
+    with exit_on_config_errors(as_json=as_json):
         named_rig = rig_name(backend, rig)
         settings = resolve(rig=named_rig, overrides=overrides or (), **words)
         check_backend(settings, backend, rig)
     named = {"rig": named_rig, **words}
     names = {section: str(named.get(section) or DEFAULT_NAMES[section]) for section in SECTIONS}
-    return Choice(settings, names)
+    return ResolvedOptions(settings, names)
 
 
 @config_app.command("check")
@@ -137,7 +137,7 @@ def check_files(
     as_json: JsonOption = False,
 ) -> None:
     """Validate files, each by itself: one line per file, or one per problem."""
-    verdicts = [_verdict(path) for path in files or _shipped()]
+    verdicts = [_check_file(path) for path in files or _list_shipped()]
     if as_json:
         typer.echo(json.dumps([verdict.as_dict() for verdict in verdicts], indent=2))
     else:
@@ -162,7 +162,7 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Print the configuration a run with the same options would use, defaults included."""
-    settings, _ = chosen(
+    settings, _ = resolve_options(
         backend,
         rig,
         overrides,
@@ -175,40 +175,40 @@ def show(
         fast=fast or None,
         rt=rt,
     )
-    typer.echo(to_json(settings) if as_json else to_yaml(settings).rstrip())
+    typer.echo(settings_to_json(settings) if as_json else settings_to_yaml(settings).rstrip())
 
 
 @config_app.command("schema")
 def print_schema() -> None:
     """Print the JSON schema that editors complete and check the files with."""
-    typer.echo(json.dumps(schema(), indent=2))
+    typer.echo(json.dumps(build_config_schema(), indent=2))
 
 
-class _Verdict(NamedTuple):
-    """What `check` found of one file; `kind` is empty where the file is not valid."""
+class _FileCheck(NamedTuple):
+    """What `check_config_file` found of one file; `kind` is empty where the file is not valid."""
 
     path: Path
     kind: str
     problems: tuple[Problem, ...]
 
     def lines(self) -> list[str]:
-        return [str(p) for p in self.problems] or [f"{shown(self.path)}: ok ({self.kind})"]
+        return [str(p) for p in self.problems] or [f"{shorten_path(self.path)}: ok ({self.kind})"]
 
     def as_dict(self) -> dict[str, object]:
         return {
-            "file": shown(self.path),
+            "file": shorten_path(self.path),
             "kind": self.kind or None,
             "ok": not self.problems,
             "problems": [problem._asdict() for problem in self.problems],
         }
 
 
-def _verdict(path: Path) -> _Verdict:
+def _check_file(path: Path) -> _FileCheck:
     try:
-        return _Verdict(path, check(path), ())
+        return _FileCheck(path, check_config_file(path), ())
     except ConfigError as error:
-        return _Verdict(path, "", error.problems)
+        return _FileCheck(path, "", error.problems)
 
 
-def _shipped() -> list[Path]:
+def _list_shipped() -> list[Path]:
     return [path for kind in SECTIONS for path in sorted((config_dir() / kind).glob("*.yaml"))]

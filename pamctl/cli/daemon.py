@@ -16,7 +16,7 @@ from pamctl.cli.config import (
     RtOption,
     SeedOption,
     SetOption,
-    chosen,
+    resolve_options,
 )
 from pamctl.cli.linux import require_linux
 from pamctl.cli.live import (
@@ -24,7 +24,7 @@ from pamctl.cli.live import (
     LiveOption,
     LiveOriginOption,
     LivePortOption,
-    port_of,
+    check_live_port,
 )
 from pamctl.cli.seconds import at_least
 from pamctl.cli.socket_option import SocketOption
@@ -62,7 +62,7 @@ def daemon(
     ] = False,
 ) -> None:
     """Stay up: home, run experiments and hold positions as clients ask (pamctl start, goto ...)."""
-    settings, names = chosen(
+    settings, names = resolve_options(
         backend,
         rig,
         overrides,
@@ -74,12 +74,15 @@ def daemon(
     )
     del names["experiment"]  # that is said when it is started
     origins = live_origins or ()
-    port = port_of(live, live_port, origins)
+    port = check_live_port(live, live_port, origins)
     require_linux()
     from pamctl.daemon.client import own_socket
-    from pamctl.daemon.serving import ServiceOptions, serve  # no other verb has to wait for it
+    from pamctl.daemon.serving import (  # no other verb has to wait for it
+        ServiceOptions,
+        serve_daemon,
+    )
 
     options = ServiceOptions(
         socket or own_socket(), group, logs, keep, idle_after_s, port, origins, as_json
     )
-    sys.exit(int(serve(settings, names, options)))
+    sys.exit(int(serve_daemon(settings, names, options)))

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.config import JsonOption, PlantOption, config_errors_exit
-from pamctl.cli.offline import bad_data_exits, print_json
+from pamctl.cli.config import JsonOption, PlantOption, exit_on_config_errors
+from pamctl.cli.offline import exit_on_bad_data, print_json
 from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -47,21 +47,21 @@ def diagnose(
     DIR gets diagnosis.json, plant.yaml (for --plant of run, tune, compare and a next
     diagnose) and report.html. Exit code 0 whatever the verdict, 65 if the data are no good.
     """
-    with bad_data_exits(as_json=as_json), config_errors_exit(as_json=as_json):
+    with exit_on_bad_data(as_json=as_json), exit_on_config_errors(as_json=as_json):
         _require_room(out)
-        start = plant_named(plant)
+        start = read_plant_settings(plant)
         _require_known(without or [])
         from pamctl.diagnose import diagnose as diagnosed
         from pamctl.diagnose import summary
         from pamctl.diagnose.measured.from_log import record_of
-        from pamctl.diagnose.report.diagnosis_document import document
+        from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 
         train = [record_of(path) for path in logs]
         held = [record_of(path) for path in holdout or []]
         if not held:
             how = "the runs are split" if len(train) > 1 else "long stretches of it are held out"
             typer.echo(f"no --holdout: {how}", err=True)
-        with _workers(jobs) as executor:
+        with _start_workers(jobs) as executor:
             diagnosis = diagnosed(
                 train,
                 held,
@@ -71,21 +71,29 @@ def diagnose(
                 executor=executor,
                 progress=lambda line: typer.echo(line, err=True),
             )
-        _write(diagnosis, out, [*logs, *(holdout or [])], [*train, *held])
+        _write_results(diagnosis, out, [*logs, *(holdout or [])], [*train, *held])
     if as_json:
-        print_json(document(diagnosis))
+        print_json(build_diagnosis_document(diagnosis))
     else:
         typer.echo(summary(diagnosis))
         typer.echo(f"\n{out}: {', '.join(sorted(p.name for p in out.iterdir()))}")
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
 
 
-def plant_named(name: str | None) -> PlantSettings:
+def read_plant_settings(name: str | None) -> PlantSettings:
     """Read a plant file by name or path; raise `ConfigError`."""
-    from pamctl.settings.resolve import DEFAULT_NAMES, SECTIONS, Raw, find, validated
+    from pamctl.settings.resolve import (
+        DEFAULT_NAMES,
+        SECTIONS,
+        RawSettings,
+        find_config_file,
+        validate_settings,
+    )
 
-    file = find("plant", name or DEFAULT_NAMES["plant"])
-    settings: PlantSettings = validated(SECTIONS["plant"], Raw.read(file), title="plant")
+    file = find_config_file("plant", name or DEFAULT_NAMES["plant"])
+    settings: PlantSettings = validate_settings(
+        SECTIONS["plant"], RawSettings.read(file), title="plant"
+    )
     return settings
 
 
@@ -112,7 +120,7 @@ def _require_known(names: Sequence[str]) -> None:
 
 
 @contextmanager
-def _workers(jobs: int) -> Iterator[Executor | None]:
+def _start_workers(jobs: int) -> Iterator[Executor | None]:
     if jobs == 1:
         yield None
         return
@@ -120,17 +128,17 @@ def _workers(jobs: int) -> Iterator[Executor | None]:
         yield executor
 
 
-def _write(
+def _write_results(
     diagnosis: Diagnosis, out: Path, logs: Sequence[Path], records: Sequence[Record]
 ) -> None:
-    from pamctl.diagnose.report.diagnosis_document import document
-    from pamctl.diagnose.report.diagnosis_page import page_of
-    from pamctl.diagnose.report.extended_plant_file import plant_file
+    from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+    from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+    from pamctl.diagnose.report.extended_plant_file import format_plant_file
 
     out.mkdir(parents=True, exist_ok=True)
-    written = json.dumps(document(diagnosis), indent=2, allow_nan=False) + "\n"
+    written = json.dumps(build_diagnosis_document(diagnosis), indent=2, allow_nan=False) + "\n"
     (out / "diagnosis.json").write_text(written)
     if not diagnosis.reason:
-        (out / "plant.yaml").write_text(plant_file(diagnosis, [p.name for p in logs]))
-    page = page_of(diagnosis, records).html()
+        (out / "plant.yaml").write_text(format_plant_file(diagnosis, [p.name for p in logs]))
+    page = build_diagnosis_page(diagnosis, records).html()
     (out / "report.html").write_text(page, encoding="utf-8")

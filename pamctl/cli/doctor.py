@@ -10,13 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pamctl.cli.backend import BackendOption
-from pamctl.cli.config import JsonOption, RigOption, SetOption, chosen
+from pamctl.cli.config import JsonOption, RigOption, SetOption, resolve_options
 from pamctl.cli.linux import require_linux
-from pamctl.commissioning.doctor.findings import Finding, document, report, worst
+from pamctl.commissioning.doctor.findings import (
+    DoctorFinding,
+    encode_findings,
+    format_findings,
+    worst_level,
+)
 from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from pamctl.processes.interrupts import Interrupted
+    from pamctl.processes.interrupts import SignalInterrupt
 
 SCHEMA = 1
 """Of the document that `--json` prints."""
@@ -35,49 +40,49 @@ def doctor(
     as_json: JsonOption = False,
 ) -> None:
     """Find out whether this PC and this rig are fit for a run, and how to mend what is not."""
-    settings, _ = chosen(backend, rig, overrides, as_json=as_json, fast=False)
+    settings, _ = resolve_options(backend, rig, overrides, as_json=as_json, fast=False)
     require_linux()  # as what follows does; and no other verb has to wait for it
-    from pamctl.commissioning.doctor.examination import examination
+    from pamctl.commissioning.doctor.examination import examine_all
     from pamctl.processes.backends import device_of
-    from pamctl.processes.interrupts import Interrupted
+    from pamctl.processes.interrupts import SignalInterrupt
 
-    findings: list[Finding] = []
-    interrupt: Interrupted | None = None
+    findings: list[DoctorFinding] = []
+    interrupt: SignalInterrupt | None = None
     # A simulated carriage cannot be moved by hand.
     may_ask = not as_json and sys.stdin.isatty() and settings.rig.backend != "sim"
-    work = examination(settings, rt_seconds, actuate=actuate, may_ask=may_ask)
+    work = examine_all(settings, rt_seconds, actuate=actuate, may_ask=may_ask)
     try:
         # Closed on every path: what it has open is the rig.
         with closing(work):
             for finding in work:
                 findings.append(finding)
                 if not as_json:
-                    typer.echo("\n".join(report([finding])))
-    except (Interrupted, KeyboardInterrupt) as error:
-        interrupt = error if isinstance(error, Interrupted) else Interrupted(2)
+                    typer.echo("\n".join(format_findings([finding])))
+    except (SignalInterrupt, KeyboardInterrupt) as error:
+        interrupt = error if isinstance(error, SignalInterrupt) else SignalInterrupt(2)
     code = _exit_code(findings, interrupt)
     if as_json:
         told = {
             "schema": SCHEMA,
             "exit_code": code,
-            "worst": worst(findings),
+            "worst": worst_level(findings),
             "backend": settings.rig.backend,
             "device": device_of(settings),
             "actuated": actuate,
-            "findings": document(findings),
+            "findings": encode_findings(findings),
         }
         typer.echo(json.dumps(told, indent=2))
     else:
-        typer.echo(str(interrupt) if interrupt else _summary(findings))
+        typer.echo(str(interrupt) if interrupt else _summarise(findings))
     raise typer.Exit(code)
 
 
-def _exit_code(findings: list[Finding], interrupt: Interrupted | None) -> int:
+def _exit_code(findings: list[DoctorFinding], interrupt: SignalInterrupt | None) -> int:
     if interrupt is not None:
         return interrupt.code
-    return int(ExitCode.CHECK_FAILED if worst(findings) == "fault" else ExitCode.OK)
+    return int(ExitCode.CHECK_FAILED if worst_level(findings) == "fault" else ExitCode.OK)
 
 
-def _summary(findings: list[Finding]) -> str:
+def _summarise(findings: list[DoctorFinding]) -> str:
     levels = [finding.level for finding in findings]
     return f"{levels.count('fault')} faults, {levels.count('warning')} warnings"

@@ -17,7 +17,7 @@ import typer
 from pamctl.exit_codes import ExitCode
 
 
-class Failed(typer.Exit):
+class VerbFailure(typer.Exit):
     """The end of a verb, with its reason."""
 
     def __init__(self, code: ExitCode, reason: str) -> None:
@@ -29,11 +29,11 @@ class Failed(typer.Exit):
 def fail(code: ExitCode, reason: str) -> NoReturn:
     """Say why, and leave with `code`."""
     print(f"error: {reason}", file=sys.stderr)
-    raise Failed(code, reason)
+    raise VerbFailure(code, reason)
 
 
 @contextmanager
-def documented(arguments: Sequence[str]) -> Iterator[None]:
+def document_failures(arguments: Sequence[str]) -> Iterator[None]:
     """Where `--json` is among the arguments, a failure is a document: wrong usage too."""
     try:
         yield
@@ -58,7 +58,7 @@ class _WrongUsage(Protocol):
 
 def _reason_of(why: BaseException | None) -> str | None:
     match why:
-        case Failed():
+        case VerbFailure():
             return why.reason
         case _WrongUsage():
             return why.format_message()

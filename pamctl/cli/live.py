@@ -32,7 +32,7 @@ DEFAULT_LIVE_PORT = 8765
 """Foxglove's own."""
 
 
-def port_of(live: bool, port: int, origins: Sequence[str]) -> int | None:
+def check_live_port(live: bool, port: int, origins: Sequence[str]) -> int | None:
     """Return where to serve, None where that is not wanted; leave where it cannot be done."""
     if not live:
         if origins:
@@ -45,7 +45,7 @@ def port_of(live: bool, port: int, origins: Sequence[str]) -> int | None:
 
 
 @contextmanager
-def live_view(port: int | None, origins: Sequence[str], *source: str) -> Iterator[None]:
+def serve_live_view(port: int | None, origins: Sequence[str], *source: str) -> Iterator[None]:
     """Let `pamctl.live.live_main` serve `source` on `port` meanwhile; nothing with None.
 
     Pages of the sites in `origins` may look on, beside programs and applications.

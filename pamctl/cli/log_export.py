@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.config import JsonOption
-from pamctl.cli.log import LogArgument, log_errors_exit
+from pamctl.cli.log import LogArgument, exit_on_log_errors
 
 
 def export_log(
@@ -33,16 +33,18 @@ def export_log(
     as_json: JsonOption = False,
 ) -> None:
     """Write the ticks as .csv, .mat, .npz or .parquet; names carry the units, floats are exact."""
-    from pamctl.log.export import export
+    from pamctl.log.export import export_ticks
 
-    names = _names(fields)
-    with log_errors_exit(as_json=as_json):
-        done = export(source, destination, fields=names, from_s=from_s, to_s=to_s, every=every)
+    names = _parse_names(fields)
+    with exit_on_log_errors(as_json=as_json):
+        done = export_ticks(
+            source, destination, fields=names, from_s=from_s, to_s=to_s, every=every
+        )
     told = f"{done.destination}: {done.ticks} ticks, {len(done.fields)} columns"
     typer.echo(json.dumps(asdict(done), indent=2) if as_json else told)
 
 
-def _names(fields: str | None) -> list[str] | None:
+def _parse_names(fields: str | None) -> list[str] | None:
     if fields is None:
         return None
     names = [name.strip() for name in fields.split(",") if name.strip()]

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pamctl.cli.config import JsonOption, config_errors_exit
-from pamctl.cli.log import log_errors_exit
+from pamctl.cli.config import JsonOption, exit_on_config_errors
+from pamctl.cli.log import exit_on_log_errors
 from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from pamctl.log.importing.column_map import ImportMap
-    from pamctl.log.importing.pipeline import Imported
+    from pamctl.log.importing.pipeline import ImportSummary
 
 
 def import_file(
@@ -40,9 +40,9 @@ def import_file(
     """
     from pamctl.log.importing.pipeline import import_log
 
-    with config_errors_exit(as_json=as_json):
-        import_map = _map(map_path) if map_path else None
-    with log_errors_exit(as_json=as_json):
+    with exit_on_config_errors(as_json=as_json):
+        import_map = _read_map(map_path) if map_path else None
+    with exit_on_log_errors(as_json=as_json):
         done = import_log(
             source,
             destination,
@@ -50,36 +50,41 @@ def import_file(
             resample_hz=resample_hz,
             accept_units=accept_units,
         )
-    typer.echo(json.dumps(_document(done), indent=2) if as_json else "\n".join(_lines(done)))
+    typer.echo(
+        json.dumps(_make_document(done), indent=2) if as_json else "\n".join(_format_lines(done))
+    )
     raise typer.Exit(ExitCode.OK if done.written else ExitCode.BAD_DATA)
 
 
-def _map(path: Path) -> ImportMap:
+def _read_map(path: Path) -> ImportMap:
     from pydantic import TypeAdapter
 
     from pamctl.log.importing.column_map import ImportMap
-    from pamctl.settings.resolve import Raw, validated
+    from pamctl.settings.resolve import RawSettings, validate_settings
 
-    return validated(TypeAdapter(ImportMap), Raw.read(path))
+    return validate_settings(TypeAdapter(ImportMap), RawSettings.read(path))
 
 
-def _document(done: Imported) -> dict[str, Any]:
+def _make_document(done: ImportSummary) -> dict[str, Any]:
     return {**asdict(done), "findings": [finding._asdict() for finding in done.findings]}
 
 
-def _lines(done: Imported) -> list[str]:
+def _format_lines(done: ImportSummary) -> list[str]:
     if done.written:
         head = f"{done.destination}: {done.ticks} ticks, one every {done.period_s:.6g} s"
     else:
         head = f"{done.source}: not imported"
     return [
         head,
-        *(f"  {reading.quantity:<12}from {_told(asdict(reading))}" for reading in done.readings),
+        *(
+            f"  {reading.quantity:<12}from {_format_reading(asdict(reading))}"
+            for reading in done.readings
+        ),
         *(f"  {f.severity:<9}{f.kind:<12}{f.message}" for f in done.findings),
     ]
 
 
-def _told(reading: dict[str, Any]) -> str:
+def _format_reading(reading: dict[str, Any]) -> str:
     scaled = f" x {reading['gain']:g}" if reading["gain"] != 1.0 else ""
     moved = f" {reading['offset']:+g}" if reading["offset"] else ""
     gauge = ", gauge" if reading["gauge"] else ""

@@ -14,7 +14,7 @@ from pamctl.exit_codes import ExitCode
 
 
 @contextmanager
-def bad_data_exits(*, as_json: bool) -> Iterator[None]:
+def exit_on_bad_data(*, as_json: bool) -> Iterator[None]:
     """Say in one line why a log cannot be used, and exit with 65; with 2 for a time it lacks."""
     from pamctl.log import LogError
     from pamctl.replay import BehindTheEnd, NotReplayable
@@ -29,7 +29,7 @@ def bad_data_exits(*, as_json: bool) -> Iterator[None]:
         raise typer.Exit(code) from None
 
 
-def require_place(path: Path | None, option: str) -> None:
+def require_writable(path: Path | None, option: str) -> None:
     """Refuse a file that cannot be written before anything is computed; exit with 2."""
     if path is None:
         return
@@ -41,9 +41,9 @@ def require_place(path: Path | None, option: str) -> None:
         raise typer.BadParameter(f"cannot write {path}: Permission denied", param_hint=option)
 
 
-def require_new(path: Path | None, option: str) -> None:
+def require_new_file(path: Path | None, option: str) -> None:
     """Refuse a file that exists, or cannot be written; exit with 2."""
-    require_place(path, option)
+    require_writable(path, option)
     if path is not None and path.exists():
         message = f"{path} exists, and is never overwritten; give another name"
         raise typer.BadParameter(message, param_hint=option)
@@ -52,7 +52,7 @@ def require_new(path: Path | None, option: str) -> None:
 def write_page(target: Path, text: str, option: str = "--out") -> None:
     """Write a file that may replace an older one of its kind, and nothing else; or exit with 2."""
     try:
-        if target.exists() and target.stat().st_size and not _begin_alike(target, text):
+        if target.exists() and target.stat().st_size and not _begins_alike(target, text):
             message = f"{target} exists and is something else; give another name"
             raise typer.BadParameter(message, param_hint=option)
         target.write_text(text, encoding="utf-8")
@@ -61,7 +61,7 @@ def write_page(target: Path, text: str, option: str = "--out") -> None:
         raise typer.BadParameter(reason, param_hint=option) from None
 
 
-def _begin_alike(target: Path, text: str) -> bool:
+def _begins_alike(target: Path, text: str) -> bool:
     with target.open("rb") as file:
         return file.read(1) == text[:1].encode()
 

@@ -27,7 +27,7 @@ class ProgressLine:
             return
         self._last_s = now_s
         try:
-            self._show(progress_text(tick, worst_late_s))
+            self._show(format_progress(tick, worst_late_s))
         except (OSError, ValueError):
             # Nobody can read it any more; the experiment goes on.
             self._quiet = True
@@ -45,7 +45,7 @@ class ProgressLine:
             print(text, file=sys.stderr, flush=True)
 
 
-def progress_text(tick: Mapping[str, float], worst_late_s: float) -> str:
+def format_progress(tick: Mapping[str, float], worst_late_s: float) -> str:
     """Write one tick as a line: millimetres, micrometres and kilopascals for people."""
     phase = Phase(int(tick["phase"])).name.lower().replace("_", " ")
     motion = f"x {tick['position_m'] * 1e3:7.3f} mm"

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.config import JsonOption, config_errors_exit
-from pamctl.cli.offline import bad_data_exits, print_json, require_new
+from pamctl.cli.config import JsonOption, exit_on_config_errors
+from pamctl.cli.offline import exit_on_bad_data, print_json, require_new_file
 from pamctl.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -62,44 +62,46 @@ def replay(
     if tolerance is not None and is_what_if:
         message = "belongs to a comparison: without --controller and --set"
         raise typer.BadParameter(message, param_hint="--tolerance")
-    require_new(csv, "--csv")
+    require_new_file(csv, "--csv")
     if from_s is not None and not 0.0 <= from_s < math.inf:
         raise typer.BadParameter("must be seconds, 0 or more", param_hint="--from")
-    with bad_data_exits(as_json=as_json), config_errors_exit(as_json=as_json):
+    with exit_on_bad_data(as_json=as_json), exit_on_config_errors(as_json=as_json):
         from pamctl.log import read
 
         log = read(path)
         if is_what_if:
-            code = _what_if(log, controller, overrides or [], from_s, csv, as_json=as_json)
+            code = _run_what_if(log, controller, overrides or [], from_s, csv, as_json=as_json)
         else:
-            code = _compared(log, tolerance, from_s, plain=plain, as_json=as_json)
+            code = _compare_with_log(log, tolerance, from_s, plain=plain, as_json=as_json)
     raise typer.Exit(code)
 
 
-def _compared(
+def _compare_with_log(
     log: Log, tolerance: str | None, from_s: float | None, *, plain: bool, as_json: bool
 ) -> ExitCode:
-    from pamctl.replay import replay as replayed
-    from pamctl.replay.replay_text import as_document, as_text
+    from pamctl.replay import replay_log as replayed
+    from pamctl.replay.replay_text import format_replay, make_replay_document
 
-    found = replayed(log, from_s=from_s, plain=plain, tolerances=_tolerances(tolerance))
+    found = replayed(log, from_s=from_s, plain=plain, tolerances=_choose_tolerances(tolerance))
     if as_json:
-        print_json(as_document(found, tolerance))
+        print_json(make_replay_document(found, tolerance))
     else:
-        typer.echo(as_text(found))
+        typer.echo(format_replay(found))
     return ExitCode.OK if found.is_equal and found.is_whole else ExitCode.CHECK_FAILED
 
 
-def _tolerances(name: str | None) -> Tolerances:
-    from pamctl.replay import compared_fields
+def _choose_tolerances(name: str | None) -> Tolerances:
+    from pamctl.replay import list_compared_fields
     from pamctl.replay.tolerance import EXACT, OTHER_CPU, OTHER_CPU_NAME, read_tolerances
 
     if name is None:
         return EXACT
-    return OTHER_CPU if name == OTHER_CPU_NAME else read_tolerances(Path(name), compared_fields())
+    return (
+        OTHER_CPU if name == OTHER_CPU_NAME else read_tolerances(Path(name), list_compared_fields())
+    )
 
 
-def _what_if(
+def _run_what_if(
     log: Log,
     controller: str | None,
     overrides: list[str],
@@ -108,16 +110,16 @@ def _what_if(
     *,
     as_json: bool,
 ) -> ExitCode:
-    from pamctl.replay import recording_of
-    from pamctl.replay.replay_text import what_if_document, what_if_text
-    from pamctl.replay.what_if import what_if, with_other_law
+    from pamctl.replay import read_replay_source
+    from pamctl.replay.replay_text import format_what_if, make_what_if_document
+    from pamctl.replay.what_if import replace_law, run_what_if
 
-    settings = with_other_law(recording_of(log).settings, controller, overrides)
-    answer = what_if(log, settings, from_s=from_s)
+    settings = replace_law(read_replay_source(log).settings, controller, overrides)
+    answer = run_what_if(log, settings, from_s=from_s)
     if csv is not None:
         answer.write_csv(csv)
     if as_json:
-        print_json({**what_if_document(log, settings, answer), "csv": csv and str(csv)})
+        print_json({**make_what_if_document(log, settings, answer), "csv": csv and str(csv)})
     else:
-        typer.echo(what_if_text(controller or "the changed law", answer))
+        typer.echo(format_what_if(controller or "the changed law", answer))
     return ExitCode.OK

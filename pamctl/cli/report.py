@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.config import JsonOption
-from pamctl.cli.offline import bad_data_exits, print_json, require_place, write_page
+from pamctl.cli.offline import exit_on_bad_data, print_json, require_writable, write_page
 
 
 def report(
@@ -20,10 +20,10 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Write one self-contained HTML page with figures and plots of these logs."""
-    require_place(out, "--out")
-    with bad_data_exits(as_json=as_json):
+    require_writable(out, "--out")
+    with exit_on_bad_data(as_json=as_json):
         from pamctl.log import read
-        from pamctl.report.compose import report as composed
+        from pamctl.report.compose import compose_report as composed
 
         html = composed([read(path) for path in paths]).html()
     target = out or paths[0].with_suffix(".html")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.config import JsonOption
-from pamctl.cli.offline import print_json, require_place, write_page
+from pamctl.cli.offline import print_json, require_writable, write_page
 
 _ALL = "all"
 
@@ -22,7 +22,7 @@ def reproduce(
     """Write DIR/index.html and DIR/numbers.json; every number is simulated now."""
     from pamctl.json_text import to_json
     from pamctl.reproduce.reproduction import PARTS
-    from pamctl.reproduce.reproduction import reproduce as reproduced
+    from pamctl.reproduce.reproduction import reproduce_paper as reproduced
 
     if part not in (_ALL, *PARTS):
         known = ", ".join((*PARTS, _ALL))
@@ -31,7 +31,7 @@ def reproduce(
     page, numbers = out / "index.html", out / "numbers.json"
     _make_folder(out)
     for file in (page, numbers):
-        require_place(file, "--out")
+        require_writable(file, "--out")
     made = reproduced(parts, seed, lambda name: typer.echo(f"{name} ...", err=True))
     write_page(page, made.page.html())
     write_page(numbers, to_json(made.numbers).decode() + "\n")

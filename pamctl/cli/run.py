@@ -20,7 +20,7 @@ from pamctl.cli.config import (
     RtOption,
     SeedOption,
     SetOption,
-    chosen,
+    resolve_options,
 )
 from pamctl.cli.linux import require_linux
 from pamctl.cli.live import (
@@ -28,9 +28,9 @@ from pamctl.cli.live import (
     LiveOption,
     LiveOriginOption,
     LivePortOption,
-    port_of,
+    check_live_port,
 )
-from pamctl.settings.resolve import to_json, to_yaml
+from pamctl.settings.resolve import settings_to_json, settings_to_yaml
 
 
 def run(
@@ -61,7 +61,7 @@ def run(
     live_origins: LiveOriginOption = None,
 ) -> None:
     """Move the muscle, log every tick, and say how well it tracked."""
-    settings, names = chosen(
+    settings, names = resolve_options(
         backend,
         rig,
         overrides,
@@ -76,13 +76,13 @@ def run(
         rt=rt,
     )
     if dry_run:
-        typer.echo(to_json(settings) if as_json else to_yaml(settings).rstrip())
+        typer.echo(settings_to_json(settings) if as_json else settings_to_yaml(settings).rstrip())
         return
     if live and settings.fast:
         raise typer.BadParameter("without a clock there is nothing live", param_hint="--live")
     origins = live_origins or ()
-    port = port_of(live, live_port, origins)
+    port = check_live_port(live, live_port, origins)
     require_linux()
-    from pamctl.processes.run_once import run_and_tell
+    from pamctl.processes.run_once import run_and_report
 
-    sys.exit(run_and_tell(settings, names, log, port, origins, as_json=as_json, quiet=quiet))
+    sys.exit(run_and_report(settings, names, log, port, origins, as_json=as_json, quiet=quiet))

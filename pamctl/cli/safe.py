@@ -8,7 +8,7 @@ import typer
 
 from hal.rig import RigError
 from pamctl.cli.backend import BackendOption
-from pamctl.cli.config import JsonOption, RigOption, SetOption, chosen
+from pamctl.cli.config import JsonOption, RigOption, SetOption, resolve_options
 from pamctl.cli.linux import require_linux
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.resolve import RunSettings
@@ -24,7 +24,7 @@ def safe(
     as_json: JsonOption = False,
 ) -> None:
     """Drive the rig to its safe voltage, whatever has happened before."""
-    settings, _ = chosen(backend, rig, overrides, as_json=as_json, fast=False)
+    settings, _ = resolve_options(backend, rig, overrides, as_json=as_json, fast=False)
     require_linux()
     from pamctl.processes.backends import device_of
 
@@ -46,11 +46,11 @@ def safe(
 
 
 def _make_safe(settings: RunSettings) -> RigError | None:
-    from pamctl.processes.backends import clock_of, require_backend, rig_of
+    from pamctl.processes.backends import build_clock, build_rig, require_backend
     from pamctl.processes.guardian import drive_safe
 
     try:
         require_backend(settings)
     except RigError as error:
         return error
-    return drive_safe(rig_of(settings, clock_of(settings, may_spin=False)).rig, _PATIENCE_S)
+    return drive_safe(build_rig(settings, build_clock(settings, may_spin=False)).rig, _PATIENCE_S)

@@ -12,15 +12,15 @@ Check = Callable[[float | None], float | None]
 
 def at_least(low_s: float, high_s: float = math.inf) -> Check:
     """Return what passes seconds within both limits on, and leaves with 2 for others."""
-    return _limits(lambda seconds: low_s <= seconds <= high_s, f"at least {low_s:g}", high_s)
+    return _make_check(lambda seconds: low_s <= seconds <= high_s, f"at least {low_s:g}", high_s)
 
 
 def more_than(low_s: float, high_s: float = math.inf) -> Check:
     """Return what passes seconds above the lower limit on, and leaves with 2 for others."""
-    return _limits(lambda seconds: low_s < seconds <= high_s, f"more than {low_s:g}", high_s)
+    return _make_check(lambda seconds: low_s < seconds <= high_s, f"more than {low_s:g}", high_s)
 
 
-def _limits(holds: Callable[[float], bool], low: str, high_s: float) -> Check:
+def _make_check(holds: Callable[[float], bool], low: str, high_s: float) -> Check:
     high = f" and at most {high_s:g}" if math.isfinite(high_s) else ""
 
     def check(seconds: float | None) -> float | None:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from pamctl.cli.config import JsonOption, config_errors_exit
+from pamctl.cli.config import JsonOption, exit_on_config_errors
 
 
 def tune(
@@ -57,13 +57,17 @@ def tune(
     as_json: JsonOption = False,
 ) -> None:
     """Seek gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
-    from pamctl.tune.tune_gains import Asked, check_gains, seek_gains  # slow imports, for this verb
+    from pamctl.tune.tune_gains import (  # slow imports, for this verb
+        TuningTask,
+        check_gains,
+        seek_gains,
+    )
 
     if check is not None and out is not None:
         message = "belongs to a search: with --check nothing is written"
         raise typer.BadParameter(message, param_hint="--out")
-    with config_errors_exit(as_json=as_json):
-        asked = Asked.of(law, plants or [], size, seed, quantile, held_out, out, check, start)
+    with exit_on_config_errors(as_json=as_json):
+        asked = TuningTask.of(law, plants or [], size, seed, quantile, held_out, out, check, start)
     if asked.checked is not None:
         code = check_gains(asked, jobs, as_json=as_json)
     else:

@@ -52,7 +52,7 @@ def watch(
     if not web:
         from pamctl.live.terminal import watch_in_terminal
 
-        _require_seen(watch_in_terminal(where, plain_line, count), count)
+        _require_seen(watch_in_terminal(where, format_glimpse, count), count)
         return
     from pamctl.live.web import serve_page
 
@@ -69,10 +69,10 @@ def _require_seen(seen: bool, count: int | None) -> None:
         raise typer.Exit(ExitCode.UNAVAILABLE)
 
 
-def plain_line(glimpse: Glimpse) -> str:
+def format_glimpse(glimpse: Glimpse) -> str:
     """Write a glimpse as one line, for a file or a pipe."""
-    from pamctl.cli.steer import status_text
+    from pamctl.cli.steer import format_status
 
     if glimpse.status is None:
         return f"away: {glimpse.problem}"
-    return "  ".join(status_text(glimpse.status).splitlines()[:2])
+    return "  ".join(format_status(glimpse.status).splitlines()[:2])

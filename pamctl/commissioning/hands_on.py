@@ -25,11 +25,11 @@ NEAR_PA = 10e3
 """As near as a hold comes, with the valve's null not yet known."""
 
 
-class LimitMet(Exception):
+class LimitError(Exception):
     """The rig left a limit of its file; the message says which, and what to check."""
 
 
-class Rest(NamedTuple):
+class SensorStatistics(NamedTuple):
     """What the sensors said over a while."""
 
     samples: int
@@ -50,12 +50,12 @@ class Rest(NamedTuple):
         return self.noise_v / math.sqrt(self.samples)
 
 
-def rest_of(samples: Sequence[RawSample]) -> Rest:
+def summarise_samples(samples: Sequence[RawSample]) -> SensorStatistics:
     """Sum up at least one sample."""
     volts = [sample.pressure_v for sample in samples]
     counts = [sample.encoder_counts for sample in samples]
     steps = [abs(b - a) for a, b in pairwise(counts)]
-    return Rest(
+    return SensorStatistics(
         samples=len(samples),
         sensor_v=statistics.fmean(volts),
         noise_v=statistics.pstdev(volts),
@@ -143,8 +143,11 @@ class Bench:
             self._command_v = self._holding_v(target_pa, sample.pressure_v)
         return samples
 
-    def bring_to(self, target_pa: float, patience_s: float = 5.0) -> None:
-        """Bring the pressure near a target (absolute, Pa); raise `LimitMet` where it stays away."""
+    def bring_to_pressure(self, target_pa: float, patience_s: float = 5.0) -> None:
+        """Bring the pressure near a target (absolute, Pa).
+
+        Raises `LimitError` if the pressure does not get there.
+        """
         most = round(patience_s / self.period_s)
         recent = 20
 
@@ -157,27 +160,27 @@ class Bench:
         samples = self.hold_pressure(target_pa, near)
         mean_pa = self.pressure_pa(statistics.fmean(s.pressure_v for s in samples[-recent:]))
         if abs(mean_pa - target_pa) > 2 * NEAR_PA:
-            raise LimitMet(
+            raise LimitError(
                 f"the pressure stays at {self.gauge_kpa(mean_pa):.0f} kPa gauge and does not reach "
                 f"{self.gauge_kpa(target_pa):.0f} kPa within {patience_s:g} s; check the supply, "
                 "and the valve with `pamctl doctor --actuate`"
             )
 
-    def settle(self, command_v: float, averaged_s: float = 0.5) -> Rest:
+    def settle(self, command_v: float, averaged_s: float = 0.5) -> SensorStatistics:
         """Hold a command until pressure and encoder rest; return what they then say.
 
-        Rest is what homing calls so. Raises `LimitMet` where there is none.
+        Rest is what homing calls so. Raises `LimitError` where there is none.
         """
         homing = self.homing
-        before = rest_of(self.hold(command_v, 0.5 * homing.steady_s))
+        before = summarise_samples(self.hold(command_v, 0.5 * homing.steady_s))
         for _ in range(round(2.0 * homing.timeout_s / homing.steady_s)):
-            after = rest_of(self.hold(command_v, 0.5 * homing.steady_s))
+            after = summarise_samples(self.hold(command_v, 0.5 * homing.steady_s))
             drift_v = abs(after.sensor_v - before.sensor_v)
             moved = abs(after.counts - before.counts) + after.counts_span
             if drift_v <= homing.steady_v and moved <= homing.steady_counts + 1:
-                return rest_of(self.hold(command_v, averaged_s))
+                return summarise_samples(self.hold(command_v, averaged_s))
             before = after
-        raise LimitMet(
+        raise LimitError(
             f"pressure or encoder does not come to rest within {homing.timeout_s:g} s "
             f"(sensor drift {drift_v * 1e3:.1f} mV, encoder {moved:.0f} counts in "
             f"{homing.steady_s / 2:g} s); check the exhaust, the valve and the encoder"
@@ -200,7 +203,7 @@ class Bench:
         sensor_v = sample.pressure_v
         absolute_pa = self.pressure_pa(sensor_v)
         if absolute_pa > limits.pressure_pa:
-            raise LimitMet(
+            raise LimitError(
                 f"{absolute_pa * 1e-3:.0f} kPa absolute is above limits.pressure_pa "
                 f"({limits.pressure_pa * 1e-3:.0f} kPa); check the supply's regulator"
             )
@@ -211,7 +214,7 @@ class Bench:
         )
         # Where the muscle stood at first is not known: only its whole way can be judged.
         if travel_mm > limits.stroke_high_mm - limits.stroke_low_mm:
-            raise LimitMet(
+            raise LimitError(
                 f"the encoder has gone {travel_mm:.1f} mm, more than the stroke's limits leave; "
                 "check limits.stroke_high_mm, the encoder and its scale"
             )
@@ -222,7 +225,7 @@ class Bench:
         if self._bad_since_ns is None:
             self._bad_since_ns = now_ns
         if (now_ns - self._bad_since_ns) * 1e-9 >= limits.patience_s:
-            raise LimitMet(
+            raise LimitError(
                 f"the pressure sensor gives {sensor_v:.3f} V, outside {limits.sensor_low_v:g} to "
                 f"{limits.sensor_high_v:g} V; check its wire and its supply"
             )

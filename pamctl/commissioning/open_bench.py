@@ -5,39 +5,39 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from hal.reservation import reserved
-from hal.rig import opened
+from hal.reservation import hold_reservation
+from hal.rig import open_rig
 from pamctl.commissioning.hands_on import Bench
-from pamctl.processes.backends import SHARED_MEMORY, clock_of, device_of, rig_of
+from pamctl.processes.backends import SHARED_MEMORY, build_clock, build_rig, device_of
 from pamctl.processes.interrupts import Interrupts
-from pamctl.processes.watchman_main import watched
+from pamctl.processes.watchman_main import keep_watchman
 from pamctl.settings.resolve import RunSettings
 from pamctl.settings.rig_file import NidaqRigSettings
 
 
 @contextmanager
-def workplace(settings: RunSettings) -> Iterator[Bench]:
+def open_workplace(settings: RunSettings) -> Iterator[Bench]:
     """Hold the device, open the rig, and give it into a person's hands.
 
     Raises `RigError` where the device cannot be had, for instance because a run holds it, and
     `Interrupted` when a signal ends the work.
     """
     device = device_of(settings)
-    clock = clock_of(settings, may_spin=False)
-    settings = _on_demand(settings)
-    rig = rig_of(settings, clock).rig
+    clock = build_clock(settings, may_spin=False)
+    settings = _pace_on_demand(settings)
+    rig = build_rig(settings, clock).rig
     file = settings.rig
     with (
         Interrupts() as interrupts,
-        reserved(SHARED_MEMORY / f"pamctl-{device}.lock", device),
-        watched(settings, rig),
-        opened(rig),
-        interrupts.heeded(),
+        hold_reservation(SHARED_MEMORY / f"pamctl-{device}.lock", device),
+        keep_watchman(settings, rig),
+        open_rig(rig),
+        interrupts.heed_signals(),
     ):
         yield Bench(rig, clock, file.calibration, file.limits, file.homing, file.safe_volts)
 
 
-def _on_demand(settings: RunSettings) -> RunSettings:
+def _pace_on_demand(settings: RunSettings) -> RunSettings:
     """Let the computer's clock pace the work, whatever paces runs: nothing here is fast."""
     if not isinstance(settings.rig, NidaqRigSettings):
         return settings

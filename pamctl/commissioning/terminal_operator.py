@@ -32,7 +32,7 @@ class Terminal:
         """Ask for something to be done, and for Enter when it is. Raises `NoAnswer`."""
         self._line(f"{request} [Enter]", idle)
 
-    def did(self, request: str, idle: Callable[[], object]) -> bool:
+    def confirm_done(self, request: str, idle: Callable[[], object]) -> bool:
         """Ask for something to be done; tell whether it was. Raises `NoAnswer`."""
         return not self._line(f"{request} [Enter, or s to skip]", idle).lower().startswith("s")
 
@@ -48,7 +48,7 @@ class Terminal:
                 return value
             self.say(f"'{text}' is not a number")
 
-    def agree(self, question: str) -> None:
+    def require_yes(self, question: str) -> None:
         """Ask for a yes; raise `NoAnswer` on anything else."""
         if self._line(f"{question} [y/N]", None).lower() not in {"y", "yes"}:
             raise NoAnswer("not agreed to")

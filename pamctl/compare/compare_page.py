@@ -9,38 +9,40 @@ from numpy.typing import NDArray
 
 from pamctl.compare.coupled_gap import Comparison
 from pamctl.report.html_page import Page
-from pamctl.report.svg import MUTED, Axis, Plot
+from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 
-_TIME = Axis("time", "s", tight=True)
+_TIME = PlotAxis("time", "s", tight=True)
 
 
-def page_of(log: str, found: Mapping[str, Comparison]) -> Page:
+def draw_comparison_page(log: str, found: Mapping[str, Comparison]) -> Page:
     """Draw every model beside the measurement, and what lies between them."""
     page = Page(f"Model against {log}", ", ".join(found))
     first = next(iter(found.values()))
     t_s, measured = first.measured.t_s, first.measured
     page.section("The coupled model, driven by the logged command")
-    page.figure(*_coupled(t_s, found), caption="The simulation, had it been given this command.")
+    page.figure(
+        *_plot_coupled(t_s, found), caption="The simulation, had it been given this command."
+    )
     page.section("Each block alone")
     page.figure(
-        *_blocks(t_s, found),
+        *_plot_blocks(t_s, found),
         caption="Model minus measurement: the mechanics driven by the measured pressure, the "
         "pressure block by the command and the measured position.",
     )
     if measured.valve_v is not None:
         page.section("The command")
-        valve = Plot("Valve command", _TIME, Axis("command", "V"))
+        valve = SvgPlot("Valve command", _TIME, PlotAxis("command", "V"))
         page.figure(valve.line(t_s, measured.valve_v, step=True))
     return page
 
 
-def _coupled(t_s: NDArray[np.float64], found: Mapping[str, Comparison]) -> Iterator[Plot]:
+def _plot_coupled(t_s: NDArray[np.float64], found: Mapping[str, Comparison]) -> Iterator[SvgPlot]:
     measured = next(iter(found.values())).measured
     for title, unit, scale, signal in (
         ("Displacement", "mm", 1e3, "position_m"),
         ("Pressure", "kPa", 1e-3, "pressure_pa"),
     ):
-        plot = Plot(title, _TIME, Axis(title.lower(), unit))
+        plot = SvgPlot(title, _TIME, PlotAxis(title.lower(), unit))
         seen = getattr(measured, signal)
         if seen is not None:
             plot.line(t_s, scale * seen, "measured", colour=MUTED)
@@ -51,9 +53,9 @@ def _coupled(t_s: NDArray[np.float64], found: Mapping[str, Comparison]) -> Itera
         yield plot
 
 
-def _blocks(t_s: NDArray[np.float64], found: Mapping[str, Comparison]) -> Iterator[Plot]:
-    position = Plot("Mechanics", _TIME, Axis("displacement gap", "um"))
-    pressure = Plot("Pressure block", _TIME, Axis("pressure gap", "kPa"))
+def _plot_blocks(t_s: NDArray[np.float64], found: Mapping[str, Comparison]) -> Iterator[SvgPlot]:
+    position = SvgPlot("Mechanics", _TIME, PlotAxis("displacement gap", "um"))
+    pressure = SvgPlot("Pressure block", _TIME, PlotAxis("pressure gap", "kPa"))
     for colour, (name, comparison) in enumerate(found.items()):
         measured = comparison.measured
         model_m, model_pa = comparison.mechanics.position_m, comparison.pressure_block.pressure_pa

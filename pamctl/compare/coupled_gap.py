@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pamctl.log import NO_PHASE, Log, LogError, Signals, signals
 from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
-from pamctl.plant.parameters import PlantParameters, PlantState, at_rest
+from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
 from pamctl.signals import Phase
 
 Floats = NDArray[np.float64]
@@ -37,14 +37,14 @@ _SHORTEST = 20
 _START_TICKS = 20
 
 
-class Gap(NamedTuple):
+class ComparisonGap(NamedTuple):
     """Model minus measurement, in the unit of the signal; NaN where there is none."""
 
     rms: float
     max: float
 
 
-class Modelled(NamedTuple):
+class ModelOutput(NamedTuple):
     """What the model says, shape (n,) each; NaN where it was not driven, None where it cannot."""
 
     way: str
@@ -57,8 +57,8 @@ class Regime(NamedTuple):
 
     name: str
     ticks: int
-    position_m: Gap
-    pressure_pa: Gap
+    position_m: ComparisonGap
+    pressure_pa: ComparisonGap
 
 
 @dataclass(frozen=True)
@@ -66,18 +66,20 @@ class Comparison:
     """A model against a log, over the ticks that can be compared."""
 
     measured: Signals
-    coupled: Modelled
-    pressure_block: Modelled
-    mechanics: Modelled
+    coupled: ModelOutput
+    pressure_block: ModelOutput
+    mechanics: ModelOutput
 
     @property
-    def ways(self) -> tuple[Modelled, Modelled, Modelled]:
+    def ways(self) -> tuple[ModelOutput, ModelOutput, ModelOutput]:
         """Every way of driving the model."""
         return self.coupled, self.pressure_block, self.mechanics
 
-    def gap(self, modelled: Modelled, signal: str, where: Mask | slice = slice(None)) -> Gap:
+    def gap(
+        self, modelled: ModelOutput, signal: str, where: Mask | slice = slice(None)
+    ) -> ComparisonGap:
         """Return how far one way is from the measurement in `position_m` or `pressure_pa`."""
-        return gap_of(getattr(modelled, signal), getattr(self.measured, signal), where)
+        return measure_gap(getattr(modelled, signal), getattr(self.measured, signal), where)
 
     def regimes(self) -> list[Regime]:
         """Return the blocks' gaps by phase, by the valve, and by the motion."""
@@ -88,22 +90,22 @@ class Comparison:
                 self.gap(self.mechanics, "position_m", where),
                 self.gap(self.pressure_block, "pressure_pa", where),
             )
-            for name, where in regimes_of(self.measured)
+            for name, where in split_regimes(self.measured)
             if where.any()
         ]
 
 
-def compare(log: Log, plant: PlantParameters) -> Comparison:
+def compare_model(log: Log, plant: PlantParameters) -> Comparison:
     """Drive a model by a log; raise LogError where the log has nothing to drive it with."""
-    measured = comparable(log)
-    stretches = list(_stretches(measured))
+    measured = select_comparable(log)
+    stretches = list(_find_stretches(measured))
     if not stretches:
         raise LogError(f"{log.path} has no {_SHORTEST} ticks in a row that are whole")
     rows = {name: np.full(len(measured), np.nan) for name in ("x", "p", "block_p", "block_x")}
     commanded = measured.valve_v is not None
     for stretch in stretches:
         part = measured[stretch]
-        start = _start(plant, part, follows_homing=stretch.start == 0 and _was_homed(log))
+        start = _find_start(plant, part, follows_homing=stretch.start == 0 and _was_homed(log))
         if part.valve_v is not None:
             driven = drive_coupled(plant, part.valve_v, part.dt_s[1:], start=start)
             rows["x"][stretch], rows["p"][stretch] = driven.position_m, driven.pressure_pa
@@ -118,13 +120,15 @@ def compare(log: Log, plant: PlantParameters) -> Comparison:
     drives_block = commanded and measured.position_m is not None
     return Comparison(
         measured,
-        Modelled("coupled", *((rows["x"], rows["p"]) if commanded else (None, None))),
-        Modelled("pressure block", None, rows["block_p"] if drives_block else None),
-        Modelled("mechanics", rows["block_x"] if measured.pressure_pa is not None else None, None),
+        ModelOutput("coupled", *((rows["x"], rows["p"]) if commanded else (None, None))),
+        ModelOutput("pressure block", None, rows["block_p"] if drives_block else None),
+        ModelOutput(
+            "mechanics", rows["block_x"] if measured.pressure_pa is not None else None, None
+        ),
     )
 
 
-def comparable(log: Log) -> Signals:
+def select_comparable(log: Log) -> Signals:
     """Return the signals of a log from the end of homing on: before it the zeros are others.
 
     Raises LogError where the model cannot be driven or held against anything.
@@ -144,18 +148,20 @@ def comparable(log: Log) -> Signals:
     return measured[int(homing[-1]) + 1 if len(homing) else 0 :]
 
 
-def gap_of(model: Floats | None, measured: Floats | None, where: Mask | slice) -> Gap:
+def measure_gap(
+    model: Floats | None, measured: Floats | None, where: Mask | slice
+) -> ComparisonGap:
     """Return the gap over some ticks."""
     if model is None or measured is None:
-        return Gap(np.nan, np.nan)
+        return ComparisonGap(np.nan, np.nan)
     apart = np.abs(model[where] - measured[where])
     apart = apart[np.isfinite(apart)]
     if not len(apart):
-        return Gap(np.nan, np.nan)
-    return Gap(float(np.sqrt(np.mean(apart**2))), float(apart.max()))
+        return ComparisonGap(np.nan, np.nan)
+    return ComparisonGap(float(np.sqrt(np.mean(apart**2))), float(apart.max()))
 
 
-def regimes_of(measured: Signals) -> Iterator[tuple[str, Mask]]:
+def split_regimes(measured: Signals) -> Iterator[tuple[str, Mask]]:
     """Name the parts of a run, each with the ticks that belong to it; they overlap."""
     for phase in np.unique(measured.phase).tolist():
         if phase != NO_PHASE:
@@ -180,7 +186,7 @@ def _speed_m_per_s(t_s: Floats, position_m: Floats) -> Floats:
     return np.asarray((after - before) / _MOTION_S)
 
 
-def _stretches(measured: Signals) -> Iterator[slice]:
+def _find_stretches(measured: Signals) -> Iterator[slice]:
     """Yield the longest runs of ticks that are all there, with every signal a number."""
     whole = np.ones(len(measured), bool)
     for name in ("valve_v", "pressure_pa", "position_m"):
@@ -200,10 +206,10 @@ def _was_homed(log: Log) -> bool:
     return not log.is_imported and bool(np.any(log["phase"] == Phase.HOMING))
 
 
-def _start(plant: PlantParameters, part: Signals, *, follows_homing: bool) -> PlantState:
+def _find_start(plant: PlantParameters, part: Signals, *, follows_homing: bool) -> PlantState:
     """Return the state at the first sample: vented after homing, else as measured, at rest."""
     if follows_homing:
-        return at_rest(plant, 0.0, plant.atmospheric_pressure_pa)
+        return rest_state(plant, 0.0, plant.atmospheric_pressure_pa)
     quiet = part.valve_v is not None and bool(
         np.all(np.abs(part.valve_v[:_START_TICKS]) < NEAR_NULL_V)
     )
@@ -212,7 +218,7 @@ def _start(plant: PlantParameters, part: Signals, *, follows_homing: bool) -> Pl
     def level(signal: Floats | None, otherwise: float) -> float:
         return otherwise if signal is None else float(np.mean(signal[samples]))
 
-    return at_rest(
+    return rest_state(
         plant,
         level(part.position_m, 0.0),
         level(part.pressure_pa, plant.atmospheric_pressure_pa),

@@ -28,7 +28,7 @@ SAMPLE_S = 1e-3
 Wave = TypeVar("Wave")
 
 
-class Held(NamedTuple):
+class HeldCommand(NamedTuple):
     """A valve command and how long it stands."""
 
     valve_v: float
@@ -72,8 +72,8 @@ class Multisine(Configured):
     bias_v: Volts = 0.0
 
     @model_validator(mode="after")
-    def _rises(self) -> Multisine:
-        return _rising(self, self.low_hz, self.high_hz)
+    def _check_frequencies(self) -> Multisine:
+        return _require_rising(self, self.low_hz, self.high_hz)
 
 
 class Chirp(Configured):
@@ -86,8 +86,8 @@ class Chirp(Configured):
     duration_s: Seconds
 
     @model_validator(mode="after")
-    def _rises(self) -> Chirp:
-        return _rising(self, self.low_hz, self.high_hz)
+    def _check_frequencies(self) -> Chirp:
+        return _require_rising(self, self.low_hz, self.high_hz)
 
 
 Part = Annotated[Hold | Square | Staircase | Multisine | Chirp, Field(discriminator="wave")]
@@ -101,27 +101,30 @@ class ProgramSettings(Configured):
     parts: Annotated[tuple[Part, ...], Field(min_length=1)]
 
 
-def commands(settings: ProgramSettings) -> Iterator[Held]:
+def generate_commands(settings: ProgramSettings) -> Iterator[HeldCommand]:
     """Yield the program's commands in order."""
     for index, part in enumerate(settings.parts):
         match part:
             case Hold():
-                yield Held(part.valve_v, part.duration_s)
+                yield HeldCommand(part.valve_v, part.duration_s)
             case Square():
                 half_s = 0.5 / part.frequency_hz
                 for _ in range(part.cycles):
-                    yield from (Held(part.amplitude_v, half_s), Held(-part.amplitude_v, half_s))
+                    yield from (
+                        HeldCommand(part.amplitude_v, half_s),
+                        HeldCommand(-part.amplitude_v, half_s),
+                    )
             case Staircase():
                 for level_v in part.levels_v:
                     for valve_v in (level_v, 0.0, -level_v, 0.0):
-                        yield Held(valve_v, part.hold_s)
+                        yield HeldCommand(valve_v, part.hold_s)
             case Multisine():
                 yield from _multisine(part, random.Random(f"{settings.seed} {index}"))
             case Chirp():
                 yield from _chirp(part)
 
 
-def _multisine(part: Multisine, drawn: random.Random) -> Iterator[Held]:
+def _multisine(part: Multisine, drawn: random.Random) -> Iterator[HeldCommand]:
     ratio = (part.high_hz / part.low_hz) ** (1.0 / max(part.tones - 1, 1))
     tones = [
         (math.tau * part.low_hz * ratio**i, drawn.uniform(0.0, math.tau)) for i in range(part.tones)
@@ -132,7 +135,7 @@ def _multisine(part: Multisine, drawn: random.Random) -> Iterator[Held]:
         yield _sample(part.bias_v + part.amplitude_v * value / peak)
 
 
-def _chirp(part: Chirp) -> Iterator[Held]:
+def _chirp(part: Chirp) -> Iterator[HeldCommand]:
     growth = math.log(part.high_hz / part.low_hz) / part.duration_s
     for t_s in _times(part.duration_s):
         phase = math.tau * part.low_hz * math.expm1(growth * t_s) / growth
@@ -143,11 +146,11 @@ def _times(duration_s: float) -> Iterator[float]:
     return (i * SAMPLE_S for i in range(max(round(duration_s / SAMPLE_S), 1)))
 
 
-def _sample(valve_v: float) -> Held:
-    return Held(min(max(valve_v, -5.0), 5.0), SAMPLE_S)
+def _sample(valve_v: float) -> HeldCommand:
+    return HeldCommand(min(max(valve_v, -5.0), 5.0), SAMPLE_S)
 
 
-def _rising(part: Wave, low_hz: float, high_hz: float) -> Wave:
+def _require_rising(part: Wave, low_hz: float, high_hz: float) -> Wave:
     if low_hz >= high_hz:
         raise ValueError(f"low_hz {low_hz:g} must lie below high_hz {high_hz:g}")
     return part

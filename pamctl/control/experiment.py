@@ -13,7 +13,7 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import Field, model_validator
 
 from hal.configured import Configured
-from pamctl.control.excitation import ProgramSettings, commands
+from pamctl.control.excitation import ProgramSettings, generate_commands
 from pamctl.control.trajectory import rest_to_rest
 from pamctl.signals import Phase, Reference
 
@@ -38,7 +38,7 @@ class TrackingSettings(Configured):
     settle_s: Annotated[float, Field(ge=0, le=86_400)] = 2.0
 
     @model_validator(mode="after")
-    def _above_vented(self) -> TrackingSettings:
+    def _check_lower_point(self) -> TrackingSettings:
         if self.amplitude_mm > self.offset_mm:
             raise ValueError(
                 f"amplitude_mm {self.amplitude_mm:g} exceeds offset_mm {self.offset_mm:g}: "
@@ -103,34 +103,40 @@ class Segment(NamedTuple):
 def reference_at(segment: Segment, t_s: float) -> Reference:
     """Evaluate a segment `t_s` after its beginning."""
     if not math.isnan(segment.valve_v):
-        return held(segment.phase, segment.valve_v)
+        return make_valve_reference(segment.phase, segment.valve_v)
     motion = rest_to_rest(segment.start_m, segment.end_m, segment.duration_s, t_s)
     return Reference(segment.phase, *motion, math.nan)
 
 
-def held(phase: int, valve_v: float) -> Reference:
+def make_valve_reference(phase: int, valve_v: float) -> Reference:
     """Return the reference that is a valve command."""
     return Reference(phase, math.nan, math.nan, math.nan, math.nan, valve_v)
 
 
-def segments(settings: Experiment) -> tuple[Segment, ...]:
+def build_segments(settings: Experiment) -> tuple[Segment, ...]:
     """Turn an experiment file into its segments."""
     match settings:
         case TrackingSettings():
-            return tuple(_tracking(settings))
+            return tuple(_tracking_segments(settings))
         case SquareSettings():
             half_s = 0.5 / settings.frequency_hz
-            wave = (_hold(settings.amplitude_v, half_s), _hold(-settings.amplitude_v, half_s))
+            wave = (
+                _command_segment(settings.amplitude_v, half_s),
+                _command_segment(-settings.amplitude_v, half_s),
+            )
             return wave * settings.cycles
         case StepsSettings():
-            return tuple(_hold(s.valve_v, s.hold_s) for s in settings.steps) * settings.repeat
+            return (
+                tuple(_command_segment(s.valve_v, s.hold_s) for s in settings.steps)
+                * settings.repeat
+            )
         case ProgramSettings():
-            return tuple(_hold(*command) for command in commands(settings))
+            return tuple(_command_segment(*command) for command in generate_commands(settings))
         case HoldSettings():
-            return tuple(_position_held(settings))
+            return tuple(_hold_segments(settings))
 
 
-def _tracking(settings: TrackingSettings) -> Iterator[Segment]:
+def _tracking_segments(settings: TrackingSettings) -> Iterator[Segment]:
     low_m = (settings.offset_mm - settings.amplitude_mm) * 1e-3
     high_m = (settings.offset_mm + settings.amplitude_mm) * 1e-3
     yield Segment(Phase.APPROACH, settings.approach_s, 0.0, low_m, math.nan)
@@ -143,13 +149,13 @@ def _tracking(settings: TrackingSettings) -> Iterator[Segment]:
             yield Segment(Phase.TRACK, settings.transition_s, here_m, there_m, math.nan)
 
 
-def _position_held(settings: HoldSettings) -> Iterator[Segment]:
+def _hold_segments(settings: HoldSettings) -> Iterator[Segment]:
     there_m = settings.position_mm * 1e-3
     yield Segment(Phase.TRACK, settings.transition_s, 0.0, there_m, math.nan)
     yield Segment(Phase.REST, settings.hold_s or math.inf, there_m, there_m, math.nan)
 
 
-def from_here(course: Sequence[Segment], position_m: float) -> tuple[Segment, ...]:
+def start_at_position(course: Sequence[Segment], position_m: float) -> tuple[Segment, ...]:
     """Let a closed-loop course begin where the muscle is, instead of at the vented one."""
     first, *others = course
     if math.isnan(first.start_m):
@@ -157,7 +163,7 @@ def from_here(course: Sequence[Segment], position_m: float) -> tuple[Segment, ..
     return (first._replace(start_m=position_m), *others)
 
 
-def _hold(valve_v: float, duration_s: float) -> Segment:
+def _command_segment(valve_v: float, duration_s: float) -> Segment:
     return Segment(Phase.OPEN_LOOP, duration_s, math.nan, math.nan, valve_v)
 
 

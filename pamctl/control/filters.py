@@ -26,12 +26,12 @@ class LowPass(NamedTuple):
     pair_level: float
 
 
-def primed(value: float) -> LowPass:
+def prime_filter(value: float) -> LowPass:
     """Return the state of a filter that has seen `value` forever."""
     return LowPass(value, 0.0, value)
 
 
-def warped(cutoff_hz: float, dt_s: float) -> float:
+def warp_cutoff(cutoff_hz: float, dt_s: float) -> float:
     """tan(pi f dt): the cut-off as the trapezoidal rule needs it."""
     per_rate = cutoff_hz * dt_s
     return tan(pi * (per_rate if per_rate < HIGHEST_PER_RATE else HIGHEST_PER_RATE))
@@ -94,18 +94,18 @@ def estimate(
     if not dt_s > 0.0:
         # Such a sample is stale and safety's to refuse; until then it changes nothing.
         dt_s = inf
-    g = warped(gains.displacement_hz, dt_s)
+    g = warp_cutoff(gains.displacement_hz, dt_s)
     position = state.position
     if isnan(position.pole):
-        position = primed(measurement.position_m)
+        position = prime_filter(measurement.position_m)
     position_m, position = low_pass(position, g, measurement.position_m)
 
-    g = warped(gains.derivative_hz, dt_s)
+    g = warp_cutoff(gains.derivative_hz, dt_s)
     error_m = position_m - reference.reference_m
     rate, acceleration = state.rate, state.acceleration
     last_m, last_m_per_s = state.error_m, state.error_rate_m_per_s
     if isnan(last_m):
-        rate, acceleration = primed(0.0), primed(0.0)
+        rate, acceleration = prime_filter(0.0), prime_filter(0.0)
         last_m, last_m_per_s = error_m, 0.0
     rate_m_per_s, rate = low_pass(rate, g, (error_m - last_m) / dt_s)
     change_m_per_s2 = (rate_m_per_s - last_m_per_s) / dt_s

@@ -15,7 +15,7 @@ from pydantic import Field
 from hal.calibration import CalibrationSettings, Zero
 from hal.configured import Configured
 from hal.rig import RawSample
-from pamctl.control.experiment import held
+from pamctl.control.experiment import make_valve_reference
 from pamctl.signals import Phase, Reference
 
 
@@ -80,7 +80,7 @@ class Homing:
         self._blocks: list[_Block] = []
         self.zero: Zero | None = None
 
-    def next(self, t_s: float, sample: RawSample) -> Reference | None:
+    def next_reference(self, t_s: float, sample: RawSample) -> Reference | None:
         """Return what to do at `t_s` having seen `sample`, or None when homed.
 
         Raises `HomingError` where the rig does not come to rest, does not answer to a
@@ -89,20 +89,20 @@ class Homing:
         settings = self._settings
         if self._filling:
             if t_s - self._since_s < settings.fill_s:
-                return held(Phase.HOMING, settings.fill_v)
+                return make_valve_reference(Phase.HOMING, settings.fill_v)
             self._filling = False
             self._require_motion(sample)
             self._since_s = t_s
             self._blocks.clear()
         if not self._is_steady(t_s, sample):
-            return held(Phase.HOMING, settings.vent_v)
+            return make_valve_reference(Phase.HOMING, settings.vent_v)
         if self._fills_left:
             self._fills_left -= 1
             self._filling = True
             self._since_s = t_s
             self._before_fill = sample
-            return held(Phase.HOMING, settings.fill_v)
-        self.zero = self._found_zero(sample)
+            return make_valve_reference(Phase.HOMING, settings.fill_v)
+        self.zero = self._take_zero(sample)
         return None
 
     def _require_motion(self, sample: RawSample) -> None:
@@ -134,7 +134,7 @@ class Homing:
         if len(blocks) >= 2 and self._agree(*blocks[-2:]):
             return True
         if t_s - self._since_s > self._settings.timeout_s:
-            raise HomingError(self._unrest())
+            raise HomingError(self._describe_unrest())
         self._blocks = [blocks[-1], _Block(t_s)]
         self._blocks[-1].take(sample)
         return False
@@ -143,7 +143,7 @@ class Homing:
         drift_v, counts = _drift(first, second)
         return drift_v <= self._settings.steady_v and counts <= self._settings.steady_counts
 
-    def _unrest(self) -> str:
+    def _describe_unrest(self) -> str:
         drift_v, counts = _drift(self._blocks[0], self._blocks[-1])
         return (
             f"homing: still moving {self._settings.timeout_s:g} s after venting (encoder over "
@@ -151,7 +151,7 @@ class Homing:
             f"{self._settings.steady_s:g} s); check the exhaust and the encoder"
         )
 
-    def _found_zero(self, sample: RawSample) -> Zero:
+    def _take_zero(self, sample: RawSample) -> Zero:
         blocks = self._blocks[-2:]
         sensor_v = sum(block.sum_v for block in blocks) / sum(block.samples for block in blocks)
         lowest = self._calibration.sensor_zero_lowest_v

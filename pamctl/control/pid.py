@@ -7,7 +7,13 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
-from pamctl.control.surface import UNITS_PER_METRE, LawSettings, LawState, clamped, unwound
+from pamctl.control.surface import (
+    UNITS_PER_METRE,
+    LawSettings,
+    LawState,
+    clamp_value,
+    prevent_windup,
+)
 from pamctl.signals import Command, Estimate, Reference
 
 
@@ -50,8 +56,8 @@ def pid(
         gains.kp_v_per_m * estimate.error_m + gains.kd_v_s_per_m * estimate.error_rate_m_per_s
     )
     wanted_v = direct_v + integral_v
-    command_v = clamped(wanted_v, gains.limit_v)
+    command_v = clamp_value(wanted_v, gains.limit_v)
     return (
         Command(command_v, math.nan, direct_v, integral_v, command_v != wanted_v),
-        unwound(state, absement_m_s, estimate.error_m, wanted_v - command_v),
+        prevent_windup(state, absement_m_s, estimate.error_m, wanted_v - command_v),
     )

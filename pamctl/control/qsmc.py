@@ -10,9 +10,9 @@ from pamctl.control.surface import (
     UNITS_PER_METRE,
     LawSettings,
     LawState,
-    clamped,
-    reaching,
-    unwound,
+    clamp_value,
+    prevent_windup,
+    reaching_term,
 )
 from pamctl.signals import Command, Estimate, Reference
 
@@ -90,11 +90,11 @@ def qsmc(
     s = acceleration + pole * (3.0 * rate + pole * (3.0 * e + pole * scale * absement_m_s))
     drift = pole * (3.0 * acceleration + pole * (3.0 * rate + pole * e))
     equivalent_v = gains.kp_v_s3_per_length * (reference.reference_jerk_m_per_s3 * scale - drift)
-    robust_v = -gains.kp_v_s3_per_length * reaching(g.literal_reaching, g.eta, g.phi, s)
+    robust_v = -gains.kp_v_s3_per_length * reaching_term(g.literal_reaching, g.eta, g.phi, s)
 
     wanted_v = equivalent_v + robust_v
-    command_v = clamped(wanted_v, g.limit_v)
+    command_v = clamp_value(wanted_v, g.limit_v)
     return (
         Command(command_v, s / scale, equivalent_v, robust_v, command_v != wanted_v),
-        unwound(state, absement_m_s, estimate.error_m, wanted_v - command_v),
+        prevent_windup(state, absement_m_s, estimate.error_m, wanted_v - command_v),
     )

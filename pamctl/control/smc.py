@@ -31,7 +31,7 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import Field
 
 from pamctl.control.qsmc import SlidingGains, SlidingSettings, sliding_gains
-from pamctl.control.surface import LawState, clamped, reaching, unwound
+from pamctl.control.surface import LawState, clamp_value, prevent_windup, reaching_term
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
 from pamctl.plant.paper.valve import orifice_flow
@@ -70,7 +70,7 @@ def smc_gains(settings: SmcSettings) -> SmcGains:
     return SmcGains(sliding_gains(settings), settings.kp, plant_parameters(settings.model).paper)
 
 
-def linearised(
+def linearise_model(
     p: PaperParameters, x: float, velocity: float, acceleration: float, pressure_pa: float
 ) -> Linearisation:
     """x''' of the model at (x, x', x'', P), split as the module's docstring derives it."""
@@ -131,8 +131,8 @@ def smc(
 
     s = acceleration + pole * (3.0 * rate + pole * (3.0 * e + pole * absement_m_s))
     error_drift = pole * (3.0 * acceleration + pole * (3.0 * rate + pole * e))
-    reach = reaching(g.literal_reaching, g.eta, g.phi, s * scale) / scale
-    model = linearised(
+    reach = reaching_term(g.literal_reaching, g.eta, g.phi, s * scale) / scale
+    model = linearise_model(
         gains.model,
         estimate.position_filtered_m,
         reference.reference_velocity_m_per_s + rate,
@@ -143,9 +143,9 @@ def smc(
     gain = model.fill_gain if wanted_jerk > 0.0 else model.exhaust_gain
 
     wanted_v = gains.kp / gain * wanted_jerk
-    command_v = clamped(wanted_v, g.limit_v)
+    command_v = clamp_value(wanted_v, g.limit_v)
     robust_v = -gains.kp / gain * reach
     return (
         Command(command_v, s, wanted_v - robust_v, robust_v, command_v != wanted_v),
-        unwound(state, absement_m_s, e, wanted_v - command_v),
+        prevent_windup(state, absement_m_s, e, wanted_v - command_v),
     )

@@ -39,7 +39,7 @@ ARMED = LawState(0.0)
 """A law that starts from the measured position, its integral cleared."""
 
 
-def clamped(value: float, limit: float) -> float:
+def clamp_value(value: float, limit: float) -> float:
     """Limit a value on either side of 0; with limit 1 the sat() of Eq. 15."""
     # Comparisons, not min and max: each of those costs the tick a tenth of a microsecond.
     if value > limit:
@@ -47,7 +47,9 @@ def clamped(value: float, limit: float) -> float:
     return -limit if value < -limit else value
 
 
-def unwound(state: LawState, absement_m_s: float, error_m: float, excess_v: float) -> LawState:
+def prevent_windup(
+    state: LawState, absement_m_s: float, error_m: float, excess_v: float
+) -> LawState:
     """Choose the integral to keep.
 
     While the command is cut (`excess_v` is what was cut off) an error of the sign that
@@ -58,11 +60,11 @@ def unwound(state: LawState, absement_m_s: float, error_m: float, excess_v: floa
     return LawState(absement_m_s)
 
 
-def reaching(literal: bool, eta: float, phi: float, s: float) -> float:
+def reaching_term(literal: bool, eta: float, phi: float, s: float) -> float:
     """u_rb of Eq. 15: eta |s| sat(s / phi), or eta sat(s / phi) where not `literal`.
 
     The unit mm/s^3 that Table III gives eta suggests the second; with it the term stays
     below 3 mV. The first is what the paper prints, and the default.
     """
     gain = eta * abs(s) if literal else eta
-    return gain * clamped(s / phi, 1.0)
+    return gain * clamp_value(s / phi, 1.0)

@@ -13,11 +13,11 @@ _PATIENCE_S = 60.0
 """Starting a session may take a driver several seconds."""
 
 
-class Unreachable(Exception):
+class DaemonUnreachableError(Exception):
     """There is no daemon to talk to. The message says what to do."""
 
 
-class Declined(Exception):
+class DaemonDeclinedError(Exception):
     """The daemon said no; the message is its own, the code that of the protocol."""
 
     def __init__(self, message: str, code: int) -> None:
@@ -46,31 +46,37 @@ class Client:
     """A connection to the daemon; a context manager."""
 
     def __init__(self, path: Path, patience_s: float = _PATIENCE_S) -> None:
-        """Connect; raise `Unreachable`. An answer is waited for as long as `patience_s`."""
+        """Connect; wait for an answer for `patience_s` at most.
+
+        Raises `DaemonUnreachableError`.
+        """
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(patience_s)
         try:
             self._socket.connect(str(path))
         except OSError as error:
             self._socket.close()
-            raise Unreachable(_advice(path, error)) from error
+            raise DaemonUnreachableError(_advice(path, error)) from error
         self._answers = self._socket.makefile("rb")
         self._last_id = 0
 
     def call(self, method: str, params: Mapping[str, object] | None = None) -> Any:
-        """Ask, and return the answer; raise `Declined`, or `Unreachable` where it is cut off."""
+        """Ask, and return the answer.
+
+        Raises `DaemonDeclinedError`, or `DaemonUnreachableError` if the connection is lost.
+        """
         self._last_id += 1
         request = {"jsonrpc": "2.0", "id": self._last_id, "method": method, "params": params or {}}
         try:
             self._socket.sendall(json.dumps(request).encode() + b"\n")
             line = self._answers.readline()
         except OSError as error:
-            raise Unreachable(f"the daemon does not answer: {error}") from error
+            raise DaemonUnreachableError(f"the daemon does not answer: {error}") from error
         if not line:
-            raise Unreachable("the daemon closed the connection")
+            raise DaemonUnreachableError("the daemon closed the connection")
         answer = json.loads(line)
         if "error" in answer:
-            raise Declined(answer["error"]["message"], answer["error"]["code"])
+            raise DaemonDeclinedError(answer["error"]["message"], answer["error"]["code"])
         return answer["result"]
 
     def close(self) -> None:

@@ -26,7 +26,7 @@ class Latch:
         """Why; empty where there is nothing."""
         return self._reason
 
-    def close_on(self, reason: str) -> None:
+    def engage(self, reason: str) -> None:
         """Latch; the first reason stays."""
         if not self._reason:
             self._reason = reason or "unknown"

@@ -14,7 +14,7 @@ Ramp = Annotated[float, Field(ge=0, le=60, description="s")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,60}$")]
 
 
-class Start(Params):
+class StartParams(Params):
     """An experiment, as its file holds it."""
 
     experiment: dict[str, Any]
@@ -22,21 +22,21 @@ class Start(Params):
     duration_s: Annotated[float | None, Field(gt=0)] = None
 
 
-class Goto(Params):
+class GotoParams(Params):
     """A position to hold."""
 
     position_m: float
     within_s: Annotated[float | None, Field(gt=0, le=LONGEST_MOTION_S)] = None
 
 
-class Change(Params):
+class ChangeParams(Params):
     """Keys of the controller: `controller.lambda_per_s=12`."""
 
     changes: Annotated[list[str], Field(min_length=1, max_length=32)]
     ramp_s: Ramp = DEFAULT_RAMP_S
 
 
-class Load(Params):
+class LoadParams(Params):
     """A controller, as its file holds it."""
 
     controller: dict[str, Any]
@@ -44,13 +44,13 @@ class Load(Params):
     ramp_s: Ramp = DEFAULT_RAMP_S
 
 
-class Mark(Params):
+class MarkParams(Params):
     """A remark for the log."""
 
     text: Annotated[str, Field(min_length=1, max_length=LONGEST_REMARK)]
 
 
-class Recent(Params):
+class RecentParams(Params):
     """Ticks that are newer than one."""
 
     after_tick: int = -1
@@ -63,17 +63,17 @@ def methods_of(service: Service) -> dict[str, Method]:
     return {
         "status": Method(NoParams, lambda _: service.status(), changes=False),
         "recent": Method(
-            Recent, lambda p: service.recent(p.after_tick, p.every, p.fields), changes=False
+            RecentParams, lambda p: service.recent(p.after_tick, p.every, p.fields), changes=False
         ),
         "estop": Method(NoParams, lambda _: service.estop(), changes=False),
         "start": Method(
-            Start, lambda p: {"log": str(service.start(p.experiment, p.name, p.duration_s))}
+            StartParams, lambda p: {"log": str(service.start(p.experiment, p.name, p.duration_s))}
         ),
         "stop": Method(NoParams, lambda _: service.stop()),
         "disarm": Method(NoParams, lambda _: service.disarm()),
         "ack": Method(NoParams, lambda _: {"fault": service.ack()}),
-        "set": Method(Change, lambda p: service.set_gains(p.changes, p.ramp_s)),
-        "load": Method(Load, lambda p: service.load_gains(p.controller, p.name, p.ramp_s)),
-        "goto": Method(Goto, lambda p: {"log": str(service.goto(p.position_m, p.within_s))}),
-        "mark": Method(Mark, lambda p: service.mark(p.text)),
+        "set": Method(ChangeParams, lambda p: service.set_gains(p.changes, p.ramp_s)),
+        "load": Method(LoadParams, lambda p: service.load_gains(p.controller, p.name, p.ramp_s)),
+        "goto": Method(GotoParams, lambda p: {"log": str(service.goto(p.position_m, p.within_s))}),
+        "mark": Method(MarkParams, lambda p: service.mark(p.text)),
     }

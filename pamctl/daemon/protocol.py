@@ -68,7 +68,7 @@ class RequestError(Exception):
         self.request_id = request_id
 
 
-def understood(line: bytes, methods: Mapping[str, Method]) -> Request:
+def parse_request(line: bytes, methods: Mapping[str, Method]) -> Request:
     """Parse one line; raise `RequestError`."""
     try:
         document = json.loads(line)
@@ -87,25 +87,25 @@ def understood(line: bytes, methods: Mapping[str, Method]) -> Request:
     try:
         params = method.params.model_validate(document.get("params", {}))
     except ValidationError as error:
-        told = "; ".join(f"{_place(e['loc'])}{e['msg']}" for e in error.errors())
+        told = "; ".join(f"{_format_place(e['loc'])}{e['msg']}" for e in error.errors())
         raise RequestError(INVALID_PARAMS, told, request_id) from None
     return Request(request_id, str(name), method, params)
 
 
-def result(request_id: int | str | None, value: object) -> bytes:
+def encode_result(request_id: int | str | None, value: object) -> bytes:
     """Write the answer to a request that was carried out."""
-    return _line({"jsonrpc": "2.0", "id": request_id, "result": value})
+    return _encode_line({"jsonrpc": "2.0", "id": request_id, "result": value})
 
 
-def failure(error: RequestError) -> bytes:
+def encode_failure(error: RequestError) -> bytes:
     """Write the answer to one that was not."""
     said = {"code": error.code, "message": str(error)}
-    return _line({"jsonrpc": "2.0", "id": error.request_id, "error": said})
+    return _encode_line({"jsonrpc": "2.0", "id": error.request_id, "error": said})
 
 
-def _line(document: Mapping[str, object]) -> bytes:
+def _encode_line(document: Mapping[str, object]) -> bytes:
     return json.dumps(document, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
-def _place(location: tuple[int | str, ...]) -> str:
+def _format_place(location: tuple[int | str, ...]) -> str:
     return f"{'.'.join(map(str, location))}: " if location else ""

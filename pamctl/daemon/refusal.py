@@ -3,5 +3,5 @@
 from __future__ import annotations
 
 
-class Refused(Exception):
+class RequestRefusedError(Exception):
     """A request that cannot be met in this state, or is wrong. It changed nothing."""

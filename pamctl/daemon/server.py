@@ -26,11 +26,11 @@ from pamctl.daemon.protocol import (
     Method,
     Request,
     RequestError,
-    failure,
-    result,
-    understood,
+    encode_failure,
+    encode_result,
+    parse_request,
 )
-from pamctl.daemon.refusal import Refused
+from pamctl.daemon.refusal import RequestRefusedError
 from pamctl.daemon.turns import Turns
 
 MOST_CLIENTS = 64
@@ -61,7 +61,7 @@ class Server:
 
     async def listen(self, path: Path, group: str | None = None) -> None:
         """Make the socket and answer from now on; raise `SocketError`."""
-        bound = _bound(path, group)
+        bound = _bind_socket(path, group)
         self._path = path
         self._listening = await asyncio.start_unix_server(
             self._welcome, sock=bound, limit=LARGEST_REQUEST
@@ -108,27 +108,27 @@ class Server:
                 return
             except asyncio.LimitOverrunError:
                 message = f"a request is one line of at most {LARGEST_REQUEST} bytes"
-                writer.write(failure(RequestError(INVALID_REQUEST, message)))
-                await _drained(writer)
+                writer.write(encode_failure(RequestError(INVALID_REQUEST, message)))
+                await _drain_writer(writer)
                 return
             self._clients[task] = time.monotonic()
             writer.write(await self._answer(line, allowance))
-            await _drained(writer)
+            await _drain_writer(writer)
 
     async def _answer(self, line: bytes, allowance: Allowance) -> bytes:
         try:
-            async with nullcontext() if _EMERGENCY in line else self._turns.turn():
-                request = self._admitted(line, allowance)
+            async with nullcontext() if _EMERGENCY in line else self._turns.take_turn():
+                request = self._admit_request(line, allowance)
                 if not request.method.changes:
-                    return result(request.id, _carried_out(request))
+                    return encode_result(request.id, _carry_out(request))
             events = asyncio.get_running_loop()
-            told = await events.run_in_executor(self._worker, _carried_out, request)
-            return result(request.id, told)
+            told = await events.run_in_executor(self._worker, _carry_out, request)
+            return encode_result(request.id, told)
         except RequestError as error:
-            return failure(error)
+            return encode_failure(error)
 
-    def _admitted(self, line: bytes, allowance: Allowance) -> Request:
-        request = understood(line, self._methods)
+    def _admit_request(self, line: bytes, allowance: Allowance) -> Request:
+        request = parse_request(line, self._methods)
         # Whoever wants the emergency stop has it, however much they asked before.
         if request.name != "estop" and not allowance.spend(time.monotonic()):
             message = f"more than {REQUESTS_PER_S:g} requests a second"
@@ -136,22 +136,22 @@ class Server:
         return request
 
 
-def _carried_out(request: Request) -> object:
+def _carry_out(request: Request) -> object:
     try:
         return request.method.call(request.params)
-    except Refused as error:
+    except RequestRefusedError as error:
         raise RequestError(REFUSED, str(error), request.id) from error
     except Exception as error:  # ours: the client learns of it, the daemon goes on
         message = f"{type(error).__name__}: {error}"
         raise RequestError(INTERNAL_ERROR, message, request.id) from error
 
 
-async def _drained(writer: asyncio.StreamWriter) -> None:
+async def _drain_writer(writer: asyncio.StreamWriter) -> None:
     async with asyncio.timeout(_READS_WITHIN_S):
         await writer.drain()
 
 
-def _bound(path: Path, group: str | None) -> socket.socket:
+def _bind_socket(path: Path, group: str | None) -> socket.socket:
     """Make the socket, in the place of one that nobody answers any more."""
     try:
         owners = -1 if group is None else grp.getgrnam(group).gr_gid
@@ -162,7 +162,7 @@ def _bound(path: Path, group: str | None) -> socket.socket:
         if path.exists():
             _require_stale(path)
             path.unlink()
-        return _made(path, owners)
+        return _make_socket(path, owners)
     except OSError as error:
         raise SocketError(
             f"{path}: the control socket cannot be made: {error.strerror or error}; "
@@ -170,7 +170,7 @@ def _bound(path: Path, group: str | None) -> socket.socket:
         ) from error
 
 
-def _made(path: Path, owners: int) -> socket.socket:
+def _make_socket(path: Path, owners: int) -> socket.socket:
     """Bind a socket for this user and the group `owners`, from its first moment on."""
     listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     before = os.umask(0o117)

@@ -4,8 +4,9 @@
     any of them -> fault, until acknowledged
 
 Idle: nothing runs, the valve is safe. Ready: homed, and parked at the safe voltage or
-holding a position. Every method either does what it says or raises `Refused` and changes
-nothing. They are called from one thread at a time, but for `estop` and `status`.
+holding a position. Every method either does what it says, or raises
+`RequestRefusedError` and changes nothing. They are called from one thread at a time,
+but for `estop` and `status`.
 """
 
 from __future__ import annotations
@@ -20,17 +21,23 @@ from pathlib import Path
 from typing import Any
 
 from pamctl import __version__
-from pamctl.control.experiment import ExperimentSettings, HoldSettings, segments
+from pamctl.control.experiment import ExperimentSettings, HoldSettings, build_segments
 from pamctl.control.law import law_gains
 from pamctl.daemon.latch import Latch
-from pamctl.daemon.refusal import Refused
-from pamctl.daemon.session import Run, Session, Workshop
+from pamctl.daemon.refusal import RequestRefusedError
+from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending
-from pamctl.log.naming import bare
-from pamctl.realtime.gain_ramp import TuningError, require_same_structure
+from pamctl.log.naming import bare_name
+from pamctl.realtime.gain_ramp import GainRampError, require_same_structure
 from pamctl.settings.problems import ConfigError
-from pamctl.settings.resolve import SECTIONS, Raw, RunSettings, to_data, validated
+from pamctl.settings.resolve import (
+    SECTIONS,
+    RawSettings,
+    RunSettings,
+    settings_to_data,
+    validate_settings,
+)
 from pamctl.signals import TICK_FIELDS, Phase
 
 _RECENT_EVENTS = 50
@@ -40,7 +47,7 @@ _LEISURELY_M_PER_S = 4e-3
 _SHORTEST_MOTION_S = 0.5
 
 
-class State(StrEnum):
+class DaemonState(StrEnum):
     """Where in its life the daemon is."""
 
     IDLE = "idle"
@@ -79,7 +86,7 @@ class Service:
         self._session: Session | None = None
         self._latch = latch
         self._holds = False
-        self._stopping: Run | None = None
+        self._stopping: DaemonRun | None = None
         self._parked_since_s = 0.0
         self._began_s = time.monotonic()
         self._busy = threading.RLock()
@@ -96,29 +103,29 @@ class Service:
         return self._latch.reason
 
     @property
-    def state(self) -> State:
+    def state(self) -> DaemonState:
         """The state of the moment."""
         session = self._session
         if self._latch.reason:
-            return State.FAULT
+            return DaemonState.FAULT
         if session is None:
-            return State.IDLE
+            return DaemonState.IDLE
         run = session.run
         if run is None:
-            return State.READY
+            return DaemonState.READY
         phase = session.phase
         if phase == Phase.STOPPING:
             self._stopping = run
         if run.is_over or run is self._stopping:
-            return State.STOPPING  # its last tick is a parked one, then its log is finished
+            return DaemonState.STOPPING  # its last tick is a parked one, then its log is finished
         match phase:
             case None:  # just ordered
-                return State.HOMING if session.runs_begun == 1 else State.RUNNING
+                return DaemonState.HOMING if session.runs_begun == 1 else DaemonState.RUNNING
             case Phase.HOMING:
-                return State.HOMING
+                return DaemonState.HOMING
             case Phase.REST if self._holds:
-                return State.READY
-        return State.RUNNING
+                return DaemonState.READY
+        return DaemonState.RUNNING
 
     def status(self) -> dict[str, Any]:
         """Say all that a client may want to know, in SI."""
@@ -130,10 +137,10 @@ class Service:
             "fault": self._latch.reason,
             "run": None if run is None else run.name,
             "log": None if run is None else str(run.log),
-            "tick": None if tick is None else _finite(tick),
+            "tick": None if tick is None else _replace_nan(tick),
             "worst_late_s": None if session is None else session.worst_late_s,
             "missed_ticks": None if session is None else session.missed_ticks,
-            "controller": to_data(self._settings.controller),
+            "controller": settings_to_data(self._settings.controller),
             "names": self._names,
             "device": self._workshop.device,
             "backend": self._settings.rig.backend,
@@ -155,11 +162,11 @@ class Service:
         names = [field.name for field in TICK_FIELDS]
         unknown = set(fields or ()) - set(names)
         if unknown:
-            raise Refused(f"no column {', '.join(sorted(unknown))}")
+            raise RequestRefusedError(f"no column {', '.join(sorted(unknown))}")
         wanted = list(fields or names)
         most = _MOST_VALUES // len(wanted)
         ticks = [] if session is None else session.recent_ticks(after_tick, every, most)
-        rows = [[_jsonable(tick[name]) for name in wanted] for tick in ticks]
+        rows = [[_nan_to_none(tick[name]) for name in wanted] for tick in ticks]
         return {"fields": wanted, "ticks": rows}
 
     def _say(self, event: str, **details: object) -> None:
@@ -172,13 +179,13 @@ class Service:
     def start(self, experiment: Mapping[str, Any], name: str, duration_s: float | None) -> Path:
         """Run an experiment, home first if need be; return its log's path."""
         with self._busy:
-            self._require(State.IDLE, State.READY)
-            return self._begin(experiment, bare(name), duration_s)
+            self._require(DaemonState.IDLE, DaemonState.READY)
+            return self._begin(experiment, bare_name(name), duration_s)
 
     def goto(self, position_m: float, within_s: float | None) -> Path:
         """Go to a position and hold it; home first if need be. Return the log's path."""
         with self._busy:
-            self._require(State.IDLE, State.READY, State.RUNNING)
+            self._require(DaemonState.IDLE, DaemonState.READY, DaemonState.RUNNING)
             self._require_within_stroke(position_m)
             motion_s = within_s or abs(position_m - self._here_m()) / _LEISURELY_M_PER_S
             hold = {
@@ -190,7 +197,7 @@ class Service:
             if session is None or session.run is None:
                 return self._begin(hold, "goto", None)
             if not self._holds:
-                raise Refused(f"{session.run.name} is running; stop it first")
+                raise RequestRefusedError(f"{session.run.name} is running; stop it first")
             # One log for all the positions that are held one after the other.
             session.order({"do": "run", "ring": None, "experiment": hold, "duration_s": None})
             return session.run.log
@@ -198,7 +205,7 @@ class Service:
     def _require_within_stroke(self, position_m: float) -> None:
         low_mm, high_mm = self._stroke_mm()
         if not low_mm <= position_m * 1e3 <= high_mm:
-            raise Refused(
+            raise RequestRefusedError(
                 f"goto {position_m * 1e3:g} mm lies outside the stroke of "
                 f"{low_mm:g} to {high_mm:g} mm (rig.limits)"
             )
@@ -208,7 +215,7 @@ class Service:
         with self._busy:
             session = self._session
             if session is None or session.run is None:
-                raise Refused(f"nothing is running: the state is {self.state}")
+                raise RequestRefusedError(f"nothing is running: the state is {self.state}")
             session.order({"do": "stop", "reason": reason})
             self._say("stopping", reason=reason)
 
@@ -224,16 +231,16 @@ class Service:
             session.stop_now()
         else:
             self._workshop.rig.make_safe()
-        self._latch.close_on("emergency stop")
+        self._latch.engage("emergency stop")
         self._say("estop")
 
     def ack(self) -> str:
         """Acknowledge the fault; return what it was."""
         with self._busy:
             if not self._latch.reason:
-                raise Refused("there is no fault to acknowledge")
+                raise RequestRefusedError("there is no fault to acknowledge")
             if self._session is not None:
-                raise Refused("the loop is still ending; once more in a moment")
+                raise RequestRefusedError("the loop is still ending; once more in a moment")
             fault = self._latch.release()
             self._say("acknowledged", fault=fault)
             return fault
@@ -241,20 +248,22 @@ class Service:
     def set_gains(self, changes: Sequence[str], ramp_s: float) -> dict[str, Any]:
         """Change keys of the controller, `controller.lambda_per_s=12`; return all its keys."""
         with self._busy:
-            raw = Raw({"controller": to_data(self._settings.controller)})
+            raw = RawSettings({"controller": settings_to_data(self._settings.controller)})
             for change in changes:
                 if not change.strip().startswith("controller."):
-                    raise Refused(f"{change}: only keys of the controller change while it runs")
+                    raise RequestRefusedError(
+                        f"{change}: only keys of the controller change while it runs"
+                    )
                 try:
                     raw.override(change)
                 except ConfigError as error:
-                    raise _refusal(error) from error
-            return self._tune(Raw(raw.data["controller"], _of_controller(raw)), ramp_s)
+                    raise _make_refusal(error) from error
+            return self._tune(RawSettings(raw.data["controller"], _strip_section(raw)), ramp_s)
 
     def load_gains(self, controller: Mapping[str, Any], name: str, ramp_s: float) -> dict[str, Any]:
         """Take the gains of a whole controller file; return all its keys."""
         with self._busy:
-            gains = self._tune(Raw(dict(controller), {(): name}), ramp_s)
+            gains = self._tune(RawSettings(dict(controller), {(): name}), ramp_s)
             self._names["controller"] = name
             return gains
 
@@ -262,7 +271,7 @@ class Service:
         """Put a remark into the log of the run that goes on."""
         with self._busy:
             if self._session is None or self._session.run is None:
-                raise Refused("nothing is being logged that could be marked")
+                raise RequestRefusedError("nothing is being logged that could be marked")
             self._session.order({"do": "mark", "text": text})
             self._say("mark", text=text)
 
@@ -291,7 +300,7 @@ class Service:
         if session is None or session is not self._session:
             return
         if not session.is_alive:
-            self._conclude_session(self._closed(session))
+            self._conclude_session(self._close_session(session))
         elif session.run is not None and session.run.is_over:
             self._conclude_run(session)
         elif session.run is None and (self._latch.reason or self._parked_too_long):
@@ -326,91 +335,97 @@ class Service:
     def _end_session(self) -> None:
         session = self._session
         if session is not None:
-            self._closed(session)
+            self._close_session(session)
             self._say("idle")
 
-    def _closed(self, session: Session) -> Ending:
+    def _close_session(self, session: Session) -> Ending:
         ending = session.close()
         self._session, self._holds = None, False
         return ending
 
     def _conclude_session(self, ending: Ending) -> None:
         """A loop that ends by itself has had a reason."""
-        self._latch.close_on(ending.reason)
+        self._latch.engage(ending.reason)
         self._say("fault", reason=ending.reason, code=int(ending.code))
 
     def _begin(self, experiment: Mapping[str, Any], name: str, duration_s: float | None) -> Path:
-        settings = self._with_experiment(experiment, name, duration_s)
-        length_s = sum(segment.duration_s for segment in segments(settings.experiment))
+        settings = self._resolve_experiment(experiment, name, duration_s)
+        length_s = sum(segment.duration_s for segment in build_segments(settings.experiment))
         self._shelf.require_room(min(length_s, duration_s or math.inf), self._rate_hz)
-        session = self._session or self._fresh_session()
-        self._require(State.READY, State.RUNNING)  # an emergency stop may have come meanwhile
-        path = self._shelf.new_path(f"{bare(self._names['controller'])}-{name}")
+        session = self._session or self._begin_session()
+        self._require(
+            DaemonState.READY, DaemonState.RUNNING
+        )  # an emergency stop may have come meanwhile
+        path = self._shelf.new_path(f"{bare_name(self._names['controller'])}-{name}")
         meta = self._workshop.meta(settings, {**self._names, "experiment": name}, path)
         order = {
             "do": "run",
-            "experiment": to_data(settings.experiment),
+            "experiment": settings_to_data(settings.experiment),
             "duration_s": duration_s,
         }
         try:
             session.begin(name, meta, settings.rig.loop.ring_rows, order)
-        except Refused:
+        except RequestRefusedError:
             self._parked_since_s = time.monotonic()
             raise
         self._holds = isinstance(settings.experiment, HoldSettings)
         self._say("run begins", run=name, log=str(path))
         return path
 
-    def _fresh_session(self) -> Session:
+    def _begin_session(self) -> Session:
         session = Session(self._workshop, self._settings, self._names)
         self._session, self._parked_since_s = session, time.monotonic()
         return session
 
     # --- small questions -------------------------------------------------------------------------
 
-    def _tune(self, raw: Raw, ramp_s: float) -> dict[str, Any]:
+    def _tune(self, raw: RawSettings, ramp_s: float) -> dict[str, Any]:
         try:
-            controller = validated(SECTIONS["controller"], raw, title="controller")
+            controller = validate_settings(SECTIONS["controller"], raw, title="controller")
             settings = self._settings.model_copy(update={"controller": controller})
             RunSettings.model_validate(settings.model_dump())
         except ConfigError as error:
-            raise _refusal(error) from error
+            raise _make_refusal(error) from error
         except ValueError as error:
-            raise Refused(str(error)) from error
+            raise RequestRefusedError(str(error)) from error
         session = self._session
         if session is not None:
             if session.run is not None:
                 self._require_tunable(controller)
-            data = to_data(controller)
+            data = settings_to_data(controller)
             session.order({"do": "gains", "controller": data, "ramp_s": ramp_s})
         self._settings = settings
         self._say("gains", ramp_s=ramp_s)
-        return to_data(controller)
+        return settings_to_data(controller)
 
     def _require_tunable(self, controller: Any) -> None:
         try:
             require_same_structure(law_gains(self._settings.controller), law_gains(controller))
-        except TuningError as error:
-            raise Refused(f"{error}; stop the run first") from error
+        except GainRampError as error:
+            raise RequestRefusedError(f"{error}; stop the run first") from error
 
-    def _with_experiment(
+    def _resolve_experiment(
         self, experiment: Mapping[str, Any], name: str, duration_s: float | None
     ) -> RunSettings:
         try:
-            raw = Raw(dict(experiment), {(): name})
-            checked: ExperimentSettings = validated(SECTIONS["experiment"], raw, title="experiment")
+            raw = RawSettings(dict(experiment), {(): name})
+            checked: ExperimentSettings = validate_settings(
+                SECTIONS["experiment"], raw, title="experiment"
+            )
         except ConfigError as error:
-            raise Refused(str(error)) from error
+            raise RequestRefusedError(str(error)) from error
         return self._settings.model_copy(update={"experiment": checked, "duration_s": duration_s})
 
-    def _require(self, *allowed: State) -> None:
+    def _require(self, *allowed: DaemonState) -> None:
         state = self.state
-        if state == State.FAULT:
-            raise Refused(f"fault: {self._latch.reason}; acknowledge it first (pamctl ack)")
+        if state == DaemonState.FAULT:
+            raise RequestRefusedError(
+                f"fault: {self._latch.reason}; acknowledge it first (pamctl ack)"
+            )
         if self._is_leaving:
-            raise Refused("the daemon is being ended")
+            raise RequestRefusedError("the daemon is being ended")
         if state not in allowed:
-            raise Refused(f"not now: the state is {state}")
+            raise RequestRefusedError(f"not now: the state is {state}")
 
     def _here_m(self) -> float:
         tick = None if self._session is None else self._session.latest_tick()
@@ -426,19 +441,21 @@ class Service:
         return self._settings.rig.loop.rate_hz
 
 
-def _refusal(error: ConfigError) -> Refused:
+def _make_refusal(error: ConfigError) -> RequestRefusedError:
     """Name what was asked for as it was; the options of a start are not how it was asked."""
-    return Refused(str(error).replace("--set ", "").replace("with --controller", "by gains load"))
+    return RequestRefusedError(
+        str(error).replace("--set ", "").replace("with --controller", "by gains load")
+    )
 
 
-def _of_controller(raw: Raw) -> dict[Any, str]:
+def _strip_section(raw: RawSettings) -> dict[Any, str]:
     return {at[1:]: origin for at, origin in raw.origins.items()}
 
 
-def _finite(tick: Mapping[str, float]) -> dict[str, float | None]:
+def _replace_nan(tick: Mapping[str, float]) -> dict[str, float | None]:
     """JSON has no NaN: what is unknown is null."""
-    return {name: _jsonable(value) for name, value in tick.items()}
+    return {name: _nan_to_none(value) for name, value in tick.items()}
 
 
-def _jsonable(value: float) -> float | None:
+def _nan_to_none(value: float) -> float | None:
     return value if math.isfinite(value) else None

@@ -20,19 +20,19 @@ from typing import NamedTuple
 from hal.rig import Rig, RigError
 from pamctl import __version__
 from pamctl.cli.failure import fail
-from pamctl.cli.live import live_view
+from pamctl.cli.live import serve_live_view
 from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.methods import methods_of
 from pamctl.daemon.notify import notify, watchdog_period_s
 from pamctl.daemon.server import Server, SocketError
-from pamctl.daemon.service import Service, State
+from pamctl.daemon.service import DaemonState, Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend
-from pamctl.processes.run_once import ring_path, run_meta, secured
-from pamctl.recording.orphans import finish_orphans_apart
+from pamctl.processes.run_once import make_run_meta, new_ring_path, secure_device
+from pamctl.recording.orphans import finish_orphans_in_own_process
 from pamctl.recording.ring import RingError
 from pamctl.settings.resolve import RunSettings
 
@@ -56,7 +56,9 @@ class ServiceOptions(NamedTuple):
     announce: bool
 
 
-def serve(settings: RunSettings, names: Mapping[str, str], options: ServiceOptions) -> ExitCode:
+def serve_daemon(
+    settings: RunSettings, names: Mapping[str, str], options: ServiceOptions
+) -> ExitCode:
     """Hold the device and do what clients ask until a signal comes; return how it ended.
 
     Leaves with 69 where device or socket cannot be had, with 2 where logs cannot be written.
@@ -66,27 +68,27 @@ def serve(settings: RunSettings, names: Mapping[str, str], options: ServiceOptio
     except OSError as error:
         fail(ExitCode.USAGE, f"--logs {options.logs}: {error.strerror or error}")
     announcements = Announcements(sys.stdout.fileno()) if options.announce else None
-    tell: Tell = _unheard if announcements is None else announcements.put
+    tell: Tell = _announce_nothing if announcements is None else announcements.put
     try:
         require_backend(settings)
-        with secured(settings) as device:
-            finish_orphans_apart(SHARED_MEMORY)  # to stay as small as it is
+        with secure_device(settings) as device:
+            finish_orphans_in_own_process(SHARED_MEMORY)  # to stay as small as it is
             service = Service(
                 settings,
                 names,
-                _workshop(settings, device),
+                _make_workshop(settings, device),
                 shelf,
                 Latch(SHARED_MEMORY / f"pamctl-{device_of(settings)}.fault"),
                 idle_after_s=options.idle_after_s,
                 tell=tell,
             )
-            live = live_view(
+            live = serve_live_view(
                 options.live_port, options.live_origins, "--socket", str(options.socket)
             )
             with live:
                 ending = asyncio.run(_serve(service, options.socket, options.group, tell))
-                _hear_no_more()
-        tell(_event("ended", exit_code=int(ending.code), reason=ending.reason))
+                _ignore_signals()
+        tell(_make_event("ended", exit_code=int(ending.code), reason=ending.reason))
         return ending.code
     except (SocketError, RingError, RigError) as error:
         fail(ExitCode.UNAVAILABLE, str(error))
@@ -95,23 +97,23 @@ def serve(settings: RunSettings, names: Mapping[str, str], options: ServiceOptio
             announcements.end()
 
 
-def _unheard(event: Mapping[str, object]) -> None:
+def _announce_nothing(event: Mapping[str, object]) -> None:
     """Announce nothing."""
 
 
-def _event(event: str, **details: object) -> dict[str, object]:
+def _make_event(event: str, **details: object) -> dict[str, object]:
     return {"event": event, "time_s": time.time(), **details}
 
 
-def _workshop(settings: RunSettings, rig: Rig) -> Workshop:
+def _make_workshop(settings: RunSettings, rig: Rig) -> Workshop:
     start = [sys.executable, "-m"]
     return Workshop(
         loop=[*start, "pamctl.processes.session_main"],
         guardian=[*start, "pamctl.processes.guardian_main"],
         rig=rig,
-        meta=run_meta,
+        meta=make_run_meta,
         device=device_of(settings),
-        ring_path=ring_path,
+        ring_path=new_ring_path,
     )
 
 
@@ -119,13 +121,13 @@ async def _serve(service: Service, path: Path, group: str | None, tell: Tell) ->
     """Answer until a signal comes; then leave the valve safe. A second signal hurries it."""
     events = asyncio.get_running_loop()
     stop: asyncio.Future[Ending] = events.create_future()
-    _hear(lambda number: _stop(stop, service, _ended_by(number)))
+    _listen_for_signals(lambda number: _stop(stop, service, _ending_by_signal(number)))
     server = Server(methods_of(service))
     await server.listen(path, group)
     watch = _Watch(
         service, tell, partial(events.call_soon_threadsafe, _stop, stop, service, _ERROR_OF_OURS)
     )
-    tell(_event("listening", socket=str(path), version=__version__))
+    tell(_make_event("listening", socket=str(path), version=__version__))
     watch.start()
     print(f"pamctl daemon: listening on {path}", file=sys.stderr, flush=True)
     notify("READY=1", "STATUS=idle")
@@ -139,7 +141,7 @@ async def _serve(service: Service, path: Path, group: str | None, tell: Tell) ->
     return _ERROR_OF_OURS if watch.has_failed else ending
 
 
-def _hear(heard: Callable[[signal.Signals], object]) -> None:
+def _listen_for_signals(heard: Callable[[signal.Signals], object]) -> None:
     """Call `heard` in the running event loop with each signal that asks for an end.
 
     Not through the event loop's own handlers: it takes those away as it closes, and a signal
@@ -156,7 +158,7 @@ def _hear(heard: Callable[[signal.Signals], object]) -> None:
             signal.signal(number, on_signal)
 
 
-def _hear_no_more() -> None:
+def _ignore_signals() -> None:
     """The daemon has ended and the valve is safe; Python's own end is not to be cut short."""
     for number in _ENDING:
         signal.signal(number, signal.SIG_IGN)
@@ -169,7 +171,7 @@ def _stop(stop: asyncio.Future[Ending], service: Service, ending: Ending) -> Non
         stop.set_result(ending)
 
 
-def _ended_by(number: signal.Signals) -> Ending:
+def _ending_by_signal(number: signal.Signals) -> Ending:
     """To be ended by a signal is how a daemon ends: all is well."""
     return Ending(ExitCode.OK, f"stopped by {number.name}")
 
@@ -186,7 +188,7 @@ class _Watch(threading.Thread):
         self._ended = threading.Event()
         self._period_s = watchdog_period_s()
         self._fed_s = 0.0
-        self._said: State | None = None
+        self._said: DaemonState | None = None
 
     def run(self) -> None:
         try:
@@ -205,7 +207,7 @@ class _Watch(threading.Thread):
         if state != self._said:
             self._said = state
             notify(f"STATUS={state}")
-            self._tell(_event("state", state=state, fault=self._service.fault))
+            self._tell(_make_event("state", state=state, fault=self._service.fault))
         now_s = time.monotonic()
         due_s = self._fed_s + (self._period_s or 0.0) / 4.0
         if self._period_s and now_s >= due_s and self._service.makes_progress():

@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import Any
 
 from hal.rig import Rig
-from pamctl.daemon.refusal import Refused
+from pamctl.daemon.refusal import RequestRefusedError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
-from pamctl.processes.front import FrontReport, blocked_signals, close_log, ending_of
+from pamctl.processes.front import FrontReport, block_signals, close_log, read_ending
 from pamctl.processes.guardian_handle import Guardianship
 from pamctl.realtime.orders import OrderError, Orders
-from pamctl.recording.last_words import outcome, speak_for_the_dead
-from pamctl.recording.recorder import RecorderError, await_ready, spawn
+from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
+from pamctl.recording.recorder import RecorderError, await_recorder, spawn_recorder
 from pamctl.recording.ring import LoopStage, Ring
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
@@ -56,7 +56,7 @@ class Workshop:
 
 
 @dataclass(frozen=True)
-class Run:
+class DaemonRun:
     """One run: its log, and who writes it."""
 
     name: str
@@ -76,9 +76,9 @@ class Session:
     """A loop that lives, and the run that goes on in it."""
 
     def __init__(self, workshop: Workshop, settings: RunSettings, names: Mapping[str, str]) -> None:
-        """Start loop and guardian; raise `Refused` where they do not come up."""
+        """Start loop and guardian; raise `RequestRefusedError` where they do not come up."""
         self._workshop = workshop
-        self.run: Run | None = None
+        self.run: DaemonRun | None = None
         self.runs_begun = 0
         self._orders = Orders.create()
         meta = workshop.meta(settings, names, Path("/nonexistent"))
@@ -86,7 +86,7 @@ class Session:
         self._ring = Ring.create(path, meta, _SESSION_ROWS)
         self._open_rings = [self._ring]
         self._reading = threading.Lock()
-        with blocked_signals():
+        with block_signals():
             self._guardian = Guardianship(self._ring, workshop.guardian, workshop.rig)
             self._loop = subprocess.Popen(
                 [*workshop.loop, str(path), str(self._orders.fd)],
@@ -105,7 +105,7 @@ class Session:
             self.look()
             if self._loop.poll() is not None or time.monotonic() > deadline_s:
                 self._loop.kill()
-                raise Refused(f"the loop did not start: {self.close().reason}")
+                raise RequestRefusedError(f"the loop did not start: {self.close().reason}")
             time.sleep(2e-3)
 
     # --- what is going on ---------------------------------------------------------------
@@ -174,33 +174,39 @@ class Session:
     # --- orders ---------------------------------------------------------------------------
 
     def order(self, order: Mapping[str, Any]) -> None:
-        """Give an order, and return when the loop has taken it; raise `Refused` if it does not."""
+        """Give an order, and return when the loop has taken it.
+
+        Raises `RequestRefusedError` if the loop does not take it.
+        """
         try:
-            self._orders.wait_taken(_ORDER_PATIENCE_S, lambda: self.is_alive)
+            self._orders.wait_until_taken(_ORDER_PATIENCE_S, lambda: self.is_alive)
             self._orders.send(order)
-            self._orders.wait_taken(_ORDER_PATIENCE_S, lambda: self.is_alive)
+            self._orders.wait_until_taken(_ORDER_PATIENCE_S, lambda: self.is_alive)
         except OrderError as error:
-            raise Refused(str(error)) from error
+            raise RequestRefusedError(str(error)) from error
 
     def begin(self, name: str, meta: RunMeta, rows: int, order: Mapping[str, Any]) -> None:
-        """Begin a run with a log of its own; raise `Refused` where that cannot be written."""
+        """Begin a run with its own log.
+
+        Raises `RequestRefusedError` if the log cannot be written.
+        """
         ring = Ring.create(self._workshop.ring_path(), meta, rows)
         self._open_rings.append(ring)
-        run = Run(name, Path(meta.log_path), ring, spawn(ring.path))
+        run = DaemonRun(name, Path(meta.log_path), ring, spawn_recorder(ring.path))
         ring.loop_stage = LoopStage.SETTING_UP
         before, self.run = self.run, run
         self.runs_begun += 1
         try:
-            await_ready(ring, run.recorder)
+            await_recorder(ring, run.recorder)
             self.order({**order, "ring": str(ring.path)})
-        except (RecorderError, Refused) as error:
+        except (RecorderError, RequestRefusedError) as error:
             self.run = before
             ring.loop_done = 1
             close_log(ring, run.recorder, Ending(ExitCode.UNEXPECTED, str(error)))
             if not ring.head:
                 run.log.unlink(missing_ok=True)  # nothing happened: leave nothing behind
             self._close_ring(ring)
-            raise Refused(str(error)) from error
+            raise RequestRefusedError(str(error)) from error
         if before is not None:
             self._finish(before, Ending(ExitCode.OK, "another run has begun"))
 
@@ -215,7 +221,7 @@ class Session:
         """Return what became of the log of a run that is over; wait for its recorder."""
         return None if self.run is None else self._finish(self.run, Ending(ExitCode.OK, ""))
 
-    def _finish(self, run: Run, ending: Ending) -> FrontReport:
+    def _finish(self, run: DaemonRun, ending: Ending) -> FrontReport:
         report = close_log(run.ring, run.recorder, ending)
         if self.run is run:
             self.run = None  # not before its log is whole
@@ -229,14 +235,14 @@ class Session:
         while self.is_alive:
             self.look()
             time.sleep(5e-3)
-        ending = self._guardian.verdict_on(ending_of(self._loop))
+        ending = self._guardian.judge_ending(read_ending(self._loop))
         if not self._ring.loop_done:
             self._ring.loop_done = 1
         self._guardian.dismiss()
         run = self.run
         if run is not None:
             if not run.is_over:
-                speak_for_the_dead(run.ring, outcome(ending))
+                put_event_for_dead_loop(run.ring, make_outcome_event(ending))
                 run.ring.loop_done = 1
             self._finish(run, ending)
         self._ring.unlink()

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from pamctl.daemon.refusal import Refused
-from pamctl.log.naming import dated_name, flight_record
+from pamctl.daemon.refusal import RequestRefusedError
+from pamctl.log.naming import flight_record_path, make_dated_path
 
-_OURS = "daemon"
+_DAEMON_PREFIX = "daemon"
 _BYTES_PER_TICK = 300
 """Some 200 are usual."""
 _SPARE_BYTES = 100 << 20
@@ -38,14 +38,14 @@ class Shelf:
 
     def new_path(self, what: str) -> Path:
         """Return the name of the next log, by which it is known for the daemon's."""
-        return dated_name(self._directory, f"{_OURS}-{what}")
+        return make_dated_path(self._directory, f"{_DAEMON_PREFIX}-{what}")
 
     def require_room(self, duration_s: float, rate_hz: float) -> None:
-        """Raise `Refused` where a run of this length would fill the disk."""
+        """Raise `RequestRefusedError` where a run of this length would fill the disk."""
         ticks = min(duration_s, _UNBOUNDED_S) * rate_hz
         needed, free = round(ticks * _BYTES_PER_TICK) + _SPARE_BYTES, self.free_bytes
         if free < needed:
-            raise Refused(
+            raise RequestRefusedError(
                 f"the disk of {self._directory} has {free >> 20} MiB left, this run may need "
                 f"{needed >> 20}; make room, or shorten it with --duration"
             )
@@ -57,7 +57,9 @@ class Shelf:
         """
         if self._keep is None:
             return
-        logs = sorted(self._directory.glob(f"[0-9]*-[0-9]*-{_OURS}-*.mcap"))
+        logs = sorted(self._directory.glob(f"[0-9]*-[0-9]*-{_DAEMON_PREFIX}-*.mcap"))
         for log in logs[: -self._keep]:
-            flight_record(log).unlink(missing_ok=True)  # first: without its log nobody finds it
+            flight_record_path(log).unlink(
+                missing_ok=True
+            )  # first: without its log nobody finds it
             log.unlink(missing_ok=True)

@@ -21,7 +21,7 @@ class Turns:
         self._lock = asyncio.Lock()  # first come, first served
 
     @asynccontextmanager
-    async def turn(self) -> AsyncIterator[None]:
+    async def take_turn(self) -> AsyncIterator[None]:
         """Wait for one's turn; afterwards nobody has one for as long as it took."""
         async with self._lock:
             began_s = time.monotonic()

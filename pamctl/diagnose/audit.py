@@ -16,16 +16,16 @@ from math import inf
 
 import numpy as np
 
-from pamctl.diagnose.experiments import separating
+from pamctl.diagnose.experiments import find_separating_experiment
 from pamctl.diagnose.fitting.block_fit import Fit
-from pamctl.diagnose.fitting.candidates import Candidate, candidates, dosed
+from pamctl.diagnose.fitting.candidates import Candidate, apply_dose, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
-from pamctl.diagnose.fitting.evidence import prepared, with_modelled_pressure
-from pamctl.diagnose.fitting.fitted_model import Model, alone, recalibrated
-from pamctl.diagnose.fitting.numbers import Free, described, unit_of, value_of
+from pamctl.diagnose.fitting.evidence import prepare_evidence, with_modelled_pressure
+from pamctl.diagnose.fitting.fitted_model import Model, extract_block_fit, recalibrate
+from pamctl.diagnose.fitting.numbers import FreeNumber, look_up_parameter, unit_of, value_of
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.diagnose.measured.refuse import check, check_sensors
-from pamctl.diagnose.naming.score import beside, secant
+from pamctl.diagnose.measured.refuse import check_measured_runs, check_sensors
+from pamctl.diagnose.naming.score import project_out, secant
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
@@ -48,7 +48,7 @@ class BlindSpot:
     """The same, in smallest sizes of interest."""
 
     @property
-    def visible(self) -> str:
+    def visibility(self) -> str:
         """Say from which size on it shows."""
         if self.visible_from is None:
             return "it does not show at any size"
@@ -60,7 +60,7 @@ class BlindSpot:
         size, unit = self.visible_from or (None, None)
         return {
             "name": self.name,
-            "why": f"{self.why}; {self.visible}",
+            "why": f"{self.why}; {self.visibility}",
             "experiment": self.experiment,
             "visible_from": size,
             "unit": unit,
@@ -84,7 +84,7 @@ class Audit:
     blind_spots: tuple[BlindSpot, ...]
     inseparable: tuple[Inseparable, ...]
 
-    def document(self) -> dict[str, object]:
+    def as_dict(self) -> dict[str, object]:
         """Return plain values, for `--json`."""
         return {
             "schema": 1,
@@ -97,121 +97,131 @@ class Audit:
         }
 
 
-def audit_of(record: Record, plant: PlantSettings) -> Audit:
+def audit_run(record: Record, plant: PlantSettings) -> Audit:
     """Audit one record, measured or simulated; raises `BadData`."""
-    check([record], plant)
-    evidence = prepared([record], [record], plant)
+    check_measured_runs([record], plant)
+    evidence = prepare_evidence([record], [record], plant)
     check_sensors([record], evidence.noises)
-    found = candidates(evidence)
+    found = list_candidates(evidence)
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        return audited(recalibrated(evidence), found)
-    alone = recalibrated(evidence.only({PRESSURE}))
+        return audit_model(recalibrate(evidence), found)
+    alone = recalibrate(evidence.select_blocks({PRESSURE}))
     clean, trusted = alone.fit_of(PRESSURE).settings, alone.is_explained(PRESSURE)
     driven = with_modelled_pressure(evidence, [record], [record], clean, trusted=trusted)
-    return audited(recalibrated(driven, alone.fits), found)
+    return audit_model(recalibrate(driven, alone.fits), found)
 
 
-def audited(model: Model, found: Sequence[Candidate], *, pairs: bool = True) -> Audit:
+def audit_model(model: Model, found: Sequence[Candidate], *, pairs: bool = True) -> Audit:
     """Audit the training records of a model that is at, or near, its floor.
 
     Of an effect with several forms the first stands for all.
     """
     firsts = {c.name: c for c in reversed(found)}
-    doses = {block: _doses(model, block, firsts.values()) for block in model.evidence.blocks}
-    spare = {block: _spare(model, block) for block in model.evidence.blocks}
+    doses = {
+        block: _simulate_doses(model, block, firsts.values()) for block in model.evidence.blocks
+    }
+    spare = {block: _room_below_limit(model, block) for block in model.evidence.blocks}
     powers = {
         name: max(
-            (_rms(d[name]).min() / spare[block] for block, d in doses.items() if name in d),
+            (_column_rms(d[name]).min() / spare[block] for block, d in doses.items() if name in d),
             default=0.0,
         )
         for name in firsts
     }
     sees = tuple(name for name, power in powers.items() if power > 1.0)
-    blind = tuple(_blind_spot(c, powers[n]) for n, c in firsts.items() if n not in sees)
-    alike = _alike(doses, spare, sees) if pairs else []
-    return Audit(sees, (*blind, *_never_seen(model, found)), tuple(map(_inseparable, alike)))
+    blind = tuple(_describe_blind_spot(c, powers[n]) for n, c in firsts.items() if n not in sees)
+    alike = _find_inseparable_pairs(doses, spare, sees) if pairs else []
+    return Audit(
+        sees, (*blind, *_list_unseen_effects(model, found)), tuple(map(_advise_pair, alike))
+    )
 
 
-def _alike(
+def _find_inseparable_pairs(
     doses: Mapping[str, Mapping[str, Array]], spare: Mapping[str, float], sees: Sequence[str]
 ) -> list[tuple[str, str]]:
     """Find pairs of which one explains all that the other does above the limits."""
 
     def explains(other: str, one: str) -> bool:
         return all(
-            _rest(d[one], d.get(other)) <= spare[block] for block, d in doses.items() if one in d
+            _unexplained_rms(d[one], d.get(other)) <= spare[block]
+            for block, d in doses.items()
+            if one in d
         )
 
     return [(a, b) for a, b in combinations(sees, 2) if explains(a, b) or explains(b, a)]
 
 
-def _rest(hidden: Array, fitted: Array | None) -> float:
+def _unexplained_rms(hidden: Array, fitted: Array | None) -> float:
     """RMS of what is left of an effect's strongest dose when another is fitted to it."""
-    strongest = hidden[:, int(np.argmax(_rms(hidden)))]
+    strongest = hidden[:, int(np.argmax(_column_rms(hidden)))]
     if fitted is None:
         return float(np.sqrt(np.mean(strongest**2)))
-    return float(np.sqrt(np.mean(beside(np.linalg.qr(fitted)[0], strongest) ** 2)))
+    return float(np.sqrt(np.mean(project_out(np.linalg.qr(fitted)[0], strongest) ** 2)))
 
 
-def _rms(columns: Array) -> Array:
+def _column_rms(columns: Array) -> Array:
     values: Array = np.sqrt(np.mean(columns**2, axis=0))
     return values
 
 
-def _inseparable(pair: tuple[str, str]) -> Inseparable:
-    advice = separating(pair)
+def _advise_pair(pair: tuple[str, str]) -> Inseparable:
+    advice = find_separating_experiment(pair)
     return Inseparable(pair, str(advice["name"]), str(advice["why"]))
 
 
-def _spare(model: Model, block: str) -> float:
+def _room_below_limit(model: Model, block: str) -> float:
     """How much a misfit adds before the limit is passed, in deviations of the sensor."""
     floor = model.floors[block]
     return float(np.sqrt(floor.limit**2 - floor.mean**2))
 
 
-def _doses(model: Model, block: str, found: Iterable[Candidate]) -> dict[str, Array]:
+def _simulate_doses(model: Model, block: str, found: Iterable[Candidate]) -> dict[str, Array]:
     """Dose the switches by their smallest sizes of interest, beside what recalibration can do.
 
     Arrays of shape (n, doses) by name, in deviations of the sensor.
     """
-    fitted = alone(model.fit_of(block), block)
+    fitted = extract_block_fit(model.fit_of(block), block)
     basis = np.linalg.qr(fitted.jacobian)[0] if fitted.free else np.zeros((len(fitted.residual), 0))
     return {
-        c.name: beside(basis, np.column_stack([secant(fitted, d) for d in _smallest(c, fitted)]))
+        c.name: project_out(
+            basis, np.column_stack([secant(fitted, d) for d in _list_smallest_doses(c, fitted)])
+        )
         for c in found
         if block in c.blocks
     }
 
 
-def _smallest(candidate: Candidate, fitted: Fit) -> list[dict[str, float]]:
+def _list_smallest_doses(candidate: Candidate, fitted: Fit) -> list[dict[str, float]]:
     """Each switch alone, and all together: two widths alike may hide where one would show."""
     held = dict(candidate.held)
-    sizes = {s.name: dosed(s, 1.0, value_of(fitted.settings, s.name)) for s in candidate.switches}
+    sizes = {
+        s.name: apply_dose(s, 1.0, value_of(fitted.settings, s.name)) for s in candidate.switches
+    }
     alone_each = [{**held, name: size} for name, size in sizes.items()]
     return [*alone_each, {**held, **sizes}] if len(sizes) > 1 else alone_each
 
 
-def _blind_spot(candidate: Candidate, power: float) -> BlindSpot:
+def _describe_blind_spot(candidate: Candidate, power: float) -> BlindSpot:
     switch = candidate.switches[0]
-    size = described(switch).smallest_of_interest
+    size = look_up_parameter(switch).smallest_of_interest
     effect = CATALOGUE[candidate.name]
     dose = f"{size:g} {unit_of(switch)}".rstrip()
-    if neutral := described(switch).neutral:
+    if neutral := look_up_parameter(switch).neutral:
         dose += f" off {neutral:g}"
     why = f"at {dose} it stays below the floor's limit"
-    visible_from = _from(switch, size, power)
+    visible_from = _find_visible_size(switch, size, power)
     sizes = 1.0 / power if visible_from else inf
     return BlindSpot(candidate.name, why, effect.best_experiment, visible_from, sizes)
 
 
-def _from(switch: Free, size: float, power: float) -> tuple[float, str] | None:
+def _find_visible_size(switch: FreeNumber, size: float, power: float) -> tuple[float, str] | None:
     """In proportion: a size that would just pass the limit, where the range allows it."""
     if power <= 0.0 or size / power > max(abs(switch.high), abs(switch.low)):
         return None
     return size / power, unit_of(switch)
 
 
-def _never_seen(model: Model, found: Sequence[Candidate]) -> list[BlindSpot]:
+def _list_unseen_effects(model: Model, found: Sequence[Candidate]) -> list[BlindSpot]:
     """Effects that reach none of the blocks that these records drive, and the moving mass."""
     asked = {c.name for c in found} | {*model.names}
     spots = [

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pamctl.diagnose.fitting.block_fit import rms
-from pamctl.diagnose.fitting.drives import MECHANICS, Drive, stacked
-from pamctl.diagnose.fitting.evidence import SMALLEST
+from pamctl.diagnose.fitting.drives import MECHANICS, Drive, stack_residuals
+from pamctl.diagnose.fitting.evidence import SMALLEST_MISFIT
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.diagnose.show import levels
+from pamctl.diagnose.show import measure_rms_by_channel
 from pamctl.plant.model import CorrectionSettings, FlowSettings, PlantSettings, PullSettings
 
 ROUNDS = 6
@@ -28,7 +28,7 @@ STIFFNESS = 1e-3
 
 
 @dataclass(frozen=True)
-class Corrected:
+class CorrectionResult:
     """What became of the wish for a table."""
 
     plant: PlantSettings
@@ -50,14 +50,16 @@ class Corrected:
         return {"applied": bool(self.blocks), "blocks": [*self.blocks], "why": self.why, "gap": gap}
 
 
-def corrected(model: Model, plant: PlantSettings, holdout: Sequence[Record]) -> Corrected:
+def add_correction_tables(
+    model: Model, plant: PlantSettings, holdout: Sequence[Record]
+) -> CorrectionResult:
     """Add a table to `plant` for each block that `model` leaves above its limit."""
     evidence = model.evidence
-    before = levels(evidence, holdout, plant)
+    before = measure_rms_by_channel(evidence, holdout, plant)
     kept, blocks, refused = plant, [], []
     for block in model.unexplained:
-        table = fitted(evidence.train[block], kept)
-        left = [rms(stacked(evidence.holdout[block], p)) for p in (kept, table)]
+        table = fit_correction_table(evidence.train[block], kept)
+        left = [rms(stack_residuals(evidence.holdout[block], p)) for p in (kept, table)]
         if left[1] <= (1.0 - LEAST_GAIN) * left[0]:
             kept = table
             blocks.append(block)
@@ -66,38 +68,39 @@ def corrected(model: Model, plant: PlantSettings, holdout: Sequence[Record]) -> 
                 f"a table for the {block} leaves {left[1] / left[0]:.2f} times what was left "
                 "of the held-out records"
             )
-    after = levels(evidence, holdout, kept)
-    if worse := [name for name in after if after[name] > before[name] + SMALLEST[name]]:
+    after = measure_rms_by_channel(evidence, holdout, kept)
+    if worse := [name for name in after if after[name] > before[name] + SMALLEST_MISFIT[name]]:
         refused = [f"tables for {' and '.join(blocks)} make the coupled gap of {worse[0]} larger"]
         kept, blocks, after = plant, [], before
     why = "; ".join([*(f"a table for the {b} is in the model" for b in blocks), *refused])
-    return Corrected(kept, tuple(blocks), why, before, after)
+    return CorrectionResult(kept, tuple(blocks), why, before, after)
 
 
-def fitted(drives: Sequence[Drive], plant: PlantSettings) -> PlantSettings:
+def fit_correction_table(drives: Sequence[Drive], plant: PlantSettings) -> PlantSettings:
     """Fit a block's table on drives, from zero, or from what the plant has already.
 
     Gauss and Newton; bends cost a little, so that a node which no sample visits follows its
     neighbours.
     """
-    grid = _Grid.over(drives, plant)
+    grid = _TableGrid.from_drives(drives, plant)
     nodes = grid.start
-    settings = grid.on(plant, nodes)
-    residual = stacked(drives, settings)
+    settings = grid.with_nodes(plant, nodes)
+    residual = stack_residuals(drives, settings)
     for _ in range(ROUNDS):
         slope = np.column_stack(
             [
-                (stacked(drives, grid.on(plant, nodes + step)) - residual) / grid.step
+                (stack_residuals(drives, grid.with_nodes(plant, nodes + step)) - residual)
+                / grid.step
                 for step in grid.step * np.eye(len(nodes))
             ]
         )
-        bends = grid.bends
+        bends = grid.second_differences
         square = slope.T @ slope
         cost = STIFFNESS * np.trace(square) / len(nodes) * (bends.T @ bends)
         change = -np.linalg.solve(square + cost, slope.T @ residual + cost @ nodes)
         for shorter in (1.0, 0.3, 0.1):
-            tried = grid.on(plant, nodes + shorter * change)
-            left = stacked(drives, tried)
+            tried = grid.with_nodes(plant, nodes + shorter * change)
+            left = stack_residuals(drives, tried)
             if rms(left) < rms(residual):
                 break
         else:
@@ -110,7 +113,7 @@ def fitted(drives: Sequence[Drive], plant: PlantSettings) -> PlantSettings:
 
 
 @dataclass(frozen=True)
-class _Grid:
+class _TableGrid:
     """The nodes of a block's table."""
 
     block: str
@@ -121,7 +124,7 @@ class _Grid:
     start: Array
 
     @classmethod
-    def over(cls, drives: Sequence[Drive], plant: PlantSettings) -> _Grid:
+    def from_drives(cls, drives: Sequence[Drive], plant: PlantSettings) -> _TableGrid:
         """Lay the grid over where the drives were; a grid that the plant has stays."""
         block = drives[0].block
         known = plant.correction and (
@@ -135,23 +138,23 @@ class _Grid:
         measured = np.concatenate([d.measured for d in drives])
         if block == MECHANICS:
             load = np.concatenate([d.driven for d in drives])
-            first, second = _even(measured, 6), _even(load, 6)
+            first, second = _even_lines(measured, 6), _even_lines(load, 6)
         else:
             # Closest near null, where valves are least like their formula.
             widest_v = max(float(np.max(np.abs(d.valve_v))) for d in drives)
             even = np.linspace(-1.0, 1.0, 9)
-            first, second = widest_v * even * np.abs(even), _even(measured, 4)
+            first, second = widest_v * even * np.abs(even), _even_lines(measured, 4)
         return cls(block, first, second, step, np.zeros(len(first) * len(second)))
 
     @property
-    def bends(self) -> Array:
+    def second_differences(self) -> Array:
         """Second differences along both axes, and a little of each node itself."""
         rows, columns = len(self.first), len(self.second)
         along = np.kron(np.diff(np.eye(rows), 2, axis=0), np.eye(columns))
         across = np.kron(np.eye(rows), np.diff(np.eye(columns), 2, axis=0))
         return np.vstack([along, across, 0.1 * np.eye(rows * columns)])
 
-    def on(self, plant: PlantSettings, nodes: Array) -> PlantSettings:
+    def with_nodes(self, plant: PlantSettings, nodes: Array) -> PlantSettings:
         """Return the plant with these nodes (N, or kg/s)."""
         rows = nodes.reshape(len(self.first), len(self.second)).tolist()
         first, second = self.first.tolist(), self.second.tolist()
@@ -164,6 +167,6 @@ class _Grid:
         return plant.model_copy(update={"correction": correction})
 
 
-def _even(values: Array, lines: int) -> Array:
+def _even_lines(values: Array, lines: int) -> Array:
     low, high = np.quantile(values, [0.001, 0.999])
     return np.linspace(low, max(high, low + 1e-9), lines)

@@ -6,21 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pamctl.diagnose.audit import Audit
-from pamctl.diagnose.correction import Corrected
+from pamctl.diagnose.correction import CorrectionResult
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.intervals import Estimate
+from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import value_of
-from pamctl.diagnose.locate import Cell, where
+from pamctl.diagnose.locate import RegimeMisfit, describe_worst_regimes
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.remainder import Remainder
-from pamctl.diagnose.show import Gap
+from pamctl.diagnose.show import HeldOutGap
 from pamctl.plant.model import PlantSettings
 
 
 @dataclass(frozen=True)
-class Trial:
+class EffectsTrial:
     """One set of effects that was fitted."""
 
     names: tuple[str, ...]
@@ -41,18 +41,18 @@ class Diagnosis:
     model: Model | None = None
     base: Model | None = None
     standings: tuple[Standing, ...] = ()
-    numbers: tuple[Estimate, ...] = ()
-    gap: dict[str, Gap] | None = None
-    cells: tuple[Cell, ...] = ()
+    numbers: tuple[FittedNumber, ...] = ()
+    gap: dict[str, HeldOutGap] | None = None
+    cells: tuple[RegimeMisfit, ...] = ()
     """What is left, by regime."""
-    regimes: tuple[Cell, ...] = ()
+    regimes: tuple[RegimeMisfit, ...] = ()
     """The misfit of the recalibrated model, by regime."""
     stepping: Mapping[str, float] = field(default_factory=dict)
     """By how much half the integrator's sub-step changes each block, over its floor."""
-    tried: tuple[Trial, ...] = ()
+    tried: tuple[EffectsTrial, ...] = ()
     """What was fitted, the best first."""
     remainder: Remainder | None = None
-    corrected: Corrected | None = None
+    corrected: CorrectionResult | None = None
     """What became of the wish to have the remainder in the model."""
     train: tuple[Record, ...] = ()
     holdout: tuple[Record, ...] = ()
@@ -61,20 +61,20 @@ class Diagnosis:
     """What these records could not have shown."""
 
     @property
-    def recalibrated(self) -> tuple[Estimate, ...]:
+    def recalibrated(self) -> tuple[FittedNumber, ...]:
         """The numbers that the start model had already, its effects' among them."""
         named = self.model.names if self.model else ()
         return tuple(n for n in self.numbers if n.name.split(".")[0] not in named)
 
-    def started(self, name: str) -> float:
+    def start_value(self, name: str) -> float:
         """Return a number of the start model."""
         return value_of(self.nominal, name)
 
 
-def where_left(diagnosis: Diagnosis) -> tuple[str, float, str]:
+def find_largest_remainder(diagnosis: Diagnosis) -> tuple[str, float, str]:
     """Return block, residual over floor and regimes of what is left most."""
     model = diagnosis.model
     if model is None:
         return "", 0.0, ""
     block = max(model.evidence.blocks, key=model.ratio)
-    return block, model.ratio(block), where(diagnosis.cells, block)
+    return block, model.ratio(block), describe_worst_regimes(diagnosis.cells, block)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from pamctl.plant.effects import CATALOGUE
 
-PAIRS: Mapping[frozenset[str], tuple[str, str]] = {
+SEPARATING_EXPERIMENTS: Mapping[frozenset[str], tuple[str, str]] = {
     frozenset({"valve_spool", "command_delay"}): (
         "chirp",
         "a lag of second order and a pure delay part at high frequency only",
@@ -42,10 +42,10 @@ PAIRS: Mapping[frozenset[str], tuple[str, str]] = {
 }
 
 
-def separating(names: Iterable[str]) -> dict[str, object]:
+def find_separating_experiment(names: Iterable[str]) -> dict[str, object]:
     """Return the experiment that tells these effects apart, and why."""
     wanted = sorted(names)
-    for pair, (experiment, why) in PAIRS.items():
+    for pair, (experiment, why) in SEPARATING_EXPERIMENTS.items():
         if pair <= {*wanted}:
             return {"name": experiment, "separates": sorted(pair), "why": why}
     first = CATALOGUE[wanted[0]]
@@ -56,7 +56,7 @@ def separating(names: Iterable[str]) -> dict[str, object]:
     }
 
 
-def showing(name: str) -> dict[str, object]:
+def find_showing_experiment(name: str) -> dict[str, object]:
     """Return the experiment that shows an effect best."""
     effect = CATALOGUE[name]
     why = f"these records cannot show {name}: {effect.signature}"

@@ -16,14 +16,14 @@ from scipy.ndimage import maximum_filter1d
 from scipy.signal import savgol_filter
 
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive
-from pamctl.diagnose.fitting.false_discovery import discovered, exceedance
+from pamctl.diagnose.fitting.false_discovery import exceedance, flag_discoveries
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.floor import imitations, sensor_of
+from pamctl.diagnose.fitting.floor import imitate_records, sensor_noise_of
 from pamctl.diagnose.measured.record import Array
 
 Rows = NDArray[np.bool_]
 
-FEWEST = 100
+FEWEST_SAMPLES = 100
 """Samples that make a regime."""
 NULL_V = 0.5
 SLOW_M_PER_S = 5e-4
@@ -32,7 +32,7 @@ EVENLY = "spread evenly"
 
 
 @dataclass(frozen=True)
-class Cell:
+class RegimeMisfit:
     """One regime of one block on the held-out records."""
 
     block: str
@@ -51,34 +51,37 @@ class Cell:
     """Of all regimes that stand out one in twenty may be noise, in the mean."""
 
 
-def cells(model: Model) -> list[Cell]:
+def locate_misfits(model: Model) -> list[RegimeMisfit]:
     """Return every regime of every block, the worst of each block first."""
-    every = [cell for block in model.evidence.blocks for cell in _cells(model, block)]
-    found = discovered([cell.p_value for cell in every])
+    every = [cell for block in model.evidence.blocks for cell in _locate_in_block(model, block)]
+    found = flag_discoveries([cell.p_value for cell in every])
     return [replace(cell, stands_out=bool(out)) for cell, out in zip(every, found, strict=True)]
 
 
-def _cells(model: Model, block: str) -> list[Cell]:
+def _locate_in_block(model: Model, block: str) -> list[RegimeMisfit]:
     evidence = model.evidence
     drives = evidence.holdout[block]
     residual = model.residuals[block]
     noise = np.array(
-        [made.residual for made in imitations(model.imitated(block), drives, evidence.noises)]
+        [
+            made.residual
+            for made in imitate_records(model.fit_for_floor(block), drives, evidence.noises)
+        ]
     )
     floor = model.floors[block]
     # What the rig itself does differently each time is no misfit, in whichever regime.
     noise *= max(floor.repeatability / floor.mean, 1.0)
     trifle = evidence.margin(block) ** 2
-    doubt = 2.0 * sensor_of(drives, evidence.noises).uncertainty
+    doubt = 2.0 * sensor_noise_of(drives, evidence.noises).uncertainty
     excess = float(np.sum(np.maximum(residual**2 - floor.mean**2, 0.0))) or 1.0
     masks: dict[str, list[Rows]] = {}
     for drive in drives:
-        for name, rows in regimes(drive, model).items():
+        for name, rows in find_regimes(drive, model).items():
             masks.setdefault(name, []).append(rows if drive.rows is None else rows[drive.rows])
     found = []
     for name, parts in masks.items():
         rows = np.concatenate(parts)
-        if rows.sum() < FEWEST:
+        if rows.sum() < FEWEST_SAMPLES:
             continue
         part = residual[rows]
         level = float(np.mean(part**2))
@@ -87,19 +90,19 @@ def _cells(model: Model, block: str) -> list[Cell]:
         inside = float(np.sum(np.maximum(part**2 - floor.mean**2, 0.0))) / excess
         chance = exceedance(level - trifle, usual, doubt)
         share = float(rows.mean())
-        found.append(Cell(block, name, share, float(np.sqrt(level)), ratio, inside, chance))
+        found.append(RegimeMisfit(block, name, share, float(np.sqrt(level)), ratio, inside, chance))
     return sorted(found, key=lambda c: -c.residual_over_floor)
 
 
-def regimes(drive: Drive, model: Model) -> Mapping[str, Rows]:
+def find_regimes(drive: Drive, model: Model) -> Mapping[str, Rows]:
     """Return the regimes of a drive, each as the samples that are in it."""
     p = model.evidence.nominal.parameters
     period_s = float(np.median(drive.step_s))
     if drive.block == MECHANICS:
         gauge = drive.driven - p.atmospheric_pressure_pa
         return {
-            **_motion(drive.measured, period_s),
-            **_thirds(gauge, p.tank_pressure_pa - p.atmospheric_pressure_pa),
+            **_find_motion_regimes(drive.measured, period_s),
+            **_find_pressure_regimes(gauge, p.tank_pressure_pa - p.atmospheric_pressure_pa),
         }
     command = drive.valve_v
     ratio = np.where(
@@ -120,14 +123,14 @@ def regimes(drive: Drive, model: Model) -> Mapping[str, Rows]:
         "within 10 ms of a step of the command": after,
         "choked flow": (ratio <= CHOKED) & ~closed,
         "flow not choked": (ratio > CHOKED) & ~closed,
-        **_thirds(
+        **_find_pressure_regimes(
             drive.measured - p.atmospheric_pressure_pa,
             p.tank_pressure_pa - p.atmospheric_pressure_pa,
         ),
     }
 
 
-def _motion(position_m: Array, period_s: float) -> dict[str, Rows]:
+def _find_motion_regimes(position_m: Array, period_s: float) -> dict[str, Rows]:
     velocity = savgol_filter(position_m, 31, 2, deriv=1, delta=period_s)
     up, down = velocity > SLOW_M_PER_S, velocity < -SLOW_M_PER_S
     rest = ~up & ~down
@@ -145,7 +148,7 @@ def _motion(position_m: Array, period_s: float) -> dict[str, Rows]:
     }
 
 
-def _thirds(gauge_pa: Array, full_pa: float) -> dict[str, Rows]:
+def _find_pressure_regimes(gauge_pa: Array, full_pa: float) -> dict[str, Rows]:
     return {
         "low pressure": gauge_pa < full_pa / 3.0,
         "middle pressure": (gauge_pa >= full_pa / 3.0) & (gauge_pa < full_pa * 2.0 / 3.0),
@@ -153,7 +156,7 @@ def _thirds(gauge_pa: Array, full_pa: float) -> dict[str, Rows]:
     }
 
 
-def where(found: Sequence[Cell], block: str) -> str:
+def describe_worst_regimes(found: Sequence[RegimeMisfit], block: str) -> str:
     """Say in words in which regimes a block's misfit lies: the worst two that stand out."""
     worst = [c for c in found if c.block == block and c.stands_out][:2]
     if not worst:

@@ -57,21 +57,21 @@ class Remainder:
         }
 
 
-def remainder(model: Model, block: str) -> Remainder:
+def regress_remainder(model: Model, block: str) -> Remainder:
     """Regress what is left of a block on its signals, the best few terms one by one."""
     rows: dict[str, list[Array]] = {}
     target = []
     for drive in model.evidence.train[block]:
-        for term, values in _terms(drive).items():
+        for term, values in _build_terms(drive).items():
             rows.setdefault(term, []).append(values if drive.rows is None else values[drive.rows])
         target.append(drive.residual(model.fit_of(block).settings) * drive.deviation)
     library = {term: np.concatenate(parts) for term, parts in rows.items()}
     unit, factor = ("um", 1e6) if block == MECHANICS else ("kPa", 1e-3)
-    terms, explained = _greedy(library, factor * np.concatenate(target))
+    terms, explained = _choose_terms(library, factor * np.concatenate(target))
     return Remainder(block, unit, terms, explained)
 
 
-def _terms(drive: Drive) -> dict[str, Array]:
+def _build_terms(drive: Drive) -> dict[str, Array]:
     """Signals and their simplest products, each scaled to its largest magnitude."""
     period_s = float(np.median(drive.step_s))
     if drive.block == MECHANICS:
@@ -83,7 +83,7 @@ def _terms(drive: Drive) -> dict[str, Array]:
         rate = savgol_filter(drive.measured, SMOOTH, 2, deriv=1, delta=period_s)
         base = {"u": drive.valve_v, "P": drive.measured - drive.measured[0], "x": drive.driven}
         extra = {"dP/dt": rate, "|u|": np.abs(drive.valve_v), "sgn u": np.sign(drive.valve_v)}
-    one = {name: _scaled(values) for name, values in {**base, **extra}.items()}
+    one = {name: _scale_signal(values) for name, values in {**base, **extra}.items()}
     names = list(base)
     products = {
         f"{a} {b}": one[a] * one[b] for i, a in enumerate(names) for b in [*names[i:], *extra]
@@ -91,12 +91,12 @@ def _terms(drive: Drive) -> dict[str, Array]:
     return {"1": np.ones(len(drive.measured)), **one, **products}
 
 
-def _scaled(values: Array) -> Array:
+def _scale_signal(values: Array) -> Array:
     largest = float(np.abs(values).max())
     return values / largest if largest > 0.0 else values
 
 
-def _greedy(
+def _choose_terms(
     library: Mapping[str, Array], target: Array
 ) -> tuple[tuple[tuple[str, float], ...], float]:
     chosen: list[str] = []

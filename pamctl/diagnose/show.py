@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pamctl.diagnose.fitting.block_fit import rms
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stacked
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
 from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.plant.drive import drive_coupled
@@ -20,7 +20,7 @@ from pamctl.plant.model import PlantSettings, plant_parameters
 
 
 @dataclass(frozen=True)
-class Gap:
+class HeldOutGap:
     """RMS of measurement minus simulation of one signal on the held-out records, in SI."""
 
     nominal: float
@@ -48,23 +48,25 @@ class Gap:
         return found if self.corrected is None else {**found, "corrected": self.corrected}
 
 
-def coupled(record: Record, settings: PlantSettings) -> tuple[Array, Array]:
+def simulate_coupled_run(record: Record, settings: PlantSettings) -> tuple[Array, Array]:
     """Simulate a record from its command alone; return position and absolute pressure."""
     driven = drive_coupled(plant_parameters(settings), record["valve_v"], record.step_s)
     return driven.position_m, driven.pressure_pa
 
 
-def gaps(
+def measure_gaps(
     evidence: Evidence, holdout: Sequence[Record], plants: Mapping[str, PlantSettings]
-) -> dict[str, Gap]:
+) -> dict[str, HeldOutGap]:
     """Compare the plants `nominal`, `recalibrated` and `extended` on the held-out records.
 
     Where only one block can be driven, that block's own output is compared.
     """
-    found = {name: levels(evidence, holdout, plant) for name, plant in plants.items()}
+    found = {
+        name: measure_rms_by_channel(evidence, holdout, plant) for name, plant in plants.items()
+    }
     channels = next(iter(found.values()))
     return {
-        channel: Gap(
+        channel: HeldOutGap(
             **{name: level[channel] for name, level in found.items()},
             floor=evidence.noises[channel].total,
         )
@@ -72,23 +74,25 @@ def gaps(
     }
 
 
-def levels(evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings) -> dict[str, float]:
-    """Return the RMS of measurement minus simulation by channel, in SI; see `gaps`."""
+def measure_rms_by_channel(
+    evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings
+) -> dict[str, float]:
+    """Return the RMS of measurement minus simulation by channel, in SI; see `measure_gaps`."""
     if len(evidence.blocks) == 2:
-        return _coupled_levels(evidence, holdout, plant)
+        return _measure_coupled_rms(evidence, holdout, plant)
     block = evidence.blocks[0]
     drives = evidence.holdout[block]
-    left = rms(stacked(drives, plant)) * drives[0].deviation
+    left = rms(stack_residuals(drives, plant)) * drives[0].deviation
     return {"pressure_pa" if block == PRESSURE else "position_m": left}
 
 
-def _coupled_levels(
+def _measure_coupled_rms(
     evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings
 ) -> dict[str, float]:
     errors: dict[str, list[Array]] = {"position_m": [], "pressure_pa": []}
     for record, drive in zip(holdout, evidence.holdout[MECHANICS], strict=True):
         counted = slice(None) if drive.rows is None else drive.rows
-        position_m, pressure_pa = coupled(record, plant)
+        position_m, pressure_pa = simulate_coupled_run(record, plant)
         for channel, simulated in (("position_m", position_m), ("pressure_pa", pressure_pa)):
             error = (record[channel] - simulated)[counted]
             if channel == "position_m":

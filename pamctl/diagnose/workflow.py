@@ -13,18 +13,23 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
 
-from pamctl.diagnose.conclude import concluded, refused
+from pamctl.diagnose.conclude import conclude_diagnosis, refuse_diagnosis
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.fitting.candidates import Candidate, candidates
+from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
-from pamctl.diagnose.fitting.evidence import Evidence, prepared, with_modelled_pressure
-from pamctl.diagnose.fitting.fitted_model import Model, asis, recalibrated, weighed
-from pamctl.diagnose.fitting.split import by_run, by_stretch
+from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure
+from pamctl.diagnose.fitting.fitted_model import (
+    Model,
+    recalibrate,
+    weigh_blocks,
+    wrap_nominal_model,
+)
+from pamctl.diagnose.fitting.split import split_by_run, split_by_stretch
 from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.measured.refuse import BadData, check, check_sensors
-from pamctl.diagnose.naming.rivals import Standing, standings
-from pamctl.diagnose.naming.search import Search, searched
-from pamctl.diagnose.naming.verdict import Judgement, Verdict, judged
+from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
+from pamctl.diagnose.naming.rivals import Standing, find_rivals
+from pamctl.diagnose.naming.search import EffectSearch, search_effects
+from pamctl.diagnose.naming.verdict import Judgement, Verdict, judge_search
 from pamctl.plant.model import PlantSettings
 
 Progress = Callable[[str], None]
@@ -50,50 +55,56 @@ def diagnose(
     """
     tell = progress or (lambda line: None)
     try:
-        evidence, train, holdout = _evidence(train, holdout, plant)
+        evidence, train, holdout = _check_and_prepare(train, holdout, plant)
     except BadData as error:
-        return refused(plant, str(error))
-    found = candidates(evidence, without)
+        return refuse_diagnosis(plant, str(error))
+    found = list_candidates(evidence, without)
     effects = len({candidate.name for candidate in found})  # some in several forms
     tell(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue can be asked for")
-    base = weighed(_with_clean_pressure(evidence, found, train, holdout, executor, tell))
+    base = weigh_blocks(
+        _recalibrate_with_clean_pressure(evidence, found, train, holdout, executor, tell)
+    )
     evidence = base.evidence
     tell("recalibrated: " + ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks))
-    search = searched(base, found, executor, tell)
-    search, judgement, heard = _heard(search, asis(evidence), found, executor, tell)
-    return concluded(judgement, heard, search, train, holdout, found, correction=correction)
+    search = search_effects(base, found, executor, tell)
+    search, judgement, heard = _hear_rivals(
+        search, wrap_nominal_model(evidence), found, executor, tell
+    )
+    return conclude_diagnosis(
+        judgement, heard, search, train, holdout, found, correction=correction
+    )
 
 
-def _heard(
-    search: Search,
+def _hear_rivals(
+    search: EffectSearch,
     nominal: Model,
     found: Sequence[Candidate],
     executor: Executor | None,
     tell: Progress,
-) -> tuple[Search, Judgement, tuple[Standing, ...]]:
+) -> tuple[EffectSearch, Judgement, tuple[Standing, ...]]:
     """Judge what was found, and hear its rivals; where one of them does better, hear its rivals."""
-    judgement = judged(search, nominal)
+    judgement = judge_search(search, nominal)
     heard: tuple[Standing, ...] = ()
     while judgement.verdict in (Verdict.NAMED, Verdict.PARTIAL):
         tell("hearing the rivals of " + " and ".join(judgement.model.names))
-        heard = standings(judgement.model, search, found, executor)
-        search = search.widened(model for standing in heard for model in standing.heard)
-        before, judgement = judgement, judged(search, nominal)
+        heard = find_rivals(judgement.model, search, found, executor)
+        search = search.add_models(model for standing in heard for model in standing.heard)
+        before, judgement = judgement, judge_search(search, nominal)
         if judgement.model.effects == before.model.effects:
             break
     return search, judgement, heard
 
 
-def _evidence(
+def _check_and_prepare(
     train: Sequence[Record], holdout: Sequence[Record], plant: PlantSettings
 ) -> tuple[Evidence, list[Record], list[Record]]:
     records = [*train, *holdout]
     if not records:
         raise BadData("no records; give at least one log")
-    check(records, plant)
+    check_measured_runs(records, plant)
     split = not holdout
-    fitted, held = by_run(train) if split else ([*train], [*holdout])
-    evidence = prepared(fitted, held, plant)
+    fitted, held = split_by_run(train) if split else ([*train], [*holdout])
+    evidence = prepare_evidence(fitted, held, plant)
     if not evidence.blocks:
         held_channels = ", ".join(records[0].channels) or "nothing"
         raise BadData(
@@ -102,11 +113,11 @@ def _evidence(
         )
     check_sensors(records, evidence.noises)
     if split and len(train) == 1:
-        evidence = by_stretch(evidence)
+        evidence = split_by_stretch(evidence)
     return evidence, fitted, held
 
 
-def _with_clean_pressure(
+def _recalibrate_with_clean_pressure(
     evidence: Evidence,
     found: Sequence[Candidate],
     train: Sequence[Record],
@@ -116,12 +127,12 @@ def _with_clean_pressure(
 ) -> Model:
     """Recalibrate; let the pressure block, with whatever it takes, tell noise from pressure."""
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        return recalibrated(evidence)
-    alone = recalibrated(evidence.only({PRESSURE}))
+        return recalibrate(evidence)
+    alone = recalibrate(evidence.select_blocks({PRESSURE}))
     tell("pressure block alone, for a clean pressure to drive the mechanics")
     # The simplest form of a name would do to name it; what drives the mechanics is to be true.
-    best = searched(alone, found, executor, width=2).nearest
+    best = search_effects(alone, found, executor, width=2).nearest
     driven = with_modelled_pressure(
         evidence, train, holdout, best.fit_of(PRESSURE).settings, trusted=best.is_complete
     )
-    return recalibrated(driven, alone.fits)
+    return recalibrate(driven, alone.fits)

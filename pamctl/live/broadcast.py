@@ -7,7 +7,7 @@ from collections import deque
 from pathlib import Path
 
 from pamctl.live.feed import DaemonFeed, Glimpse
-from pamctl.live.line import COLUMNS, EVERY, LOOKS_PER_S, line
+from pamctl.live.line import COLUMNS, EVERY, LOOKS_PER_S, encode_glimpses
 
 _KEPT_LOOKS = round(60 * LOOKS_PER_S)
 
@@ -40,7 +40,7 @@ class Broadcast:
             self._news.wait_for(lambda: self._count > seen, patience_s)
             missing = min(self._count - seen, len(self._kept))
             fresh = [self._kept[len(self._kept) - missing + i] for i in range(missing)]
-            return self._count, line(fresh)
+            return self._count, encode_glimpses(fresh)
 
     def end(self) -> None:
         """Look no more."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from pamctl.daemon.client import Client, Declined, Unreachable
+from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.recording.ring import Ring
 
 _PATIENCE_S = 5.0
@@ -47,13 +47,13 @@ class DaemonFeed:
         """Return what is new."""
         was_connected = self._client is not None
         try:
-            return self._asked()
-        except (Unreachable, Declined) as error:
+            return self._ask()
+        except (DaemonUnreachableError, DaemonDeclinedError) as error:
             self.close()
             # It may have been restarted, and be there again.
             return self.look() if was_connected else Glimpse(None, [], str(error))
 
-    def _asked(self) -> Glimpse:
+    def _ask(self) -> Glimpse:
         if self._client is None:
             self._client, self._seen = Client(self._path, _PATIENCE_S), -1
         status = self._client.call("status")

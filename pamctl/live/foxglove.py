@@ -16,7 +16,7 @@ import numpy as np
 
 from pamctl.live.feed import Feed, Glimpse
 from pamctl.live.gate import Gate, hidden_address
-from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor, units
+from pamctl.log.schema import TICK_MESSAGE, TICK_TOPIC, tick_descriptor, units_of_columns
 from pamctl.log.wire import TickLayout
 from pamctl.signals import TICK_FIELDS
 
@@ -38,7 +38,7 @@ class Telemetry:
             TICK_TOPIC,
             message_encoding="protobuf",
             schema=foxglove.Schema(name=TICK_MESSAGE, encoding="protobuf", data=descriptor),
-            metadata={"units": json.dumps(units(TICK_FIELDS))},
+            metadata={"units": json.dumps(units_of_columns(TICK_FIELDS))},
         )
         self._status = foxglove.Channel(
             STATUS_TOPIC, message_encoding="json", schema={"type": "object"}
@@ -49,18 +49,18 @@ class Telemetry:
         # The loop's times are those of the monotonic clock; viewers want the calendar's.
         offset_ns = time.time_ns() - time.monotonic_ns()
         for tick in glimpse.ticks:
-            self._ticks.log(self._packed(tick), log_time=int(tick["encoder_t_ns"]) + offset_ns)
+            self._ticks.log(self._pack_tick(tick), log_time=int(tick["encoder_t_ns"]) + offset_ns)
         if glimpse.status is not None:
             said = {k: v for k, v in glimpse.status.items() if k != "tick"}
             self._status.log(said)
 
-    def _packed(self, tick: Mapping[str, float]) -> bytes:
+    def _pack_tick(self, tick: Mapping[str, float]) -> bytes:
         for name, value in tick.items():
             self._columns[name] = value
         return self._layout.encode(self._columns).tobytes()
 
 
-def serve(
+def serve_foxglove(
     feed: Feed, port: int, origins: Collection[str], goes_on: Callable[[float], bool]
 ) -> None:
     """Send what the feed sees for as long as `goes_on`, which sleeps so many seconds, says so.

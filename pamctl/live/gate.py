@@ -24,7 +24,7 @@ _HEAD_WITHIN_S = 5.0
 _PIECE = 1 << 16
 
 
-class Refusal(NamedTuple):
+class GateRefusal(NamedTuple):
     """Why a connection is not passed on."""
 
     status: str
@@ -36,7 +36,7 @@ def hidden_address() -> str:
     return "127." + ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
 
 
-def refusal_of(head: bytes, port: int, origins: Collection[str]) -> Refusal | None:
+def judge_request_head(head: bytes, port: int, origins: Collection[str]) -> GateRefusal | None:
     """Judge the head of an HTTP request to `port`; `origins` are the sites that may look on.
 
     A program sends no origin, and an application its own scheme (`file://`): both may. A page
@@ -46,16 +46,16 @@ def refusal_of(head: bytes, port: int, origins: Collection[str]) -> Refusal | No
         _, rest = head.split(b"\r\n", 1)
         headers = parse_headers(io.BytesIO(rest))
     except (ValueError, HTTPException):
-        return Refusal("400 Bad Request", "this is no request")
+        return GateRefusal("400 Bad Request", "this is no request")
     hosts, told = headers.get_all("Host", []), headers.get_all("Origin", [])
     if hosts not in ([f"127.0.0.1:{port}"], [f"localhost:{port}"]):
-        return Refusal("421 Misdirected Request", "this is not the host you asked for")
+        return GateRefusal("421 Misdirected Request", "this is not the host you asked for")
     if not told or (told[0] in origins and len(told) == 1):
         return None
     is_page = any(one == "null" or one.lower().startswith(("http:", "https:")) for one in told)
     if is_page or len(told) > 1:
         way_out = "name this site with --live-origin if it may look on"
-        return Refusal("403 Forbidden", f"pages of other sites may not look on; {way_out}")
+        return GateRefusal("403 Forbidden", f"pages of other sites may not look on; {way_out}")
     return None
 
 
@@ -102,15 +102,15 @@ class Gate:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         async with asyncio.timeout(_HEAD_WITHIN_S):
             head = await reader.readuntil(b"\r\n\r\n")
-        refusal = refusal_of(head, self.port, self._origins)
+        refusal = judge_request_head(head, self.port, self._origins)
         if refusal is not None:
-            writer.write(_answer(refusal))
+            writer.write(_encode_refusal(refusal))
             await writer.drain()
             return
         its_reader, its_writer = await asyncio.open_connection(*self._behind)
         try:
             its_writer.write(head)
-            await _either(_pass_on(reader, its_writer), _pass_on(its_reader, writer))
+            await _await_first(_pass_on(reader, its_writer), _pass_on(its_reader, writer))
         finally:
             its_writer.close()
 
@@ -123,7 +123,7 @@ async def _pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> 
             await sink.drain()
 
 
-async def _either(*ways: Coroutine[None, None, None]) -> None:
+async def _await_first(*ways: Coroutine[None, None, None]) -> None:
     """Wait until one of them has ended; end the others."""
     tasks = [asyncio.ensure_future(way) for way in ways]
     try:
@@ -133,7 +133,7 @@ async def _either(*ways: Coroutine[None, None, None]) -> None:
             task.cancel()
 
 
-def _answer(refusal: Refusal) -> bytes:
+def _encode_refusal(refusal: GateRefusal) -> bytes:
     body = refusal.reason.encode() + b"\n"
     head = f"HTTP/1.1 {refusal.status}\r\nContent-Type: text/plain\r\n"
     return f"{head}Content-Length: {len(body)}\r\nConnection: close\r\n\r\n".encode() + body

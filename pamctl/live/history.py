@@ -26,7 +26,7 @@ class History:
         while self._ticks and self._ticks[-1]["t_s"] - self._ticks[0]["t_s"] > self._seconds:
             self._ticks.popleft()
 
-    def binned(self, column: str, bins: int) -> list[float]:
+    def bin_column(self, column: str, bins: int) -> list[float]:
         """Return the value of largest size in each of `bins` equal times; NaN where none is.
 
         Not the mean: a peak that lasts a tick is what one looks for.
@@ -43,7 +43,7 @@ class History:
         return largest
 
 
-def sparkline(values: list[float]) -> tuple[str, float, float]:
+def draw_sparkline(values: list[float]) -> tuple[str, float, float]:
     """Draw values as a line of blocks; return it with the least and the largest of them.
 
     NaN is a blank; both bounds are NaN where there is nothing else.

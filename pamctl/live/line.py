@@ -13,22 +13,24 @@ LOOKS_PER_S = 10.0
 EVERY = 20
 """Ticks, of those that are plotted: 50 points a second."""
 COLUMNS = ("tick", "t_s", "phase", "position_m", "reference_m", "pressure_pa", "valve_v")
-_TOLD = (
+_STATUS_FIELDS = (
     "state", "fault", "run", "log", "worst_late_s", "missed_ticks", "backend", "device",
     "limits", "names", "disk_free_bytes", "version", "events",
 )  # fmt: skip
 
 
-def line(glimpses: Sequence[Glimpse]) -> str:
+def encode_glimpses(glimpses: Sequence[Glimpse]) -> str:
     """Write what was seen in several looks: the last state, and all ticks."""
     newest = glimpses[-1] if glimpses else Glimpse(None, [])
     status: dict[str, Any] | None = None
     if newest.status is not None:
-        status = {name: newest.status[name] for name in _TOLD}
-    rows = [[_number(tick[name]) for name in COLUMNS] for one in glimpses for tick in one.ticks]
+        status = {name: newest.status[name] for name in _STATUS_FIELDS}
+    rows = [
+        [_nan_to_none(tick[name]) for name in COLUMNS] for one in glimpses for tick in one.ticks
+    ]
     document = {"status": status, "problem": newest.problem, "fields": COLUMNS, "ticks": rows}
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
-def _number(value: float) -> float | None:
+def _nan_to_none(value: float) -> float | None:
     return None if math.isnan(value) else value

@@ -25,21 +25,21 @@ def main() -> NoReturn:
     port, kind, source, origins = int(sys.argv[1]), sys.argv[2], Path(sys.argv[3]), sys.argv[4:]
     sys.stdout = sys.stderr  # standard output is the result of the run
     try:
-        from pamctl.live.foxglove import EVERY, serve
+        from pamctl.live.foxglove import EVERY, serve_foxglove
 
         feed: Feed = (
             DaemonFeed(source, EVERY)
             if kind == "--socket"
             else RingFeed(Ring.attach(source), EVERY)
         )
-        serve(feed, port, origins, _goes_on)
+        serve_foxglove(feed, port, origins, _sleep_while_open)
     except Exception as error:
         print(f"live: not served on port {port}: {error}", file=sys.stderr)
         sys.exit(1)
     sys.exit(0)
 
 
-def _goes_on(seconds: float) -> bool:
+def _sleep_while_open(seconds: float) -> bool:
     """Sleep; tell whether standard input is still open."""
     return not select.select([sys.stdin.fileno()], [], [], seconds)[0]
 

@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from pamctl.live.history import History, sparkline
+from pamctl.live.history import History, draw_sparkline
 from pamctl.signals import Phase
 
 COLUMNS = (
@@ -30,7 +30,7 @@ _STATE_STYLE = {
 }  # fmt: skip
 
 
-class Plot(NamedTuple):
+class PlotLine(NamedTuple):
     """One line of blocks."""
 
     name: str
@@ -41,20 +41,20 @@ class Plot(NamedTuple):
 
 
 PLOTS = (
-    Plot("reference", "reference_m", 1e3, "mm", "7.2f"),
-    Plot("position", "position_m", 1e3, "mm", "7.2f"),
-    Plot("error", "error_m", 1e6, "um", "7.1f"),
-    Plot("pressure", "pressure_pa", 1e-3, "kPa", "7.1f"),
-    Plot("command", "valve_v", 1.0, "V", "7.2f"),
+    PlotLine("reference", "reference_m", 1e3, "mm", "7.2f"),
+    PlotLine("position", "position_m", 1e3, "mm", "7.2f"),
+    PlotLine("error", "error_m", 1e6, "um", "7.1f"),
+    PlotLine("pressure", "pressure_pa", 1e-3, "kPa", "7.1f"),
+    PlotLine("command", "valve_v", 1.0, "V", "7.2f"),
 )
 
 
-def with_error(tick: Mapping[str, float]) -> dict[str, float]:
+def add_error(tick: Mapping[str, float]) -> dict[str, float]:
     """Add the tracking error: measured displacement minus reference."""
     return {**tick, "error_m": tick["position_m"] - tick["reference_m"]}
 
 
-def screen(
+def draw_screen(
     status: Mapping[str, Any] | None,
     problem: str,
     history: History,
@@ -64,24 +64,24 @@ def screen(
     width, lines = size
     if status is None:
         return Group(
-            _headline("away", problem or "waiting for the daemon", "", width),
-            *_plots(history, width),
+            _draw_headline("away", problem or "waiting for the daemon", "", width),
+            *_draw_plots(history, width),
         )
     where = f"{status['backend']} {status['device']}"
     what = status["fault"] or status["run"] or ""
     return Group(
-        _headline(status["state"], what, where, width),
+        _draw_headline(status["state"], what, where, width),
         Text(),
-        _figures(status),
+        _draw_figures(status),
         Text(),
-        *_plots(history, width),
+        *_draw_plots(history, width),
         Text(),
-        _cut(f"log   {status['log'] or '-'}", width, keep_end=True),
-        *_events(status["events"], lines - _LINES_BESIDE_EVENTS, width),
+        _cut_text(f"log   {status['log'] or '-'}", width, keep_end=True),
+        *_draw_events(status["events"], lines - _LINES_BESIDE_EVENTS, width),
     )
 
 
-def _headline(state: str, what: str, where: str, width: int) -> Text:
+def _draw_headline(state: str, what: str, where: str, width: int) -> Text:
     line = Text(f" {state} ", style=_STATE_STYLE.get(state, ""))
     line.append(f" {what}", style="bold red" if state == "fault" else "bold")
     room = max(1, width - len(where) - 1)
@@ -90,7 +90,7 @@ def _headline(state: str, what: str, where: str, width: int) -> Text:
     return line
 
 
-def _figures(status: Mapping[str, Any]) -> Table:
+def _draw_figures(status: Mapping[str, Any]) -> Table:
     tick = {k: math.nan if v is None else v for k, v in (status["tick"] or {}).items()}
     table = Table.grid(padding=(0, 3), expand=False)
     for _ in range(3):
@@ -99,18 +99,18 @@ def _figures(status: Mapping[str, Any]) -> Table:
     late_s, missed = status["worst_late_s"], status["missed_ticks"]
     rows = (
         (
-            ("reference", _value(tick, "reference_m", 1e3, "8.3f", "mm")),
-            ("pressure", _value(tick, "pressure_pa", 1e-3, "7.1f", "kPa")),
-            ("phase", _phase(tick)),
+            ("reference", _format_value(tick, "reference_m", 1e3, "8.3f", "mm")),
+            ("pressure", _format_value(tick, "pressure_pa", 1e-3, "7.1f", "kPa")),
+            ("phase", _format_phase(tick)),
         ),
         (
-            ("position", _value(tick, "position_m", 1e3, "8.3f", "mm")),
-            ("command", _value(tick, "valve_v", 1.0, "+7.3f", "V")),
+            ("position", _format_value(tick, "position_m", 1e3, "8.3f", "mm")),
+            ("command", _format_value(tick, "valve_v", 1.0, "+7.3f", "V")),
             ("worst wake-up", "-" if late_s is None else f"{late_s * 1e6:.1f} us"),
         ),
         (
-            ("error", _error(tick)),
-            ("time", _value(tick, "t_s", 1.0, "7.1f", "s")),
+            ("error", _format_error(tick)),
+            ("time", _format_value(tick, "t_s", 1.0, "7.1f", "s")),
             ("missed ticks", "-" if missed is None else str(missed)),
         ),
     )
@@ -119,25 +119,27 @@ def _figures(status: Mapping[str, Any]) -> Table:
     return table
 
 
-def _value(tick: Mapping[str, float], column: str, scale: float, form: str, unit: str) -> str:
+def _format_value(
+    tick: Mapping[str, float], column: str, scale: float, form: str, unit: str
+) -> str:
     value = tick.get(column, math.nan)
     return f"- {unit}" if math.isnan(value) else f"{value * scale:{form}} {unit}"
 
 
-def _error(tick: Mapping[str, float]) -> str:
-    return _value(with_error(tick), "error_m", 1e6, "+8.1f", "um") if tick else "- um"
+def _format_error(tick: Mapping[str, float]) -> str:
+    return _format_value(add_error(tick), "error_m", 1e6, "+8.1f", "um") if tick else "- um"
 
 
-def _phase(tick: Mapping[str, float]) -> str:
+def _format_phase(tick: Mapping[str, float]) -> str:
     return Phase(int(tick["phase"])).name.lower().replace("_", " ") if tick else "-"
 
 
-def _plots(history: History, width: int) -> list[Text]:
+def _draw_plots(history: History, width: int) -> list[Text]:
     room = max(10, width - _FRAME - 3)
     lines = []
     for plot in PLOTS:
-        blocks, low, high = sparkline(history.binned(plot.column, room))
-        bounds = "" if math.isnan(low) else _bounds(low, high, plot)
+        blocks, low, high = draw_sparkline(history.bin_column(plot.column, room))
+        bounds = "" if math.isnan(low) else _format_bounds(low, high, plot)
         line = Text(f"{plot.name:<10}", style="dim")
         line.append(blocks, style="cyan")
         line.append(f" {bounds}", style="dim")
@@ -146,17 +148,17 @@ def _plots(history: History, width: int) -> list[Text]:
     return [*lines, last]
 
 
-def _bounds(low: float, high: float, plot: Plot) -> str:
+def _format_bounds(low: float, high: float, plot: PlotLine) -> str:
     numbers = (f"{value * plot.scale:{plot.form}}".strip() for value in (low, high))
     return f"{'..'.join(numbers)} {plot.unit}"
 
 
-def _events(events: Sequence[Mapping[str, Any]], room: int, width: int) -> list[Text]:
+def _draw_events(events: Sequence[Mapping[str, Any]], room: int, width: int) -> list[Text]:
     newest = list(events)[-room:] if room > 0 else []
-    return [_cut(_event_text(event), width) for event in newest]
+    return [_cut_text(_format_event(event), width) for event in newest]
 
 
-def _event_text(event: Mapping[str, Any]) -> str:
+def _format_event(event: Mapping[str, Any]) -> str:
     at = time.strftime("%H:%M:%S", time.localtime(event["time_s"]))
     details = (
         f"{k} {v}" for k, v in event.items() if k not in ("event", "time_s", "log") and v != ""
@@ -164,7 +166,7 @@ def _event_text(event: Mapping[str, Any]) -> str:
     return f"{at}  {event['event']}  {', '.join(details)}"
 
 
-def _cut(text: str, width: int, *, keep_end: bool = False) -> Text:
+def _cut_text(text: str, width: int, *, keep_end: bool = False) -> Text:
     if len(text) > width and keep_end:
         text = f"{text[:6]}...{text[len(text) - width + 9 :]}"
     line = Text(text, style="dim")

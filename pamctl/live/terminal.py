@@ -14,7 +14,7 @@ from rich.live import Live
 from pamctl.live import line
 from pamctl.live.feed import DaemonFeed, Glimpse
 from pamctl.live.history import History
-from pamctl.live.screen import COLUMNS, HISTORY_S, screen, with_error
+from pamctl.live.screen import COLUMNS, HISTORY_S, add_error, draw_screen
 
 _PICTURES_PER_S = 10.0
 _LINES_PER_S = 1.0
@@ -29,12 +29,12 @@ def watch_in_terminal(
 
     `line_of` writes the line for a file, a pipe, or a terminal that cannot draw.
     """
-    console, seen = Console(), _Seen()
+    console, seen = Console(), _DaemonSighting()
     with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, _EVERY, COLUMNS)) as feed:
         if console.is_terminal and not console.is_dumb_terminal:
-            _draw(console, seen.of(_looks(feed, _PICTURES_PER_S, count)))
+            _draw_screens(console, seen.of(_look_repeatedly(feed, _PICTURES_PER_S, count)))
         else:
-            _print(seen.of(_looks(feed, _LINES_PER_S, count)), line_of)
+            _print_lines(seen.of(_look_repeatedly(feed, _LINES_PER_S, count)), line_of)
     return seen.daemon
 
 
@@ -43,14 +43,14 @@ def watch_as_json(socket: Path, count: int | None = None) -> bool:
 
     Tells whether the daemon was ever there.
     """
-    seen = _Seen()
+    seen = _DaemonSighting()
     with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, line.EVERY, line.COLUMNS)) as feed:
-        looks = seen.of(_looks(feed, line.LOOKS_PER_S, count))
-        _print(looks, lambda glimpse: line.line([glimpse]))
+        looks = seen.of(_look_repeatedly(feed, line.LOOKS_PER_S, count))
+        _print_lines(looks, lambda glimpse: line.encode_glimpses([glimpse]))
     return seen.daemon
 
 
-class _Seen:
+class _DaemonSighting:
     """Notes in passing whether the daemon has answered."""
 
     daemon = False
@@ -62,23 +62,23 @@ class _Seen:
             yield glimpse
 
 
-def _looks(feed: DaemonFeed, per_s: float, count: int | None) -> Iterator[Glimpse]:
+def _look_repeatedly(feed: DaemonFeed, per_s: float, count: int | None) -> Iterator[Glimpse]:
     for number in itertools.count() if count is None else range(count):
         if number:
             time.sleep(1.0 / per_s)
         yield feed.look()
 
 
-def _draw(console: Console, looks: Iterator[Glimpse]) -> None:
+def _draw_screens(console: Console, looks: Iterator[Glimpse]) -> None:
     history = History(HISTORY_S)
     with Live(console=console, auto_refresh=False, screen=True) as live:
         for glimpse in looks:
-            history.extend(with_error(tick) for tick in glimpse.ticks)
+            history.extend(add_error(tick) for tick in glimpse.ticks)
             size = (console.size.width, console.size.height)
-            picture = screen(glimpse.status, glimpse.problem, history, size)
+            picture = draw_screen(glimpse.status, glimpse.problem, history, size)
             live.update(picture, refresh=True)
 
 
-def _print(looks: Iterator[Glimpse], line_of: Callable[[Glimpse], str]) -> None:
+def _print_lines(looks: Iterator[Glimpse], line_of: Callable[[Glimpse], str]) -> None:
     for glimpse in looks:
         print(line_of(glimpse), flush=True)

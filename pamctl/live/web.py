@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from pamctl.daemon.allowance import Allowance
-from pamctl.daemon.client import Client, Declined, Unreachable
+from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.live.broadcast import Broadcast
 
 LARGEST_BODY = 4096
@@ -82,7 +82,7 @@ class PageServer(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", port), _Handler)
         self.token = token
         self.control_socket = socket
-        self.pages = {at: _part(name) for at, (name, _) in _PAGE.items()}
+        self.pages = {at: _read_part(name) for at, (name, _) in _PAGE.items()}
         self._allowance = Allowance(time.monotonic())
         self._asking = threading.Lock()
         self._room = threading.BoundedSemaphore(MOST_CONNECTIONS)
@@ -118,7 +118,7 @@ class PageServer(ThreadingHTTPServer):
         self.broadcast.end()
 
 
-class _Refusal(Exception):
+class _RequestRefusal(Exception):
     """A request that is not answered with what it asks for."""
 
     def __init__(self, status: HTTPStatus, message: str) -> None:
@@ -142,18 +142,18 @@ class _Handler(BaseHTTPRequestHandler):
             elif self.path in _PAGE:
                 self._answer(HTTPStatus.OK, self.server.pages[self.path], _PAGE[self.path][1])
             else:
-                raise _Refusal(HTTPStatus.NOT_FOUND, "there is no such page")
-        except _Refusal as refusal:
+                raise _RequestRefusal(HTTPStatus.NOT_FOUND, "there is no such page")
+        except _RequestRefusal as refusal:
             self._refuse(refusal)
 
     def do_POST(self) -> None:
         try:
             self._require_own_page()
             if self.path != "/do":
-                raise _Refusal(HTTPStatus.NOT_FOUND, "there is no such page")
-            told = self._carried_out(self._order())
+                raise _RequestRefusal(HTTPStatus.NOT_FOUND, "there is no such page")
+            told = self._carry_out_order(self._read_order())
             self._answer(HTTPStatus.OK, json.dumps(told).encode(), "application/json")
-        except _Refusal as refusal:
+        except _RequestRefusal as refusal:
             self._refuse(refusal)
 
     # --- who may ask what ------------------------------------------------------------------
@@ -161,48 +161,54 @@ class _Handler(BaseHTTPRequestHandler):
     def _require_own_page(self) -> None:
         """Keep out other sites: those that borrow our address, and those that ask across."""
         if self.headers.get("Host") not in self.server.hosts:
-            raise _Refusal(HTTPStatus.MISDIRECTED_REQUEST, "this is not the host you asked for")
+            raise _RequestRefusal(
+                HTTPStatus.MISDIRECTED_REQUEST, "this is not the host you asked for"
+            )
         origin = self.headers.get("Origin")
         if origin is not None and origin.removeprefix("http://") not in self.server.hosts:
-            raise _Refusal(HTTPStatus.FORBIDDEN, "other sites may not ask here")
+            raise _RequestRefusal(HTTPStatus.FORBIDDEN, "other sites may not ask here")
         if self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
-            raise _Refusal(HTTPStatus.FORBIDDEN, "other sites may not ask here")
+            raise _RequestRefusal(HTTPStatus.FORBIDDEN, "other sites may not ask here")
 
-    def _order(self) -> dict[str, Any]:
-        """Read an order; raise `_Refusal` for one that is not permitted, or makes no sense."""
-        body = self._body()
+    def _read_order(self) -> dict[str, Any]:
+        """Read an order; raise `_RequestRefusal` if it is not permitted or makes no sense."""
+        body = self._read_body()
         told = self.headers.get("Authorization", "").removeprefix("Bearer ")
         is_known = hmac.compare_digest(told.encode(), self.server.token.encode())
-        order = _parsed(body)
+        order = _parse_order(body)
         # Whoever may demand the emergency stop has it, however much was asked before.
         is_estop = bool(self.server.token) and is_known and order.get("do") == "estop"
         if not is_estop and not self.server.may_ask():
-            raise _Refusal(HTTPStatus.TOO_MANY_REQUESTS, "too many requests")
+            raise _RequestRefusal(HTTPStatus.TOO_MANY_REQUESTS, "too many requests")
         if not self.server.token:
-            raise _Refusal(HTTPStatus.FORBIDDEN, "read-only: start it with --allow-control")
+            raise _RequestRefusal(HTTPStatus.FORBIDDEN, "read-only: start it with --allow-control")
         if not is_known:
-            raise _Refusal(HTTPStatus.UNAUTHORIZED, "open the page by its whole address, with #...")
+            raise _RequestRefusal(
+                HTTPStatus.UNAUTHORIZED, "open the page by its whole address, with #..."
+            )
         return order
 
-    def _body(self) -> bytes:
+    def _read_body(self) -> bytes:
         if self.headers.get_content_type() != "application/json":
-            raise _Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "an order is application/json")
+            raise _RequestRefusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "an order is application/json")
         length = self.headers.get("Content-Length", "")
         if not length.isdecimal():
-            raise _Refusal(HTTPStatus.LENGTH_REQUIRED, "an order has a length")
+            raise _RequestRefusal(HTTPStatus.LENGTH_REQUIRED, "an order has a length")
         if int(length) > LARGEST_BODY:
-            raise _Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {LARGEST_BODY} bytes")
+            raise _RequestRefusal(
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {LARGEST_BODY} bytes"
+            )
         return self.rfile.read(int(length))
 
-    def _carried_out(self, order: dict[str, Any]) -> Any:
-        method, params = _asked(order)
+    def _carry_out_order(self, order: dict[str, Any]) -> Any:
+        method, params = _translate_order(order)
         try:
             with Client(self.server.control_socket, _PATIENCE_S) as client:
                 return client.call(method, params)
-        except Declined as error:
-            raise _Refusal(HTTPStatus.CONFLICT, str(error)) from None
-        except Unreachable as error:
-            raise _Refusal(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+        except DaemonDeclinedError as error:
+            raise _RequestRefusal(HTTPStatus.CONFLICT, str(error)) from None
+        except DaemonUnreachableError as error:
+            raise _RequestRefusal(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
 
     # --- answers -----------------------------------------------------------------------------
 
@@ -220,7 +226,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._begin(status, kind, len(body))
         self.wfile.write(body)
 
-    def _refuse(self, refusal: _Refusal) -> None:
+    def _refuse(self, refusal: _RequestRefusal) -> None:
         self.close_connection = True  # its body may not have been read
         body = json.dumps({"error": str(refusal)}).encode()
         with suppress(ConnectionError, TimeoutError):
@@ -243,25 +249,27 @@ class _Handler(BaseHTTPRequestHandler):
         """Write no line for each request."""
 
 
-def _part(name: str) -> bytes:
+def _read_part(name: str) -> bytes:
     return (files("pamctl.live") / "page").joinpath(name).read_bytes()
 
 
-def _parsed(body: bytes) -> dict[str, Any]:
+def _parse_order(body: bytes) -> dict[str, Any]:
     try:
         order = json.loads(body)
     except (ValueError, RecursionError):
-        raise _Refusal(HTTPStatus.BAD_REQUEST, "not JSON") from None
+        raise _RequestRefusal(HTTPStatus.BAD_REQUEST, "not JSON") from None
     if not isinstance(order, dict):
-        raise _Refusal(HTTPStatus.BAD_REQUEST, 'an order is {"do": ...}')
+        raise _RequestRefusal(HTTPStatus.BAD_REQUEST, 'an order is {"do": ...}')
     return order
 
 
-def _asked(order: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+def _translate_order(order: dict[str, Any]) -> tuple[str, dict[str, Any]]:
     """Return method and parameters; what they may be is the daemon's business."""
     match order:
         case {"do": "estop" | "stop" as do}:
             return do, {}
         case {"do": "goto", "position_mm": int() | float() as position_mm}:
             return "goto", {"position_m": position_mm * 1e-3}
-    raise _Refusal(HTTPStatus.BAD_REQUEST, "there are estop, stop, and goto with position_mm")
+    raise _RequestRefusal(
+        HTTPStatus.BAD_REQUEST, "there are estop, stop, and goto with position_mm"
+    )

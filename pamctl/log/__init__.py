@@ -13,8 +13,9 @@ The public way into a log, whoever wrote it:
 
     pamctl.log.read("long.mcap", fields=("t_s", "position_m"))  # of an hour, only what is needed
 
-The tools of the command line are functions too: `check.check`, `recover.recover`,
-`export.export` and `importing.pipeline.import_log`.
+The tools of the command line are functions too: `check.check_log.check_log`,
+`repair.recover.recover_file`,
+`export.export_ticks` and `importing.pipeline.import_log`.
 
 Names are loaded when first used: the loop's process imports parts of this package, and
 must not pay for numpy.

@@ -55,7 +55,7 @@ DESCRIBED_EVERY = 16
 _FOOTER_BODY_BYTES = 20
 
 
-def message_records(
+def make_message_records(
     data: NDArray[Any], times_ns: NDArray[Any], sequences: NDArray[Any]
 ) -> NDArray[Any]:
     """Make n message records, for any channel, of n messages of one length."""
@@ -68,13 +68,13 @@ def message_records(
     return records
 
 
-def message_record(data: bytes, time_ns: int, sequence: int) -> NDArray[Any]:
+def make_message_record(data: bytes, time_ns: int, sequence: int) -> NDArray[Any]:
     """Make one, of a message that is not empty."""
     one = np.frombuffer(data, f"V{len(data)}")
-    return message_records(one, np.array([time_ns]), np.array([sequence]))
+    return make_message_records(one, np.array([time_ns]), np.array([sequence]))
 
 
-class Packed(NamedTuple):
+class PackedChunk(NamedTuple):
     """A chunk of another file, whole."""
 
     content: bytes
@@ -103,12 +103,14 @@ class Container:
         self._metadata_indexes: list[MetadataIndex] = []
         self._counts: defaultdict[int, int] = defaultdict(int)
         self._put(MAGIC)
-        self._put(_bytes(Header("", library)))
+        self._put(_encode_record(Header("", library)))
 
     def schema(self, name: str, encoding: str, data: bytes) -> int:
         """Register a schema; return its number."""
         number = len(self._schemas)
-        self._schemas[number] = _bytes(Schema(id=number, data=data, encoding=encoding, name=name))
+        self._schemas[number] = _encode_record(
+            Schema(id=number, data=data, encoding=encoding, name=name)
+        )
         return number
 
     def channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
@@ -121,7 +123,7 @@ class Container:
             metadata=dict(metadata),
             schema_id=schema,
         )
-        self._channels[number] = schema, _bytes(channel)
+        self._channels[number] = schema, _encode_record(channel)
         self._describe(number)
         return number
 
@@ -142,7 +144,7 @@ class Container:
         attachment = Attachment(
             create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data
         )
-        offset, length = self._put(_bytes(attachment))
+        offset, length = self._put(_encode_record(attachment))
         self._attachment_indexes.append(
             AttachmentIndex(
                 offset=offset,
@@ -157,10 +159,10 @@ class Container:
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
-        offset, length = self._put(_bytes(Metadata(name=name, metadata=dict(values))))
+        offset, length = self._put(_encode_record(Metadata(name=name, metadata=dict(values))))
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=name))
 
-    def end_chunk(self, packed: Packed | None = None) -> None:
+    def end_chunk(self, packed: PackedChunk | None = None) -> None:
         """Write the messages added since the last one; hand all to the operating system.
 
         Where they, and what describes them, are just what `packed` holds, it is not packed again:
@@ -176,9 +178,9 @@ class Container:
         self._stream.flush()
 
     def _put_chunk(self, written: Chunk) -> None:
-        offset, length = self._put(_bytes(written))
+        offset, length = self._put(_encode_record(written))
         index_at, index_offsets = self._at, {}
-        for channel, index in self._chunk.indexes():
+        for channel, index in self._chunk.index_records():
             index_offsets[channel], _ = self._put(index)
         self._chunk_indexes.append(
             ChunkIndex(
@@ -197,28 +199,28 @@ class Container:
     def finish(self) -> None:
         """Write the last chunk, the summary and the footer."""
         self.end_chunk()
-        self._put(_bytes(DataEnd(self._crc)))
+        self._put(_encode_record(DataEnd(self._crc)))
         start, summary, offsets = self._at, b"", b""
         for opcode, records in self._summary():
             group = b"".join(records)
             offset = SummaryOffset(opcode, start + len(summary), len(group))
-            offsets += _bytes(offset) if group else b""
+            offsets += _encode_record(offset) if group else b""
             summary += group
         footer = Footer(start, start + len(summary) if offsets else 0, 0)
         summary += offsets
-        without_crc = summary + _bytes(footer)[: FRAME.size + _FOOTER_BODY_BYTES - 4]
+        without_crc = summary + _encode_record(footer)[: FRAME.size + _FOOTER_BODY_BYTES - 4]
         footer.summary_crc = zlib.crc32(without_crc)
-        self._put(summary + _bytes(footer) + MAGIC)
+        self._put(summary + _encode_record(footer) + MAGIC)
         self._stream.flush()
 
     def _summary(self) -> Iterable[tuple[Opcode, Iterable[bytes]]]:
         """What stands once more, or is counted, behind the data, by kind."""
         yield Opcode.SCHEMA, self._schemas.values()
         yield Opcode.CHANNEL, (record for _, record in self._channels.values())
-        yield Opcode.STATISTICS, [_bytes(self._statistics())]
-        yield Opcode.CHUNK_INDEX, map(_bytes, self._chunk_indexes)
-        yield Opcode.ATTACHMENT_INDEX, map(_bytes, self._attachment_indexes)
-        yield Opcode.METADATA_INDEX, map(_bytes, self._metadata_indexes)
+        yield Opcode.STATISTICS, [_encode_record(self._statistics())]
+        yield Opcode.CHUNK_INDEX, map(_encode_record, self._chunk_indexes)
+        yield Opcode.ATTACHMENT_INDEX, map(_encode_record, self._attachment_indexes)
+        yield Opcode.METADATA_INDEX, map(_encode_record, self._metadata_indexes)
 
     def _statistics(self) -> Statistics:
         return Statistics(
@@ -267,7 +269,7 @@ class _Chunk:
         self._entries[channel].append(entries)
         self._inside += records.tobytes()
 
-    def record(self, packed: Packed | None) -> Chunk:
+    def record(self, packed: PackedChunk | None) -> Chunk:
         times = [part["time"] for parts in self._entries.values() for part in parts]
         if packed is not None and packed.content == self._inside:
             _, compression, data, crc = packed
@@ -283,7 +285,7 @@ class _Chunk:
             uncompressed_size=len(self._inside),
         )
 
-    def indexes(self) -> Iterable[tuple[int, bytes]]:
+    def index_records(self) -> Iterable[tuple[int, bytes]]:
         """Yield the message index record of each channel."""
         for channel, parts in self._entries.items():
             entries = b"".join(part.tobytes() for part in parts)
@@ -291,7 +293,7 @@ class _Chunk:
             yield channel, FRAME.pack(Opcode.MESSAGE_INDEX, len(body)) + body
 
 
-def _bytes(record: McapRecord) -> bytes:
+def _encode_record(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]

@@ -10,7 +10,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
 from pamctl.json_text import from_json
-from pamctl.log.framing import LogError, Record, record_at
+from pamctl.log.framing import FileRecord, LogError, record_at
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, IMPORTED, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.ticks import TickBatch, TickDecoder
 from pamctl.log.wire import UnknownLayout
@@ -58,7 +58,7 @@ class Contents:
         """Tell whether a topic is to be kept."""
         return topic in (self._topics or (topic,))
 
-    def take(self, data: memoryview, record: Record) -> int:
+    def take(self, data: memoryview, record: FileRecord) -> int:
         """Take a record within `data`, with those alike behind it; return where they end.
 
         A chunk is not opened: its records are `inside`.
@@ -94,7 +94,7 @@ class Contents:
         self.ticks = TickDecoder(self.schemas[channel.schema_id], self._take_ticks, self._fields)
         self._tick_channel = channel.id
 
-    def _message(self, data: memoryview, record: Record) -> int:
+    def _message(self, data: memoryview, record: FileRecord) -> int:
         channel = self.channels[int.from_bytes(record.body[:2], "little")]
         if self.ticks is not None and channel.id == self._tick_channel:
             ticks, end = self.ticks.run(data, record)

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.json_text import to_json
-from pamctl.log.new_file import NewFileError, new_file
+from pamctl.log.new_file import NewFileError, create_new_file
 from pamctl.log.reader import NoSuchColumn, read
-from pamctl.log.schema import TICK_TOPIC, unit_of
+from pamctl.log.schema import TICK_TOPIC, unit_of_column
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -29,7 +29,7 @@ class ExportError(NewFileError):
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportSummary:
     """What was written."""
 
     source: str
@@ -38,7 +38,7 @@ class Exported:
     fields: tuple[str, ...]
 
 
-def export(
+def export_ticks(
     source: str | Path,
     destination: str | Path,
     *,
@@ -46,7 +46,7 @@ def export(
     from_s: float | None = None,
     to_s: float | None = None,
     every: int = 1,
-) -> Exported:
+) -> ExportSummary:
     """Write every `every`-th tick with from_s <= t_s <= to_s into a new file.
 
     The suffix of the destination names the format; `fields` the columns, in this order, all
@@ -54,21 +54,23 @@ def export(
     be read.
     """
     destination = Path(destination)
-    write = _writer(destination)
+    write = _choose_writer(destination)
     wanted = None if fields is None else {*fields, "t_s"}
     try:
         log = read(source, TICK_TOPIC, fields=wanted)
     except NoSuchColumn as error:
         raise ExportError(str(error)) from None
-    kept = _kept(log["t_s"], from_s, to_s, every)
+    kept = _select_ticks(log["t_s"], from_s, to_s, every)
     columns = {name: log[name][kept] for name in fields or log.columns}
-    with new_file(destination) as stream:
+    with create_new_file(destination) as stream:
         write(stream, columns, Path(source).name)
     ticks = len(next(iter(columns.values())))
-    return Exported(str(source), str(destination), ticks, tuple(columns))
+    return ExportSummary(str(source), str(destination), ticks, tuple(columns))
 
 
-def _kept(t_s: NDArray[np.float64], from_s: float | None, to_s: float | None, every: int) -> slice:
+def _select_ticks(
+    t_s: NDArray[np.float64], from_s: float | None, to_s: float | None, every: int
+) -> slice:
     first = 0 if from_s is None else int(np.searchsorted(t_s, from_s, side="left"))
     last = len(t_s) if to_s is None else int(np.searchsorted(t_s, to_s, side="right"))
     if last <= first:
@@ -77,7 +79,7 @@ def _kept(t_s: NDArray[np.float64], from_s: float | None, to_s: float | None, ev
     return slice(first, last, every)
 
 
-def _writer(destination: Path) -> Callable[[BufferedWriter, Columns, str], None]:
+def _choose_writer(destination: Path) -> Callable[[BufferedWriter, Columns, str], None]:
     suffix = destination.suffix.lower()
     if suffix not in _WRITERS:
         known = ", ".join(_WRITERS)
@@ -96,10 +98,10 @@ def _require_pyarrow() -> None:
 
 
 def _units(columns: Columns) -> dict[str, str]:
-    return {name: unit_of(name) for name in columns}
+    return {name: unit_of_column(name) for name in columns}
 
 
-def _csv(stream: BufferedWriter, columns: Columns, source: str) -> None:
+def _write_csv(stream: BufferedWriter, columns: Columns, source: str) -> None:
     """Write the shortest digits that read back to the same float; truth as 1 and 0."""
     stream.write((",".join(columns) + "\r\n").encode())
     plain = [c.astype(np.int8) if c.dtype == np.bool_ else c for c in columns.values()]
@@ -109,12 +111,12 @@ def _csv(stream: BufferedWriter, columns: Columns, source: str) -> None:
         stream.write(("\r\n".join(rows) + "\r\n").encode())
 
 
-def _npz(stream: BufferedWriter, columns: Columns, source: str) -> None:
+def _write_npz(stream: BufferedWriter, columns: Columns, source: str) -> None:
     story = {"units": to_json(_units(columns)).decode(), "source": source}
     np.savez_compressed(stream, allow_pickle=False, **columns, **story)
 
 
-def _mat(stream: BufferedWriter, columns: Columns, source: str) -> None:
+def _write_mat(stream: BufferedWriter, columns: Columns, source: str) -> None:
     """Write `log.NAME`, columns of a struct, and `units.NAME`."""
     from scipy.io import savemat
 
@@ -122,13 +124,13 @@ def _mat(stream: BufferedWriter, columns: Columns, source: str) -> None:
     savemat(stream, content, long_field_names=True, do_compression=True, oned_as="column")
 
 
-def _parquet(stream: BufferedWriter, columns: Columns, source: str) -> None:
+def _write_parquet(stream: BufferedWriter, columns: Columns, source: str) -> None:
     """Write each field with its unit as metadata, `unit`."""
     import pyarrow as pa
     from pyarrow import parquet
 
     fields = [
-        pa.field(name, pa.from_numpy_dtype(column.dtype), metadata={"unit": unit_of(name)})
+        pa.field(name, pa.from_numpy_dtype(column.dtype), metadata={"unit": unit_of_column(name)})
         for name, column in columns.items()
     ]
     schema = pa.schema(fields, metadata={"pamctl.source": source})
@@ -136,4 +138,4 @@ def _parquet(stream: BufferedWriter, columns: Columns, source: str) -> None:
     parquet.write_table(table, stream)
 
 
-_WRITERS = {".csv": _csv, ".mat": _mat, ".npz": _npz, ".parquet": _parquet}
+_WRITERS = {".csv": _write_csv, ".mat": _write_mat, ".npz": _write_npz, ".parquet": _write_parquet}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pamctl.log.naming import flight_record
+from pamctl.log.naming import flight_record_path
 from pamctl.log.reader import Log
 
 FLIGHT_RECORD_S = 2.0
@@ -15,7 +15,7 @@ FLIGHT_RECORD_S = 2.0
 
 def dump_last_seconds(log: Log) -> Path:
     """Write the last two seconds of a log beside it as CSV; return its path."""
-    path = flight_record(log.path)
+    path = flight_record_path(log.path)
     t_s = log.t
     first = int(np.searchsorted(t_s, t_s[-1] - FLIGHT_RECORD_S))
     with path.open("w", newline="") as file:

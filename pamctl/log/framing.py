@@ -21,7 +21,7 @@ from mcap.records import Chunk, DataEnd, Footer
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from pamctl.regular_file import what_else
+from pamctl.regular_file import describe_irregular_file
 
 FRAME = struct.Struct("<BQ")
 """Opcode, and bytes of the body behind it."""
@@ -42,7 +42,7 @@ class Damage(Exception):
         self.offset = offset
 
 
-class Record(NamedTuple):
+class FileRecord(NamedTuple):
     """One record: `body` is without its frame, `start` and `end` are with it."""
 
     opcode: int
@@ -55,9 +55,9 @@ class Record(NamedTuple):
         return ReadDataStream(BytesIO(self.body))
 
 
-def mapped(path: Path) -> memoryview:
+def map_log_file(path: Path) -> memoryview:
     """Map a log file for reading; raise LogError if there is none."""
-    if something := what_else(path):
+    if something := describe_irregular_file(path):
         raise LogError(f"cannot read {path}: it is {something}")
     try:
         with path.open("rb") as file:
@@ -68,7 +68,7 @@ def mapped(path: Path) -> memoryview:
         raise LogError(f"{path} is empty: no log was written there") from error
 
 
-def walk(file: memoryview) -> Iterator[Record]:
+def walk_records(file: memoryview) -> Iterator[FileRecord]:
     """Go through a file's records, the footer last; raise Damage where there is no next one."""
     if file[: len(MAGIC)] != MAGIC:
         raise Damage(0, "it does not begin as an MCAP file does")
@@ -84,25 +84,25 @@ def walk(file: memoryview) -> Iterator[Record]:
         raise Damage(at, "it does not end as an MCAP file does")
 
 
-def verify(file: memoryview, record: Record) -> None:
-    """Check a record of `walk` that holds a checksum; raise Damage if it is wrong.
+def verify_checksum(file: memoryview, record: FileRecord) -> None:
+    """Check a record of `walk_records` that holds a checksum; raise Damage if it is wrong.
 
-    A chunk has its checksum within, and is checked by `unpack`.
+    A chunk has its checksum within, and is checked by `unpack_chunk`.
     """
     if record.opcode == Opcode.ATTACHMENT:
         stored = int.from_bytes(record.body[-4:], "little")
-        _compare(record, "an attachment", stored, record.body[:-4])
+        _compare_checksum(record, "an attachment", stored, record.body[:-4])
     elif record.opcode == Opcode.DATA_END:
         stored = DataEnd.read(record.stream()).data_section_crc
-        _compare(record, "all before it", stored, file[: record.start])
+        _compare_checksum(record, "all before it", stored, file[: record.start])
     elif record.opcode == Opcode.FOOTER:
         footer = Footer.read(record.stream())
         summary = file[footer.summary_start or record.start : record.end - 4]
-        _compare(record, "the summary", footer.summary_crc, summary)
+        _compare_checksum(record, "the summary", footer.summary_crc, summary)
 
 
 @contextmanager
-def making_sense(record: Record) -> Iterator[None]:
+def translate_parse_errors(record: FileRecord) -> Iterator[None]:
     """Take whatever a parser says of a record's bytes for damage to them."""
     try:
         yield
@@ -113,19 +113,19 @@ def making_sense(record: Record) -> Iterator[None]:
         raise Damage(record.start, what) from error
 
 
-def unpack(chunk: Record) -> memoryview:
+def unpack_chunk(chunk: FileRecord) -> memoryview:
     """Return the records within a chunk as bytes; raise Damage if they are not what was put in."""
-    with making_sense(chunk):
-        return memoryview(content_of(Chunk.read(chunk.stream())))
+    with translate_parse_errors(chunk):
+        return memoryview(read_chunk_content(Chunk.read(chunk.stream())))
 
 
-def content_of(chunk: Chunk) -> bytes:
+def read_chunk_content(chunk: Chunk) -> bytes:
     """Return the records within a chunk; raise what parsers do if they are not what was put in."""
     stream, size = get_chunk_data_stream(chunk, validate_crc=True)
     return stream.read(size)
 
 
-def record_at(data: memoryview, at: int) -> Record:
+def record_at(data: memoryview, at: int) -> FileRecord:
     """Return the record at an offset; raise Damage if there is no whole one."""
     if at + FRAME.size > len(data):
         raise Damage(at, "the file is cut short")
@@ -135,10 +135,10 @@ def record_at(data: memoryview, at: int) -> Record:
         raise Damage(at, "there is no record but zeros")
     if end > len(data):
         raise Damage(at, f"a record of {length} bytes is cut short")
-    return Record(opcode, at, end, data[start:end])
+    return FileRecord(opcode, at, end, data[start:end])
 
 
-def records_in(data: memoryview, at: int = 0) -> Iterator[Record]:
+def records_in(data: memoryview, at: int = 0) -> Iterator[FileRecord]:
     """Yield the records from an offset to the end; raise Damage where there is no next one."""
     while at < len(data):
         record = record_at(data, at)
@@ -146,6 +146,6 @@ def records_in(data: memoryview, at: int = 0) -> Iterator[Record]:
         at = record.end
 
 
-def _compare(record: Record, what: str, stored: int, data: memoryview) -> None:
+def _compare_checksum(record: FileRecord, what: str, stored: int, data: memoryview) -> None:
     if stored not in (int.from_bytes(NO_CHECKSUM), zlib.crc32(data)):
         raise Damage(record.start, f"the checksum of {what} is wrong")

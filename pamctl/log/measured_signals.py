@@ -76,7 +76,7 @@ def signals(log: Log) -> Signals:
     return Signals(
         t_s=log["t_s"],
         dt_s=log["dt_s"],
-        valve_v=log.columns.get("valve_v") if log.is_imported else _applied_valve_v(log),
+        valve_v=log.columns.get("valve_v") if log.is_imported else _compute_applied_valve_v(log),
         pressure_pa=log.columns.get("pressure_pa"),
         position_m=log.columns.get("position_m"),
         force_n=log.columns.get("force_n"),
@@ -85,7 +85,7 @@ def signals(log: Log) -> Signals:
     )
 
 
-def _put_out_v(log: Log) -> Floats:
+def _compute_output_v(log: Log) -> Floats:
     """Return the driver's voltage from each tick's samples to the next ones, shape (n,)."""
     applied_v: Floats = log["applied_v"]
     rig = log.metadata.get("rig", {})
@@ -100,7 +100,7 @@ def _put_out_v(log: Log) -> Floats:
     return np.asarray(old_share * before_v + (1.0 - old_share) * applied_v)
 
 
-def _applied_valve_v(log: Log) -> Floats:
+def _compute_applied_valve_v(log: Log) -> Floats:
     written: Any = log.config.get("rig", {}).get("calibration")
     try:
         settings = CalibrationSettings.model_validate(written)
@@ -110,4 +110,4 @@ def _applied_valve_v(log: Log) -> Floats:
             f"what was applied to the valve cannot be told ({error.error_count()} problems)"
         ) from error
     # Plain arithmetic, and so the same on an array as on a number.
-    return valve_v(calibration(settings), _put_out_v(log))  # type: ignore[arg-type,return-value]
+    return valve_v(calibration(settings), _compute_output_v(log))  # type: ignore[arg-type,return-value]

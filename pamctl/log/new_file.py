@@ -16,7 +16,7 @@ class NewFileError(LogError):
 
 
 @contextmanager
-def new_file(path: Path) -> Iterator[BufferedWriter]:
+def create_new_file(path: Path) -> Iterator[BufferedWriter]:
     """Open a file that must not exist; on an error leave none behind.
 
     Raise NewFileError if there is one, or none can be made. When the block ends well, the file

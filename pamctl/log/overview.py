@@ -11,7 +11,7 @@ import numpy as np
 
 from pamctl.log.contents import Contents
 from pamctl.log.framing import LogError
-from pamctl.log.reader import scan
+from pamctl.log.reader import scan_log
 from pamctl.log.schema import EVENT_TOPIC, IMPORTED
 from pamctl.log.ticks import TickBatch
 from pamctl.signals import Phase
@@ -22,7 +22,7 @@ def info(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     ticks = _Tally()
     contents = Contents((), ticks.take, ("tick", "t_s", "phase"))
-    damage = scan(path, contents)
+    damage = scan_log(path, contents)
     if damage is not None and not contents.metadata:
         raise LogError(f"{path} is no log, or nothing of it is left: {damage}")
     run, origin = contents.metadata.get("run", {}), contents.metadata.get("pamctl", {})

@@ -16,15 +16,23 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from pamctl.log.contents import Contents
-from pamctl.log.framing import Damage, LogError, making_sense, mapped, unpack, verify, walk
+from pamctl.log.framing import (
+    Damage,
+    LogError,
+    map_log_file,
+    translate_parse_errors,
+    unpack_chunk,
+    verify_checksum,
+    walk_records,
+)
 from pamctl.log.schema import (
     EVENT_TOPIC,
     GAINS_TOPIC,
     KEYFRAME_TOPIC,
     TICK_TOPIC,
-    unit_of,
+    unit_of_column,
 )
-from pamctl.log.ticks import TickColumns, nearest
+from pamctl.log.ticks import TickColumns, suggest_nearest
 from pamctl.log.wire import UnknownLayout
 
 __all__ = ["Log", "LogError", "NoSuchColumn", "read"]
@@ -62,7 +70,7 @@ class Log:
         """Return a column; raise LogError, with the nearest name, if there is none."""
         if name in self.columns:
             return self.columns[name]
-        raise NoSuchColumn(f"{self.path} has no column {name}{nearest(name, self.columns)}")
+        raise NoSuchColumn(f"{self.path} has no column {name}{suggest_nearest(name, self.columns)}")
 
     def __len__(self) -> int:
         """Return the number of ticks."""
@@ -82,7 +90,7 @@ def read(path: str | Path, *topics: str, fields: Collection[str] | None = None) 
     path = Path(path)
     ticks = TickColumns()
     contents = Contents(topics, ticks.take, fields)
-    damage = scan(path, contents)
+    damage = scan_log(path, contents)
     if damage is not None and damage.offset == 0:
         raise LogError(f"{path} is no log: {damage}")
     if damage is not None:
@@ -94,29 +102,29 @@ def read(path: str | Path, *topics: str, fields: Collection[str] | None = None) 
         raise LogError(f"{path} is no log of pamctl: it has no channel {TICK_TOPIC}")
     for name in fields or ():
         if contents.ticks is not None and name not in contents.ticks.none:
-            near = nearest(name, contents.ticks.none)
+            near = suggest_nearest(name, contents.ticks.none)
             raise NoSuchColumn(f"{path} has no column {name}{near}")
-    return _log(path, contents, ticks, fields)
+    return _build_log(path, contents, ticks, fields)
 
 
-def scan(path: Path, contents: Contents) -> Damage | None:
+def scan_log(path: Path, contents: Contents) -> Damage | None:
     """Fill `contents` up to the first damage to a file, and return that.
 
     Raise LogError if there is no such file, or another version wrote it that we cannot read.
     """
     try:
-        return _fill(contents, mapped(path))
+        return _fill_contents(contents, map_log_file(path))
     except UnknownLayout as error:
         raise LogError(f"{path} was written by a version we cannot read: {error}") from error
 
 
-def _fill(contents: Contents, file: memoryview) -> Damage | None:
+def _fill_contents(contents: Contents, file: memoryview) -> Damage | None:
     try:
-        for record in walk(file):
-            with making_sense(record):
-                verify(file, record)
+        for record in walk_records(file):
+            with translate_parse_errors(record):
+                verify_checksum(file, record)
                 if record.opcode == Opcode.CHUNK:
-                    contents.inside(unpack(record))
+                    contents.inside(unpack_chunk(record))
                 else:
                     contents.take(file[: record.end], record)
     except Damage as damage:
@@ -124,14 +132,16 @@ def _fill(contents: Contents, file: memoryview) -> Damage | None:
     return None
 
 
-def _log(path: Path, contents: Contents, ticks: TickColumns, fields: Collection[str] | None) -> Log:
+def _build_log(
+    path: Path, contents: Contents, ticks: TickColumns, fields: Collection[str] | None
+) -> Log:
     known = contents.ticks.none if contents.ticks and contents.wants(TICK_TOPIC) else {}
     columns = ticks.columns({n: c for n, c in known.items() if fields is None or n in fields})
     return Log(
         path=path,
         columns=columns,
         time_ns=ticks.times(),
-        units={name: unit_of(name) for name in columns},
+        units={name: unit_of_column(name) for name in columns},
         events=contents.values[EVENT_TOPIC],
         gains=contents.values[GAINS_TOPIC],
         keyframes=contents.values[KEYFRAME_TOPIC],

@@ -80,7 +80,7 @@ def tick_descriptor(fields: Sequence[Field]) -> bytes:
     return FileDescriptorSet(file=[file]).SerializeToString(deterministic=True)
 
 
-def unit_of(name: str) -> str:
+def unit_of_column(name: str) -> str:
     """Return the unit that a name's suffix states, `1` for a number without one."""
     suffix = _UNIT.search(name)
     if suffix is None:
@@ -91,9 +91,9 @@ def unit_of(name: str) -> str:
     return f"{top}/{bottom}{exponent}" if divisor else top
 
 
-def units(fields: Sequence[Field]) -> dict[str, str]:
+def units_of_columns(fields: Sequence[Field]) -> dict[str, str]:
     """Return the unit of each column."""
-    return {field.name: unit_of(field.name) for field in fields}
+    return {field.name: unit_of_column(field.name) for field in fields}
 
 
 _WHERE = {
@@ -104,7 +104,7 @@ _WHERE = {
 _NUMBER = {"anyOf": [{"type": "number"}, {"enum": ["nan", "inf", "-inf"]}]}
 
 
-def _object(title: str, description: str, properties: Mapping[str, object]) -> bytes:
+def _build_json_schema(title: str, description: str, properties: Mapping[str, object]) -> bytes:
     return to_json(
         {
             "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -120,15 +120,15 @@ def _object(title: str, description: str, properties: Mapping[str, object]) -> b
 JSON_SCHEMAS: dict[str, tuple[str, bytes]] = {
     EVENT_TOPIC: (
         "pamctl.Event",
-        _object("Event", "What happened, when it did.", {"event": {"type": "string"}}),
+        _build_json_schema("Event", "What happened, when it did.", {"event": {"type": "string"}}),
     ),
     GAINS_TOPIC: (
         "pamctl.Gains",
-        _object("Gains", "The law's gains, whenever they change.", {}),
+        _build_json_schema("Gains", "The law's gains, whenever they change.", {}),
     ),
     KEYFRAME_TOPIC: (
         "pamctl.Keyframe",
-        _object(
+        _build_json_schema(
             "Keyframe",
             "Frozen state, after this tick, from which a replay can start.",
             {"state": {"type": "object", "additionalProperties": _NUMBER}},

@@ -15,8 +15,8 @@ import numpy as np
 from mcap.records import Schema
 from numpy.typing import NDArray
 
-from pamctl.log.framing import Record
-from pamctl.log.wire import TickLayout, one_by_one
+from pamctl.log.framing import FileRecord
+from pamctl.log.wire import TickLayout, make_decoder
 
 MESSAGE_HEADER = [
     ("opcode", "u1"),
@@ -30,12 +30,14 @@ INDEX_ENTRY = [("time", "<u8"), ("offset", "<u8")]
 _BODY_AT = np.dtype(MESSAGE_HEADER).itemsize
 
 
-def run_of(data: memoryview, first: Record, body: np.dtype[Any] | None = None) -> NDArray[Any]:
+def find_message_run(
+    data: memoryview, first: FileRecord, body: np.dtype[Any] | None = None
+) -> NDArray[Any]:
     """Return the messages of one channel and length that begin with a record within `data`.
 
     Since the first begins a record and all are of its length, each begins one.
     """
-    form = np.dtype([*MESSAGE_HEADER, ("body", body or f"V{_body_bytes(first)}")])
+    form = np.dtype([*MESSAGE_HEADER, ("body", body or f"V{_count_body_bytes(first)}")])
     count = (len(data) - first.start) // form.itemsize
     messages = np.frombuffer(data, form, count, first.start)
     alike = np.ones(count, bool)
@@ -44,7 +46,7 @@ def run_of(data: memoryview, first: Record, body: np.dtype[Any] | None = None) -
     return messages if alike.all() else messages[: int(alike.argmin())]
 
 
-def _body_bytes(message: Record) -> int:
+def _count_body_bytes(message: FileRecord) -> int:
     return message.end - message.start - _BODY_AT
 
 
@@ -71,20 +73,20 @@ class TickDecoder:
         Raise UnknownLayout if the schema describes no row of numbers.
         """
         self._layout = TickLayout.of_descriptor(schema.data, schema.name)
-        self._decode = one_by_one(schema.data, schema.name)
+        self._decode = make_decoder(schema.data, schema.name)
         self._take = take
         self._fields = fields
         self.none = self._decode([])
         """Every column of no tick at all, each of its type."""
 
-    def run(self, data: memoryview, first: Record) -> tuple[int, int]:
+    def run(self, data: memoryview, first: FileRecord) -> tuple[int, int]:
         """Decode the run that begins with `first`, a record within `data`; return its ticks, end.
 
         Raise UnknownLayout where a tick lacks an integer.
         """
-        messages = run_of(data, first, self._body(_body_bytes(first)))
+        messages = find_message_run(data, first, self._body(_count_body_bytes(first)))
         if self._take is not None:
-            columns = self._decoded(messages)
+            columns = self._decode_messages(messages)
             self._take(TickBatch(messages["log_time"].copy(), messages["sequence"].copy(), columns))
         return len(messages), first.start + messages.nbytes
 
@@ -92,21 +94,21 @@ class TickDecoder:
         fixed = self._layout is not None and self._layout.dtype.itemsize == size
         return self._layout.dtype if self._layout is not None and fixed else None
 
-    def _decoded(self, messages: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    def _decode_messages(self, messages: NDArray[Any]) -> dict[str, NDArray[Any]]:
         layout, bodies = self._layout, messages["body"]
         if layout is not None and bodies.dtype == layout.dtype:
             octets = messages.view(np.uint8).reshape(len(messages), messages.itemsize)
             if layout.fits(octets[:, _BODY_AT:]):
                 return layout.decode(bodies, self._fields)
-        return self._chosen(self._decode(body.tobytes() for body in bodies))
+        return self._select_fields(self._decode(body.tobytes() for body in bodies))
 
-    def _chosen(self, columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    def _select_fields(self, columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         if self._fields is None:
             return columns
         return {name: column for name, column in columns.items() if name in self._fields}
 
 
-def nearest(name: str, columns: Collection[str]) -> str:
+def suggest_nearest(name: str, columns: Collection[str]) -> str:
     """Return the hint at the name that was probably meant, nothing if none is near."""
     near = difflib.get_close_matches(name, columns, 1)
     return f"; did you mean {near[0]}?" if near else ""

@@ -62,10 +62,10 @@ class TickLayout:
     @classmethod
     def of_descriptor(cls, descriptor_set: bytes, message: str) -> TickLayout | None:
         """Return the layout of an embedded message, None if its length is not fixed."""
-        fields = sorted(_numbers(descriptor_set, message), key=lambda field: field.number)
+        fields = sorted(_find_fields(descriptor_set, message), key=lambda field: field.number)
         if any(field.type not in _FIXED_WIDTH for field in fields):
             return None
-        tags = {f.name: _varint(f.number << 3 | _FIXED_WIDTH[f.type][0]) for f in fields}
+        tags = {f.name: _encode_varint(f.number << 3 | _FIXED_WIDTH[f.type][0]) for f in fields}
         wire = [
             column
             for field in fields
@@ -95,20 +95,22 @@ class TickLayout:
     def fits(self, octets: NDArray[np.uint8]) -> bool:
         """Tell whether messages as bytes, shape (n, size), have all tags where we expect them."""
         at, tags = self._tags
-        return bool((octets[:, at] == tags).all()) and bool((octets[:, self._truths] <= 1).all())
+        return bool((octets[:, at] == tags).all()) and bool(
+            (octets[:, self._bool_places] <= 1).all()
+        )
 
     @cached_property
     def _tags(self) -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
         """Where in a message its tags are, and what they are."""
-        at = self._bytes_of(f"{name}.tag" for name in self.names)
+        at = self._find_bytes_of(f"{name}.tag" for name in self.names)
         return at, np.frombuffer(self.blank.tobytes(), np.uint8)[at]
 
     @cached_property
-    def _truths(self) -> NDArray[np.intp]:
+    def _bool_places(self) -> NDArray[np.intp]:
         """Where in a message its bools are."""
-        return self._bytes_of(self.bools)
+        return self._find_bytes_of(self.bools)
 
-    def _bytes_of(self, parts: Iterable[str]) -> NDArray[np.intp]:
+    def _find_bytes_of(self, parts: Iterable[str]) -> NDArray[np.intp]:
         marked = np.zeros((), self.dtype)
         for part in parts:
             marked[part] = 1
@@ -128,13 +130,13 @@ class TickLayout:
 Decoder = Callable[[Iterable[bytes]], dict[str, NDArray[Any]]]
 
 
-def one_by_one(descriptor_set: bytes, message: str) -> Decoder:
+def make_decoder(descriptor_set: bytes, message: str) -> Decoder:
     """Return a decoder of messages of any length, by their own descriptor.
 
     A float that a message lacks is NaN; the decoder raises UnknownLayout for a
     message that lacks an integer, since no integer says so.
     """
-    fields = _numbers(descriptor_set, message)
+    fields = _find_fields(descriptor_set, message)
     pool = DescriptorPool()
     for file in FileDescriptorSet.FromString(descriptor_set).file:
         pool.Add(file)
@@ -146,20 +148,20 @@ def one_by_one(descriptor_set: bytes, message: str) -> Decoder:
         except DecodeError as error:
             raise UnknownLayout("a tick is not what its descriptor says") from error
         return {
-            field.name: np.array([_value(m, field) for m in messages], _kind(field))
+            field.name: np.array([_read_value(m, field) for m in messages], _kind_of_field(field))
             for field in fields
         }
 
     return decode
 
 
-def _kind(field: FieldDescriptorProto) -> type:
+def _kind_of_field(field: FieldDescriptorProto) -> type:
     if field.type == FieldDescriptorProto.TYPE_BOOL:
         return bool
     return float if field.type in _FLOATS else int
 
 
-def _value(message: Any, field: FieldDescriptorProto) -> Any:
+def _read_value(message: Any, field: FieldDescriptorProto) -> Any:
     if not field.proto3_optional or message.HasField(field.name):
         return getattr(message, field.name)
     if field.type in _FLOATS:
@@ -167,24 +169,24 @@ def _value(message: Any, field: FieldDescriptorProto) -> Any:
     raise UnknownLayout(f"a tick lacks its {field.name}")
 
 
-def _numbers(descriptor_set: bytes, message: str) -> Sequence[FieldDescriptorProto]:
+def _find_fields(descriptor_set: bytes, message: str) -> Sequence[FieldDescriptorProto]:
     """Return the fields of a message, all of them plain numbers."""
     package, _, name = message.rpartition(".")
     for file in FileDescriptorSet.FromString(descriptor_set).file:
         for candidate in file.message_type:
             if (file.package, candidate.name) == (package, name):
-                return [_number(field) for field in candidate.field]
+                return [_require_number(field) for field in candidate.field]
     raise UnknownLayout(f"its descriptor does not describe {message}")
 
 
-def _number(field: FieldDescriptorProto) -> FieldDescriptorProto:
+def _require_number(field: FieldDescriptorProto) -> FieldDescriptorProto:
     repeated = field.label == FieldDescriptorProto.LABEL_REPEATED
     if repeated or field.type in _COMPOSITE or field.type in _TEXT:
         raise UnknownLayout(f"its field {field.name} is not a plain number")
     return field
 
 
-def _varint(value: int) -> bytes:
+def _encode_varint(value: int) -> bytes:
     groups = []
     while value > 0x7F:
         groups.append(value & 0x7F | 0x80)

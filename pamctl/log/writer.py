@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pamctl
 from pamctl.json_text import to_json
-from pamctl.log.container import Container, Packed
+from pamctl.log.container import Container, PackedChunk
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import (
     JSON_SCHEMAS,
@@ -20,7 +20,7 @@ from pamctl.log.schema import (
     TICK_MESSAGE,
     TICK_TOPIC,
     tick_descriptor,
-    units,
+    units_of_columns,
 )
 
 LIBRARY = f"pamctl/{pamctl.__version__}"
@@ -77,7 +77,7 @@ class LogWriter:
             self._said.add(said)
             self._file.metadata(name, values)
 
-    def end_chunk(self, packed: Packed | None = None) -> None:
+    def end_chunk(self, packed: PackedChunk | None = None) -> None:
         """Hand all that was added to the operating system; `packed` may hold the same already.
 
         The caller says when: a writer that ended a chunk by its size would leave messages behind
@@ -91,19 +91,19 @@ class LogWriter:
         self._file.finish()
 
 
-def begin(writer: LogWriter, meta: RunMeta) -> dict[str, int]:
+def begin_log(writer: LogWriter, meta: RunMeta) -> dict[str, int]:
     """Write what is known before the first tick; return the channel of each topic."""
     # Readers keep one record of each name, so that what the run adds must be in the same one.
     said = {"pamctl": {}, **meta.metadata}
     for name, values in said.items():
-        writer.metadata(name, {**_origin(meta), **values} if name == "pamctl" else values)
+        writer.metadata(name, {**_describe_origin(meta), **values} if name == "pamctl" else values)
     writer.attachment("config.json", to_json(meta.config), meta.start_wall_ns)
     for name, text in meta.attachments.items():
         writer.attachment(name, text.encode(), meta.start_wall_ns)
     tick_schema = (TICK_MESSAGE, "protobuf", tick_descriptor(meta.tick_fields))
     tick_metadata = {
         "schema_version": str(SCHEMA_VERSION),
-        "units": to_json(units(meta.tick_fields)).decode(),
+        "units": to_json(units_of_columns(meta.tick_fields)).decode(),
         **({"origin": meta.origin} if meta.origin else {}),
     }
     return {
@@ -115,7 +115,7 @@ def begin(writer: LogWriter, meta: RunMeta) -> dict[str, int]:
     }
 
 
-def _origin(meta: RunMeta) -> dict[str, str]:
+def _describe_origin(meta: RunMeta) -> dict[str, str]:
     return {
         "version": pamctl.__version__,
         "schema_version": str(SCHEMA_VERSION),

@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pamctl.plant.effects.air.discharge_ratio import nozzle_ratio
-from pamctl.plant.effects.air.line_restriction import led, line_time_s
-from pamctl.plant.effects.air.polytropic import air_of, worth_of_inflow
+from pamctl.plant.effects.air.line_restriction import lag_weights, line_time_s
+from pamctl.plant.effects.air.polytropic import polytropic_slope, polytropic_volume
 from pamctl.plant.effects.air.supply_droop import kept_share
-from pamctl.plant.effects.mechanics.braid_stretch import stretch_of
+from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
 from pamctl.plant.effects.valve.valve_leak import leak_area_m2
 from pamctl.plant.paper.muscle import volume_m3
 from pamctl.plant.paper.valve import orifice_flow
@@ -30,7 +30,7 @@ class Ports(NamedTuple):
     atmosphere_m2: float
 
 
-class Fed(NamedTuple):
+class MuscleFeed(NamedTuple):
     """What stands before the muscle in the middle of a step."""
 
     supply_pa: float
@@ -41,7 +41,7 @@ class Fed(NamedTuple):
     """Through the valve, into the node."""
 
 
-def ports(p: AirParameters, opening_v: float) -> Ports:
+def port_areas(p: AirParameters, opening_v: float) -> Ports:
     """Return what the valve's opening (V of command) and its leaks leave open."""
     area = p.paper.valve_gain_m2_per_v * abs(opening_v)
     leak = leak_area_m2(p.effects.valve_leak, opening_v)
@@ -63,7 +63,7 @@ def port_flow(p: AirParameters, source_pa: float, pressure_pa: float) -> float:
     return sign * orifice_flow(p.paper, upstream, downstream)
 
 
-def through_valve(p: AirParameters, open_to: Ports, supply_pa: float, node_pa: float) -> float:
+def flow_through_ports(p: AirParameters, open_to: Ports, supply_pa: float, node_pa: float) -> float:
     """Mass flow into the node, kg/s."""
     flow = 0.0
     if open_to.tank_m2 > 0.0:
@@ -73,12 +73,12 @@ def through_valve(p: AirParameters, open_to: Ports, supply_pa: float, node_pa: f
     return flow
 
 
-def where_misses_cross(one: float, miss_one: float, other: float, miss_other: float) -> float:
+def false_position(one: float, miss_one: float, other: float, miss_other: float) -> float:
     """Return the false position between two points: where the line through them is zero."""
     return (one * miss_other - other * miss_one) / (miss_other - miss_one)
 
 
-def end_that_stays(
+def keep_bracket_end(
     one: float, miss_one: float, other: float, miss_other: float, miss: float
 ) -> tuple[float, float]:
     """Return the point beyond the root from a new one, which misses by `miss`.
@@ -90,7 +90,7 @@ def end_that_stays(
     return other, miss_other
 
 
-def drooped_pa(
+def solve_supply_pa(
     p: AirParameters, before_pa: float, open_to: Ports, node_pa: float, step_s: float
 ) -> float:
     """Return the supply's pressure after `step_s` of the flow that it then gives.
@@ -111,32 +111,32 @@ def drooped_pa(
     for _ in range(60):
         if abs(one - other) < SOLVED_PA or miss_one == miss_other:
             break
-        new = where_misses_cross(one, miss_one, other, miss_other)
+        new = false_position(one, miss_one, other, miss_other)
         miss = new + drop * port_flow(p, new, node_pa) - idle_pa
-        one, miss_one = end_that_stays(one, miss_one, other, miss_other, miss)
+        one, miss_one = keep_bracket_end(one, miss_one, other, miss_other, miss)
         other, miss_other = new, miss
         if abs(miss) < SOLVED_PA:
             break
     return other
 
 
-def fed(
+def solve_feed(
     p: AirParameters,
     air: AirState,
     open_to: Ports,
     pressure_pa: float,
     later_pa: float,
     step_s: float,
-) -> Fed:
+) -> MuscleFeed:
     """Return what feeds the muscle after `step_s`, while its pressure goes straight to `later_pa`.
 
     n - (1 - kept) R_l m(n) = what the line's end would be without flow: m falls with n.
     """
     line = p.effects.line_restriction
     if line.resistance_pa_s_per_kg <= 0.0:
-        supply_pa = drooped_pa(p, air.supply_pa, open_to, later_pa, step_s)
-        return Fed(supply_pa, later_pa, through_valve(p, open_to, supply_pa, later_pa))
-    kept, weight = led(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
+        supply_pa = solve_supply_pa(p, air.supply_pa, open_to, later_pa, step_s)
+        return MuscleFeed(supply_pa, later_pa, flow_through_ports(p, open_to, supply_pa, later_pa))
+    kept, weight = lag_weights(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
     idle_pa = kept * air.line_pa + (1.0 - kept) * pressure_pa + weight * (later_pa - pressure_pa)
     rise = (1.0 - kept) * line.resistance_pa_s_per_kg
     one = idle_pa
@@ -150,26 +150,26 @@ def fed(
     for _ in range(60):
         if abs(one - other) < SOLVED_PA or miss_one == miss_other:
             break
-        new = where_misses_cross(one, miss_one, other, miss_other)
+        new = false_position(one, miss_one, other, miss_other)
         miss = new - idle_pa - rise * flow_into(p, air, open_to, new, step_s)
-        one, miss_one = end_that_stays(one, miss_one, other, miss_other, miss)
+        one, miss_one = keep_bracket_end(one, miss_one, other, miss_other, miss)
         other, miss_other = new, miss
         if abs(miss) < SOLVED_PA:
             break
-    supply_pa = drooped_pa(p, air.supply_pa, open_to, other, step_s)
-    return Fed(supply_pa, other, through_valve(p, open_to, supply_pa, other))
+    supply_pa = solve_supply_pa(p, air.supply_pa, open_to, other, step_s)
+    return MuscleFeed(supply_pa, other, flow_through_ports(p, open_to, supply_pa, other))
 
 
 def flow_into(
     p: AirParameters, air: AirState, open_to: Ports, node_pa: float, step_s: float
 ) -> float:
     """Mass flow into the node at a pressure of it, the supply having followed for `step_s`."""
-    return through_valve(
-        p, open_to, drooped_pa(p, air.supply_pa, open_to, node_pa, step_s), node_pa
+    return flow_through_ports(
+        p, open_to, solve_supply_pa(p, air.supply_pa, open_to, node_pa, step_s), node_pa
     )
 
 
-def leaked(p: AirParameters, pressure_pa: float) -> float:
+def leak_flow(p: AirParameters, pressure_pa: float) -> float:
     """Mass flow past the valve, kg/s; negative where it goes out."""
     area = p.effects.chamber_leak.area_m2
     if area <= 0.0:
@@ -178,50 +178,54 @@ def leaked(p: AirParameters, pressure_pa: float) -> float:
     return leak + p.extra_kg_per_s
 
 
-def room_m3(p: AirParameters, position_m: float, pressure_pa: float) -> float:
+def air_volume_m3(p: AirParameters, position_m: float, pressure_pa: float) -> float:
     """Volume that the air fills: Eq. 2, with stretched threads, and the dead volume."""
     dead_m3 = p.effects.dead_volume.volume_m3
     braid = p.effects.braid_stretch
     if braid.compliance_per_pa == 0.0:
         return volume_m3(p.paper, position_m) + dead_m3
     length = p.paper.rest_length_m - position_m
-    stretched = p.paper.braid_length_m * stretch_of(
+    stretched = p.paper.braid_length_m * stretch_ratio(
         braid, pressure_pa - p.paper.atmospheric_pressure_pa
     )
     return length * (stretched * stretched - length * length) * p.paper.volume_scale + dead_m3
 
 
-def held(p: AirParameters, position_m: float, pressure_pa: float) -> float:
+def amount_of_air(p: AirParameters, position_m: float, pressure_pa: float) -> float:
     """P V^a: the air in the muscle, as Eq. 7 counts it."""
-    return pressure_pa * air_of(p.effects.polytropic, room_m3(p, position_m, pressure_pa))
+    return pressure_pa * polytropic_volume(
+        p.effects.polytropic, air_volume_m3(p, position_m, pressure_pa)
+    )
 
 
-def pressure_holding(
+def solve_pressure_of_air(
     p: AirParameters, air: float, position_m: float, line_m3: float, guess_pa: float
 ) -> float:
     """Return the pressure at which muscle, and a part of the line, hold `air` (P V^a)."""
     polytropic, braid = p.effects.polytropic, p.effects.braid_stretch
     if braid.compliance_per_pa == 0.0:
-        return air / (air_of(polytropic, room_m3(p, position_m, guess_pa)) + line_m3)
+        return air / (
+            polytropic_volume(polytropic, air_volume_m3(p, position_m, guess_pa)) + line_m3
+        )
     pressure_pa = guess_pa
     length = p.paper.rest_length_m - position_m
     grows = (
         2.0 * length * p.paper.volume_scale * p.paper.braid_length_m**2 * braid.compliance_per_pa
     )
     for _ in range(4):  # Newton: the volume depends on the pressure
-        room = room_m3(p, position_m, pressure_pa)
+        room = air_volume_m3(p, position_m, pressure_pa)
         gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
-        slope = worth_of_inflow(polytropic, room) * grows * stretch_of(braid, gauge_pa)
-        space = air_of(polytropic, room) + line_m3
+        slope = polytropic_slope(polytropic, room) * grows * stretch_ratio(braid, gauge_pa)
+        space = polytropic_volume(polytropic, room) + line_m3
         pressure_pa -= (pressure_pa * space - air) / (space + pressure_pa * slope)
     return pressure_pa
 
 
-def filled(
+def fill_chamber(
     p: AirParameters,
     air: AirState,
     pressure_pa: float,
-    fed_by: Fed,
+    fed_by: MuscleFeed,
     leak_kg_per_s: float,
     worth: float,
     position_m: float,
@@ -234,18 +238,18 @@ def filled(
     """
     line = p.effects.line_restriction
     energy = step_s * p.paper.specific_energy_j_per_kg
-    amount = held(p, position_m, pressure_pa)
+    amount = amount_of_air(p, position_m, pressure_pa)
     if line.resistance_pa_s_per_kg <= 0.0 and line.volume_m3 <= 0.0:
         amount += energy * (fed_by.inflow_kg_per_s + leak_kg_per_s) * worth
-        end_pa = pressure_holding(p, amount, end_m, 0.0, pressure_pa)
+        end_pa = solve_pressure_of_air(p, amount, end_m, 0.0, pressure_pa)
         return end_pa, end_pa
-    kept, weight = led(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
+    kept, weight = lag_weights(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
     drop_pa = line.resistance_pa_s_per_kg * fed_by.inflow_kg_per_s
     idle_pa = kept * air.line_pa + (1.0 - kept) * (pressure_pa + drop_pa) - weight * pressure_pa
     inflow = energy * (fed_by.inflow_kg_per_s + leak_kg_per_s)
     amount += worth * (inflow - line.volume_m3 * (idle_pa - air.line_pa))
     line_m3 = worth * weight * line.volume_m3
-    end_pa = pressure_holding(p, amount, end_m, line_m3, pressure_pa)
+    end_pa = solve_pressure_of_air(p, amount, end_m, line_m3, pressure_pa)
     return end_pa, idle_pa + weight * end_pa
 
 
@@ -253,10 +257,10 @@ def net_flow(
     p: AirParameters, air: AirState, open_to: Ports, pressure_pa: float, step_s: float
 ) -> float:
     """All that comes into the muscle at a pressure, kg/s."""
-    return flow_into(p, air, open_to, pressure_pa, step_s) + leaked(p, pressure_pa)
+    return flow_into(p, air, open_to, pressure_pa, step_s) + leak_flow(p, pressure_pa)
 
 
-def not_past_balance(
+def stop_at_balance(
     p: AirParameters,
     air: AirState,
     open_to: Ports,
@@ -310,13 +314,15 @@ def chamber_middle_pa(
     step_s: float,
 ) -> tuple[float, bool]:
     """Predict the muscle's absolute pressure in the middle of the step; tell if in balance."""
-    open_to, half_s = ports(p, opening_v), 0.5 * step_s
-    fed_by = fed(p, air, open_to, pressure_pa, pressure_pa, half_s)
-    leak = leaked(p, pressure_pa)
-    worth = worth_of_inflow(p.effects.polytropic, room_m3(p, position_m, pressure_pa))
-    middle_pa, _ = filled(p, air, pressure_pa, fed_by, leak, worth, position_m, middle_m, half_s)
+    open_to, half_s = port_areas(p, opening_v), 0.5 * step_s
+    fed_by = solve_feed(p, air, open_to, pressure_pa, pressure_pa, half_s)
+    leak = leak_flow(p, pressure_pa)
+    worth = polytropic_slope(p.effects.polytropic, air_volume_m3(p, position_m, pressure_pa))
+    middle_pa, _ = fill_chamber(
+        p, air, pressure_pa, fed_by, leak, worth, position_m, middle_m, half_s
+    )
     net = fed_by.inflow_kg_per_s + leak
-    return not_past_balance(p, air, open_to, pressure_pa, middle_pa, net, half_s)
+    return stop_at_balance(p, air, open_to, pressure_pa, middle_pa, net, half_s)
 
 
 def chamber_step(
@@ -332,27 +338,31 @@ def chamber_step(
     step_s: float,
 ) -> tuple[float, AirState]:
     """Advance the muscle's absolute pressure, and supply and line, by one midpoint step."""
-    open_to, half_s = ports(p, opening_v), 0.5 * step_s
-    fed_by = fed(p, air, open_to, pressure_pa, middle_pa, half_s)
-    supply_pa = supplied_pa(p, air, open_to, fed_by, step_s)
+    open_to, half_s = port_areas(p, opening_v), 0.5 * step_s
+    fed_by = solve_feed(p, air, open_to, pressure_pa, middle_pa, half_s)
+    supply_pa = advance_supply_pa(p, air, open_to, fed_by, step_s)
     if balanced:
         # See `pressure_step`: the flow's way to its end is over within this step.
         return middle_pa, AirState(supply_pa, middle_pa)
-    leak = leaked(p, middle_pa)
-    worth = worth_of_inflow(p.effects.polytropic, room_m3(p, middle_m, middle_pa))
-    end_pa, line_pa = filled(p, air, pressure_pa, fed_by, leak, worth, position_m, end_m, step_s)
+    leak = leak_flow(p, middle_pa)
+    worth = polytropic_slope(p.effects.polytropic, air_volume_m3(p, middle_m, middle_pa))
+    end_pa, line_pa = fill_chamber(
+        p, air, pressure_pa, fed_by, leak, worth, position_m, end_m, step_s
+    )
     if p.effects.line_restriction.resistance_pa_s_per_kg <= 0.0:
         net = fed_by.inflow_kg_per_s + leak
-        end_pa, _ = not_past_balance(p, air, open_to, middle_pa, end_pa, net, half_s)
+        end_pa, _ = stop_at_balance(p, air, open_to, middle_pa, end_pa, net, half_s)
         line_pa = end_pa
     elif p.effects.line_restriction.volume_m3 <= 0.0:
         # Without air of its own the line's end shows the flow of this moment, not the middle's.
-        line_pa = fed(p, AirState(supply_pa, line_pa), open_to, end_pa, end_pa, half_s).node_pa
+        line_pa = solve_feed(
+            p, AirState(supply_pa, line_pa), open_to, end_pa, end_pa, half_s
+        ).node_pa
     return end_pa, AirState(supply_pa, line_pa)
 
 
-def supplied_pa(
-    p: AirParameters, air: AirState, open_to: Ports, fed_by: Fed, step_s: float
+def advance_supply_pa(
+    p: AirParameters, air: AirState, open_to: Ports, fed_by: MuscleFeed, step_s: float
 ) -> float:
     """Return the supply's pressure after a step of the flow of its middle."""
     droop = p.effects.supply_droop
@@ -379,8 +389,8 @@ def behind_line_pa(
     Through a line the muscle fills from the sensor's place: a lag of R_l V / (R T).
     """
     resistance = p.effects.line_restriction.resistance_pa_s_per_kg
-    room = room_m3(p, position_m, pressure_pa)
-    kept, weight = led(resistance * room / p.paper.specific_energy_j_per_kg, step_s)
+    room = air_volume_m3(p, position_m, pressure_pa)
+    kept, weight = lag_weights(resistance * room / p.paper.specific_energy_j_per_kg, step_s)
     lagged_pa = kept * pressure_pa + (1.0 - kept) * begin_pa + weight * (end_pa - begin_pa)
-    grown = room_m3(p, position_m + step_s * velocity_m_per_s, pressure_pa) / room
+    grown = air_volume_m3(p, position_m + step_s * velocity_m_per_s, pressure_pa) / room
     return lagged_pa - kept * pressure_pa * (grown - 1.0)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
-class Table(NamedTuple):
+class CorrectionTable(NamedTuple):
     """Values on a grid; straight between its lines, constant beyond them."""
 
     first: tuple[float, ...]
@@ -26,18 +26,18 @@ class Table(NamedTuple):
 class Correction(NamedTuple):
     """The tables of a plant; None adds nothing."""
 
-    pull: Table | None = None
+    pull: CorrectionTable | None = None
     """N over displacement (m) and load: absolute pressure (Pa), or force (N) if direct."""
-    flow: Table | None = None
+    flow: CorrectionTable | None = None
     """kg/s into the muscle over opening (V of command) and absolute pressure (Pa)."""
 
 
-def corrected(table: Table | None, first: float, second: float) -> float:
+def interpolate_table(table: CorrectionTable | None, first: float, second: float) -> float:
     """Return what a table adds at a point; 0 without one."""
     if table is None:
         return 0.0
-    row, along = place(table.first, first)
-    column, across = place(table.second, second)
+    row, along = locate_on_grid(table.first, first)
+    column, across = locate_on_grid(table.second, second)
     width = len(table.second)
     corner = row * width + column
     near = table.values[corner] + across * (table.values[corner + 1] - table.values[corner])
@@ -46,7 +46,7 @@ def corrected(table: Table | None, first: float, second: float) -> float:
     return near + along * (far - near)
 
 
-def place(lines: tuple[float, ...], value: float) -> tuple[int, float]:
+def locate_on_grid(lines: tuple[float, ...], value: float) -> tuple[int, float]:
     """Return the grid line before a value, and how far it is to the next one (0 to 1)."""
     last = len(lines) - 2
     index = 0

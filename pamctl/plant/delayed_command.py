@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
-from pamctl.plant.step import plant_advance
+from pamctl.plant.step import advance_plant
 
 if TYPE_CHECKING:
     from pamctl.plant.parameters import PlantParameters, PlantState
@@ -16,7 +16,7 @@ class Numbers(Protocol):
     def __getitem__(self, index: int, /) -> Any: ...
 
 
-def plant_advance_late(
+def advance_delayed_plant(
     p: PlantParameters,
     state: PlantState,
     written_s: Numbers,
@@ -38,9 +38,9 @@ def plant_advance_late(
         change_s = written_s[arrived + 1] + delay_s
         if change_s > now_s:
             held_s = change_s - now_s
-            state = plant_advance(p, state, written_v[arrived], held_s, longest_step_s)
+            state = advance_plant(p, state, written_v[arrived], held_s, longest_step_s)
             now_s = change_s
         arrived += 1
     if end_s > now_s:
-        state = plant_advance(p, state, written_v[arrived], end_s - now_s, longest_step_s)
+        state = advance_plant(p, state, written_v[arrived], end_s - now_s, longest_step_s)
     return state, arrived

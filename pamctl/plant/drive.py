@@ -10,7 +10,7 @@ taken, then command k is written, and the plant runs under it for `dt_s[k]` unti
 is taken. So the samples of tick 0 are the start state, `command_v[k]` is never felt in sample k,
 and the last command is not used. `dt_s` is one number for a regular grid, or one for each
 interval (n - 1 of them; an n-th is ignored); a missed tick is an interval twice as long, and is
-cut into twice as many steps. Who drives again and again makes the `grid_of` them once. For a rig
+cut into twice as many steps. Who drives again and again makes the `build_grid` them once. For a rig
 whose output comes a tick late shift `command_v` by one.
 
 Every `position_m` and `pressure_pa`, in and out, is what the sensors say: with the effects of
@@ -26,9 +26,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pamctl.compiled import compiled
+from pamctl.compiled import compile_kernel
 from pamctl.plant.chamber import behind_line_pa
-from pamctl.plant.parameters import AirParameters, PlantParameters, PlantState, at_rest, vented
+from pamctl.plant.parameters import (
+    AirParameters,
+    PlantParameters,
+    PlantState,
+    rest_state,
+    vented_state,
+)
 from pamctl.plant.sensing import (
     pressure_at_sensor_pa,
     sensed_position_m,
@@ -47,7 +53,7 @@ if TYPE_CHECKING:
 STEPS_A_TICK = 2
 
 
-class Driven(NamedTuple):
+class CoupledResponse(NamedTuple):
     """The coupled plant at each sample."""
 
     position_m: Array
@@ -57,14 +63,14 @@ class Driven(NamedTuple):
     velocity_m_per_s: Array
 
 
-class PressureDriven(NamedTuple):
+class PressureResponse(NamedTuple):
     """The pressure block at each sample."""
 
     pressure_pa: Array
     true_pressure_pa: Array
 
 
-class MechanicsDriven(NamedTuple):
+class MechanicsResponse(NamedTuple):
     """The mechanics at each sample."""
 
     position_m: Array
@@ -75,78 +81,78 @@ class MechanicsDriven(NamedTuple):
 def drive_coupled(
     p: PlantParameters,
     command_v: ArrayLike,
-    dt_s: ArrayLike | Grid,
+    dt_s: ArrayLike | SampleGrid,
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
-) -> Driven:
+) -> CoupledResponse:
     """Run the coupled plant under commands (V), from the vented muscle or from `start`.
 
     `steps` is the number of steps in an interval of median length. ValueError for arrays that
     do not fit together or hold NaN.
     """
-    commands = _signal("command_v", command_v)
-    grid = grid_of(dt_s, len(commands), steps)
-    state = vented(p) if start is None else start
-    rows = np.empty((len(Driven._fields), len(commands)))
-    _twin(run_coupled)(p, state, steps_of(p, commands, grid), rows)
-    return Driven(*rows)
+    commands = _check_signal("command_v", command_v)
+    grid = build_grid(dt_s, len(commands), steps)
+    state = vented_state(p) if start is None else start
+    rows = np.empty((len(CoupledResponse._fields), len(commands)))
+    _get_twin(run_coupled)(p, state, build_steps(p, commands, grid), rows)
+    return CoupledResponse(*rows)
 
 
 def drive_pressure(
     p: PlantParameters,
     command_v: ArrayLike,
     position_m: ArrayLike,
-    dt_s: ArrayLike | Grid,
+    dt_s: ArrayLike | SampleGrid,
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
-) -> PressureDriven:
+) -> PressureResponse:
     """Run the pressure block under commands (V) and a measured position (m).
 
     The position is taken as straight between samples; no velocity is needed. By default the
     muscle starts at atmospheric pressure at the first position.
     """
-    commands = _signal("command_v", command_v)
-    positions = _signal("position_m", position_m, len(commands))
-    grid = grid_of(dt_s, len(commands), steps)
+    commands = _check_signal("command_v", command_v)
+    positions = _check_signal("position_m", position_m, len(commands))
+    grid = build_grid(dt_s, len(commands), steps)
     true_m = positions / p.effects.sensors.encoder_scale.scale
     if start is None:
-        start = at_rest(p, float(true_m[0]), p.paper.atmospheric_pressure_pa)
-    rows = np.empty((len(PressureDriven._fields), len(commands)))
-    cut = steps_of(p, commands, grid)
+        start = rest_state(p, float(true_m[0]), p.paper.atmospheric_pressure_pa)
+    rows = np.empty((len(PressureResponse._fields), len(commands)))
+    cut = build_steps(p, commands, grid)
     ends_m = np.interp(cut.ends_s, grid.samples_s, true_m)
-    _twin(run_pressure)(p, start, cut, ends_m, rows)
-    return PressureDriven(*rows)
+    _get_twin(run_pressure)(p, start, cut, ends_m, rows)
+    return PressureResponse(*rows)
 
 
 def drive_mechanics(
     p: PlantParameters,
     pressure_pa: ArrayLike,
-    dt_s: ArrayLike | Grid,
+    dt_s: ArrayLike | SampleGrid,
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
-) -> MechanicsDriven:
+) -> MechanicsResponse:
     """Run the mechanics under a measured absolute pressure (Pa), straight between samples.
 
     By default the muscle starts where it rests when vented.
     """
-    pressures = _signal("pressure_pa", pressure_pa)
-    grid = grid_of(dt_s, len(pressures), steps)
-    state = vented(p) if start is None else start
-    rows = np.empty((len(MechanicsDriven._fields), len(pressures)))
-    cut = steps_of(p, pressures, grid)
-    true_pa = pressures if p.direct else true_pressure_pa(p, pressures, grid.samples_s)
+    pressures = _check_signal("pressure_pa", pressure_pa)
+    grid = build_grid(dt_s, len(pressures), steps)
+    state = vented_state(p) if start is None else start
+    rows = np.empty((len(MechanicsResponse._fields), len(pressures)))
+    cut = build_steps(p, pressures, grid)
+    true_pa = pressures if p.direct else undo_pressure_sensor(p, pressures, grid.samples_s)
     ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
-    _twin(run_mechanics)(p, state, cut, ends_pa, rows)
-    return MechanicsDriven(*rows)
+    _get_twin(run_mechanics)(p, state, cut, ends_pa, rows)
+    return MechanicsResponse(*rows)
 
 
 # The kernels: each fills `rows`, a row for each field of its result.
 
 
-def run_coupled(p: PlantParameters, state: PlantState, steps: Steps, rows: Array) -> None:
+def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: Array) -> None:
     """Kernel of `drive_coupled`."""
     for k in range(rows.shape[1]):
         if k:
@@ -160,7 +166,7 @@ def run_coupled(p: PlantParameters, state: PlantState, steps: Steps, rows: Array
 
 
 def run_pressure(
-    p: PlantParameters, state: PlantState, steps: Steps, positions_m: Array, rows: Array
+    p: PlantParameters, state: PlantState, steps: DriveSteps, positions_m: Array, rows: Array
 ) -> None:
     """Kernel of `drive_pressure`. `positions_m` are those at the ends of the steps."""
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
@@ -187,7 +193,7 @@ def run_pressure(
 
 
 def run_mechanics(
-    p: PlantParameters, state: PlantState, steps: Steps, pressures_pa: Array, rows: Array
+    p: PlantParameters, state: PlantState, steps: DriveSteps, pressures_pa: Array, rows: Array
 ) -> None:
     """Kernel of `drive_mechanics`. `pressures_pa` are those at the ends of the steps."""
     x, v, sensors, mechanics = (
@@ -222,11 +228,11 @@ def run_mechanics(
 
 
 @cache
-def _twin(kernel: Callable[..., None]) -> Callable[..., None]:
-    return compiled(kernel)
+def _get_twin(kernel: Callable[..., None]) -> Callable[..., None]:
+    return compile_kernel(kernel)
 
 
-def _signal(name: str, values: ArrayLike, length: int | None = None) -> Array:
+def _check_signal(name: str, values: ArrayLike, length: int | None = None) -> Array:
     signal = np.ascontiguousarray(values, dtype=np.float64)
     if signal.ndim != 1 or not len(signal):
         raise ValueError(f"{name}: one value a sample is needed, not shape {signal.shape}")
@@ -237,7 +243,7 @@ def _signal(name: str, values: ArrayLike, length: int | None = None) -> Array:
     return signal
 
 
-def _intervals(dt_s: ArrayLike, samples: int) -> Array:
+def _check_intervals(dt_s: ArrayLike, samples: int) -> Array:
     given: Any = np.asarray(dt_s, dtype=np.float64)
     if given.ndim == 0:
         given = np.full(max(samples - 1, 0), given)
@@ -249,7 +255,7 @@ def _intervals(dt_s: ArrayLike, samples: int) -> Array:
     return intervals
 
 
-class Steps(NamedTuple):
+class DriveSteps(NamedTuple):
     """The steps of a whole drive."""
 
     first: NDArray[np.int64]
@@ -261,11 +267,11 @@ class Steps(NamedTuple):
     """One more than steps: from the first sample on."""
 
 
-HAIR_S = 1e-10
+SAME_INSTANT_S = 1e-10
 """Instants closer than this are one."""
 
 
-class Grid(NamedTuple):
+class SampleGrid(NamedTuple):
     """Samples and the steps between them, before any command; made once for many drives."""
 
     samples_s: Array
@@ -279,25 +285,27 @@ class Grid(NamedTuple):
     """One more than steps."""
 
 
-def grid_of(dt_s: ArrayLike | Grid, samples: int, steps: int = STEPS_A_TICK) -> Grid:
+def build_grid(dt_s: ArrayLike | SampleGrid, samples: int, steps: int = STEPS_A_TICK) -> SampleGrid:
     """Cut each interval into equal steps; return what is a grid as it is.
 
     An interval of median length gets `steps` of them; a tenth of slack keeps jitter from adding
     one. ValueError for what are no intervals of so many samples.
     """
-    if isinstance(dt_s, Grid):
+    if isinstance(dt_s, SampleGrid):
         if len(dt_s.samples_s) != samples:
             raise ValueError(f"dt_s: a grid of {len(dt_s.samples_s)} samples, where {samples} are")
         return dt_s
-    intervals = _intervals(dt_s, samples)
+    intervals = _check_intervals(dt_s, samples)
     longest_s = 1.1 * float(np.median(intervals)) / steps if len(intervals) else 1.0
     counts = np.maximum(1, np.ceil(intervals / longest_s - 1e-6)).astype(np.int64)
     step_s = np.repeat(intervals / counts, counts)
     first = np.concatenate([[0], np.cumsum(counts)])
-    return Grid(_times(intervals), counts, first, step_s, _times(step_s))
+    return SampleGrid(
+        _accumulate_times(intervals), counts, first, step_s, _accumulate_times(step_s)
+    )
 
 
-def steps_of(p: PlantParameters, command_v: Array, grid: Grid) -> Steps:
+def build_steps(p: PlantParameters, command_v: Array, grid: SampleGrid) -> DriveSteps:
     """Let the command arrive, and cut once more where it does so within a step.
 
     Before the first command is felt, the valve has that command already.
@@ -305,16 +313,16 @@ def steps_of(p: PlantParameters, command_v: Array, grid: Grid) -> Steps:
     delay_s = p.effects.command_delay.delay_s
     if delay_s <= 0.0:
         arrived_v = np.repeat(command_v[: len(grid.counts)], grid.counts)
-        return Steps(grid.first, grid.step_s, arrived_v, grid.ends_s)
+        return DriveSteps(grid.first, grid.step_s, arrived_v, grid.ends_s)
     arrivals_s = grid.samples_s[:-1] + delay_s
     cuts_s = np.sort(np.concatenate([grid.ends_s, arrivals_s[arrivals_s < grid.ends_s[-1]]]))
-    ends_s = cuts_s[np.concatenate([[True], np.diff(cuts_s) > HAIR_S])]
-    arrived = np.searchsorted(arrivals_s, ends_s[:-1] + HAIR_S, "right") - 1
-    first = np.searchsorted(ends_s, grid.samples_s - HAIR_S)
-    return Steps(first, np.diff(ends_s), command_v[np.maximum(arrived, 0)], ends_s)
+    ends_s = cuts_s[np.concatenate([[True], np.diff(cuts_s) > SAME_INSTANT_S])]
+    arrived = np.searchsorted(arrivals_s, ends_s[:-1] + SAME_INSTANT_S, "right") - 1
+    first = np.searchsorted(ends_s, grid.samples_s - SAME_INSTANT_S)
+    return DriveSteps(first, np.diff(ends_s), command_v[np.maximum(arrived, 0)], ends_s)
 
 
-def true_pressure_pa(p: PlantParameters, pressure_pa: Array, samples_s: Array) -> Array:
+def undo_pressure_sensor(p: PlantParameters, pressure_pa: Array, samples_s: Array) -> Array:
     """Undo what the sensor does to a pressure; its lag by the signal's slope, which adds noise."""
     e, atmosphere_pa = p.effects.sensors, p.paper.atmospheric_pressure_pa
     if not p.sensors_act:
@@ -327,5 +335,5 @@ def true_pressure_pa(p: PlantParameters, pressure_pa: Array, samples_s: Array) -
     return true_pa
 
 
-def _times(dt_s: Array) -> Array:
+def _accumulate_times(dt_s: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(dt_s)])

@@ -16,7 +16,7 @@ from typing import Any
 from pamctl.plant.effects import CATALOGUE, Effects
 from pamctl.plant.effects.description import Part
 from pamctl.plant.effects.mechanics.end_cap import EndCap, active_length_m
-from pamctl.plant.effects.mechanics.moving_mass import MovingMass, moved_kg
+from pamctl.plant.effects.mechanics.moving_mass import MovingMass, total_mass_kg
 from pamctl.plant.effects.valve.command_delay import CommandDelay
 from pamctl.plant.parameters import PaperParameters, PlantParameters
 
@@ -42,7 +42,7 @@ ACTUATOR = "actuator"
 """0 is the muscle, 1 a force that drives the mechanics directly."""
 
 
-def _layout(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
+def _lay_out_group(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
     """Return for each effect of a group its class and the flat names of its fields."""
     return tuple(
         (type(effect), tuple(f"{name}.{field}" for field in effect._fields))
@@ -50,7 +50,7 @@ def _layout(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
     )
 
 
-_LAYOUTS = tuple((type(group), _layout(group)) for group in Effects()[1:])
+_LAYOUTS = tuple((type(group), _lay_out_group(group)) for group in Effects()[1:])
 NEUTRAL: dict[str, float] = {
     f"{effect.name}.{p.name}": p.neutral for effect in CATALOGUE.values() for p in effect.parameters
 }
@@ -74,7 +74,7 @@ _DEFAULTS = {ACTUATOR: 0.0, **PAPER, **NEUTRAL}
 def parameters_of(values: Mapping[str, float]) -> PlantParameters:
     """Return the numbers that the kernels use. KeyError, with the nearest name, for an unknown."""
     if unknown := values.keys() - _DEFAULTS.keys():
-        raise KeyError(_unknown(min(unknown)))
+        raise KeyError(_explain_unknown(min(unknown)))
     v = {**_DEFAULTS, **values}
     gamma = v["heat_capacity_ratio"]
     energy = v["gas_constant_j_per_kg_k"] * v["temperature_k"]
@@ -86,7 +86,7 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
     )
     direct = v[ACTUATOR] != 0.0
     paper = PaperParameters(
-        mass_kg=moved_kg(MovingMass(v["moving_mass.added_kg"]), v["mass_kg"]),
+        mass_kg=total_mass_kg(MovingMass(v["moving_mass.added_kg"]), v["mass_kg"]),
         damping_n_s_per_m=v["damping_n_s_per_m"],
         stiffness_n_per_m=v["stiffness_n_per_m"],
         rest_length_m=active_length_m(EndCap(v["end_cap.length_m"]), v["rest_length_m"]),
@@ -115,6 +115,6 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
     )
 
 
-def _unknown(name: str) -> str:
+def _explain_unknown(name: str) -> str:
     near = get_close_matches(name, _DEFAULTS, n=1)
     return f"{name}: no such parameter of a plant" + (f"; did you mean {near[0]}?" if near else "")

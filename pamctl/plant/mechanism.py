@@ -5,12 +5,17 @@ The same exponential midpoint step as `mechanics.py`, and at neutral values the 
 
 from __future__ import annotations
 
-from pamctl.plant.effects.mechanics.bladder_threshold import loading_pa
-from pamctl.plant.effects.mechanics.braid_stretch import stretch_of
-from pamctl.plant.effects.mechanics.creep import Crept, creep_force_n, crept
-from pamctl.plant.effects.mechanics.drift import drifted
-from pamctl.plant.effects.mechanics.presliding import Slipped, bent_damping, held_n, slip
-from pamctl.plant.effects.mechanics.stribeck import risen
+from pamctl.plant.effects.mechanics.bladder_threshold import pulling_pressure_pa
+from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
+from pamctl.plant.effects.mechanics.creep import DashpotPositions, advance_dashpots, creep_force_n
+from pamctl.plant.effects.mechanics.drift import drift_factor
+from pamctl.plant.effects.mechanics.presliding import (
+    SlipEnd,
+    bristle_damping,
+    clamp_bristle_n,
+    slip,
+)
+from pamctl.plant.effects.mechanics.stribeck import stribeck_factor
 from pamctl.plant.paper.friction import AxialForces
 from pamctl.plant.paper.mechanics import slide
 from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2
@@ -33,25 +38,27 @@ def mechanism_step(
     half_s = 0.5 * step_s
     middle_m = position_m + half_s * velocity_m_per_s
     creep = p.effects.creep
-    dashpots = crept(creep, before.dashpots, position_m, middle_m, half_s)
+    dashpots = advance_dashpots(creep, before.dashpots, position_m, middle_m, half_s)
     age_s = before.age_s + half_s
     speed = velocity_m_per_s
     if p.effects.stribeck.rise != 0.0:
         # Friction falls as the muscle gets going: the speed in the middle, predicted twice.
         for _ in range(2):
             forces = mechanism_forces(p, dashpots, middle_m, middle_load, speed, age_s)
-            _, speed, _ = move(p, forces, before.bristle_n, position_m, velocity_m_per_s, half_s)
+            _, speed, _ = move_muscle(
+                p, forces, before.bristle_n, position_m, velocity_m_per_s, half_s
+            )
     forces = mechanism_forces(p, dashpots, middle_m, middle_load, speed, age_s)
-    end_m, end_v, bristle_n = move(
+    end_m, end_v, bristle_n = move_muscle(
         p, forces, before.bristle_n, position_m, velocity_m_per_s, step_s
     )
-    dashpots = crept(creep, before.dashpots, position_m, end_m, step_s)
+    dashpots = advance_dashpots(creep, before.dashpots, position_m, end_m, step_s)
     return end_m, end_v, MechanicsState(bristle_n, dashpots, before.age_s + step_s)
 
 
 def mechanism_forces(
     p: MechanismParameters,
-    dashpots: Crept,
+    dashpots: DashpotPositions,
     position_m: float,
     load: float,
     velocity_m_per_s: float,
@@ -61,18 +68,20 @@ def mechanism_forces(
     e, gauge_pa, pull_n, lever_m = p.effects, 0.0, load, 0.0
     if not p.direct:
         gauge_pa = load - p.paper.atmospheric_pressure_pa
-        pull_n = loading_pa(e.bladder_threshold, gauge_pa) * pull_area_m2(p, position_m, gauge_pa)
+        pull_n = pulling_pressure_pa(e.bladder_threshold, gauge_pa) * pull_area_m2(
+            p, position_m, gauge_pa
+        )
         lever_m = braid_lever_m(p.paper, position_m)
     pressing_pa = gauge_pa if gauge_pa > 0.0 else 0.0
-    stiffness = p.paper.stiffness_n_per_m * drifted(e.drift.stiffness_per_s, age_s)
+    stiffness = p.paper.stiffness_n_per_m * drift_factor(e.drift.stiffness_per_s, age_s)
     drive_n = pull_n + p.extra_n - stiffness * position_m
     drive_n -= e.cubic_stiffness.n_per_m3 * position_m * position_m * position_m
     drive_n -= creep_force_n(e.creep, dashpots, position_m) + e.external_load.force_n
-    grip = p.paper.friction_area_m * pressing_pa * drifted(e.drift.friction_per_s, age_s)
+    grip = p.paper.friction_area_m * pressing_pa * drift_factor(e.drift.friction_per_s, age_s)
     kinetic_n, dry_n = grip * lever_m, e.coulomb_friction.force_n
     lower_n, upper_n = -(e.return_friction.share * kinetic_n + dry_n), kinetic_n + dry_n
     damping = p.paper.damping_n_s_per_m + e.pressure_damping.per_pa * pressing_pa
-    now, at_rest = risen(e.stribeck, velocity_m_per_s), risen(e.stribeck, 0.0)
+    now, at_rest = stribeck_factor(e.stribeck, velocity_m_per_s), stribeck_factor(e.stribeck, 0.0)
     return AxialForces(
         drive_n,
         now * lower_n,
@@ -90,11 +99,11 @@ def pull_area_m2(p: MechanismParameters, position_m: float, gauge_pa: float) -> 
     if braid.compliance_per_pa == 0.0:
         return force_area_m2(p.paper, position_m)
     length = p.paper.rest_length_m - position_m
-    stretched = p.paper.braid_length_m * stretch_of(braid, gauge_pa)
+    stretched = p.paper.braid_length_m * stretch_ratio(braid, gauge_pa)
     return (3.0 * length * length - stretched * stretched) * p.paper.volume_scale
 
 
-def move(
+def move_muscle(
     p: MechanismParameters,
     forces: AxialForces,
     bristle_n: float,
@@ -108,18 +117,18 @@ def move(
     if presliding.compliance_m_per_n <= 0.0 or width_n <= 0.0:
         end_m, end_v = slide(forces, p.paper.mass_kg, position_m, velocity_m_per_s, step_s)
         return end_m, end_v, forces.lower_n if width_n <= 0.0 else bristle_n
-    held = held_n(bristle_n, forces.drive_n, forces.lower_n, forces.upper_n)
+    held = clamp_bristle_n(bristle_n, forces.drive_n, forces.lower_n, forces.upper_n)
     surplus_n, left_n = forces.drive_n - held, forces.upper_n - held
     damping = forces.damping_up_n_s_per_m
-    up = slip_damped(p, damping, velocity_m_per_s, surplus_n, left_n, width_n, step_s)
+    up = slip_with_damping(p, damping, velocity_m_per_s, surplus_n, left_n, width_n, step_s)
     if up.way_m > 0.0:
         return position_m + up.way_m, up.velocity_m_per_s, held + up.bristle_n
     left_n, damping = held - forces.lower_n, forces.damping_down_n_s_per_m
-    down = slip_damped(p, damping, -velocity_m_per_s, -surplus_n, left_n, width_n, step_s)
+    down = slip_with_damping(p, damping, -velocity_m_per_s, -surplus_n, left_n, width_n, step_s)
     return position_m - down.way_m, -down.velocity_m_per_s, held - down.bristle_n
 
 
-def slip_damped(
+def slip_with_damping(
     p: MechanismParameters,
     damping: float,
     velocity_m_per_s: float,
@@ -127,13 +136,13 @@ def slip_damped(
     left_n: float,
     width_n: float,
     step_s: float,
-) -> Slipped:
+) -> SlipEnd:
     """Slip; a bristle's own damping, if it has any, is that of the middle of the way."""
     presliding, mass_kg = p.effects.presliding, p.paper.mass_kg
-    bent = damping + bent_damping(presliding, left_n, width_n)
+    bent = damping + bristle_damping(presliding, left_n, width_n)
     slipped = slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left_n, width_n, step_s)
     if bent == damping:
         return slipped
     middle_n = left_n - 0.5 * slipped.bristle_n
-    bent = damping + bent_damping(presliding, middle_n, width_n)
+    bent = damping + bristle_damping(presliding, middle_n, width_n)
     return slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left_n, width_n, step_s)

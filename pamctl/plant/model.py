@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, create_model, model_validator
 
 from hal.configured import Configured
-from pamctl.plant.correction_tables import Correction, Table
+from pamctl.plant.correction_tables import Correction, CorrectionTable
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.effects.description import EffectDescription, acts
 from pamctl.plant.flat import ACTUATOR, parameters_of
@@ -39,7 +39,7 @@ class MuscleParameters(Configured):
     valve_gain_m2_per_v: Annotated[float, Field(gt=0, description="K_Av, C_d inside")] = 1.03e-6
 
     @model_validator(mode="after")
-    def _contracts_when_filled(self) -> MuscleParameters:
+    def _check_contraction(self) -> MuscleParameters:
         if not self.rest_length_m < self.braid_length_m < math.sqrt(3.0) * self.rest_length_m:
             raise ValueError(
                 "braid_length_m must lie between rest_length_m and 1.732 rest_length_m, "
@@ -50,7 +50,7 @@ class MuscleParameters(Configured):
         return self
 
 
-def _settings_of(effect: EffectDescription) -> type[Configured]:
+def _make_effect_settings(effect: EffectDescription) -> type[Configured]:
     fields: dict[str, Any] = {
         p.name: (
             Annotated[float, Field(ge=p.low, le=p.high, description=f"{p.meaning} ({p.unit})")],
@@ -63,7 +63,7 @@ def _settings_of(effect: EffectDescription) -> type[Configured]:
     return create_model(effect.name, __base__=Configured, **fields)
 
 
-_of_effects = {name: _settings_of(effect) for name, effect in CATALOGUE.items()}
+_of_effects = {name: _make_effect_settings(effect) for name, effect in CATALOGUE.items()}
 globals().update(_of_effects)  # where pickle looks for them, on their way to a worker process
 _effect_fields: dict[str, Any] = {
     name: (settings | None, None) for name, settings in _of_effects.items()
@@ -83,7 +83,7 @@ class TableSettings(Configured):
     """Values on a grid: straight between its lines, constant beyond them."""
 
     @model_validator(mode="after")
-    def _fits_together(self) -> TableSettings:
+    def _check_table_shape(self) -> TableSettings:
         (first_name, first), (second_name, second), (name, rows) = self.__dict__.items()
         for axis, lines in ((first_name, first), (second_name, second)):
             if any(b <= a for a, b in pairwise(lines)):
@@ -95,10 +95,10 @@ class TableSettings(Configured):
             )
         return self
 
-    def table(self) -> Table:
+    def table(self) -> CorrectionTable:
         """Return the table as the kernels read it."""
         first, second, rows = self.__dict__.values()
-        return Table(first, second, tuple(chain.from_iterable(rows)))
+        return CorrectionTable(first, second, tuple(chain.from_iterable(rows)))
 
 
 class PullSettings(TableSettings):
@@ -182,7 +182,7 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
         elif name != ACTUATOR:
             parameters[name] = value
     acting = {
-        name: _chosen(name, given)
+        name: _name_choices(name, given)
         for name, given in effects.items()
         if name not in CATALOGUE or acts(CATALOGUE[name], given)
     }
@@ -192,7 +192,7 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
     )
 
 
-def _chosen(effect: str, given: Mapping[str, float]) -> dict[str, Any]:
+def _name_choices(effect: str, given: Mapping[str, float]) -> dict[str, Any]:
     """Put the names of choices in the place of their numbers."""
     choices = (
         {p.name: p.choices for p in CATALOGUE[effect].parameters} if effect in CATALOGUE else {}

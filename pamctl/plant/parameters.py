@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from pamctl.plant.correction_tables import Correction
 from pamctl.plant.effects import AirEffects, Effects, MechanicsEffects
-from pamctl.plant.effects.mechanics.creep import Crept
+from pamctl.plant.effects.mechanics.creep import DashpotPositions
 
 
 class PaperParameters(NamedTuple):
@@ -115,7 +115,7 @@ class MechanicsState(NamedTuple):
 
     bristle_n: float = inf
     """Force of the bristles; infinite where they have not been loaded yet."""
-    dashpots: Crept = Crept(0.0, 0.0)
+    dashpots: DashpotPositions = DashpotPositions(0.0, 0.0)
     age_s: float = 0.0
 
 
@@ -129,7 +129,7 @@ class SensorState(NamedTuple):
 class PlantState(NamedTuple):
     """State of Eq. 9 (x, v, absolute P), and each part's memory for its effects.
 
-    With effects take `at_rest` or `vented`: a memory that is left out is none (NaN).
+    With effects take `rest_state` or `vented_state`: a memory that is left out is none (NaN).
     """
 
     position_m: float
@@ -141,7 +141,7 @@ class PlantState(NamedTuple):
     mechanics: MechanicsState = MechanicsState()
 
 
-def at_rest(p: PlantParameters, position_m: float, pressure_pa: float) -> PlantState:
+def rest_state(p: PlantParameters, position_m: float, pressure_pa: float) -> PlantState:
     """Return a plant that has rested for long at a position and absolute pressure."""
     return PlantState(
         position_m,
@@ -150,11 +150,11 @@ def at_rest(p: PlantParameters, position_m: float, pressure_pa: float) -> PlantS
         ValveState(),
         AirState(p.paper.tank_pressure_pa, pressure_pa),
         SensorState(pressure_pa, position_m),
-        MechanicsState(dashpots=Crept(position_m, position_m)),
+        MechanicsState(dashpots=DashpotPositions(position_m, position_m)),
     )
 
 
-def vented(p: PlantParameters) -> PlantState:
+def vented_state(p: PlantParameters) -> PlantState:
     """Return the muscle at rest at atmospheric pressure: only an external load moves it."""
     load_n = 0.0 if p.direct else p.effects.mechanics.external_load.force_n
-    return at_rest(p, 0.0 - load_n / p.paper.stiffness_n_per_m, p.paper.atmospheric_pressure_pa)
+    return rest_state(p, 0.0 - load_n / p.paper.stiffness_n_per_m, p.paper.atmospheric_pressure_pa)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pamctl.plant.effects.sensors.encoder_backlash import geared_m
-from pamctl.plant.effects.sensors.pressure_sensor_gain import scaled_pa
-from pamctl.plant.effects.sensors.pressure_sensor_lag import lagged_pa
+from pamctl.plant.effects.sensors.encoder_backlash import follow_backlash_m
+from pamctl.plant.effects.sensors.pressure_sensor_gain import scale_pressure_pa
+from pamctl.plant.effects.sensors.pressure_sensor_lag import lag_pressure_pa
 from pamctl.plant.parameters import AirState, PlantParameters, SensorState
 
 
@@ -19,8 +19,8 @@ def sensors_step(
     """Let the sensors follow for a step that ends at `position_m`, with `end_pa` at the sensor."""
     e = p.effects.sensors
     return SensorState(
-        lagged_pa(e.pressure_sensor_lag, sensors.lagged_pa, begin_pa, end_pa, step_s),
-        geared_m(e.encoder_backlash, sensors.geared_m, position_m),
+        lag_pressure_pa(e.pressure_sensor_lag, sensors.lagged_pa, begin_pa, end_pa, step_s),
+        follow_backlash_m(e.encoder_backlash, sensors.geared_m, position_m),
     )
 
 
@@ -41,7 +41,9 @@ def sensed_pressure_pa(
     e = p.effects.sensors
     if e.pressure_sensor_lag.time_constant_s > 0.0:
         at_sensor_pa = sensors.lagged_pa
-    shown_pa = scaled_pa(e.pressure_sensor_gain, at_sensor_pa, p.paper.atmospheric_pressure_pa)
+    shown_pa = scale_pressure_pa(
+        e.pressure_sensor_gain, at_sensor_pa, p.paper.atmospheric_pressure_pa
+    )
     return shown_pa + e.pressure_sensor_offset.offset_pa
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pamctl.plant.delayed_command import plant_advance_late
-from pamctl.plant.parameters import PlantParameters, PlantState, vented
+from pamctl.plant.delayed_command import advance_delayed_plant
+from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
 from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
-from pamctl.plant.step import plant_advance
+from pamctl.plant.step import advance_plant
 
 LONGEST_STEP_S = 0.5e-3
 """Two steps a tick at 1 kHz: 0.6 um from the converged solution."""
@@ -17,7 +17,7 @@ class SimulatedPlant:
     def __init__(self, parameters: PlantParameters, state: PlantState | None = None) -> None:
         """Start from `state`; by default vented and at rest."""
         self._parameters = parameters
-        self.state = vented(parameters) if state is None else state
+        self.state = vented_state(parameters) if state is None else state
         self._line = CommandLine() if parameters.effects.command_delay.delay_s > 0.0 else None
 
     def advance(self, command_v: float, duration_s: float) -> None:
@@ -25,7 +25,7 @@ class SimulatedPlant:
         if self._line is not None:
             self.state = self._line.advance(self._parameters, self.state, command_v, duration_s)
             return
-        self.state = plant_advance(
+        self.state = advance_plant(
             self._parameters, self.state, command_v, duration_s, LONGEST_STEP_S
         )
 
@@ -56,7 +56,7 @@ class CommandLine:
         """Write a command, and let time pass."""
         self._written_s.append(self._now_s)
         self._written_v.append(command_v)
-        state, self._arrived = plant_advance_late(
+        state, self._arrived = advance_delayed_plant(
             p,
             state,
             self._written_s,

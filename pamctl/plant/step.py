@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from pamctl.plant.chamber import chamber_middle_pa, chamber_step
-from pamctl.plant.correction_tables import corrected
+from pamctl.plant.correction_tables import interpolate_table
 from pamctl.plant.mechanism import mechanism_step
 from pamctl.plant.paper.mechanics import mechanics_step
 from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
@@ -91,7 +91,7 @@ def mechanics_block_step(
     """
     if p.mechanics_act:
         middle_m = position_m + 0.5 * step_s * velocity_m_per_s
-        extra_n = corrected(p.correction.pull, middle_m, middle_load)
+        extra_n = interpolate_table(p.correction.pull, middle_m, middle_load)
         with_effects = MechanismParameters(p.paper, p.effects.mechanics, p.direct, extra_n)
         return mechanism_step(
             with_effects, position_m, velocity_m_per_s, mechanics, middle_load, step_s
@@ -111,7 +111,7 @@ def air_middle_pa(
 ) -> tuple[float, bool]:
     """Predict the pressure of the step's middle, by the paper's equations where they suffice."""
     if p.air_acts:
-        extra = corrected(p.correction.flow, opening_v, pressure_pa)
+        extra = interpolate_table(p.correction.flow, opening_v, pressure_pa)
         return chamber_middle_pa(
             AirParameters(p.paper, p.effects.air, extra),
             pressure_pa,
@@ -138,7 +138,7 @@ def air_step(
 ) -> tuple[float, AirState]:
     """Complete the pressure's step with the muscle's true motion."""
     if p.air_acts:
-        extra = corrected(p.correction.flow, opening_v, pressure_pa)
+        extra = interpolate_table(p.correction.flow, opening_v, pressure_pa)
         own = AirParameters(p.paper, p.effects.air, extra)
         return chamber_step(
             own,
@@ -156,7 +156,7 @@ def air_step(
     return end_pa, air
 
 
-def plant_advance(
+def advance_plant(
     p: PlantParameters,
     state: PlantState,
     command_v: float,
@@ -164,13 +164,13 @@ def plant_advance(
     longest_step_s: float,
 ) -> PlantState:
     """Advance by `duration_s` in equal steps, none longer than `longest_step_s`."""
-    steps = steps_in(duration_s, longest_step_s)
+    steps = count_steps(duration_s, longest_step_s)
     step_s = duration_s / steps
     for _ in range(steps):
         state = plant_step(p, state, command_v, step_s)
     return state
 
 
-def steps_in(duration_s: float, longest_step_s: float) -> int:
+def count_steps(duration_s: float, longest_step_s: float) -> int:
     """Return the number of equal steps; the small allowance keeps rounding from adding one."""
     return max(1, math.ceil(duration_s / longest_step_s - 1e-6))

@@ -28,7 +28,7 @@ All of a PC's runs share one place, or they would not see each other's locks; te
 _UNKNOWN = Truth(math.nan, math.nan)
 
 
-class Parts(NamedTuple):
+class RigParts(NamedTuple):
     """What a backend brings."""
 
     rig: Rig
@@ -37,7 +37,7 @@ class Parts(NamedTuple):
     truth: Callable[[], Truth]
 
 
-def clock_of(settings: RunSettings, *, may_spin: bool) -> Clock:
+def build_clock(settings: RunSettings, *, may_spin: bool) -> Clock:
     """Return the clock of the computer, which paces the run unless the rig does."""
     loop = settings.rig.loop
     period_ns = round(1e9 / loop.rate_hz)
@@ -60,21 +60,21 @@ def require_backend(settings: RunSettings) -> None:
         require_card(settings.rig.nidaq)
 
 
-def rig_of(settings: RunSettings, clock: Clock) -> Parts:
+def build_rig(settings: RunSettings, clock: Clock) -> RigParts:
     """Return the rig, not yet opened."""
     match settings.rig:
         case SimRigSettings():
-            return _sim(settings, settings.rig, clock)
+            return _build_sim(settings, settings.rig, clock)
         case NidaqRigSettings() as rig:
-            return _card(rig, clock)
+            return _build_card(rig, clock)
 
 
-def _card(rig: NidaqRigSettings, clock: Clock) -> Parts:
+def _build_card(rig: NidaqRigSettings, clock: Clock) -> RigParts:
     if rig.nidaq.timing == "on_demand":
         from hal.nidaq.on_demand import NidaqRig
 
         card = NidaqRig(rig.nidaq, safe_output_v=rig.safe_volts, now_ns=clock.now_ns)
-        return Parts(card, clock, lambda: _UNKNOWN)
+        return RigParts(card, clock, lambda: _UNKNOWN)
 
     from hal.nidaq.hardware_timed import HardwareTimedRig
 
@@ -84,10 +84,10 @@ def _card(rig: NidaqRigSettings, clock: Clock) -> Parts:
         safe_output_v=rig.safe_volts,
         now_ns=clock.now_ns,
     )
-    return Parts(timed, SampleClock(clock, timed.await_edge), lambda: _UNKNOWN)
+    return RigParts(timed, SampleClock(clock, timed.await_edge), lambda: _UNKNOWN)
 
 
-def _sim(settings: RunSettings, rig: SimRigSettings, clock: Clock) -> Parts:
+def _build_sim(settings: RunSettings, rig: SimRigSettings, clock: Clock) -> RigParts:
     plant = SimulatedPlant(plant_parameters(settings.plant))
     device = rig.sim.device
     sim = SimRig(
@@ -100,7 +100,7 @@ def _sim(settings: RunSettings, rig: SimRigSettings, clock: Clock) -> Parts:
         register=None if settings.fast else SharedRegister(ao_path(device), device),
     )
     whole = FaultyRig(sim, rig.faults) if rig.faults else sim
-    return Parts(whole, clock, lambda: Truth(plant.state.position_m, plant.state.pressure_pa))
+    return RigParts(whole, clock, lambda: Truth(plant.state.position_m, plant.state.pressure_pa))
 
 
 def ao_path(device: str) -> Path:

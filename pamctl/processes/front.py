@@ -25,10 +25,10 @@ from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian_handle import Guardianship
 from pamctl.processes.loop_supervisor import STOP_SIGNALS
-from pamctl.realtime.scheduling import Mode, on_watch
-from pamctl.recording.finish_apart import finish_apart
-from pamctl.recording.last_words import outcome, speak_for_the_dead
-from pamctl.recording.recorder import spawn
+from pamctl.realtime.scheduling import Mode, raise_front_priority
+from pamctl.recording.finish_apart import finish_in_own_process
+from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
+from pamctl.recording.recorder import spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring
 
 _POLL_S = 0.05
@@ -47,15 +47,15 @@ class FrontReport(NamedTuple):
     """What the user must know of the log; empty where all is well."""
 
 
-class Commands(NamedTuple):
+class ProcessCommands(NamedTuple):
     """How to start the processes that belong to a rig; the ring's path is appended."""
 
     loop: Sequence[str]
     guardian: Sequence[str] | None
 
 
-def conduct(
-    ring: Ring, commands: Commands, rig: Rig, progress: Progress, mode: Mode
+def conduct_run(
+    ring: Ring, commands: ProcessCommands, rig: Rig, progress: Progress, mode: Mode
 ) -> FrontReport:
     """Run the loop on a fresh ring to its end; return when the log is on disk.
 
@@ -63,11 +63,11 @@ def conduct(
     where neither loop nor guardian is left to do it. `mode` is for this process alone: it
     says whether the front may be scheduled in real time while it watches.
     """
-    with _Forwarding() as signals:
+    with _SignalForwarder() as signals:
         # The loop inherits the block and lifts it when it can listen: a signal that comes
         # while it starts waits for it, instead of killing it.
-        with blocked_signals():
-            recorder = spawn(ring.path)
+        with block_signals():
+            recorder = spawn_recorder(ring.path)
             guardian = Guardianship(ring, commands.guardian, rig)
             loop = subprocess.Popen(
                 [*commands.loop, str(ring.path)],
@@ -76,19 +76,19 @@ def conduct(
                 process_group=0,
             )
             ring.loop_pid = loop.pid
-        signals.to(loop)
-        with on_watch(mode):
+        signals.start_forwarding(loop)
+        with raise_front_priority(mode):
             _watch(ring, loop, recorder, guardian, progress)
-        ending = guardian.verdict_on(ending_of(loop))
+        ending = guardian.judge_ending(read_ending(loop))
         if not ring.loop_done:
-            speak_for_the_dead(ring, outcome(ending))
+            put_event_for_dead_loop(ring, make_outcome_event(ending))
             ring.loop_done = 1
         guardian.dismiss()
         return close_log(ring, recorder, ending)
 
 
 @contextmanager
-def blocked_signals() -> Iterator[None]:
+def block_signals() -> Iterator[None]:
     """Let a process that is started here inherit SIGINT and SIGTERM blocked."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
     try:
@@ -97,7 +97,7 @@ def blocked_signals() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-class _Forwarding:
+class _SignalForwarder:
     """Passes this process's signals on to the loop, those that came before it too."""
 
     def __init__(self) -> None:
@@ -105,7 +105,7 @@ class _Forwarding:
         self._early: list[int] = []
         self._before: dict[int, Any] = {}
 
-    def __enter__(self) -> _Forwarding:
+    def __enter__(self) -> _SignalForwarder:
         for number in STOP_SIGNALS:
             self._before[number] = signal.signal(number, self._forward)
         return self
@@ -114,7 +114,7 @@ class _Forwarding:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def to(self, loop: subprocess.Popen[bytes]) -> None:
+    def start_forwarding(self, loop: subprocess.Popen[bytes]) -> None:
         self._loop = loop
         for number in self._early:
             self._forward(number, None)
@@ -164,7 +164,7 @@ class _Deaths:
             os.close(fd)
 
 
-def ending_of(loop: subprocess.Popen[bytes]) -> Ending:
+def read_ending(loop: subprocess.Popen[bytes]) -> Ending:
     """Return how a loop process that has ended says it ended, or how it died."""
     said, _ = loop.communicate()
     try:
@@ -178,7 +178,7 @@ def ending_of(loop: subprocess.Popen[bytes]) -> Ending:
 
 def close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> FrontReport:
     """Wait for the recorder; where it is dead, finish its work from the ring."""
-    _await(recorder, ring)
+    _await_recorder(recorder, ring)
     _, said = recorder.communicate()
     if recorder.returncode == 0:
         ring.unlink()
@@ -189,10 +189,10 @@ def close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> 
         # Nothing was begun: there is no log to finish, and no tick to save.
         ring.unlink()
         return FrontReport(Ending(ExitCode.UNEXPECTED, complaint), False, "")
-    return _rescue(ring, ending, complaint)
+    return _finish_log_apart(ring, ending, complaint)
 
 
-def _await(recorder: subprocess.Popen[bytes], ring: Ring) -> None:
+def _await_recorder(recorder: subprocess.Popen[bytes], ring: Ring) -> None:
     """Let the recorder finish; kill one that has no pulse for long, its work can be done here."""
     beats, since_s = ring.recorder_beats, time.monotonic()
     while recorder.poll() is None:
@@ -204,13 +204,13 @@ def _await(recorder: subprocess.Popen[bytes], ring: Ring) -> None:
         time.sleep(_POLL_S)
 
 
-def _rescue(ring: Ring, ending: Ending, complaint: str) -> FrontReport:
+def _finish_log_apart(ring: Ring, ending: Ending, complaint: str) -> FrontReport:
     worst = ending if ending.code else Ending(ExitCode.UNEXPECTED, complaint)
     if ring.recorder_flags & RecorderFlag.FINISHED:
         ring.unlink()
         return FrontReport(worst, True, complaint)
     try:
-        finished = finish_apart(ring.path)
+        finished = finish_in_own_process(ring.path)
     except Exception as error:
         kept = f"{complaint}; the log could not be finished ({error}). Its last ticks are kept in "
         kept += f"{ring.path}: make room, and the next `pamctl run` finishes it"

@@ -68,7 +68,7 @@ class Listener:
         self._beat_ns = beat_ns
         self._silent_ns = 0
 
-    def silent_ns(self, now_ns: int, beat_ns: int) -> int:
+    def measure_silence_ns(self, now_ns: int, beat_ns: int) -> int:
         """Look at the heartbeat; return how long it has stood still."""
         heard_ns = min(now_ns - self._now_ns, 2 * _POLL_NS)
         if beat_ns == self._beat_ns:
@@ -118,7 +118,7 @@ def guard(ring: Ring, loop: LoopProcess, rig: Rig, heartbeat_ns: int) -> Takeove
     reason = ""
     while not loop.dies_within(POLL_MS):
         ring.guardian_beats += 1
-        silent_ns = listener.silent_ns(time.monotonic_ns(), ring.loop_beat_ns)
+        silent_ns = listener.measure_silence_ns(time.monotonic_ns(), ring.loop_beat_ns)
         if silent_ns > patience_ns(ring.loop_stage, bool(ring.loop_done), heartbeat_ns):
             reason = f"the loop was silent for {silent_ns * 1e-6:.0f} ms and was killed"
             break

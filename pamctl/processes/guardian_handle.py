@@ -39,16 +39,16 @@ class Guardianship:
         """The guardian's process, where there is one."""
         return None if self._process is None else self._process.pid
 
-    def verdict_on(self, ending: Ending) -> Ending:
+    def judge_ending(self, ending: Ending) -> Ending:
         """Return how the run of a loop that is no more ended, the valve included."""
         if not self._process:
             return ending
-        report = _report_of(self._process)
+        report = _read_report(self._process)
         if not report:
             self._process.kill()
             return self._stand_in(ending)
         words = json.loads(report)
-        return _as_taken_over(Takeover(**words), ending) if words else ending
+        return _ending_of_takeover(Takeover(**words), ending) if words else ending
 
     def dismiss(self) -> None:
         """See the guardian off, once the loop's last words are in the ring."""
@@ -63,7 +63,7 @@ class Guardianship:
         """Do what the guardian cannot do any more."""
         failure = drive_safe(self._rig)
         if failure is not None:
-            return Ending(_worse(ending), _alarm(ending.reason, str(failure)))
+            return Ending(_worse_code(ending), _alarm_text(ending.reason, str(failure)))
         return ending
 
 
@@ -71,27 +71,27 @@ def _spawn(command: Sequence[str]) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0)
 
 
-def _report_of(guardian: subprocess.Popen[bytes]) -> bytes:
+def _read_report(guardian: subprocess.Popen[bytes]) -> bytes:
     """Return the line that a guardian says in the end; nothing where it could not."""
     assert guardian.stdout
     heard, _, _ = select.select([guardian.stdout], [], [], _REPORT_PATIENCE_S)
     return guardian.stdout.readline() if heard else b""
 
 
-def _as_taken_over(takeover: Takeover, ending: Ending) -> Ending:
+def _ending_of_takeover(takeover: Takeover, ending: Ending) -> Ending:
     reason = takeover.reason or ending.reason
     if takeover.failure:
-        return Ending(_worse(ending), _alarm(reason, takeover.failure))
+        return Ending(_worse_code(ending), _alarm_text(reason, takeover.failure))
     done = f"the guardian drove the safe voltage {takeover.latency_ms:.1f} ms later"
     return Ending(ExitCode.UNEXPECTED, f"{reason}; {done}")
 
 
-def _worse(ending: Ending) -> ExitCode:
+def _worse_code(ending: Ending) -> ExitCode:
     """An output that is not safe is no success, whatever else was."""
     return ending.code or ExitCode.UNEXPECTED
 
 
-def _alarm(reason: str, failure: str) -> str:
+def _alarm_text(reason: str, failure: str) -> str:
     return (
         f"{reason}; THE SAFE VOLTAGE COULD NOT BE DRIVEN ({failure}): "
         "cut the air supply, then try `pamctl safe`"

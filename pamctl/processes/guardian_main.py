@@ -16,10 +16,10 @@ from contextlib import suppress
 
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.backends import clock_of, rig_of
+from pamctl.processes.backends import build_clock, build_rig
 from pamctl.processes.guardian import POLL_MS, LoopProcess, Takeover, drive_safe, guard
-from pamctl.realtime.scheduling import keep_single_threaded, stand_guard
-from pamctl.recording.last_words import outcome, speak_for_the_dead
+from pamctl.realtime.scheduling import keep_single_threaded, prepare_guardian
+from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
 from pamctl.recording.ring import Ring
 from pamctl.settings.resolve import from_resolved
 
@@ -39,29 +39,29 @@ def main() -> int:
             print(f"guardian: {error}", file=sys.stderr)
             return int(ExitCode.UNAVAILABLE)
         if takeover is not None:
-            speak_for_the_dead(ring, takeover.event())
+            put_event_for_dead_loop(ring, takeover.event())
         with suppress(BrokenPipeError):  # nobody may be left to read it
             print(json.dumps(takeover and takeover._asdict()), flush=True)
         if takeover is not None:
-            _see_it_through(ring, takeover)
+            _await_log_end(ring, takeover)
     return int(ExitCode.OK)
 
 
 def _guard(ring: Ring) -> Takeover | None:
     settings = from_resolved(json.dumps(ring.meta.config))
-    rig = rig_of(settings, clock_of(settings, may_spin=False)).rig
+    rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
     # Rehearsed before the loop opens the rig: who cannot make it safe now, could not then. It
     # loads the driver as well, which would cost a fraction of a second when it counts.
     failure = drive_safe(rig, patience_s=1.0)
     if failure is not None:
         raise failure
-    loop = LoopProcess(_loop_pid(ring))
-    stand_guard(settings.rt, settings.rig.loop.cpu)
+    loop = LoopProcess(_await_loop_pid(ring))
+    prepare_guardian(settings.rt, settings.rig.loop.cpu)
     ring.guardian_ready = 1
     return guard(ring, loop, rig, round(settings.rig.loop.heartbeat_ms * 1e6))
 
 
-def _loop_pid(ring: Ring) -> int:
+def _await_loop_pid(ring: Ring) -> int:
     """Wait for the front to start the loop."""
     deadline_s = time.monotonic() + _LOOP_STARTS_WITHIN_S
     while not ring.loop_pid:
@@ -78,12 +78,12 @@ def _front_is_gone(within_ms: int = 0) -> bool:
     return bool(front.poll(within_ms))
 
 
-def _see_it_through(ring: Ring, takeover: Takeover) -> None:
+def _await_log_end(ring: Ring, takeover: Takeover) -> None:
     """Wait for the front to end the log, and do it where the front has died, too."""
     while not ring.loop_done:
         if _front_is_gone(within_ms=POLL_MS):
             ending = Ending(ExitCode.UNEXPECTED, takeover.reason or "the loop process died")
-            speak_for_the_dead(ring, outcome(ending))
+            put_event_for_dead_loop(ring, make_outcome_event(ending))
             ring.loop_done = 1
 
 

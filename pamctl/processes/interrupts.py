@@ -10,7 +10,7 @@ from types import FrameType, TracebackType
 _HEEDED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-class Interrupted(Exception):
+class SignalInterrupt(Exception):
     """A signal ended the work; `code` is the exit code that says so."""
 
     def __init__(self, number: int) -> None:
@@ -20,7 +20,7 @@ class Interrupted(Exception):
 
 
 class Interrupts:
-    """Turns the first signal within `heeded` into `Interrupted`; outside it, signals wait.
+    """Turns the first signal within `heed_signals` into `SignalInterrupt`; others wait.
 
     So the way out, on which the valve is made safe, runs to its end whatever is pressed.
     Ctrl-Z is not heeded at all: a stopped process holds the valve open.
@@ -45,17 +45,17 @@ class Interrupts:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Give the signals back; raise what has come too late for `heeded`."""
+        """Give the signals back; raise what has come too late for `heed_signals`."""
         for number, handler in self._before.items():
             signal.signal(number, handler)  # type: ignore[arg-type]
         if self._pending is not None and error is None:
-            raise Interrupted(self._pending)
+            raise SignalInterrupt(self._pending)
 
     @contextmanager
-    def heeded(self) -> Iterator[None]:
+    def heed_signals(self) -> Iterator[None]:
         """Let a signal end this block."""
         if self._pending is not None:
-            raise Interrupted(self._pending)
+            raise SignalInterrupt(self._pending)
         self._heeding = True
         try:
             yield
@@ -67,4 +67,4 @@ class Interrupts:
             self._pending = number
         if self._heeding:
             self._heeding = False
-            raise Interrupted(number)
+            raise SignalInterrupt(number)

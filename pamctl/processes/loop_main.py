@@ -16,14 +16,14 @@ from typing import NoReturn
 
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.backends import clock_of, require_backend, rig_of
+from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.realtime.loop import control
-from pamctl.realtime.scheduling import Preparation, SchedulingRefused, keep_single_threaded, prepare
-from pamctl.recording.last_words import outcome, put_last
+from pamctl.realtime.loop import run_loop
+from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
+from pamctl.recording.last_words import make_outcome_event, put_last_event
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.recording.run_journal import PatientJournal, RingJournal
-from pamctl.settings.build import nominal_zero_of, program_of, setup_of
+from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, from_resolved
 
 
@@ -31,13 +31,13 @@ def main() -> NoReturn:
     """Run the loop on the ring that the first argument names."""
     keep_single_threaded()
     with Ring.attach(sys.argv[1]) as ring:
-        ending = ending_of(partial(_run, ring))
+        ending = run_to_ending(partial(_run, ring))
         # Where there is no room for it the front says it, when the recorder has made some.
-        ring.loop_done = _has_put_outcome(ring, ending)
-    leave(ending)
+        ring.loop_done = _put_outcome(ring, ending)
+    report_and_exit(ending)
 
 
-def leave(ending: Ending) -> NoReturn:
+def report_and_exit(ending: Ending) -> NoReturn:
     """Tell the parent in one JSON line how it ended, and go."""
     # Nobody may be left to read it.
     with suppress(BrokenPipeError):
@@ -45,11 +45,11 @@ def leave(ending: Ending) -> NoReturn:
     sys.exit(int(ending.code))
 
 
-def ending_of(work: Callable[[], Ending]) -> Ending:
+def run_to_ending(work: Callable[[], Ending]) -> Ending:
     """Work; whatever happens becomes an ending."""
     try:
         return work()
-    except (RigError, SchedulingRefused) as error:
+    except (RigError, SchedulingError) as error:
         return Ending(ExitCode.UNAVAILABLE, str(error))
     except RingError as error:
         return Ending(ExitCode.UNEXPECTED, str(error))
@@ -60,12 +60,12 @@ def ending_of(work: Callable[[], Ending]) -> Ending:
         return Ending(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
 
 
-def _has_put_outcome(ring: Ring, ending: Ending) -> bool:
+def _put_outcome(ring: Ring, ending: Ending) -> bool:
     """Put the last event into the log, waiting for a moment where the ring is full."""
     deadline_s = time.monotonic() + 1.0
     while time.monotonic() < deadline_s:
         try:
-            put_last(ring, outcome(ending))
+            put_last_event(ring, make_outcome_event(ending))
         except RingFull:
             time.sleep(5e-3)
         else:
@@ -77,28 +77,28 @@ def _run(ring: Ring) -> Ending:
     settings = from_resolved(json.dumps(ring.meta.config))
     supervisor = LoopSupervisor(ring, sys.stdin.fileno(), settings.rig.loop, patient=settings.fast)
     supervisor.listen()
-    if not _recorder_is_ready(ring):
+    if not _await_recorder(ring):
         return Ending(ExitCode.UNEXPECTED, "the recorder did not start")
     # Now, while this is a process like any other: loading a driver is no work for FIFO.
     require_backend(settings)
-    if not settings.fast and not guardian_is_ready(ring):
+    if not settings.fast and not await_guardian(ring):
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
         _record_start(ring, settings, preparation)
-        parts = rig_of(settings, clock_of(settings, may_spin=preparation.may_spin))
-        return control(
+        parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
+        return run_loop(
             parts.rig,
             parts.clock,
-            setup_of(settings),
+            build_tick_setup(settings),
             nominal_zero_of(settings),
-            program_of(settings),
+            build_program(settings),
             PatientJournal(ring) if settings.fast else RingJournal(ring),
             supervisor,
             parts.truth,
         )
 
 
-def _recorder_is_ready(ring: Ring) -> bool:
+def _await_recorder(ring: Ring) -> bool:
     """Wait for the log to be open: no tick may run that could not be kept."""
     deadline_s = time.monotonic() + 10.0
     while not ring.recorder_flags & RecorderFlag.READY:
@@ -108,7 +108,7 @@ def _recorder_is_ready(ring: Ring) -> bool:
     return True
 
 
-def guardian_is_ready(ring: Ring) -> bool:
+def await_guardian(ring: Ring) -> bool:
     """Wait for the guardian: no valve may be moved that nobody could close."""
     deadline_s = time.monotonic() + 10.0
     while not ring.guardian_ready:

@@ -42,7 +42,7 @@ class LoopSupervisor:
         self._patient = patient
         # Counted in looks of our own: a machine that stands still is no evidence.
         silent_looks = math.ceil(pace.heartbeat_ms * 1e-3 * pace.rate_hz / self._look_every)
-        self._guardian = _Pulse(max(2, silent_looks))
+        self._guardian = _Heartbeat(max(2, silent_looks))
         self._is_time_to_look = False
         self._loss = ""
         self._signals: list[int] = []
@@ -66,7 +66,7 @@ class LoopSupervisor:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self._signals.append(number)
 
-    def abort_wanted(self) -> bool:
+    def wants_abort(self) -> bool:
         """Tell whether a second signal came, or a process died: then there is no time to lose.
 
         Asked first in every tick, and during a smooth stop as well.
@@ -75,19 +75,19 @@ class LoopSupervisor:
         # Every few milliseconds is often enough.
         self._is_time_to_look = not self._asked % self._look_every
         if self._is_time_to_look and not self._loss:
-            self._loss = self._found_loss()
+            self._loss = self._find_loss()
         return bool(self._loss) or len(self._signals) > 1
 
-    def stop_wanted(self, tick: int) -> Ending | None:
+    def find_stop(self, tick: int) -> Ending | None:
         """Return why and how to stop, once there is a reason to."""
         if self._signals:
             number = signal.Signals(self._signals[0])
             return Ending(STOP_SIGNALS[number], f"stopped by {number.name}")
         if self._loss:
             return Ending(ExitCode.UNEXPECTED, self._loss)
-        return self._recorder_trouble() if self._is_time_to_look else None
+        return self._find_recorder_trouble() if self._is_time_to_look else None
 
-    def _found_loss(self) -> str:
+    def _find_loss(self) -> str:
         """Say which of the other processes is gone; nothing where all are there."""
         ring, recorded = self._ring, self._recorded
         flags = recorded.recorder_flags if recorded else 0
@@ -101,7 +101,7 @@ class LoopSupervisor:
             return "the commanding process is gone"
         return ""
 
-    def _recorder_trouble(self) -> Ending | None:
+    def _find_recorder_trouble(self) -> Ending | None:
         ring = self._recorded
         if ring is None:
             return None
@@ -118,7 +118,7 @@ class LoopSupervisor:
         return None
 
 
-class _Pulse:
+class _Heartbeat:
     """A heartbeat that is looked at now and then."""
 
     def __init__(self, most_looks: int) -> None:

@@ -14,17 +14,17 @@ from functools import partial
 from typing import NoReturn
 
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.backends import clock_of, require_backend, rig_of
-from pamctl.processes.loop_main import ending_of, guardian_is_ready, leave
+from pamctl.processes.backends import build_clock, build_rig, require_backend
+from pamctl.processes.loop_main import await_guardian, report_and_exit, run_to_ending
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.processes.session_supervisor import SessionSupervisor
-from pamctl.realtime.loop import control
+from pamctl.realtime.loop import run_loop
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import keep_single_threaded, prepare
-from pamctl.realtime.steering import Steered
+from pamctl.realtime.steering import SteeredProgram
 from pamctl.recording.ring import Ring, RingFull
 from pamctl.recording.session_journal import SessionJournal
-from pamctl.settings.build import nominal_zero_of, ordered_program, setup_of
+from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, from_resolved
 
 
@@ -36,11 +36,11 @@ def main() -> NoReturn:
         settings = from_resolved(json.dumps(ring.meta.config))
         supervisor = LoopSupervisor(ring, sys.stdin.fileno(), settings.rig.loop)
         journal = SessionJournal(ring, supervisor.watch_recording)
-        ending = ending_of(partial(_run, ring, settings, orders, journal, supervisor))
+        ending = run_to_ending(partial(_run, ring, settings, orders, journal, supervisor))
         with suppress(RingFull):
             journal.end_last_run(ending)
         ring.loop_done = 1
-    leave(ending)
+    report_and_exit(ending)
 
 
 def _run(
@@ -54,21 +54,21 @@ def _run(
     supervisor.listen()
     # Now, while this is a process like any other: loading a driver is no work for FIFO.
     require_backend(settings)
-    if not guardian_is_ready(ring):
+    if not await_guardian(ring):
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
     with prepare(settings.rt, settings.rig.loop.cpu) as preparation:
-        setup = setup_of(settings)
+        setup = build_tick_setup(settings)
         start = {"event": "timing_setup", **preparation.as_metadata()}
         journal.put_event(0, ring.meta.start_mono_ns, start)
-        parts = rig_of(settings, clock_of(settings, may_spin=preparation.may_spin))
-        steered = Steered(
+        parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
+        steered = SteeredProgram(
             orders,
             journal,
             setup,
             settings.controller.model_dump(mode="json"),
-            partial(ordered_program, settings),
+            partial(build_ordered_program, settings),
         )
-        return control(
+        return run_loop(
             parts.rig,
             parts.clock,
             setup,

@@ -17,12 +17,12 @@ class SessionSupervisor:
         self._supervisor = supervisor
         self._orders = orders
 
-    def abort_wanted(self) -> bool:
+    def wants_abort(self) -> bool:
         """Tell whether to skip the smooth stop."""
-        return self._orders.emergency or self._supervisor.abort_wanted()
+        return self._orders.emergency or self._supervisor.wants_abort()
 
-    def stop_wanted(self, tick: int) -> Ending | None:
+    def find_stop(self, tick: int) -> Ending | None:
         """Return why and how to stop, once there is a reason to."""
         if self._orders.emergency:
             return EMERGENCY
-        return self._supervisor.stop_wanted(tick)
+        return self._supervisor.find_stop(tick)

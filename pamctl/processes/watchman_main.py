@@ -18,16 +18,16 @@ from contextlib import contextmanager, suppress
 
 from hal.rig import Rig, RigError
 from pamctl.exit_codes import ExitCode
-from pamctl.processes.backends import clock_of, require_backend, rig_of
+from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.guardian import drive_safe
-from pamctl.settings.resolve import RunSettings, from_resolved, to_json
+from pamctl.settings.resolve import RunSettings, from_resolved, settings_to_json
 
 _ALL_WELL = b"all is well\n"
 _IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
-def watched(settings: RunSettings, rig: Rig) -> Iterator[None]:
+def keep_watchman(settings: RunSettings, rig: Rig) -> Iterator[None]:
     """Keep a watchman for the block; it makes the rig safe if this process dies in it.
 
     Raises `RigError` where the watchman cannot do its work, or where the rig, which the block
@@ -41,7 +41,7 @@ def watched(settings: RunSettings, rig: Rig) -> Iterator[None]:
     assert watchman.stdout is not None
     try:
         with suppress(BrokenPipeError):
-            watchman.stdin.write(json.dumps(to_json(settings)).encode() + b"\n")
+            watchman.stdin.write(json.dumps(settings_to_json(settings)).encode() + b"\n")
             watchman.stdin.flush()
         if watchman.stdout.readline() != b"ready\n":
             raise RigError("the watchman process did not start", fix="see its words above")
@@ -68,7 +68,7 @@ def main() -> int:
     except RigError as error:
         print(f"watchman: {error}", file=sys.stderr)
         return int(ExitCode.UNAVAILABLE)
-    rig = rig_of(settings, clock_of(settings, may_spin=False)).rig
+    rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
     os.write(sys.stdout.fileno(), b"ready\n")
     if sys.stdin.buffer.readline() == _ALL_WELL:
         return int(ExitCode.OK)

@@ -114,7 +114,7 @@ class GridClock:
         self._phase_ns = phase_ns
         self._spin_ns = spin_ns
         self._now_ns = now_ns
-        self._sleep_until = sleep_until or monotonic_sleeper()
+        self._sleep_until = sleep_until or make_monotonic_sleeper()
         self._tick = -1
         self._deadline_ns = 0
 
@@ -136,7 +136,7 @@ class GridClock:
     def wait(self) -> Wake:
         """Wait for the next grid point that still lies ahead."""
         if self._tick < 0:
-            return self._first_wake()
+            return self._wait_first()
         period_ns = self._period_ns
         previous_ns = self._deadline_ns
         deadline_ns = previous_ns + period_ns
@@ -152,7 +152,7 @@ class GridClock:
         self._deadline_ns = deadline_ns
         return Wake(self._tick, deadline_ns, now_ns, advanced - 1)
 
-    def _first_wake(self) -> Wake:
+    def _wait_first(self) -> Wake:
         before_ns = self._now_ns()
         deadline_ns = (before_ns // self._period_ns + 1) * self._period_ns + self._phase_ns
         now_ns = self._reach(deadline_ns, before_ns)
@@ -266,7 +266,7 @@ def grid_point_until(time_ns: int, point_ns: int, period_ns: int) -> int:
     return point_ns + (time_ns - point_ns) // period_ns * period_ns
 
 
-def monotonic_sleeper() -> Callable[[int], None]:
+def make_monotonic_sleeper() -> Callable[[int], None]:
     """A function that sleeps until an absolute time of CLOCK_MONOTONIC, in ns.
 
     `time.sleep` would do nearly as well, but takes a duration: what happens between reading the
@@ -275,7 +275,7 @@ def monotonic_sleeper() -> Callable[[int], None]:
     Raises:
         OSError: this system has no clock_nanosleep.
     """
-    clock_nanosleep = _clock_nanosleep()
+    clock_nanosleep = _load_clock_nanosleep()
     until = _Timespec()  # kept, and filled in place: nothing is allocated in a tick
     until_pointer = ctypes.pointer(until)
     timer_abstime = 1
@@ -298,7 +298,7 @@ class _Timespec(ctypes.Structure):
     _fields_ = (("tv_sec", ctypes.c_long), ("tv_nsec", ctypes.c_long))
 
 
-def _clock_nanosleep() -> Callable[..., int]:
+def _load_clock_nanosleep() -> Callable[..., int]:
     try:
         function = ctypes.CDLL(None).clock_nanosleep
     except (AttributeError, TypeError, OSError):

@@ -18,11 +18,11 @@ DEFAULT_RAMP_S = 0.5
 Numbers = TypeVar("Numbers")
 
 
-class TuningError(ValueError):
+class GainRampError(ValueError):
     """Gains that cannot take the place of those in use while the muscle moves."""
 
 
-class Tuning:
+class GainRamp:
     """What the tick needs to know, with the gains of the moment."""
 
     def __init__(self, setup: TickSetup) -> None:
@@ -35,7 +35,7 @@ class Tuning:
     def change(self, controller: ControllerSettings, t_s: float, ramp_s: float) -> None:
         """Go from the gains of the moment to others within `ramp_s` (s), from `t_s` on.
 
-        Raises `TuningError` for another law or structure.
+        Raises `GainRampError` for another law or structure.
         """
         gains = law_gains(controller)
         require_same_structure(self._to.gains, gains)
@@ -61,30 +61,30 @@ class Tuning:
         if self._setup is self._to:
             return self._setup
         share = (t_s - self._begin_s) / self._ramp_s
-        self._setup = self._to if share >= 1.0 else blended(self._from, self._to, share)
+        self._setup = self._to if share >= 1.0 else blend_gains(self._from, self._to, share)
         return self._setup
 
 
 def require_same_structure(old: Gains, new: Gains) -> None:
-    """Raise `TuningError` where there is nothing between the two that would still be a law."""
+    """Raise `GainRampError` where there is nothing between the two that would still be a law."""
     if old.law != new.law:
-        raise TuningError("another law takes effect with the next run, not while the loop runs")
+        raise GainRampError("another law takes effect with the next run, not while the loop runs")
     for here, there in ((old.qsmc.sliding, new.qsmc.sliding), (old.smc.sliding, new.smc.sliding)):
         if here.literal_reaching != there.literal_reaching:
-            raise TuningError("another reaching_law takes effect with the next run")
+            raise GainRampError("another reaching_law takes effect with the next run")
         if here.units_per_m != there.units_per_m:
-            raise TuningError(
+            raise GainRampError(
                 "another length_unit takes effect with the next run: it is another law"
             )
 
 
-def blended(old: Numbers, new: Numbers, share: float) -> Numbers:
+def blend_gains(old: Numbers, new: Numbers, share: float) -> Numbers:
     """Interpolate two tuples of numbers, tuples in tuples included; flags are those of `new`."""
     if old == new:
         return new
     mixed: Any
     if isinstance(old, tuple) and isinstance(new, tuple):
-        parts = (blended(a, b, share) for a, b in zip(old, new, strict=True))
+        parts = (blend_gains(a, b, share) for a, b in zip(old, new, strict=True))
         mixed = old._make(parts)  # type: ignore[attr-defined]
     elif isinstance(old, float) and isinstance(new, float):
         mixed = old + share * (new - old)

@@ -11,15 +11,15 @@ from typing import Any, TypeVar
 State = TypeVar("State")
 
 
-def frozen(state: object) -> list[float]:
+def freeze_state(state: object) -> list[float]:
     """Flatten a tick's state, tuples in tuples, into doubles."""
     if isinstance(state, tuple):
-        return [number for part in state for number in frozen(part)]
+        return [number for part in state for number in freeze_state(part)]
     return [float(state)]  # type: ignore[arg-type]
 
 
 def keyframe_fields(state: object, path: str = "") -> list[str]:
-    """Name the doubles that `frozen` makes: `filters.rate.pole` and the like."""
+    """Name the doubles that `freeze_state` makes: `filters.rate.pole` and the like."""
     if isinstance(state, tuple):
         names = getattr(state, "_fields", None) or map(str, range(len(state)))
         prefix = f"{path}." if path else ""
@@ -31,18 +31,20 @@ def keyframe_fields(state: object, path: str = "") -> list[str]:
     return [path]
 
 
-def thawed(like: State, numbers: Sequence[float]) -> State:
-    """Undo `frozen`: the doubles in the shape of another state, and with its types.
+def thaw_state(like: State, numbers: Sequence[float]) -> State:
+    """Undo `freeze_state`: the doubles in the shape of another state, and with its types.
 
     Raises ValueError where there are more or fewer of them than `like` is made of.
     """
-    if len(numbers) != len(frozen(like)):
-        raise ValueError(f"{len(numbers)} numbers, but the state is made of {len(frozen(like))}")
-    shaped: State = _shaped(like, iter(numbers))
+    if len(numbers) != len(freeze_state(like)):
+        raise ValueError(
+            f"{len(numbers)} numbers, but the state is made of {len(freeze_state(like))}"
+        )
+    shaped: State = _shape_numbers(like, iter(numbers))
     return shaped
 
 
-def _shaped(like: Any, numbers: Iterator[float]) -> Any:
+def _shape_numbers(like: Any, numbers: Iterator[float]) -> Any:
     if isinstance(like, tuple):
-        return type(like)._make(_shaped(part, numbers) for part in like)  # type: ignore[attr-defined]
+        return type(like)._make(_shape_numbers(part, numbers) for part in like)  # type: ignore[attr-defined]
     return type(like)(next(numbers))

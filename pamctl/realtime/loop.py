@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from hal.calibration import Zero, output_v
-from hal.rig import RawSample, Rig, RigError, opened
+from hal.rig import RawSample, Rig, RigError, open_rig
 from pamctl.control.homing import HomingError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
-from pamctl.realtime.keyframe import frozen
-from pamctl.realtime.tick import TickSetup, TickState, first_state, rezeroed, step
-from pamctl.safety import OVERRUNS, explain
-from pamctl.signals import Decision, Outcome, Reference, TickRecord, Timing, Truth
+from pamctl.realtime.keyframe import freeze_state
+from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state, step
+from pamctl.safety import OVERRUNS, explain_verdicts
+from pamctl.signals import Decision, Reference, TickOutcome, TickRecord, Timing, Truth
 
 KEYFRAME_TICKS = 1000
 
@@ -38,7 +38,7 @@ class Journal(Protocol):
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
         """Keep the frozen state after a tick."""
 
-    def no_more_ticks(self) -> None:
+    def end_ticks(self) -> None:
         """Learn that the valve is safe and will not be moved again."""
 
 
@@ -48,11 +48,11 @@ class Helm(Protocol):
     def setup(self, t_s: float) -> TickSetup:
         """Return what holds for the tick at `t_s`."""
 
-    def heed(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+    def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
         """Learn that a tick is done; what changes now holds from the next one on."""
 
 
-class Unsteered:
+class FixedHelm:
     """The helm of a single run: nothing changes."""
 
     def __init__(self, setup: TickSetup) -> None:
@@ -63,18 +63,18 @@ class Unsteered:
         """Return it."""
         return self._setup
 
-    def heed(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+    def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
         """Let nobody interfere."""
 
 
-class Steerable(Protocol):
+class ReferenceSource(Protocol):
     """What is asked of the muscle: `Program`, or a program that takes orders."""
 
     @property
     def is_stopping(self) -> bool:
         """The smooth stop has begun."""
 
-    def next(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
+    def next_reference(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
         """Return the reference at `t_s`, or None at the end; and the zeros just found."""
 
     def begin_stop(self, t_s: float, valve_v: float) -> None:
@@ -84,10 +84,10 @@ class Steerable(Protocol):
 class Supervisor(Protocol):
     """Who may end the run from outside."""
 
-    def stop_wanted(self, tick: int) -> Ending | None:
+    def find_stop(self, tick: int) -> Ending | None:
         """Return how the run should end, once it should; the loop then stops smoothly."""
 
-    def abort_wanted(self) -> bool:
+    def wants_abort(self) -> bool:
         """Tell whether to skip the smooth stop."""
 
 
@@ -98,12 +98,12 @@ class _Times(NamedTuple):
     last_t_ns: int
 
 
-def control(
+def run_loop(
     rig: Rig,
     clock: Clock,
     setup: TickSetup,
     nominal_zero: Callable[[RawSample], Zero],
-    program: Steerable,
+    program: ReferenceSource,
     journal: Journal,
     supervisor: Supervisor,
     truth: Callable[[], Truth],
@@ -116,16 +116,16 @@ def control(
     trip and a failed homing become the ending; anything else is an error of ours and is raised.
     """
     try:
-        with opened(rig):
+        with open_rig(rig):
             journal.put_event(0, clock.now_ns(), {"event": "rig", **rig.describe()})
-            helm = helm or Unsteered(setup)
+            helm = helm or FixedHelm(setup)
             loop = _Loop(rig, clock, setup, helm, nominal_zero, program, journal, supervisor, truth)
             try:
                 return loop.run()
             finally:
                 # In this order: until the valve is safe, whoever watches counts milliseconds.
                 rig.make_safe()
-                journal.no_more_ticks()
+                journal.end_ticks()
     except RigError as error:
         return Ending(ExitCode.UNAVAILABLE, str(error))
     except HomingError as error:
@@ -144,7 +144,7 @@ class _Loop:
     setup: TickSetup
     helm: Helm
     nominal_zero: Callable[[RawSample], Zero]
-    program: Steerable
+    program: ReferenceSource
     journal: Journal
     supervisor: Supervisor
     truth: Callable[[], Truth]
@@ -159,11 +159,11 @@ class _Loop:
         times = _Times(raw.encoder_t_ns, raw.encoder_t_ns - self.clock.period_ns)
         while True:
             sampled_ns = self.clock.now_ns()
-            timing = _timing(times, wake, raw)
+            timing = _make_timing(times, wake, raw)
             times = times._replace(last_t_ns=raw.encoder_t_ns)
             reference, zero = self._ask(timing, raw, state)
             if zero is not None:
-                state = rezeroed(state, zero)
+                state = rezero_state(state, zero)
                 self._record_zero(timing.tick, raw, zero)
             if reference is None:
                 return self.ending
@@ -171,12 +171,12 @@ class _Loop:
             state, decision = step(setup, state, raw, reference, timing)
             self._act(wake, sampled_ns, timing, raw, reference, state, decision)
             if decision.tripped:
-                return self._tripped(timing, raw, decision)
+                return self._end_tripped(timing, raw, decision)
             # Asked first: two signals that come between the two questions are then a stop
             # in this tick and an abort in the next, and never an end without its reason.
-            abort = self.supervisor.abort_wanted()
+            abort = self.supervisor.wants_abort()
             self._heed_supervisor(timing, raw, decision)
-            self.helm.heed(timing, raw, state)
+            self.helm.finish_tick(timing, raw, state)
             if abort:
                 return self.ending
             wake = self.clock.wait()
@@ -186,16 +186,16 @@ class _Loop:
         self, timing: Timing, raw: RawSample, state: TickState
     ) -> tuple[Reference | None, Zero | None]:
         """Return what the program asks for; when the experiment is over it stops smoothly."""
-        reference, zero = self.program.next(timing.t_s, raw)
+        reference, zero = self.program.next_reference(timing.t_s, raw)
         if reference is None and not self.program.is_stopping:
             self._begin_stop(timing, raw, state.safety.valve_v)
-            reference, _ = self.program.next(timing.t_s, raw)
+            reference, _ = self.program.next_reference(timing.t_s, raw)
         return reference, zero
 
     def _heed_supervisor(self, timing: Timing, raw: RawSample, decision: Decision) -> None:
         """See, in the slack after the tick, whether somebody wants the run to end."""
         if not self.program.is_stopping:
-            wanted = self.supervisor.stop_wanted(timing.tick)
+            wanted = self.supervisor.find_stop(timing.tick)
             if wanted is not None:
                 self.ending = wanted
                 self._begin_stop(timing, raw, decision.valve_v)
@@ -223,7 +223,7 @@ class _Loop:
         try:
             applied_v = self.rig.write(output_v(self.setup.calibration, decision.valve_v))
         finally:
-            outcome = Outcome(
+            outcome = TickOutcome(
                 applied_v,
                 (sampled_ns - wake.now_ns) * 1e-9,
                 (decided_ns - sampled_ns) * 1e-9,
@@ -244,15 +244,15 @@ class _Loop:
             )
         # The tick that ends a thousand, or the first after it where that one was missed.
         if (timing.tick + 1) % KEYFRAME_TICKS <= timing.missed:
-            self.journal.put_keyframe(timing.tick, raw.encoder_t_ns, frozen(state))
+            self.journal.put_keyframe(timing.tick, raw.encoder_t_ns, freeze_state(state))
 
     def _record_zero(self, tick: int, raw: RawSample, zero: Zero) -> None:
         """Say in the log from which tick on the sensors have other zeros: replay needs it."""
         self.journal.put_event(tick, raw.encoder_t_ns, {"event": "zeroed", **zero._asdict()})
 
-    def _tripped(self, timing: Timing, raw: RawSample, decision: Decision) -> Ending:
+    def _end_tripped(self, timing: Timing, raw: RawSample, decision: Decision) -> Ending:
         self.rig.make_safe()
-        reasons = explain(decision.verdicts)
+        reasons = explain_verdicts(decision.verdicts)
         event: dict[str, object] = {"event": "tripped", "reasons": reasons}
         self.journal.put_event(timing.tick, raw.encoder_t_ns, event)
         overruns_only = decision.verdicts == OVERRUNS
@@ -260,7 +260,7 @@ class _Loop:
         return Ending(code, "safety trip: " + "; ".join(reasons))
 
 
-def _timing(times: _Times, wake: Wake, raw: RawSample) -> Timing:
+def _make_timing(times: _Times, wake: Wake, raw: RawSample) -> Timing:
     return Timing(
         wake.tick,
         (raw.encoder_t_ns - times.first_t_ns) * 1e-9,

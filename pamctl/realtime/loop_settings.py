@@ -31,7 +31,7 @@ class LoopSettings(Configured):
     ] = 16_384
 
     @model_validator(mode="after")
-    def _fits_the_period(self) -> LoopSettings:
+    def _check_period(self) -> LoopSettings:
         if self.spin_us * self.rate_hz > 0.5e6:
             raise ValueError(
                 f"spin_us {self.spin_us:g} is more than half of the period of "

@@ -67,7 +67,9 @@ class Orders:
         self._words[_SIZE] = len(text)
         self._words[_SEQUENCE] += 1
 
-    def wait_taken(self, patience_s: float, is_alive: Callable[[], bool] = lambda: True) -> None:
+    def wait_until_taken(
+        self, patience_s: float, is_alive: Callable[[], bool] = lambda: True
+    ) -> None:
         """Return once the last order was taken; raise `OrderError` if it is not in time."""
         deadline_s = time.monotonic() + patience_s
         while not self.is_free:

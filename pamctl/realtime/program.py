@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.experiment import Course, held
+from pamctl.control.experiment import Course, make_valve_reference
 from pamctl.control.homing import Homing
 from pamctl.signals import Phase, Reference
 
@@ -34,16 +34,16 @@ class Program:
         self._stop_begin_s: float | None = None
         self._stop_from_v = safe_valve_v
 
-    def next(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
+    def next_reference(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
         """Return the reference at `t_s`, or None at the end; and the zeros just found.
 
         Raises `HomingError`.
         """
         if self._stop_begin_s is not None:
-            return self._stopping(t_s), None
+            return self._ramp_to_safe(t_s), None
         zero = None
         if self._homing is not None:
-            reference = self._homing.next(t_s, sample)
+            reference = self._homing.next_reference(t_s, sample)
             if reference is not None:
                 return reference, None
             zero, self._homing = self._homing.zero, None
@@ -70,11 +70,11 @@ class Program:
             self._stop_begin_s = t_s
             self._stop_from_v = valve_v
 
-    def _stopping(self, t_s: float) -> Reference | None:
+    def _ramp_to_safe(self, t_s: float) -> Reference | None:
         assert self._stop_begin_s is not None
         elapsed_s = t_s - self._stop_begin_s
         if elapsed_s >= self._stop_ramp_s:
             return None
         share = elapsed_s / self._stop_ramp_s
         ramp_v = self._stop_from_v + share * (self._safe_valve_v - self._stop_from_v)
-        return held(Phase.STOPPING, ramp_v)
+        return make_valve_reference(Phase.STOPPING, ramp_v)

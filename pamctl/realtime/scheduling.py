@@ -36,7 +36,7 @@ _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30
 
 
-class Step(NamedTuple):
+class PreparationStep(NamedTuple):
     """One step of the preparation."""
 
     name: str
@@ -49,10 +49,10 @@ class Step(NamedTuple):
         return f"{self.name}: {'' if self.done else 'not '}done: {self.detail}"
 
 
-class SchedulingRefused(RuntimeError):
+class SchedulingError(RuntimeError):
     """Mode `require`, and the system does not permit SCHED_FIFO or locked memory."""
 
-    def __init__(self, refused: tuple[Step, ...]) -> None:
+    def __init__(self, refused: tuple[PreparationStep, ...]) -> None:
         """Every refused step with its fix, a line each."""
         lines = "\n".join(f"  {step.name}: {step.detail}" for step in refused)
         super().__init__(f"real-time scheduling is required, but was refused:\n{lines}")
@@ -62,7 +62,7 @@ class SchedulingRefused(RuntimeError):
 class Preparation:
     """What was done to this process, and the way back. A context manager: leaving it releases."""
 
-    def __init__(self, mode: Mode, steps: tuple[Step, ...], undo: ExitStack) -> None:
+    def __init__(self, mode: Mode, steps: tuple[PreparationStep, ...], undo: ExitStack) -> None:
         """Take over `undo`, which holds one call for each step that was done."""
         self.mode = mode
         self.steps = steps
@@ -79,7 +79,7 @@ class Preparation:
         return self.fifo and (os.cpu_count() or 1) > 1
 
     @property
-    def refused(self) -> tuple[Step, ...]:
+    def refused(self) -> tuple[PreparationStep, ...]:
         """The steps that were not done."""
         return tuple(step for step in self.steps if not step.done)
 
@@ -123,7 +123,7 @@ def prepare(mode: Mode = "auto", cpu: int | None = None) -> Preparation:
             most interrupts.
 
     Raises:
-        SchedulingRefused: mode is `require`, and SCHED_FIFO or mlockall was refused; whatever
+        SchedulingError: mode is `require`, and SCHED_FIFO or mlockall was refused; whatever
             had been done is undone again.
     """
     with ExitStack() as undo:
@@ -132,11 +132,11 @@ def prepare(mode: Mode = "auto", cpu: int | None = None) -> Preparation:
             steps += _real_time_steps(cpu, undo)
         refused = tuple(step for step in steps if not step.done)
         if mode == "require" and any(step.name in _INDISPENSABLE for step in refused):
-            raise SchedulingRefused(refused)
+            raise SchedulingError(refused)
         return Preparation(mode, tuple(steps), undo.pop_all())
 
 
-def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[Step]:
+def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[PreparationStep]:
     """Memory before the scheduler: as SCHED_FIFO, locking it would hold up all else on this CPU."""
     steps = [
         _attempt("mlock", _lock_memory, _how_to_lock_memory, undo),
@@ -149,7 +149,7 @@ def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[Step]:
     return steps
 
 
-def stand_guard(mode: Mode, loop_cpu: int | None) -> tuple[Step, ...]:
+def prepare_guardian(mode: Mode, loop_cpu: int | None) -> tuple[PreparationStep, ...]:
     """Prepare the guardian's process: awake in time even where the loop's CPU is lost.
 
     Nothing of it is indispensable: the loop says already what is not permitted.
@@ -175,7 +175,7 @@ def stand_guard(mode: Mode, loop_cpu: int | None) -> tuple[Step, ...]:
 
 
 @contextlib.contextmanager
-def on_watch(mode: Mode) -> Iterator[None]:
+def raise_front_priority(mode: Mode) -> Iterator[None]:
     """Let the front preempt ordinary processes within the block, where that is permitted.
 
     Not for what it does, which is little and has time, but for its end: a process that was
@@ -185,15 +185,15 @@ def on_watch(mode: Mode) -> Iterator[None]:
     """
     with ExitStack() as undo:
         if mode != "off":
-            _attempt("fifo", _be_awake, _how_to_run_as_fifo, undo)
+            _attempt("fifo", _run_front_as_fifo, _how_to_run_as_fifo, undo)
         yield
 
 
-def _be_awake(undo: ExitStack) -> str:
+def _run_front_as_fifo(undo: ExitStack) -> str:
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     # Without the reset on fork: only root may take that back, and the front has more to do.
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FRONT_PRIORITY))
-    undo.callback(_try, os.sched_setscheduler, 0, *before)
+    undo.callback(_undo_quietly, os.sched_setscheduler, 0, *before)
     return f"SCHED_FIFO, priority {FRONT_PRIORITY}"
 
 
@@ -202,16 +202,16 @@ def _attempt(
     take: Callable[[ExitStack], str],
     fix: Callable[[], str],
     undo: ExitStack,
-) -> Step:
+) -> PreparationStep:
     if sys.platform != "linux":
-        return Step(name, False, "only Linux offers this")
+        return PreparationStep(name, False, "only Linux offers this")
     try:
-        return Step(name, True, take(undo))
+        return PreparationStep(name, True, take(undo))
     except OSError as error:
-        return Step(name, False, "; ".join(filter(None, (error.strerror, fix()))))
+        return PreparationStep(name, False, "; ".join(filter(None, (error.strerror, fix()))))
 
 
-def _collect_garbage_once(undo: ExitStack) -> Step:
+def _collect_garbage_once(undo: ExitStack) -> PreparationStep:
     """Collect now and never again: a collection would stop the loop for milliseconds.
 
     What exists now lives as long as the process; the tick itself makes no reference cycles.
@@ -222,15 +222,15 @@ def _collect_garbage_once(undo: ExitStack) -> Step:
     gc.collect()
     gc.freeze()
     gc.disable()
-    return Step("gc", True, f"{gc.get_freeze_count()} objects frozen, collector off")
+    return PreparationStep("gc", True, f"{gc.get_freeze_count()} objects frozen, collector off")
 
 
 def _lock_memory(undo: ExitStack) -> str:
     """Fault every page in, now and on every later allocation, and keep it in memory."""
-    limit_bytes = _raised_limit("RLIMIT_MEMLOCK")
+    limit_bytes = _raise_limit("RLIMIT_MEMLOCK")
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE):
-        raise _errno_error()
+        raise _make_errno_error()
     undo.callback(libc.munlockall)
     if limit_bytes < 0 or os.geteuid() == 0:
         return "all memory, present and future"
@@ -239,7 +239,7 @@ def _lock_memory(undo: ExitStack) -> str:
 
 
 def _how_to_lock_memory() -> str:
-    limit_bytes = _raised_limit("RLIMIT_MEMLOCK")
+    limit_bytes = _raise_limit("RLIMIT_MEMLOCK")
     return (
         f"RLIMIT_MEMLOCK is {'unlimited' if limit_bytes < 0 else f'{limit_bytes // 1024} KiB'}: "
         f"put '{_user()} - memlock unlimited' into /etc/security/limits.conf and log in again, "
@@ -270,7 +270,7 @@ def _pin(cpu: int | None, undo: ExitStack) -> str:
         raise OSError(0, "only one CPU to run on")
     chosen = max(allowed) if cpu is None else cpu
     os.sched_setaffinity(0, {chosen})
-    undo.callback(_try, os.sched_setaffinity, 0, allowed)
+    undo.callback(_undo_quietly, os.sched_setaffinity, 0, allowed)
     return f"pinned to CPU {chosen}"
 
 
@@ -281,7 +281,7 @@ def _keep_off(loop_cpu: int | None, undo: ExitStack) -> str:
     if not others:
         raise OSError(0, "only one CPU to run on")
     os.sched_setaffinity(0, others)
-    undo.callback(_try, os.sched_setaffinity, 0, allowed)
+    undo.callback(_undo_quietly, os.sched_setaffinity, 0, allowed)
     return f"pinned to CPU {', '.join(map(str, sorted(others)))}"
 
 
@@ -296,13 +296,13 @@ def _run_as_fifo(undo: ExitStack, wanted: int = PRIORITY) -> str:
     priority = _highest_permitted(wanted)
     policy = os.SCHED_FIFO | _SCHED_RESET_ON_FORK
     os.sched_setscheduler(0, policy, os.sched_param(priority))
-    undo.callback(_try, os.sched_setscheduler, 0, *before)
+    undo.callback(_undo_quietly, os.sched_setscheduler, 0, *before)
     return f"SCHED_FIFO, priority {priority}"
 
 
 def _highest_permitted(priority: int) -> int:
     """Root may take any priority, others what RLIMIT_RTPRIO grants, where it grants any."""
-    granted = _raised_limit("RLIMIT_RTPRIO")
+    granted = _raise_limit("RLIMIT_RTPRIO")
     return priority if os.geteuid() == 0 or granted <= 0 else min(priority, granted)
 
 
@@ -312,7 +312,7 @@ def _how_to_run_as_fifo() -> str:
             "root is refused only where the control group or the container forbids it: "
             "raise cpu.rt_runtime_us of the group, or start the container with CAP_SYS_NICE"
         )
-    granted = _raised_limit("RLIMIT_RTPRIO")
+    granted = _raise_limit("RLIMIT_RTPRIO")
     return (
         f"RLIMIT_RTPRIO is {granted}: put '{_user()} - rtprio {PRIORITY}' into "
         "/etc/security/limits.conf and log in again, "
@@ -326,13 +326,13 @@ def _take_timer_slack(undo: ExitStack) -> str:
     prctl.argtypes = (ctypes.c_int, *[ctypes.c_ulong] * 4)
     before_ns = prctl(_PR_GET_TIMERSLACK, 0, 0, 0, 0)
     if prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0):
-        raise _errno_error()
+        raise _make_errno_error()
     if before_ns > 0:
         undo.callback(prctl, _PR_SET_TIMERSLACK, before_ns, 0, 0, 0)
     return "timer slack 1 ns"
 
 
-def _raised_limit(name: str) -> int:
+def _raise_limit(name: str) -> int:
     """The hard limit, to which the soft one, which the kernel asks, is raised; -1: unlimited."""
     import resource
 
@@ -343,12 +343,12 @@ def _raised_limit(name: str) -> int:
     return hard
 
 
-def _errno_error() -> OSError:
+def _make_errno_error() -> OSError:
     number = ctypes.get_errno()
     return OSError(number, os.strerror(number))
 
 
-def _try(call: Callable[..., object], *arguments: object) -> None:
+def _undo_quietly(call: Callable[..., object], *arguments: object) -> None:
     """Undo one step; that the system forbids the way back must not keep the others from it."""
     with contextlib.suppress(OSError):
         call(*arguments)

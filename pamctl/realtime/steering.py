@@ -14,11 +14,11 @@ from pydantic import TypeAdapter
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.experiment import held
+from pamctl.control.experiment import make_valve_reference
 from pamctl.control.law import ControllerSettings
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, Tuning
-from pamctl.realtime.keyframe import frozen
+from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp
+from pamctl.realtime.keyframe import freeze_state
 from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup, TickState
 from pamctl.recording.session_journal import SessionJournal
@@ -36,7 +36,7 @@ class OrderSlot(Protocol):
         """Return the next order, or None."""
 
 
-class Steered:
+class SteeredProgram:
     """Program and tuning of a loop that outlives its runs."""
 
     def __init__(
@@ -54,7 +54,7 @@ class Steered:
         """
         self._orders = orders
         self._journal = journal
-        self._tuning = Tuning(setup)
+        self._tuning = GainRamp(setup)
         self._gains_said: list[Mapping[str, object]] = [controller]
         self._program_of = program_of
         self._safe_valve_v = setup.limits.safe_valve_v
@@ -62,7 +62,7 @@ class Steered:
         self._run_ending = _COMPLETE
         self._is_over = False
         self._is_homed = False
-        self._reference = self._parked()
+        self._reference = self._parked_reference()
         self._valve_v = self._safe_valve_v
         self._is_leaving = False
 
@@ -72,35 +72,35 @@ class Steered:
         """Return the gains of the moment, and all that does not change."""
         return self._tuning.at(t_s)
 
-    def next(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
+    def next_reference(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
         """Return what is asked of the muscle at `t_s`; None when the loop is to end.
 
         Raises `HomingError`.
         """
-        reference, zero = self._asked(t_s, sample)
+        reference, zero = self._ask(t_s, sample)
         if zero is not None:
             self._is_homed = True
         if reference is not None:
             self._reference = reference
         return reference, zero
 
-    def _asked(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
+    def _ask(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
         run = self._run
         if run is None:
-            return (None if self._is_leaving else self._parked()), None
-        reference, zero = run.next(t_s, sample)
+            return (None if self._is_leaving else self._parked_reference()), None
+        reference, zero = run.next_reference(t_s, sample)
         if reference is None and not run.is_stopping:
             run.begin_stop(t_s, self._valve_v)
-            reference, _ = run.next(t_s, sample)
+            reference, _ = run.next_reference(t_s, sample)
         if reference is None:
             if self._is_leaving:
                 return None, zero
             self._is_over = True
-            reference = self._parked()
+            reference = self._parked_reference()
         return reference, zero
 
-    def _parked(self) -> Reference:
-        return held(Phase.OPEN_LOOP, self._safe_valve_v)
+    def _parked_reference(self) -> Reference:
+        return make_valve_reference(Phase.OPEN_LOOP, self._safe_valve_v)
 
     # --- the end of the loop itself ------------------------------------------------------
 
@@ -117,7 +117,7 @@ class Steered:
 
     # --- what the loop lets happen after each tick -----------------------------------------
 
-    def heed(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+    def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
         """Close a run that is over, and take an order if there is one."""
         self._valve_v = state.safety.valve_v
         if self._is_over:
@@ -147,7 +147,7 @@ class Steered:
         now = (timing.tick, raw.encoder_t_ns)
         if order["ring"] is not None:
             self._end_run(timing, raw)  # a position that was held gives way
-            self._journal.begin_run(order["ring"], *now, self._gains_of_the_moment(), frozen(state))
+            self._journal.begin_run(order["ring"], *now, self._current_gains(), freeze_state(state))
         # All that the program depends on goes on record: a replay asks it again.
         resolved = {
             "experiment": order["experiment"],
@@ -171,11 +171,11 @@ class Steered:
             "from_t_s": timing.t_s,
             "ramp_s": max(order["ramp_s"], SHORTEST_RAMP_S),
         }
-        self._gains_said = [*self._gains_of_the_moment(), said]
+        self._gains_said = [*self._current_gains(), said]
         self._tuning.change(settings, timing.t_s, said["ramp_s"])
         self._journal.put_gains(timing.tick, raw.encoder_t_ns, said)
 
-    def _gains_of_the_moment(self) -> list[Mapping[str, object]]:
+    def _current_gains(self) -> list[Mapping[str, object]]:
         """Return the gains of the last rest, and every change that is still on its way."""
         if self._tuning.is_settled:
             last = dict(self._gains_said[-1])

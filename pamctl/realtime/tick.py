@@ -16,7 +16,7 @@ from hal.rig import RawSample
 from pamctl.control.filters import UNPRIMED, FilterGains, FilterState, estimate
 from pamctl.control.law import Gains, respond
 from pamctl.control.surface import ARMED, LawState
-from pamctl.safety import WATCHFUL, Limits, SafetyState, admit
+from pamctl.safety import INITIAL_SAFETY_STATE, Limits, SafetyState, admit
 from pamctl.signals import Command, Decision, Estimate, Measurement, Reference, Timing
 
 
@@ -74,10 +74,10 @@ def first_state(zero: Zero, valve_v: float) -> TickState:
         Command(math.nan, math.nan, math.nan, math.nan, False),
         UNPRIMED,
         ARMED,
-        WATCHFUL._replace(valve_v=valve_v),
+        INITIAL_SAFETY_STATE._replace(valve_v=valve_v),
     )
 
 
-def rezeroed(state: TickState, zero: Zero) -> TickState:
+def rezero_state(state: TickState, zero: Zero) -> TickState:
     """Start afresh with other zeros: positions and pressures are not what they were."""
     return first_state(zero, state.safety.valve_v)

@@ -44,28 +44,28 @@ class Owner(Protocol):
         """Whether it has gone."""
 
 
-def record(ring: Ring, owner: Owner) -> bool:
+def record_run(ring: Ring, owner: Owner) -> bool:
     """Write the whole log of a run; return False if the disk was too small for it.
 
     Raise LogError if the log cannot be created, OSError if writing it fails: the
     rows that are not in the file are then still in the ring.
     """
     path = Path(ring.meta.log_path)
-    with _create(path) as file:
-        reserve = _reserve(ring, file, path)
+    with _create_log(path) as file:
+        reserve = _reserve_space(ring, file, path)
         ring.log_inode = os.fstat(file.fileno()).st_ino
         recording = _Recording(ring, file, reserve)
         ring.raise_flag(RecorderFlag.READY)
         loop = _SignsOfLife(ring)
-        while not (ring.loop_done or (owner.gone and loop.ceased())):
+        while not (ring.loop_done or (owner.gone and loop.has_ceased())):
             recording.round()
-            if not recording.behind:
+            if not recording.is_behind:
                 owner.wait(ROUND_S)
         recording.finish()
     return not ring.recorder_flags & RecorderFlag.DISK_FULL
 
 
-def _create(path: Path) -> BufferedWriter:
+def _create_log(path: Path) -> BufferedWriter:
     try:
         return path.open("xb")
     except FileExistsError:
@@ -78,7 +78,7 @@ def _create(path: Path) -> BufferedWriter:
         ) from error
 
 
-def _reserve(ring: Ring, file: BufferedWriter, path: Path) -> Reserve:
+def _reserve_space(ring: Ring, file: BufferedWriter, path: Path) -> Reserve:
     reserve = Reserve(file.fileno(), ring.rows * (ROW_BYTES + _MESSAGE_BYTES))
     try:
         reserve.extend(0, 0)
@@ -107,7 +107,7 @@ class _SignsOfLife:
         self._looked_s = monotonic()
         self._silent_s = 0.0
 
-    def ceased(self) -> bool:
+    def has_ceased(self) -> bool:
         now_s, sign = monotonic(), (self._ring.head, self._ring.loop_beat_ns)
         self._silent_s += min(now_s - self._looked_s, 2.0 * ROUND_S)
         self._looked_s = now_s
@@ -136,7 +136,7 @@ class _Recording:
         self._most = min(MAX_CHUNK_ROWS, ring.rows // 4)
 
     @property
-    def behind(self) -> bool:
+    def is_behind(self) -> bool:
         """Whether there is a full chunk to write at once."""
         return self._ring.pending >= self._most
 

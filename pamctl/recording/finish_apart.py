@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 
-class Finished(NamedTuple):
+class FinishedLog(NamedTuple):
     """A log that was finished."""
 
     destination: str
@@ -24,19 +24,19 @@ class Finished(NamedTuple):
     """Whether all that was ever logged is in it."""
 
 
-class Unfinished(Exception):
+class FinishError(Exception):
     """The log cannot be finished now; the ring and what there is of the log stay."""
 
 
-def finish_apart(ring_path: str | Path) -> Finished:
-    """Finish the log of a recorder that is dead, and remove the ring; raise `Unfinished`."""
+def finish_in_own_process(ring_path: str | Path) -> FinishedLog:
+    """Finish the log of a recorder that is dead, and remove the ring; raise `FinishError`."""
     command = [sys.executable, "-m", "pamctl.recording.finish_apart", str(ring_path)]
     # Ctrl-C goes to the terminal's process group, and must not end this half-way.
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, process_group=0)
     if done.returncode:
         said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
-        raise Unfinished(said or f"the process that does it ended with {done.returncode}")
-    return Finished(**json.loads(done.stdout))
+        raise FinishError(said or f"the process that does it ended with {done.returncode}")
+    return FinishedLog(**json.loads(done.stdout))
 
 
 def main(arguments: list[str]) -> int:
@@ -54,7 +54,7 @@ def main(arguments: list[str]) -> int:
     except Exception as error:
         print(str(error) or type(error).__name__, file=sys.stderr)
         return 1
-    print(json.dumps(Finished(recovery.destination, recovery.lossless)._asdict()))
+    print(json.dumps(FinishedLog(recovery.destination, recovery.lossless)._asdict()))
     return 0
 
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import NamedTuple
 
-from pamctl.log.framing import LogError, mapped
-from pamctl.log.new_file import new_file
+from pamctl.log.framing import LogError, map_log_file
+from pamctl.log.new_file import create_new_file
 from pamctl.log.repair.recover import LogCopy, Recovery, sign_recovery
 from pamctl.log.writer import LogWriter
 from pamctl.recording.ring import RecorderFlag, Ring
@@ -100,7 +100,7 @@ def _finish(ring: Ring) -> Recovery:
         rows = RowLogger(writer, ring.meta)
         copy = LogCopy(writer)
         if has_part and target.stat().st_size:
-            copy.file(mapped(target))
+            copy.file(map_log_file(target))
         rows.last_tick, rows.last_row = copy.last_tick, copy.last_row
         rest = ring.drain(ring.rows)
         rows.write(rest)
@@ -141,7 +141,7 @@ def _replacing(target: Path, ring: Ring) -> Iterator[BufferedWriter]:
     """Open a file beside the target that takes its place when the block ends well."""
     draft = target.with_name(f"{target.name}.recovering")
     draft.unlink(missing_ok=True)
-    with new_file(draft) as stream:
+    with create_new_file(draft) as stream:
         yield stream
         ring.mended_inode = os.fstat(stream.fileno()).st_ino
     draft.replace(target)

@@ -9,20 +9,20 @@ from pamctl.exit_codes import Ending
 from pamctl.recording.ring import Ring, RingFull
 
 
-def outcome(ending: Ending) -> dict[str, object]:
+def make_outcome_event(ending: Ending) -> dict[str, object]:
     """Return the event that ends every run."""
     return {"event": "outcome", "code": int(ending.code), "reason": ending.reason}
 
 
-def put_last(ring: Ring, event: Mapping[str, object]) -> None:
+def put_last_event(ring: Ring, event: Mapping[str, object]) -> None:
     """Put an event at the time of the last tick; raise `RingFull` if there is no room."""
     last = ring.latest_tick() or {"tick": 0, "encoder_t_ns": ring.meta.start_mono_ns}
     ring.put_event(int(last["tick"]), int(last["encoder_t_ns"]), event)
 
 
-def speak_for_the_dead(ring: Ring, event: Mapping[str, object]) -> None:
+def put_event_for_dead_loop(ring: Ring, event: Mapping[str, object]) -> None:
     """Put an event in the place of a dead loop: a ring has one producer at a time."""
-    ring.succeed()
+    ring.take_over()
     # A log without its last words is better than a front without its exit code.
     with suppress(RingFull):
-        put_last(ring, event)
+        put_last_event(ring, event)

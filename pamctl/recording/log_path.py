@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from pamctl.log.naming import bare, dated_name
+from pamctl.log.naming import bare_name, make_dated_path
 
 _LOG_DIRECTORY = Path("logs")
 
@@ -14,14 +14,18 @@ class LogPathError(Exception):
     """The log cannot be written where it was asked for."""
 
 
-def new_log_path(asked: Path | None, controller: str, experiment: str) -> Path:
+def choose_log_path(asked: Path | None, controller: str, experiment: str) -> Path:
     """Return a path that can be created and does not exist; raise `LogPathError`."""
-    path = _unused(f"{bare(controller)}-{bare(experiment)}") if asked is None else asked
+    path = (
+        _propose_log_path(f"{bare_name(controller)}-{bare_name(experiment)}")
+        if asked is None
+        else asked
+    )
     try:
         if path.exists():
             raise LogPathError(f"--log {path}: exists, and a log is never overwritten")
         if not path.parent.is_dir():
-            raise LogPathError(_no_directory(path, by_default=asked is None))
+            raise LogPathError(_explain_no_directory(path, by_default=asked is None))
         path.touch(exist_ok=False)
         path.unlink()
     except OSError as error:
@@ -30,13 +34,13 @@ def new_log_path(asked: Path | None, controller: str, experiment: str) -> Path:
     return path
 
 
-def _unused(what: str) -> Path:
+def _propose_log_path(what: str) -> Path:
     with suppress(OSError):
         _LOG_DIRECTORY.mkdir(exist_ok=True)
-    return dated_name(_LOG_DIRECTORY, what)
+    return make_dated_path(_LOG_DIRECTORY, what)
 
 
-def _no_directory(path: Path, *, by_default: bool) -> str:
+def _explain_no_directory(path: Path, *, by_default: bool) -> str:
     if by_default:
         return f"{path.parent}/ cannot be made here; give a place for the log with --log"
     return f"--log {path}: there is no directory {path.parent}"

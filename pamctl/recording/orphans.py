@@ -24,7 +24,7 @@ def finish_orphans(directory: Path, *, quiet: bool) -> None:
             print(f"a run died before ({orphan.ring}): {what}", file=sys.stderr)
 
 
-def finish_orphans_apart(directory: Path) -> None:
+def finish_orphans_in_own_process(directory: Path) -> None:
     """Have a process of its own do it. What it leaves undone, the next start finds again."""
     if _has_rings(directory):
         command = [sys.executable, "-m", "pamctl.recording.orphans", str(directory)]

@@ -28,7 +28,7 @@ class RecorderError(Exception):
     """The recorder did not start. The message is its own."""
 
 
-def spawn(ring_path: str | Path) -> subprocess.Popen[bytes]:
+def spawn_recorder(ring_path: str | Path) -> subprocess.Popen[bytes]:
     """Start the recorder; it takes the closing of its `stdin` as the end of its owner."""
     return subprocess.Popen(
         [sys.executable, "-m", "pamctl.recording.recorder", str(ring_path)],
@@ -39,7 +39,7 @@ def spawn(ring_path: str | Path) -> subprocess.Popen[bytes]:
     )
 
 
-def await_ready(ring: Ring, process: subprocess.Popen[bytes], timeout_s: float = 10.0) -> None:
+def await_recorder(ring: Ring, process: subprocess.Popen[bytes], timeout_s: float = 10.0) -> None:
     """Return once the log is open; raise RecorderError if it is not within the time."""
     deadline = time.monotonic() + timeout_s
     while not ring.recorder_flags & RecorderFlag.READY:
@@ -82,15 +82,15 @@ def main(arguments: list[str]) -> int:
 def _record(ring: Ring, owner: _Pipe) -> int:
     try:
         # Slow imports, after the signals are dealt with and the ring is held.
-        from pamctl.recording.drain import record
+        from pamctl.recording.drain import record_run
 
-        whole = record(ring, owner)
+        whole = record_run(ring, owner)
     # Whatever went wrong, the loop must learn of it, and the user in one line.
     except Exception as error:
         full = isinstance(error, OSError) and is_full(error)
         ring.raise_flag(RecorderFlag.FAILED | (RecorderFlag.DISK_FULL if full else 0))
         kept = f"; {ring.pending} rows are kept in {ring.path}" if ring.pending else ""
-        print(f"recorder: {_sentence(error)}{kept}", file=sys.stderr)
+        print(f"recorder: {_describe_error(error)}{kept}", file=sys.stderr)
         return 3 if ring.recorder_flags & RecorderFlag.DISK_FULL else 1
     if owner.gone:
         ring.unlink()
@@ -99,7 +99,7 @@ def _record(ring: Ring, owner: _Pipe) -> int:
     return 0 if whole else 3
 
 
-def _sentence(error: Exception) -> str:
+def _describe_error(error: Exception) -> str:
     if isinstance(error, OSError):
         return f"writing the log failed: {error.strerror or error}"
     return str(error) or type(error).__name__

@@ -89,7 +89,7 @@ class Entry(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
+class RowBatch:
     """Whole rows copied out of the ring, never cut within an entry."""
 
     first_row: int
@@ -123,7 +123,7 @@ class Batch:
 
 
 @contextlib.contextmanager
-def _explained(what: str) -> Iterator[None]:
+def _explain_errors(what: str) -> Iterator[None]:
     try:
         yield
     except FileExistsError as error:
@@ -133,7 +133,7 @@ def _explained(what: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _closed_on_error(fd: int) -> Iterator[None]:
+def _close_on_error(fd: int) -> Iterator[None]:
     try:
         yield
     except BaseException:
@@ -241,9 +241,9 @@ class Ring:
         text = replace(meta, log_path=os.path.abspath(meta.log_path)).to_text()
         rows_at = HEADER_BYTES + -(-len(text) // mmap.PAGESIZE) * mmap.PAGESIZE
         header = struct.pack("<8s5Q", _MAGIC, _VERSION, ROW_BYTES, rows, len(text), rows_at)
-        with _explained(f"cannot make the ring {path}"):
+        with _explain_errors(f"cannot make the ring {path}"):
             fd = os.open(path.parent, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o600)
-            with _closed_on_error(fd):
+            with _close_on_error(fd):
                 os.posix_fallocate(fd, 0, rows_at + rows * ROW_BYTES)
                 os.pwrite(fd, header, 0)
                 os.pwrite(fd, text, HEADER_BYTES)
@@ -256,9 +256,9 @@ class Ring:
     @classmethod
     def attach(cls, path: str | Path) -> Ring:
         """Map an existing ring; raise RingError if there is none of this version."""
-        with _explained(f"cannot attach to the ring {path}"):
+        with _explain_errors(f"cannot attach to the ring {path}"):
             fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
-            with _closed_on_error(fd):
+            with _close_on_error(fd):
                 return cls(Path(path), fd)
 
     def _check_header(self) -> None:
@@ -331,7 +331,7 @@ class Ring:
             kind = RowKind.CONTINUATION
         self._head = self.head = self._head + span
 
-    def succeed(self) -> None:
+    def take_over(self) -> None:
         """Put from here on in the place of a producer that is dead."""
         self._head = self.head
         self._full_at = self.tail + self.rows
@@ -348,13 +348,13 @@ class Ring:
         """Rows put and not yet committed."""
         return self.head - self.tail
 
-    def drain(self, max_rows: int) -> Batch:
+    def drain(self, max_rows: int) -> RowBatch:
         """Copy out the oldest rows, about `max_rows` at most, without taking them."""
         first, head = self.tail, self.head
         end = min(first + max_rows, head)
         while end < head and self._kind(end) == RowKind.CONTINUATION:
             end += 1
-        return Batch(first, self._copy(first, end))
+        return RowBatch(first, self._copy(first, end))
 
     def commit(self, end_row: int) -> None:
         """Give the rows before `end_row` back to the loop."""

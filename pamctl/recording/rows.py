@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.json_text import from_json, to_json
-from pamctl.log.container import message_record, message_records
+from pamctl.log.container import make_message_record, make_message_records
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.wire import TickLayout
-from pamctl.log.writer import LogWriter, begin
-from pamctl.recording.ring import ROW_BYTES, ROW_HEADER, Batch, Entry, RowKind
+from pamctl.log.writer import LogWriter, begin_log
+from pamctl.recording.ring import ROW_BYTES, ROW_HEADER, Entry, RowBatch, RowKind
 from pamctl.signals import Field
 
 _TOPICS = {
@@ -36,7 +36,7 @@ class RowLogger:
         self._meta = meta
         self._layout = TickLayout.of_fields(meta.tick_fields)
         self._row = _row_dtype(meta.tick_fields)
-        self._channels = begin(writer, meta)
+        self._channels = begin_log(writer, meta)
         self.last_tick = -(1 << 62)
         """Ticks up to this one are in the log already, and are left out."""
         self.last_row = -1
@@ -44,7 +44,7 @@ class RowLogger:
         self.written: Counter[str] = Counter()
         """Messages by topic."""
 
-    def write(self, batch: Batch) -> None:
+    def write(self, batch: RowBatch) -> None:
         """Add a batch, in the order in which it was put, as one chunk."""
         rows = np.frombuffer(batch.data, self._row)
         start = 0
@@ -58,7 +58,7 @@ class RowLogger:
 
     def _write_ticks(self, rows: NDArray[Any]) -> None:
         rows = rows[rows["tick"] > self.last_tick]
-        messages = message_records(
+        messages = make_message_records(
             self._layout.encode(rows["columns"]),
             np.maximum(rows["t_ns"] + self._wall_less_mono, 0),
             rows["tick"],
@@ -69,17 +69,17 @@ class RowLogger:
     def _write_entry(self, entry: Entry) -> None:
         if entry.row <= self.last_row:
             return
-        value = self._value(entry)
+        value = self._decode_entry(entry)
         if value.get("event") in _METADATA_EVENTS:
-            self._writer.metadata(value["event"], _as_text(value))
+            self._writer.metadata(value["event"], _values_to_text(value))
         where = {"tick": entry.tick, "t_ns": entry.t_ns, "row": entry.row}
         time = max(entry.t_ns + self._wall_less_mono, 0)
         topic = _TOPICS[entry.kind]
-        message = message_record(to_json({**value, **where}), time, entry.tick)
+        message = make_message_record(to_json({**value, **where}), time, entry.tick)
         self._writer.add(self._channels[topic], message)
         self.written[topic] += 1
 
-    def _value(self, entry: Entry) -> dict[str, Any]:
+    def _decode_entry(self, entry: Entry) -> dict[str, Any]:
         if entry.kind != RowKind.KEYFRAME:
             return dict(from_json(entry.payload))
         state = struct.unpack(f"<{len(entry.payload) // 8}d", entry.payload)
@@ -94,7 +94,7 @@ _METADATA_EVENTS = ("timing_setup", "rig")
 """What the loop finds out about itself at its start: of the whole run, not of a moment."""
 
 
-def _as_text(value: Mapping[str, object]) -> dict[str, str]:
+def _values_to_text(value: Mapping[str, object]) -> dict[str, str]:
     return {
         name: part if isinstance(part, str) else to_json(part).decode()
         for name, part in value.items()

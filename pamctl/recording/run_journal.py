@@ -37,7 +37,7 @@ class RingJournal:
         """Keep the frozen state."""
         self._ring.put_keyframe(tick, t_ns, state)
 
-    def no_more_ticks(self) -> None:
+    def end_ticks(self) -> None:
         """Ask the guardian for patience: to release a card takes longer than a tick."""
         self._ring.loop_beat_ns = self._now_ns()
         self._ring.loop_stage = LoopStage.LEAVING
@@ -51,19 +51,19 @@ class PatientJournal(RingJournal):
         try:
             self._ring.put_tick(record)
         except RingFull:
-            self._patiently(lambda: self._ring.put_tick(record))
+            self._put_patiently(lambda: self._ring.put_tick(record))
         if not record.timing.tick % _BEAT_EVERY_TICKS:
             self._ring.loop_beat_ns = self._now_ns()
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Keep an event, whenever there is room."""
-        self._patiently(lambda: self._ring.put_event(tick, t_ns, event))
+        self._put_patiently(lambda: self._ring.put_event(tick, t_ns, event))
 
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
         """Keep the frozen state, whenever there is room."""
-        self._patiently(lambda: self._ring.put_keyframe(tick, t_ns, state))
+        self._put_patiently(lambda: self._ring.put_keyframe(tick, t_ns, state))
 
-    def _patiently(self, put: Callable[[], None]) -> None:
+    def _put_patiently(self, put: Callable[[], None]) -> None:
         """Try until it succeeds; give up on a recorder that has failed or fallen silent."""
         beats, silent_since_s = self._ring.recorder_beats, time.monotonic()
         while True:

@@ -10,11 +10,11 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from pamctl.exit_codes import Ending
-from pamctl.recording.last_words import outcome
+from pamctl.recording.last_words import make_outcome_event
 from pamctl.recording.ring import LoopStage, Ring
 from pamctl.signals import TickRecord
 
-_STANDING = ("timing_setup", "rig", "zeroed")
+_FIRST_EVENTS = ("timing_setup", "rig", "zeroed")
 """What the log of every run begins with, as it was said last."""
 
 
@@ -62,7 +62,7 @@ class SessionJournal:
         if ring is self._session:
             return
         self._recorded(None)
-        ring.put_event(tick, t_ns, outcome(ending))
+        ring.put_event(tick, t_ns, make_outcome_event(ending))
         ring.loop_done = 1
         ring.close()
         self._ring = self._session
@@ -92,7 +92,7 @@ class SessionJournal:
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Keep an event. The first one, just before the first tick, starts the heartbeat."""
-        if event["event"] in _STANDING:
+        if event["event"] in _FIRST_EVENTS:
             self._standing[str(event["event"])] = event
         self._ring.put_event(tick, t_ns, event)
         session = self._session
@@ -110,7 +110,7 @@ class SessionJournal:
         if self._ring is not self._session:
             self._ring.put_keyframe(tick, t_ns, state)
 
-    def no_more_ticks(self) -> None:
+    def end_ticks(self) -> None:
         """Ask the guardian for patience: to release a card takes longer than a tick."""
         self._session.loop_beat_ns = time.monotonic_ns()
         self._session.loop_stage = LoopStage.LEAVING

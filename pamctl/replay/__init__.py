@@ -20,21 +20,21 @@ from hal.calibration import Zero
 from pamctl.control.experiment import Segment
 from pamctl.log import Log
 from pamctl.realtime.tick import first_state
-from pamctl.replay.differences import Difference, Differences, Place
-from pamctl.replay.recorded_run import BehindTheEnd, NotReplayable, Recording
-from pamctl.replay.replayable import not_in_log, recording_of
-from pamctl.replay.rerun import Rerun, compared_fields
-from pamctl.replay.retick import reticked
-from pamctl.replay.retrace import retraced
+from pamctl.replay.differences import Difference, Differences, StageField
+from pamctl.replay.recorded_run import BehindTheEnd, NotReplayable, ReplaySource
+from pamctl.replay.replayable import find_absent_fields, read_replay_source
+from pamctl.replay.rerun import TickReplay, list_compared_fields
+from pamctl.replay.retick import retick_stretch
+from pamctl.replay.retrace import retrace_course
 from pamctl.replay.tolerance import EXACT, Tolerances
 
 __all__ = [
     "BehindTheEnd",
     "NotReplayable",
     "Replay",
-    "compared_fields",
-    "recording_of",
-    "replay",
+    "list_compared_fields",
+    "read_replay_source",
+    "replay_log",
 ]
 
 
@@ -42,7 +42,7 @@ __all__ = [
 class Replay:
     """What a replay found. Ticks are counted as they stand in the log, from 0."""
 
-    recording: Recording
+    recording: ReplaySource
     begin: int
     """The first tick that was replayed."""
     ticks: int
@@ -51,7 +51,7 @@ class Replay:
     """Ticks behind a loss, up to the next frozen state: nobody knows the state they began with."""
     unasked: int
     """Replayed ticks whose reference could not be asked for again, for the same reason."""
-    fields: tuple[Place, ...]
+    fields: tuple[StageField, ...]
     """What was compared."""
     absent: tuple[str, ...]
     """What could not be, because the log, of another version, does not have it."""
@@ -76,7 +76,7 @@ class Replay:
         return float(t_s[-1] - t_s[self.begin]) / self.took_s
 
 
-def replay(
+def replay_log(
     log: Log, *, from_s: float | None = None, plain: bool = False, tolerances: Tolerances = EXACT
 ) -> Replay:
     """Replay a log from its first tick, or from the last frozen state up to `from_s` (s).
@@ -84,13 +84,13 @@ def replay(
     `plain` runs the tick as the loop process does, without compiling it. Raises
     NotReplayable.
     """
-    recording = recording_of(log)
-    begin = 0 if from_s is None else recording.tick_before(from_s) + 1
+    recording = read_replay_source(log)
+    begin = 0 if from_s is None else recording.find_tick_before(from_s) + 1
     if not plain:
-        _load(recording)
+        _load_kernels(recording)
     began_s = time.perf_counter()
-    run = Rerun(recording, begin, Differences(tolerances), plain=plain)
-    for stretch in recording.stretches(begin):
+    run = TickReplay(recording, begin, Differences(tolerances), plain=plain)
+    for stretch in recording.cut_stretches(begin):
         run.take(*stretch)
     if run.skipped == len(recording) - begin:
         raise NotReplayable(
@@ -104,14 +104,14 @@ def replay(
         skipped=run.skipped,
         unasked=run.unasked,
         fields=tuple(run.differences.compared),
-        absent=tuple(not_in_log(log)),
+        absent=tuple(find_absent_fields(log)),
         differences=run.differences.all(),
         took_s=time.perf_counter() - began_s,
     )
 
 
-def _load(recording: Recording) -> None:
+def _load_kernels(recording: ReplaySource) -> None:
     """Run over no tick at all: to compile, or load what was compiled, is no part of the speed."""
     nowhere = first_state(Zero(0.0, 0.0), 0.0)
-    reticked(recording.setup_at(0), recording.output, nowhere, recording.inputs(0, 0))
-    retraced([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))
+    retick_stretch(recording.setup_at(0), recording.output, nowhere, recording.inputs(0, 0))
+    retrace_course([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))

@@ -31,7 +31,7 @@ _AROUND = 3
 _EXACTLY = Tolerance(0.0)
 
 
-class Place(NamedTuple):
+class StageField(NamedTuple):
     """A field of a stage."""
 
     stage: str
@@ -50,7 +50,7 @@ class Pair(NamedTuple):
 class Difference(NamedTuple):
     """What is known of a field that differs."""
 
-    place: Place
+    place: StageField
     first: Pair
     around: tuple[Pair, ...]
     """The ticks around the first difference, as far as they were compared."""
@@ -66,24 +66,31 @@ class Differences:
     def __init__(self, tolerances: Tolerances) -> None:
         """A field without a tolerance must be equal to the bit; NaN equals NaN."""
         self._tolerances = tolerances
-        self._found: dict[Place, Difference] = {}
-        self._last: dict[Place, tuple[Pair, ...]] = {}
-        self.compared: dict[Place, None] = {}
+        self._found: dict[StageField, Difference] = {}
+        self._last: dict[StageField, tuple[Pair, ...]] = {}
+        self.compared: dict[StageField, None] = {}
         """Every field that was compared, in the order of asking."""
 
-    def take(self, place: Place, tick: int, logged: Floats, replayed: Floats) -> None:
+    def take(self, place: StageField, tick: int, logged: Floats, replayed: Floats) -> None:
         """Compare a field over the ticks from `tick` on; both of shape (n,)."""
         self.compared[place] = None
-        wrong = differing(logged, replayed, self._tolerances.get(place.name, _EXACTLY))
+        wrong = find_differing(logged, replayed, self._tolerances.get(place.name, _EXACTLY))
         if wrong is not None:
             self._note(place, tick, logged, replayed, wrong)
         else:
-            self._last[place] = _pairs(tick, logged, replayed, len(logged) - _AROUND, len(logged))
+            self._last[place] = _make_pairs(
+                tick, logged, replayed, len(logged) - _AROUND, len(logged)
+            )
 
     def _note(
-        self, place: Place, tick: int, logged: Floats, replayed: Floats, wrong: NDArray[np.bool_]
+        self,
+        place: StageField,
+        tick: int,
+        logged: Floats,
+        replayed: Floats,
+        wrong: NDArray[np.bool_],
     ) -> None:
-        ticks, largest = int(wrong.sum()), _largest(logged[wrong], replayed[wrong])
+        ticks, largest = int(wrong.sum()), _find_largest(logged[wrong], replayed[wrong])
         before = self._found.get(place)
         if before is not None:
             self._found[place] = before._replace(
@@ -92,7 +99,7 @@ class Differences:
             return
         at = int(wrong.argmax())
         first = Pair(tick + at, float(logged[at]), float(replayed[at]))
-        near = _pairs(tick, logged, replayed, at - _AROUND, at + _AROUND + 1)
+        near = _make_pairs(tick, logged, replayed, at - _AROUND, at + _AROUND + 1)
         earlier = self._last.get(place, ())
         around = tuple(pair for pair in (*earlier, *near) if abs(pair.tick - first.tick) <= _AROUND)
         self._found[place] = Difference(place, first, around, ticks, largest)
@@ -108,7 +115,7 @@ class Differences:
         return tuple(sorted(self._found.values(), key=order))
 
 
-def differing(
+def find_differing(
     logged: Floats, replayed: Floats, tolerance: Tolerance = _EXACTLY
 ) -> NDArray[np.bool_] | None:
     """Tell for each of n values whether the two lie too far apart; None where none do."""
@@ -124,19 +131,21 @@ def differing(
     return wrong if wrong.any() else None
 
 
-def _largest(logged: Floats, replayed: Floats) -> float:
+def _find_largest(logged: Floats, replayed: Floats) -> float:
     with np.errstate(invalid="ignore"):
         apart = np.abs(logged - replayed)
     return float(np.where(np.isnan(apart), np.inf, apart).max())
 
 
-def _pairs(tick: int, logged: Floats, replayed: Floats, begin: int, end: int) -> tuple[Pair, ...]:
+def _make_pairs(
+    tick: int, logged: Floats, replayed: Floats, begin: int, end: int
+) -> tuple[Pair, ...]:
     near = slice(max(0, begin), end)
     values = zip(logged[near].tolist(), replayed[near].tolist(), strict=True)
     return tuple(Pair(tick + near.start + i, *pair) for i, pair in enumerate(values))
 
 
-def within(tolerances: Tolerances, differences: Iterable[Difference]) -> bool:
+def are_within_tolerance(tolerances: Tolerances, differences: Iterable[Difference]) -> bool:
     """Tell whether these absolute tolerances would have forgiven all of the differences."""
     return all(
         difference.largest <= tolerances.get(difference.place.name, _EXACTLY).absolute

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.experiment import held
+from pamctl.control.experiment import make_valve_reference
 from pamctl.control.homing import HomingError
 from pamctl.realtime.program import Program
-from pamctl.replay.differences import differing
-from pamctl.replay.recorded_run import Recording
-from pamctl.replay.retrace import retraced
-from pamctl.settings.build import nominal_zero_of, ordered_program, program_of
+from pamctl.replay.differences import find_differing
+from pamctl.replay.recorded_run import ReplaySource
+from pamctl.replay.retrace import retrace_course
+from pamctl.settings.build import build_ordered_program, build_program, nominal_zero_of
 from pamctl.signals import Phase, Reference
 
 _NOTHING = (-1.0, math.nan, math.nan, math.nan, math.nan, math.nan)
@@ -30,7 +30,7 @@ _BY_HISTORY = (Phase.HOMING, Phase.STOPPING)
 """Phases that depend on the ticks before; all others go by time alone."""
 
 
-class Asked(NamedTuple):
+class ProgramAnswer(NamedTuple):
     """What the program said in a stretch of ticks."""
 
     references: NDArray[np.float64]
@@ -39,10 +39,10 @@ class Asked(NamedTuple):
     """Zeros that it found, by the tick that they hold from."""
 
 
-class Reasking:
+class ProgramReplay:
     """Walks through the ticks of a recording in order, from any tick on."""
 
-    def __init__(self, recording: Recording, begin: int, *, plain: bool = False) -> None:
+    def __init__(self, recording: ReplaySource, begin: int, *, plain: bool = False) -> None:
         """The program of a run whose homing lies before `begin` is taken up after it.
 
         `plain` asks tick by tick, as the loop does.
@@ -52,11 +52,13 @@ class Reasking:
         self._phase = recording.log["phase"]
         self._valve_v = recording.log["valve_v"]
         self._safe_v = recording.setup_at(0).limits.safe_valve_v
-        self._parked = held(Phase.OPEN_LOOP, self._safe_v)
+        self._parked = make_valve_reference(Phase.OPEN_LOOP, self._safe_v)
         self._is_first = begin == 0 and 0 not in recording.losses and not recording.orders
-        self._program = program_of(recording.settings) if self._is_first else self._taken_up(begin)
+        self._program = (
+            build_program(recording.settings) if self._is_first else self._resume_program(begin)
+        )
 
-    def ask(self, begin: int, end: int) -> Asked | None:
+    def ask(self, begin: int, end: int) -> ProgramAnswer | None:
         """Return what is asked from `begin` to before `end`; None where nobody can tell.
 
         Stretches come in order, without one left out.
@@ -66,30 +68,30 @@ class Reasking:
         if begin in self._recording.losses and begin > 0 and self._depends_on_history(begin):
             self._program = None
         if self._program is None:
-            self._program = self._taken_up(begin)
+            self._program = self._resume_program(begin)
         if self._program is None:
             return None
-        asked = None if self._plain else self._retraced(self._program, begin, end)
-        return asked or self._walk(self._program, begin, end)
+        asked = None if self._plain else self._retrace_course(self._program, begin, end)
+        return asked or self._ask_tick_by_tick(self._program, begin, end)
 
-    def _retraced(self, program: Program, begin: int, end: int) -> Asked | None:
+    def _retrace_course(self, program: Program, begin: int, end: int) -> ProgramAnswer | None:
         """Return what a course asks for in one go, where that is what the log says."""
         if program.running is None or self._recording.stops & set(range(begin, end)):
             return None
         course, course_begin_s = program.running
         t_s = self._recording.log.t[begin:end]
-        rows = retraced(course.segments, course.duration_s, course_begin_s, t_s)
+        rows = retrace_course(course.segments, course.duration_s, course_begin_s, t_s)
         if rows is None or any(
-            differing(self._recording.log[name][begin:end].astype(np.float64), row) is not None
+            find_differing(self._recording.log[name][begin:end].astype(np.float64), row) is not None
             for name, row in zip(Reference._fields, rows, strict=True)
         ):
             return None  # plain Python, in which the log was made, has the last word
-        return Asked(rows, {})
+        return ProgramAnswer(rows, {})
 
     def _depends_on_history(self, tick: int) -> bool:
         return self._phase[tick - 1] in _BY_HISTORY or self._phase[tick] in _BY_HISTORY
 
-    def _taken_up(self, begin: int) -> Program | None:
+    def _resume_program(self, begin: int) -> Program | None:
         """Return a program that has come as far as `begin`, None if the log does not say how."""
         recording, times_s = self._recording, self._recording.log.t
         if recording.orders:
@@ -100,7 +102,7 @@ class Reasking:
             course_begin_s = float(times_s[max(homed)])
         else:
             return None
-        program = program_of(recording.settings, course_begin_s=course_begin_s)
+        program = build_program(recording.settings, course_begin_s=course_begin_s)
         for stop in (tick for tick in recording.stops if tick < begin):
             # Asked for in the tick before, or, where the course was over, in this very tick.
             at_once = self._phase[stop] == Phase.STOPPING
@@ -115,12 +117,14 @@ class Reasking:
         ordered_at = max((tick for tick in self._recording.orders if tick <= begin), default=None)
         if ordered_at is None or self._recording.losses & set(range(ordered_at, begin + 1)):
             return None
-        program = ordered_program(self._recording.settings, self._recording.orders[ordered_at])
+        program = build_ordered_program(
+            self._recording.settings, self._recording.orders[ordered_at]
+        )
         if ordered_at < begin:
-            self._walk(program, ordered_at, begin)
+            self._ask_tick_by_tick(program, ordered_at, begin)
         return program
 
-    def _walk(self, program: Program, begin: int, end: int) -> Asked:
+    def _ask_tick_by_tick(self, program: Program, begin: int, end: int) -> ProgramAnswer:
         inputs = self._recording.inputs(begin, end)
         samples = map(
             RawSample,
@@ -148,19 +152,21 @@ class Reasking:
             last_v = valve_v
             if tick in self._recording.stops:
                 self._begin_stop(program, t_s, last_v)
-        return Asked(np.array(rows, dtype=np.float64).reshape(-1, len(Reference._fields)).T, zeros)
+        return ProgramAnswer(
+            np.array(rows, dtype=np.float64).reshape(-1, len(Reference._fields)).T, zeros
+        )
 
     def _asked(
         self, program: Program, t_s: float, sample: RawSample, last_v: float
     ) -> tuple[Reference | None, Zero | None]:
         """Ask as the loop does: a course that is over begins its stop at once."""
         try:
-            reference, zero = program.next(t_s, sample)
+            reference, zero = program.next_reference(t_s, sample)
         except HomingError:
             return None, None
         if reference is None and not program.is_stopping:
             self._begin_stop(program, t_s, last_v)
-            reference, _ = program.next(t_s, sample)
+            reference, _ = program.next_reference(t_s, sample)
         return reference, zero
 
     def _valve_v_before(self, tick: int) -> float:

@@ -14,10 +14,10 @@ from hal.calibration import Zero
 from hal.converter import Output
 from pamctl.control.law import ControllerSettings
 from pamctl.log import Log
-from pamctl.realtime.gain_ramp import Tuning
-from pamctl.realtime.tick import TickSetup, TickState, first_state, rezeroed
-from pamctl.replay.retick import Inputs, inputs_of
-from pamctl.settings.build import output_of, setup_of
+from pamctl.realtime.gain_ramp import GainRamp
+from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state
+from pamctl.replay.retick import TickInputs, slice_inputs
+from pamctl.settings.build import build_tick_setup, output_of
 from pamctl.settings.resolve import RunSettings
 
 
@@ -29,7 +29,7 @@ class BehindTheEnd(NotReplayable):
     """The log is fine, and ends before the time that was asked for."""
 
 
-class Change(NamedTuple):
+class GainChange(NamedTuple):
     """Gains that were taken over on a ramp."""
 
     tick: int
@@ -40,7 +40,7 @@ class Change(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Recording:
+class ReplaySource:
     """A log as a replay sees it. Ticks are counted as they stand in the log, from 0."""
 
     log: Log
@@ -49,7 +49,7 @@ class Recording:
     """The sensors' zeros, by the tick that they hold from."""
     gains: ControllerSettings
     """Those that the run began with."""
-    changes: tuple[Change, ...]
+    changes: tuple[GainChange, ...]
     """Those that it took over while it ran, in order."""
     orders: Mapping[int, Mapping[str, Any]]
     """Runs that were ordered of a daemon's loop, by the tick that they hold from."""
@@ -64,15 +64,15 @@ class Recording:
         """Return the number of ticks."""
         return len(self.log)
 
-    def inputs(self, begin: int, end: int) -> Inputs:
+    def inputs(self, begin: int, end: int) -> TickInputs:
         """Return what the ticks from `begin` to before `end` were fed."""
-        return inputs_of(self.log.columns, begin, end)
+        return slice_inputs(self.log.columns, begin, end)
 
-    def stretches(self, begin: int) -> list[tuple[int, int]]:
+    def cut_stretches(self, begin: int) -> list[tuple[int, int]]:
         """Cut the ticks from `begin` on where state or gains change, or are known."""
         after_keyframes = {tick + 1 for tick in self.keyframes}
         cuts = {*self.zeros, *self.losses, *after_keyframes, *self.orders, begin, len(self)}
-        cuts.update(*(self._ramp(change) for change in self.changes))
+        cuts.update(*(self._find_ramp(change) for change in self.changes))
         return list(pairwise(sorted(cut for cut in cuts if begin <= cut <= len(self))))
 
     def state_at(self, tick: int, after_last: TickState | None) -> TickState | None:
@@ -86,9 +86,9 @@ class Recording:
             return first_state(zero, self.setup_at(0).limits.safe_valve_v)
         if lost or after_last is None or zero is None:
             return None if lost else after_last
-        return rezeroed(after_last, zero)
+        return rezero_state(after_last, zero)
 
-    def _ramp(self, change: Change) -> range:
+    def _find_ramp(self, change: GainChange) -> range:
         """Return the ticks in which gains move, and the first one with the new ones."""
         times_s = self.log.t
         end = int(np.searchsorted(times_s, change.from_t_s + change.ramp_s))
@@ -96,7 +96,7 @@ class Recording:
 
     def setup_at(self, tick: int) -> TickSetup:
         """Return the tick's setup: on a ramp it holds for this tick alone."""
-        tuning = Tuning(self._first_setup)
+        tuning = GainRamp(self._first_setup)
         for change in self.changes:
             if change.tick <= tick:
                 tuning.change(change.controller, change.from_t_s, change.ramp_s)
@@ -104,14 +104,14 @@ class Recording:
 
     @cached_property
     def _first_setup(self) -> TickSetup:
-        return setup_of(self.settings.model_copy(update={"controller": self.gains}))
+        return build_tick_setup(self.settings.model_copy(update={"controller": self.gains}))
 
     @cached_property
     def output(self) -> Output:
         """The valve's output."""
         return output_of(self.settings)
 
-    def tick_before(self, t_s: float) -> int:
+    def find_tick_before(self, t_s: float) -> int:
         """Return the last tick with a keyframe that is not later than `t_s`, or -1."""
         times_s = self.log.t
         if not t_s <= times_s[-1]:

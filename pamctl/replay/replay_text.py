@@ -7,17 +7,17 @@ import platform
 from typing import Any
 
 from pamctl.log import Log
-from pamctl.log.schema import unit_of
+from pamctl.log.schema import unit_of_column
 from pamctl.replay import Replay
-from pamctl.replay.differences import Difference, within
+from pamctl.replay.differences import Difference, are_within_tolerance
 from pamctl.replay.tolerance import OTHER_CPU, OTHER_CPU_NAME
 from pamctl.replay.what_if import WhatIf
-from pamctl.safety import explain
+from pamctl.safety import explain_verdicts
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import TICK_FIELDS, Phase
 
 
-def as_document(found: Replay, tolerance: str | None) -> dict[str, Any]:
+def make_replay_document(found: Replay, tolerance: str | None) -> dict[str, Any]:
     """Return the findings as one JSON document; ticks are those of the loop's grid."""
     first = found.differences[0] if found.differences else None
     return {
@@ -32,14 +32,14 @@ def as_document(found: Replay, tolerance: str | None) -> dict[str, Any]:
         "ticks_without_reference": found.unasked,
         "fields": [".".join(place) for place in found.fields],
         "fields_not_in_log": list(found.absent),
-        "first": None if first is None else _first(found, first),
+        "first": None if first is None else _describe_first(found, first),
         "differences": [
             {
                 **difference.place._asdict(),
                 "first_tick": _tick(found, difference.first.tick),
                 "ticks": difference.ticks,
                 "largest": difference.largest,
-                "unit": unit_of(difference.place.name),
+                "unit": unit_of_column(difference.place.name),
             }
             for difference in found.differences
         ],
@@ -48,7 +48,7 @@ def as_document(found: Replay, tolerance: str | None) -> dict[str, Any]:
     }
 
 
-def what_if_document(log: Log, settings: RunSettings, answer: WhatIf) -> dict[str, Any]:
+def make_what_if_document(log: Log, settings: RunSettings, answer: WhatIf) -> dict[str, Any]:
     """Return what another law would have commanded as one JSON document."""
     return {
         "schema": 1,
@@ -61,7 +61,7 @@ def what_if_document(log: Log, settings: RunSettings, answer: WhatIf) -> dict[st
     }
 
 
-def what_if_text(law: str, answer: WhatIf) -> str:
+def format_what_if(law: str, answer: WhatIf) -> str:
     """Return what another law would have commanded, a line each phase."""
     names = ("logged RMS", "other RMS", "diff. RMS", "diff. max")
     rows = [
@@ -80,14 +80,14 @@ def what_if_text(law: str, answer: WhatIf) -> str:
     )
 
 
-def _first(found: Replay, difference: Difference) -> dict[str, Any]:
+def _describe_first(found: Replay, difference: Difference) -> dict[str, Any]:
     at, logged, replayed = difference.first
     return {
         "tick": _tick(found, at),
         "t_s": float(found.recording.log.t[at]),
         "phase": _phase(found, at),
         **difference.place._asdict(),
-        "unit": unit_of(difference.place.name),
+        "unit": unit_of_column(difference.place.name),
         "logged": logged,
         "replayed": replayed,
         "around": [
@@ -97,10 +97,10 @@ def _first(found: Replay, difference: Difference) -> dict[str, Any]:
     }
 
 
-def as_text(found: Replay) -> str:
+def format_replay(found: Replay) -> str:
     """Return one line where all is equal; else what differs, first and after that."""
     log = found.recording.log
-    lines = _difference_lines(found)
+    lines = _format_differences(found)
     if not lines:
         lines = [
             f"{log.path}: equal, {found.ticks} ticks, {len(found.fields)} fields, "
@@ -120,7 +120,7 @@ def as_text(found: Replay) -> str:
     return "\n".join(lines)
 
 
-def _difference_lines(found: Replay) -> list[str]:
+def _format_differences(found: Replay) -> list[str]:
     if found.is_equal:
         return []
     first = found.differences[0]
@@ -130,8 +130,8 @@ def _difference_lines(found: Replay) -> list[str]:
     return [
         f"{log.path}: differs from tick {_tick(found, at)} on (t = {log.t[at]:.3f} s, "
         f"{_phase(found, at)}), first in {first.place.stage}: {name}",
-        f"  logged    {_shown(name, logged)}",
-        f"  replayed  {_shown(name, replayed)}",
+        f"  logged    {_format_value(name, logged)}",
+        f"  replayed  {_format_value(name, replayed)}",
         "",
         f"  {'tick':>8}  {'logged':>24}  {'replayed':>24}",
         *(
@@ -140,15 +140,15 @@ def _difference_lines(found: Replay) -> list[str]:
             for pair in first.around
         ),
         "",
-        *_stage_lines(found),
-        *_advice(found),
+        *_format_stages(found),
+        *_advise(found),
     ]
 
 
-def _shown(name: str, value: float) -> str:
+def _format_value(name: str, value: float) -> str:
     """Spell a value out to its last bit, a code by its meaning."""
     if name == "verdicts":
-        return "; ".join(explain(int(value))) or "no verdict"
+        return "; ".join(explain_verdicts(int(value))) or "no verdict"
     if name == "phase" and value >= 0:
         return Phase(int(value)).name.lower()
     if name in _FLAGS:
@@ -161,18 +161,18 @@ _CODES = [*_FLAGS, "verdicts", "phase"]
 
 
 def _unit(name: str) -> str:
-    unit = unit_of(name)
+    unit = unit_of_column(name)
     return "" if unit == "1" else unit
 
 
-def _stage_lines(found: Replay) -> list[str]:
+def _format_stages(found: Replay) -> list[str]:
     """Say stage by stage what differs, in the order in which they begin to."""
     lines = []
     for stage in dict.fromkeys(difference.place.stage for difference in found.differences):
         fields = [d for d in found.differences if d.place.stage == stage]
         since = _tick(found, fields[0].first.tick)
         ticks = max(difference.ticks for difference in fields)
-        shown = ", ".join(map(_magnitude, fields[:_FIELDS_SHOWN]))
+        shown = ", ".join(map(_format_magnitude, fields[:_FIELDS_SHOWN]))
         more = f" and {len(fields) - _FIELDS_SHOWN} more" if len(fields) > _FIELDS_SHOWN else ""
         often = "1 tick" if ticks == 1 else f"{ticks} ticks"
         lines.append(f"{stage} differs from tick {since} on, in {often}: {shown}{more}")
@@ -184,7 +184,7 @@ def _stage_lines(found: Replay) -> list[str]:
 _FIELDS_SHOWN = 5
 
 
-def _magnitude(difference: Difference) -> str:
+def _format_magnitude(difference: Difference) -> str:
     name = difference.place.name
     if name in _CODES:
         return name
@@ -193,10 +193,12 @@ def _magnitude(difference: Difference) -> str:
     return f"{name} (by up to {f'{difference.largest:.2g} {_unit(name)}'.rstrip()})"
 
 
-def _advice(found: Replay) -> list[str]:
+def _advise(found: Replay) -> list[str]:
     made = _maker(found)
-    lines = [f"made by pamctl {made['version']} on {made['machine']}; this is {_us()}"]
-    if within(OTHER_CPU, found.differences):
+    lines = [
+        f"made by pamctl {made['version']} on {made['machine']}; this is {_describe_this_pamctl()}"
+    ]
+    if are_within_tolerance(OTHER_CPU, found.differences):
         lines.append(
             "no more than another CPU's or C library's rounding: "
             f"compare with --tolerance {OTHER_CPU_NAME}"
@@ -204,7 +206,7 @@ def _advice(found: Replay) -> list[str]:
     return lines
 
 
-def _us() -> str:
+def _describe_this_pamctl() -> str:
     from pamctl import __version__
 
     return f"pamctl {__version__} on {platform.machine()}"

@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from hal.calibration import Zero
-from pamctl.realtime.keyframe import frozen, keyframe_fields
+from pamctl.realtime.keyframe import freeze_state, keyframe_fields
 from pamctl.realtime.tick import TickState, first_state
-from pamctl.replay.differences import Differences, Floats, Place, differing
-from pamctl.replay.reask import Asked, Reasking
-from pamctl.replay.recorded_run import Recording
-from pamctl.replay.retick import RETICKED, reticked
+from pamctl.replay.differences import Differences, Floats, StageField, find_differing
+from pamctl.replay.reask import ProgramAnswer, ProgramReplay
+from pamctl.replay.recorded_run import ReplaySource
+from pamctl.replay.retick import RETICK_FIELDS, retick_stretch
 from pamctl.signals import TICK_FIELDS
 
 
-def compared_fields() -> list[str]:
+def list_compared_fields() -> list[str]:
     """Name every field that a replay compares: of the zeros, of a tick, and of a keyframe."""
     return [
         *Zero._fields,
         *_REFERENCE,
-        *(field.name for field in RETICKED),
+        *(field.name for field in RETICK_FIELDS),
         *(name for _, name in _REMEMBERED),
     ]
 
@@ -33,11 +33,11 @@ _REMEMBERED = tuple(
 """What a keyframe has beside the tick: the memory of filters, law and safety."""
 
 
-class Rerun:
+class TickReplay:
     """A replay under way: the state, and what was found so far."""
 
     def __init__(
-        self, recording: Recording, begin: int, differences: Differences, *, plain: bool
+        self, recording: ReplaySource, begin: int, differences: Differences, *, plain: bool
     ) -> None:
         """Begin before the tick `begin`; stretches come in order from there."""
         self.differences = differences
@@ -46,7 +46,7 @@ class Rerun:
         self.unasked = 0
         """Ticks so far whose reference nobody knows."""
         self._recording = recording
-        self._reasking = Reasking(recording, begin, plain=plain)
+        self._reasking = ProgramReplay(recording, begin, plain=plain)
         self._state = recording.keyframes.get(begin - 1)
         self._plain = plain
         self._parted = False
@@ -62,22 +62,22 @@ class Rerun:
         if asked is None:
             self.unasked += end - begin
         else:
-            self._compare_asked(asked, begin, end)
-        self._state, rows = self._reticked(self._state, begin, end)
-        for field, row in zip(RETICKED, rows, strict=True):
+            self._compare_answer(asked, begin, end)
+        self._state, rows = self._retick_stretch(self._state, begin, end)
+        for field, row in zip(RETICK_FIELDS, rows, strict=True):
             if field.name in self._recording.log.columns:
-                logged = self._logged(field.name, begin, end)
-                self.differences.take(Place(field.stage, field.name), begin, logged, row)
+                logged = self._read_logged(field.name, begin, end)
+                self.differences.take(StageField(field.stage, field.name), begin, logged, row)
         self._compare_keyframe(self._state, end - 1)
 
-    def _reticked(self, state: TickState, begin: int, end: int) -> tuple[TickState, Floats]:
+    def _retick_stretch(self, state: TickState, begin: int, end: int) -> tuple[TickState, Floats]:
         recording = self._recording
         setup = recording.setup_at(begin)
         inputs = recording.inputs(begin, end)
-        after, rows = reticked(setup, recording.output, state, inputs, plain=self._plain)
+        after, rows = retick_stretch(setup, recording.output, state, inputs, plain=self._plain)
         self._forget_failed_writes(rows, begin, end)
         if not self._plain and not self._parted and self._differs(after, rows, begin, end):
-            after, rows = reticked(setup, recording.output, state, inputs, plain=True)
+            after, rows = retick_stretch(setup, recording.output, state, inputs, plain=True)
             self._forget_failed_writes(rows, begin, end)
             # From its first real difference on a replay only has to be told apart, not judged.
             self._parted = self._differs(after, rows, begin, end)
@@ -85,22 +85,25 @@ class Rerun:
 
     def _forget_failed_writes(self, rows: Floats, begin: int, end: int) -> None:
         """A write that failed is on record as NaN: nobody knows what it did."""
-        failed = np.isnan(self._logged("applied_v", begin, end))
+        failed = np.isnan(self._read_logged("applied_v", begin, end))
         rows[-1, failed] = np.nan
 
     def _differs(self, after: TickState, rows: Floats, begin: int, end: int) -> bool:
         keyframe = self._recording.keyframes.get(end - 1)
         return any(
-            differing(self._logged(field.name, begin, end), row) is not None
-            for field, row in zip(RETICKED, rows, strict=True)
+            find_differing(self._read_logged(field.name, begin, end), row) is not None
+            for field, row in zip(RETICK_FIELDS, rows, strict=True)
             if field.name in self._recording.log.columns
-        ) or (keyframe is not None and differing(_flat(keyframe), _flat(after)) is not None)
+        ) or (
+            keyframe is not None
+            and find_differing(_flatten_state(keyframe), _flatten_state(after)) is not None
+        )
 
-    def _compare_asked(self, asked: Asked, begin: int, end: int) -> None:
+    def _compare_answer(self, asked: ProgramAnswer, begin: int, end: int) -> None:
         for name, row in zip(_REFERENCE, asked.references, strict=True):
-            logged = self._logged(name, begin, end)
+            logged = self._read_logged(name, begin, end)
             self.differences.take(
-                Place("reference", name), begin, logged, np.ascontiguousarray(row)
+                StageField("reference", name), begin, logged, np.ascontiguousarray(row)
             )
         nowhere = Zero(np.nan, np.nan)
         for tick in sorted({begin} & self._recording.zeros.keys() | asked.zeros.keys()):
@@ -108,20 +111,23 @@ class Rerun:
             found = asked.zeros.get(tick, nowhere)
             for name, logged_v, found_v in zip(Zero._fields, logged_zero, found, strict=True):
                 self.differences.take(
-                    Place("zero", name), tick, np.array([logged_v]), np.array([found_v])
+                    StageField("zero", name), tick, np.array([logged_v]), np.array([found_v])
                 )
 
     def _compare_keyframe(self, after: TickState, tick: int) -> None:
         keyframe = self._recording.keyframes.get(tick)
         if keyframe is None:
             return
-        logged, ours = _flat(keyframe)[:, None], _flat(after)[:, None]  # rows of one tick each
+        logged, ours = (
+            _flatten_state(keyframe)[:, None],
+            _flatten_state(after)[:, None],
+        )  # rows of one tick each
         for index, name in _REMEMBERED:
-            self.differences.take(Place("keyframe", name), tick, logged[index], ours[index])
+            self.differences.take(StageField("keyframe", name), tick, logged[index], ours[index])
 
-    def _logged(self, name: str, begin: int, end: int) -> Floats:
+    def _read_logged(self, name: str, begin: int, end: int) -> Floats:
         return self._recording.log[name][begin:end].astype(np.float64)
 
 
-def _flat(state: TickState) -> Floats:
-    return np.array(frozen(state), dtype=np.float64)
+def _flatten_state(state: TickState) -> Floats:
+    return np.array(freeze_state(state), dtype=np.float64)

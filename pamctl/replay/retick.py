@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hal.calibration import output_v
-from hal.converter import Output, applied_v
+from hal.converter import Output, nearest_output_v
 from hal.rig import RawSample
-from pamctl.compiled import compiled
+from pamctl.compiled import compile_kernel
 from pamctl.realtime.tick import TickSetup, TickState, step
 from pamctl.signals import TICK_FIELDS, Field, Reference, Timing
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-RETICKED: tuple[Field, ...] = tuple(
+RETICK_FIELDS: tuple[Field, ...] = tuple(
     field
     for field in TICK_FIELDS
     if field.stage in ("measurement", "estimate", "command", "decision")
@@ -28,7 +28,7 @@ RETICKED: tuple[Field, ...] = tuple(
 """What `retick` computes, in the order of its rows."""
 
 
-class Inputs(NamedTuple):
+class TickInputs(NamedTuple):
     """All that a tick is fed, as columns of shape (n,): timing, raw sample, reference."""
 
     tick: NDArray[np.int64]
@@ -48,13 +48,17 @@ class Inputs(NamedTuple):
     reference_valve_v: NDArray[np.float64]
 
 
-def inputs_of(columns: Mapping[str, NDArray[Any]], begin: int, end: int) -> Inputs:
+def slice_inputs(columns: Mapping[str, NDArray[Any]], begin: int, end: int) -> TickInputs:
     """Return views of a log's columns; `begin` and `end` count ticks of the log."""
-    return Inputs._make(columns[name][begin:end] for name in Inputs._fields)
+    return TickInputs._make(columns[name][begin:end] for name in TickInputs._fields)
 
 
 def retick(
-    setup: TickSetup, output: Output, state: TickState, inputs: Inputs, rows: NDArray[np.float64]
+    setup: TickSetup,
+    output: Output,
+    state: TickState,
+    inputs: TickInputs,
+    rows: NDArray[np.float64],
 ) -> TickState:
     """Kernel: fill `rows`, of shape (fields of RETICKED, n); return the state after the last tick.
 
@@ -84,25 +88,25 @@ def retick(
         rows[2, i], rows[3, i], rows[4, i], rows[5, i], rows[6, i] = state.estimate
         rows[7, i], rows[8, i], rows[9, i], rows[10, i], rows[11, i] = state.command
         rows[12, i], rows[13, i], rows[14, i] = decision
-        rows[15, i] = applied_v(output, output_v(setup.calibration, decision.valve_v))
+        rows[15, i] = nearest_output_v(output, output_v(setup.calibration, decision.valve_v))
     return state
 
 
-def reticked(
-    setup: TickSetup, output: Output, state: TickState, inputs: Inputs, *, plain: bool = False
+def retick_stretch(
+    setup: TickSetup, output: Output, state: TickState, inputs: TickInputs, *, plain: bool = False
 ) -> tuple[TickState, NDArray[np.float64]]:
     """Run the ticks of a stretch, compiled or, as the loop process does, in plain Python.
 
     Returns the state after the last one, and the rows, of shape (fields of RETICKED, n).
     """
-    rows = np.empty((len(RETICKED), len(inputs.tick)))
+    rows = np.empty((len(RETICK_FIELDS), len(inputs.tick)))
     if plain:
         # As Python's own numbers: numpy's would take its powers by another library.
-        inputs = Inputs._make(column.tolist() for column in inputs)
+        inputs = TickInputs._make(column.tolist() for column in inputs)
         return retick(setup, output, state, inputs, rows), rows
-    return _compiled_retick()(setup, output, state, inputs, rows), rows
+    return _compile_retick()(setup, output, state, inputs, rows), rows
 
 
 @cache
-def _compiled_retick() -> Callable[..., TickState]:
-    return compiled(retick)
+def _compile_retick() -> Callable[..., TickState]:
+    return compile_kernel(retick)

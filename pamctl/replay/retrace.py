@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pamctl.compiled import compiled
+from pamctl.compiled import compile_kernel
 from pamctl.control.experiment import Segment
 from pamctl.control.trajectory import rest_to_rest
 from pamctl.signals import Reference
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-def retraced(
+def retrace_course(
     course: Sequence[Segment], duration_s: float, begin_s: float, t_s: Floats
 ) -> Floats | None:
     """Return the references of a course that began at `begin_s`; None if it is over by the last.
@@ -29,12 +29,12 @@ def retraced(
     `t_s`, of shape (n,), rises; the result has the shape (fields of Reference, n).
     """
     rows = np.empty((len(Reference._fields), len(t_s)))
-    done = _compiled_retrace()(_table(tuple(course)), duration_s, t_s - begin_s, rows)
+    done = _compile_retrace()(_tabulate_segments(tuple(course)), duration_s, t_s - begin_s, rows)
     return rows if done == len(t_s) else None
 
 
 @cache
-def _table(course: tuple[Segment, ...]) -> Floats:
+def _tabulate_segments(course: tuple[Segment, ...]) -> Floats:
     """Return the segments as rows, each with its begin: summed up as a course does it."""
     begin_s, rows = 0.0, []
     for segment in course:
@@ -44,8 +44,8 @@ def _table(course: tuple[Segment, ...]) -> Floats:
 
 
 @cache
-def _compiled_retrace() -> Callable[..., int]:
-    return compiled(retrace)
+def _compile_retrace() -> Callable[..., int]:
+    return compile_kernel(retrace)
 
 
 def retrace(segments: Floats, duration_s: float, t_s: Floats, rows: Floats) -> int:

@@ -23,7 +23,7 @@ from pydantic import Field, TypeAdapter
 
 from hal.configured import Configured
 from pamctl.settings.problems import ConfigError, Problem
-from pamctl.settings.resolve import Raw, validated
+from pamctl.settings.resolve import RawSettings, validate_settings
 
 
 class Tolerance(NamedTuple):
@@ -91,17 +91,18 @@ def read_tolerances(path: Path, fields: Collection[str]) -> Tolerances:
 
     Raises ConfigError.
     """
-    raw = Raw.read(path)
+    raw = RawSettings.read(path)
     unknown = [name for name in raw.data if name not in fields]
     if unknown:
         raise ConfigError(
-            Problem(raw.origin((name,)), name, _not_compared(name, fields)) for name in unknown
+            Problem(raw.origin((name,)), name, _explain_not_compared(name, fields))
+            for name in unknown
         )
-    found = validated(_FILE, raw)
+    found = validate_settings(_FILE, raw)
     return {name: Tolerance(one.absolute, one.relative) for name, one in found.items()}
 
 
-def _not_compared(name: str, fields: Collection[str]) -> str:
+def _explain_not_compared(name: str, fields: Collection[str]) -> str:
     near = get_close_matches(name, fields, n=1)
     hint = f"; did you mean '{near[0]}'?" if near else ""
     return f"no field of this name is compared{hint}"

@@ -19,17 +19,23 @@ from numpy.typing import NDArray
 from pamctl.log import Log
 from pamctl.realtime.tick import TickState
 from pamctl.replay.recorded_run import NotReplayable
-from pamctl.replay.replayable import recording_of
-from pamctl.replay.retick import RETICKED, reticked
-from pamctl.settings.build import setup_of
+from pamctl.replay.replayable import read_replay_source
+from pamctl.replay.retick import RETICK_FIELDS, retick_stretch
+from pamctl.settings.build import build_tick_setup
 from pamctl.settings.problems import ConfigError, Problem
-from pamctl.settings.resolve import RUN, Raw, RunSettings, to_data, validated
+from pamctl.settings.resolve import (
+    RUN,
+    RawSettings,
+    RunSettings,
+    settings_to_data,
+    validate_settings,
+)
 from pamctl.signals import Phase
 
 Floats = NDArray[np.float64]
 
-_COMMAND = [field.name for field in RETICKED].index("command_v")
-_SATURATED = [field.name for field in RETICKED].index("saturated")
+_COMMAND = [field.name for field in RETICK_FIELDS].index("command_v")
+_SATURATED = [field.name for field in RETICK_FIELDS].index("saturated")
 
 
 class PhaseFigures(NamedTuple):
@@ -67,14 +73,14 @@ class WhatIf:
             table.writerows(zip(*(column.tolist() for column in columns), strict=True))
 
 
-def with_other_law(
+def replace_law(
     settings: RunSettings, controller: str | None, overrides: Sequence[str]
 ) -> RunSettings:
     """Return a run's settings under another gains file, and `controller.*` overrides.
 
     Raises ConfigError.
     """
-    raw = Raw(to_data(settings), {(): "the log's configuration"})
+    raw = RawSettings(settings_to_data(settings), {(): "the log's configuration"})
     if controller is not None:
         raw.add_section("controller", controller)
     for override in overrides:
@@ -82,33 +88,37 @@ def with_other_law(
             message = "a what-if asks another law; only controller.* can be set"
             raise ConfigError([Problem(f"--set {override}", "", message)])
         raw.override(override)
-    return validated(RUN, raw)
+    return validate_settings(RUN, raw)
 
 
-def what_if(log: Log, settings: RunSettings, *, from_s: float | None = None) -> WhatIf:
+def run_what_if(log: Log, settings: RunSettings, *, from_s: float | None = None) -> WhatIf:
     """Run the law of `settings` over the samples of a log; raise NotReplayable.
 
     It begins where `replay` would; gains that the run took over on its way are left out.
     """
-    recording = recording_of(log)
-    begin = 0 if from_s is None else recording.tick_before(from_s) + 1
-    setup = setup_of(settings)
+    recording = read_replay_source(log)
+    begin = 0 if from_s is None else recording.find_tick_before(from_s) + 1
+    setup = build_tick_setup(settings)
     rows = np.full((2, len(recording)), math.nan)
     after: TickState | None = recording.keyframes.get(begin - 1)
-    for start, end in recording.stretches(begin):
+    for start, end in recording.cut_stretches(begin):
         state = recording.state_at(start, after)
         if state is None:
             after = recording.keyframes.get(end - 1)
             continue
-        after, stretch = reticked(setup, recording.output, state, recording.inputs(start, end))
+        after, stretch = retick_stretch(
+            setup, recording.output, state, recording.inputs(start, end)
+        )
         rows[:, start:end] = stretch[[_COMMAND, _SATURATED]]
     by_law = np.flatnonzero(np.isfinite(rows[0]) & np.isnan(log["reference_valve_v"]))
     if not len(by_law):
         raise NotReplayable(f"{log.path} has no tick in which a law ran: nothing to ask another")
-    return _answer(log, by_law, *rows[:, by_law])
+    return _build_what_if(log, by_law, *rows[:, by_law])
 
 
-def _answer(log: Log, ticks: NDArray[np.int64], other_v: Floats, saturated: Floats) -> WhatIf:
+def _build_what_if(
+    log: Log, ticks: NDArray[np.int64], other_v: Floats, saturated: Floats
+) -> WhatIf:
     phase, logged_v = log["phase"][ticks], log["command_v"][ticks]
     logged_saturated = log["saturated"][ticks]
     return WhatIf(

@@ -15,15 +15,15 @@ from pamctl.report.record_section import (
     write_safety,
     write_settings,
 )
-from pamctl.report.reported_run import Run, runs_of
+from pamctl.report.reported_run import ReportedRun, name_runs
 from pamctl.report.summary_section import write_summary
 from pamctl.report.timing_section import write_timing
 
 
-def report(logs: Sequence[Log]) -> Page:
+def compose_report(logs: Sequence[Log]) -> Page:
     """Return the page of these logs, at least one: whatever they lack is left out, or said."""
-    runs = runs_of(logs)
-    page = Page(_title(runs), ", ".join(str(run.log.path.name) for run in runs))
+    runs = name_runs(logs)
+    page = Page(_make_title(runs), ", ".join(str(run.log.path.name) for run in runs))
     write_summary(page, runs)
     if len(runs) > 1:
         write_differences(page, runs)
@@ -39,7 +39,7 @@ def report(logs: Sequence[Log]) -> Page:
     return page
 
 
-def _title(runs: Sequence[Run]) -> str:
+def _make_title(runs: Sequence[ReportedRun]) -> str:
     if len(runs) > 1:
         return f"{len(runs)} runs side by side"
     meta = runs[0].meta

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-def unbroken(x: Floats, y: Floats) -> list[slice]:
+def find_unbroken(x: Floats, y: Floats) -> list[slice]:
     """Return the stretches, longest possible, in which both are finite; shape (n,) each."""
     finite = np.concatenate(([False], np.isfinite(x) & np.isfinite(y), [False]))
     begins = np.flatnonzero(~finite[:-1] & finite[1:])
@@ -22,7 +22,7 @@ def unbroken(x: Floats, y: Floats) -> list[slice]:
     return [slice(int(b), int(e)) for b, e in zip(begins, ends, strict=True)]
 
 
-def extremes(x: Floats, y: Floats, column: float) -> Indices:
+def keep_extremes(x: Floats, y: Floats, column: float) -> Indices:
     """Return, in order, the points that draw the line through (x, y); x must not fall.
 
     Of each column the lowest and the highest point stay, and of the whole the first and the
@@ -39,7 +39,7 @@ def extremes(x: Floats, y: Floats, column: float) -> Indices:
     return np.unique(np.concatenate(([0], order[starts], order[ends], [count - 1])))
 
 
-def without_repeats(x: Floats, y: Floats, cell: float) -> Indices:
+def drop_repeats(x: Floats, y: Floats, cell: float) -> Indices:
     """Return the points of a curve through a plane, without those that stay in their cell.
 
     Shape (n,) of finite numbers in. The extremes of x and y and the last point stay.
@@ -48,17 +48,17 @@ def without_repeats(x: Floats, y: Floats, cell: float) -> Indices:
         return np.zeros(0, np.intp)
     across, up = np.floor(x / cell), np.floor(y / cell)
     moved = np.concatenate(([True], (np.diff(across) != 0) | (np.diff(up) != 0)))
-    return np.unique(np.concatenate((np.flatnonzero(moved), _outermost(x, y), [len(x) - 1])))
+    return np.unique(np.concatenate((np.flatnonzero(moved), _find_outermost(x, y), [len(x) - 1])))
 
 
-def one_of_each_cell(x: Floats, y: Floats, cell: float) -> Indices:
+def thin_cloud(x: Floats, y: Floats, cell: float) -> Indices:
     """Return one point of every cell that a cloud touches, and the extremes of x and y."""
     if not len(x):
         return np.zeros(0, np.intp)
     cells = np.floor(x / cell) + 1j * np.floor(y / cell)
     _, first = np.unique(cells, return_index=True)
-    return np.unique(np.concatenate((first, _outermost(x, y))))
+    return np.unique(np.concatenate((first, _find_outermost(x, y))))
 
 
-def _outermost(x: Floats, y: Floats) -> Indices:
+def _find_outermost(x: Floats, y: Floats) -> Indices:
     return np.array([x.argmin(), x.argmax(), y.argmin(), y.argmax()])

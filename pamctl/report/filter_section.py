@@ -7,40 +7,43 @@ from collections.abc import Sequence
 import numpy as np
 
 from pamctl.report.html_page import Page
-from pamctl.report.motion_section import MM, time_axis
-from pamctl.report.reported_run import Run
+from pamctl.report.motion_section import MM, make_time_axis
+from pamctl.report.reported_run import ReportedRun
 from pamctl.report.summary_section import MICRO
-from pamctl.report.svg import MUTED, Axis, Plot
+from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 
 CLOSE_S = 0.06
 """How much time the close look shows, before and after."""
 
 
-def write_filtering(page: Page, runs: Sequence[Run]) -> None:
+def write_filtering(page: Page, runs: Sequence[ReportedRun]) -> None:
     """Write the effect of LPF_1 and LPF_2 for each run that filtered."""
-    filtering = [run for run in runs if _moved_um(run) is not None]
+    filtering = [run for run in runs if _compute_shift_um(run) is not None]
     if not filtering:
         return
     page.section("Filters")
-    plot = Plot(
-        "Filtered minus raw displacement", time_axis(filtering), Axis("LPF_1", "µm"), height_px=120
+    plot = SvgPlot(
+        "Filtered minus raw displacement",
+        make_time_axis(filtering),
+        PlotAxis("LPF_1", "µm"),
+        height_px=120,
     )
     for colour, run in enumerate(filtering):
-        moved = _moved_um(run)
+        moved = _compute_shift_um(run)
         label = run.name if len(filtering) > 1 else ""
         plot.line(run.t_s[run.shown], moved[run.shown], label, colour=colour)  # type: ignore[index]
     page.figure(plot, caption="What the filter on the displacement takes away, lag included.")
     for run in filtering:
-        if (close := _close(run)) is not None:
-            page.grid(*close, caption=_caption(run, alone=len(filtering) == 1))
+        if (close := _plot_close_look(run)) is not None:
+            page.grid(*close, caption=_make_caption(run, alone=len(filtering) == 1))
 
 
-def _moved_um(run: Run) -> np.ndarray | None:
+def _compute_shift_um(run: ReportedRun) -> np.ndarray | None:
     raw, filtered = run.column("position_m", MICRO), run.column("position_filtered_m", MICRO)
     return None if raw is None or filtered is None else filtered - raw
 
 
-def _caption(run: Run, *, alone: bool) -> str:
+def _make_caption(run: ReportedRun, *, alone: bool) -> str:
     controller = run.log.config.get("controller", {})
     cutoffs = ", ".join(
         f"{name} {controller[key]:g} Hz"
@@ -51,8 +54,8 @@ def _caption(run: Run, *, alone: bool) -> str:
     return f"{whose}A close look at where the filter moves the displacement most. {cutoffs}"
 
 
-def _close(run: Run) -> list[Plot] | None:
-    moved_um, error_m = _moved_um(run), run.error_m
+def _plot_close_look(run: ReportedRun) -> list[SvgPlot] | None:
+    moved_um, error_m = _compute_shift_um(run), run.error_m
     if moved_um is None or error_m is None:
         return None
     moved = np.where(run.tracked, np.abs(moved_um), np.nan)
@@ -60,17 +63,17 @@ def _close(run: Run) -> list[Plot] | None:
         return None
     middle_s = run.t_s[np.nanargmax(moved)]
     near = (np.abs(run.t_s - middle_s) <= CLOSE_S) & run.shown
-    t_s, axis = run.t_s[near], Axis("time", "s", tight=True)
+    t_s, axis = run.t_s[near], PlotAxis("time", "s", tight=True)
     # Minus the reference, or the motion itself would hide a difference of micrometres.
     error_um = error_m[near] * MICRO
-    close = Plot("Error, close", axis, Axis("x \N{MINUS SIGN} x_D", "µm"))
+    close = SvgPlot("Error, close", axis, PlotAxis("x \N{MINUS SIGN} x_D", "µm"))
     close.line(t_s, error_um, "raw", colour=MUTED, step=True)
     close.line(t_s, error_um + moved_um[near], "after LPF_1")
     plots = [close]
     rate = run.column("error_rate_m_per_s", MM)
     if rate is not None and len(t_s) > 1:
         raw_rate = np.gradient(error_m[near] * MM, t_s)
-        derivative = Plot("Rate of the error, close", axis, Axis("e'", "mm/s"))
+        derivative = SvgPlot("Rate of the error, close", axis, PlotAxis("e'", "mm/s"))
         derivative.line(t_s, raw_rate, "raw difference", colour=MUTED)
         derivative.line(t_s, rate[near], "after LPF_2")
         plots.append(derivative)

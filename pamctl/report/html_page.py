@@ -19,7 +19,7 @@ from html import escape
 from typing import Protocol
 
 from pamctl.report.style import STYLE
-from pamctl.report.svg import Plot, same_x
+from pamctl.report.svg import SvgPlot, share_x_axis
 
 _NUMBER = re.compile(r"^[\s<>\N{MINUS SIGN}+-]*[\d.][\d\s.,e/:%x\N{MULTIPLICATION SIGN}+-]*$")
 _NO_NUMBER = ("", "-", "nan", "trips")
@@ -28,8 +28,8 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 """The browser itself refuses whatever would leave the file."""
 
 
-class Drawn(Protocol):
-    """What a figure may hold: a `Plot`, or `Levels`."""
+class Drawable(Protocol):
+    """What a figure may hold: a `SvgPlot`, or `Levels`."""
 
     def html(self) -> str:
         """Return it as a part of a page, escaped."""
@@ -57,15 +57,17 @@ class Page:
 
     def text(self, *paragraphs: str) -> None:
         """Write paragraphs; here and in points and notes `between backticks` is code."""
-        self._body += [f"<p>{_inline(paragraph)}</p>" for paragraph in paragraphs]
+        self._body += [f"<p>{_format_inline(paragraph)}</p>" for paragraph in paragraphs]
 
     def points(self, *items: str) -> None:
         """Write a list."""
-        self._body.append("<ul>" + "".join(f"<li>{_inline(i)}</li>" for i in items) + "</ul>")
+        self._body.append(
+            "<ul>" + "".join(f"<li>{_format_inline(i)}</li>" for i in items) + "</ul>"
+        )
 
     def note(self, text: str, *, kind: str = "note") -> None:
         """Write what must not be overlooked: kind `note`, `good` or `bad`."""
-        self._body.append(f'<p class="callout {escape(kind)}">{_inline(text)}</p>')
+        self._body.append(f'<p class="callout {escape(kind)}">{_format_inline(text)}</p>')
 
     def facts(self, facts: Mapping[str, object]) -> None:
         """Write names and values beside each other."""
@@ -100,16 +102,16 @@ class Page:
             f"<tbody>{body}</tbody></table></div>"
         )
 
-    def figure(self, *plots: Plot, caption: str = "", one_x: bool = True) -> None:
+    def figure(self, *plots: SvgPlot, caption: str = "", one_x: bool = True) -> None:
         """Write a figure of plots above each other, on one x axis unless `one_x` is false."""
         if one_x:
-            same_x(plots)
-        self._figure("".join(plot.html() for plot in plots), caption, "")
+            share_x_axis(plots)
+        self._add_figure("".join(plot.html() for plot in plots), caption, "")
 
-    def grid(self, *plots: Drawn, caption: str = "") -> None:
+    def grid(self, *plots: Drawable, caption: str = "") -> None:
         """Write a figure of plots beside each other; on a narrow screen above each other."""
         inside = "".join(plot.html() for plot in plots)
-        self._figure(f'<div class="grid2">{inside}</div>', caption, "")
+        self._add_figure(f'<div class="grid2">{inside}</div>', caption, "")
 
     def fold(self, heading: str, text: str) -> None:
         """Write a text that is shown when it is asked for, and in print."""
@@ -137,14 +139,14 @@ class Page:
             + "\n</main></body></html>\n"
         )
 
-    def _figure(self, inside: str, caption: str, css: str) -> None:
+    def _add_figure(self, inside: str, caption: str, css: str) -> None:
         self._figures += 1
         number = f"<b>Figure {self._figures}.</b> " if self._numbered else ""
         under = f"<figcaption>{number}{escape(caption)}</figcaption>" if caption else ""
         self._body.append(f'<figure class="{css}">{inside}{under}</figure>')
 
 
-def _inline(text: str) -> str:
+def _format_inline(text: str) -> str:
     return _CODE.sub(r"<code>\1</code>", escape(text))
 
 

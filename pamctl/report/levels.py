@@ -40,8 +40,8 @@ class Levels:
             f'<span>{escape(label)}</span><svg class="data" role="img" '
             f'aria-label="{escape(f"{label}: {value:.4g} {self.unit}")}" '
             f'viewBox="0 0 {_WIDTH} 10" preserveAspectRatio="none">'
-            f'<path class="b solid {css_of(colour)}" d="M0 0H{self._place(value)}V10H0z"/>'
-            f"{self._marked()}</svg>"
+            f'<path class="b solid {css_of(colour)}" d="M0 0H{self._place_of(value)}V10H0z"/>'
+            f"{self._draw_mark()}</svg>"
             f'<span class="num">{value:.4g} {escape(self.unit)}</span>'
             for label, value, colour in self._bars
         )
@@ -50,11 +50,11 @@ class Levels:
             f'<div class="levels">{rows}</div></div>'
         )
 
-    def _place(self, value: float) -> int:
+    def _place_of(self, value: float) -> int:
         largest = max((v for _, v, _ in self._bars), default=0.0) or 1.0
         return max(round(value / largest * _WIDTH), 3)  # a bar of nothing can still be seen
 
-    def _marked(self) -> str:
+    def _draw_mark(self) -> str:
         if self._mark is None or not self._bars:
             return ""
-        return f'<path class="l mark cm" d="M{min(self._place(self._mark), _WIDTH)} 0V10"/>'
+        return f'<path class="l mark cm" d="M{min(self._place_of(self._mark), _WIDTH)} 0V10"/>'

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.report.decimate import extremes, one_of_each_cell, unbroken, without_repeats
+from pamctl.report.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
 from pamctl.report.scale import Scale
 
 Floats = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Frame(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Mark:
+class PlotMark:
     """Data in a plot: what the axes must show of it, what the legend says, how it is drawn."""
 
     xs: Sequence[Floats]
@@ -53,54 +53,54 @@ class Mark:
     draw: Callable[[Frame], str]
 
 
-def line(frame: Frame, x: Floats, y: Floats, css: str, *, step: bool = False) -> str:
+def draw_line(frame: Frame, x: Floats, y: Floats, css: str, *, step: bool = False) -> str:
     """Draw a line; x never falls. With `step` each value holds until the next point."""
     across, down = frame.across(x), frame.down(y)
     if step and len(across):
         across, down = np.repeat(across, 2)[1:], np.repeat(down, 2)[:-1]
     parts = []
-    for part in unbroken(across, down):
-        kept = extremes(across[part], down[part], PIXEL)
-        parts.append(path(across[part][kept], down[part][kept]))
+    for part in find_unbroken(across, down):
+        kept = keep_extremes(across[part], down[part], PIXEL)
+        parts.append(draw_polyline(across[part][kept], down[part][kept]))
     return f'<path class="{css}" d="{"".join(parts)}"/>'
 
 
-def curve(frame: Frame, x: Floats, y: Floats, css: str) -> str:
+def draw_curve(frame: Frame, x: Floats, y: Floats, css: str) -> str:
     """Draw a curve through a plane, in the order of its points."""
     across, down = frame.across(x), frame.down(y)
     parts = []
-    for part in unbroken(across, down):
-        kept = without_repeats(across[part], down[part], CURVE_CELL)
-        parts.append(path(across[part][kept], down[part][kept]))
+    for part in find_unbroken(across, down):
+        kept = drop_repeats(across[part], down[part], CURVE_CELL)
+        parts.append(draw_polyline(across[part][kept], down[part][kept]))
     return f'<path class="{css}" d="{"".join(parts)}"/>'
 
 
-def band(frame: Frame, x: Floats, low: Floats, high: Floats, css: str) -> str:
+def draw_band(frame: Frame, x: Floats, low: Floats, high: Floats, css: str) -> str:
     """Fill the area between two lines over the same x, which never falls."""
     across, top, bottom = frame.across(x), frame.down(high), frame.down(low)
     parts = []
-    for part in unbroken(across, top + bottom):
-        upper = extremes(across[part], top[part], PIXEL)
-        lower = extremes(across[part], bottom[part], PIXEL)[::-1]
+    for part in find_unbroken(across, top + bottom):
+        upper = keep_extremes(across[part], top[part], PIXEL)
+        lower = keep_extremes(across[part], bottom[part], PIXEL)[::-1]
         round_x = np.concatenate((across[part][upper], across[part][lower]))
         round_y = np.concatenate((top[part][upper], bottom[part][lower]))
-        parts.append(path(round_x, round_y) + "z")
+        parts.append(draw_polyline(round_x, round_y) + "z")
     return f'<path class="{css}" d="{"".join(parts)}"/>'
 
 
-def points(frame: Frame, x: Floats, y: Floats, css: str) -> str:
+def draw_points(frame: Frame, x: Floats, y: Floats, css: str) -> str:
     """Draw a cloud of points."""
     across, down = frame.across(x), frame.down(y)
     shown = np.isfinite(across) & np.isfinite(down)
     across, down = across[shown], down[shown]
-    kept = one_of_each_cell(across, down, CLOUD_CELL)
+    kept = thin_cloud(across, down, CLOUD_CELL)
     columns, rows = np.rint(across[kept]).astype(int), np.rint(down[kept]).astype(int)
     places = zip(columns.tolist(), rows.tolist(), strict=True)
     # A line of no length with round ends is a dot, and stays round in a stretched frame.
     return f'<path class="{css}" d="{"".join(f"M{x} {y}h0" for x, y in places)}"/>'
 
 
-def bars(frame: Frame, edges: Floats, counts: Floats, css: str) -> str:
+def draw_bars(frame: Frame, edges: Floats, counts: Floats, css: str) -> str:
     """Draw a histogram: `counts` of shape (n,) between `edges` of shape (n + 1,)."""
     sides, tops, bottom = frame.across(edges), frame.down(counts), frame.height
     outline = "".join(
@@ -118,7 +118,9 @@ class HeatRange(NamedTuple):
     high: float
 
 
-def cells(frame: Frame, x_edges: Floats, y_edges: Floats, values: Floats, shown: HeatRange) -> str:
+def draw_cells(
+    frame: Frame, x_edges: Floats, y_edges: Floats, values: Floats, shown: HeatRange
+) -> str:
     """Draw a map: `values` of shape (rows, columns) over cell edges; NaN stays empty."""
     across, down = frame.across(x_edges), frame.down(y_edges)
     span = (shown.high - shown.low) or 1.0
@@ -146,17 +148,17 @@ def heat_colour(share: float) -> str:
     return "#" + "".join(f"{part:02x}" for part in mixed)
 
 
-def path(x: Floats, y: Floats) -> str:
+def draw_polyline(x: Floats, y: Floats) -> str:
     """Return a polyline through points of shape (n,), n > 0, as short as SVG lets it be."""
     columns, rows = np.rint(x).astype(int), np.rint(y).astype(int)
     start = f"M{columns[0]} {rows[0]}"
     if len(columns) == 1:
         return start + "h0"
     steps = zip(np.diff(columns).tolist(), np.diff(rows).tolist(), strict=True)
-    return start + "l" + "".join(_pair(right, down) for right, down in steps).lstrip()
+    return start + "l" + "".join(_write_pair(right, down) for right, down in steps).lstrip()
 
 
-def _pair(right: int, down: int) -> str:
+def _write_pair(right: int, down: int) -> str:
     """Write two numbers; a minus sign parts them as well as a space does."""
     first = str(right) if right < 0 else f" {right}"
     return first + (str(down) if down < 0 else f" {down}")

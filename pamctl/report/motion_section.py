@@ -7,36 +7,36 @@ from collections.abc import Sequence
 import numpy as np
 
 from pamctl.report.html_page import Page
-from pamctl.report.reported_run import Run, law_name, paper_rows
-from pamctl.report.summary_section import MICRO, rms
-from pamctl.report.svg import MUTED, Axis, Plot
+from pamctl.report.reported_run import ReportedRun, law_name, paper_rows
+from pamctl.report.summary_section import MICRO, rms_of_finite
+from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 
 KPA, MM = 1e-3, 1e3
 
 
-def time_axis(runs: Sequence[Run]) -> Axis:
+def make_time_axis(runs: Sequence[ReportedRun]) -> PlotAxis:
     """Return the time axis of these runs."""
-    since = "time since homing" if any(run.homes for run in runs) else "time"
-    return Axis(since, "s", tight=True)
+    since = "time since homing" if any(run.has_homing for run in runs) else "time"
+    return PlotAxis(since, "s", tight=True)
 
 
-def write_motion(page: Page, runs: Sequence[Run]) -> None:
+def write_motion(page: Page, runs: Sequence[ReportedRun]) -> None:
     """Write displacement, error, pressure and command of runs of one experiment."""
     page.section("Motion")
-    for group in same_experiment(runs):
+    for group in group_by_experiment(runs):
         if len(group) < len(runs):
             page.heading(", ".join(run.name for run in group))
-        makers = (_displacement, _error, _pressure, _force, _command)
+        makers = (_plot_displacement, _plot_error, _plot_pressure, _plot_force, _plot_command)
         plots = [plot for make in makers if (plot := make(group)) is not None]
         if not plots:
             page.text("The log has no displacement, no pressure and no command to show.")
             continue
-        page.figure(*plots, caption=_caption(group))
+        page.figure(*plots, caption=_make_caption(group))
 
 
-def same_experiment(runs: Sequence[Run]) -> list[list[Run]]:
+def group_by_experiment(runs: Sequence[ReportedRun]) -> list[list[ReportedRun]]:
     """Return the runs in groups that share an experiment, and so a time axis."""
-    groups: list[list[Run]] = []
+    groups: list[list[ReportedRun]] = []
     for run in runs:
         asked = run.log.config.get("experiment")
         for group in groups:
@@ -48,11 +48,11 @@ def same_experiment(runs: Sequence[Run]) -> list[list[Run]]:
     return groups
 
 
-def _caption(group: Sequence[Run]) -> str:
+def _make_caption(group: Sequence[ReportedRun]) -> str:
     said = ["Each column of pixels keeps its extremes."]
     if any(not run.shown.all() for run in group):
         said.append("Homing and the final stop are not shown.")
-    if _error_range_um(group) != (None, None):
+    if _find_error_range_um(group) != (None, None):
         said.append("The error of a run that never came to tracking is cut at the axis.")
     experiment = group[0].paper_experiment
     if experiment:
@@ -64,24 +64,24 @@ def _caption(group: Sequence[Run]) -> str:
     return " ".join(said)
 
 
-def _named(group: Sequence[Run], run: Run, alone: str) -> str:
+def _label_run(group: Sequence[ReportedRun], run: ReportedRun, alone: str) -> str:
     return run.name if len(group) > 1 else alone
 
 
-def _displacement(group: Sequence[Run]) -> Plot | None:
-    plot = Plot("Displacement", time_axis(group), Axis("displacement", "mm"))
+def _plot_displacement(group: Sequence[ReportedRun]) -> SvgPlot | None:
+    plot = SvgPlot("Displacement", make_time_axis(group), PlotAxis("displacement", "mm"))
     reference = group[0].column("reference_m", MM)
     if reference is not None:
         shown = group[0].shown
         plot.line(group[0].t_s[shown], reference[shown], "reference", colour=MUTED, thick=True)
-    drawn = _drawn(plot, group, "position_m", MM, "measured")
+    drawn = _draw_column(plot, group, "position_m", MM, "measured")
     return plot if drawn or reference is not None else None
 
 
-def _error(group: Sequence[Run]) -> Plot | None:
-    low, high = _error_range_um(group)
-    error_axis = Axis("x \N{MINUS SIGN} x_D", "µm", low=low, high=high)
-    plot = Plot("Tracking error", time_axis(group), error_axis)
+def _plot_error(group: Sequence[ReportedRun]) -> SvgPlot | None:
+    low, high = _find_error_range_um(group)
+    error_axis = PlotAxis("x \N{MINUS SIGN} x_D", "µm", low=low, high=high)
+    plot = SvgPlot("Tracking error", make_time_axis(group), error_axis)
     drawn = False
     for colour, run in enumerate(group):
         if run.error_m is None:
@@ -89,12 +89,12 @@ def _error(group: Sequence[Run]) -> Plot | None:
         drawn = True
         error_um = run.error_m * MICRO
         if run.tracked.any():
-            band = rms(error_um[run.tracked])
+            band = rms_of_finite(error_um[run.tracked])
             over = run.t_s[run.tracked][[0, -1]]
-            said = _named(group, run, "error") + f", band ± RMS {band:.1f} µm"
+            said = _label_run(group, run, "error") + f", band ± RMS {band:.1f} µm"
             plot.band(over, -band, band, colour=colour)
         else:
-            said = _named(group, run, "error")
+            said = _label_run(group, run, "error")
         plot.line(run.t_s[run.shown], error_um[run.shown], said, colour=colour)
     for row in paper_rows(group[0].paper_experiment):
         for side in (-1.0, 1.0):
@@ -103,7 +103,7 @@ def _error(group: Sequence[Run]) -> Plot | None:
     return plot if drawn else None
 
 
-def _error_range_um(group: Sequence[Run]) -> tuple[float | None, float | None]:
+def _find_error_range_um(group: Sequence[ReportedRun]) -> tuple[float | None, float | None]:
     """Return the ends of the error's axis where a run that never tracked would hide the others."""
     tracked = [r.error_m[r.tracked] for r in group if r.error_m is not None and r.tracked.any()]
     if not tracked or len(tracked) == len(group):
@@ -113,36 +113,36 @@ def _error_range_um(group: Sequence[Run]) -> tuple[float | None, float | None]:
     return float(np.nanmin(error_um)) - margin, float(np.nanmax(error_um)) + margin
 
 
-def _pressure(group: Sequence[Run]) -> Plot | None:
-    plot = Plot("Pressure", time_axis(group), Axis("absolute", "kPa"), height_px=140)
+def _plot_pressure(group: Sequence[ReportedRun]) -> SvgPlot | None:
+    plot = SvgPlot("Pressure", make_time_axis(group), PlotAxis("absolute", "kPa"), height_px=140)
     limit = group[0].log.config.get("rig", {}).get("limits", {}).get("pressure_pa")
     if isinstance(limit, int | float):
         plot.level(limit * KPA, "limit")
-    return plot if _drawn(plot, group, "pressure_pa", KPA, "measured") else None
+    return plot if _draw_column(plot, group, "pressure_pa", KPA, "measured") else None
 
 
-def _force(group: Sequence[Run]) -> Plot | None:
-    plot = Plot("Force", time_axis(group), Axis("pull", "N"), height_px=140)
-    return plot if _drawn(plot, group, "force_n", 1.0, "measured") else None
+def _plot_force(group: Sequence[ReportedRun]) -> SvgPlot | None:
+    plot = SvgPlot("Force", make_time_axis(group), PlotAxis("pull", "N"), height_px=140)
+    return plot if _draw_column(plot, group, "force_n", 1.0, "measured") else None
 
 
-def _command(group: Sequence[Run]) -> Plot | None:
+def _plot_command(group: Sequence[ReportedRun]) -> SvgPlot | None:
     """The law's command under what reached the valve; where either was cut, a dot."""
-    plot = Plot("Command", time_axis(group), Axis("u", "V"), height_px=140)
+    plot = SvgPlot("Command", make_time_axis(group), PlotAxis("u", "V"), height_px=140)
     if len(group) == 1 and (asked := group[0].column("command_v")) is not None:
         shown = group[0].shown
         plot.line(group[0].t_s[shown], asked[shown], "asked by the law", colour=MUTED, thick=True)
-    drawn = _drawn(plot, group, "valve_v", 1.0, "at the valve", step=True)
+    drawn = _draw_column(plot, group, "valve_v", 1.0, "at the valve", step=True)
     for run in group:
-        cut, valve = _cut(run) & run.shown, run.column("valve_v")
+        cut, valve = _find_cut_ticks(run) & run.shown, run.column("valve_v")
         if valve is not None and cut.any():
             share = cut.sum() / max(1, run.shown.sum())
-            said = _named(group, run, "cut or saturated") + f" ({share:.2%} of the ticks cut)"
+            said = _label_run(group, run, "cut or saturated") + f" ({share:.2%} of the ticks cut)"
             plot.points(run.t_s[cut], valve[cut], said, colour=1 if len(group) == 1 else 6)
     return plot if drawn else None
 
 
-def _cut(run: Run) -> np.ndarray:
+def _find_cut_ticks(run: ReportedRun) -> np.ndarray:
     """Return the ticks in which law or safety held the command back."""
     saturated = run.log.columns.get("saturated", np.zeros(len(run), bool))
     verdicts = run.log.columns.get("verdicts", np.zeros(len(run), np.int64))
@@ -150,14 +150,20 @@ def _cut(run: Run) -> np.ndarray:
     return held_back
 
 
-def _drawn(
-    plot: Plot, group: Sequence[Run], column: str, scale: float, alone: str, *, step: bool = False
+def _draw_column(
+    plot: SvgPlot,
+    group: Sequence[ReportedRun],
+    column: str,
+    scale: float,
+    alone: str,
+    *,
+    step: bool = False,
 ) -> bool:
     drawn = False
     for colour, run in enumerate(group):
         values = run.column(column, scale)
         if values is not None:
             drawn = True
-            label = _named(group, run, alone)
+            label = _label_run(group, run, alone)
             plot.line(run.t_s[run.shown], values[run.shown], label, colour=colour, step=step)
     return drawn

@@ -11,14 +11,14 @@ import yaml
 
 from pamctl.json_text import to_json
 from pamctl.report.html_page import Page
-from pamctl.report.reported_run import Run
+from pamctl.report.reported_run import ReportedRun
 from pamctl.safety import VERDICTS
 
 MOST_EVENTS = 200
 _WHERE = ("event", "tick", "t_ns", "row")
 
 
-def write_safety(page: Page, runs: Sequence[Run]) -> None:
+def write_safety(page: Page, runs: Sequence[ReportedRun]) -> None:
     """Write every clip and trip with its reason, and when."""
     page.section("Safety")
     for run in runs:
@@ -29,7 +29,7 @@ def write_safety(page: Page, runs: Sequence[Run]) -> None:
             page.text("The log was made without these safety rules: nothing is known of clips.")
             continue
         rows = [
-            ["clip" if bit < 1 << 8 else "trip", meaning, str(len(at)), *_span(run, at)]
+            ["clip" if bit < 1 << 8 else "trip", meaning, str(len(at)), *_show_span(run, at)]
             for bit, meaning in VERDICTS.items()
             if len(at := np.flatnonzero(np.asarray(verdicts, np.int64) & bit))
         ]
@@ -39,11 +39,11 @@ def write_safety(page: Page, runs: Sequence[Run]) -> None:
             page.text("Nothing was clipped, nothing tripped.")
 
 
-def _span(run: Run, at: np.ndarray) -> tuple[str, str]:
+def _show_span(run: ReportedRun, at: np.ndarray) -> tuple[str, str]:
     return f"{run.t_s[at[0]]:.3f}", f"{run.t_s[at[-1]]:.3f}"
 
 
-def write_events(page: Page, runs: Sequence[Run]) -> None:
+def write_events(page: Page, runs: Sequence[ReportedRun]) -> None:
     """Write the events in order."""
     page.section("Events")
     for run in runs:
@@ -53,17 +53,17 @@ def write_events(page: Page, runs: Sequence[Run]) -> None:
         if not events:
             page.text("The log has no events.")
             continue
-        rows = [[_when(run, e), str(e.get("event", "")), _details(e)] for e in events]
+        rows = [[_show_time(run, e), str(e.get("event", "")), _show_details(e)] for e in events]
         page.table(["at, s", "event", "details"], rows[:MOST_EVENTS])
         if len(rows) > MOST_EVENTS:
             page.text(f"{len(rows) - MOST_EVENTS} more events are in the log.")
-        _changes_of_gains(page, run)
+        _write_gain_changes(page, run)
 
 
-def _changes_of_gains(page: Page, run: Run) -> None:
+def _write_gain_changes(page: Page, run: ReportedRun) -> None:
     """Write what was changed while the law ran: the first gains are in the configuration."""
     rows = [
-        [_when(run, after), name, _short(before.get(name, "-")), _short(after[name])]
+        [_show_time(run, after), name, _show_short(before.get(name, "-")), _show_short(after[name])]
         for before, after in pairwise(run.log.gains)
         for name in after
         if name not in _WHERE and after[name] != before.get(name)
@@ -72,33 +72,33 @@ def _changes_of_gains(page: Page, run: Run) -> None:
         page.table(["at, s", "gain", "from", "to"], rows[:MOST_EVENTS], caption="Changed gains.")
 
 
-def _when(run: Run, event: Mapping[str, Any]) -> str:
+def _show_time(run: ReportedRun, event: Mapping[str, Any]) -> str:
     ticks = run.log.columns.get("tick")
     if ticks is None or not len(ticks) or not isinstance(event.get("tick"), int):
         return "-"
     return f"{run.t_s[min(int(np.searchsorted(ticks, event['tick'])), len(ticks) - 1)]:.3f}"
 
 
-def _details(event: Mapping[str, Any]) -> str:
+def _show_details(event: Mapping[str, Any]) -> str:
     parts = ((name, value) for name, value in event.items() if name not in _WHERE)
-    return ", ".join(f"{name} {_short(value)}" for name, value in parts)
+    return ", ".join(f"{name} {_show_short(value)}" for name, value in parts)
 
 
-def _short(value: object) -> str:
+def _show_short(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return value if isinstance(value, str) else to_json(value).decode()
 
 
-def write_differences(page: Page, runs: Sequence[Run]) -> None:
+def write_differences(page: Page, runs: Sequence[ReportedRun]) -> None:
     """Write a table of the settings in which the runs differ."""
     page.section("What differs")
-    settings = [dict(_flat(run.log.config)) for run in runs]
+    settings = [dict(_flatten_settings(run.log.config)) for run in runs]
     keys = dict.fromkeys(key for setting in settings for key in setting)
     rows = [
-        [key, *(_short(setting.get(key, "-")) for setting in settings)]
+        [key, *(_show_short(setting.get(key, "-")) for setting in settings)]
         for key in keys
-        if len({_short(setting.get(key, "-")) for setting in settings}) > 1
+        if len({_show_short(setting.get(key, "-")) for setting in settings}) > 1
     ]
     if rows:
         page.table(["setting", *(run.name for run in runs)], rows)
@@ -106,15 +106,15 @@ def write_differences(page: Page, runs: Sequence[Run]) -> None:
         page.text("The runs have the same settings.")
 
 
-def _flat(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten_settings(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
     for name, value in settings.items():
         if isinstance(value, Mapping) and value:
-            yield from _flat(value, f"{above}{name}.")
+            yield from _flatten_settings(value, f"{above}{name}.")
         else:
             yield f"{above}{name}", value
 
 
-def write_settings(page: Page, runs: Sequence[Run]) -> None:
+def write_settings(page: Page, runs: Sequence[ReportedRun]) -> None:
     """Write versions, rig and resolved configuration, folded away."""
     page.section("Configuration")
     for run in runs:
@@ -126,12 +126,12 @@ def write_settings(page: Page, runs: Sequence[Run]) -> None:
             ("import", "Import"),
         ):
             if name in run.log.metadata:
-                page.fold(f"{title}{whose}", _as_yaml(dict(run.log.metadata[name])))
+                page.fold(f"{title}{whose}", _format_yaml(dict(run.log.metadata[name])))
         if run.log.config:
-            page.fold(f"Resolved configuration{whose}", _as_yaml(run.log.config))
+            page.fold(f"Resolved configuration{whose}", _format_yaml(run.log.config))
         else:
             page.text(f"The log{whose} carries no configuration.")
 
 
-def _as_yaml(value: Mapping[str, Any]) -> str:
+def _format_yaml(value: Mapping[str, Any]) -> str:
     return yaml.safe_dump(dict(value), sort_keys=False, allow_unicode=True).rstrip()

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from pamctl.log import Log
 from pamctl.settings.resolve import resolve as shipped
-from pamctl.settings.resolve import to_data
+from pamctl.settings.resolve import settings_to_data
 from pamctl.signals import Phase
 from pamctl.simulate.merit import TABLE_IV
 
 Floats = NDArray[np.float64]
 
-PAPERS = ("tracking-1", "tracking-2")
+PAPER_EXPERIMENTS = ("tracking-1", "tracking-2")
 
 
 @dataclass(frozen=True)
-class Run:
+class ReportedRun:
     """One log, under a name that tells it from the others."""
 
     log: Log
@@ -54,7 +54,7 @@ class Run:
         return course if bool(course.any()) else np.ones(len(self), np.bool_)
 
     @property
-    def homes(self) -> bool:
+    def has_homing(self) -> bool:
         """Whether plots leave a homing out, and time counts from its end."""
         return len(self) > 0 and not bool(self.shown[0])
 
@@ -72,7 +72,7 @@ class Run:
         return counted
 
     @property
-    def pursued(self) -> NDArray[np.bool_]:
+    def law_at_work(self) -> NDArray[np.bool_]:
         """The ticks that show the law at work: while tracking, or else in the approach."""
         return self.tracked if self.tracked.any() else self.shown
 
@@ -102,20 +102,22 @@ class Run:
     def paper_experiment(self) -> str | None:
         """Which experiment of the paper it is, to the last setting; None if none."""
         experiment = self.log.config.get("experiment")
-        return next((name for name in PAPERS if _settings_of(name) == experiment), None)
+        return next(
+            (name for name in PAPER_EXPERIMENTS if _read_settings(name) == experiment), None
+        )
 
 
-def runs_of(logs: Sequence[Log]) -> list[Run]:
+def name_runs(logs: Sequence[Log]) -> list[ReportedRun]:
     """Return the logs under names as short as they may be."""
     paths = [log.path for log in logs]
     if len({path.stem for path in paths}) == len(paths):
-        return [Run(log, path.stem) for log, path in zip(logs, paths, strict=True)]
+        return [ReportedRun(log, path.stem) for log, path in zip(logs, paths, strict=True)]
     whole = [path.absolute() for path in paths]
     above = Path(commonpath([path.parent for path in whole]))
     names = [str(path.relative_to(above).with_suffix("")) for path in whole]
     numbered = len(set(names)) < len(names)
     return [
-        Run(log, f"{name} ({number})" if numbered else name)
+        ReportedRun(log, f"{name} ({number})" if numbered else name)
         for number, (log, name) in enumerate(zip(logs, names, strict=True), 1)
     ]
 
@@ -130,6 +132,6 @@ def paper_rows(experiment: str | None) -> list[Any]:
     return [row for row in TABLE_IV if row.experiment == experiment]
 
 
-def _settings_of(experiment: str) -> dict[str, Any]:
-    found: dict[str, Any] = to_data(shipped(experiment=experiment).experiment)
+def _read_settings(experiment: str) -> dict[str, Any]:
+    found: dict[str, Any] = settings_to_data(shipped(experiment=experiment).experiment)
     return found

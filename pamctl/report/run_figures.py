@@ -6,10 +6,10 @@ import math
 from typing import Any
 
 from pamctl.log.reader import Log
-from pamctl.simulate.merit import TABLE_IV, Merit, merits_of, timing_of
+from pamctl.simulate.merit import TABLE_IV, Merit, compute_log_merits, summarise_timing
 
 
-def summary(log: Log, experiment: str | None) -> dict[str, Any]:
+def summarise_run(log: Log, experiment: str | None) -> dict[str, Any]:
     """Return the figures of a run as one JSON document: SI, None for what is not known.
 
     `experiment` is the shipped one that was run, to be held against Table IV; None if it was
@@ -19,15 +19,15 @@ def summary(log: Log, experiment: str | None) -> dict[str, Any]:
         "ticks": len(log),
         "missed_ticks": int(log["missed"].sum()),
         "readonly": is_readonly(log),
-        "tracking": {name: _plain(m) for name, m in merits_of(log).items()},
+        "tracking": {name: _plain_merit(m) for name, m in compute_log_merits(log).items()},
         "paper": [
-            {"law": row.law, **_plain(row.merit)}
+            {"law": row.law, **_plain_merit(row.merit)}
             for row in TABLE_IV
             if row.experiment == experiment
         ],
         "timing": None
         if is_fast(log)
-        else {name: spread._asdict() for name, spread in timing_of(log).items()},
+        else {name: spread._asdict() for name, spread in summarise_timing(log).items()},
         "not_real_time": refused_steps(log),
     }
 
@@ -49,18 +49,18 @@ def is_readonly(log: Log) -> bool:
     return bool(log.config.get("readonly"))
 
 
-def _plain(merit: Merit | None) -> dict[str, Any]:
+def _plain_merit(merit: Merit | None) -> dict[str, Any]:
     if merit is None:
         return dict.fromkeys(Merit._fields)
     return {name: None if math.isnan(v) else v for name, v in merit._asdict().items()}
 
 
-def as_text(figures: dict[str, Any], law: str) -> str:
+def format_run_summary(figures: dict[str, Any], law: str) -> str:
     """Lay the figures out for a terminal."""
-    return "\n".join([*_tracking_lines(figures, law), *_timing_lines(figures)])
+    return "\n".join([*_format_tracking(figures, law), *_format_timing(figures)])
 
 
-def _tracking_lines(figures: dict[str, Any], law: str) -> list[str]:
+def _format_tracking(figures: dict[str, Any], law: str) -> list[str]:
     if figures["readonly"]:
         return ["Read only: the output stayed at the safe voltage, and nothing was tracked."]
     rows = [
@@ -72,10 +72,10 @@ def _tracking_lines(figures: dict[str, Any], law: str) -> list[str]:
         return ["No tracking in this run: nothing to hold against Table IV."]
     rows += [(f"paper, {row['law']} on its rig", row) for row in figures["paper"]]
     head = f"{'tracking error':<30}{'max um':>10}{'RMS um':>10}{'steady um':>11}"
-    return [head, *(f"{name:<30}{_micro(m)}" for name, m in rows)]
+    return [head, *(f"{name:<30}{_format_micrometres(m)}" for name, m in rows)]
 
 
-def _micro(merit: dict[str, Any]) -> str:
+def _format_micrometres(merit: dict[str, Any]) -> str:
     cells = zip(merit_fields(merit), (10, 10, 11), strict=True)
     return "".join(f"{'-':>{w}}" if v is None else f"{v * 1e6:>{w}.1f}" for v, w in cells)
 
@@ -92,7 +92,7 @@ _TIMING_NAMES = {
 }
 
 
-def _timing_lines(figures: dict[str, Any]) -> list[str]:
+def _format_timing(figures: dict[str, Any]) -> list[str]:
     missed = f"{figures['ticks']} ticks, {figures['missed_ticks']} missed"
     if figures["timing"] is None:
         return ["", f"{missed}; simulated without a clock"]

@@ -17,8 +17,8 @@ _MARGIN = 0.04
 
 
 @dataclass(frozen=True)
-class Axis:
-    """What an axis says: `Axis("pressure", "kPa")`; `low` and `high` fix its ends."""
+class PlotAxis:
+    """What an axis says: `PlotAxis("pressure", "kPa")`; `low` and `high` fix its ends."""
 
     label: str
     unit: str = ""
@@ -34,7 +34,7 @@ class Axis:
         return ", ".join(part for part in (self.label, self.unit) if part)
 
 
-class Tick(NamedTuple):
+class AxisTick(NamedTuple):
     """A round number on an axis; `place` runs from 0 to 1."""
 
     place: float
@@ -65,29 +65,31 @@ class Scale:
         """Return where one value lies."""
         return float(self.places(np.array([value], dtype=np.float64))[0])
 
-    def ticks(self, about: int = 6) -> list[Tick]:
+    def ticks(self, about: int = 6) -> list[AxisTick]:
         """Return round numbers within the axis, at most one and a half times `about` of them."""
-        decades = self._decades(about) if self.log else []
+        decades = self._list_decades(about) if self.log else []
         if len(decades) > 1:
             return [
-                Tick(self.place(value), tick_text(value, 0.0, value), index % 2 == 1)
+                AxisTick(self.place(value), format_tick(value, 0.0, value), index % 2 == 1)
                 for index, value in enumerate(decades)
             ]
-        step = nice_step((self.high - self.low) / about)
+        step = choose_step((self.high - self.low) / about)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         largest = step * max(abs(first), abs(last), 1)
         return [
-            Tick(self.place(index * step), tick_text(index * step, step, largest), index % 2 == 1)
+            AxisTick(
+                self.place(index * step), format_tick(index * step, step, largest), index % 2 == 1
+            )
             for index in range(first, last + 1)
         ]
 
-    def _decades(self, about: int) -> list[float]:
+    def _list_decades(self, about: int) -> list[float]:
         first, last = math.ceil(math.log10(self.low) - 1e-9), math.log10(self.high) + 1e-9
         every = max(1, math.ceil((last - first) / about))
         return [10.0**power for power in range(first, math.floor(last) + 1, every)]
 
 
-def scale_of(axis: Axis, data: Iterable[Floats]) -> Scale:
+def fit_scale(axis: PlotAxis, data: Iterable[Floats]) -> Scale:
     """Return the scale that shows all of the data, shape (n,) each; 0 to 1 where there is none."""
     low, high = math.inf, -math.inf
     for values in data:
@@ -97,15 +99,15 @@ def scale_of(axis: Axis, data: Iterable[Floats]) -> Scale:
     if low > high:
         low, high = (1.0, 10.0) if axis.log else (0.0, 1.0)
     else:
-        low, high = _widened(low, high, log=axis.log, tight=axis.tight)
+        low, high = _widen(low, high, log=axis.log, tight=axis.tight)
     low = low if axis.low is None else axis.low
     high = high if axis.high is None else axis.high
     if not low < high:
-        low, high = _widened(low, low, log=axis.log, tight=True)
+        low, high = _widen(low, low, log=axis.log, tight=True)
     return Scale(low, high, axis.log)
 
 
-def _widened(low: float, high: float, *, log: bool, tight: bool) -> tuple[float, float]:
+def _widen(low: float, high: float, *, log: bool, tight: bool) -> tuple[float, float]:
     if log:
         factor = 1.0 if tight and high > low else max(1.25, (high / low) ** _MARGIN)
         return low / factor, high * factor
@@ -117,13 +119,13 @@ def _widened(low: float, high: float, *, log: bool, tight: bool) -> tuple[float,
     return low - margin, high + margin
 
 
-def nice_step(rough: float) -> float:
+def choose_step(rough: float) -> float:
     """Return the nearest of 1, 2, 5 times a power of ten that is at least `rough`."""
     power = 10.0 ** math.floor(math.log10(rough))
     return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= rough * 0.999)
 
 
-def tick_text(value: float, step: float, largest: float) -> str:
+def format_tick(value: float, step: float, largest: float) -> str:
     """Write a tick with as many digits as tell it from its neighbours; step 0 is a log axis."""
     if step == 0.0:
         text = f"{value:g}" if 1e-3 <= value < 1e5 else f"{value:.0e}".replace("e-0", "e-")

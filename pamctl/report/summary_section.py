@@ -9,25 +9,25 @@ import numpy as np
 
 from pamctl.exit_codes import ExitCode
 from pamctl.report.html_page import Page
-from pamctl.report.reported_run import Run, law_name, paper_rows
-from pamctl.simulate.merit import Merit, merit
+from pamctl.report.reported_run import ReportedRun, law_name, paper_rows
+from pamctl.simulate.merit import Merit, compute_merit
 
 MICRO = 1e6
 _HEADER = ("tracking error, µm", "max", "RMS", "steady")
 
 
-def write_summary(page: Page, runs: Sequence[Run]) -> None:
+def write_summary(page: Page, runs: Sequence[ReportedRun]) -> None:
     """Write the ending, the facts and the figures of merit of every run."""
     page.section("Summary")
     for run in runs:
         if len(runs) > 1:
             page.heading(run.name)
-        _ending(page, run)
-        page.facts(_facts(run))
-    _merits(page, runs)
+        _write_ending(page, run)
+        page.facts(_collect_facts(run))
+    _write_merits(page, runs)
 
 
-def _ending(page: Page, run: Run) -> None:
+def _write_ending(page: Page, run: ReportedRun) -> None:
     if run.log.is_imported:
         source = run.log.metadata.get("import", {}).get("source", "another system")
         page.note(f"Measured by another system, and imported: {source}")
@@ -42,7 +42,7 @@ def _ending(page: Page, run: Run) -> None:
     page.note(f"Ended with exit code {code}: {reason[:1].upper()}{reason[1:]}.", kind=kind)
 
 
-def _facts(run: Run) -> dict[str, object]:
+def _collect_facts(run: ReportedRun) -> dict[str, object]:
     known = run.meta
     origin = run.log.metadata.get("pamctl", {})
     facts: dict[str, object] = {
@@ -66,8 +66,8 @@ def _facts(run: Run) -> dict[str, object]:
     return facts
 
 
-def _merits(page: Page, runs: Sequence[Run]) -> None:
-    rows = [row for run in runs for row in merit_rows(run)]
+def _write_merits(page: Page, runs: Sequence[ReportedRun]) -> None:
+    rows = [row for run in runs for row in make_merit_rows(run)]
     if not rows:
         if any(len(run) for run in runs):
             page.text("Nothing was tracked: there is no error to hold against Table IV.")
@@ -75,7 +75,7 @@ def _merits(page: Page, runs: Sequence[Run]) -> None:
     experiments = {run.paper_experiment for run in runs if run.tracked.any()}
     for experiment in sorted(name for name in experiments if name):
         rows += [
-            [f"paper's {law_name(row.law)} on its rig, {experiment}", *merit_cells(row.merit)]
+            [f"paper's {law_name(row.law)} on its rig, {experiment}", *format_merit(row.merit)]
             for row in paper_rows(experiment)
         ]
     page.table(
@@ -87,25 +87,27 @@ def _merits(page: Page, runs: Sequence[Run]) -> None:
         page.text("Where settings differ from the paper's experiments, Table IV does not apply.")
 
 
-def merit_rows(run: Run) -> list[list[str]]:
+def make_merit_rows(run: ReportedRun) -> list[list[str]]:
     """Return the table rows of a run: measured, and true where it was simulated."""
     reference, rows = run.column("reference_m"), []
     if reference is None:
         return []
     for what, column in (("measured", "position_m"), ("true", "true_position_m")):
         position = run.column(column)
-        found = None if position is None else merit(run.t_s, run.phase, position - reference)
+        found = (
+            None if position is None else compute_merit(run.t_s, run.phase, position - reference)
+        )
         if found is not None:
-            rows.append([f"{run.name}, {what}", *merit_cells(found)])
+            rows.append([f"{run.name}, {what}", *format_merit(found)])
     return rows
 
 
-def merit_cells(found: Merit) -> list[str]:
+def format_merit(found: Merit) -> list[str]:
     """Return max, RMS and steady-state error in micrometres."""
     return ["-" if math.isnan(value) else f"{value * MICRO:.1f}" for value in found]
 
 
-def rms(values: np.ndarray) -> float:
+def rms_of_finite(values: np.ndarray) -> float:
     """Return the root mean square of what is finite; NaN where nothing is."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else math.nan

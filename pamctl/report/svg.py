@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pamctl.report import marks
-from pamctl.report.marks import FRAME_WIDTH, HEAT, PIXEL, Frame, HeatRange, Mark
-from pamctl.report.scale import Axis, Scale, scale_of
+from pamctl.report.marks import FRAME_WIDTH, HEAT, PIXEL, Frame, HeatRange, PlotMark
+from pamctl.report.scale import PlotAxis, Scale, fit_scale
 
-__all__ = ["MUTED", "Axis", "Plot", "css_of", "same_x"]
+__all__ = ["MUTED", "PlotAxis", "SvgPlot", "css_of", "share_x_axis"]
 
 Floats = NDArray[np.float64]
 Draw = Callable[[Frame, Floats, Floats, str], str]
@@ -37,18 +37,18 @@ MUTED = -1
 _ROOM_ABOVE, _ROOM_BELOW, _ROOM_BELOW_UNNAMED = 8, 42, 24
 
 
-class Plot:
+class SvgPlot:
     """One pair of axes. Data are array-likes of shape (n,) in the unit of their axis.
 
     `colour` counts from 0 in the Okabe-Ito colours, or is `MUTED`. Points that are not
     finite, and on a log axis not above zero, are left out: a line breaks there.
     """
 
-    def __init__(self, title: str, x: Axis, y: Axis, *, height_px: int = 180) -> None:
+    def __init__(self, title: str, x: PlotAxis, y: PlotAxis, *, height_px: int = 180) -> None:
         self.title = title
         self.x, self.y = x, y
         self.height_px = height_px
-        self._marks: list[Mark] = []
+        self._marks: list[PlotMark] = []
         self._lines: list[tuple[str, float, str, int]] = []
         self._x_scale: Scale | None = None
         self._names_x = True
@@ -64,45 +64,45 @@ class Plot:
         step: bool = False,
         dashed: bool = False,
         thick: bool = False,
-    ) -> Plot:
+    ) -> SvgPlot:
         """Draw a line; x must not fall. With `step` each value holds until the next."""
         css = f"l {css_of(colour)}{' dash' if dashed else ''}{' thick' if thick else ''}"
-        return self._add(x, y, label, css, partial(marks.line, step=step))
+        return self._add(x, y, label, css, partial(marks.draw_line, step=step))
 
-    def curve(self, x: ArrayLike, y: ArrayLike, label: str = "", *, colour: int = 0) -> Plot:
+    def curve(self, x: ArrayLike, y: ArrayLike, label: str = "", *, colour: int = 0) -> SvgPlot:
         """Draw a curve through the plane, in the order of its points: a phase portrait."""
-        return self._add(x, y, label, f"l thin {css_of(colour)}", marks.curve)
+        return self._add(x, y, label, f"l thin {css_of(colour)}", marks.draw_curve)
 
-    def points(self, x: ArrayLike, y: ArrayLike, label: str = "", *, colour: int = 0) -> Plot:
+    def points(self, x: ArrayLike, y: ArrayLike, label: str = "", *, colour: int = 0) -> SvgPlot:
         """Draw a cloud of points."""
-        return self._add(x, y, label, f"p {css_of(colour)}", marks.points)
+        return self._add(x, y, label, f"p {css_of(colour)}", marks.draw_points)
 
     def band(
         self, x: ArrayLike, low: ArrayLike, high: ArrayLike, label: str = "", *, colour: int = 0
-    ) -> Plot:
+    ) -> SvgPlot:
         """Fill the area between two lines; `low` and `high` may each be one number."""
-        across = _floats(x)
-        lower = np.broadcast_to(_floats(low), across.shape)
-        upper = np.broadcast_to(_floats(high), across.shape)
+        across = _to_floats(x)
+        lower = np.broadcast_to(_to_floats(low), across.shape)
+        upper = np.broadcast_to(_to_floats(high), across.shape)
         css = f"b {css_of(colour)}"
 
         def draw(frame: Frame) -> str:
-            return marks.band(frame, across, lower, upper, css)
+            return marks.draw_band(frame, across, lower, upper, css)
 
-        return self._put(Mark([across], [lower, upper], label, css, draw))
+        return self._put(PlotMark([across], [lower, upper], label, css, draw))
 
     def bars(
         self, edges: ArrayLike, counts: ArrayLike, label: str = "", *, colour: int = 0
-    ) -> Plot:
+    ) -> SvgPlot:
         """Draw a histogram: n counts between n + 1 rising edges."""
-        sides, heights, css = _floats(edges), _floats(counts), f"b solid {css_of(colour)}"
+        sides, heights, css = _to_floats(edges), _to_floats(counts), f"b solid {css_of(colour)}"
         if len(sides) != len(heights) + 1:
             raise ValueError(f"{self.title}: a histogram has one edge more than counts")
 
         def draw(frame: Frame) -> str:
-            return marks.bars(frame, sides, heights, css)
+            return marks.draw_bars(frame, sides, heights, css)
 
-        return self._put(Mark([sides], [heights], label, css, draw))
+        return self._put(PlotMark([sides], [heights], label, css, draw))
 
     def heat(
         self,
@@ -113,9 +113,9 @@ class Plot:
         *,
         low: float | None = None,
         high: float | None = None,
-    ) -> Plot:
+    ) -> SvgPlot:
         """Draw a map: `values` of shape (m, n) between m + 1 y edges and n + 1 x edges."""
-        across, up, grid = _floats(x_edges), _floats(y_edges), _floats(values)
+        across, up, grid = _to_floats(x_edges), _to_floats(y_edges), _to_floats(values)
         if grid.shape != (len(up) - 1, len(across) - 1):
             raise ValueError(f"{self.title}: a map has one edge more than cells, both ways")
         finite = grid[np.isfinite(grid)]
@@ -126,16 +126,16 @@ class Plot:
         self._heat = label, shown
 
         def draw(frame: Frame) -> str:
-            return marks.cells(frame, across, up, grid, shown)
+            return marks.draw_cells(frame, across, up, grid, shown)
 
-        return self._put(Mark([across], [up], "", "", draw))
+        return self._put(PlotMark([across], [up], "", "", draw))
 
-    def level(self, y: float, label: str = "", *, colour: int = MUTED) -> Plot:
+    def level(self, y: float, label: str = "", *, colour: int = MUTED) -> SvgPlot:
         """Mark a height with a horizontal line, which does not widen the axis."""
         self._lines.append(("y", y, label, colour))
         return self
 
-    def place(self, x: float, label: str = "", *, colour: int = MUTED) -> Plot:
+    def place(self, x: float, label: str = "", *, colour: int = MUTED) -> SvgPlot:
         """Mark a place with a vertical line, which does not widen the axis."""
         self._lines.append(("x", x, label, colour))
         return self
@@ -152,8 +152,8 @@ class Plot:
     def html(self) -> str:
         """Return the plot with its legend: escaped, without any style of its own."""
         whole = self._heat is not None  # a map ends where its cells end
-        x = self._x_scale or scale_of(replace(self.x, tight=self.x.tight or whole), self.x_data)
-        y = scale_of(
+        x = self._x_scale or fit_scale(replace(self.x, tight=self.x.tight or whole), self.x_data)
+        y = fit_scale(
             replace(self.y, tight=self.y.tight or whole),
             [values for mark in self._marks for values in mark.ys],
         )
@@ -163,7 +163,7 @@ class Plot:
         below = _ROOM_BELOW if self._names_x else _ROOM_BELOW_UNNAMED
         return (
             f'<div class="plot"><div class="ptitle">{escape(self.title)} '
-            f'<span class="unit">{escape(self._y_name())}</span></div>{self._legend()}'
+            f'<span class="unit">{escape(self._y_name())}</span></div>{self._draw_legend()}'
             f'<div class="frame"><svg role="img" aria-label="{name}" width="100%" '
             f'height="{self.height_px + _ROOM_ABOVE + below}">'
             f"<title>{name}</title>"
@@ -171,8 +171,8 @@ class Plot:
             f'class="open">{self._grid(x, y)}'
             f'<svg class="data" width="100%" height="{self.height_px}" '
             f'viewBox="0 0 {FRAME_WIDTH} {self.height_px * PIXEL:.0f}" '
-            f'preserveAspectRatio="none">{drawn}{self._placed(frame)}</svg>'
-            f"{self._placed_texts(frame)}{self._nothing()}</svg></svg></div></div>"
+            f'preserveAspectRatio="none">{drawn}{self._draw_levels(frame)}</svg>'
+            f"{self._draw_level_texts(frame)}{self._draw_nothing()}</svg></svg></div></div>"
         )
 
     def _y_name(self) -> str:
@@ -198,17 +198,17 @@ class Plot:
             parts.append(f'<text class="xl" x="100%" y="{bottom + 34}">{title}</text>')
         return "".join(parts)
 
-    def _placed(self, frame: Frame) -> str:
+    def _draw_levels(self, frame: Frame) -> str:
         return "".join(
-            f'<path class="l mark {css_of(colour)}" d="{_across_or_down(frame, axis, value)}"/>'
+            f'<path class="l mark {css_of(colour)}" d="{_draw_straight(frame, axis, value)}"/>'
             for axis, value, _, colour in self._lines
-            if _visible(frame, axis, value)
+            if _is_visible(frame, axis, value)
         )
 
-    def _placed_texts(self, frame: Frame) -> str:
+    def _draw_level_texts(self, frame: Frame) -> str:
         texts = []
         for axis, value, label, _ in self._lines:
-            if not label or not _visible(frame, axis, value):
+            if not label or not _is_visible(frame, axis, value):
                 continue
             if axis == "y":
                 down = (1.0 - frame.y.place(value)) * self.height_px
@@ -224,7 +224,7 @@ class Plot:
             texts.append(f"{escape(label)}</text>")
         return "".join(texts)
 
-    def _nothing(self) -> str:
+    def _draw_nothing(self) -> str:
         shown = any(
             np.isfinite(x).any() and np.isfinite(y).any()
             for mark in self._marks
@@ -235,7 +235,7 @@ class Plot:
         middle = self.height_px // 2
         return f'<text class="note mid" x="50%" y="{middle}">nothing was measured</text>'
 
-    def _legend(self) -> str:
+    def _draw_legend(self) -> str:
         entries = [
             f'<li><svg class="swatch" viewBox="0 0 22 10"><path class="{mark.css}" '
             f'd="{"M1 1h20v8h-20z" if mark.css.startswith("b") else "M1 5h20"}"/></svg>'
@@ -253,21 +253,21 @@ class Plot:
             )
         return f'<ul class="legend">{"".join(entries)}</ul>' if entries else ""
 
-    def _add(self, x: ArrayLike, y: ArrayLike, label: str, css: str, draw: Draw) -> Plot:
-        across, up = _floats(x), _floats(y)
+    def _add(self, x: ArrayLike, y: ArrayLike, label: str, css: str, draw: Draw) -> SvgPlot:
+        across, up = _to_floats(x), _to_floats(y)
         if across.shape != up.shape or across.ndim != 1:
             raise ValueError(f"{self.title}: x has shape {across.shape}, y {up.shape}")
-        return self._put(Mark([across], [up], label, css, lambda f: draw(f, across, up, css)))
+        return self._put(PlotMark([across], [up], label, css, lambda f: draw(f, across, up, css)))
 
-    def _put(self, mark: Mark) -> Plot:
+    def _put(self, mark: PlotMark) -> SvgPlot:
         self._marks.append(mark)
         return self
 
 
-def same_x(plots: Sequence[Plot]) -> Sequence[Plot]:
-    """Give plots one x axis that shows the data of all: the first one's `Axis` rules."""
+def share_x_axis(plots: Sequence[SvgPlot]) -> Sequence[SvgPlot]:
+    """Give plots one x axis that shows the data of all: the first one's `PlotAxis` rules."""
     if plots:
-        scale = scale_of(plots[0].x, [values for plot in plots for values in plot.x_data])
+        scale = fit_scale(plots[0].x, [values for plot in plots for values in plot.x_data])
         for plot in plots:
             plot.share_x(scale, names_x=plot is plots[-1])
     return plots
@@ -278,16 +278,16 @@ def css_of(colour: int) -> str:
     return "cm" if colour == MUTED else f"c{colour % COLOURS}"
 
 
-def _floats(values: ArrayLike) -> Floats:
+def _to_floats(values: ArrayLike) -> Floats:
     return np.asarray(values, dtype=np.float64)
 
 
-def _visible(frame: Frame, axis: str, value: float) -> bool:
+def _is_visible(frame: Frame, axis: str, value: float) -> bool:
     place = (frame.x if axis == "x" else frame.y).place(value)
     return 0.0 <= place <= 1.0
 
 
-def _across_or_down(frame: Frame, axis: str, value: float) -> str:
+def _draw_straight(frame: Frame, axis: str, value: float) -> str:
     if axis == "x":
         return f"M{frame.x.place(value) * FRAME_WIDTH:.0f} 0V{frame.height:.0f}"
     return f"M0 {(1.0 - frame.y.place(value)) * frame.height:.0f}H{FRAME_WIDTH}"

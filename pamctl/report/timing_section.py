@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from pamctl.report.html_page import Page
-from pamctl.report.reported_run import Run
-from pamctl.report.svg import Axis, Plot
-from pamctl.simulate.merit import spread
+from pamctl.report.reported_run import ReportedRun
+from pamctl.report.svg import PlotAxis, SvgPlot
+from pamctl.simulate.merit import summarise_durations
 
 WORST = 10
 MICRO = 1e6
@@ -23,7 +23,7 @@ _DURATIONS = (
 )
 
 
-def write_timing(page: Page, runs: Sequence[Run]) -> None:
+def write_timing(page: Page, runs: Sequence[ReportedRun]) -> None:
     """Write how long things took, and which ticks were late or missed."""
     page.section("Timing")
     for run in runs:
@@ -35,35 +35,37 @@ def write_timing(page: Page, runs: Sequence[Run]) -> None:
         if len(run) < 2:
             page.text("Too few ticks to speak of timing.")
             continue
-        _spreads(page, run)
-        _histograms(page, run)
-        _worst(page, run)
-        _missed(page, run)
+        _write_spreads(page, run)
+        _plot_histograms(page, run)
+        _write_worst(page, run)
+        _write_missed(page, run)
 
 
-def _spreads(page: Page, run: Run) -> None:
+def _write_spreads(page: Page, run: ReportedRun) -> None:
     rows = []
     for name, label in _DURATIONS:
         values = run.column(name)
         if values is not None:
-            found = spread(values[np.isfinite(values)])
+            found = summarise_durations(values[np.isfinite(values)])
             rows.append([label, *(f"{part * MICRO:.1f}" for part in found)])
     if rows:
         page.table(["µs", "p50", "p99", "max"], rows)
 
 
-def _histograms(page: Page, run: Run) -> None:
+def _plot_histograms(page: Page, run: ReportedRun) -> None:
     plots = []
     for name, label in (("late_s", "wake-up behind deadline"), ("work", "read, tick and write")):
-        values = _work_s(run) if name == "work" else run.column(name)
+        values = _compute_work_s(run) if name == "work" else run.column(name)
         if values is None:
             continue
         edges = np.geomspace(FASTEST_US, SLOWEST_US, 141)
         counts, _ = np.histogram(np.clip(values * MICRO, FASTEST_US, SLOWEST_US), edges)
         used = np.flatnonzero(counts)
         first, last = max(0, used[0] - 2), min(len(counts), used[-1] + 3)
-        duration = Axis("duration, 0.1 and less at the left", "µs", log=True, tight=True)
-        plot = Plot(label.capitalize(), duration, Axis("ticks", low=0.5, log=True), height_px=150)
+        duration = PlotAxis("duration, 0.1 and less at the left", "µs", log=True, tight=True)
+        plot = SvgPlot(
+            label.capitalize(), duration, PlotAxis("ticks", low=0.5, log=True), height_px=150
+        )
         plots.append(plot.bars(edges[first : last + 1], counts[first:last]))
     if plots:
         page.grid(*plots, caption="Both axes are logarithmic: a single tick is still a bar.")
@@ -73,18 +75,20 @@ def _histograms(page: Page, run: Run) -> None:
     usual_ms = float(np.median(steps_ms))
     over = (min(float(steps_ms.min()), 0.9 * usual_ms), max(float(steps_ms.max()), 1.1 * usual_ms))
     counts, edges = np.histogram(steps_ms, 81, over)
-    plot = Plot("Time between samples", Axis("step", "ms"), Axis("ticks", low=0.5, log=True))
+    plot = SvgPlot(
+        "Time between samples", PlotAxis("step", "ms"), PlotAxis("ticks", low=0.5, log=True)
+    )
     page.figure(plot.bars(edges, counts), caption="All that is known of this log's clock.")
 
 
-def _work_s(run: Run) -> np.ndarray | None:
+def _compute_work_s(run: ReportedRun) -> np.ndarray | None:
     parts = [run.column(name) for name in ("read_s", "compute_s", "write_s")]
     known = [part for part in parts if part is not None]
     return np.sum(known, axis=0) if len(known) == len(parts) else None
 
 
-def _worst(page: Page, run: Run) -> None:
-    late, work = run.column("late_s"), _work_s(run)
+def _write_worst(page: Page, run: ReportedRun) -> None:
+    late, work = run.column("late_s"), _compute_work_s(run)
     if late is None or work is None:
         return
     cost = np.nan_to_num(late + work)
@@ -105,7 +109,7 @@ def _worst(page: Page, run: Run) -> None:
     )
 
 
-def _missed(page: Page, run: Run) -> None:
+def _write_missed(page: Page, run: ReportedRun) -> None:
     missed = run.log["missed"]
     at = np.flatnonzero(missed > 0)
     if not len(at):

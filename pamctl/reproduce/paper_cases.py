@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from pamctl.settings.resolve import resolve
-from pamctl.simulate.batch import Batch, simulated
+from pamctl.simulate.batch import SimulatedRun, simulate_run
 
 PLANTS = {"paper": "of Tables I and II", "paper-valve109": "with the valve's 109 Hz"}
 """Shipped plants that the reproduction runs on."""
@@ -25,9 +25,9 @@ class Case:
     overrides: tuple[str, ...] = ()
     remark: str = ""
 
-    def run(self, experiment: str, plant: str, seed: int) -> Batch:
+    def run(self, experiment: str, plant: str, seed: int) -> SimulatedRun:
         """Simulate it."""
-        return _simulated(self.controller, self.overrides, experiment, plant, seed)
+        return _simulate_case(self.controller, self.overrides, experiment, plant, seed)
 
 
 PRINTED_QSMC = Case("qSMC as printed", "paper-table3-qsmc", remark="Table III literally, in inches")
@@ -62,10 +62,10 @@ ALL = (PRINTED_QSMC, IN_MILLIMETRES, PRINTED_SMC, UNHINDERED_SMC, FITTED_SMC, *T
 
 
 @lru_cache(maxsize=64)
-def _simulated(
+def _simulate_case(
     controller: str, overrides: tuple[str, ...], experiment: str, plant: str, seed: int
-) -> Batch:
-    return simulated(
+) -> SimulatedRun:
+    return simulate_run(
         resolve(
             controller=controller,
             experiment=experiment,

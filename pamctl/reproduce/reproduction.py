@@ -31,7 +31,7 @@ class Reproduction(NamedTuple):
     numbers: dict[str, Any]
 
 
-def reproduce(
+def reproduce_paper(
     parts: Sequence[str], seed: int, progress: Callable[[str], None] = lambda name: None
 ) -> Reproduction:
     """Simulate and lay out these of `PARTS`; `progress` hears the name of each as it begins."""

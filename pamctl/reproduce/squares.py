@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from pamctl.report.html_page import Page
-from pamctl.report.svg import Axis, Plot
+from pamctl.report.svg import PlotAxis, SvgPlot
 from pamctl.reproduce.paper_cases import PLANTS, Case
-from pamctl.simulate.batch import Batch
+from pamctl.simulate.batch import SimulatedRun
 
 FREQUENCIES = ("0.25", "0.5", "1", "2")
 _ANY_LAW = Case("open loop", "paper-table3-qsmc")
@@ -27,16 +27,16 @@ def write_fig3(page: Page, seed: int) -> dict[str, Any]:
         "eye."
     )
     numbers: dict[str, Any] = {}
-    plots: list[Plot] = []
+    plots: list[SvgPlot] = []
     for frequency in FREQUENCIES:
         runs = {plant: _ANY_LAW.run(f"square-{frequency}", plant, seed) for plant in PLANTS}
-        plots += _plots(frequency, runs)
+        plots += _make_plots(frequency, runs)
         numbers[frequency] = {
-            plant: _last_cycle(run, float(frequency)) for plant, run in runs.items()
+            plant: _measure_last_cycle(run, float(frequency)) for plant, run in runs.items()
         }
     page.grid(*plots, caption="Displacement and pressure at 0.25, 0.5, 1 and 2 Hz.")
     rows = [
-        [f"{frequency} Hz, {PLANTS[plant]}", *_cells(found)]
+        [f"{frequency} Hz, {PLANTS[plant]}", *_format_cells(found)]
         for frequency, of_plants in numbers.items()
         for plant, found in of_plants.items()
     ]
@@ -54,15 +54,15 @@ def write_fig3(page: Page, seed: int) -> dict[str, Any]:
     return numbers
 
 
-def _plots(frequency: str, runs: dict[str, Batch]) -> list[Plot]:
+def _make_plots(frequency: str, runs: dict[str, SimulatedRun]) -> list[SvgPlot]:
     shown_s = 2.0 / float(frequency)
-    time = Axis("time", "s", tight=True)
+    time = PlotAxis("time", "s", tight=True)
     plots = []
     for what, column, scale, unit in (
         ("displacement", "true_position_m", 1e3, "mm"),
         ("pressure", "true_pressure_pa", 1e-3, "kPa"),
     ):
-        plot = Plot(f"{frequency} Hz, {what}", time, Axis("", unit), height_px=130)
+        plot = SvgPlot(f"{frequency} Hz, {what}", time, PlotAxis("", unit), height_px=130)
         for colour, (plant, run) in enumerate(runs.items()):
             seen = run.t_s < shown_s
             plot.line(run.t_s[seen], run[column][seen] * scale, PLANTS[plant], colour=colour)
@@ -70,7 +70,7 @@ def _plots(frequency: str, runs: dict[str, Batch]) -> list[Plot]:
     return plots
 
 
-def _last_cycle(run: Batch, frequency_hz: float) -> dict[str, float | None]:
+def _measure_last_cycle(run: SimulatedRun, frequency_hz: float) -> dict[str, float | None]:
     period_ticks = round(1000.0 / frequency_hz)
     half = period_ticks // 2
     t_s, x = run.t_s[-period_ticks:], run["true_position_m"][-period_ticks:]
@@ -80,12 +80,12 @@ def _last_cycle(run: Batch, frequency_hz: float) -> dict[str, float | None]:
         "position_high_m": float(x.max()),
         "pressure_low_pa": float(pressure.min()),
         "pressure_high_pa": float(pressure.max()),
-        "rise_s": _ten_to_ninety(t_s[:half], x[:half]),
-        "fall_s": _ten_to_ninety(t_s[half:], -x[half:]),
+        "rise_s": _measure_rise_time(t_s[:half], x[:half]),
+        "fall_s": _measure_rise_time(t_s[half:], -x[half:]),
     }
 
 
-def _ten_to_ninety(t_s: np.ndarray, x: np.ndarray) -> float | None:
+def _measure_rise_time(t_s: np.ndarray, x: np.ndarray) -> float | None:
     """Return the time from 10 to 90 % of a rise; None where there is none."""
     low, high = float(x.min()), float(x.max())
     if high - low < 1e-6:
@@ -94,7 +94,7 @@ def _ten_to_ninety(t_s: np.ndarray, x: np.ndarray) -> float | None:
     return float(t_s[np.argmax(share >= 0.9)] - t_s[np.argmax(share >= 0.1)])
 
 
-def _cells(found: dict[str, float | None]) -> list[str]:
+def _format_cells(found: dict[str, float | None]) -> list[str]:
     scales = (1e3, 1e3, 1e-3, 1e-3, 1e3, 1e3)
     digits = (2, 2, 1, 1, 0, 0)
     return [

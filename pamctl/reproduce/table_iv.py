@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pamctl.control.smc import SmcSettings, linearised
+from pamctl.control.smc import SmcSettings, linearise_model
 from pamctl.plant.model import plant_parameters
 from pamctl.report.html_page import Page
 from pamctl.reproduce.paper_cases import (
@@ -17,7 +17,7 @@ from pamctl.reproduce.paper_cases import (
     UNHINDERED_SMC,
     Case,
 )
-from pamctl.reproduce.tracking import outcome_of
+from pamctl.reproduce.tracking import summarise_outcome
 from pamctl.simulate.merit import TABLE_IV
 
 EXPERIMENTS = ("tracking-1", "tracking-2")
@@ -31,7 +31,9 @@ def write_table4(page: Page, seed: int) -> dict[str, Any]:
     page.section("Table IV: controller performance")
     measured = {
         plant: {
-            experiment: {case.name: outcome_of(case.run(experiment, plant, seed)) for case in ALL}
+            experiment: {
+                case.name: summarise_outcome(case.run(experiment, plant, seed)) for case in ALL
+            }
             for experiment in EXPERIMENTS
         }
         for plant in PLANTS
@@ -39,19 +41,19 @@ def write_table4(page: Page, seed: int) -> dict[str, Any]:
     for plant, title in PLANTS.items():
         page.table(
             ["µm", "1: max", "RMS", "steady", "2: max", "RMS"],
-            [*_paper_rows(), *(_row(case, measured[plant]) for case in ALL)],
+            [*_make_paper_rows(), *(_make_row(case, measured[plant]) for case in ALL)],
             caption=f"Errors in experiments 1 and 2; the model {title}.",
         )
     page.points(*(f"{case.name}: {case.remark}." for case in ALL if case.remark))
-    _findings(page, measured, seed)
-    return {"simulated": measured, "paper": _paper_numbers()}
+    _write_findings(page, measured, seed)
+    return {"simulated": measured, "paper": _collect_paper_numbers()}
 
 
-def _paper_rows() -> list[list[str]]:
+def _make_paper_rows() -> list[list[str]]:
     rows = []
     for law, name in _LAWS.items():
         cells = [
-            _cell(value)
+            _format_cell(value)
             for row in TABLE_IV
             if row.law == law
             for value in row.merit
@@ -61,19 +63,19 @@ def _paper_rows() -> list[list[str]]:
     return rows
 
 
-def _row(case: Case, of_plant: dict[str, dict[str, dict[str, float | None]]]) -> list[str]:
+def _make_row(case: Case, of_plant: dict[str, dict[str, dict[str, float | None]]]) -> list[str]:
     one, two = (of_plant[experiment][case.name] for experiment in EXPERIMENTS)
     if one["max_m"] is None or two["max_m"] is None:
         return [case.name, *["trips"] * 5]
     values = (one["max_m"], one["rms_m"], one["steady_m"], two["max_m"], two["rms_m"])
-    return [case.name, *(_cell(value) for value in values)]
+    return [case.name, *(_format_cell(value) for value in values)]
 
 
-def _cell(value: float | None) -> str:
+def _format_cell(value: float | None) -> str:
     return "-" if value is None else f"{value * 1e6:.1f}"
 
 
-def _paper_numbers() -> dict[str, dict[str, dict[str, float | None]]]:
+def _collect_paper_numbers() -> dict[str, dict[str, dict[str, float | None]]]:
     return {
         experiment: {
             row.law: {k: None if math.isnan(v) else v for k, v in row.merit._asdict().items()}
@@ -84,7 +86,7 @@ def _paper_numbers() -> dict[str, dict[str, dict[str, float | None]]]:
     }
 
 
-def inside(found: dict[str, float | None], bound: dict[str, float | None]) -> bool:
+def is_within_bound(found: dict[str, float | None], bound: dict[str, float | None]) -> bool:
     """Tell whether every error that the paper gives a value for is at most that."""
     return all(
         limit is None or ((value := found[name]) is not None and value <= limit)
@@ -92,11 +94,11 @@ def inside(found: dict[str, float | None], bound: dict[str, float | None]) -> bo
     )
 
 
-def _findings(page: Page, measured: Numbers, seed: int) -> None:
+def _write_findings(page: Page, measured: Numbers, seed: int) -> None:
     page.heading("What reproduces, and what does not")
     for plant, title in PLANTS.items():
-        _about_qsmc(page, measured[plant], title)
-    _about_smc(page, measured["paper"]["tracking-2"][UNHINDERED_SMC.name]["max_m"], seed)
+        _write_about_qsmc(page, measured[plant], title)
+    _write_about_smc(page, measured["paper"]["tracking-2"][UNHINDERED_SMC.name]["max_m"], seed)
     page.text(
         "Readings that decide it, each tried. The headings of Table III are crossed: q = 1 is the "
         "traditional law, so that its column belongs to Eq. 18. The gains are in inches, where "
@@ -111,13 +113,13 @@ def _findings(page: Page, measured: Numbers, seed: int) -> None:
     )
 
 
-def _about_qsmc(page: Page, measured: dict[str, Any], title: str) -> None:
-    paper = _paper_numbers()
+def _write_about_qsmc(page: Page, measured: dict[str, Any], title: str) -> None:
+    paper = _collect_paper_numbers()
     pairs = [
         (measured[experiment][PRINTED_QSMC.name], paper[experiment]["qsmc"])
         for experiment in EXPERIMENTS
     ]
-    kept = all(inside(found, bound) for found, bound in pairs)
+    kept = all(is_within_bound(found, bound) for found, bound in pairs)
     ratios = [
         found[name] / limit
         for found, bound in pairs
@@ -133,8 +135,8 @@ def _about_qsmc(page: Page, measured: dict[str, Any], title: str) -> None:
     )
 
 
-def _about_smc(page: Page, unhindered_m: float | None, seed: int) -> None:
-    gain, most_v = _smc_reach(seed)
+def _write_about_smc(page: Page, unhindered_m: float | None, seed: int) -> None:
+    gain, most_v = _compute_smc_reach(seed)
     unhindered = (
         ""
         if unhindered_m is None
@@ -150,7 +152,7 @@ def _about_smc(page: Page, unhindered_m: float | None, seed: int) -> None:
     )
 
 
-def _smc_reach(seed: int) -> tuple[float, float]:
+def _compute_smc_reach(seed: int) -> tuple[float, float]:
     """Return g-hat at mid-stroke at rest, m/s^3/V, and the printed SMC's largest command, V."""
     run = PRINTED_SMC.run("tracking-2", "paper", seed)
     settings = run.settings.controller
@@ -159,5 +161,5 @@ def _smc_reach(seed: int) -> tuple[float, float]:
     mid_m = experiment.offset_mm * 1e-3
     p = plant_parameters(settings.model).paper
     mid_pa = 0.5 * (p.tank_pressure_pa + p.atmospheric_pressure_pa)
-    gain = linearised(p, mid_m, 0.0, 0.0, mid_pa).fill_gain
+    gain = linearise_model(p, mid_m, 0.0, 0.0, mid_pa).fill_gain
     return gain, float(abs(run["command_v"]).max())

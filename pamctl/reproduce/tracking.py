@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from pamctl.report.html_page import Page
-from pamctl.report.svg import MUTED, Axis, Plot
+from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.reproduce.paper_cases import FITTED_SMC, PRINTED_QSMC, PRINTED_SMC, TUNED, Case
 from pamctl.signals import Phase
-from pamctl.simulate.batch import Batch
+from pamctl.simulate.batch import SimulatedRun
 
 FIGURES = {
     "fig4": ("tracking-1", "Fig. 4: experiment 1"),
@@ -30,19 +30,20 @@ def write_tracking(page: Page, figure: str, seed: int) -> dict[str, Any]:
     qsmc, smc, *_ = TUNED
     page.heading("With the gains that the paper prints")
     page.figure(
-        *_stack((PRINTED_QSMC, FITTED_SMC), experiment, seed),
+        *_plot_stack((PRINTED_QSMC, FITTED_SMC), experiment, seed),
         caption="qSMC as printed, and SMC as printed but for K_p, which was fitted to Table IV.",
     )
-    _literal_smc(page, experiment, seed)
+    _write_literal_smc(page, experiment, seed)
     page.heading("With tuned gains")
     page.figure(
-        *_stack((qsmc, smc), experiment, seed), caption="qSMC and SMC, tuned with equal effort."
+        *_plot_stack((qsmc, smc), experiment, seed),
+        caption="qSMC and SMC, tuned with equal effort.",
     )
     cases = (PRINTED_QSMC, PRINTED_SMC, FITTED_SMC, qsmc, smc)
-    return {case.name: outcome_of(case.run(experiment, "paper", seed)) for case in cases}
+    return {case.name: summarise_outcome(case.run(experiment, "paper", seed)) for case in cases}
 
 
-def outcome_of(run: Batch) -> dict[str, float | None]:
+def summarise_outcome(run: SimulatedRun) -> dict[str, float | None]:
     """Return the figures of merit in m, None where there are none, and when it tripped."""
     found = run.merit()
     figures: dict[str, float | None] = dict.fromkeys(("max_m", "rms_m", "steady_m"))
@@ -51,7 +52,7 @@ def outcome_of(run: Batch) -> dict[str, float | None]:
     return {**figures, "tripped_s": run.tripped_s}
 
 
-def _literal_smc(page: Page, experiment: str, seed: int) -> None:
+def _write_literal_smc(page: Page, experiment: str, seed: int) -> None:
     run = PRINTED_SMC.run(experiment, "paper", seed)
     if run.tripped_s is None:
         return
@@ -63,12 +64,12 @@ def _literal_smc(page: Page, experiment: str, seed: int) -> None:
     )
 
 
-def _stack(cases: Sequence[Case], experiment: str, seed: int) -> list[Plot]:
-    time = Axis("time since the end of the approach", "s", tight=True)
-    position = Plot("Displacement", time, Axis("displacement", "mm"), height_px=160)
-    error = Plot("Error", time, Axis("x \N{MINUS SIGN} x_D", "µm"), height_px=130)
-    command = Plot("Command", time, Axis("u", "V"), height_px=110)
-    pressure = Plot("Pressure", time, Axis("absolute", "kPa"), height_px=110)
+def _plot_stack(cases: Sequence[Case], experiment: str, seed: int) -> list[SvgPlot]:
+    time = PlotAxis("time since the end of the approach", "s", tight=True)
+    position = SvgPlot("Displacement", time, PlotAxis("displacement", "mm"), height_px=160)
+    error = SvgPlot("Error", time, PlotAxis("x \N{MINUS SIGN} x_D", "µm"), height_px=130)
+    command = SvgPlot("Command", time, PlotAxis("u", "V"), height_px=110)
+    pressure = SvgPlot("Pressure", time, PlotAxis("absolute", "kPa"), height_px=110)
     for colour, case in enumerate(cases):
         run = case.run(experiment, "paper", seed)
         shown = np.isin(run["phase"], (Phase.TRACK, Phase.REST))

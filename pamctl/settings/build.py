@@ -15,27 +15,27 @@ from hal.converter import Output
 from hal.nidaq.card_settings import card_output
 from hal.rig import RawSample
 from hal.sim.sim_rig import simulated_output
-from pamctl.control.experiment import Course, ExperimentSettings, from_here, segments
+from pamctl.control.experiment import Course, ExperimentSettings, build_segments, start_at_position
 from pamctl.control.homing import Homing, HomingSettings
 from pamctl.control.law import filter_gains, law_gains
 from pamctl.plant.model import plant_parameters
 from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup
-from pamctl.safety import limits
+from pamctl.safety import convert_limits
 from pamctl.settings.resolve import RunSettings
 from pamctl.settings.rig_file import NidaqRigSettings, SimRigSettings
 
 _EXPERIMENT: TypeAdapter[Any] = TypeAdapter(ExperimentSettings)
 
 
-def setup_of(settings: RunSettings) -> TickSetup:
+def build_tick_setup(settings: RunSettings) -> TickSetup:
     """Return what the tick needs to know."""
     cal = calibration(settings.rig.calibration)
     return TickSetup(
         calibration=cal,
         filters=filter_gains(settings.controller),
         gains=law_gains(settings.controller),
-        limits=limits(
+        limits=convert_limits(
             settings.rig.limits,
             safe_valve_v=safe_valve_v(settings, cal),
             count_m=abs(cal.encoder_m_per_count),
@@ -50,40 +50,40 @@ def safe_valve_v(settings: RunSettings, cal: Calibration) -> float:
     return valve_v(cal, settings.rig.safe_volts)
 
 
-def program_of(settings: RunSettings, *, course_begin_s: float | None = None) -> Program:
+def build_program(settings: RunSettings, *, course_begin_s: float | None = None) -> Program:
     """Return the order of the run; from `course_begin_s` on, where its homing is over by then."""
     rig = settings.rig
     return Program(
-        new_homing(settings) if course_begin_s is None else None,
-        Course(segments(settings.experiment), settings.duration_s),
+        build_homing(settings) if course_begin_s is None else None,
+        Course(build_segments(settings.experiment), settings.duration_s),
         safe_valve_v=safe_valve_v(settings, calibration(rig.calibration)),
         stop_ramp_s=rig.loop.stop_ramp_s,
         course_begin_s=course_begin_s,
     )
 
 
-def ordered_program(settings: RunSettings, order: Mapping[str, Any]) -> Program:
+def build_ordered_program(settings: RunSettings, order: Mapping[str, Any]) -> Program:
     """Return the program of a run that was ordered of a loop which goes on.
 
     `order` is the log's event: the experiment, where its motion starts, and whether it homes.
     """
     experiment = _EXPERIMENT.validate_python(order["experiment"])
-    course = from_here(segments(experiment), order["start_m"])
+    course = start_at_position(build_segments(experiment), order["start_m"])
     return Program(
-        new_homing(settings) if order["homes"] else None,
+        build_homing(settings) if order["homes"] else None,
         Course(course, order["duration_s"]),
         safe_valve_v=safe_valve_v(settings, calibration(settings.rig.calibration)),
         stop_ramp_s=settings.rig.loop.stop_ramp_s,
     )
 
 
-def new_homing(settings: RunSettings) -> Homing | None:
+def build_homing(settings: RunSettings) -> Homing | None:
     """Return how the muscle is homed from now on; None where it is not."""
     rig = settings.rig
-    return Homing(homing_of(settings), rig.calibration) if rig.homing.enabled else None
+    return Homing(choose_homing_settings(settings), rig.calibration) if rig.homing.enabled else None
 
 
-def homing_of(settings: RunSettings) -> HomingSettings:
+def choose_homing_settings(settings: RunSettings) -> HomingSettings:
     """Return how to home; a run that may move nothing takes its zeros at the safe voltage."""
     homing = settings.rig.homing
     return homing.model_copy(update={"fills": 0}) if settings.readonly else homing

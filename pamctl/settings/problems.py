@@ -65,7 +65,7 @@ class _Place:
         if any(len(self._members(node)) > 1 for node in self.nodes):
             named = [m for m in members if _is_called(m, name)]
             return _Place(self.schema, tuple(named or members), self.at)
-        children = (_child(member, name) for member in members)
+        children = (_find_child(member, name) for member in members)
         return _Place(self.schema, tuple(c for c in children if c is not None), (*self.at, name))
 
     def names(self) -> list[str]:
@@ -101,7 +101,7 @@ def _is_called(member: JsonSchema, label: str | int) -> bool:
     return label == member.get("title") or any(label == p.get("const") for p in properties)
 
 
-def _child(node: JsonSchema, name: str | int) -> JsonSchema | None:
+def _find_child(node: JsonSchema, name: str | int) -> JsonSchema | None:
     if isinstance(name, str):
         others = node.get("additionalProperties")
         child = node.get("properties", {}).get(name, others if isinstance(others, dict) else None)
@@ -125,9 +125,11 @@ class _Complaint(NamedTuple):
     """The key that an unknown one seems to stand for."""
 
 
-def findings(errors: Iterable[ErrorDetails], schema: JsonSchema, title: str) -> dict[KeyPath, str]:
+def explain_errors(
+    errors: Iterable[ErrorDetails], schema: JsonSchema, title: str
+) -> dict[KeyPath, str]:
     """Say of each place what is wrong there, in one message however many ways were tried."""
-    complaints = [_complaint(error, schema, title) for error in errors]
+    complaints = [_make_complaint(error, schema, title) for error in errors]
     meant = {complaint.meant for complaint in complaints}
     found: dict[KeyPath, list[_Complaint]] = {}
     for complaint in complaints:
@@ -135,24 +137,24 @@ def findings(errors: Iterable[ErrorDetails], schema: JsonSchema, title: str) -> 
             complaint.message.startswith(_MISSING) and complaint.at in meant
         ):  # one slip, one line
             found.setdefault(complaint.at, []).append(complaint)
-    return {at: _said(at_one_place) for at, at_one_place in found.items()}
+    return {at: _join_complaints(at_one_place) for at, at_one_place in found.items()}
 
 
-def _said(complaints: Sequence[_Complaint]) -> str:
+def _join_complaints(complaints: Sequence[_Complaint]) -> str:
     musts = list(dict.fromkeys(c.must for c in complaints if c.must))
     if not musts:
         return "; ".join(c.message for c in complaints)
     got = complaints[0].got
-    return f"must be {' or '.join(musts)} (got {_got(got)}){_hint(musts, got)}"
+    return f"must be {' or '.join(musts)} (got {_show_value(got)}){_hint_at_habit(musts, got)}"
 
 
-def _complaint(error: ErrorDetails, schema: JsonSchema, title: str) -> _Complaint:
+def _make_complaint(error: ErrorDetails, schema: JsonSchema, title: str) -> _Complaint:
     kind, way, context = error["type"], error["loc"], error.get("ctx", {})
     if kind in {"extra_forbidden", "missing"}:
-        return _about_key(kind, _place(schema, way[:-1]), way[-1], title)
-    place = _place(schema, way)
+        return _complain_of_key(kind, _follow_location(schema, way[:-1]), way[-1], title)
+    place = _follow_location(schema, way)
     if kind in {"union_tag_not_found", "union_tag_invalid"}:
-        return _about_tag(place, context["discriminator"].strip("'"), error["input"])
+        return _complain_of_tag(place, context["discriminator"].strip("'"), error["input"])
     if kind in {"value_error", "assertion_error"}:
         return _Complaint(place.at, message=str(context["error"]))
     if kind in {"too_short", "too_long"}:
@@ -169,17 +171,17 @@ def _complaint(error: ErrorDetails, schema: JsonSchema, title: str) -> _Complain
 
 def names_in(schema: JsonSchema) -> set[str]:
     """Return the keys that a schema's mappings may hold."""
-    return set(_place(schema, ()).names())
+    return set(_follow_location(schema, ()).names())
 
 
-def _place(schema: JsonSchema, way: Iterable[str | int]) -> _Place:
+def _follow_location(schema: JsonSchema, way: Iterable[str | int]) -> _Place:
     place = _Place(schema, (schema,))
     for name in way:
         place = place.step(name)
     return place
 
 
-def _about_key(kind: str, parent: _Place, key: str | int, title: str) -> _Complaint:
+def _complain_of_key(kind: str, parent: _Place, key: str | int, title: str) -> _Complaint:
     at = (*parent.at, key)
     if isinstance(key, int):
         return _Complaint(parent.at, message=f"must hold more than {key} items")
@@ -189,13 +191,13 @@ def _about_key(kind: str, parent: _Place, key: str | int, title: str) -> _Compla
     if (title, *at) in {(key, key), ("", key, key)}:
         message = f"unknown key; a {key}'s keys stand in its file without this heading"
         return _Complaint(at, message=message)
-    meant, hint = _meant(key, parent.names())
+    meant, hint = _guess_key(key, parent.names())
     return _Complaint(at, message=f"unknown key{hint}", meant=(*parent.at, meant))
 
 
-def _about_tag(place: _Place, tag: str, given: Any) -> _Complaint:
+def _complain_of_tag(place: _Place, tag: str, given: Any) -> _Complaint:
     at = (*place.at, tag)
-    expected = any_of(place.choices(tag))
+    expected = join_choices(place.choices(tag))
     if tag not in given:
         return _Complaint(at, message=f"missing; it must be {expected}")
     return _Complaint(at, must=expected, got=given[tag])
@@ -239,7 +241,7 @@ _UNIT = re.compile(
 )
 
 
-def _stem(key: str) -> str:
+def _strip_unit(key: str) -> str:
     """Return a key without the unit at its end: `lambda` of `lambda_per_s`."""
     parts = key.lower().split("_")
     while len(parts) > 1 and _UNIT.fullmatch(parts[-1]):
@@ -247,27 +249,27 @@ def _stem(key: str) -> str:
     return "_".join(parts)
 
 
-def _meant(key: str, known: Sequence[str]) -> tuple[str, str]:
+def _guess_key(key: str, known: Sequence[str]) -> tuple[str, str]:
     """Return the key that was probably meant ('' if none is near), and how to say so."""
-    stems = {_stem(name): name for name in reversed(known)}
-    if _stem(key) in stems and key not in known:
-        name = stems[_stem(key)]
+    stems = {_strip_unit(name): name for name in reversed(known)}
+    if _strip_unit(key) in stems and key not in known:
+        name = stems[_strip_unit(key)]
         return name, f"; did you mean '{name}'? The unit is part of the name"
     near = get_close_matches(key.lower(), known, n=1) or [
-        stems[stem] for stem in get_close_matches(_stem(key), stems, n=1)
+        stems[stem] for stem in get_close_matches(_strip_unit(key), stems, n=1)
     ]
     if near:
         return near[0], f"; did you mean '{near[0]}'?"
     return "", f"; there are {', '.join(known)}" if 0 < len(known) <= 12 else ""
 
 
-def any_of(values: Iterable[object]) -> str:
+def join_choices(values: Iterable[object]) -> str:
     """Write a choice: `'a', 'b' or 'c'`."""
     *first, last = (f"'{value}'" if isinstance(value, str) else str(value) for value in values)
     return f"{', '.join(first)} or {last}" if first else last
 
 
-def _got(value: object) -> str:
+def _show_value(value: object) -> str:
     """Show a value as the user wrote it, or what kind of thing it is."""
     if value is None or isinstance(value, dict):
         return "nothing" if value is None else "a mapping"
@@ -277,7 +279,7 @@ def _got(value: object) -> str:
     return written if len(written) <= 40 else f"{written[:37]}..."
 
 
-def _hint(musts: Sequence[str], got: object) -> str:
+def _hint_at_habit(musts: Sequence[str], got: object) -> str:
     """Name the habit behind a wrong value, where there is a common one."""
     if got is None and _MAPPING in musts:
         return "; leave the key out, or write {}"
@@ -296,6 +298,6 @@ def _hint(musts: Sequence[str], got: object) -> str:
     return ""
 
 
-def dotted(at: KeyPath) -> str:
+def join_key_path(at: KeyPath) -> str:
     """Write a path of keys as a user does: `controller.lambda_per_s`."""
     return ".".join(map(str, at))

@@ -28,13 +28,21 @@ from pamctl.settings.problems import (
     ConfigError,
     JsonSchema,
     Problem,
-    any_of,
-    dotted,
-    findings,
+    explain_errors,
+    join_choices,
+    join_key_path,
     names_in,
 )
 from pamctl.settings.rig_file import RigSettings
-from pamctl.settings.yaml12 import Document, KeyPath, YamlError, dump, load, parse, parse_value
+from pamctl.settings.yaml12 import (
+    KeyPath,
+    YamlDocument,
+    YamlError,
+    dump_yaml,
+    load_yaml,
+    parse_yaml,
+    parse_yaml_value,
+)
 
 Settings = TypeVar("Settings")
 
@@ -59,7 +67,7 @@ class RunSettings(Configured):
     )
 
     @model_validator(mode="after")
-    def _filters_suit_the_rate(self) -> RunSettings:
+    def _check_filter_rates(self) -> RunSettings:
         highest_hz = HIGHEST_PER_RATE * self.rig.loop.rate_hz
         for name in ("lpf1_hz", "lpf2_hz"):
             if getattr(self.controller, name) > highest_hz:
@@ -123,29 +131,29 @@ def resolve(
         "readonly": ("--readonly", readonly),
         "rt": ("--rt", rt),
     }
-    raw = Raw()
-    _together(
+    raw = RawSettings()
+    _run_together(
         partial(raw.add_section, section, DEFAULT_NAMES[section] if name is None else name)
         for section, name in chosen.items()
     )
     for key, (option, value) in options.items():
         if value is not None:
             raw.put((key,), value, f"{option} {value}")
-    _together(partial(raw.override, override) for override in overrides)
-    return validated(RUN, raw)
+    _run_together(partial(raw.override, override) for override in overrides)
+    return validate_settings(RUN, raw)
 
 
-def check(path: Path) -> str:
+def check_config_file(path: Path) -> str:
     """Validate one file by itself and return its kind: a section, or `run` for a resolved one.
 
     Raises `ConfigError`.
     """
-    raw = Raw.read(path)
+    raw = RawSettings.read(path)
     kind = kind_of(path, raw.data)
     if kind == "run":
-        validated(RUN, raw)
+        validate_settings(RUN, raw)
     else:
-        validated(KINDS[kind], raw, title=kind)
+        validate_settings(KINDS[kind], raw, title=kind)
     return kind
 
 
@@ -157,12 +165,12 @@ def kind_of(path: Path, data: Mapping[str, object]) -> str:
     known["run"] = SECTIONS.keys() & data.keys()
     best, second = sorted(known, key=lambda kind: len(known[kind]), reverse=True)[:2]
     if len(known[best]) == len(known[second]):
-        message = f"cannot tell what this configures; put it into a folder {any_of(SECTIONS)}"
-        raise ConfigError([Problem(shown(path), "", message)])
+        message = f"cannot tell what this configures; put it into a folder {join_choices(SECTIONS)}"
+        raise ConfigError([Problem(shorten_path(path), "", message)])
     return best
 
 
-def to_data(settings: Configured) -> dict[str, Any]:
+def settings_to_data(settings: Configured) -> dict[str, Any]:
     """Return settings as mappings, lists and scalars, every default spelled out.
 
     What is None is left out: in every model here None is the default wherever it is allowed.
@@ -170,22 +178,25 @@ def to_data(settings: Configured) -> dict[str, Any]:
     return settings.model_dump(mode="json", round_trip=True, exclude_none=True)
 
 
-def to_yaml(settings: Configured) -> str:
+def settings_to_yaml(settings: Configured) -> str:
     """Write settings as YAML; of a `RunSettings`, `from_resolved` returns the equal."""
-    return dump(to_data(settings))
+    return dump_yaml(settings_to_data(settings))
 
 
-def to_json(settings: Configured) -> str:
+def settings_to_json(settings: Configured) -> str:
     """Write settings as one JSON document, which `from_resolved` reads as well."""
-    return json.dumps(to_data(settings), indent=2, allow_nan=False)
+    return json.dumps(settings_to_data(settings), indent=2, allow_nan=False)
 
 
 def from_resolved(text: str, name: str = "resolved configuration") -> RunSettings:
-    """Rebuild a run from `to_yaml` or `to_json`; `name` is what errors call the text."""
-    return validated(RUN, Raw.parse(text, Path(name)))
+    """Rebuild a run from the text of `settings_to_yaml` or `settings_to_json`.
+
+    Errors call the text by `name`.
+    """
+    return validate_settings(RUN, RawSettings.parse(text, Path(name)))
 
 
-def schema() -> JsonSchema:
+def build_config_schema() -> JsonSchema:
     """Return the one JSON schema for the files of all sections, whichever an editor opens.
 
     The alternatives are the models themselves, not the sections: an editor then measures
@@ -212,28 +223,28 @@ def config_dir() -> Path:
     return installed if installed.is_dir() else package.parent / "config"
 
 
-def names(section: str) -> list[str]:
+def list_shipped(section: str) -> list[str]:
     """Return what is shipped for one section."""
     return sorted(path.stem for path in (config_dir() / section).glob("*.yaml"))
 
 
-def find(section: str, name: str, option: str = "") -> Path:
+def find_config_file(section: str, name: str, option: str = "") -> Path:
     """Return the file that a name or path on the command line means; raise `ConfigError`.
 
     `option` is what the user wrote before the name, if that is not called as its section.
     """
     if Path(name).suffix in {".yaml", ".yml"} or Path(name).name != name:
         return Path(name)
-    if name in names(section):
+    if name in list_shipped(section):
         return config_dir() / section / f"{name}.yaml"
-    near = get_close_matches(name, names(section), n=1)
+    near = get_close_matches(name, list_shipped(section), n=1)
     meant = f"did you mean '{near[0]}'? There are" if near else "there are"
-    listed = ", ".join(names(section)) or "none"
+    listed = ", ".join(list_shipped(section)) or "none"
     message = f"there is no such {section}; {meant} {listed}; or give the path of a .yaml file"
     raise ConfigError([Problem(f"{option or f'--{section}'} {name}", "", message)])
 
 
-def shown(path: Path) -> str:
+def shorten_path(path: Path) -> str:
     """Return a path as short as a terminal opened here needs it."""
     try:
         return str(path.resolve().relative_to(Path.cwd()))
@@ -245,19 +256,19 @@ def shown(path: Path) -> str:
 
 
 @dataclass
-class Raw:
+class RawSettings:
     """Values as written, and where each was written."""
 
     data: dict[str, Any] = field(default_factory=dict)
     origins: dict[KeyPath, str] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, path: Path) -> Raw:
+    def read(cls, path: Path) -> RawSettings:
         """Read one file; raise `ConfigError`."""
-        return cls._of(lambda: load(Path(shown(path))))
+        return cls._read_document(lambda: load_yaml(Path(shorten_path(path))))
 
     @classmethod
-    def parse(cls, text: str, path: Path) -> Raw:
+    def parse(cls, text: str, path: Path) -> RawSettings:
         """Read YAML or JSON text; `path` is what errors call it."""
         try:  # JSON first: its escaped surrogate pairs are the one thing YAML reads otherwise
             data = json.loads(text)
@@ -265,10 +276,10 @@ class Raw:
             data = None
         if isinstance(data, dict):
             return cls(data, {(): str(path)})
-        return cls._of(lambda: parse(text, path))
+        return cls._read_document(lambda: parse_yaml(text, path))
 
     @classmethod
-    def _of(cls, reading: Callable[[], Document]) -> Raw:
+    def _read_document(cls, reading: Callable[[], YamlDocument]) -> RawSettings:
         try:
             document = reading()
         except YamlError as error:
@@ -278,7 +289,7 @@ class Raw:
 
     def add_section(self, section: str, name: str) -> None:
         """Take in the file of a section, given by name or path; raise `ConfigError`."""
-        file = Raw.read(find(section, name))
+        file = RawSettings.read(find_config_file(section, name))
         self.data[section] = file.data
         self.origins |= {(section, *at): origin for at, origin in file.origins.items()}
 
@@ -290,13 +301,13 @@ class Raw:
         container: Any = self.data
         at: KeyPath = ()
         for key in keys[:-1]:
-            slot = _slot(container, key, at)
+            slot = _find_slot(container, key, at)
             at = (*at, slot)
             if isinstance(container, dict) and container.get(key) is None:
                 container[key] = {}
                 self.origins[at] = origin
             container = container[slot]
-        slot = _slot(container, keys[-1], at)
+        slot = _find_slot(container, keys[-1], at)
         at = (*at, slot)
         container[slot] = value
         self.origins = {o: w for o, w in self.origins.items() if o[: len(at)] != at}
@@ -311,7 +322,7 @@ class Raw:
             message = "must read KEY=VALUE, as in controller.lambda_per_s=12"
             raise ConfigError([Problem(origin, "", message)])
         try:
-            parsed = parse_value(value)
+            parsed = parse_yaml_value(value)
             self._require_same_model(keys, parsed, origin)
             self.put(keys, parsed, origin)
         except YamlError as error:
@@ -329,35 +340,35 @@ class Raw:
             return
         message = (
             f"the {key} belongs to the {section} file, which is for {written!r} and has its keys; "
-            f"choose another file with --{section} ({', '.join(names(section))})"
+            f"choose another file with --{section} ({', '.join(list_shipped(section))})"
         )
         raise ConfigError([Problem(origin, ".".join(keys), message)])
 
     def origin(self, at: KeyPath) -> str:
         """Return where a value, or else the nearest mapping around it, was written."""
-        return next((self.origins[near] for near in _outwards(at) if near in self.origins), "")
+        return next((self.origins[near] for near in _walk_outwards(at) if near in self.origins), "")
 
     def rank(self, at: KeyPath) -> int:
         """Return the place of a value in the order of writing."""
         order = list(self.origins)
-        return next((order.index(near) for near in _outwards(at) if near in self.origins), 0)
+        return next((order.index(near) for near in _walk_outwards(at) if near in self.origins), 0)
 
 
-def _slot(container: object, key: str, at: KeyPath) -> str | int:
+def _find_slot(container: object, key: str, at: KeyPath) -> str | int:
     if isinstance(container, dict):
         return key
     if not isinstance(container, list):
-        raise LookupError(f"'{dotted(at)}' holds no keys")
+        raise LookupError(f"'{join_key_path(at)}' holds no keys")
     if not key.isdecimal() or int(key) >= len(container):
-        raise LookupError(f"'{dotted(at)}' has no item {key}; it holds {len(container)}")
+        raise LookupError(f"'{join_key_path(at)}' has no item {key}; it holds {len(container)}")
     return int(key)
 
 
-def _outwards(at: KeyPath) -> Iterable[KeyPath]:
+def _walk_outwards(at: KeyPath) -> Iterable[KeyPath]:
     return (at[:depth] for depth in range(len(at), -1, -1))
 
 
-def _together(steps: Iterable[Callable[[], None]]) -> None:
+def _run_together(steps: Iterable[Callable[[], None]]) -> None:
     """Take every step, and only then raise the problems of them all."""
     problems: list[Problem] = []
     for step in steps:
@@ -369,7 +380,9 @@ def _together(steps: Iterable[Callable[[], None]]) -> None:
         raise ConfigError(problems)
 
 
-def validated(adapter: TypeAdapter[Settings], raw: Raw, title: str = "") -> Settings:
+def validate_settings(
+    adapter: TypeAdapter[Settings], raw: RawSettings, title: str = ""
+) -> Settings:
     """Make settings of raw values; `title` is the section they are, if they are one by itself.
 
     Raises `ConfigError`. The values go in as JSON, because pydantic is then strict about
@@ -378,8 +391,8 @@ def validated(adapter: TypeAdapter[Settings], raw: Raw, title: str = "") -> Sett
     try:
         return adapter.validate_json(json.dumps(raw.data), strict=True)
     except ValidationError as error:
-        found = findings(error.errors(include_url=False), adapter.json_schema(), title)
+        found = explain_errors(error.errors(include_url=False), adapter.json_schema(), title)
     raise ConfigError(
-        Problem(raw.origin(at), dotted((title, *at) if title else at), message)
+        Problem(raw.origin(at), join_key_path((title, *at) if title else at), message)
         for at, message in sorted(found.items(), key=lambda finding: raw.rank(finding[0]))
     )

@@ -28,7 +28,7 @@ class _Rig(Configured):
     loop: LoopSettings = LoopSettings()
 
     @model_validator(mode="after")
-    def _within_the_driver(self) -> Self:
+    def _check_driver_range(self) -> Self:
         """Safety reasons about the command it admits: what the driver would cut must not occur."""
         cal, limit_v = self.calibration, self.limits.command_v
         reach_v = [cal.driver_offset_v + cal.driver_gain * v for v in (-limit_v, limit_v)]
@@ -62,14 +62,14 @@ class NidaqRigSettings(_Rig):
     nidaq: NidaqSettings = NidaqSettings()
 
     @model_validator(mode="after")
-    def _safe_volts_can_be_driven(self) -> NidaqRigSettings:
+    def _check_safe_volts(self) -> NidaqRigSettings:
         low_v, high_v = self.nidaq.output_low_v, self.nidaq.output_high_v
         if not low_v <= self.safe_volts <= high_v:
             raise ValueError(f"safe_volts must lie within the output's range, {low_v} to {high_v}")
         return self
 
     @model_validator(mode="after")
-    def _samples_come_within_the_timeout(self) -> NidaqRigSettings:
+    def _check_timeout(self) -> NidaqRigSettings:
         periods = self.nidaq.timeout_s * self.loop.rate_hz
         if self.nidaq.timing == "hardware_timed" and periods < 2:
             raise ValueError(

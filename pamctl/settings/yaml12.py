@@ -18,7 +18,7 @@ from typing import NamedTuple, NoReturn
 
 import yaml
 
-from pamctl.regular_file import what_else
+from pamctl.regular_file import describe_irregular_file
 
 KeyPath = tuple[str | int, ...]
 """The way to a value: keys of mappings, indices of lists."""
@@ -31,7 +31,7 @@ MAX_DEPTH = 40
 """Of nesting, likewise with aliases written out."""
 
 
-class Mark(NamedTuple):
+class FilePosition(NamedTuple):
     """A place in a file, counted from 1 as editors do."""
 
     line: int
@@ -39,12 +39,12 @@ class Mark(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Document:
+class YamlDocument:
     """The one mapping that a file holds."""
 
     data: dict[str, object]
     path: Path
-    marks: dict[KeyPath, Mark]
+    marks: dict[KeyPath, FilePosition]
     """Where each key (or list item) stands; `()` is the start of the mapping itself.
 
     Values below an alias carry the place where they are written out.
@@ -54,22 +54,22 @@ class Document:
 class YamlError(Exception):
     """A file that cannot be read as one YAML mapping: one line, with the place."""
 
-    def __init__(self, message: str, path: Path, mark: Mark | None = None) -> None:
+    def __init__(self, message: str, path: Path, mark: FilePosition | None = None) -> None:
         """`mark` is absent when the trouble is the file itself and not a line of it."""
         self.message = message
         self.where = f"{path}:{mark.line}:{mark.column}" if mark else str(path)
         super().__init__(f"{self.where}: {message}")
 
 
-def load(path: Path) -> Document:
+def load_yaml(path: Path) -> YamlDocument:
     """Read one file. Raises `YamlError`, and nothing else, whatever the file holds."""
-    return parse(_read_text(path), path)
+    return parse_yaml(_read_text(path), path)
 
 
-def parse(text: str, path: Path) -> Document:
+def parse_yaml(text: str, path: Path) -> YamlDocument:
     """Read YAML text; `path` is what its errors call it."""
     builder = _Builder()
-    with _errors_of(path):
+    with _translate_errors(path):
         root = _compose(text)
         if root is None:
             raise YamlError("the file is empty", path)
@@ -77,18 +77,18 @@ def parse(text: str, path: Path) -> Document:
         if not isinstance(data, dict):
             found = "a list" if isinstance(data, list) else "a single value"
             _refuse(f"must hold 'key: value' lines, not {found}", root.start_mark)
-    return Document(data, path, builder.marks)
+    return YamlDocument(data, path, builder.marks)
 
 
-def parse_value(text: str) -> object:
+def parse_yaml_value(text: str) -> object:
     """Read one value of any kind: `12`, `1e-4`, `[1, 2]`, `{gain: 3}`; empty text is null."""
-    with _errors_of(Path("value")):
+    with _translate_errors(Path("value")):
         root = _compose(text)
         return None if root is None else _Builder().value(root, ())
 
 
-def dump(data: object) -> str:
-    """Write mappings, lists and scalars so that `parse` returns them equal, floats to the bit.
+def dump_yaml(data: object) -> str:
+    """Write mappings, lists and scalars so that `parse_yaml` returns them equal, floats to the bit.
 
     What YAML 1.1 would misread (`on`, `1e-4` as text) is quoted too, for the sake of other tools.
     """
@@ -166,32 +166,32 @@ class _Builder:
     """Turns nodes into values, noting where each key stands."""
 
     def __init__(self) -> None:
-        self.marks: dict[KeyPath, Mark] = {}
+        self.marks: dict[KeyPath, FilePosition] = {}
         self._values = 0
         self._open: list[yaml.Node] = []
 
     def value(self, node: yaml.Node, at: KeyPath) -> object:
-        self.marks.setdefault(at, _mark(node.start_mark))
+        self.marks.setdefault(at, _position_of(node.start_mark))
         self._refuse_endless(node)
         self._open.append(node)
         try:
             if isinstance(node, yaml.MappingNode) and node.tag == f"{_TAG}map":
-                return self._mapping(node, at)
+                return self._build_mapping(node, at)
             if isinstance(node, yaml.SequenceNode) and node.tag == f"{_TAG}seq":
                 return [self.value(item, (*at, i)) for i, item in enumerate(node.value)]
-            return _scalar(node)
+            return _read_scalar(node)
         finally:
             self._open.pop()
 
-    def _mapping(self, node: yaml.MappingNode, at: KeyPath) -> dict[str, object]:
+    def _build_mapping(self, node: yaml.MappingNode, at: KeyPath) -> dict[str, object]:
         mapping: dict[str, object] = {}
         for key_node, value_node in node.value:
-            key = _key(key_node)
+            key = _read_key(key_node)
             here = (*at, key)
             if key in mapping:
                 first = self.marks[here].line
                 _refuse(f"the key '{key}' stands already in line {first}", key_node.start_mark)
-            self.marks[here] = _mark(key_node.start_mark)
+            self.marks[here] = _position_of(key_node.start_mark)
             mapping[key] = self.value(value_node, here)
         return mapping
 
@@ -205,29 +205,29 @@ class _Builder:
             _refuse(f"holds more than {MAX_VALUES} values", node.start_mark)
 
 
-def _scalar(node: yaml.Node) -> object:
+def _read_scalar(node: yaml.Node) -> object:
     tag = node.tag.replace(_TAG, "!!")
     if node.tag not in _CORE or not isinstance(node, yaml.ScalarNode):
         _refuse(f"the tag {tag!r} is not allowed here", node.start_mark)
     pattern, convert = _CORE[node.tag]
     if not pattern.match(node.value):
         kind = "text of valid characters" if tag == "!!str" else f"of type {tag}"
-        _refuse(f"{_brief(node.value)} is not {kind}", node.start_mark)
+        _refuse(f"{_shorten(node.value)} is not {kind}", node.start_mark)
     try:
         return convert(node.value)
     except ValueError:  # Python's own bound on the digits of a whole number
-        _refuse(f"{_brief(node.value)} has too many digits", node.start_mark)
+        _refuse(f"{_shorten(node.value)} has too many digits", node.start_mark)
 
 
-def _key(node: yaml.Node) -> str:
+def _read_key(node: yaml.Node) -> str:
     if isinstance(node, yaml.ScalarNode) and node.value == "<<" and node.style is None:
         _refuse("'<<' is YAML 1.1; write the keys out", node.start_mark)
-    key = _scalar(node) if isinstance(node, yaml.ScalarNode) else None
+    key = _read_scalar(node) if isinstance(node, yaml.ScalarNode) else None
     if not isinstance(key, str):
-        shown = f"; quote it: {_brief(node.value)}" if isinstance(node, yaml.ScalarNode) else ""
+        shown = f"; quote it: {_shorten(node.value)}" if isinstance(node, yaml.ScalarNode) else ""
         _refuse(f"a key must be text{shown}", node.start_mark)
     if not key.isprintable():
-        _refuse(f"the key {_brief(key)} holds unprintable characters", node.start_mark)
+        _refuse(f"the key {_shorten(key)} holds unprintable characters", node.start_mark)
     return key
 
 
@@ -248,7 +248,7 @@ _PLAINLY = (
 
 
 def _read_text(path: Path) -> str:
-    if something := what_else(path):
+    if something := describe_irregular_file(path):
         raise YamlError(f"is {something}", path)
     try:
         with path.open("rb") as file:
@@ -279,19 +279,21 @@ def _compose(text: str) -> yaml.Node | None:
 
 
 @contextmanager
-def _errors_of(path: Path) -> Iterator[None]:
+def _translate_errors(path: Path) -> Iterator[None]:
     """Turn whatever PyYAML raises into the one error of this module."""
     try:
         yield
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        raise YamlError(_plainly(error), path, _mark(mark) if mark else None) from None
+        raise YamlError(
+            _explain_plainly(error), path, _position_of(mark) if mark else None
+        ) from None
     except yaml.reader.ReaderError as error:
         message = f"character {error.position + 1} is a control character"
         raise YamlError(message, path) from None
 
 
-def _plainly(error: yaml.MarkedYAMLError) -> str:
+def _explain_plainly(error: yaml.MarkedYAMLError) -> str:
     said = str(error.problem or error.context)
     return next((plain for jargon, plain in _PLAINLY if jargon in said), said)
 
@@ -300,9 +302,9 @@ def _refuse(message: str, mark: yaml.Mark) -> NoReturn:
     raise yaml.MarkedYAMLError(problem=message, problem_mark=mark)
 
 
-def _mark(mark: yaml.Mark) -> Mark:
-    return Mark(mark.line + 1, mark.column + 1)
+def _position_of(mark: yaml.Mark) -> FilePosition:
+    return FilePosition(mark.line + 1, mark.column + 1)
 
 
-def _brief(text: str) -> str:
+def _shorten(text: str) -> str:
     return repr(text if len(text) <= 40 else f"{text[:37]}...")

@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.sim.sim_rig import sensor_chain
-from pamctl.control.experiment import Segment, segments
+from pamctl.control.experiment import Segment, build_segments
 from pamctl.plant.model import plant_parameters
-from pamctl.settings.build import setup_of
+from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings
 from pamctl.settings.rig_file import SimRigSettings
-from pamctl.simulate.closed_loop import BatchRun, references, sensor_noise, simulate
-from pamctl.simulate.merit import Merit, merit
+from pamctl.simulate.closed_loop import BatchRun, draw_sensor_noise, simulate, tabulate_references
+from pamctl.simulate.merit import Merit, compute_merit
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Batch:
+class SimulatedRun:
     """A simulated run from the vented muscle, without a homing before it."""
 
     settings: RunSettings
@@ -47,39 +47,39 @@ class Batch:
         """Return the figures of the run; None where safety ended it, or nothing was tracked."""
         if self.run.tripped_tick >= 0:
             return None
-        return merit(self.t_s, self.run["phase"].astype(np.int64), self.error_m)
+        return compute_merit(self.t_s, self.run["phase"].astype(np.int64), self.error_m)
 
 
-def simulated(settings: RunSettings) -> Batch:
+def simulate_run(settings: RunSettings) -> SimulatedRun:
     """Simulate a run; raise ValueError for a rig that is not simulated."""
     rig = settings.rig
     if not isinstance(rig, SimRigSettings):
         raise ValueError("only a simulated rig can be run as a batch")
     period_s = 1.0 / rig.loop.rate_hz
-    table = _table(segments(settings.experiment), period_s, settings.duration_s)
+    table = _tabulate(build_segments(settings.experiment), period_s, settings.duration_s)
     run = simulate(
-        setup_of(settings),
+        build_tick_setup(settings),
         plant_parameters(settings.plant),
         sensor_chain(rig.sim, rig.calibration),
         table,
-        _noise(len(table), settings.seed),
+        _draw_noise(len(table), settings.seed),
         period_s=period_s,
         output_delay_ticks=rig.sim.output_delay_ticks,
     )
-    return Batch(settings, run, np.arange(len(run.rows), dtype=np.float64) * period_s)
+    return SimulatedRun(settings, run, np.arange(len(run.rows), dtype=np.float64) * period_s)
 
 
-def tracked(settings: RunSettings) -> Merit | None:
+def simulate_merit(settings: RunSettings) -> Merit | None:
     """Simulate a run from the vented muscle; return its figures, or None where safety ended it."""
-    return simulated(settings).merit()
+    return simulate_run(settings).merit()
 
 
 # Tabulated in plain Python, these two would cost more than the run: many runs share them.
 @lru_cache(maxsize=8)
-def _table(course: tuple[Segment, ...], period_s: float, duration_s: float | None) -> Floats:
-    return references(course, period_s, duration_s)
+def _tabulate(course: tuple[Segment, ...], period_s: float, duration_s: float | None) -> Floats:
+    return tabulate_references(course, period_s, duration_s)
 
 
 @lru_cache(maxsize=8)
-def _noise(ticks: int, seed: int) -> Floats:
-    return sensor_noise(ticks, seed)
+def _draw_noise(ticks: int, seed: int) -> Floats:
+    return draw_sensor_noise(ticks, seed)

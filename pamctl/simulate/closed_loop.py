@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hal.calibration import output_v, valve_v
-from hal.converter import converted_v
+from hal.converter import quantise_v
 from hal.rig import RawSample
 from hal.sim.sim_rig import SensorChain, sensed_counts, sensed_pressure_v
-from pamctl.compiled import compiled
+from pamctl.compiled import compile_kernel
 from pamctl.control.experiment import Course, Segment
-from pamctl.plant.delayed_command import plant_advance_late
-from pamctl.plant.parameters import PlantParameters, PlantState, vented
+from pamctl.plant.delayed_command import advance_delayed_plant
+from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
 from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
 from pamctl.plant.simulated import LONGEST_STEP_S
-from pamctl.plant.step import plant_advance
+from pamctl.plant.step import advance_plant
 from pamctl.realtime.tick import TickSetup, TickState, first_state, step
 from pamctl.signals import Reference, Timing
 
@@ -62,7 +62,7 @@ class BatchRun:
         return self.reference[: len(self.rows), Reference._fields.index(column)]
 
 
-def references(
+def tabulate_references(
     segments: Sequence[Segment], period_s: float, duration_s: float | None = None
 ) -> NDArray[np.float64]:
     """Tabulate an experiment at the ticks: one row a tick, columns of `Reference`."""
@@ -74,7 +74,7 @@ def references(
     return np.array(rows, dtype=np.float64).reshape(-1, len(Reference._fields))
 
 
-def sensor_noise(ticks: int, seed: int) -> NDArray[np.float64]:
+def draw_sensor_noise(ticks: int, seed: int) -> NDArray[np.float64]:
     """Draw the noise that a simulated rig with this seed draws."""
     gauss = random.Random(seed).gauss
     return np.array([gauss(0.0, 1.0) for _ in range(ticks)])
@@ -96,8 +96,8 @@ def simulate(
     `reference` and `noise` have one row a tick. Ends early where safety trips.
     """
     rows = np.full((len(reference), len(BatchRow._fields)), math.nan)
-    start = vented(plant)
-    ticks = _compiled_run()(
+    start = vented_state(plant)
+    ticks = _compile_closed_loop()(
         setup,
         first_state(
             chain.zero._replace(encoder_zero_counts=math.floor(chain.zero[1]) + 0.0),
@@ -118,11 +118,11 @@ def simulate(
 
 
 @cache
-def _compiled_run() -> Callable[..., int]:
-    return compiled(run)
+def _compile_closed_loop() -> Callable[..., int]:
+    return compile_kernel(run_closed_loop)
 
 
-def run(
+def run_closed_loop(
     setup: TickSetup,
     state: TickState,
     plant: PlantParameters,
@@ -136,7 +136,7 @@ def run(
     rows: NDArray[np.float64],
 ) -> int:
     """Kernel: fill `rows` tick by tick; return the tick that tripped, or the number of ticks."""
-    output = converted_v(
+    output = quantise_v(
         chain.output_converter, output_v(setup.calibration, setup.limits.safe_valve_v)
     )
     written = valve = valve_v(chain.calibration, output)
@@ -147,7 +147,7 @@ def run(
         if tick and late:
             written_s[tick - 1] = now_s
             written_v[tick - 1] = valve
-            muscle, arrived = plant_advance_late(
+            muscle, arrived = advance_delayed_plant(
                 plant,
                 muscle,
                 written_s,
@@ -160,7 +160,7 @@ def run(
             )
             now_s += period_s
         elif tick:
-            muscle = plant_advance(plant, muscle, valve, period_s, longest_step_s)
+            muscle = advance_plant(plant, muscle, valve, period_s, longest_step_s)
         t_ns = 0
         raw = RawSample(
             sensed_pressure_v(
@@ -187,7 +187,7 @@ def run(
             return tick
         if output_delay_ticks:
             valve = written
-        output = converted_v(chain.output_converter, output_v(setup.calibration, decision.valve_v))
+        output = quantise_v(chain.output_converter, output_v(setup.calibration, decision.valve_v))
         written = valve_v(chain.calibration, output)
         if not output_delay_ticks:
             valve = written

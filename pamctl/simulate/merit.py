@@ -43,13 +43,13 @@ TABLE_IV = (
 )
 
 
-def merit(t_s: Floats, phase: NDArray[np.int64], error_m: Floats) -> Merit | None:
+def compute_merit(t_s: Floats, phase: NDArray[np.int64], error_m: Floats) -> Merit | None:
     """Return the figures of an error signal, all arrays of shape (n,); None if nothing tracked."""
     counted = (phase == Phase.TRACK) | (phase == Phase.REST)
     errors = np.abs(error_m[counted])
     if not len(errors):
         return None
-    steady = [np.abs(error_m[part]).max() for part in _steady_parts(t_s, phase)]
+    steady = [np.abs(error_m[part]).max() for part in _find_steady_parts(t_s, phase)]
     return Merit(
         float(errors.max()),
         float(np.sqrt(np.mean(errors**2))),
@@ -57,7 +57,7 @@ def merit(t_s: Floats, phase: NDArray[np.int64], error_m: Floats) -> Merit | Non
     )
 
 
-def _steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
+def _find_steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
     """Return the last 5 s of each rest that lasts at least that long."""
     resting = np.concatenate(([False], phase == Phase.REST, [False]))
     begins = np.flatnonzero(~resting[:-1] & resting[1:])
@@ -72,16 +72,16 @@ def _steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
     return parts
 
 
-def merits_of(log: Log) -> dict[str, Merit | None]:
+def compute_log_merits(log: Log) -> dict[str, Merit | None]:
     """Return the figures of a log: `measured`, and `true` where the rig was simulated."""
     t_s, phase, reference = log["t_s"], log["phase"], log["reference_m"]
-    figures = {"measured": merit(t_s, phase, log["position_m"] - reference)}
+    figures = {"measured": compute_merit(t_s, phase, log["position_m"] - reference)}
     if np.isfinite(log["true_position_m"]).any():
-        figures["true"] = merit(t_s, phase, log["true_position_m"] - reference)
+        figures["true"] = compute_merit(t_s, phase, log["true_position_m"] - reference)
     return figures
 
 
-class Spread(NamedTuple):
+class DurationSpread(NamedTuple):
     """Distribution of a duration, in s."""
 
     p50_s: float
@@ -89,18 +89,18 @@ class Spread(NamedTuple):
     max_s: float
 
 
-def spread(durations_s: Floats) -> Spread:
+def summarise_durations(durations_s: Floats) -> DurationSpread:
     """Summarise durations of shape (n,), n > 0."""
     p50, p99 = np.percentile(durations_s, (50, 99))
-    return Spread(float(p50), float(p99), float(durations_s.max()))
+    return DurationSpread(float(p50), float(p99), float(durations_s.max()))
 
 
-def timing_of(log: Log) -> dict[str, Spread]:
+def summarise_timing(log: Log) -> dict[str, DurationSpread]:
     """Return how late the loop woke up, how long the tick took, and the rig's reads and writes."""
     return {
-        "wake_up": spread(log["late_s"]),
-        "tick": spread(log["compute_s"]),
-        "period_work": spread(log["read_s"] + log["compute_s"] + log["write_s"]),
-        "read": spread(log["read_s"]),
-        "write": spread(log["write_s"]),
+        "wake_up": summarise_durations(log["late_s"]),
+        "tick": summarise_durations(log["compute_s"]),
+        "period_work": summarise_durations(log["read_s"] + log["compute_s"] + log["write_s"]),
+        "read": summarise_durations(log["read_s"]),
+        "write": summarise_durations(log["write_s"]),
     }

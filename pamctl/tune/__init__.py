@@ -9,18 +9,18 @@
 Everything runs on the compiled closed loop: the very tick of the loop process.
 """
 
-from pamctl.tune.gains_search import Found, Jury, Search, SearchError
-from pamctl.tune.gains_trial import Trial, Verdict
-from pamctl.tune.plant_ensemble import Member, ensemble, fixed_members
+from pamctl.tune.gains_search import BestGains, GainsSearch, Jury, SearchError
+from pamctl.tune.gains_trial import GainsTrial, GainsVerdict
+from pamctl.tune.plant_ensemble import Member, draw_ensemble, make_fixed_members
 
 __all__ = [
-    "Found",
+    "BestGains",
+    "GainsSearch",
+    "GainsTrial",
+    "GainsVerdict",
     "Jury",
     "Member",
-    "Search",
     "SearchError",
-    "Trial",
-    "Verdict",
-    "ensemble",
-    "fixed_members",
+    "draw_ensemble",
+    "make_fixed_members",
 ]

@@ -6,8 +6,8 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pamctl.settings.yaml12 import dump
-from pamctl.tune.gains_trial import BOUNDS, Verdict
+from pamctl.settings.yaml12 import dump_yaml
+from pamctl.tune.gains_trial import BOUNDS, GainsVerdict
 from pamctl.tune.plant_ensemble import Member
 
 _SCHEMA = "# yaml-language-server: $schema=../pamctl.schema.json"
@@ -34,7 +34,7 @@ class Scores(NamedTuple):
         return self.inside / self.plants
 
 
-def scores(members: Sequence[Member], verdicts: Sequence[Verdict]) -> Scores:
+def summarise_verdicts(members: Sequence[Member], verdicts: Sequence[GainsVerdict]) -> Scores:
     """Summarise verdicts, one for each plant."""
     ratios = sorted(verdict.worst for verdict in verdicts)
     outside = [
@@ -52,7 +52,7 @@ def scores(members: Sequence[Member], verdicts: Sequence[Verdict]) -> Scores:
     )
 
 
-def gains_file(gains: Mapping[str, Any], command: str, effort: str, reported: str) -> str:
+def format_gains_file(gains: Mapping[str, Any], command: str, effort: str, reported: str) -> str:
     """Return the text of a controller file; the arguments after the gains are for its header."""
     law = str(gains["law"])
     paragraphs = [
@@ -73,4 +73,4 @@ def gains_file(gains: Mapping[str, Any], command: str, effort: str, reported: st
                 paragraph, _WIDTH, break_long_words=False, break_on_hyphens=False
             )
         ]
-    return "\n".join(lines) + "\n" + dump(dict(gains))
+    return "\n".join(lines) + "\n" + dump_yaml(dict(gains))

@@ -21,19 +21,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.tune.gains_trial import Trial
+from pamctl.tune.gains_trial import GainsTrial
 from pamctl.tune.plant_ensemble import Member
 from pamctl.tune.search_space import SPACES
 
 Floats = NDArray[np.float64]
 
 POPULATION_PER_AXIS = 5
-BESIDE = 0.1
+START_SPREAD = 0.1
 """How far around the start half of the first population lies, in widths of the space."""
-_AMONG_BEST = 0.2
+_BEST_SHARE = 0.2
 _STRIDES = (0.4, 0.9)
-_CROSSED = 0.8
-_HOPELESS = 10.0
+_CROSSOVER_RATE = 0.8
+_COST_LIMIT = 10.0
 """Costs beyond it are not looked into: an oscillation, or a safety trip."""
 _NO_GAINS = 1e3
 
@@ -42,7 +42,7 @@ class SearchError(Exception):
     """A search cannot be begun or gone on with. The message says why."""
 
 
-class Found(NamedTuple):
+class BestGains(NamedTuple):
     """The best so far."""
 
     gains: dict[str, Any]
@@ -62,7 +62,7 @@ class Jury(NamedTuple):
     """Beside them; the worst of these counts, and counts as much as all drawn ones."""
 
     @property
-    def forgiven(self) -> int:
+    def allowed_outliers(self) -> int:
         """How many of the drawn ones may be beyond a limit that the quantile keeps."""
         last = len(self.drawn) - 1
         return last - math.floor(self.quantile * last)
@@ -78,7 +78,9 @@ class Cost(NamedTuple):
     """Of each drawn plant; none where not all were asked."""
 
 
-def cost_of(controller: Any, limit: float, jury: Jury, trial: Trial, order: Sequence[int]) -> Cost:
+def compute_cost(
+    controller: Any, limit: float, jury: Jury, trial: GainsTrial, order: Sequence[int]
+) -> Cost:
     """Return what gains cost: the largest error over its bound, named plants plus drawn ones.
 
     Of the drawn ones the quantile counts; they are asked in the given order. As soon as those
@@ -95,14 +97,14 @@ def cost_of(controller: Any, limit: float, jury: Jury, trial: Trial, order: Sequ
     for runs, at in enumerate(order, len(jury.named) + 1):
         ratios[at] = trial.verdict(controller, jury.drawn[at]).cost
         beyond = ratios[worst_named + ratios > limit]
-        if len(beyond) > jury.forgiven:
+        if len(beyond) > jury.allowed_outliers:
             return Cost(worst_named + float(beyond.min()), runs)
     of_drawn = float(np.quantile(ratios, jury.quantile)) if jury.drawn else 0.0
     return Cost(worst_named + of_drawn, len(jury.named) + len(jury.drawn), tuple(ratios.tolist()))
 
 
 @dataclass
-class Search:
+class GainsSearch:
     """A search for gains of one law before a jury of plants."""
 
     law: str
@@ -112,7 +114,7 @@ class Search:
     """Gains to begin beside, in mm; the usual ones where there are none."""
     state: Path | None = None
     """Where the search is kept after each generation, so that it can be resumed."""
-    trial: Trial = field(default_factory=Trial)
+    trial: GainsTrial = field(default_factory=GainsTrial)
 
     def __post_init__(self) -> None:
         """Begin, or take up what `state` holds; raise `SearchError` if that is another search."""
@@ -120,12 +122,12 @@ class Search:
         self._order = list(range(len(self.jury.drawn)))
         self._generation = 0
         self._runs = 0
-        self._population = self._first_population()
+        self._population = self._draw_population()
         self._costs = np.full(len(self._population), np.inf)
         if self.state is not None and self.state.exists():
             self._resume(self.state)
 
-    def _first_population(self) -> Floats:
+    def _draw_population(self) -> Floats:
         from scipy.stats import qmc  # a second to import, and no worker process needs it
 
         low, high = np.array(self._space.bounds).T
@@ -134,17 +136,17 @@ class Search:
         population: Floats = low + points * (high - low)
         start = self._space.usual if self.start is None else self._space.point(self.start)
         draw = np.random.default_rng(self.seed)
-        beside = BESIDE * draw.standard_normal((size // 2, len(low))) * (high - low)
+        beside = START_SPREAD * draw.standard_normal((size // 2, len(low))) * (high - low)
         beside[0] = 0.0
         population[: size // 2] = np.clip(start + beside, low, high)
         return population
 
-    def advance(self, executor: Executor | None = None) -> Found:
+    def advance(self, executor: Executor | None = None) -> BestGains:
         """Go on by one generation; return the best so far."""
-        points = self._population if self._generation == 0 else self._offspring()
+        points = self._population if self._generation == 0 else self._make_offspring()
         controllers = [self._controller(point) for point in points]
-        cost = partial(cost_of, jury=self.jury, trial=self.trial, order=self._order)
-        limits = np.minimum(self._costs, _HOPELESS).tolist()
+        cost = partial(compute_cost, jury=self.jury, trial=self.trial, order=self._order)
+        limits = np.minimum(self._costs, _COST_LIMIT).tolist()
         share_out = map if executor is None else executor.map
         tried = list(share_out(cost, controllers, limits))
         costs = np.array([each.value for each in tried])
@@ -158,7 +160,7 @@ class Search:
             ratios = np.array(tried[int(np.argmin(self._costs))].ratios)
             if len(ratios):
                 self._order = np.argsort(-ratios, kind="stable").tolist()
-        self._keep()
+        self._save_state()
         return self.best
 
     def _controller(self, point: Floats) -> Any:
@@ -167,19 +169,19 @@ class Search:
         except ValueError:
             return None
 
-    def _offspring(self) -> Floats:
+    def _make_offspring(self) -> Floats:
         """Return a rival for each: a stride towards one of the best and along a difference."""
         draw = np.random.default_rng([self.seed, self._generation])
         old = self._population
         size, axes = old.shape
-        best = np.argsort(self._costs, kind="stable")[: max(2, round(_AMONG_BEST * size))]
+        best = np.argsort(self._costs, kind="stable")[: max(2, round(_BEST_SHARE * size))]
         towards = old[draw.choice(best, size)]
         one, other = old[draw.integers(size, size=(2, size))]
         stride = draw.uniform(*_STRIDES, (size, 1))
         new = old + stride * (towards - old + one - other)
         low, high = np.array(self._space.bounds).T
         new = np.where(new < low, 0.5 * (old + low), np.where(new > high, 0.5 * (old + high), new))
-        crossed = draw.random((size, axes)) < _CROSSED
+        crossed = draw.random((size, axes)) < _CROSSOVER_RATE
         crossed[np.arange(size), draw.integers(axes, size=size)] = True
         return np.where(crossed, new, old)
 
@@ -189,12 +191,12 @@ class Search:
         return self._generation
 
     @property
-    def best(self) -> Found:
+    def best(self) -> BestGains:
         """The best so far; raises `SearchError` before the first generation."""
         if self._generation == 0:
             raise SearchError("no gains have been tried yet")
         at = int(np.argmin(self._costs))
-        return Found(
+        return BestGains(
             self._space.gains(self._population[at]),
             float(self._costs[at]),
             self._generation,
@@ -221,7 +223,7 @@ class Search:
         text = [repr(self._space[:2]), *(repr(plant.__reduce__()[1]) for plant in plants)]
         return hashlib.sha256("\n".join(text).encode()).hexdigest()[:16]
 
-    def _keep(self) -> None:
+    def _save_state(self) -> None:
         if self.state is None:
             return
         kept = {

@@ -17,13 +17,13 @@ from pamctl.control.experiment import TrackingSettings
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.settings.rig_file import SimRigSettings
 from pamctl.signals import Phase
-from pamctl.simulate.batch import Batch, simulated
-from pamctl.simulate.merit import TABLE_IV, merit
+from pamctl.simulate.batch import SimulatedRun, simulate_run
+from pamctl.simulate.merit import TABLE_IV, compute_merit
 from pamctl.tune.plant_ensemble import Member
 
-_OTHERS = 0.1
+_MEAN_WEIGHT = 0.1
 """Weight of the mean error beside the worst one."""
-TRIPPED = 100.0
+TRIP_COST = 100.0
 """Of a run that safety ended at its beginning; half of it where it came half-way."""
 
 SHORT = TrackingSettings(kind="tracking", rest_s=10.0, cycles=1, approach_s=3.0, settle_s=0.5)
@@ -41,7 +41,7 @@ class Bounds(NamedTuple):
     steady_m: float
 
 
-def _strictest() -> Bounds:
+def _find_strictest_bounds() -> Bounds:
     resting = [row.merit for row in TABLE_IV if row.experiment == "tracking-1"]
     moving = [row.merit for row in TABLE_IV if row.experiment == "tracking-2"]
     return Bounds(
@@ -52,10 +52,10 @@ def _strictest() -> Bounds:
     )
 
 
-BOUNDS = _strictest()
+BOUNDS = _find_strictest_bounds()
 
 
-class Verdict(NamedTuple):
+class GainsVerdict(NamedTuple):
     """What one plant says of gains."""
 
     worst: float
@@ -72,7 +72,7 @@ class Verdict(NamedTuple):
 
         Many have the same: the steady error is a whole number of the encoder's counts.
         """
-        return self.worst + _OTHERS * self.mean
+        return self.worst + _MEAN_WEIGHT * self.mean
 
     @property
     def is_inside(self) -> bool:
@@ -85,7 +85,7 @@ _Errors = dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
-class Trial:
+class GainsTrial:
     """A set-up in which gains are tried: `short` for a search, `whole` for what is reported."""
 
     length: Literal["short", "whole"] = "short"
@@ -95,23 +95,23 @@ class Trial:
         """How long the muscle moves for a verdict."""
         return SHORT_S if self.length == "short" else WHOLE_S
 
-    def verdict(self, controller: Any, member: Member) -> Verdict:
+    def verdict(self, controller: Any, member: Member) -> GainsVerdict:
         """Run gains (a controller's settings) on one plant."""
         if self.length == "short":
-            return _judged_short(simulated(_settings(controller, member, SHORT)))
+            return _judge_short(simulate_run(_make_settings(controller, member, SHORT)))
         errors: _Errors = {}
         for name in ("tracking-1", "tracking-2"):
-            batch = simulated(_settings(controller, member, None, name))
+            batch = simulate_run(_make_settings(controller, member, None, name))
             if batch.run.tripped_tick >= 0:
-                return _tripped(batch)
+                return _judge_tripped(batch)
             errors |= _errors_of(batch, name)
-        return _worst(errors)
+        return _make_verdict(errors)
 
 
-def _settings(
+def _make_settings(
     controller: Any, member: Member, experiment: Any, name: str = "tracking-1"
 ) -> RunSettings:
-    base = _base(name)
+    base = _resolve_base(name)
     assert isinstance(base.rig, SimRigSettings)
     sim = base.rig.sim.model_copy(
         update={
@@ -133,20 +133,20 @@ def _settings(
 _bases: dict[str, RunSettings] = {}
 
 
-def _base(name: str) -> RunSettings:
+def _resolve_base(name: str) -> RunSettings:
     if name not in _bases:
         _bases[name] = resolve(experiment=name)
     return _bases[name]
 
 
-def _judged_short(batch: Batch) -> Verdict:
+def _judge_short(batch: SimulatedRun) -> GainsVerdict:
     if batch.run.tripped_tick >= 0:
-        return _tripped(batch)
-    found = merit(batch.t_s, batch.run["phase"].astype(np.int64), batch.error_m)
+        return _judge_tripped(batch)
+    found = compute_merit(batch.t_s, batch.run["phase"].astype(np.int64), batch.error_m)
     assert found is not None
     moving = batch.run["phase"] == Phase.TRACK
     moving_rms_m = float(np.sqrt(np.mean(batch.error_m[moving] ** 2)))
-    return _worst(
+    return _make_verdict(
         {
             "max": (found.max_m, BOUNDS.max_m),
             "RMS": (found.rms_m, BOUNDS.rms_m),
@@ -156,7 +156,7 @@ def _judged_short(batch: Batch) -> Verdict:
     )
 
 
-def _errors_of(batch: Batch, name: str) -> _Errors:
+def _errors_of(batch: SimulatedRun, name: str) -> _Errors:
     found = batch.merit()
     assert found is not None
     bounds = [row.merit for row in TABLE_IV if row.experiment == name]
@@ -170,14 +170,14 @@ def _errors_of(batch: Batch, name: str) -> _Errors:
     return errors
 
 
-def _worst(errors: _Errors) -> Verdict:
+def _make_verdict(errors: _Errors) -> GainsVerdict:
     ratios = {name: error / bound for name, (error, bound) in errors.items()}
     why = max(ratios, key=lambda name: ratios[name])
     figures_um = {name: error * 1e6 for name, (error, _) in errors.items()}
-    return Verdict(ratios[why], why, figures_um, sum(ratios.values()) / len(ratios))
+    return GainsVerdict(ratios[why], why, figures_um, sum(ratios.values()) / len(ratios))
 
 
-def _tripped(batch: Batch) -> Verdict:
+def _judge_tripped(batch: SimulatedRun) -> GainsVerdict:
     share = len(batch.t_s) / len(batch.run.reference)
-    lost = TRIPPED * (1.0 - 0.9 * share)
-    return Verdict(lost, "safety trip", {}, lost)
+    lost = TRIP_COST * (1.0 - 0.9 * share)
+    return GainsVerdict(lost, "safety trip", {}, lost)

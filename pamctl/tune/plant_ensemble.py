@@ -19,9 +19,14 @@ from numpy.random import Generator, default_rng
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2
 
-OFF_BY = 0.2
+PARAMETER_TOLERANCE = 0.2
 """Share by which the paper's parameters may be off, either way."""
-UNSURE = ("damping_n_s_per_m", "stiffness_n_per_m", "kinetic_friction_per_m", "valve_gain_m2_per_v")
+UNCERTAIN_PARAMETERS = (
+    "damping_n_s_per_m",
+    "stiffness_n_per_m",
+    "kinetic_friction_per_m",
+    "valve_gain_m2_per_v",
+)
 
 VALVE_HZ = (60.0, 150.0)
 VALVE_DAMPING = (0.5, 1.0)
@@ -53,51 +58,58 @@ class Member:
     def __reduce__(self) -> tuple[Any, ...]:
         """Go to another process as text: the models of effects are made at run time."""
         rest = (self.name, self.noise_v, self.output_delay_ticks, self.seed)
-        return _arrived, (self.plant.model_dump_json(), *rest)
+        return _rebuild_member, (self.plant.model_dump_json(), *rest)
 
 
-def _arrived(plant: str, name: str, noise_v: float, delay_ticks: int, seed: int) -> Member:
-    return Member(name, _plant(plant), noise_v, delay_ticks, seed)
+def _rebuild_member(plant: str, name: str, noise_v: float, delay_ticks: int, seed: int) -> Member:
+    return Member(name, _parse_plant(plant), noise_v, delay_ticks, seed)
 
 
 @lru_cache(maxsize=1024)
-def _plant(text: str) -> PlantSettings:
+def _parse_plant(text: str) -> PlantSettings:
     return PlantSettings.model_validate_json(text)
 
 
-def ensemble(size: int, seed: int) -> list[Member]:
+def draw_ensemble(size: int, seed: int) -> list[Member]:
     """Draw plants; the same seed gives the same ones."""
-    return [_drawn(number, seed) for number in range(size)]
+    return [_draw_member(number, seed) for number in range(size)]
 
 
-def fixed_members(plants: Sequence[tuple[str, PlantSettings]]) -> list[Member]:
+def make_fixed_members(plants: Sequence[tuple[str, PlantSettings]]) -> list[Member]:
     """Take plants as they are, each behind the simulated rig's own sensor."""
     return [Member(name, plant) for name, plant in plants]
 
 
-def _drawn(number: int, seed: int) -> Member:
+def _draw_member(number: int, seed: int) -> Member:
     """Draw one plant; each has a generator of its own, so that a larger ensemble only adds."""
     draw = default_rng([seed, number])
-    for parameters in _parameters(draw):
-        plant = PlantSettings.model_validate({"parameters": parameters, "effects": _effects(draw)})
+    for parameters in _draw_parameters(draw):
+        plant = PlantSettings.model_validate(
+            {"parameters": parameters, "effects": _draw_effects(draw)}
+        )
         if holds_the_farthest_point(plant):
             break
     noise_v = float(draw.uniform(*NOISE_V))
     return Member(f"{seed}-{number}", plant, noise_v, seed=int(draw.integers(_NOISES)))
 
 
-def _parameters(draw: Generator) -> Iterator[dict[str, float]]:
+def _draw_parameters(draw: Generator) -> Iterator[dict[str, float]]:
     nominal = PlantSettings().parameters
     gauge_pa = nominal.tank_pressure_pa - nominal.atmospheric_pressure_pa
     while True:
-        *factors, tank = draw.uniform(1.0 - OFF_BY, 1.0 + OFF_BY, len(UNSURE) + 1).tolist()
+        *factors, tank = draw.uniform(
+            1.0 - PARAMETER_TOLERANCE, 1.0 + PARAMETER_TOLERANCE, len(UNCERTAIN_PARAMETERS) + 1
+        ).tolist()
         yield {
-            **{n: f * getattr(nominal, n) for n, f in zip(UNSURE, factors, strict=True)},
+            **{
+                n: f * getattr(nominal, n)
+                for n, f in zip(UNCERTAIN_PARAMETERS, factors, strict=True)
+            },
             "tank_pressure_pa": nominal.atmospheric_pressure_pa + tank * gauge_pa,
         }
 
 
-def _effects(draw: Generator) -> dict[str, dict[str, Any]]:
+def _draw_effects(draw: Generator) -> dict[str, dict[str, Any]]:
     width_v = float(draw.uniform(*DEADBAND_V))
     skew = float(draw.uniform(0.7, 1.0))
     return {
@@ -107,13 +119,13 @@ def _effects(draw: Generator) -> dict[str, dict[str, Any]]:
         },
         "valve_deadband": {"fill_width_v": width_v, "exhaust_width_v": skew * width_v},
         "command_delay": {"delay_s": float(draw.uniform(*DELAY_S))},
-        "valve_leak": {"area_m2": _log_uniform(draw, LEAK_M2)},
-        "chamber_leak": {"area_m2": _log_uniform(draw, LEAK_M2)},
-        "presliding": {"compliance_m_per_n": 1.0 / _log_uniform(draw, PRESLIDING_N_PER_M)},
+        "valve_leak": {"area_m2": _draw_log_uniform(draw, LEAK_M2)},
+        "chamber_leak": {"area_m2": _draw_log_uniform(draw, LEAK_M2)},
+        "presliding": {"compliance_m_per_n": 1.0 / _draw_log_uniform(draw, PRESLIDING_N_PER_M)},
     }
 
 
-def _log_uniform(draw: Generator, bounds: tuple[float, float]) -> float:
+def _draw_log_uniform(draw: Generator, bounds: tuple[float, float]) -> float:
     return float(np.exp(draw.uniform(*np.log(bounds))))
 
 

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from pamctl.control.law import ControllerSettings
-from pamctl.control.smc import linearised
+from pamctl.control.smc import linearise_model
 from pamctl.plant.model import PlantSettings, plant_parameters
 
 Floats = NDArray[np.float64]
@@ -43,7 +43,7 @@ _CONTROLLER: TypeAdapter[Any] = TypeAdapter(ControllerSettings)
 _DIGITS = 4
 
 
-class Axis(NamedTuple):
+class GainAxis(NamedTuple):
     """One of the numbers that are sought."""
 
     name: str
@@ -53,17 +53,17 @@ class Axis(NamedTuple):
     """Where a search begins unless told."""
 
 
-def _as_they_are(numbers: Numbers) -> dict[str, Any]:
+def _copy_numbers(numbers: Numbers) -> dict[str, Any]:
     return dict(numbers)
 
 
-def _read_as_they_are(gains: dict[str, Any]) -> Numbers:
+def _read_numbers(gains: dict[str, Any]) -> Numbers:
     return {name: float(value) for name, value in gains.items() if isinstance(value, int | float)}
 
 
-def _rounded(gains: dict[str, Any]) -> dict[str, Any]:
+def _round_gains(gains: dict[str, Any]) -> dict[str, Any]:
     return {
-        name: _rounded(value) if isinstance(value, dict) else float(f"{value:.{_DIGITS}g}")
+        name: _round_gains(value) if isinstance(value, dict) else float(f"{value:.{_DIGITS}g}")
         for name, value in gains.items()
     }
 
@@ -72,10 +72,10 @@ class Space(NamedTuple):
     """The gains of a law in mm, and what stays fixed."""
 
     fixed: dict[str, Any]
-    axes: tuple[Axis, ...]
-    gains_of: Callable[[Numbers], dict[str, Any]] = _as_they_are
+    axes: tuple[GainAxis, ...]
+    gains_of: Callable[[Numbers], dict[str, Any]] = _copy_numbers
     """What is sought, as a controller file has it."""
-    sought_of: Callable[[dict[str, Any]], Numbers] = _read_as_they_are
+    sought_of: Callable[[dict[str, Any]], Numbers] = _read_numbers
     """The way back."""
 
     @property
@@ -95,7 +95,7 @@ class Space(NamedTuple):
         """
         values = (10.0 ** np.asarray(point, dtype=np.float64)).tolist()
         sought = dict(zip((a.name for a in self.axes), values, strict=True))
-        return {**self.fixed, **_rounded(self.gains_of(sought))}
+        return {**self.fixed, **_round_gains(self.gains_of(sought))}
 
     def controller(self, point: Floats) -> Any:
         """Return a point as validated settings."""
@@ -121,7 +121,7 @@ def _phi_per_mm(numbers: Numbers, q: float) -> float:
     return 3.0 * pole**2
 
 
-def _sliding_of(sought: Numbers, q: float, kp_name: str, gain_mm_per_s3_v: float) -> Numbers:
+def _sliding_gains(sought: Numbers, q: float, kp_name: str, gain_mm_per_s3_v: float) -> Numbers:
     kp = sought["stiffness_v_per_mm"] * gain_mm_per_s3_v / _stiffness_per_s3(sought, q)
     return {
         "lambda_per_s": sought["lambda_per_s"],
@@ -133,7 +133,7 @@ def _sliding_of(sought: Numbers, q: float, kp_name: str, gain_mm_per_s3_v: float
     }
 
 
-def _sought_of(gains: Numbers, q: float, kp_name: str, gain_mm_per_s3_v: float) -> Numbers:
+def _sliding_numbers(gains: Numbers, q: float, kp_name: str, gain_mm_per_s3_v: float) -> Numbers:
     return {
         **gains,
         "stiffness_v_per_mm": gains[kp_name] * _stiffness_per_s3(gains, q) / gain_mm_per_s3_v,
@@ -146,41 +146,44 @@ def _sought_of(gains: Numbers, q: float, kp_name: str, gain_mm_per_s3_v: float) 
 _QSMC = (1.75, "kp_v_s3_per_length", 1.0)
 
 
-def _qsmc_of(sought: Numbers) -> dict[str, Any]:
-    return dict(_sliding_of(sought, *_QSMC))
+def _qsmc_gains(sought: Numbers) -> dict[str, Any]:
+    return dict(_sliding_gains(sought, *_QSMC))
 
 
-def _sought_of_qsmc(gains: dict[str, Any]) -> Numbers:
-    return _sought_of(_read_as_they_are(gains), *_QSMC)
+def _qsmc_numbers(gains: dict[str, Any]) -> Numbers:
+    return _sliding_numbers(_read_numbers(gains), *_QSMC)
 
 
 # --- SMC -------------------------------------------------------------------------------------
 
 
-def _smc(mass_kg: float) -> tuple[float, str, float]:
+def _smc_constants(mass_kg: float) -> tuple[float, str, float]:
     """Return q, K_p's name, and g-hat with this mass: resting, half filled, at mid-stroke."""
     p = plant_parameters(PlantSettings()).paper._replace(mass_kg=mass_kg)
     half_filled_pa = 0.5 * (p.tank_pressure_pa + p.atmospheric_pressure_pa)
-    return 1.0, "kp", 1e3 * linearised(p, 11.8e-3, 0.0, 0.0, half_filled_pa).fill_gain
+    return 1.0, "kp", 1e3 * linearise_model(p, 11.8e-3, 0.0, 0.0, half_filled_pa).fill_gain
 
 
-def _smc_of(sought: Numbers) -> dict[str, Any]:
+def _smc_gains(sought: Numbers) -> dict[str, Any]:
     mass_kg = sought["model_mass_kg"]
     model = {"parameters": {"mass_kg": mass_kg}}
-    return {**_sliding_of(sought, *_smc(mass_kg)), "model": model}
+    return {**_sliding_gains(sought, *_smc_constants(mass_kg)), "model": model}
 
 
-def _sought_of_smc(gains: dict[str, Any]) -> Numbers:
+def _smc_numbers(gains: dict[str, Any]) -> Numbers:
     parameters = gains["model"].get("parameters", {})
     mass_kg = float(parameters.get("mass_kg", PlantSettings().parameters.mass_kg))
-    return {**_sought_of(_read_as_they_are(gains), *_smc(mass_kg)), "model_mass_kg": mass_kg}
+    return {
+        **_sliding_numbers(_read_numbers(gains), *_smc_constants(mass_kg)),
+        "model_mass_kg": mass_kg,
+    }
 
 
 # --- between which bounds --------------------------------------------------------------------
 
 _SLIDING: dict[str, Any] = {"length_unit": "mm", "reaching_law": "eta_abs_s"}
 _STIFFNESS = (0.3, 100.0)
-_SHARED = (Axis("eta", 1e-3, 1e3, 2.0), Axis("boundary_mm", 1e-5, 10.0, 1e-4))
+_SHARED = (GainAxis("eta", 1e-3, 1e3, 2.0), GainAxis("boundary_mm", 1e-5, 10.0, 1e-4))
 _LPF1 = (40.0, 440.0)
 _LPF2 = (10.0, 440.0)
 
@@ -188,36 +191,36 @@ SPACES: dict[str, Space] = {
     "qsmc": Space(
         {"law": "qsmc", **_SLIDING, "q": 1.75},
         (
-            Axis("lambda_per_s", 5.0, 80.0, 30.0),
-            Axis("stiffness_v_per_mm", *_STIFFNESS, 25.0),
+            GainAxis("lambda_per_s", 5.0, 80.0, 30.0),
+            GainAxis("stiffness_v_per_mm", *_STIFFNESS, 25.0),
             *_SHARED,
-            Axis("lpf1_hz", *_LPF1, 200.0),
-            Axis("lpf2_hz", *_LPF2, 430.0),
+            GainAxis("lpf1_hz", *_LPF1, 200.0),
+            GainAxis("lpf2_hz", *_LPF2, 430.0),
         ),
-        _qsmc_of,
-        _sought_of_qsmc,
+        _qsmc_gains,
+        _qsmc_numbers,
     ),
     "smc": Space(
         {"law": "smc", **_SLIDING, "q": 1.0},
         (
-            Axis("lambda_per_s", 20.0, 3000.0, 250.0),
-            Axis("stiffness_v_per_mm", *_STIFFNESS, 15.0),
-            Axis("model_mass_kg", 0.05, 20.0, 1.5),
+            GainAxis("lambda_per_s", 20.0, 3000.0, 250.0),
+            GainAxis("stiffness_v_per_mm", *_STIFFNESS, 15.0),
+            GainAxis("model_mass_kg", 0.05, 20.0, 1.5),
             *_SHARED,
-            Axis("lpf1_hz", *_LPF1, 300.0),
-            Axis("lpf2_hz", *_LPF2, 430.0),
+            GainAxis("lpf1_hz", *_LPF1, 300.0),
+            GainAxis("lpf2_hz", *_LPF2, 430.0),
         ),
-        _smc_of,
-        _sought_of_smc,
+        _smc_gains,
+        _smc_numbers,
     ),
     "pid": Space(
         {"law": "pid", "length_unit": "mm"},
         (
-            Axis("kp_v_per_length", *_STIFFNESS, 17.0),
-            Axis("ki_v_per_length_s", 1e-3, 1e3, 20.0),
-            Axis("kd_v_s_per_length", 1e-4, 2.0, 0.18),
-            Axis("lpf1_hz", *_LPF1, 430.0),
-            Axis("lpf2_hz", *_LPF2, 430.0),
+            GainAxis("kp_v_per_length", *_STIFFNESS, 17.0),
+            GainAxis("ki_v_per_length_s", 1e-3, 1e3, 20.0),
+            GainAxis("kd_v_s_per_length", 1e-4, 2.0, 0.18),
+            GainAxis("lpf1_hz", *_LPF1, 430.0),
+            GainAxis("lpf2_hz", *_LPF2, 430.0),
         ),
     ),
 }

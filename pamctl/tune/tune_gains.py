@@ -20,24 +20,30 @@ from typing import Any
 import typer
 
 from pamctl.exit_codes import ExitCode
-from pamctl.log.naming import bare
+from pamctl.log.naming import bare_name
 from pamctl.settings.problems import ConfigError, Problem
-from pamctl.settings.resolve import SECTIONS, Raw, find, to_data, validated
-from pamctl.tune.gains_file import Scores, gains_file, scores
-from pamctl.tune.gains_search import Found, Jury, Search, SearchError
-from pamctl.tune.gains_trial import Trial, Verdict
-from pamctl.tune.plant_ensemble import Member, ensemble, fixed_members
+from pamctl.settings.resolve import (
+    SECTIONS,
+    RawSettings,
+    find_config_file,
+    settings_to_data,
+    validate_settings,
+)
+from pamctl.tune.gains_file import Scores, format_gains_file, summarise_verdicts
+from pamctl.tune.gains_search import BestGains, GainsSearch, Jury, SearchError
+from pamctl.tune.gains_trial import GainsTrial, GainsVerdict
+from pamctl.tune.plant_ensemble import Member, draw_ensemble, make_fixed_members
 from pamctl.tune.search_space import SPACES
 
 _DEFAULT_SIZE = 16
-_FRESH = 1_000_003
+_FRESH_SEED_OFFSET = 1_000_003
 """Added to the seed for plants that the search has not seen."""
 _SHOWN_FAILURES = 8
-_WHICH = {"fresh": "fresh plants", "named": "named plants"}
+_PLANT_SET_NAMES = {"fresh": "fresh plants", "named": "named plants"}
 
 
 @dataclass(frozen=True)
-class Asked:
+class TuningTask:
     """What the options mean."""
 
     law: str
@@ -55,9 +61,9 @@ class Asked:
     start: dict[str, Any] | None
 
     @property
-    def trial(self) -> Trial:
+    def trial(self) -> GainsTrial:
         """How they are judged in a search: a few named plants by the whole experiments."""
-        return Trial("short" if self.drawn else "whole")
+        return GainsTrial("short" if self.drawn else "whole")
 
     @property
     def jury(self) -> Jury:
@@ -76,60 +82,64 @@ class Asked:
         out: Path | None,
         check: str | None,
         start: str | None,
-    ) -> Asked:
+    ) -> TuningTask:
         """Make sense of the options; raise `ConfigError`."""
-        checked = None if check is None else _controller(check, "--check")
+        checked = None if check is None else _read_controller(check, "--check")
         law = checked.law if checked is not None else law
         if law not in SPACES:
-            raise _wrong(f"--law {law or ''}".strip(), f"must be one of {', '.join(SPACES)}")
+            raise _option_error(f"--law {law or ''}".strip(), f"must be one of {', '.join(SPACES)}")
         if checked is None:
             _require_new(out)
-        began = None if start is None else _controller(start, "--start")
+        began = None if start is None else _read_controller(start, "--start")
         if began is not None and began.law != law:
-            raise _wrong(f"--start {start}", f"holds gains of {began.law}, not of {law}")
+            raise _option_error(f"--start {start}", f"holds gains of {began.law}, not of {law}")
         if began is not None and began.length_unit != "mm":
-            raise _wrong(f"--start {start}", "gains are sought in mm, these are in inches")
-        named = fixed_members([(bare(name), _plant(name)) for name in plants])
+            raise _option_error(f"--start {start}", "gains are sought in mm, these are in inches")
+        named = make_fixed_members([(bare_name(name), _read_plant(name)) for name in plants])
         draws = size is not None or not plants
-        drawn = ensemble(size or _DEFAULT_SIZE, seed) if draws else []
-        fresh = ensemble(held_out, seed + _FRESH) if draws else []
-        begun = None if began is None else to_data(began)
+        drawn = draw_ensemble(size or _DEFAULT_SIZE, seed) if draws else []
+        fresh = draw_ensemble(held_out, seed + _FRESH_SEED_OFFSET) if draws else []
+        begun = None if began is None else settings_to_data(began)
         return cls(law, drawn, named, fresh, seed, quantile, out, checked, begun)
 
 
-def _wrong(where: str, message: str) -> ConfigError:
+def _option_error(where: str, message: str) -> ConfigError:
     return ConfigError([Problem(where, "", message)])
 
 
 def _require_new(out: Path | None) -> None:
     if out is None:
-        raise _wrong("--out", "where shall the gains go? Name a file that does not exist yet")
+        raise _option_error(
+            "--out", "where shall the gains go? Name a file that does not exist yet"
+        )
     if out.exists():
-        raise _wrong(f"--out {out}", "exists, and gains are never overwritten")
+        raise _option_error(f"--out {out}", "exists, and gains are never overwritten")
     if not out.parent.is_dir():
-        raise _wrong(f"--out {out}", f"there is no directory {out.parent}")
+        raise _option_error(f"--out {out}", f"there is no directory {out.parent}")
 
 
-def _controller(name: str, option: str) -> Any:
-    raw = Raw.read(find("controller", name, option))
-    return validated(SECTIONS["controller"], raw, "controller")
+def _read_controller(name: str, option: str) -> Any:
+    raw = RawSettings.read(find_config_file("controller", name, option))
+    return validate_settings(SECTIONS["controller"], raw, "controller")
 
 
-def _plant(name: str) -> Any:
-    return validated(SECTIONS["plant"], Raw.read(find("plant", name)), "plant")
+def _read_plant(name: str) -> Any:
+    return validate_settings(
+        SECTIONS["plant"], RawSettings.read(find_config_file("plant", name)), "plant"
+    )
 
 
-def check_gains(asked: Asked, jobs: int | None, *, as_json: bool) -> ExitCode:
+def check_gains(asked: TuningTask, jobs: int | None, *, as_json: bool) -> ExitCode:
     """Score given gains on fresh plants, or on named ones, and print how they did."""
-    with _processes(jobs) as executor:
-        found = _scored(executor, asked.checked, asked)
-    document = {"law": asked.law, "gains": to_data(asked.checked), **_document(found)}
-    typer.echo(json.dumps(document, indent=2) if as_json else _told(asked.law, found))
+    with _start_processes(jobs) as executor:
+        found = _score_gains(executor, asked.checked, asked)
+    document = {"law": asked.law, "gains": settings_to_data(asked.checked), **_make_document(found)}
+    typer.echo(json.dumps(document, indent=2) if as_json else _format_scores(asked.law, found))
     return ExitCode.OK
 
 
 def seek_gains(
-    asked: Asked, jobs: int | None, generations: int, command: str, *, as_json: bool
+    asked: TuningTask, jobs: int | None, generations: int, command: str, *, as_json: bool
 ) -> ExitCode:
     """Search, write the gains and print how they do on plants the search has not seen."""
     assert asked.out is not None
@@ -137,11 +147,11 @@ def seek_gains(
     began_s = time.monotonic()
     interrupted = False
     found: dict[str, Scores]
-    with _processes(jobs) as executor:
+    with _start_processes(jobs) as executor:
         try:
-            search = Search(asked.law, asked.jury, asked.seed, asked.start, state, asked.trial)
+            search = GainsSearch(asked.law, asked.jury, asked.seed, asked.start, state, asked.trial)
             while search.generation < generations:
-                _show(search.advance(executor), generations, began_s)
+                _show_progress(search.advance(executor), generations, began_s)
         except SearchError as error:
             print(f"error: {error}", file=sys.stderr)
             return ExitCode.USAGE
@@ -154,10 +164,12 @@ def seek_gains(
             return ExitCode.SIGINT
         controller = SECTIONS["controller"].validate_python(best.gains)
         try:
-            found = _scored(executor, controller, asked)
+            found = _score_gains(executor, controller, asked)
         except KeyboardInterrupt:  # in no mood to wait: the gains all the same
             interrupted, found = True, {}
-    text = gains_file(best.gains, command, _effort(asked, best), _reported(found))
+    text = format_gains_file(
+        best.gains, command, _describe_effort(asked, best), _report_scores(found)
+    )
     with asked.out.open("x") as file:
         file.write(text)
     if not interrupted:
@@ -170,13 +182,13 @@ def seek_gains(
         "runs": best.evaluations,
         "took_s": time.monotonic() - began_s,
         "interrupted": interrupted,
-        **_document(found),
+        **_make_document(found),
         "out": str(asked.out),
     }
     if as_json:
         typer.echo(json.dumps(document, indent=2))
     else:
-        typer.echo(_told(asked.law, found) if found else "not scored")
+        typer.echo(_format_scores(asked.law, found) if found else "not scored")
         typer.echo(f"gains: {asked.out}")
     if interrupted:
         print(
@@ -190,7 +202,7 @@ def seek_gains(
 
 
 @contextmanager
-def _processes(jobs: int | None) -> Iterator[ProcessPoolExecutor]:
+def _start_processes(jobs: int | None) -> Iterator[ProcessPoolExecutor]:
     # Not forked: a fork of a process with numba's and numpy's threads may hang.
     context = multiprocessing.get_context("spawn")
     executor = ProcessPoolExecutor(jobs or os.cpu_count(), context, initializer=_begin_work)
@@ -214,28 +226,30 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _scored(executor: ProcessPoolExecutor, controller: Any, asked: Asked) -> dict[str, Scores]:
+def _score_gains(
+    executor: ProcessPoolExecutor, controller: Any, asked: TuningTask
+) -> dict[str, Scores]:
     """Return scores on fresh plants and on the named ones, where there are any."""
-    verdict = partial(_verdict, controller)
+    verdict = partial(_judge_member, controller)
     members = [*asked.fresh, *asked.named]
     verdicts = list(executor.map(verdict, members, chunksize=max(1, len(members) // 50)))
     drawn = len(asked.fresh)
     parts = {"fresh": slice(drawn), "named": slice(drawn, None)}
     return {
-        which: scores(members[part], verdicts[part])
+        which: summarise_verdicts(members[part], verdicts[part])
         for which, part in parts.items()
         if members[part]
     }
 
 
-def _verdict(controller: Any, member: Member) -> Verdict:
-    return Trial("whole").verdict(controller, member)
+def _judge_member(controller: Any, member: Member) -> GainsVerdict:
+    return GainsTrial("whole").verdict(controller, member)
 
 
 # --- words -----------------------------------------------------------------------------------
 
 
-def _show(best: Found, generations: int, began_s: float) -> None:
+def _show_progress(best: BestGains, generations: int, began_s: float) -> None:
     took_s = time.monotonic() - began_s
     line = f"generation {best.generation} of {generations}: {best.cost:.3f}, {took_s:.0f} s"
     if sys.stderr.isatty():
@@ -244,7 +258,7 @@ def _show(best: Found, generations: int, began_s: float) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
-def _effort(asked: Asked, best: Found) -> str:
+def _describe_effort(asked: TuningTask, best: BestGains) -> str:
     kind = f"the quantile {asked.quantile:g}" if asked.quantile < 1.0 else "the worst"
     drawn = f"{kind} of {len(asked.drawn)} drawn plants" if asked.drawn else ""
     named = " and ".join(member.name for member in asked.named)
@@ -255,22 +269,25 @@ def _effort(asked: Asked, best: Found) -> str:
     )
 
 
-def _reported(found: dict[str, Scores]) -> str:
+def _report_scores(found: dict[str, Scores]) -> str:
     if not found:
         return "Not scored: interrupted."
     said = [
-        f"on {one.plants} {_WHICH[which]} {one.inside} inside Table IV ({100 * one.share:.1f} %), "
+        f"on {one.plants} {_PLANT_SET_NAMES[which]} {one.inside} inside Table IV "
+        f"({100 * one.share:.1f} %), "
         f"score median {one.median:.2f}, 95 % {one.p95:.2f}, worst {one.worst:.2f}"
         for which, one in found.items()
     ]
     return f"Both experiments in full: {'; '.join(said)}."
 
 
-def _told(law: str, found: dict[str, Scores]) -> str:
-    return "\n".join(_told_of(f"{law}, {_WHICH[which]}", one) for which, one in found.items())
+def _format_scores(law: str, found: dict[str, Scores]) -> str:
+    return "\n".join(
+        _format_one_score(f"{law}, {_PLANT_SET_NAMES[which]}", one) for which, one in found.items()
+    )
 
 
-def _told_of(title: str, found: Scores) -> str:
+def _format_one_score(title: str, found: Scores) -> str:
     lines = [
         f"{title}: {found.inside} of {found.plants} inside every bound of Table IV "
         f"({100 * found.share:.1f} %)",
@@ -284,10 +301,10 @@ def _told_of(title: str, found: Scores) -> str:
     return "\n".join(lines)
 
 
-def _document(found: dict[str, Scores]) -> dict[str, Any]:
-    return {"scores": {which: _of_plants(one) for which, one in found.items()} or None}
+def _make_document(found: dict[str, Scores]) -> dict[str, Any]:
+    return {"scores": {which: _score_fields(one) for which, one in found.items()} or None}
 
 
-def _of_plants(found: Scores) -> dict[str, Any]:
+def _score_fields(found: Scores) -> dict[str, Any]:
     failures = [{"plant": n, "why": why, "worst": worst} for n, why, worst in found.failures]
     return {**found._asdict(), "share": found.share, "failures": failures}

@@ -30,22 +30,22 @@ from pamctl.commissioning.calibrate.encoder_sign_and_scale import (
     calibrate_encoder_by_muscle,
 )
 from pamctl.commissioning.calibrate.outcome import (
-    CalibrationRefused,
-    Outcome,
-    Prepared,
-    Value,
+    CalibrationError,
+    CalibrationOutcome,
+    CalibrationValue,
+    PreparedAnswers,
     slope,
 )
 from pamctl.commissioning.calibrate.pressure_sensor import calibrate_pressure
-from pamctl.commissioning.calibrate.rig_file_text import with_values
+from pamctl.commissioning.calibrate.rig_file_text import insert_values
 from pamctl.commissioning.calibrate.valve_null import calibrate_valve
-from pamctl.commissioning.hands_on import Bench, LimitMet
+from pamctl.commissioning.hands_on import Bench, LimitError
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.realtime.clock import VirtualClock, Wake
-from pamctl.settings.resolve import RunSettings, check, config_dir, resolve
-from pamctl.settings.yaml12 import load, parse
+from pamctl.settings.resolve import RunSettings, check_config_file, config_dir, resolve
+from pamctl.settings.yaml12 import load_yaml, parse_yaml
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
 ATMOSPHERE_PA = 101.3e3
@@ -100,11 +100,11 @@ class Gauges:
         return self.reading
 
 
-def found(outcome: Outcome) -> dict[str, Value]:
+def found(outcome: CalibrationOutcome) -> dict[str, CalibrationValue]:
     return {value.keys[1]: value for value in outcome.values}
 
 
-def assert_found(value: Value, hidden: float) -> None:
+def assert_found(value: CalibrationValue, hidden: float) -> None:
     """See that what is hidden was found, within an uncertainty that says something."""
     assert abs(value.value - hidden) <= value.uncertainty
     assert value.uncertainty < 0.02 * abs(hidden)
@@ -126,7 +126,7 @@ def test_a_wrong_zero_and_gain_of_the_sensor_are_found(
 
 
 def test_the_zero_alone_needs_no_gauge() -> None:
-    outcome = calibrate_pressure(Rig(resolve()).bench, Prepared([]), ())
+    outcome = calibrate_pressure(Rig(resolve()).bench, PreparedAnswers([]), ())
     assert set(found(outcome)) == {"sensor_zero_v"}
 
 
@@ -141,18 +141,18 @@ def test_the_zero_alone_needs_no_gauge() -> None:
     ],
 )
 def test_readings_that_make_no_sense_are_refused(readings: list[float], complaint: str) -> None:
-    with pytest.raises(CalibrationRefused, match=complaint):
-        calibrate_pressure(Rig(resolve()).bench, Prepared(readings), (100.0, 200.0, 300.0))
+    with pytest.raises(CalibrationError, match=complaint):
+        calibrate_pressure(Rig(resolve()).bench, PreparedAnswers(readings), (100.0, 200.0, 300.0))
 
 
 def test_a_zero_outside_the_sensor_s_data_sheet_is_refused() -> None:
-    with pytest.raises(CalibrationRefused, match=r"gives 0\.480 V, outside 0\.184 to 0\.409 V"):
-        calibrate_pressure(Rig(resolve(), zero_v=0.48).bench, Prepared([]), ())
+    with pytest.raises(CalibrationError, match=r"gives 0\.480 V, outside 0\.184 to 0\.409 V"):
+        calibrate_pressure(Rig(resolve(), zero_v=0.48).bench, PreparedAnswers([]), ())
 
 
 def test_a_pressure_that_the_supply_does_not_reach_is_said_so() -> None:
-    with pytest.raises(LimitMet, match=r"does not reach 390 kPa"):
-        calibrate_pressure(Rig(resolve()).bench, Prepared([390.0]), (390.0,))
+    with pytest.raises(LimitError, match=r"does not reach 390 kPa"):
+        calibrate_pressure(Rig(resolve()).bench, PreparedAnswers([390.0]), (390.0,))
 
 
 # --- the encoder -------------------------------------------------------------------------
@@ -234,14 +234,14 @@ def test_displacements_that_make_no_sense_are_refused(
     blocks_mm: Sequence[float], told_mm: Sequence[float], scale: float, complaint: str
 ) -> None:
     rig, carriage = on_a_carriage(encoder_m_per_count=scale * COUNT_M)
-    with pytest.raises(CalibrationRefused, match=complaint):
+    with pytest.raises(CalibrationError, match=complaint):
         calibrate_encoder_by_hand(rig.bench, Hand(carriage, blocks_mm), told_mm)
 
 
 def test_an_unplugged_encoder_is_no_scale() -> None:
     rig = Rig(resolve(), faults=[FaultSettings(kind="stuck_encoder", from_tick=0)])
-    with pytest.raises(CalibrationRefused, match="saw 0 counts"):
-        calibrate_encoder_by_muscle(rig.bench, Prepared([15.0]), (200.0,))
+    with pytest.raises(CalibrationError, match="saw 0 counts"):
+        calibrate_encoder_by_muscle(rig.bench, PreparedAnswers([15.0]), (200.0,))
 
 
 @given(st.lists(st.floats(1.0, 1e5), min_size=1, max_size=6), st.floats(1e-8, 1e8))
@@ -308,12 +308,12 @@ def test_a_valve_that_is_reversed_or_has_no_supply_has_no_null(
     kind: type[SimulatedPlant], complaint: str
 ) -> None:
     settings = resolve()
-    with pytest.raises(CalibrationRefused, match=complaint):
+    with pytest.raises(CalibrationError, match=complaint):
         calibrate_valve(Rig(settings, kind(plant_parameters(settings.plant))).bench)
 
 
 def test_a_null_outside_the_span_is_not_guessed() -> None:
-    with pytest.raises(CalibrationRefused, match="Widen with --span"):
+    with pytest.raises(CalibrationError, match="Widen with --span"):
         calibrate_valve(Rig(resolve(), driver_offset_v=5.4).bench, span_v=0.2)
 
 
@@ -370,8 +370,10 @@ def test_a_card_with_everything_wrong_is_calibrated_piece_by_piece(
 # --- the rig file ------------------------------------------------------------------------
 
 HEADING = "2026-11-20 14:00 UTC: pamctl calibrate pressure, from rig.yaml"
-ZERO = Value(("calibration", "sensor_zero_v"), 0.2173, "V", 1.5e-4, "mean of 1000 samples")
-OUTCOME = Outcome((ZERO,), ("the supply gives 441.3 kPa",), {})
+ZERO = CalibrationValue(
+    ("calibration", "sensor_zero_v"), 0.2173, "V", 1.5e-4, "mean of 1000 samples"
+)
+OUTCOME = CalibrationOutcome((ZERO,), ("the supply gives 441.3 kPa",), {})
 
 
 @pytest.mark.parametrize("name", ["sim", "pci6221"])
@@ -379,8 +381,8 @@ def test_a_shipped_rig_file_keeps_its_comments_and_all_other_values(
     name: str, tmp_path: Path
 ) -> None:
     source = config_dir() / "rig" / f"{name}.yaml"
-    text = with_values(source.read_text(), OUTCOME, HEADING)
-    before, after = load(source).data, parse(text, source).data
+    text = insert_values(source.read_text(), OUTCOME, HEADING)
+    before, after = load_yaml(source).data, parse_yaml(text, source).data
     assert after["calibration"].pop("sensor_zero_v") == 0.2173  # type: ignore[attr-defined]
     before["calibration"].pop("sensor_zero_v")  # type: ignore[attr-defined]
     assert after == before
@@ -390,7 +392,7 @@ def test_a_shipped_rig_file_keeps_its_comments_and_all_other_values(
     assert "# the supply gives 441.3 kPa" in text
     assert "2026-11-20: mean of 1000 samples, +-0.00015 V; was 0.2" in text
     (tmp_path / "mine.yaml").write_text(text)
-    assert check(tmp_path / "mine.yaml") == "rig"
+    assert check_config_file(tmp_path / "mine.yaml") == "rig"
 
 
 @pytest.mark.parametrize(
@@ -410,8 +412,8 @@ def test_however_a_rig_file_is_written_the_values_get_in_and_nothing_else_change
     text: str,
 ) -> None:
     path = Path("rig.yaml")
-    before = parse(text, path).data
-    after = parse(with_values(text, OUTCOME, HEADING), path).data
+    before = parse_yaml(text, path).data
+    after = parse_yaml(insert_values(text, OUTCOME, HEADING), path).data
     assert after == {
         **before,
         "calibration": {**before.get("calibration", {}), "sensor_zero_v": 0.2173},
@@ -420,10 +422,12 @@ def test_however_a_rig_file_is_written_the_values_get_in_and_nothing_else_change
 
 def test_a_second_calibration_goes_on_from_the_first() -> None:
     text = (config_dir() / "rig" / "sim.yaml").read_text()
-    sign = Value(("calibration", "encoder_sign"), -1, "", 0.0, "counts fall")
-    once = with_values(text, OUTCOME, HEADING)
-    twice = with_values(once, Outcome((sign,), (), {}), HEADING.replace("pressure", "encoder"))
-    data = parse(twice, Path("rig.yaml")).data["calibration"]
+    sign = CalibrationValue(("calibration", "encoder_sign"), -1, "", 0.0, "counts fall")
+    once = insert_values(text, OUTCOME, HEADING)
+    twice = insert_values(
+        once, CalibrationOutcome((sign,), (), {}), HEADING.replace("pressure", "encoder")
+    )
+    data = parse_yaml(twice, Path("rig.yaml")).data["calibration"]
     assert (data["sensor_zero_v"], data["encoder_sign"]) == (0.2173, -1)  # type: ignore[index]
     assert twice.index("calibrate pressure") < twice.index("calibrate encoder")
 

@@ -20,43 +20,43 @@ from support.runs import AO_STEP_V, MS, parts, run_settings
 from hal.faulty import FaultSettings
 from hal.rig import RigError
 from hal.sim.register import peek_v
-from pamctl.commissioning.doctor.actuate import actuation_findings
+from pamctl.commissioning.doctor.actuate import examine_actuation
 from pamctl.commissioning.doctor.card import (
-    card_findings,
-    clock_finding,
-    device_nodes,
-    reservations,
+    check_device_nodes,
+    examine_card,
+    examine_card_clock,
+    judge_reservations,
 )
-from pamctl.commissioning.doctor.findings import Finding, report, worst
+from pamctl.commissioning.doctor.findings import DoctorFinding, format_findings, worst_level
 from pamctl.commissioning.doctor.latency import (
     WakeUps,
-    call_findings,
-    measured_calls,
-    measured_wake_ups,
-    spread,
-    wake_up_finding,
+    judge_calls,
+    judge_wake_ups,
+    measure_calls,
+    measure_wake_ups,
+    summarise_latencies,
 )
 from pamctl.commissioning.doctor.pc import (
-    governor,
-    log_room,
-    permission_findings,
-    processors,
-    shared_memory_room,
+    check_governor,
+    check_log_disk,
+    check_processors,
+    check_shared_memory,
+    judge_permissions,
 )
-from pamctl.commissioning.doctor.sensors import moved_by_hand, resting, sensor_findings
-from pamctl.commissioning.hands_on import Bench, LimitMet
+from pamctl.commissioning.doctor.sensors import judge_hand_motion, judge_sensors, measure_at_rest
+from pamctl.commissioning.hands_on import Bench, LimitError
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
-from pamctl.processes.interrupts import Interrupted, Interrupts
+from pamctl.processes.interrupts import Interrupts, SignalInterrupt
 from pamctl.realtime.clock import VirtualClock, Wake
-from pamctl.realtime.scheduling import Preparation, Step
+from pamctl.realtime.scheduling import Preparation, PreparationStep
 from pamctl.settings.resolve import RunSettings, resolve
 
 PAMCTL = str(Path(sys.executable).with_name("pamctl"))
 READ_VOLTS = "DAQmxReadAnalogScalarF64"
 
 
-def named(findings: list[Finding]) -> dict[str, Finding]:
+def named(findings: list[DoctorFinding]) -> dict[str, DoctorFinding]:
     """Return findings by name, each of them once."""
     assert len({finding.name for finding in findings}) == len(findings)
     return {finding.name: finding for finding in findings}
@@ -68,9 +68,9 @@ def bench_of(settings: RunSettings, rig: object, clock: VirtualClock) -> Bench:
     return Bench(rig, clock, file.calibration, file.limits, file.homing, file.safe_volts)  # type: ignore[arg-type]
 
 
-def examined(bench: Bench, *, actuate: bool = True) -> dict[str, Finding]:
-    findings = list(sensor_findings(bench, resting(bench)))
-    return named([*findings, *(actuation_findings(bench) if actuate else ())])
+def examined(bench: Bench, *, actuate: bool = True) -> dict[str, DoctorFinding]:
+    findings = list(judge_sensors(bench, measure_at_rest(bench)))
+    return named([*findings, *(examine_actuation(bench) if actuate else ())])
 
 
 # --- the rig, simulated ------------------------------------------------------------------
@@ -158,7 +158,7 @@ def test_a_sensor_that_breaks_during_a_pulse_stops_it_by_the_limits() -> None:
     settings = run_settings()
     made = parts(settings, [late])
     bench = bench_of(settings, made.whole, made.clock)
-    found = named(list(actuation_findings(bench)))
+    found = named(list(examine_actuation(bench)))
     assert found["valve.sign"].level == "fault"
     assert found["valve.sign"].found.startswith("stopped: the pressure sensor gives 0.000 V")
 
@@ -171,7 +171,7 @@ def test_a_bench_keeps_the_limits_of_pressure_and_travel() -> None:
         settings = run_settings(override)
         made = parts(settings)
         bench = bench_of(settings, made.whole, made.clock)
-        with pytest.raises(LimitMet, match=complaint):
+        with pytest.raises(LimitError, match=complaint):
             bench.hold(5.0, 1.0)
 
 
@@ -183,8 +183,8 @@ def test_a_loose_encoder_line_is_a_fault_and_a_creeping_one_a_warning() -> None:
 
 
 def test_a_motion_by_hand_proves_the_encoder_alive_or_not() -> None:
-    assert moved_by_hand(900).level == "ok"
-    assert moved_by_hand(0).level == "fault"
+    assert judge_hand_motion(900).level == "ok"
+    assert judge_hand_motion(0).level == "fault"
 
 
 # --- the card, over the stand-in ---------------------------------------------------------
@@ -234,14 +234,14 @@ def wired(card: Card) -> Iterator[Callable[..., Bench]]:
         rig.close()
 
 
-def cards(*overrides: str) -> dict[str, Finding]:
-    return named(list(card_findings(resolve(rig="pci6221", overrides=overrides).rig)))  # type: ignore[arg-type]
+def cards(*overrides: str) -> dict[str, DoctorFinding]:
+    return named(list(examine_card(resolve(rig="pci6221", overrides=overrides).rig)))  # type: ignore[arg-type]
 
 
 def test_a_sound_card_is_named_with_its_driver_and_writes_nothing_to_its_output(card: Card) -> None:
     card.registers.ao_v[0] = 3.0
     found = cards()
-    assert worst(found.values()) == "ok"
+    assert worst_level(found.values()) == "ok"
     assert "NI-DAQmx 26.8.0" in found["card.driver"].found
     assert "PCI-6221, serial DECAF, bus PCI" in found["card.device"].found
     assert found["card.input_range"].data["step_pa"] == pytest.approx(23.7, abs=0.1)
@@ -305,7 +305,7 @@ def test_a_part_of_the_card_that_another_program_holds_is_named_with_the_program
 
 def test_a_holder_that_cannot_be_seen_is_still_a_fault() -> None:
     held = RigError("reserving Dev1/ai0: no", fix="another program holds it", code=-50103)
-    found = reservations({"ai0": held}, [])
+    found = judge_reservations({"ai0": held}, [])
     assert found.level == "fault"
     assert "another program" in found.fix
 
@@ -313,7 +313,7 @@ def test_a_holder_that_cannot_be_seen_is_still_a_fault() -> None:
 def test_the_card_s_clock_is_tried_with_the_safe_voltage_on_the_output(card: Card) -> None:
     card.registers.ao_v[0] = 3.0
     rig = resolve(rig="pci6221", overrides=["rig.safe_volts=1.25"]).rig
-    found = clock_finding(rig)  # type: ignore[arg-type]
+    found = examine_card_clock(rig)  # type: ignore[arg-type]
     assert (found.name, found.level) == ("timing.hardware", "ok")
     assert "works" in found.found
     assert card.written_v == [pytest.approx(1.25, abs=AO_STEP_V)] * card.registers.ao_writes
@@ -325,7 +325,7 @@ def test_a_card_whose_clock_cannot_pace_says_why_and_it_matters_where_the_file_a
 ) -> None:
     card.fail("DAQmxCfgSampClkTiming", -200077)
     rig = resolve(rig="pci6221", overrides=[f"rig.nidaq.timing={timing}"]).rig
-    found = clock_finding(rig)  # type: ignore[arg-type]
+    found = examine_card_clock(rig)  # type: ignore[arg-type]
     assert found.level == level
     assert "-200077" in found.found
     assert card.output_v == pytest.approx(0.0, abs=AO_STEP_V)
@@ -363,7 +363,7 @@ def test_slow_calls_of_the_driver_are_found_and_the_slow_one_is_named(card: Card
     rig.open()
     try:
         card.fail(READ_VOLTS, hang_s=0.004)
-        found = named(list(call_findings(measured_calls(rig, 0.0, calls=40), 1e-3)))
+        found = named(list(judge_calls(measure_calls(rig, 0.0, calls=40), 1e-3)))
     finally:
         card.mend()
         rig.close()
@@ -377,7 +377,7 @@ def test_slow_calls_of_the_driver_are_found_and_the_slow_one_is_named(card: Card
 
 
 def test_durations_are_summed_up_by_values_that_occurred() -> None:
-    found = spread([2_000] * 98 + [40_000, 3_000_000])
+    found = summarise_latencies([2_000] * 98 + [40_000, 3_000_000])
     assert (found.p50_us, found.p99_us, found.max_us) == (2.0, 3000.0, 3000.0)
     assert found.histogram == {"below_5_us": 98, "below_50_us": 1, "below_5000_us": 1}
 
@@ -387,12 +387,14 @@ def test_durations_are_summed_up_by_values_that_occurred() -> None:
     [(3, 0, "ok"), (3, 1, "warning"), (3, 50, "fault"), (200, 0, "warning"), (700, 0, "fault")],
 )
 def test_wake_ups_are_judged_against_the_period(late_us: int, missed: int, level: str) -> None:
-    found = wake_up_finding("pc.wakeup", WakeUps(spread([late_us * 1000] * 1000), missed), 1e-3, "")
+    found = judge_wake_ups(
+        "pc.wakeup", WakeUps(summarise_latencies([late_us * 1000] * 1000), missed), 1e-3, ""
+    )
     assert found.level == level
 
 
 def test_a_clock_that_misses_ticks_is_measured_so() -> None:
-    found = measured_wake_ups(VirtualClock(MS, {100: 7, 150: 1}), 0.5)
+    found = measure_wake_ups(VirtualClock(MS, {100: 7, 150: 1}), 0.5)
     assert found.missed == 8
     assert found.late.max_us == 0.0
 
@@ -401,11 +403,11 @@ def test_every_right_that_was_refused_is_a_warning_with_its_fix() -> None:
     from contextlib import ExitStack
 
     steps = (
-        Step("gc", True, "objects frozen"),
-        Step("mlock", True, "all memory"),
-        Step("fifo", False, "Operation not permitted; RLIMIT_RTPRIO is 0: put ..."),
+        PreparationStep("gc", True, "objects frozen"),
+        PreparationStep("mlock", True, "all memory"),
+        PreparationStep("fifo", False, "Operation not permitted; RLIMIT_RTPRIO is 0: put ..."),
     )
-    found = named(list(permission_findings(Preparation("auto", steps, ExitStack()))))
+    found = named(list(judge_permissions(Preparation("auto", steps, ExitStack()))))
     assert set(found) == {"pc.mlock", "pc.fifo"}
     assert found["pc.fifo"].level == "warning"
     assert found["pc.fifo"].found == "refused: Operation not permitted"
@@ -413,36 +415,36 @@ def test_every_right_that_was_refused_is_a_warning_with_its_fix() -> None:
 
 
 def test_one_processor_and_a_saving_governor_are_warnings(tmp_path: Path) -> None:
-    assert processors(1).level == "warning"
-    assert processors(2).level == "ok"
-    assert governor(tmp_path).level == "ok"
+    assert check_processors(1).level == "warning"
+    assert check_processors(2).level == "ok"
+    assert check_governor(tmp_path).level == "ok"
     for number, name in enumerate(["performance", "powersave"]):
         place = tmp_path / f"cpu{number}" / "cpufreq"
         place.mkdir(parents=True)
         (place / "scaling_governor").write_text(f"{name}\n")
-    assert governor(tmp_path).level == "warning"
-    assert "cpupower" in governor(tmp_path).fix
+    assert check_governor(tmp_path).level == "warning"
+    assert "cpupower" in check_governor(tmp_path).fix
 
 
 def test_places_that_cannot_be_written_are_faults(tmp_path: Path) -> None:
-    assert shared_memory_room(tmp_path / "no-shm").level == "fault"
-    assert shared_memory_room(SHARED_MEMORY).data["free_bytes"]
-    assert log_room(tmp_path / "not" / "yet" / "there").level == "ok"
+    assert check_shared_memory(tmp_path / "no-shm").level == "fault"
+    assert check_shared_memory(SHARED_MEMORY).data["free_bytes"]
+    assert check_log_disk(tmp_path / "not" / "yet" / "there").level == "ok"
 
 
 def test_device_nodes_are_judged_by_what_this_user_may(tmp_path: Path) -> None:
-    assert list(device_nodes(tmp_path)) == []
+    assert list(check_device_nodes(tmp_path)) == []
     (tmp_path / "nipalk").touch()
-    assert [finding.level for finding in device_nodes(tmp_path)] == ["ok"]
+    assert [finding.level for finding in check_device_nodes(tmp_path)] == ["ok"]
     if os.geteuid():
         (tmp_path / "nipalk").chmod(0)
-        assert [finding.level for finding in device_nodes(tmp_path)] == ["fault"]
+        assert [finding.level for finding in check_device_nodes(tmp_path)] == ["fault"]
 
 
 def test_the_report_gives_the_way_out_below_what_is_wrong_and_nothing_below_what_is_well() -> None:
-    bad = Finding("a.b", "fault", "broken", "whole", "mend it", {"x": 1})
-    good = Finding("a.c", "ok", "fine", "unused", "unused")
-    lines = list(report([bad, good]))
+    bad = DoctorFinding("a.b", "fault", "broken", "whole", "mend it", {"x": 1})
+    good = DoctorFinding("a.c", "ok", "fine", "unused", "unused")
+    lines = list(format_findings([bad, good]))
     assert [line.split()[0] for line in lines] == ["fault", "should", "fix:", "ok"]
 
 
@@ -465,7 +467,7 @@ def command(*arguments: str, backend: str = "sim") -> list[str]:
 
 def run(
     *arguments: str, cwd: Path, backend: str = "sim", env: dict[str, str] | None = None
-) -> tuple[int, dict[str, Finding]]:
+) -> tuple[int, dict[str, DoctorFinding]]:
     done = subprocess.run(
         command(*arguments, "--json", backend=backend),
         cwd=cwd,
@@ -478,7 +480,7 @@ def run(
     told = json.loads(done.stdout)
     assert told["exit_code"] == done.returncode, done.stderr
     assert "Traceback" not in done.stderr
-    return done.returncode, named([Finding(**finding) for finding in told["findings"]])
+    return done.returncode, named([DoctorFinding(**finding) for finding in told["findings"]])
 
 
 def test_without_a_driver_the_doctor_says_what_to_install_and_exits_with_3(tmp_path: Path) -> None:
@@ -545,9 +547,9 @@ def test_at_a_terminal_the_carriage_is_moved_by_hand_to_see_the_encoder_alive(
 
 
 def test_a_device_that_a_run_holds_is_refused_and_left_alone(tmp_path: Path) -> None:
-    from hal.reservation import reserved
+    from hal.reservation import hold_reservation
 
-    with reserved(SHARED_MEMORY / f"pamctl-{device()}.lock", device()):
+    with hold_reservation(SHARED_MEMORY / f"pamctl-{device()}.lock", device()):
         code, found = run("--actuate", cwd=tmp_path)
     assert code == 3
     assert found["rig.device"].level == "fault"
@@ -586,9 +588,9 @@ def test_one_signal_ends_the_work_and_no_second_one_cuts_the_way_out_short(
 ) -> None:
     way_out = []
     before = signal.getsignal(number)
-    with pytest.raises(Interrupted) as caught, Interrupts() as interrupts:
+    with pytest.raises(SignalInterrupt) as caught, Interrupts() as interrupts:
         try:
-            with interrupts.heeded():
+            with interrupts.heed_signals():
                 signal.raise_signal(number)
                 way_out.append("never")
         finally:
@@ -601,13 +603,13 @@ def test_one_signal_ends_the_work_and_no_second_one_cuts_the_way_out_short(
 
 
 def test_a_signal_outside_the_work_waits_for_its_begin_or_for_its_end() -> None:
-    with pytest.raises(Interrupted), Interrupts() as interrupts:
+    with pytest.raises(SignalInterrupt), Interrupts() as interrupts:
         signal.raise_signal(signal.SIGTERM)
-        with interrupts.heeded():
+        with interrupts.heed_signals():
             pytest.fail("the work was begun")
     done = []
-    with pytest.raises(Interrupted), Interrupts() as interrupts:
-        with interrupts.heeded():
+    with pytest.raises(SignalInterrupt), Interrupts() as interrupts:
+        with interrupts.heed_signals():
             pass
         signal.raise_signal(signal.SIGTERM)
         done.append("closed")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
-from pamctl.compare.coupled_gap import compare, gap_of, regimes_of
+from pamctl.compare.coupled_gap import compare_model, measure_gap, split_regimes
 from pamctl.log import LogError, read, signals
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.plant.drive import drive_coupled
@@ -63,7 +63,7 @@ def test_a_simulated_run_agrees_with_its_own_plant_to_its_sensors(
 ) -> None:
     log = read(GOLDEN / f"{name}.mcap")
     plant = plant_parameters(PlantSettings.model_validate(log.config["plant"]))
-    found = compare(log, plant)
+    found = compare_model(log, plant)
     assert found.gap(found.coupled, "position_m").rms < rms_counts * COUNT_M
     for way in (found.coupled, found.pressure_block):
         assert found.gap(way, "pressure_pa").rms == pytest.approx(311.0, rel=0.15)
@@ -73,12 +73,12 @@ def test_a_simulated_run_agrees_with_its_own_plant_to_its_sensors(
 def test_a_card_that_puts_out_at_its_next_edge_agrees_whatever_edges_the_pc_has_missed() -> None:
     log = read(GOLDEN / "card-clocked.mcap")
     assert log["missed"].sum() > 100
-    found = compare(log, plant_parameters(PlantSettings.model_validate(log.config["plant"])))
+    found = compare_model(log, plant_parameters(PlantSettings.model_validate(log.config["plant"])))
     assert found.gap(found.pressure_block, "pressure_pa").max < 700.0  # a tick off: 2700
 
 
 def test_an_imported_measurement_of_the_very_plant_agrees_as_well(tmp_path: Path) -> None:
-    found = compare(read(measured(tmp_path / "lab.mcap", {})), PAPER)
+    found = compare_model(read(measured(tmp_path / "lab.mcap", {})), PAPER)
     assert found.gap(found.coupled, "position_m").rms < COUNT_M
     assert found.gap(found.coupled, "pressure_pa").rms == pytest.approx(NOISE_PA, rel=0.05)
 
@@ -89,7 +89,7 @@ def test_an_imported_measurement_of_the_very_plant_agrees_as_well(tmp_path: Path
 def test_a_wrong_stiffness_is_seen_in_the_mechanics_and_not_in_the_pressure_block(
     tmp_path: Path,
 ) -> None:
-    found = compare(read(measured(tmp_path / "a.mcap", {"stiffness_n_per_m": 9000.0})), PAPER)
+    found = compare_model(read(measured(tmp_path / "a.mcap", {"stiffness_n_per_m": 9000.0})), PAPER)
     assert found.gap(found.mechanics, "position_m").rms > 20 * COUNT_M
     assert found.gap(found.pressure_block, "pressure_pa").rms == pytest.approx(NOISE_PA, rel=0.05)
 
@@ -97,8 +97,10 @@ def test_a_wrong_stiffness_is_seen_in_the_mechanics_and_not_in_the_pressure_bloc
 def test_a_wrong_valve_gain_is_seen_in_the_pressure_block_and_not_in_the_mechanics(
     tmp_path: Path,
 ) -> None:
-    right = compare(read(measured(tmp_path / "a.mcap", {})), PAPER)
-    wrong = compare(read(measured(tmp_path / "b.mcap", {"valve_gain_m2_per_v": 1.2e-6})), PAPER)
+    right = compare_model(read(measured(tmp_path / "a.mcap", {})), PAPER)
+    wrong = compare_model(
+        read(measured(tmp_path / "b.mcap", {"valve_gain_m2_per_v": 1.2e-6})), PAPER
+    )
     assert wrong.gap(wrong.pressure_block, "pressure_pa").rms > 10 * NOISE_PA
     floor = right.gap(right.mechanics, "position_m").rms
     assert wrong.gap(wrong.mechanics, "position_m").rms == pytest.approx(floor, rel=0.3)
@@ -106,7 +108,7 @@ def test_a_wrong_valve_gain_is_seen_in_the_pressure_block_and_not_in_the_mechani
 
 def test_a_slow_valve_is_seen_while_it_moves_and_not_while_it_rests(tmp_path: Path) -> None:
     changes = {"valve_spool.time_constant_s": 4e-3, "valve_spool.damping_ratio": 0.7}
-    found = compare(read(measured(tmp_path / "a.mcap", changes)), PAPER)
+    found = compare_model(read(measured(tmp_path / "a.mcap", changes)), PAPER)
     by_name = {regime.name: regime for regime in found.regimes()}
     assert by_name["at rest"].pressure_pa.rms < by_name["contracting"].pressure_pa.rms
     by_valve = [by_name[f"valve {how}"].ticks for how in ("fills", "exhausts", "near null")]
@@ -117,14 +119,14 @@ def test_a_slow_valve_is_seen_while_it_moves_and_not_while_it_rests(tmp_path: Pa
 
 
 def test_without_a_command_the_mechanics_alone_can_be_compared(tmp_path: Path) -> None:
-    found = compare(read(measured(tmp_path / "a.mcap", {}, "valve_v")), PAPER)
+    found = compare_model(read(measured(tmp_path / "a.mcap", {}, "valve_v")), PAPER)
     assert found.coupled.position_m is found.pressure_block.pressure_pa is None
     assert found.gap(found.mechanics, "position_m").rms < 5 * COUNT_M
     assert np.isnan(found.gap(found.coupled, "pressure_pa").rms)
 
 
 def test_without_an_encoder_the_coupled_model_is_held_against_the_pressure(tmp_path: Path) -> None:
-    found = compare(read(measured(tmp_path / "a.mcap", {}, "position_m")), PAPER)
+    found = compare_model(read(measured(tmp_path / "a.mcap", {}, "position_m")), PAPER)
     assert found.gap(found.coupled, "pressure_pa").rms == pytest.approx(NOISE_PA, rel=0.05)
     assert np.isnan(found.gap(found.coupled, "position_m").rms)
 
@@ -132,7 +134,7 @@ def test_without_an_encoder_the_coupled_model_is_held_against_the_pressure(tmp_p
 def test_one_signal_alone_is_refused(tmp_path: Path) -> None:
     path = measured(tmp_path / "a.mcap", {}, "position_m", "pressure_pa")
     with pytest.raises(LogError, match="holds valve_v only"):
-        compare(read(path), PAPER)
+        compare_model(read(path), PAPER)
     done = CliRunner().invoke(app, ["compare", str(path), "--json"])
     assert done.exit_code == 65
     assert json.loads(done.stdout)["exit_code"] == 65
@@ -144,7 +146,7 @@ def test_what_is_no_number_is_left_out_and_the_model_begins_anew_behind_it(tmp_p
     broken = {name: column.copy() for name, column in signals_of(path).items()}
     broken["pressure_pa"][1000:1100] = np.nan
     write_imported(tmp_path / "b.mcap", log.t, broken, {})
-    found = compare(read(tmp_path / "b.mcap"), PAPER)
+    found = compare_model(read(tmp_path / "b.mcap"), PAPER)
     assert np.isnan(found.coupled.position_m[1000:1100]).all()
     assert np.isfinite(np.delete(found.coupled.position_m, slice(1000, 1100))).all()
     assert found.gap(found.coupled, "pressure_pa", slice(1100, None)).rms < 3 * NOISE_PA
@@ -166,21 +168,21 @@ def test_a_recovered_log_is_compared_on_both_sides_of_what_it_lost(tmp_path: Pat
             "time_ns": log.time_ns[keep],
         }
     )
-    found = compare(holed, PAPER)
+    found = compare_model(holed, PAPER)
     assert found.gap(found.coupled, "position_m").rms < 5 * COUNT_M
     assert np.isfinite(found.coupled.position_m).all()
 
 
 def test_a_gap_is_root_mean_square_and_maximum_of_what_is_a_number() -> None:
     model, seen = np.array([1.0, 2.0, np.nan, 4.0]), np.array([1.0, 5.0, 3.0, 0.0])
-    assert gap_of(model, seen, slice(None)) == pytest.approx((np.sqrt(25 / 3), 4.0))
-    assert gap_of(model, seen, np.array([True, False, True, False])) == (0.0, 0.0)
+    assert measure_gap(model, seen, slice(None)) == pytest.approx((np.sqrt(25 / 3), 4.0))
+    assert measure_gap(model, seen, np.array([True, False, True, False])) == (0.0, 0.0)
 
 
 def test_regimes_are_told_by_what_the_valve_did_before_the_sample(tmp_path: Path) -> None:
     step = np.where(np.arange(1000) < 500, 1.0, -1.0)
     found = signals(read(measured(tmp_path / "a.mcap", {}, command_v=step)))
-    regimes = dict(regimes_of(found))
+    regimes = dict(split_regimes(found))
     assert np.flatnonzero(regimes["valve exhausts"]).tolist() == list(range(501, 1000))
     assert regimes["contracting"][100:300].all()
     assert regimes["extending"][600:700].all()

@@ -17,8 +17,8 @@ from pamctl.control.filters import (
     LowPass,
     estimate,
     low_pass,
-    primed,
-    warped,
+    prime_filter,
+    warp_cutoff,
 )
 from pamctl.signals import Estimate, Measurement, Phase, Reference
 
@@ -29,10 +29,10 @@ NAN = math.nan
 def filtered(
     cutoff_hz: float, values: Sequence[float], dt_s: float | Sequence[float] = DT_S, start=0.0
 ) -> np.ndarray:
-    state: LowPass = primed(start)
+    state: LowPass = prime_filter(start)
     levels = []
     for value, dt in zip(values, np.broadcast_to(dt_s, len(values)).tolist(), strict=True):
-        level, state = low_pass(state, warped(cutoff_hz, dt), value)
+        level, state = low_pass(state, warp_cutoff(cutoff_hz, dt), value)
         levels.append(level)
     return np.array(levels)
 

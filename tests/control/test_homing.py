@@ -34,7 +34,7 @@ def homed(
     made.rig.open()
     while True:
         wake = made.clock.wait()
-        reference = homing.next(wake.now_ns * 1e-9, made.whole.read())
+        reference = homing.next_reference(wake.now_ns * 1e-9, made.whole.read())
         if reference is None:
             assert homing.zero is not None
             return homing.zero, asked, made.plant.position_m
@@ -96,7 +96,7 @@ def fed(sample_at, settings=SETTINGS, calibration=NOMINAL) -> tuple[Zero, float]
     """Home on made-up samples; return the zero and when it was found."""
     homing = Homing(settings, calibration)
     for t_s, sample in synthetic(sample_at):
-        if homing.next(t_s, sample) is None:
+        if homing.next_reference(t_s, sample) is None:
             assert homing.zero is not None
             return homing.zero, t_s
     raise AssertionError("homing neither ended nor gave up")
@@ -136,15 +136,15 @@ def test_homing_gives_up_on(what: str) -> None:
     for t_s, sample in samples:
         if t_s > SETTINGS.timeout_s - 1e-9:
             break
-        assert homing.next(t_s, sample) is not None
+        assert homing.next_reference(t_s, sample) is not None
     with pytest.raises(HomingError, match=said):
-        deque((homing.next(t_s, sample) for t_s, sample in islice(samples, 3)), maxlen=0)
+        deque((homing.next_reference(t_s, sample) for t_s, sample in islice(samples, 3)), maxlen=0)
 
 
 def test_every_vent_is_watched_for_the_whole_steady_time() -> None:
     homing, watched = Homing(SETTINGS, NOMINAL), []
     for t_s, sample in synthetic(lambda t: (0.2, 0)):
-        reference = homing.next(t_s, sample)
+        reference = homing.next_reference(t_s, sample)
         if reference is None:
             break
         watched.append(reference.reference_valve_v)
@@ -168,7 +168,7 @@ def test_each_vent_has_the_whole_time_allowed() -> None:
     homing, vented_s, filling = Homing(settings, NOMINAL), 0.0, False
     for t_s, _ in synthetic(lambda t: (0.2, 0)):
         moving = 0 if filling or t_s - vented_s > 6.0 else 50 * (round(t_s * 1e3) % 2)
-        reference = homing.next(t_s, RawSample(0.2, moving, 0, 0))
+        reference = homing.next_reference(t_s, RawSample(0.2, moving, 0, 0))
         if reference is None:
             break
         if filling and reference.reference_valve_v < 0:
@@ -182,7 +182,7 @@ def test_homing_goes_by_time_and_not_by_ticks() -> None:
     """At a quarter of the ticks it takes as long and finds the same."""
     sparse = Homing(SETTINGS, NOMINAL)
     for t_s, sample in synthetic(lambda t: (0.25, 12)):
-        if round(t_s * 1e3) % 4 == 0 and sparse.next(t_s, sample) is None:
+        if round(t_s * 1e3) % 4 == 0 and sparse.next_reference(t_s, sample) is None:
             break
     _, every_tick_s = fed(lambda t: (0.25, 12))
     assert sparse.zero == Zero(pytest.approx(0.25), 12.0)
@@ -204,4 +204,4 @@ def test_a_fill_that_raises_no_pressure_is_refused() -> None:
     homing = Homing(HomingSettings(), CalibrationSettings())
     with pytest.raises(HomingError, match="changed the pressure sensor by 0 mV only"):
         for tick in range(20_000):
-            homing.next(tick * 1e-3, sample)
+            homing.next_reference(tick * 1e-3, sample)

@@ -23,10 +23,10 @@ from support.paper_equations import (
 from pamctl.control.law import Gains, law_gains, respond
 from pamctl.control.pid import PidSettings
 from pamctl.control.qsmc import QsmcSettings
-from pamctl.control.smc import SmcSettings, linearised
+from pamctl.control.smc import SmcSettings, linearise_model
 from pamctl.control.surface import ARMED, LawState
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.realtime.keyframe import frozen
+from pamctl.realtime.keyframe import freeze_state
 from pamctl.signals import Command, Estimate, Phase, Reference
 
 NAN = math.nan
@@ -257,7 +257,7 @@ commands = st.floats(0.01, 5) | st.floats(-5, -0.01)
 def test_the_model_of_smc_is_the_third_derivative_along_the_flow(state, u) -> None:
     x, v, p = state
     a = acceleration_of(x, v, p)
-    model = linearised(MODEL, x, v, a, p)
+    model = linearise_model(MODEL, x, v, a, p)
     gain = model.fill_gain if u > 0 else model.exhaust_gain
     # x''' is a small difference of large terms: the size of each is what the error scales with.
     size = abs(model.drift_m_per_s3) + abs(gain * u) + abs(a) * C / M
@@ -267,9 +267,9 @@ def test_the_model_of_smc_is_the_third_derivative_along_the_flow(state, u) -> No
 
 
 def test_the_light_end_of_the_muscle_makes_the_gain_of_the_model_huge() -> None:
-    vented = linearised(MODEL, 0.0, 0.0, 0.0, 1.2e5)
+    vented = linearise_model(MODEL, 0.0, 0.0, 0.0, 1.2e5)
     assert vented.fill_gain == pytest.approx(4.2e4, rel=0.05)
-    filled = linearised(MODEL, 0.0172, 0.0, 0.0, 3.4e5)
+    filled = linearise_model(MODEL, 0.0172, 0.0, 0.0, 3.4e5)
     assert filled.exhaust_gain == pytest.approx(1.7e4, rel=0.05)
 
 
@@ -439,4 +439,4 @@ def test_a_law_is_pure_and_goes_on_from_a_thawed_state(law, inputs) -> None:
 
     straight = replayed(lambda state: state)
     assert replayed(lambda state: state) == straight
-    assert replayed(lambda state: LawState(*frozen(state))) == straight
+    assert replayed(lambda state: LawState(*freeze_state(state))) == straight

@@ -8,10 +8,10 @@ from functools import cache
 
 import pytest
 
-from pamctl.settings.resolve import find, resolve
-from pamctl.simulate.batch import tracked
+from pamctl.settings.resolve import find_config_file, resolve
+from pamctl.simulate.batch import simulate_merit
 from pamctl.simulate.merit import TABLE_IV, Merit
-from pamctl.tune import Trial, fixed_members
+from pamctl.tune import GainsTrial, make_fixed_members
 
 EXPERIMENTS = ("tracking-1", "tracking-2")
 DEFAULTS = ("qsmc", "smc", "pid")
@@ -23,7 +23,7 @@ PLANTS = [(plant, delay) for plant in ("paper", "paper-valve109") for delay in (
 def figures(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
     """Figures of one simulated run; None where safety ended it."""
     delay = f"rig.sim.output_delay_ticks={delay_ticks}"
-    return tracked(
+    return simulate_merit(
         resolve(
             controller=controller, experiment=experiment, plant=plant, overrides=[delay], seed=1
         )
@@ -77,7 +77,7 @@ def test_default_gains_hold_with_a_109_hz_valve_and_a_tick_of_delay(
 def test_a_tuned_file_says_how_it_was_made_and_what_it_does_on_the_papers_plants(
     controller: str,
 ) -> None:
-    lines = find("controller", controller).read_text().splitlines()
+    lines = find_config_file("controller", controller).read_text().splitlines()
     words = " ".join(line.removeprefix("#") for line in lines if line.startswith("#")).split()
     header = " ".join(words)
     law = controller.split("-")[0]
@@ -86,8 +86,8 @@ def test_a_tuned_file_says_how_it_was_made_and_what_it_does_on_the_papers_plants
     said = re.search(r"on 2 named plants 2 inside .*? worst (\d+\.\d+)", header)
     assert said is not None
     settings = resolve(controller=controller).controller
-    plants = fixed_members([(p, resolve(plant=p).plant) for p in ("paper", "paper-valve109")])
-    worst = max(Trial("whole").verdict(settings, plant).worst for plant in plants)
+    plants = make_fixed_members([(p, resolve(plant=p).plant) for p in ("paper", "paper-valve109")])
+    worst = max(GainsTrial("whole").verdict(settings, plant).worst for plant in plants)
     assert float(said[1]) == pytest.approx(worst, abs=0.005)
 
 

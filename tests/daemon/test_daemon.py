@@ -25,11 +25,11 @@ from support.daemons import (
 )
 from support.patience import PATIENCE_S
 
-from pamctl.daemon.client import Client, Declined, Unreachable
+from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.log import Log, read
-from pamctl.log.check.check_log import check
+from pamctl.log.check.check_log import check_log
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
-from pamctl.replay import replay
+from pamctl.replay import replay_log
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
 
@@ -39,7 +39,7 @@ GOLDEN = Path(__file__).parents[1] / "golden"
 @pytest.fixture(scope="module")
 def shared_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     # What compiles a replay must not do so beside a loop that ticks: for both it takes longer.
-    assert replay(read(GOLDEN / "qsmc.mcap")).is_equal
+    assert replay_log(read(GOLDEN / "qsmc.mcap")).is_equal
     with daemon(tmp_path_factory.mktemp("up"), "up") as made:
         yield made
 
@@ -84,10 +84,10 @@ def test_each_run_has_a_whole_log_of_its_own_that_replays_to_the_bit_and_the_fir
         assert log.metadata["run"]["experiment"] == name
         assert log.events[-1]["event"] == "outcome"
         assert log.events[-1]["code"] == 0
-        replayed = replay(log)
+        replayed = replay_log(log)
         assert replayed.is_equal, replayed.differences
         assert replayed.is_whole
-        assert check(path).ok
+        assert check_log(path).ok
     assert 0 in read(first)["phase"]
     assert 0 not in read(second)["phase"]
     assert read(second)["tick"][0] > read(first)["tick"][-1], "the loop went on between the runs"
@@ -105,7 +105,7 @@ def test_a_position_is_held_until_another_is_asked_for_or_it_is_stopped(up: Daem
     moved = np.isfinite(ran["reference_m"])
     speed = np.abs(np.diff(ran["reference_m"][moved]) / np.diff(ran.t[moved]))
     assert speed.max() < 2.2 * 8e-3 / 0.5, "the reference never jumps"
-    assert replay(ran).is_equal
+    assert replay_log(ran).is_equal
 
 
 def test_a_run_from_a_held_position_begins_there(up: Daemon) -> None:
@@ -114,7 +114,7 @@ def test_a_run_from_a_held_position_begins_there(up: Daemon) -> None:
     log = run_to_its_end(up, TRACKING)
     ran = read(log)
     assert ran["reference_m"][0] == pytest.approx(9e-3, abs=1e-5)
-    assert replay(ran).is_equal
+    assert replay_log(ran).is_equal
 
 
 def test_a_stop_is_smooth_and_says_so_in_the_log(up: Daemon) -> None:
@@ -167,7 +167,7 @@ def test_gains_change_while_it_holds_without_a_jump_and_replay_honours_them(up: 
     assert np.count_nonzero(calm) > 20
     step_v = np.abs(np.diff(ran["command_v"], prepend=np.nan))
     assert step_v[calm].max() < 0.02
-    replayed = replay(ran)
+    replayed = replay_log(ran)
     assert replayed.is_equal, replayed.differences
 
 
@@ -182,7 +182,7 @@ def test_a_replay_with_the_gains_left_as_they_were_would_differ(up: Daemon) -> N
     parked(up)
     ran = read(log)
     del ran.gains[1:]
-    replayed = replay(ran)
+    replayed = replay_log(ran)
     assert replayed.differences[0].place.stage == "command"
 
 
@@ -202,18 +202,18 @@ def test_a_gain_out_of_bounds_is_refused_with_the_bound_and_changes_nothing(
     up: Daemon, changes: list[str], said: str
 ) -> None:
     before = up.ask("status")["controller"]
-    with pytest.raises(Declined, match=said):
+    with pytest.raises(DaemonDeclinedError, match=said):
         up.ask("set", changes=changes)
     assert up.ask("status")["controller"] == before
 
 
 def test_another_law_is_refused_while_a_run_goes_on_and_taken_between_runs(up: Daemon) -> None:
-    from pamctl.settings.resolve import to_data
+    from pamctl.settings.resolve import settings_to_data
 
-    pid, qsmc = (to_data(resolve(controller=name).controller) for name in ("pid", "qsmc"))
+    pid, qsmc = (settings_to_data(resolve(controller=name).controller) for name in ("pid", "qsmc"))
     up.ask("start", experiment=SQUARE | {"cycles": 50}, name="square")
     up.wait_for("running")
-    with pytest.raises(Declined, match="another law"):
+    with pytest.raises(DaemonDeclinedError, match="another law"):
         up.ask("load", controller=pid, name="pid")
     up.ask("stop")
     parked(up)
@@ -221,7 +221,7 @@ def test_another_law_is_refused_while_a_run_goes_on_and_taken_between_runs(up: D
     log = run_to_its_end(up, TRACKING)
     up.ask("load", controller=qsmc, name="qsmc")
     assert read(log).metadata["run"]["law"] == "pid"
-    assert replay(read(log)).is_equal
+    assert replay_log(read(log)).is_equal
 
 
 # --- refusals ------------------------------------------------------------------------
@@ -230,9 +230,9 @@ def test_another_law_is_refused_while_a_run_goes_on_and_taken_between_runs(up: D
 def test_a_second_run_is_refused_while_one_goes_on(up: Daemon) -> None:
     up.ask("start", experiment=SQUARE | {"cycles": 50}, name="square")
     up.wait_for("running")
-    with pytest.raises(Declined, match="the state is running"):
+    with pytest.raises(DaemonDeclinedError, match="the state is running"):
         up.ask("start", experiment=SQUARE, name="again")
-    with pytest.raises(Declined, match="stop it first"):
+    with pytest.raises(DaemonDeclinedError, match="stop it first"):
         up.ask("goto", position_m=5e-3)
     up.ask("stop")
     parked(up)
@@ -259,7 +259,7 @@ def test_what_cannot_be_done_is_refused_with_the_reason(
     up: Daemon, method: str, params: dict[str, Any], said: str
 ) -> None:
     parked(up)
-    with pytest.raises(Declined, match=said):
+    with pytest.raises(DaemonDeclinedError, match=said):
         up.ask(method, **params)
 
 
@@ -317,7 +317,7 @@ def test_a_position_below_zero_is_no_option(up: Daemon) -> None:
 
 
 def test_without_a_daemon_a_client_says_how_to_start_one(tmp_path: Path) -> None:
-    with pytest.raises(Unreachable, match="pamctl daemon"):
+    with pytest.raises(DaemonUnreachableError, match="pamctl daemon"):
         Client(tmp_path / "nothing")
 
 
@@ -332,5 +332,5 @@ def test_who_may_not_steer_is_told_who_may() -> None:
         listening.bind(str(path))
         listening.listen()
         path.chmod(0o600)
-        with nobody(), pytest.raises(Unreachable, match="not permitted; its group may"):
+        with nobody(), pytest.raises(DaemonUnreachableError, match="not permitted; its group may"):
             Client(path)

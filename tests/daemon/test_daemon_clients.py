@@ -24,9 +24,9 @@ from pamctl.daemon.protocol import (
     Method,
     NoParams,
     RequestError,
-    failure,
-    result,
-    understood,
+    encode_failure,
+    encode_result,
+    parse_request,
 )
 from pamctl.daemon.server import MOST_CLIENTS, Server
 
@@ -58,8 +58,8 @@ def test_whatever_document_comes_in_the_answer_is_one_line_of_json(document: Any
 
 def assert_refused_in_one_line(line: bytes) -> None:
     with pytest.raises(RequestError) as caught:
-        understood(line, METHODS)
-    answer = failure(caught.value)
+        parse_request(line, METHODS)
+    answer = encode_failure(caught.value)
     assert answer.count(b"\n") == 1
     told = json.loads(answer)
     assert told["error"]["message"]
@@ -69,8 +69,8 @@ def assert_refused_in_one_line(line: bytes) -> None:
 @given(st.integers() | st.text())
 def test_an_answer_carries_the_number_of_its_request(number: int | str) -> None:
     line = json.dumps({"jsonrpc": "2.0", "id": number, "method": "status"}).encode()
-    request = understood(line, METHODS)
-    assert json.loads(result(request.id, {"state": "idle"})) == {
+    request = parse_request(line, METHODS)
+    assert json.loads(encode_result(request.id, {"state": "idle"})) == {
         "jsonrpc": "2.0",
         "id": number,
         "result": {"state": "idle"},

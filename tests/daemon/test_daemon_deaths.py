@@ -27,17 +27,17 @@ from support.killing import kill_as_one
 from support.patience import PATIENCE_S
 
 from pamctl.daemon.announcements import Announcements
-from pamctl.daemon.client import Declined, Unreachable
+from pamctl.daemon.client import DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.latch import Latch
-from pamctl.daemon.refusal import Refused
+from pamctl.daemon.refusal import RequestRefusedError
 from pamctl.daemon.service import Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.log import LogError, read
-from pamctl.processes.backends import SHARED_MEMORY, ao_path, rig_of
-from pamctl.processes.run_once import ring_path, run_meta
+from pamctl.processes.backends import SHARED_MEMORY, ao_path, build_rig
+from pamctl.processes.run_once import make_run_meta, new_ring_path
 from pamctl.realtime.clock import VirtualClock
-from pamctl.replay import replay
+from pamctl.replay import replay_log
 from pamctl.settings.resolve import resolve
 
 
@@ -86,12 +86,12 @@ def test_an_emergency_stop_is_safe_within_a_few_ticks_and_latched(hurt: Daemon) 
     status = hurt.wait_for("fault")
     assert status["fault"] == "emergency stop"
     hurt.wait_until(lambda s: not s["pids"])
-    with pytest.raises(Declined, match="acknowledge"):
+    with pytest.raises(DaemonDeclinedError, match="acknowledge"):
         hurt.ask("start", experiment=SQUARE, name="square")
     assert hurt.ask("ack")["fault"] == "emergency stop"
     ran = read(log)
     assert ran.events[-1]["reason"] == "emergency stop"
-    assert replay(ran).is_equal
+    assert replay_log(ran).is_equal
     run_to_its_end(hurt, SQUARE)
 
 
@@ -104,7 +104,7 @@ def test_a_daemon_that_is_restarted_remembers_its_fault_until_it_is_acknowledged
         first.process.wait()
     with daemon(tmp_path, "latch", NOT_HOMED) as again:
         assert again.ask("status")["fault"] == "emergency stop"
-        with pytest.raises(Declined, match="acknowledge"):
+        with pytest.raises(DaemonDeclinedError, match="acknowledge"):
             again.ask("start", experiment=SQUARE, name="square")
         again.ask("ack")
     with daemon(tmp_path, "latch", NOT_HOMED) as third:
@@ -116,7 +116,7 @@ def test_another_users_daemon_knows_the_fault_too_and_may_have_it_acknowledged()
     place = SHARED_MEMORY / "several-users"  # as /dev/shm is
     place.mkdir()
     place.chmod(0o1777)
-    Latch(place / "rig.fault").close_on("safety trip")
+    Latch(place / "rig.fault").engage("safety trip")
     with nobody():
         assert Latch(place / "rig.fault").release() == "safety trip"
     assert Latch(place / "rig.fault").reason == ""
@@ -142,7 +142,7 @@ def test_a_loop_that_dies_or_freezes_is_a_fault_and_the_log_is_whole(
     hurt.wait_until(lambda s: not s["pids"])
     ran = read(log)
     assert ran.events[-1]["event"] == "outcome"
-    assert replay(ran).is_equal
+    assert replay_log(ran).is_equal
     hurt.ask("ack")
     run_to_its_end(hurt, SQUARE)
 
@@ -220,7 +220,7 @@ def test_a_second_signal_ends_it_at_once_and_leaves_no_fault(tmp_path: Path) -> 
     with daemon(tmp_path, "hurry", NOT_HOMED, *slowly) as made:
         log = holding(made)
         made.process.send_signal(signal.SIGTERM)
-        with pytest.raises(Unreachable):  # it has heard the first one
+        with pytest.raises(DaemonUnreachableError):  # it has heard the first one
             made.wait_until(lambda status: False)
         made.process.send_signal(signal.SIGTERM)
         assert made.process.wait(PATIENCE_S) == 0
@@ -246,12 +246,14 @@ def test_no_number_of_signals_cuts_short_how_it_ends(tmp_path: Path) -> None:
 
 def test_nothing_begins_any_more_in_a_daemon_that_is_being_ended(tmp_path: Path) -> None:
     settings = resolve()
-    workshop = Workshop([], [], rig_of(settings, VirtualClock(1)).rig, run_meta, "none", ring_path)
+    workshop = Workshop(
+        [], [], build_rig(settings, VirtualClock(1)).rig, make_run_meta, "none", new_ring_path
+    )
     latch = Latch(tmp_path / "fault")
     service = Service(settings, {"controller": "qsmc"}, workshop, Shelf(tmp_path), latch)
     service.close()
     for ask in (partial(service.start, SQUARE, "late", None), partial(service.goto, 8e-3, None)):
-        with pytest.raises(Refused, match="is being ended"):
+        with pytest.raises(RequestRefusedError, match="is being ended"):
             ask()
 
 

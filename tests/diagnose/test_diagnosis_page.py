@@ -14,13 +14,13 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, record_of
-from pamctl.diagnose.extend import whole_plant
+from pamctl.diagnose.extend import assemble_plant
 from pamctl.diagnose.fitting.drives import Drive
 from pamctl.diagnose.naming.rivals import Rival
-from pamctl.diagnose.remainder import remainder
-from pamctl.diagnose.report.compared_models import HeldOut, Signal, Stage
-from pamctl.diagnose.report.diagnosis_page import page_of
-from pamctl.diagnose.report.traces_part import STRETCH_S, most_telling
+from pamctl.diagnose.remainder import regress_remainder
+from pamctl.diagnose.report.compared_models import HeldOutRun, HeldOutSignal, ModelStage
+from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.traces_part import STRETCH_S, find_telling_stretch
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
@@ -76,12 +76,12 @@ def as_if(named: Diagnosis, verdict: Verdict) -> Diagnosis:
             own = tuple(n for n in named.numbers if "." not in n.name)
             bare = replace(named, model=base, cells=named.regimes, standings=(), numbers=own)
             rest = replace(bare, verdict=verdict)
-            left = remainder(base, "pressure") if verdict is Verdict.NONE_KNOWN else None
-            return replace(rest, plant=whole_plant(base), explained=0.0, remainder=left)
+            left = regress_remainder(base, "pressure") if verdict is Verdict.NONE_KNOWN else None
+            return replace(rest, plant=assemble_plant(base), explained=0.0, remainder=left)
 
 
 def page(diagnosis: Diagnosis, records: list[Record]) -> str:
-    return page_of(diagnosis, records).html()
+    return build_diagnosis_page(diagnosis, records).html()
 
 
 def headline(html: str) -> str:
@@ -169,16 +169,16 @@ def test_bad_data_have_a_page_with_the_reason_and_the_columns_as_they_came(logs,
     stuck = replace(records[0], position_m=np.zeros(len(records[0])))
     found = diagnose([stuck], records[1:], PlantSettings())
     assert found.verdict is Verdict.BAD_DATA
-    html = page_of(found, [stuck, records[1]]).html()
+    html = build_diagnosis_page(found, [stuck, records[1]]).html()
     assert headline(html) == "These data cannot be diagnosed"
     assert found.reason.split(";")[0] in html
     assert html.count(">valve_v <") == 2
 
 
 def test_a_log_without_a_command_has_a_page_of_the_mechanics_alone(records):
-    alone = replace(records[0].between(0, 8000, "alone"), valve_v=None)
+    alone = replace(records[0].cut_samples(0, 8000, "alone"), valve_v=None)
     found = diagnose([alone], [], PlantSettings(), without={*CATALOGUE} - {"cubic_stiffness"})
-    html = page_of(found, [alone]).html()
+    html = build_diagnosis_page(found, [alone]).html()
     assert html.count('class="levels"') == 1
     assert "Pressure block" not in html
     assert "Valve command" not in html
@@ -228,10 +228,10 @@ def test_the_most_telling_stretch_is_where_the_gap_opens():
     t_s = np.arange(20_000) * 1e-3
     opens = 12.0
     gap_m = np.clip(t_s - opens, 0.0, 1.0) * 1e-3
-    signal = Signal("position_m", gap_m, {"a": np.zeros(20_000), "b": gap_m}, 1e-6)
-    record = HeldOut("run", t_s, None, np.ones(20_000, dtype=bool), (signal,))
-    shown = [Stage(key, key, PlantSettings(), 0) for key in "ab"]
-    found = most_telling([record], shown)
+    signal = HeldOutSignal("position_m", gap_m, {"a": np.zeros(20_000), "b": gap_m}, 1e-6)
+    record = HeldOutRun("run", t_s, None, np.ones(20_000, dtype=bool), (signal,))
+    shown = [ModelStage(key, key, PlantSettings(), 0) for key in "ab"]
+    found = find_telling_stretch([record], shown)
     assert t_s[found.start] <= opens
     assert t_s[found.stop - 1] >= opens + 1.0
     assert t_s[found.stop - 1] - t_s[found.start] <= STRETCH_S

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from support.made_records import measured, pair
 
-from pamctl.diagnose.fitting.candidates import candidates
-from pamctl.diagnose.fitting.evidence import prepared
-from pamctl.diagnose.fitting.fitted_model import Model, extended, recalibrated
-from pamctl.diagnose.fitting.integrator import SMALL, changes, finer, integrator_told
-from pamctl.diagnose.fitting.intervals import Estimate, estimates
+from pamctl.diagnose.fitting.candidates import list_candidates
+from pamctl.diagnose.fitting.evidence import prepare_evidence
+from pamctl.diagnose.fitting.fitted_model import Model, fit_model, recalibrate
+from pamctl.diagnose.fitting.integrator import (
+    SMALL,
+    compare_substeps,
+    describe_integrator,
+    halve_substep,
+)
+from pamctl.diagnose.fitting.intervals import FittedNumber, estimate_intervals
 from pamctl.plant.flat import PAPER
 from pamctl.plant.model import PlantSettings
 
@@ -24,14 +29,16 @@ STICKY = {"stribeck.rise": 0.3, "stribeck.speed_m_per_s": 0.0075}
 def sticky() -> Model:
     """The true structure fitted to a rig of steep friction, simulated in far finer steps."""
     train, held = pair(**{name.replace(".", "__"): value for name, value in STICKY.items()})
-    evidence = prepared(train, held, PlantSettings())
-    form = next(c for c in candidates(evidence) if (c.name, c.form) == ("stribeck", "Gaussian"))
-    return extended(recalibrated(evidence), (form,), [STICKY])
+    evidence = prepare_evidence(train, held, PlantSettings())
+    form = next(
+        c for c in list_candidates(evidence) if (c.name, c.form) == ("stribeck", "Gaussian")
+    )
+    return fit_model(recalibrate(evidence), (form,), [STICKY])
 
 
-def of(model: Model) -> dict[str, Estimate]:
+def of(model: Model) -> dict[str, FittedNumber]:
     """Its numbers by name."""
-    return {number.name: number for number in estimates(model)}
+    return {number.name: number for number in estimate_intervals(model)}
 
 
 def test_intervals_of_calibrated_numbers_hold_the_truth_about_as_often_as_they_say() -> None:
@@ -39,7 +46,7 @@ def test_intervals_of_calibrated_numbers_hold_the_truth_about_as_often_as_they_s
     for seed in range(6):
         off = {"stiffness_n_per_m": 9400.0 + 90.0 * seed, "damping_n_s_per_m": 560.0}
         train, held = [measured("fit", 20 + seed, **off)], [measured("judge", 70 + seed, **off)]
-        found = of(recalibrated(prepared(train, held, PlantSettings())))
+        found = of(recalibrate(prepare_evidence(train, held, PlantSettings())))
         inside += [found[n].low <= (PAPER | off)[n] <= found[n].high for n in found]
     assert len(inside) == 36
     assert np.mean(inside) > 0.75  # 90 %, less two standard errors of six rigs
@@ -47,7 +54,7 @@ def test_intervals_of_calibrated_numbers_hold_the_truth_about_as_often_as_they_s
 
 def test_an_interval_is_as_wide_as_the_replicas_scatter_and_they_are_few() -> None:
     train, held = pair()
-    model = recalibrated(prepared(train, held, PlantSettings()))
+    model = recalibrate(prepare_evidence(train, held, PlantSettings()))
     fitted, floor = model.fit_of("pressure"), model.floors["pressure"]
     place = [f.name for f in fitted.free].index("tank_pressure_pa")
     number = of(model)["tank_pressure_pa"]
@@ -59,22 +66,22 @@ def test_an_interval_is_as_wide_as_the_replicas_scatter_and_they_are_few() -> No
 
 def test_half_the_sub_step_changes_nothing_that_matters_of_the_papers_muscle() -> None:
     train, held = pair()
-    found = changes(recalibrated(prepared(train, held, PlantSettings())))
+    found = compare_substeps(recalibrate(prepare_evidence(train, held, PlantSettings())))
     assert set(found) == {"pressure", "mechanics"}
     assert max(found.values()) < SMALL
-    assert integrator_told(found) == ""
+    assert describe_integrator(found) == ""
 
 
 def test_half_the_sub_step_is_half_of_it() -> None:
     train, held = pair()
-    drives = prepared(train, held, PlantSettings()).train["pressure"]
-    assert [d.steps for d in finer(drives)] == [2 * d.steps for d in drives]
+    drives = prepare_evidence(train, held, PlantSettings()).train["pressure"]
+    assert [d.steps for d in halve_substep(drives)] == [2 * d.steps for d in drives]
 
 
 def test_an_integrator_too_coarse_for_steep_friction_is_told() -> None:
-    found = changes(sticky())
+    found = compare_substeps(sticky())
     assert found["mechanics"] > SMALL
-    said = integrator_told(found)
+    said = describe_integrator(found)
     assert "mechanics by" in said
     assert "pressure" not in said
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.measured.sensor_noise import estimate
+from pamctl.diagnose.measured.sensor_noise import estimate_channel_noise
 
 RESTED = 800
 
@@ -35,7 +35,7 @@ def test_the_rest_of_a_force_ends_where_its_ramp_begins(newtons_per_s: float, ke
 
 
 def test_the_noise_of_a_force_is_that_of_its_rest_and_not_of_its_ramp() -> None:
-    noise = estimate([pulled(20.0)], "force_n")
+    noise = estimate_channel_noise([pulled(20.0)], "force_n")
     assert noise.total == pytest.approx(0.05, rel=0.05)
 
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import kstest
 from support.made_records import measured, pair
 
-from pamctl.diagnose.fitting.evidence import prepared
-from pamctl.diagnose.fitting.false_discovery import discovered, exceedance
-from pamctl.diagnose.fitting.fitted_model import recalibrated
-from pamctl.diagnose.locate import EVENLY, Cell, cells, where
+from pamctl.diagnose.fitting.evidence import prepare_evidence
+from pamctl.diagnose.fitting.false_discovery import exceedance, flag_discoveries
+from pamctl.diagnose.fitting.fitted_model import recalibrate
+from pamctl.diagnose.locate import EVENLY, RegimeMisfit, describe_worst_regimes, locate_misfits
 from pamctl.plant.model import PlantSettings
 
 THROMBOLYSIS = (0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459,
@@ -19,19 +19,19 @@ THROMBOLYSIS = (0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 
 
 
 def test_the_step_up_finds_what_benjamini_and_hochberg_found() -> None:
-    assert discovered(THROMBOLYSIS, 0.05).tolist() == [True] * 4 + [False] * 11
+    assert flag_discoveries(THROMBOLYSIS, 0.05).tolist() == [True] * 4 + [False] * 11
 
 
 def test_the_step_up_looks_from_the_largest_down() -> None:
     # Neither is below 0.025, its share if it were alone; together both are below 0.05.
-    assert discovered([0.04, 0.045], 0.05).all()
-    assert not discovered([0.04, 0.06], 0.05).any()
-    assert len(discovered([], 0.05)) == 0
+    assert flag_discoveries([0.04, 0.045], 0.05).all()
+    assert not flag_discoveries([0.04, 0.06], 0.05).any()
+    assert len(flag_discoveries([], 0.05)) == 0
 
 
 def test_where_all_is_noise_anything_is_found_as_often_as_the_rate_says() -> None:
     sets = np.random.default_rng(3).random((4000, 18))
-    found = np.mean([discovered(p, 0.05).any() for p in sets])
+    found = np.mean([flag_discoveries(p, 0.05).any() for p in sets])
     assert found == pytest.approx(0.05, abs=3.0 * np.sqrt(0.05 * 0.95 / 4000))
 
 
@@ -41,7 +41,7 @@ def test_of_what_is_found_no_more_is_false_than_the_rate_says() -> None:
     for _ in range(2000):
         p = random.random(20)
         p[:6] *= 1e-3  # six are true
-        found = discovered(p, 0.05)
+        found = flag_discoveries(p, 0.05)
         false.append(found[6:].sum() / max(found.sum(), 1))
     # In the mean the rate times the share of the noise, 14 of 20.
     assert np.mean(false) == pytest.approx(0.035, abs=0.008)
@@ -59,16 +59,16 @@ def test_a_level_below_all_trifles_never_stands_out() -> None:
     assert exceedance(-0.1, np.array([1.0, 1.1, 0.9])) == 1.0
 
 
-def regimes_of(*, seed: int = 0, **hidden: float) -> list[Cell]:
+def regimes_of(*, seed: int = 0, **hidden: float) -> list[RegimeMisfit]:
     """The regimes after recalibration, with nothing named."""
     train, held = [measured("fit", 10 + seed, **hidden)], [measured("judge", 50 + seed, **hidden)]
-    return cells(recalibrated(prepared(train, held, PlantSettings())))
+    return locate_misfits(recalibrate(prepare_evidence(train, held, PlantSettings())))
 
 
 def test_where_nothing_is_hidden_no_regime_stands_out() -> None:
     found = [regimes_of(seed=seed, stiffness_n_per_m=9500.0 + 60.0 * seed) for seed in range(6)]
     assert not [c for every in found for c in every if c.stands_out]
-    assert where(found[0], "pressure") == EVENLY
+    assert describe_worst_regimes(found[0], "pressure") == EVENLY
 
 
 def test_a_dead_band_stands_out_near_null_and_not_in_the_mechanics() -> None:
@@ -78,11 +78,11 @@ def test_a_dead_band_stands_out_near_null_and_not_in_the_mechanics() -> None:
     out = {(c.block, c.regime) for c in found if c.stands_out}
     assert ("pressure", "valve near null") in out
     assert {block for block, _ in out} == {"pressure"}
-    assert "valve near null" in where(found, "pressure")
+    assert "valve near null" in describe_worst_regimes(found, "pressure")
 
 
 def test_a_regime_has_a_floor_of_its_own() -> None:
     train, held = pair()
-    model = recalibrated(prepared(train, held, PlantSettings()))
-    ratios = [c.residual_over_floor for c in cells(model) if c.block == "mechanics"]
+    model = recalibrate(prepare_evidence(train, held, PlantSettings()))
+    ratios = [c.residual_over_floor for c in locate_misfits(model) if c.block == "mechanics"]
     assert max(ratios) < 1.5

@@ -10,9 +10,9 @@ from scipy.signal import lfilter
 from support.made_records import COUNT_M, PERIOD_S, all_but, command_v, measured
 
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, record_of, summary
-from pamctl.diagnose.fitting.evidence import prepared
-from pamctl.diagnose.fitting.repeatability import repeatability, repeats
-from pamctl.diagnose.report.diagnosis_document import document
+from pamctl.diagnose.fitting.evidence import prepare_evidence
+from pamctl.diagnose.fitting.repeatability import find_repeats, measure_repeatability
+from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings
@@ -41,16 +41,16 @@ def found(*, again: bool, **hidden: float) -> Diagnosis:
 
 def test_two_runs_of_the_same_commands_are_a_repeat_and_one_run_cut_in_two_is_none() -> None:
     one, other = measured("fit", 1), measured("fit", 3)
-    (repeat,) = repeats([one, other])
+    (repeat,) = find_repeats([one, other])
     assert (repeat.one, repeat.other, repeat.length) == (0, 1, len(one))
-    assert repeats([one, one]) == ()
-    assert repeats([one, measured("judge", 2)]) == ()
+    assert find_repeats([one, one]) == ()
+    assert find_repeats([one, measured("judge", 2)]) == ()
 
 
 def test_periods_are_repeats_once_their_past_is_the_same() -> None:
     command = np.where(np.arange(12_000) // 500 % 2, -5.0, 5.0)
     record = Record("squares", np.arange(12_000) * 1e-3, valve_v=command)
-    (repeat,) = repeats([record])
+    (repeat,) = find_repeats([record])
     assert (repeat.again - repeat.start) % 1000 == 0
     assert repeat.start >= 3000
     assert repeat.length >= 7000
@@ -59,9 +59,9 @@ def test_periods_are_repeats_once_their_past_is_the_same() -> None:
 def test_a_restless_rig_is_not_blamed_where_its_runs_are_repeated() -> None:
     alone, repeated = found(again=False), found(again=True)
     assert alone.verdict is Verdict.NONE_KNOWN
-    assert document(alone)["limits"]["pressure"]["decided_by"] == "self-simulation"
+    assert build_diagnosis_document(alone)["limits"]["pressure"]["decided_by"] == "self-simulation"
     assert repeated.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
-    limit = document(repeated)["limits"]["pressure"]
+    limit = build_diagnosis_document(repeated)["limits"]["pressure"]
     assert limit["decided_by"] == "repeatability"
     assert 2.0 < limit["limit_over_floor"] < 8.0
     assert "the rig does not repeat itself any better" in summary(repeated)
@@ -99,21 +99,21 @@ def looped(seed: int, hand_v: float = 0.005, wander_pa: float = 0.0, **hidden: f
 def spread_over_noise(**loop: float) -> float:
     """What the pressure block of two looped runs does not repeat, in deviations of its sensor."""
     records = [looped(seed, **loop) for seed in (1, 2)]
-    evidence = prepared(records, [], PlantSettings())
-    return repeatability(evidence.train["pressure"], PlantSettings(), evidence.repeated).rms
+    evidence = prepare_evidence(records, [], PlantSettings())
+    return measure_repeatability(evidence.train["pressure"], PlantSettings(), evidence.repeated).rms
 
 
 def test_runs_to_the_same_reference_are_repeats_though_their_commands_differ() -> None:
     one, other = looped(1), looped(2)
-    (repeat,) = repeats([one, other])
+    (repeat,) = find_repeats([one, other])
     assert repeat.by_reference
     assert repeat.length == len(one)
-    assert repeats([replace(one, reference_m=None), replace(other, reference_m=None)]) == ()
+    assert find_repeats([replace(one, reference_m=None), replace(other, reference_m=None)]) == ()
 
 
 def test_equal_commands_come_before_equal_references() -> None:
     record = looped(1)
-    (repeat,) = repeats([record, replace(looped(2), valve_v=record.valve_v)])
+    (repeat,) = find_repeats([record, replace(looped(2), valve_v=record.valve_v)])
     assert not repeat.by_reference
 
 
@@ -122,7 +122,7 @@ def test_periods_of_a_reference_are_repeats() -> None:
     hand_v = np.random.default_rng(3).normal(0.0, 0.01, len(t_s))
     wanted_m = 1e-3 * np.sin(2.0 * np.pi * t_s)
     record = Record("sine", t_s, valve_v=np.sin(6.3 * t_s) + hand_v, reference_m=wanted_m)
-    (repeat,) = repeats([record])
+    (repeat,) = find_repeats([record])
     assert repeat.by_reference
     assert (repeat.again - repeat.start) % 1000 == 0
     assert repeat.length >= 7000
@@ -145,4 +145,4 @@ def test_a_log_of_a_closed_loop_brings_its_reference() -> None:
     record = record_of(GOLDEN / "qsmc.mcap")
     assert record.reference_m is not None
     assert len(record.reference_m) == len(record)
-    assert len(record.between(5, 9, "part").reference_m) == 4
+    assert len(record.cut_samples(5, 9, "part").reference_m) == 4

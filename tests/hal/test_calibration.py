@@ -21,7 +21,7 @@ from hal.calibration import (
     sensor_v,
     valve_v,
 )
-from hal.converter import Converter, converted_v
+from hal.converter import Converter, quantise_v
 from hal.sim.sim_rig import SimRig, SimSettings, sensor_chain
 
 NOMINAL = calibration(CalibrationSettings())
@@ -96,7 +96,7 @@ full_scales = st.sampled_from([5.0, 10.0])
 def test_a_converter_rounds_to_the_nearest_of_65536_codes(full_scale_v, share) -> None:
     step_v = 2 * full_scale_v / 65536
     volts = share * (full_scale_v - step_v)
-    converted = converted_v(Converter(full_scale_v), volts)
+    converted = quantise_v(Converter(full_scale_v), volts)
     assert abs(converted - volts) <= step_v / 2 * (1 + 1e-9)
     assert (converted / step_v).is_integer()
 
@@ -104,8 +104,8 @@ def test_a_converter_rounds_to_the_nearest_of_65536_codes(full_scale_v, share) -
 @given(full_scales, st.floats(0, allow_infinity=False))
 def test_a_converter_saturates_one_step_below_its_upper_end(full_scale_v, beyond_v) -> None:
     converter = Converter(full_scale_v)
-    assert converted_v(converter, full_scale_v + beyond_v) == full_scale_v * (1 - 2 / 65536)
-    assert converted_v(converter, -full_scale_v - beyond_v) == -full_scale_v
+    assert quantise_v(converter, full_scale_v + beyond_v) == full_scale_v * (1 - 2 / 65536)
+    assert quantise_v(converter, -full_scale_v - beyond_v) == -full_scale_v
 
 
 class Stand:

@@ -25,12 +25,12 @@ from support.runs import (
 )
 
 from hal.nidaq.card_settings import NidaqSettings
-from hal.rig import Rig, RigError, opened
+from hal.rig import Rig, RigError, open_rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian import drive_safe
 from pamctl.realtime.clock import Clock
-from pamctl.realtime.loop import control
-from pamctl.settings.build import nominal_zero_of, program_of, setup_of
+from pamctl.realtime.loop import run_loop
+from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import ConfigError, resolve
 from pamctl.signals import Phase, Truth
 
@@ -70,7 +70,7 @@ def make(card: Card) -> Iterator[Callable[..., object]]:
 
 
 def test_the_safe_voltage_is_the_first_thing_written_and_the_last(card: Card, make) -> None:
-    with opened(make()) as rig:
+    with open_rig(make()) as rig:
         rig.write(7.0)
     assert card.written_v[0] == safe
     assert card.written_v[-1] == safe
@@ -287,7 +287,7 @@ def test_without_a_driver_the_error_says_what_to_install(
     def missing(purpose: str) -> None:
         raise DaqNotFoundError("Could not find an installation of NI-DAQmx.")
 
-    monkeypatch.setattr(hal.nidaq.on_demand, "_task", missing)
+    monkeypatch.setattr(hal.nidaq.on_demand, "_make_task", missing)
     rig = make()
     with pytest.raises(RigError, match="install NI-DAQmx for Linux"):
         rig.open()
@@ -327,7 +327,7 @@ def test_warnings_of_the_driver_are_counted_and_not_printed(
 def test_other_people_s_warnings_are_still_shown(make) -> None:
     import warnings
 
-    with pytest.warns(UserWarning, match="not the driver's"), opened(make()):
+    with pytest.warns(UserWarning, match="not the driver's"), open_rig(make()):
         warnings.warn("not the driver's", stacklevel=1)
 
 
@@ -367,7 +367,7 @@ def test_make_safe_takes_back_an_output_that_somebody_has_reset(card: Card, make
 
 def test_a_card_that_is_gone_raises_nowhere_on_the_way_out(card: Card, make) -> None:
     rig = make()
-    with pytest.raises(RigError) as caught, opened(rig):
+    with pytest.raises(RigError) as caught, open_rig(rig):
         card.registers.is_gone = 1
         rig.read()
     assert caught.value.code == -201003
@@ -377,7 +377,7 @@ def test_a_card_that_is_gone_raises_nowhere_on_the_way_out(card: Card, make) -> 
 
 def test_a_read_that_raises_something_unheard_of_still_ends_safe(card: Card, make) -> None:
     rig = make()
-    with pytest.raises(MemoryError), opened(rig):
+    with pytest.raises(MemoryError), open_rig(rig):
         rig.write(9.0)
         raise MemoryError
     assert card.output_v == safe
@@ -476,12 +476,12 @@ def test_card_and_simulation_give_the_same_ticks(
     rig, clock = timed(card, settings.rig.safe_volts)
     assert rig.describe()["output_delay_ticks"] == output_delay_ticks
     journal = MemoryJournal()
-    ending = control(
+    ending = run_loop(
         rig,
         clock,
-        setup_of(settings),
+        build_tick_setup(settings),
         nominal_zero_of(settings),
-        program_of(settings),
+        build_program(settings),
         journal,
         ScriptedSupervisor(),
         lambda: Truth(math.nan, math.nan),

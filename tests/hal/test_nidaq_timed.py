@@ -9,8 +9,8 @@ from standin.standin import PERMIT, USB, Card, here
 from support.runs import AO_STEP_V, MS
 
 from hal.nidaq.card_settings import NidaqSettings
-from hal.rig import RigError, opened
-from pamctl.processes.backends import clock_of, rig_of
+from hal.rig import RigError, open_rig
+from pamctl.processes.backends import build_clock, build_rig
 from pamctl.realtime.clock import SampleClock
 from pamctl.settings.resolve import ConfigError, resolve
 
@@ -54,7 +54,7 @@ def make(card: Card) -> Iterator[Callable[..., object]]:
 
 
 def test_what_follows_the_clock_starts_before_it_and_stops_output_first(card: Card, make) -> None:
-    with opened(make()):
+    with open_rig(make()):
         assert card.task_moves == ["+ao0", "-ao0", "+ctr0", "+ao0", "+ai"]
     assert card.task_moves[5:] == ["-ao0", "-ai", "-ctr0"]
 
@@ -150,7 +150,7 @@ def test_missed_edges_are_counted_whatever_the_driver_says_of_them(
     rig = make()
     rig.open()
     card.registers.late_code = code
-    clock = SampleClock(clock_of(resolve(), may_spin=False), rig.await_edge)
+    clock = SampleClock(build_clock(resolve(), may_spin=False), rig.await_edge)
     ticks = []
     for dawdled_ns in (0, 100_000, 3 * MS + 200_000, 0, 0):
         card.set_time_ns(card.now_ns() + dawdled_ns)
@@ -230,8 +230,8 @@ def test_a_timeout_shorter_than_two_samples_is_refused() -> None:
 
 def test_with_hardware_timing_the_rig_is_the_clock(card: Card) -> None:
     settings = resolve(rig="pci6221", overrides=["rig.nidaq.timing=hardware_timed"])
-    parts = rig_of(settings, clock_of(settings, may_spin=False))
+    parts = build_rig(settings, build_clock(settings, may_spin=False))
     assert isinstance(parts.clock, SampleClock)
-    with opened(parts.rig):
+    with open_rig(parts.rig):
         first, second = parts.clock.wait(), parts.clock.wait()
     assert (first.tick, second.tick) == (0, 1)

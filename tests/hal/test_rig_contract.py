@@ -16,7 +16,7 @@ from standin.standin import PERMIT, here
 from hal.calibration import CalibrationSettings
 from hal.faulty import FaultSettings, FaultyRig
 from hal.nidaq.card_settings import NidaqSettings
-from hal.rig import RawSample, Rig, RigError, opened
+from hal.rig import RawSample, Rig, RigError, open_rig
 from hal.sim.sim_rig import SimRig, SimSettings, sensor_chain
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
@@ -264,7 +264,7 @@ def test_an_exception_leaves_the_rig_safe_and_closed(
     rig, _, output_v = make()
 
     def work() -> None:
-        with opened(rig):
+        with open_rig(rig):
             rig.write(9.0)
             raise raised
 
@@ -279,7 +279,7 @@ def test_an_exception_leaves_the_rig_safe_and_closed(
 def test_a_closed_rig_opens_again_safe(make: Make) -> None:
     rig, _, output_v = make()
     for _ in range(3):
-        with opened(rig):
+        with open_rig(rig):
             assert output_v() == pytest.approx(SAFE_V, abs=STEP_V / 2)
             rig.read()
             assert rig.write(7.0) == output_v()
@@ -299,7 +299,7 @@ def test_a_rig_is_made_safe_before_it_is_closed_even_if_it_did_not_open() -> Non
         def close(self) -> None:
             calls.append("close")
 
-    with pytest.raises(RigError, match="gone"), opened(Recorded()):  # type: ignore[arg-type]
+    with pytest.raises(RigError, match="gone"), open_rig(Recorded()):  # type: ignore[arg-type]
         pass
     assert calls == ["open", "make_safe", "close"]
 
@@ -317,7 +317,7 @@ class BurstPlant:
 def test_a_simulated_plant_that_fails_cannot_keep_its_rig_from_being_made_safe() -> None:
     chain = sensor_chain(SimSettings(), CalibrationSettings())
     rig = SimRig(BurstPlant(), chain, safe_output_v=SAFE_V, now_ns=PassingTime().now_ns)
-    with pytest.raises(ValueError, match="domain"), opened(rig):
+    with pytest.raises(ValueError, match="domain"), open_rig(rig):
         rig.read()
     assert rig.output_v == pytest.approx(SAFE_V, abs=STEP_V / 2)
     with pytest.raises(RigError, match="not open"):

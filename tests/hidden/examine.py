@@ -13,7 +13,7 @@ from hidden.own_run import own_run
 from hidden.rig import PULLED, HiddenRig, Record, hidden_rig
 from pamctl.diagnose import Record as Measured
 from pamctl.diagnose import diagnose
-from pamctl.diagnose.report.diagnosis_document import document
+from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.plant.model import MuscleParameters, PlantSettings
 
 
@@ -61,4 +61,4 @@ def examine(case: Case) -> dict[str, Any]:
     handed = [[Measured(name=r.name, **r.columns()) for r in part] for part in (train, held_out)]
     began = process_time()
     diagnosis = diagnose(handed[0], handed[1], start_plant(case), without=case.removed)
-    return {"document": document(diagnosis), "seconds": process_time() - began}
+    return {"document": build_diagnosis_document(diagnosis), "seconds": process_time() - began}

@@ -19,7 +19,7 @@ from hidden.excitations import Excitation, fill_and_hold, multisine, square
 from hidden.rig import HiddenRig, Passage
 from hidden.sensors import Sensors
 from hidden.truth import Truth
-from pamctl.plant.drive import Driven, drive_coupled
+from pamctl.plant.drive import CoupledResponse, drive_coupled
 from pamctl.plant.flat import parameters_of
 
 Numbers = Mapping[str, float]
@@ -29,7 +29,7 @@ EXCITATIONS = [square(1.0, 2.0), multisine(1.2, 0.3, 60.0, 2.0, 5), fill_and_hol
 
 
 def both(excitation: Excitation, plant: Numbers, truth: Numbers, sensors: Numbers) -> tuple[
-    Passage, Driven
+    Passage, CoupledResponse
 ]:  # fmt: skip
     rig = HiddenRig(Truth(**truth), replace(PERFECT, **sensors), seed=0)
     passage = rig.run(excitation)
@@ -37,7 +37,7 @@ def both(excitation: Excitation, plant: Numbers, truth: Numbers, sensors: Number
     return passage, drive_coupled(parameters_of(plant), passage.record.valve_v, 1e-3, steps=8)
 
 
-def apart(passage: Passage, driven: Driven) -> tuple[float, float]:
+def apart(passage: Passage, driven: CoupledResponse) -> tuple[float, float]:
     """Return the RMS difference of what the sensors show, m and Pa."""
     record = passage.record
     assert record.position_m is not None
@@ -106,7 +106,7 @@ ALIKE: dict[str, tuple[Numbers, Numbers, Numbers]] = {
 
 
 @cache
-def without_effects() -> tuple[Passage, Driven]:
+def without_effects() -> tuple[Passage, CoupledResponse]:
     return both(EXCITATIONS[1], {}, {}, {})
 
 

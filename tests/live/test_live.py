@@ -25,10 +25,10 @@ from support.patience import BUSY_PC, PATIENCE_S
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
-from pamctl.live.gate import refusal_of
+from pamctl.live.gate import judge_request_head
 from pamctl.log import read
 from pamctl.log.schema import TICK_TOPIC
-from pamctl.log.wire import one_by_one
+from pamctl.log.wire import make_decoder
 from pamctl.processes.backends import ao_path
 
 pytest.importorskip("foxglove", reason="the extra pamctl[live] is not installed")
@@ -85,7 +85,7 @@ def messages(connection: ClientConnection, ticks: int) -> list[tuple[int, int, b
 def assert_equal_to_the_log(path: Path, schema: bytes, payloads: list[bytes]) -> int:
     """Compare to the bit, and return how many of the ticks are in the log."""
     log = read(path)
-    received = one_by_one(schema, "pamctl.Tick")(payloads)
+    received = make_decoder(schema, "pamctl.Tick")(payloads)
     assert np.all(received["tick"] % 10 == 0)
     rows, ours = np.intersect1d(log["tick"], received["tick"], return_indices=True)[1:]
     for name in log.columns:
@@ -164,13 +164,13 @@ def head(*lines: str) -> bytes:
 def test_programs_applications_and_named_sites_may_look_on_and_nobody_else(
     lines: list[str], status: str | None
 ) -> None:
-    refusal = refusal_of(head(*lines), 8765, {SITE})
+    refusal = judge_request_head(head(*lines), 8765, {SITE})
     assert (refusal and refusal.status[:3]) == status
 
 
 @given(st.binary(max_size=200))
 def test_whatever_bytes_a_request_begins_with_they_are_judged(garbage: bytes) -> None:
-    assert refusal_of(garbage + b"\r\n\r\n", 8765, ()) is not None
+    assert judge_request_head(garbage + b"\r\n\r\n", 8765, ()) is not None
 
 
 def test_pages_of_other_sites_cannot_look_on(

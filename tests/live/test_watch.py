@@ -27,8 +27,8 @@ from support.daemons import daemon
 from support.patience import PATIENCE_S
 
 from pamctl.live.feed import DaemonFeed
-from pamctl.live.history import BLOCKS, History, sparkline
-from pamctl.live.screen import HISTORY_S, screen, with_error
+from pamctl.live.history import BLOCKS, History, draw_sparkline
+from pamctl.live.screen import HISTORY_S, add_error, draw_screen
 
 NOT_HOMED = "rig.homing.enabled=false"
 SHOW_CURSOR, LEAVE_SCREEN = "\x1b[?25h", "\x1b[?1049l"
@@ -46,16 +46,16 @@ STATUS: dict[str, Any] = {
 
 def drawn(status: dict[str, Any] | None, *ticks: dict[str, float], size: tuple[int, int]) -> str:
     history = History(HISTORY_S)
-    history.extend(with_error(tick) for tick in ticks)
+    history.extend(add_error(tick) for tick in ticks)
     paper = io.StringIO()
     console = Console(file=paper, width=200, height=60, force_terminal=False)
-    console.print(screen(status, "no daemon", history, size))
+    console.print(draw_screen(status, "no daemon", history, size))
     return paper.getvalue()
 
 
 @given(st.lists(st.floats(-1e6, 1e6) | st.just(float("nan")), max_size=80))
 def test_a_sparkline_is_lowest_where_the_values_are(values: list[float]) -> None:
-    line, low, high = sparkline(values)
+    line, low, high = draw_sparkline(values)
     assert len(line) == len(values)
     for block, value in zip(line, values, strict=True):
         if value != value:
@@ -67,14 +67,14 @@ def test_a_sparkline_is_lowest_where_the_values_are(values: list[float]) -> None
 def test_a_peak_of_one_tick_is_not_averaged_away() -> None:
     history = History(10.0)
     history.extend({"t_s": n * 0.01, "error_m": 5.0 if n == 333 else 0.0} for n in range(1001))
-    assert max(history.binned("error_m", 40)) == 5.0
+    assert max(history.bin_column("error_m", 40)) == 5.0
 
 
 def test_a_history_begins_anew_with_a_session_whose_time_goes_back() -> None:
     history = History(10.0)
     history.extend({"t_s": t_s, "error_m": 9.0} for t_s in (50.0, 50.5))
     history.extend([{"t_s": 0.1, "error_m": 1.0}])
-    assert [value for value in history.binned("error_m", 10) if value == value] == [1.0]
+    assert [value for value in history.bin_column("error_m", 10) if value == value] == [1.0]
 
 
 @pytest.mark.parametrize(

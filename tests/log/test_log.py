@@ -36,11 +36,11 @@ from support.patience import PATIENCE_S
 
 from pamctl.json_text import from_json, to_json
 from pamctl.log import LogError, info, read
-from pamctl.log.check.check_log import check
-from pamctl.log.framing import mapped, walk
+from pamctl.log.check.check_log import check_log
+from pamctl.log.framing import map_log_file, walk_records
 from pamctl.log.importing.imported_log import write_imported
-from pamctl.log.repair.recover import recover
-from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, tick_descriptor, unit_of
+from pamctl.log.repair.recover import recover_file
+from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, tick_descriptor, unit_of_column
 from pamctl.recording.ring import Ring
 from pamctl.signals import TICK_FIELDS, Field
 
@@ -202,7 +202,7 @@ def test_every_value_survives_json_and_every_json_is_valid(value):
     ],
 )
 def test_a_unit_is_what_the_suffix_of_the_name_says(name, unit):
-    assert unit_of(name) == unit
+    assert unit_of_column(name) == unit
 
 
 # Readers that others wrote.
@@ -276,7 +276,7 @@ def test_a_foreign_reader_finds_every_message_and_every_value(log_path, foreign_
 def test_a_foreign_reader_accepts_a_recovered_log(log_path, foreign_reader, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(log_path.read_bytes()[:-5000])
-    recovery = recover(cut, tmp_path / "saved.mcap")
+    recovery = recover_file(cut, tmp_path / "saved.mcap")
     assert foreign_reader(tmp_path / "saved.mcap")["messages"] == recovery.messages
 
 
@@ -284,12 +284,12 @@ def test_a_damaged_copy_is_refused_by_the_foreign_reader_and_by_check(
     log_path, foreign_reader, tmp_path
 ):
     damaged = bytearray(log_path.read_bytes())
-    chunk = next(record for record in walk(mapped(log_path)) if record.opcode == 6)
+    chunk = next(record for record in walk_records(map_log_file(log_path)) if record.opcode == 6)
     damaged[(chunk.start + chunk.end) // 2] ^= 1
     (tmp_path / "a.mcap").write_bytes(damaged)
     with pytest.raises(AssertionError):
         foreign_reader(tmp_path / "a.mcap")
-    assert not check(tmp_path / "a.mcap").ok
+    assert not check_log(tmp_path / "a.mcap").ok
 
 
 def test_a_foreign_reader_accepts_an_imported_log(foreign_reader, tmp_path):
@@ -421,7 +421,7 @@ def test_the_schema_version_goes_up_when_the_columns_change():
 def test_a_file_that_is_no_log_is_refused_by_read_info_and_recover(tmp_path, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
-    for use in (read, info, lambda path: recover(path, tmp_path / "b.mcap")):
+    for use in (read, info, lambda path: recover_file(path, tmp_path / "b.mcap")):
         with pytest.raises(LogError):
             use(path)
     assert not (tmp_path / "b.mcap").exists()
@@ -459,7 +459,7 @@ def test_recovery_of_a_truncated_log_saves_an_exact_prefix(log_path, tmp_path):
     for attempt in range(20):
         path, saved = tmp_path / "a.mcap", tmp_path / f"saved{attempt}.mcap"
         path.write_bytes(whole[: chance.randrange(len(whole) // 4, len(whole))])
-        recovery = recover(path, saved)
+        recovery = recover_file(path, saved)
         prefix = read(saved)
         assert recovery.messages.get(TICK_TOPIC, 0) == len(prefix)
         assert prefix["position_m"].tolist() == log["position_m"][: len(prefix)].tolist()
@@ -470,11 +470,11 @@ def test_recovery_of_a_truncated_log_saves_an_exact_prefix(log_path, tmp_path):
 
 def test_recovery_leaves_out_a_damaged_chunk_and_saves_the_next(log_path, tmp_path):
     whole = bytearray(log_path.read_bytes())
-    chunks = [record for record in walk(mapped(log_path)) if record.opcode == 6]
+    chunks = [record for record in walk_records(map_log_file(log_path)) if record.opcode == 6]
     assert len(chunks) > 2
     whole[(chunks[0].start + chunks[0].end) // 2] ^= 1
     (tmp_path / "a.mcap").write_bytes(whole)
-    recovery = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    recovery = recover_file(tmp_path / "a.mcap", tmp_path / "b.mcap")
     log = read(tmp_path / "b.mcap")
     assert not recovery.lossless
     assert recovery.bytes_lost == chunks[0].end - chunks[0].start
@@ -486,7 +486,7 @@ def test_recovery_leaves_out_a_damaged_chunk_and_saves_the_next(log_path, tmp_pa
 def test_recovery_of_a_zero_filled_tail_saves_what_is_before_it(log_path, tmp_path):
     whole = log_path.read_bytes()
     (tmp_path / "a.mcap").write_bytes(whole[:-30_000] + bytes(30_000))
-    recovery = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    recovery = recover_file(tmp_path / "a.mcap", tmp_path / "b.mcap")
     assert 0 < recovery.messages[TICK_TOPIC] < TICKS
     assert recovery.bytes_lost >= 30_000 - 2000
 
@@ -494,12 +494,12 @@ def test_recovery_of_a_zero_filled_tail_saves_what_is_before_it(log_path, tmp_pa
 def test_recovery_never_overwrites_a_file(log_path, tmp_path):
     (tmp_path / "b.mcap").write_bytes(b"precious")
     with pytest.raises(LogError, match="never overwritten"):
-        recover(log_path, tmp_path / "b.mcap")
+        recover_file(log_path, tmp_path / "b.mcap")
     assert (tmp_path / "b.mcap").read_bytes() == b"precious"
 
 
 def test_recovery_of_a_whole_log_changes_nothing_that_can_be_read(log_path, tmp_path):
-    recovery = recover(log_path, tmp_path / "b.mcap")
+    recovery = recover_file(log_path, tmp_path / "b.mcap")
     before, after = read(log_path), read(tmp_path / "b.mcap")
     assert recovery.lossless
     assert recovery.damage == ()

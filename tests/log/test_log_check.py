@@ -19,16 +19,16 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.log import LogError, read
-from pamctl.log.check.check_log import Report, check
+from pamctl.log.check.check_log import LogCheckReport, check_log
 from pamctl.log.check.log_problems import Severity
-from pamctl.log.container import DESCRIBED_EVERY, message_records
-from pamctl.log.framing import Record, mapped, walk
-from pamctl.log.new_file import new_file
-from pamctl.log.repair.recover import recover
+from pamctl.log.container import DESCRIBED_EVERY, make_message_records
+from pamctl.log.framing import FileRecord, map_log_file, walk_records
+from pamctl.log.new_file import create_new_file
+from pamctl.log.repair.recover import recover_file
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
 from pamctl.log.wire import TickLayout
-from pamctl.log.writer import LogWriter, begin
+from pamctl.log.writer import LogWriter, begin_log
 from pamctl.signals import TICK_FIELDS
 
 
@@ -56,17 +56,17 @@ def write_ticks(path: Path, changes: dict[str, Any], count: int = 50) -> Path:
     time_ns = changes.pop("time_ns", np.arange(count) * 1_000_000)
     for name, values in changes.items():
         table[name] = values
-    with new_file(path) as stream:
+    with create_new_file(path) as stream:
         writer = LogWriter(stream)
-        channels = begin(writer, RunMeta(str(path)))
-        messages = message_records(layout.encode(table), time_ns, table["tick"])
+        channels = begin_log(writer, RunMeta(str(path)))
+        messages = make_message_records(layout.encode(table), time_ns, table["tick"])
         writer.add(channels[TICK_TOPIC], messages)
         writer.end_chunk()
         writer.finish()
     return path
 
 
-def kinds(report: Report, severity: Severity = Severity.ERROR) -> set[str]:
+def kinds(report: LogCheckReport, severity: Severity = Severity.ERROR) -> set[str]:
     return {finding.kind for finding in report.findings if finding.severity == severity}
 
 
@@ -80,7 +80,7 @@ def test_the_log_of_a_run_passes_without_a_word(run):
 
 
 def test_an_imported_log_passes_and_is_called_one(tmp_path):
-    report = check(write_small(tmp_path / "a.mcap"))
+    report = check_log(write_small(tmp_path / "a.mcap"))
     assert report.ok
     assert kinds(report, Severity.NOTE) == {"imported"}
 
@@ -90,7 +90,7 @@ def test_ticks_that_were_missed_and_counted_are_a_note_and_no_error(tmp_path):
     missed = np.where(at == 23, 3, 0)
     dt_s = np.diff(at * 1e-3, prepend=-1e-3)
     changes = {"tick": at, "t_s": at * 1e-3, "dt_s": dt_s, "missed": missed}
-    report = check(write_ticks(tmp_path / "a.mcap", {**changes, "time_ns": at * 1_000_000}))
+    report = check_log(write_ticks(tmp_path / "a.mcap", {**changes, "time_ns": at * 1_000_000}))
     assert report.ok
     assert kinds(report, Severity.NOTE) == {"missed"}
 
@@ -121,11 +121,11 @@ STEPS = np.arange(50)
     ],
 )
 def test_numbers_and_times_that_do_not_go_on_are_named(tmp_path, changes, kind):
-    assert kind in kinds(check(write_ticks(tmp_path / "a.mcap", changes)))
+    assert kind in kinds(check_log(write_ticks(tmp_path / "a.mcap", changes)))
 
 
 def test_a_million_errors_of_a_kind_are_told_in_a_screenful(tmp_path):
-    report = check(write_ticks(tmp_path / "a.mcap", {"missed": STEPS + 1}))
+    report = check_log(write_ticks(tmp_path / "a.mcap", {"missed": STEPS + 1}))
     told = [finding.message for finding in report.findings if finding.kind == "gap"]
     assert len(told) == 21
     assert told[-1] == "and 29 more of these"
@@ -136,11 +136,11 @@ def test_a_column_without_a_unit_and_a_missing_one_are_named(tmp_path):
 
     fields = (*TICK_FIELDS[:-1], Field("mystery", float, "x"))
     path = tmp_path / "a.mcap"
-    with new_file(path) as stream:
+    with create_new_file(path) as stream:
         writer = LogWriter(stream)
-        begin(writer, RunMeta(str(path), tick_fields=fields))
+        begin_log(writer, RunMeta(str(path), tick_fields=fields))
         writer.finish()
-    messages = [finding.message for finding in check(path).findings]
+    messages = [finding.message for finding in check_log(path).findings]
     assert "the name of mystery states no unit" in messages
     assert f"there is no column {TICK_FIELDS[-1].name}" in messages
 
@@ -173,20 +173,20 @@ def test_an_index_that_is_wrong_is_found_though_every_checksum_is_right(tmp_path
         target = chance.choice([r for r in records_of(whole) if r.opcode == opcode])
         at, bit = chance.randrange(len(target.body)), 1 << chance.randrange(8)
 
-        def flip(record: Record, target=target, at=at, bit=bit) -> bytes:
+        def flip(record: FileRecord, target=target, at=at, bit=bit) -> bytes:
             body = bytearray(record.body)
             if record.start == target.start:
                 body[at] ^= bit
             return bytes(body)
 
         (tmp_path / f"{trial}.mcap").write_bytes(rewritten(whole, flip))
-        assert not check(tmp_path / f"{trial}.mcap").ok, (target.start, at, bit)
+        assert not check_log(tmp_path / f"{trial}.mcap").ok, (target.start, at, bit)
 
 
-def records_of(path: Path) -> list[Record]:
-    from pamctl.log.framing import mapped, walk
+def records_of(path: Path) -> list[FileRecord]:
+    from pamctl.log.framing import map_log_file, walk_records
 
-    return list(walk(mapped(path)))
+    return list(walk_records(map_log_file(path)))
 
 
 def test_a_file_rewritten_as_it_is_passes_so_that_it_is_the_edit_that_is_found(tmp_path):
@@ -228,12 +228,16 @@ def test_recovering_a_whole_log_loses_nothing(run, tmp_path):
 
 def test_whole_chunks_are_copied_as_they_are_packed(run, tmp_path, monkeypatch):
     monkeypatch.setattr("pamctl.log.container.zstandard.compress", lambda _: pytest.fail("packed"))
-    recover(run, tmp_path / "saved.mcap")
+    recover_file(run, tmp_path / "saved.mcap")
     assert chunks_of(tmp_path / "saved.mcap") == chunks_of(run)
 
 
 def chunks_of(path):
-    return [bytes(record.body) for record in walk(mapped(path)) if record.opcode == Opcode.CHUNK]
+    return [
+        bytes(record.body)
+        for record in walk_records(map_log_file(path))
+        if record.opcode == Opcode.CHUNK
+    ]
 
 
 @pytest.mark.parametrize("lost", [1, 2, DESCRIBED_EVERY])
@@ -241,16 +245,18 @@ def test_without_its_first_chunks_and_its_summary_a_log_is_understood_by_a_later
     tmp_path, lost
 ):
     whole = write_small(tmp_path / "a.mcap", chunks=DESCRIBED_EVERY + 2)
-    chunks = [record for record in walk(mapped(whole)) if record.opcode == Opcode.CHUNK]
+    chunks = [
+        record for record in walk_records(map_log_file(whole)) if record.opcode == Opcode.CHUNK
+    ]
     content = bytearray(whole.read_bytes()[: chunks[-1].end])
     for chunk in chunks[:lost]:
         content[chunk.start : chunk.end] = bytes(chunk.end - chunk.start)
     (tmp_path / "b.mcap").write_bytes(content)
-    recovery = recover(tmp_path / "b.mcap", tmp_path / "c.mcap")
+    recovery = recover_file(tmp_path / "b.mcap", tmp_path / "c.mcap")
     assert not recovery.lossless
     ticks = read(whole)["position_m"][lost * CHUNK_TICKS :]
     assert read(tmp_path / "c.mcap")["position_m"].tolist() == ticks.tolist()
-    assert check(tmp_path / "c.mcap").ok
+    assert check_log(tmp_path / "c.mcap").ok
 
 
 def test_recovery_does_not_touch_a_file_that_is_there(run, tmp_path):
@@ -272,5 +278,5 @@ def test_a_chunk_whose_length_is_damaged_is_passed_over_and_the_next_is_found(ru
     assert done.exit_code == 3
     saved = read(tmp_path / "b.mcap")
     assert saved["tick"][-1] == read(run)["tick"][-1]
-    assert kinds(check(tmp_path / "b.mcap")) == set()
-    assert "gap" in kinds(check(tmp_path / "b.mcap"), Severity.WARNING)
+    assert kinds(check_log(tmp_path / "b.mcap")) == set()
+    assert "gap" in kinds(check_log(tmp_path / "b.mcap"), Severity.WARNING)

@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 
 import pamctl.log
 from pamctl.cli.app import app
-from pamctl.log.export import export
+from pamctl.log.export import export_ticks
 from pamctl.log.importing.pipeline import import_log
-from pamctl.log.schema import unit_of
+from pamctl.log.schema import unit_of_column
 
 TICKS = 300
 Read = Callable[[Path], dict[str, list[Any]]]
@@ -47,13 +47,13 @@ def from_csv(path: Path) -> dict[str, list[Any]]:
 def from_npz(path: Path) -> dict[str, list[Any]]:
     with np.load(path, allow_pickle=False) as content:
         units = json.loads(str(content["units"]))
-        assert units == {name: unit_of(name) for name in units}
+        assert units == {name: unit_of_column(name) for name in units}
         return {name: content[name].tolist() for name in units}
 
 
 def from_mat(path: Path) -> dict[str, list[Any]]:
     content = loadmat(path, simplify_cells=True)
-    assert content["units"] == {name: unit_of(name) for name in content["log"]}
+    assert content["units"] == {name: unit_of_column(name) for name in content["log"]}
     return {name: column.tolist() for name, column in content["log"].items()}
 
 
@@ -62,7 +62,7 @@ def from_parquet(path: Path) -> dict[str, list[Any]]:
 
     table = parquet.read_table(path)
     for field in table.schema:
-        assert field.metadata[b"unit"].decode() == unit_of(field.name)
+        assert field.metadata[b"unit"].decode() == unit_of_column(field.name)
     return dict(table.to_pydict())
 
 
@@ -94,7 +94,7 @@ def test_numbers_that_are_not_finite_survive_a_csv(tmp_path):
 
     values = np.array([math.nan, math.inf, -math.inf, -0.0, 5e-324])
     write_imported(tmp_path / "a.mcap", np.arange(5.0), {"force_n": values}, {})
-    export(tmp_path / "a.mcap", tmp_path / "a.csv")
+    export_ticks(tmp_path / "a.mcap", tmp_path / "a.csv")
     assert list(map(repr, from_csv(tmp_path / "a.csv")["force_n"])) == list(
         map(repr, values.tolist())
     )

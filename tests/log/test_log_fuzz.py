@@ -12,9 +12,9 @@ import pytest
 from support.small_log import CHUNK_TICKS, write_small
 
 from pamctl.log import Log, LogError, info, read
-from pamctl.log.check.check_log import check
-from pamctl.log.framing import mapped, walk
-from pamctl.log.repair.recover import Recovery, recover
+from pamctl.log.check.check_log import check_log
+from pamctl.log.framing import map_log_file, walk_records
+from pamctl.log.repair.recover import Recovery, recover_file
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def written(path: Path, content: bytes) -> Path:
 def cuts(whole: Path) -> list[int]:
     """Every place within ten bytes of a record's frame, and every fifth within its body."""
     content = whole.read_bytes()
-    frames = [record.start for record in walk(mapped(whole))]
+    frames = [record.start for record in walk_records(map_log_file(whole))]
     near = {at + off for at in (*frames, len(content)) for off in range(-10, 20)}
     return sorted((near | {*range(0, len(content), 5)}) & {*range(len(content))})
 
@@ -58,17 +58,17 @@ def assert_nothing_wrong_is_passed_as_good(
         with suppress(LogError):
             assert not info(damaged)["complete"]
         with suppress(LogError):
-            assert not check(damaged).ok
+            assert not check_log(damaged).ok
     saved = damaged.with_name("saved.mcap")
     saved.unlink(missing_ok=True)
     try:
-        recovery = recover(damaged, saved)
+        recovery = recover_file(damaged, saved)
     except LogError:
         assert not saved.exists()
         return None
     assert_true_of(original, read(saved, *recovery.messages), recovery)
     if by_all and "/pam/tick" in recovery.messages:
-        assert check(saved).ok, check(saved)
+        assert check_log(saved).ok, check_log(saved)
     return recovery
 
 

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 import pamctl.log
 from pamctl.cli.app import app
 from pamctl.log.importing.pipeline import import_log
-from pamctl.log.importing.resample import resampled
+from pamctl.log.importing.resample import resample_columns
 
 T_S = np.arange(400) * 1e-3
 VALVE_V = np.where(np.sin(20 * T_S) > 0, 1.5, -1.5)
@@ -421,7 +421,7 @@ def test_resampling_makes_nothing_up_within_a_gap(tmp_path):
 @given(st.integers(2, 300), st.floats(10.0, 5000.0), st.floats(0.1, 20.0))
 def test_a_resampled_time_is_an_even_grid_within_what_was_measured(rows, rate_hz, ratio):
     t_s = np.arange(rows) / (rate_hz * ratio)
-    kept, values = resampled(t_s, {"position_m": t_s}, rate_hz)
+    kept, values = resample_columns(t_s, {"position_m": t_s}, rate_hz)
     assert kept[0] == t_s[0]
     assert kept[-1] <= t_s[-1] * (1 + 1e-9) + 1e-12
     steps = np.diff(kept) * rate_hz

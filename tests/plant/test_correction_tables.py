@@ -10,19 +10,19 @@ import pytest
 from support.made_records import all_but, pair
 
 import pamctl.diagnose.correction
-from pamctl.compiled import compiled
+from pamctl.compiled import compile_kernel
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
-from pamctl.diagnose.correction import corrected as corrected_by_table
-from pamctl.diagnose.report.diagnosis_document import document
-from pamctl.diagnose.report.extended_plant_file import plant_file
-from pamctl.diagnose.report.sentences import correction_told
-from pamctl.plant.correction_tables import Table, corrected
+from pamctl.diagnose.correction import add_correction_tables as corrected_by_table
+from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+from pamctl.diagnose.report.extended_plant_file import format_plant_file
+from pamctl.diagnose.report.sentences import describe_correction_result
+from pamctl.plant.correction_tables import CorrectionTable, interpolate_table
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.parameters import AirState, PlantState, ValveState, vented
-from pamctl.plant.step import plant_advance, pressure_block_step
-from pamctl.settings.resolve import SECTIONS, ConfigError, Raw, validated
+from pamctl.plant.parameters import AirState, PlantState, ValveState, vented_state
+from pamctl.plant.step import advance_plant, pressure_block_step
+from pamctl.settings.resolve import SECTIONS, ConfigError, RawSettings, validate_settings
 
-SLOPING = Table((0.0, 1.0, 3.0), (10.0, 20.0), (0.0, 10.0, 2.0, 12.0, 6.0, 16.0))
+SLOPING = CorrectionTable((0.0, 1.0, 3.0), (10.0, 20.0), (0.0, 10.0, 2.0, 12.0, 6.0, 16.0))
 """2 first + second - 10."""
 
 
@@ -43,10 +43,10 @@ def plant(**keys: Any) -> PlantSettings:
 
 def driven(settings: PlantSettings, ticks: int = 400) -> list[PlantState]:
     p = plant_parameters(settings)
-    states = [vented(p)]
+    states = [vented_state(p)]
     for tick in range(ticks):
         command_v = 3.0 * math.sin(0.02 * tick)
-        states.append(plant_advance(p, states[-1], command_v, 1e-3, 0.5e-3))
+        states.append(advance_plant(p, states[-1], command_v, 1e-3, 0.5e-3))
     return states
 
 
@@ -58,7 +58,7 @@ def apart_m(one: list[PlantState], other: list[PlantState]) -> float:
 
 
 def test_a_table_is_straight_between_its_lines_and_constant_beyond_them() -> None:
-    for lookup in (corrected, compiled(corrected)):
+    for lookup in (interpolate_table, compile_kernel(interpolate_table)):
         for first, second in ((0.0, 10.0), (0.5, 13.0), (1.0, 20.0), (2.9, 19.0), (3.0, 10.0)):
             assert lookup(SLOPING, first, second) == pytest.approx(2.0 * first + second - 10.0)
         assert lookup(SLOPING, 9.0, 99.0) == lookup(SLOPING, 3.0, 20.0)
@@ -102,7 +102,7 @@ def test_a_table_that_does_not_fit_together_is_refused_with_the_reason(tmp_path)
     path = tmp_path / "plant.yaml"
     path.write_text("correction: {pull: {displacement_m: [0, 0.02]}}\n")
     with pytest.raises(ConfigError, match=r"correction\.pull\.load"):
-        validated(SECTIONS["plant"], Raw.read(path), title="plant")
+        validate_settings(SECTIONS["plant"], RawSettings.read(path), title="plant")
 
 
 # --- by the diagnosis ------------------------------------------------------------------
@@ -129,9 +129,9 @@ def test_what_has_no_name_is_added_on_request_and_the_held_out_gap_shrinks() -> 
     found = nameless()
     assert found.verdict is Verdict.NONE_KNOWN
     assert not found.standings
-    gap = document(found)["gap"]["position_m"]
+    gap = build_diagnosis_document(found)["gap"]["position_m"]
     assert gap["corrected"] < 0.4 * gap["recalibrated"]
-    table = document(found)["correction"]["table"]
+    table = build_diagnosis_document(found)["correction"]["table"]
     assert table["applied"]
     assert table["blocks"] == ["mechanics"]
     assert table["gap"]["position_m"]["after"] == gap["corrected"]
@@ -140,8 +140,11 @@ def test_what_has_no_name_is_added_on_request_and_the_held_out_gap_shrinks() -> 
 
 def test_the_plant_file_with_the_table_is_read_again(tmp_path) -> None:
     path = tmp_path / "plant.yaml"
-    path.write_text(plant_file(nameless(), ["a.mcap"]))
-    assert validated(SECTIONS["plant"], Raw.read(path), title="plant") == nameless().plant
+    path.write_text(format_plant_file(nameless(), ["a.mcap"]))
+    assert (
+        validate_settings(SECTIONS["plant"], RawSettings.read(path), title="plant")
+        == nameless().plant
+    )
     assert "Unnamed correction" in path.read_text()
 
 
@@ -150,12 +153,14 @@ def test_a_table_that_makes_the_held_out_gap_larger_is_left_out(monkeypatch) -> 
     before = found.plant.model_copy(update={"correction": None})
     worse = found.plant.parameters.model_copy(update={"stiffness_n_per_m": 20e3})
     bad = found.plant.model_copy(update={"parameters": worse})
-    monkeypatch.setattr(pamctl.diagnose.correction, "fitted", lambda drives, plant: bad)
+    monkeypatch.setattr(
+        pamctl.diagnose.correction, "fit_correction_table", lambda drives, plant: bad
+    )
     assert found.base is not None
     kept = corrected_by_table(found.base, before, found.holdout)
     assert kept.plant == before
     assert kept.after == kept.before
-    assert "left out of the model" in correction_told(kept)
+    assert "left out of the model" in describe_correction_result(kept)
 
 
 def test_nothing_is_added_where_nobody_asks_or_nothing_is_left() -> None:

@@ -14,7 +14,7 @@ from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
 from pamctl.plant.paper.mechanics import mechanics_step
 from pamctl.plant.paper.pressure import middle_pressure_pa
-from pamctl.plant.parameters import vented
+from pamctl.plant.parameters import vented_state
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.plant.step import plant_step, pressure_block_step
 
@@ -49,7 +49,7 @@ def test_the_coupled_drive_is_the_simulated_rig_sampled_before_each_command(
 def test_the_two_blocks_alone_compose_to_the_coupled_step_to_the_bit(
     p, command_v: NDArray[np.float64]
 ) -> None:
-    state = vented(p)
+    state = vented_state(p)
     for command in command_v.tolist():
         x, v, pressure_pa, valve, air = state[:5]
         middle_m = x + 0.5 * STEP_S * v
@@ -89,7 +89,7 @@ def test_the_compiled_drives_are_their_plain_twins_to_the_bit(
     coupled = drive_coupled(p, SMALL, dt_s)
     pressure = drive_pressure(p, SMALL, coupled.position_m, dt_s)
     mechanics = drive_mechanics(p, coupled.pressure_pa, dt_s)
-    monkeypatch.setattr(drive, "_twin", lambda kernel: kernel)
+    monkeypatch.setattr(drive, "_get_twin", lambda kernel: kernel)
     for plain, compiled in (
         (drive_coupled(p, SMALL, dt_s), coupled),
         (drive_pressure(p, SMALL, coupled.position_m, dt_s), pressure),
@@ -113,7 +113,7 @@ def test_jitter_adds_no_step_and_an_interval_twice_as_long_has_twice_as_many() -
     dt_s[50] = 1.04e-3
     dt_s[60] = 2e-3
     driven = drive_coupled(PAPER, SQUARE, dt_s)
-    state = vented(PAPER)
+    state = vented_state(PAPER)
     for k, interval in enumerate(dt_s.tolist()):
         steps = 4 if k == 60 else 2
         for _ in range(steps):

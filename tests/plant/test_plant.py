@@ -22,8 +22,8 @@ from pamctl.plant.paper.mechanics import mechanics_step, slide
 from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
 from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
 from pamctl.plant.paper.valve import orifice_flow, valve_flow
-from pamctl.plant.parameters import PlantState, vented
-from pamctl.plant.step import plant_advance, plant_step
+from pamctl.plant.parameters import PlantState, vented_state
+from pamctl.plant.step import advance_plant, plant_step
 
 P = plant_parameters(PlantSettings())
 PAPER = P.paper
@@ -39,10 +39,10 @@ held_commands = st.lists(st.tuples(commands_v, st.integers(1, 60)), min_size=1, 
 
 def run(commands: list[tuple[float, int]], state: PlantState | None = None) -> list[PlantState]:
     """Hold each command for its number of ticks, from the vented muscle."""
-    states = [vented(P) if state is None else state]
+    states = [vented_state(P) if state is None else state]
     for command_v, ticks in commands:
         for _ in range(ticks):
-            states.append(plant_advance(P, states[-1], command_v, TICK_S, STEP_S))
+            states.append(advance_plant(P, states[-1], command_v, TICK_S, STEP_S))
     return states
 
 
@@ -318,7 +318,7 @@ def test_a_closed_muscle_inside_the_friction_band_does_not_creep(
 
 
 def test_the_vented_muscle_is_at_rest_and_stays_so() -> None:
-    begin = vented(P)
+    begin = vented_state(P)
     assert begin[:3] == (0.0, 0.0, paper.P_ATM)
     for command_v in (0.0, -5.0):
         end = run([(command_v, 200)])[-1]
@@ -367,7 +367,7 @@ def test_the_muscle_moves_while_the_valve_is_closed() -> None:
 def test_air_that_came_in_is_the_integral_of_the_flow(commands: list[tuple[float, int]]) -> None:
     """Eq. 7 is d(PV)/dt = R T m': the balance over a whole run, flow by the paper's Psi."""
     steps = 16
-    state, inflow_j = vented(P), 0.0
+    state, inflow_j = vented_state(P), 0.0
     for command_v, ticks in commands:
         for _ in range(ticks * steps):
             after = plant_step(P, state, command_v, TICK_S / steps)
@@ -423,7 +423,7 @@ def test_filling_a_muscle_that_is_held_takes_the_time_that_the_choked_flow_says(
 
 def recorded() -> list[tuple[float, PlantState, PlantState]]:
     """A coupled run, step by step: command, state before and after."""
-    state, steps = vented(P), []
+    state, steps = vented_state(P), []
     for i in range(1200):
         command_v = 3.0 * math.sin(2 * math.pi * 4 * i * STEP_S) if i // 300 != 2 else 0.0
         after = plant_step(P, state, command_v, STEP_S)
@@ -483,12 +483,12 @@ def test_time_is_cut_into_equal_steps_none_longer_than_asked() -> None:
     in_three = begin
     for _ in range(3):
         in_three = plant_step(P, in_three, 2.0, TICK_S / 3)
-    assert plant_advance(P, begin, 2.0, TICK_S, 0.4e-3) == in_three
+    assert advance_plant(P, begin, 2.0, TICK_S, 0.4e-3) == in_three
     # 0.7 ms in steps of 0.1 ms are seven, although 0.7 / 0.1 is a little more in floats.
     in_seven = begin
     for _ in range(7):
         in_seven = plant_step(P, in_seven, 2.0, 0.7e-3 / 7)
-    assert plant_advance(P, begin, 2.0, 0.7e-3, 0.1e-3) == in_seven
+    assert advance_plant(P, begin, 2.0, 0.7e-3, 0.1e-3) == in_seven
 
 
 def test_a_motion_too_slow_for_its_square_goes_on() -> None:

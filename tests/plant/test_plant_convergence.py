@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from support.paper_equations import Recorded, Spool, solve
 
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.parameters import vented
+from pamctl.plant.parameters import vented_state
 from pamctl.plant.simulated import LONGEST_STEP_S, SimulatedPlant
-from pamctl.plant.step import plant_advance
+from pamctl.plant.step import advance_plant
 
 TICK_S = 1e-3
 UM = 1e-6
@@ -53,9 +53,9 @@ def ours(name: str, steps: int, spool: Spool | None = None) -> NDArray[np.float6
         natural, damping = spool
         effects = {"valve_spool": {"time_constant_s": 1 / natural, "damping_ratio": damping}}
     p = plant_parameters(PlantSettings(effects=effects))
-    states = [vented(p)]
+    states = [vented_state(p)]
     for command in COMMANDS[name]:
-        states.append(plant_advance(p, states[-1], command, TICK_S, TICK_S / steps))
+        states.append(advance_plant(p, states[-1], command, TICK_S, TICK_S / steps))
     return np.array([(*state[:3], *state.valve[:2]) for state in states])
 
 

@@ -18,7 +18,7 @@ from pamctl.plant.effects.valve.valve_spool import DESCRIPTION, ValveSpool, spoo
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper.mechanics import mechanics_step
 from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
-from pamctl.plant.parameters import vented
+from pamctl.plant.parameters import vented_state
 from pamctl.plant.step import plant_step
 
 PAPER_VALVE = ValveSpool(1 / (2 * math.pi * 109), 0.7)
@@ -144,7 +144,7 @@ def test_a_spool_without_lag_leaves_the_papers_model_to_the_bit(
     without = plant_parameters(PlantSettings())
     assert without.effects == Effects()
     paper = without.paper
-    state, same = vented(with_effect), vented(without)
+    state, same = vented_state(with_effect), vented_state(without)
     x, v, pressure_pa = same[:3]
     for command_v in commands:
         state = plant_step(with_effect, state, command_v, 0.5e-3)
@@ -161,7 +161,7 @@ def test_a_spool_without_lag_leaves_the_papers_model_to_the_bit(
 
 def test_the_flow_of_a_step_is_that_of_the_spool_in_its_middle() -> None:
     p = plant_parameters(PlantSettings(effects={"valve_spool": {"time_constant_s": 1.46e-3}}))
-    after = plant_step(p, vented(p), 5.0, 1e-3)
+    after = plant_step(p, vented_state(p), 5.0, 1e-3)
     middle_v, rate = spool_step(p.effects.valve.valve_spool, 0.0, 0.0, 5.0, 0.5e-3)
     end_v, _ = spool_step(p.effects.valve.valve_spool, middle_v, rate, 5.0, 0.5e-3)
     assert after.valve.spool_v == end_v

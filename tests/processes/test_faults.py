@@ -21,7 +21,7 @@ from hal.rig import RawSample, Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime import loop
 from pamctl.realtime.clock import Clock
-from pamctl.realtime.loop import control
+from pamctl.realtime.loop import run_loop
 from pamctl.safety import (
     ENCODER_JUMP,
     PRESSURE_TOO_HIGH,
@@ -30,7 +30,7 @@ from pamctl.safety import (
     STROKE_LIMIT,
     TRACKING_ERROR,
 )
-from pamctl.settings.build import nominal_zero_of, program_of, setup_of
+from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Truth
 
@@ -192,12 +192,12 @@ def ran(bench: str, fault: str, settings: RunSettings) -> tuple[Ending, MemoryJo
     """Run with a fault; return how it ended, what is on record, and what is on the output."""
     made, journal = BENCHES[bench](settings, fault), MemoryJournal()
     try:
-        ending = control(
+        ending = run_loop(
             Spoiled(made.rig, lambda: made.spoil(fault)),  # type: ignore[arg-type]
             made.clock,
-            setup_of(settings),
+            build_tick_setup(settings),
             nominal_zero_of(settings),
-            program_of(settings),
+            build_program(settings),
             journal,
             ScriptedSupervisor(),
             made.truth,
@@ -260,12 +260,12 @@ def test_an_exception_in_the_law_leaves_the_output_safe(
     settings = run_settings(*MOVING)
     made, journal = BENCHES[bench](settings, "none"), MemoryJournal()
     with pytest.raises(ZeroDivisionError, match="in the law"):
-        control(
+        run_loop(
             made.rig,
             made.clock,
-            setup_of(settings),
+            build_tick_setup(settings),
             nominal_zero_of(settings),
-            program_of(settings),
+            build_program(settings),
             journal,
             ScriptedSupervisor(),
             made.truth,

@@ -22,13 +22,13 @@ from support.made_up import meta
 from support.patience import BUSY_PC, PATIENCE_S
 from support.rings import await_ring, await_tick
 
-from hal.rig import RigError, opened
+from hal.rig import RigError, open_rig
 from hal.sim.register import SharedRegister, peek_v
 from hal.sim.sim_rig import SimRig, SimSettings, sensor_chain
 from pamctl.log.reader import read
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
-from pamctl.processes.backends import ao_path, clock_of, rig_of
+from pamctl.processes.backends import ao_path, build_clock, build_rig
 from pamctl.processes.guardian import (
     LEAVING_NS,
     POLL_MS,
@@ -63,7 +63,9 @@ def heard(looks: list[tuple[float, float]]) -> list[float]:
     """Let a listener look at (time, beat) in ms; return the silence it tells, in ms."""
     (first_ms, beat_ms), *rest = looks
     listener = Listener(round(first_ms * MS), round(beat_ms * MS))
-    return [listener.silent_ns(round(now * MS), round(beat * MS)) / MS for now, beat in rest]
+    return [
+        listener.measure_silence_ns(round(now * MS), round(beat * MS)) / MS for now, beat in rest
+    ]
 
 
 def test_a_loop_that_beats_is_never_silent_for_longer_than_between_two_looks() -> None:
@@ -235,8 +237,8 @@ def supervised(ring: Ring, front_fd: int | None = None, *, patient: bool = False
 def asked(supervisor: LoopSupervisor, ms: int) -> tuple[str, bool] | None:
     """Ask at 1 kHz for so long; return the reason to stop, and whether at once."""
     for tick in range(ms):
-        at_once = supervisor.abort_wanted()
-        wanted = supervisor.stop_wanted(tick)
+        at_once = supervisor.wants_abort()
+        wanted = supervisor.find_stop(tick)
         if wanted is not None:
             return wanted.reason, at_once
     return None
@@ -282,7 +284,7 @@ def test_during_a_smooth_stop_a_death_still_ends_the_run_at_once(ring: Ring) -> 
     supervisor._on_signal(signal.SIGINT, None)
     assert asked(supervisor, 8) == ("stopped by SIGINT", False)
     ring.guardian_lost = 1
-    assert any(supervisor.abort_wanted() for _ in range(8))
+    assert any(supervisor.wants_abort() for _ in range(8))
 
 
 def test_a_full_disk_leaves_time_for_a_smooth_stop(ring: Ring) -> None:
@@ -336,7 +338,7 @@ def test_an_output_holds_its_voltage_after_its_owner_and_can_then_be_made_safe(
 
 def test_what_another_process_puts_out_is_what_moves_the_muscle(tmp_path: Path) -> None:
     path = tmp_path / "bench0.ao"
-    with opened(shared_rig(path)) as rig:
+    with open_rig(shared_rig(path)) as rig:
         rig.write(5.0)
         at_rest = rig.read().encoder_counts
         np.memmap(path, dtype=float, mode="r+", shape=(1,))[0] = 10.0
@@ -348,7 +350,7 @@ def test_what_another_process_puts_out_is_what_moves_the_muscle(tmp_path: Path) 
 
 def test_a_run_without_a_clock_has_no_shared_output() -> None:
     settings = resolve(fast=True, overrides=["rig.sim.device=never0"])
-    with opened(rig_of(settings, clock_of(settings, may_spin=False)).rig):
+    with open_rig(build_rig(settings, build_clock(settings, may_spin=False)).rig):
         assert not ao_path("never0").exists()
 
 

@@ -22,7 +22,7 @@ from pamctl.realtime.clock import (
     Wake,
     grid_point_from,
     grid_point_until,
-    monotonic_sleeper,
+    make_monotonic_sleeper,
 )
 
 MS = 1_000_000
@@ -227,7 +227,7 @@ def test_the_wall_offset_turns_monotonic_into_unix_time() -> None:
 @linux_only
 def test_an_impossible_sleep_is_an_error_and_not_a_busy_loop() -> None:
     with pytest.raises(OSError, match="clock_nanosleep: Invalid argument"):
-        monotonic_sleeper()(-1)
+        make_monotonic_sleeper()(-1)
 
 
 @contextmanager
@@ -260,7 +260,7 @@ def test_signals_are_handled_within_the_wait_and_do_not_bring_the_tick_forward()
 def test_an_interrupted_sleep_is_slept_to_its_end() -> None:
     alarm_ns = time.monotonic_ns() + 50 * MS
     with interrupted(lambda *_: None, 0.005, 0.005):
-        monotonic_sleeper()(alarm_ns)
+        make_monotonic_sleeper()(alarm_ns)
     assert time.monotonic_ns() >= alarm_ns
 
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, Tuning, TuningError, blended
+from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp, GainRampError, blend_gains
 from pamctl.realtime.tick import TickSetup
-from pamctl.settings.build import setup_of
+from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import resolve
 
 SETTINGS = resolve()
@@ -20,17 +20,17 @@ def controller(*overrides: str, name: str = "qsmc") -> Any:
     return resolve(controller=name, overrides=overrides).controller
 
 
-def poles(tuning: Tuning, times_s: list[float]) -> list[float]:
+def poles(tuning: GainRamp, times_s: list[float]) -> list[float]:
     return [tuning.at(t).gains.qsmc.sliding.pole_per_s for t in times_s]
 
 
-def tuning() -> Tuning:
-    return Tuning(setup_of(SETTINGS))
+def tuning() -> GainRamp:
+    return GainRamp(build_tick_setup(SETTINGS))
 
 
 def test_without_a_change_the_setup_is_the_same_object_in_every_tick() -> None:
-    setup = setup_of(SETTINGS)
-    assert all(Tuning(setup).at(t) is setup for t in (0.0, 1.0, 1e6))
+    setup = build_tick_setup(SETTINGS)
+    assert all(GainRamp(setup).at(t) is setup for t in (0.0, 1.0, 1e6))
 
 
 def test_a_gain_goes_from_old_to_new_in_equal_steps_and_stays_there() -> None:
@@ -49,7 +49,7 @@ def test_after_the_ramp_the_setup_is_that_of_a_run_with_the_new_gains() -> None:
     tuned = tuning()
     new = controller("controller.lambda_per_s=40", "controller.lpf2_hz=90")
     tuned.change(new, 1.0, 0.5)
-    assert tuned.at(1.6) == setup_of(SETTINGS.model_copy(update={"controller": new}))
+    assert tuned.at(1.6) == build_tick_setup(SETTINGS.model_copy(update={"controller": new}))
 
 
 def test_no_ramp_is_shorter_than_fifty_ticks() -> None:
@@ -85,7 +85,7 @@ def test_what_is_another_law_is_refused_and_changes_nothing(
 ) -> None:
     tuned = tuning()
     before = tuned.at(1.0)
-    with pytest.raises(TuningError, match=said):
+    with pytest.raises(GainRampError, match=said):
         tuned.change(controller(*other[1], name=other[0]), 1.0, 0.5)
     assert tuned.at(2.0) is before
 
@@ -94,14 +94,15 @@ def test_between_runs_another_law_is_taken_at_once() -> None:
     tuned = tuning()
     pid = controller(name="pid")
     tuned.replace(pid)
-    assert tuned.at(0.0) == setup_of(SETTINGS.model_copy(update={"controller": pid}))
+    assert tuned.at(0.0) == build_tick_setup(SETTINGS.model_copy(update={"controller": pid}))
 
 
 @given(share=st.floats(0, 1), low=st.floats(1, 60), high=st.floats(1, 60))
 def test_gains_on_the_way_lie_between_the_two_ends(share: float, low: float, high: float) -> None:
     ends: list[TickSetup] = [
-        setup_of(resolve(overrides=[f"controller.lambda_per_s={value!r}"])) for value in (low, high)
+        build_tick_setup(resolve(overrides=[f"controller.lambda_per_s={value!r}"]))
+        for value in (low, high)
     ]
-    pole = blended(ends[0], ends[1], share).gains.qsmc.sliding.pole_per_s
+    pole = blend_gains(ends[0], ends[1], share).gains.qsmc.sliding.pole_per_s
     bounds = sorted(end.gains.qsmc.sliding.pole_per_s for end in ends)
     assert bounds[0] * (1 - 1e-12) <= pole <= bounds[1] * (1 + 1e-12)

@@ -32,9 +32,9 @@ from pamctl.safety import (
     STALE_SAMPLE,
     STROKE_LIMIT,
     TRACKING_ERROR,
-    explain,
+    explain_verdicts,
 )
-from pamctl.settings.build import nominal_zero_of, program_of, setup_of
+from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.signals import Phase
 
 SHORT = (
@@ -288,10 +288,12 @@ def test_a_sensor_gone_bad_ends_with_code_4_and_the_reason(kind, controller, smc
     assert ran.ending.code == ExitCode.SAFETY_TRIP == 4
     assert last.decision.tripped
     assert last.decision.verdicts & bit
-    assert ran.ending.reason == "safety trip: " + "; ".join(explain(last.decision.verdicts))
+    assert ran.ending.reason == "safety trip: " + "; ".join(
+        explain_verdicts(last.decision.verdicts)
+    )
     assert 1600 <= last.timing.tick < 1600 + within
     assert ran.journal.named("tripped") == [
-        {"event": "tripped", "reasons": explain(last.decision.verdicts)}
+        {"event": "tripped", "reasons": explain_verdicts(last.decision.verdicts)}
     ]
     assert not any(record.decision.tripped for record in ran.journal.ticks[:-1])
     # The tick that tripped already wrote the safe voltage.
@@ -401,13 +403,13 @@ class TwoSignals(ScriptedSupervisor):
         super().__init__(INTERRUPTED)
         self.after = after
 
-    def stop_wanted(self, tick: int) -> Ending | None:
-        wanted = super().stop_wanted(tick)
+    def find_stop(self, tick: int) -> Ending | None:
+        wanted = super().find_stop(tick)
         self._arrive("stop_wanted")
         return wanted
 
-    def abort_wanted(self) -> bool:
-        wanted = super().abort_wanted()
+    def wants_abort(self) -> bool:
+        wanted = super().wants_abort()
         self._arrive("abort_wanted")
         return wanted
 
@@ -526,12 +528,12 @@ def test_a_record_says_how_late_the_tick_was_and_how_long_its_parts_took() -> No
     settings = short(duration_s=0.1)
     made, journal, clock = parts(settings), MemoryJournal(), SlowClock()
     made.rig._now_ns = clock.now_ns
-    ending = loop.control(
+    ending = loop.run_loop(
         made.whole,
         clock,
-        setup_of(settings),
+        build_tick_setup(settings),
         nominal_zero_of(settings),
-        program_of(settings),
+        build_program(settings),
         journal,
         ScriptedSupervisor(),
         lambda: loop.Truth(0.0, 0.0),

@@ -48,9 +48,9 @@ def test_what_does_not_fit_is_refused_and_leaves_the_slot_free(orders: Orders) -
 def test_an_order_that_nobody_takes_is_reported_in_time(orders: Orders) -> None:
     orders.send({"do": "mark", "text": ""})
     with pytest.raises(OrderError, match="within"):
-        orders.wait_taken(0.02)
+        orders.wait_until_taken(0.02)
     with pytest.raises(OrderError, match="ended"):
-        orders.wait_taken(10.0, lambda: False)
+        orders.wait_until_taken(10.0, lambda: False)
 
 
 def test_the_emergency_stop_needs_no_free_slot(orders: Orders) -> None:
@@ -94,7 +94,7 @@ def test_two_processes_share_it_and_it_goes_with_them(orders: Orders) -> None:
     thread.start()
     for n in range(200):
         orders.send({"n": n})
-        orders.wait_taken(10.0)
+        orders.wait_until_taken(10.0)
     thread.join()
     other.close()
     assert taken == list(range(200))

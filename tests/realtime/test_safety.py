@@ -14,15 +14,16 @@ from support.runs import COUNT_M, run_settings
 from hal.calibration import Zero, calibration
 from hal.rig import RawSample
 from hal.sim.sim_rig import sensed_counts, sensed_pressure_v, sensor_chain
-from pamctl.control.experiment import Course, Segment, held, segments
+from pamctl.control.experiment import Course, Segment, build_segments, make_valve_reference
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.parameters import PlantParameters, PlantState, vented
-from pamctl.plant.step import plant_advance
+from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
+from pamctl.plant.step import advance_plant
 from pamctl.realtime.tick import first_state, measure, step
 from pamctl.safety import (
     COMMAND_NOT_FINITE,
     ENCODER_JUMP,
     ENVELOPE,
+    INITIAL_SAFETY_STATE,
     MEASUREMENT_NOT_FINITE,
     OVERRUNS,
     PINNED,
@@ -35,15 +36,14 @@ from pamctl.safety import (
     STROKE_LIMIT,
     TRACKING_ERROR,
     VERDICTS,
-    WATCHFUL,
     Limits,
     LimitSettings,
     SafetyState,
     admit,
-    explain,
-    limits,
+    convert_limits,
+    explain_verdicts,
 )
-from pamctl.settings.build import setup_of
+from pamctl.settings.build import build_tick_setup
 from pamctl.signals import (
     Command,
     Decision,
@@ -62,7 +62,9 @@ P_ATM = 101.3e3
 
 
 def limited(**changes: float) -> Limits:
-    return limits(LimitSettings(**changes), safe_valve_v=SAFE_V, count_m=COUNT_M, model=MODEL.paper)
+    return convert_limits(
+        LimitSettings(**changes), safe_valve_v=SAFE_V, count_m=COUNT_M, model=MODEL.paper
+    )
 
 
 class Seen(NamedTuple):
@@ -80,7 +82,7 @@ class Seen(NamedTuple):
 
 
 def admitted(lim: Limits, ticks: Iterable[Seen]) -> list[tuple[Decision, SafetyState]]:
-    state, found = WATCHFUL, []
+    state, found = INITIAL_SAFETY_STATE, []
     for n, tick in enumerate(ticks):
         decision, state = admit(
             lim,
@@ -356,11 +358,11 @@ def test_the_safe_command_is_written_even_where_the_law_may_not_go() -> None:
 
 
 def test_every_verdict_has_its_own_bit_and_words() -> None:
-    assert explain(0) == []
+    assert explain_verdicts(0) == []
     for bit, meaning in VERDICTS.items():
         assert bits(bit) == [bit]
-        assert explain(bit) == [meaning]
-    assert explain(sum(VERDICTS)) == list(VERDICTS.values())
+        assert explain_verdicts(bit) == [meaning]
+    assert explain_verdicts(sum(VERDICTS)) == list(VERDICTS.values())
     assert len(set(VERDICTS.values())) == len(VERDICTS) == 14
 
 
@@ -372,7 +374,7 @@ def test_limits_that_exclude_each_other_are_refused() -> None:
 # --- the pressure must follow the command ----------------------------------------------
 
 FULL = PlantState(0.0236, 0.0, 441.3e3)
-VENTED = vented(MODEL)
+VENTED = vented_state(MODEL)
 
 
 class Driven(NamedTuple):
@@ -400,8 +402,10 @@ def driven(
     run = run_settings()
     cal = calibration(run.rig.calibration)
     chain = sensor_chain(run.rig.sim, run.rig.calibration)
-    lim = limits(LimitSettings(**changes), safe_valve_v=-5.0, count_m=COUNT_M, model=MODEL.paper)
-    muscle, safety, written, worst = start, WATCHFUL, [0.0] * (delay + 1), 0.0
+    lim = convert_limits(
+        LimitSettings(**changes), safe_valve_v=-5.0, count_m=COUNT_M, model=MODEL.paper
+    )
+    muscle, safety, written, worst = start, INITIAL_SAFETY_STATE, [0.0] * (delay + 1), 0.0
     noise = (0.5 * math.sin(1e3 * n * n) for n in range(10**9))
     for tick in range(round(seconds * 1e3)):
         t_s = tick * 1e-3
@@ -412,7 +416,7 @@ def driven(
             0,
         )
         measured = measure(cal, chain.zero, raw)
-        asked = held(Phase.OPEN_LOOP, command_at(t_s))
+        asked = make_valve_reference(Phase.OPEN_LOOP, command_at(t_s))
         command = Command(asked.reference_valve_v, NAN, 0, 0, False)
         estimated = Estimate(measured.position_m, measured.pressure_pa, NAN, NAN, NAN)
         timing = Timing(tick, t_s, 1e-3, 0, 0)
@@ -422,7 +426,7 @@ def driven(
             break
         written.append(decision.valve_v)
         valve_v = really(t_s, written[-1 - delay])
-        muscle = plant_advance(plant, muscle, valve_v, 1e-3, 0.5e-3)
+        muscle = advance_plant(plant, muscle, valve_v, 1e-3, 0.5e-3)
     return Driven(decision, t_s, worst)
 
 
@@ -508,7 +512,7 @@ def test_squares_at_full_scale_never_trip_a_muscle_near_the_model(name: str) -> 
     plant = plant_with(**NEAR[name])
     for frequency_hz, delay in ((0.25, 1), (0.5, 0), (1.0, 1), (2.0, 0), (2.0, 1)):
         found = driven(square(frequency_hz), max(1.0, 1.0 / frequency_hz), plant=plant, delay=delay)
-        assert not found.decision.tripped, explain(found.decision.verdicts)
+        assert not found.decision.tripped, explain_verdicts(found.decision.verdicts)
         assert found.worst_pa > 1e3  # the model was put to the test at all
 
 
@@ -529,12 +533,14 @@ def test_small_commands_never_trip_a_muscle_near_the_model(name: str, frequency_
 def test_tracking_never_trips_a_muscle_near_the_model(name: str) -> None:
     """Whatever the law makes of such a muscle: the pressure still follows its command."""
     run = run_settings(plant="paper")
-    setup = setup_of(run)
+    setup = build_tick_setup(run)
     setup = setup._replace(limits=setup.limits._replace(tracking_error_m=1.0))
     chain = sensor_chain(run.rig.sim, run.rig.calibration)
     plant = plant_with(**NEAR[name])
     state, muscle = first_state(Zero(chain.zero.sensor_zero_v, 1000.0), -5.0), VENTED
-    course = Course([s._replace(duration_s=0.2 * s.duration_s) for s in segments(run.experiment)])
+    course = Course(
+        [s._replace(duration_s=0.2 * s.duration_s) for s in build_segments(run.experiment)]
+    )
     for tick in range(2500):
         raw = RawSample(
             sensed_pressure_v(chain, muscle.pressure_pa, 0.0),
@@ -545,8 +551,8 @@ def test_tracking_never_trips_a_muscle_near_the_model(name: str) -> None:
         reference = course.at(tick * 1e-3)
         assert reference is not None
         state, decision = step(setup, state, raw, reference, Timing(tick, 0, 1e-3, 0, 0))
-        assert not decision.tripped, explain(decision.verdicts)
-        muscle = plant_advance(plant, muscle, decision.valve_v, 1e-3, 0.5e-3)
+        assert not decision.tripped, explain_verdicts(decision.verdicts)
+        muscle = advance_plant(plant, muscle, decision.valve_v, 1e-3, 0.5e-3)
     assert muscle.position_m > 5e-3
 
 
@@ -560,7 +566,7 @@ def test_a_model_pressure_from_nowhere_cannot_raise() -> None:
 
 def test_segments_of_the_shipped_square_drive_the_model_check() -> None:
     """The squares above are those that the shipped experiments hold."""
-    wave = segments(run_settings(experiment="square-2").experiment)
+    wave = build_segments(run_settings(experiment="square-2").experiment)
     assert wave[0] == Segment(Phase.OPEN_LOOP, 0.25, pytest.approx(NAN, nan_ok=True),
                               pytest.approx(NAN, nan_ok=True), 5.0)  # fmt: skip
     assert [square(2.0)(t) for t in (0.1, 0.3)] == [wave[0].valve_v, wave[1].valve_v]

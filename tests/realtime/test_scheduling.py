@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from pamctl.realtime import scheduling
-from pamctl.realtime.scheduling import SchedulingRefused, Step, prepare
+from pamctl.realtime.scheduling import PreparationStep, SchedulingError, prepare
 
 ROOT = Path(__file__).parents[2]
 linux_only = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has these steps")
@@ -39,7 +39,7 @@ def in_fresh_process(script: str) -> Any:
 PREAMBLE = """
 import gc, json, os, resource, subprocess, sys
 from pathlib import Path
-from pamctl.realtime.scheduling import SchedulingRefused, on_watch, prepare
+from pamctl.realtime.scheduling import SchedulingError, raise_front_priority, prepare
 
 def state():
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
@@ -143,7 +143,7 @@ become_nobody()
 before = state()
 try:
     prepare("require")
-except SchedulingRefused as refusal:
+except SchedulingError as refusal:
     print(json.dumps([str(refusal), [step.name for step in refusal.refused], before, state()]))
 """
     )
@@ -196,7 +196,7 @@ def test_where_nothing_is_permitted_every_step_says_why() -> None:
 @linux_only
 @pytest.mark.usefixtures("nothing_is_permitted")
 def test_require_leaves_the_process_as_it_was() -> None:
-    with pytest.raises(SchedulingRefused):
+    with pytest.raises(SchedulingError):
         prepare("require")
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0
@@ -235,7 +235,7 @@ def test_elsewhere_than_on_linux_every_step_says_so(monkeypatch: pytest.MonkeyPa
     with prepare("auto") as preparation:
         refused = preparation.refused
     assert {step.detail for step in refused} == {"only Linux offers this"}
-    assert Step("fifo", False, "only Linux offers this") in refused
+    assert PreparationStep("fifo", False, "only Linux offers this") in refused
 
 
 # The front.
@@ -247,7 +247,7 @@ def test_a_front_preempts_ordinary_processes_while_it_watches_and_not_afterwards
         """
 seen = [state()["policy"]]
 for mode in ("auto", "off"):
-    with on_watch(mode):
+    with raise_front_priority(mode):
         seen.append(state()["policy"])
     seen.append(state()["policy"])
 print(json.dumps(seen))
@@ -261,7 +261,7 @@ def test_a_front_without_privileges_watches_as_it_may() -> None:
     seen = in_fresh_process(
         """
 become_nobody()
-with on_watch("auto"):
+with raise_front_priority("auto"):
     print(json.dumps(state()["policy"]))
 """
     )

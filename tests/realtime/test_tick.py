@@ -13,16 +13,16 @@ from support.runs import run_settings
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.experiment import held
-from pamctl.realtime.keyframe import frozen, keyframe_fields, thawed
+from pamctl.control.experiment import make_valve_reference
+from pamctl.realtime.keyframe import freeze_state, keyframe_fields, thaw_state
 from pamctl.realtime.tick import TickSetup, TickState, first_state, measure, step
 from pamctl.safety import MEASUREMENT_NOT_FINITE, SENSOR_RANGE
-from pamctl.settings.build import setup_of
+from pamctl.settings.build import build_tick_setup
 from pamctl.signals import TICK_FIELDS, Decision, Phase, Reference, TickRecord, Timing
 
 NAN = math.nan
 ZERO = Zero(0.2, 1000.0)
-SETUP = setup_of(run_settings())
+SETUP = build_tick_setup(run_settings())
 
 
 def sample(tick: int, counts: int = 3016, volts: float = 0.9) -> RawSample:
@@ -110,7 +110,7 @@ def test_whatever_the_sensors_say_the_valve_gets_a_number_it_may_have(controller
     setup = LAWS[controller]
     state, tripped = first_state(ZERO, -5.0), False
     for tick, (counts, volts, dt_s, open_loop) in enumerate(samples):
-        reference = held(Phase.OPEN_LOOP, 1.0) if open_loop else track()
+        reference = make_valve_reference(Phase.OPEN_LOOP, 1.0) if open_loop else track()
         raw = RawSample(volts, counts, 0, 0)
         state, decision = step(setup, state, raw, reference, timing(tick, dt_s))
         assert abs(decision.valve_v) <= 5.0
@@ -145,7 +145,7 @@ def _laws(tmp_path_factory: pytest.TempPathFactory) -> None:
     for name, text in (("smc", SMC), ("pid", PID)):
         path = folder / f"{name}.yaml"
         path.write_text(text)
-        LAWS[name] = setup_of(run_settings(controller=str(path)))
+        LAWS[name] = build_tick_setup(run_settings(controller=str(path)))
 
 
 LAWS: dict[str, TickSetup] = {}
@@ -184,7 +184,7 @@ UNITS = ("_s", "_s2", "_s3", "_v", "_m", "_pa", "_counts", "_ns")
 
 def test_a_keyframe_names_each_of_its_numbers_once() -> None:
     names = keyframe_fields(first_state(ZERO, -5.0))
-    assert len(names) == len(set(names)) == len(frozen(first_state(ZERO, -5.0)))
+    assert len(names) == len(set(names)) == len(freeze_state(first_state(ZERO, -5.0)))
     for expected in (
         "zero.sensor_zero_v",
         "filters.rate.pole",
@@ -197,7 +197,7 @@ def test_a_keyframe_names_each_of_its_numbers_once() -> None:
 
 def test_a_keyframe_holds_each_number_under_its_name() -> None:
     state, _ = run(range(300))
-    numbers = dict(zip(keyframe_fields(state), frozen(state), strict=True))
+    numbers = dict(zip(keyframe_fields(state), freeze_state(state), strict=True))
     assert numbers["zero.encoder_zero_counts"] == 1000.0
     assert numbers["filters.position.pair_level"] == state.filters.position.pair_level
     assert numbers["law.absement_m_s"] == state.law.absement_m_s != 0.0
@@ -208,7 +208,7 @@ def test_a_keyframe_holds_each_number_under_its_name() -> None:
 def test_a_thawed_state_goes_on_bit_for_bit(law: str) -> None:
     setup = LAWS[law]
     middle, _ = run(range(200), setup=setup)
-    again = thawed(middle, frozen(middle))
+    again = thaw_state(middle, freeze_state(middle))
     assert again == middle
     straight = run(range(200, 400), middle, setup)
     assert run(range(200, 400), again, setup) == straight

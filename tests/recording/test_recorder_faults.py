@@ -19,9 +19,9 @@ from support.made_up import START_MONO_NS, columns, end, meta, put, recording, t
 from support.patience import PATIENCE_S
 
 from pamctl.log import info, read
-from pamctl.log.repair.recover import recover
+from pamctl.log.repair.recover import recover_file
 from pamctl.recording.finish_from_ring import finish_from_ring, recover_orphans
-from pamctl.recording.recorder import RecorderError, await_ready, spawn
+from pamctl.recording.recorder import RecorderError, await_recorder, spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring, RingError
 
 LONG_AGO_NS = 1
@@ -84,7 +84,7 @@ def test_of_a_killed_recorders_file_alone_every_whole_chunk_is_recovered(log):
         process.kill()
         process.wait()
         in_file = ring.tail  # it moves when a chunk is in the file
-    recovery = recover(log, log.with_name("saved.mcap"))
+    recovery = recover_file(log, log.with_name("saved.mcap"))
     saved = read(log.with_name("saved.mcap"))
     assert len(saved) >= in_file > 0
     assert saved["tick"].tolist() == list(range(len(saved)))
@@ -235,9 +235,9 @@ def test_a_recorder_that_is_behind_loses_nothing_of_a_loop_that_waits_for_it(log
 
 
 def refused(ring: Ring) -> str:
-    process = spawn(ring.path)
+    process = spawn_recorder(ring.path)
     with pytest.raises(RecorderError) as refusal:
-        await_ready(ring, process)
+        await_recorder(ring, process)
     assert end(process)[0] == 1
     assert ring.recorder_flags & RecorderFlag.FAILED
     return str(refusal.value)
@@ -270,7 +270,7 @@ def test_a_directory_that_may_not_be_written_is_named(log):
 
 
 def test_a_recorder_without_a_ring_says_so_in_one_line(tmp_path):
-    code, said = end(spawn(tmp_path / "missing.ring"))
+    code, said = end(spawn_recorder(tmp_path / "missing.ring"))
     assert code == 1
     assert said.count("\n") == 1
     assert "cannot attach to the ring" in said
@@ -321,9 +321,9 @@ def test_on_a_disk_without_room_for_the_reserve_no_run_starts(small_disk, tmp_pa
     log = small_disk / "run.mcap"
     (small_disk / "hog").write_bytes(bytes(7 << 20))
     with Ring.create(tmp_path / "pamctl-a.ring", meta(log), 2048) as ring:
-        process = spawn(ring.path)
+        process = spawn_recorder(ring.path)
         with pytest.raises(RecorderError, match=r"no room for a log at .*No space left"):
-            await_ready(ring, process)
+            await_recorder(ring, process)
         assert end(process)[0] == 3
         assert ring.recorder_flags == RecorderFlag.FAILED | RecorderFlag.DISK_FULL
     assert not log.exists()

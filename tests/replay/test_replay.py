@@ -25,7 +25,7 @@ from typer.testing import CliRunner
 
 import hal.converter
 from hal.calibration import position_m
-from hal.converter import converted_v
+from hal.converter import quantise_v
 from pamctl.cli.app import app
 from pamctl.control import experiment, filters, law, qsmc, smc
 from pamctl.control.experiment import Course, Segment
@@ -34,14 +34,14 @@ from pamctl.control.homing import Homing
 from pamctl.control.trajectory import rest_to_rest
 from pamctl.log import Log, read
 from pamctl.log.importing.imported_log import write_imported
-from pamctl.log.repair.recover import recover
+from pamctl.log.repair.recover import recover_file
 from pamctl.plant.paper import muscle, valve
 from pamctl.realtime import tick
-from pamctl.realtime.keyframe import frozen
-from pamctl.replay import NotReplayable, compared_fields, recording_of, replay
-from pamctl.replay.differences import differing
-from pamctl.replay.retick import RETICKED, reticked
-from pamctl.replay.retrace import retraced
+from pamctl.realtime.keyframe import freeze_state
+from pamctl.replay import NotReplayable, list_compared_fields, read_replay_source, replay_log
+from pamctl.replay.differences import find_differing
+from pamctl.replay.retick import RETICK_FIELDS, retick_stretch
+from pamctl.replay.retrace import retrace_course
 from pamctl.replay.tolerance import OTHER_CPU, Tolerance, read_tolerances
 from pamctl.safety import PINNED, SENSOR_RANGE, admit
 from pamctl.settings.resolve import from_resolved
@@ -84,7 +84,7 @@ def test_the_golden_logs_hold_what_they_are_kept_for(golden: Callable[[str], Log
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_golden_log_replays_equal(name: str, golden: Callable[[str], Log]) -> None:
-    found = replay(golden(name), tolerances=OTHER_CPU)
+    found = replay_log(golden(name), tolerances=OTHER_CPU)
     assert found.differences == ()
     assert found.is_whole
     assert found.ticks == len(golden(name))
@@ -95,16 +95,19 @@ def test_a_golden_log_replays_equal(name: str, golden: Callable[[str], Log]) -> 
 def test_the_compiled_tick_and_the_plain_one_agree_to_the_bit(
     name: str, golden: Callable[[str], Log]
 ) -> None:
-    recording = recording_of(golden(name))
+    recording = read_replay_source(golden(name))
     after = None
-    for begin, end in recording.stretches(0):
+    for begin, end in recording.cut_stretches(0):
         state = recording.state_at(begin, after)
         given = (recording.setup_at(begin), recording.output, state, recording.inputs(begin, end))
-        after, plain = reticked(*given, plain=True)
-        after_compiled, compiled = reticked(*given)
-        for field, here, there in zip(RETICKED, plain, compiled, strict=True):
-            assert differing(here, there) is None, field.name
-        assert differing(np.array(frozen(after)), np.array(frozen(after_compiled))) is None
+        after, plain = retick_stretch(*given, plain=True)
+        after_compiled, compiled = retick_stretch(*given)
+        for field, here, there in zip(RETICK_FIELDS, plain, compiled, strict=True):
+            assert find_differing(here, there) is None, field.name
+        assert (
+            find_differing(np.array(freeze_state(after)), np.array(freeze_state(after_compiled)))
+            is None
+        )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -133,12 +136,12 @@ def test_a_course_in_one_go_is_the_course_tick_by_tick(
     t_s = begin_s + np.arange(round(1.2e3 * duration_s)) * 1e-3
     asked = [walked.at(t) for t in (t_s - begin_s).tolist()]
     last = next((i for i, reference in enumerate(asked) if reference is None), len(asked))
-    rows = retraced(course, walked.duration_s, begin_s, t_s[:last])
+    rows = retrace_course(course, walked.duration_s, begin_s, t_s[:last])
     assert rows is not None
     expected = np.array(asked[:last], float).reshape(-1, 6).T
-    assert all(differing(np.array(a), b) is None for a, b in zip(expected, rows, strict=True))
+    assert all(find_differing(np.array(a), b) is None for a, b in zip(expected, rows, strict=True))
     if last < len(asked):
-        assert retraced(course, walked.duration_s, begin_s, t_s) is None
+        assert retrace_course(course, walked.duration_s, begin_s, t_s) is None
 
 
 def test_nothing_that_comes_from_the_wall_clock_is_compared() -> None:
@@ -148,9 +151,9 @@ def test_nothing_that_comes_from_the_wall_clock_is_compared() -> None:
         for field in TICK_FIELDS
         if field.stage in ("measurement", "reference", "estimate", "command", "decision")
     }
-    assert not by_the_clock & set(compared_fields())
-    assert of_the_tick <= set(compared_fields())
-    assert "applied_v" in compared_fields()
+    assert not by_the_clock & set(list_compared_fields())
+    assert of_the_tick <= set(list_compared_fields())
+    assert "applied_v" in list_compared_fields()
 
 
 # --- a changed setting is caught, and its stage is named ---------------------------------------
@@ -190,13 +193,13 @@ def test_another_setting_is_caught_and_its_stage_named_first(
     key: str, golden: Callable[[str], Log]
 ) -> None:
     value, stage = SETTINGS[key]
-    found = replay(with_config(golden("qsmc"), key, value), tolerances=OTHER_CPU)
+    found = replay_log(with_config(golden("qsmc"), key, value), tolerances=OTHER_CPU)
     assert found.differences[0].place.stage == stage
 
 
 def test_a_stage_before_the_changed_one_stays_equal(golden: Callable[[str], Log]) -> None:
     changed = with_config(golden("qsmc"), "controller.eta", 0.5)
-    stages = {d.place.stage for d in replay(changed, tolerances=OTHER_CPU).differences}
+    stages = {d.place.stage for d in replay_log(changed, tolerances=OTHER_CPU).differences}
     assert "command" in stages
     assert not stages & {"zero", "measurement", "reference", "estimate"}
 
@@ -207,7 +210,7 @@ def test_the_first_difference_is_the_first_one(golden: Callable[[str], Log]) -> 
     at = 700
     command[at] += 1e-6
     changed = replace(log, columns={**log.columns, "command_v": command})
-    found = replay(changed, tolerances=OTHER_CPU)
+    found = replay_log(changed, tolerances=OTHER_CPU)
     assert [d.place.name for d in found.differences if d.place.name == "command_v"]
     first = found.differences[0]
     assert (first.place.stage, first.place.name) == ("command", "command_v")
@@ -230,12 +233,12 @@ MUTATIONS: dict[str, tuple[str, str, Any, Any, str, str]] = {
     "safety rule": ("trip-wire", "decision", tick, admit, "|= SENSOR_RANGE", "|= STALE_SAMPLE"),
     "calibration": ("steps", "measurement", tick, position_m, "(counts -", "(counts + 0.5 -"),
     "trajectory": ("pid-delayed", "reference", experiment, rest_to_rest, "35.0", "35.001"),
-    "homing": ("missed", "zero", Homing, Homing._found_zero, "[-2:]", "[-1:]"),
+    "homing": ("missed", "zero", Homing, Homing._take_zero, "[-2:]", "[-1:]"),
     "output": (
         "card",
         "outcome",
         hal.converter,
-        converted_v,
+        quantise_v,
         "volts / step",
         "1.01 * volts / step",
     ),
@@ -249,7 +252,7 @@ def test_another_source_is_caught_and_its_stage_named_first(
 ) -> None:
     name, stage, where, function, old, new = MUTATIONS[what]
     monkeypatch.setattr(where, function.__name__, mutated(function, old, new))
-    found = replay(golden(name), plain=True, tolerances=OTHER_CPU)
+    found = replay_log(golden(name), plain=True, tolerances=OTHER_CPU)
     assert found.differences[0].place.stage == stage
 
 
@@ -286,8 +289,8 @@ def other_libm(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
 def test_another_libm_is_within_the_tolerances_for_other_cpus_and_not_equal(
     name: str, other_libm: None, golden: Callable[[str], Log]
 ) -> None:
-    assert replay(golden(name), plain=True, tolerances=OTHER_CPU).is_equal
-    exact = replay(golden(name), plain=True)
+    assert replay_log(golden(name), plain=True, tolerances=OTHER_CPU).is_equal
+    exact = replay_log(golden(name), plain=True)
     assert exact.differences[0].place.stage == "estimate"
 
 
@@ -302,7 +305,7 @@ def test_two_values_differ_unless_they_are_the_same_bits_both_nan_or_within_the_
     a, b = np.array([logged]), np.array([replayed])
     same = a.tobytes() == b.tobytes() or (math.isnan(logged) and math.isnan(replayed))
     near = absolute > 0 and abs(logged - replayed) <= absolute
-    assert (differing(a, b, Tolerance(absolute)) is None) == (same or near)
+    assert (find_differing(a, b, Tolerance(absolute)) is None) == (same or near)
 
 
 def test_a_tolerance_file_forgives_the_fields_that_it_names(
@@ -310,9 +313,9 @@ def test_a_tolerance_file_forgives_the_fields_that_it_names(
 ) -> None:
     file = tmp_path / "tolerance.yaml"
     file.write_text("valve_v: {absolute: 10}\nverdicts: {absolute: 3}\napplied_v: {relative: 10}\n")
-    tolerances = read_tolerances(file, compared_fields())
+    tolerances = read_tolerances(file, list_compared_fields())
     changed = with_config(golden("qsmc"), "rig.limits.slew_v_per_s", 10.0)
-    found = replay(changed, tolerances={**OTHER_CPU, **tolerances})
+    found = replay_log(changed, tolerances={**OTHER_CPU, **tolerances})
     stages = {difference.place.stage for difference in found.differences}
     assert "decision" not in stages
 
@@ -333,7 +336,7 @@ def test_a_tolerance_for_a_field_that_is_not_there_is_refused_with_the_nearest(
 
 def test_a_replay_can_start_from_a_frozen_state(golden: Callable[[str], Log]) -> None:
     log = golden("smc")
-    found = replay(log, from_s=1.2, tolerances=OTHER_CPU)
+    found = replay_log(log, from_s=1.2, tolerances=OTHER_CPU)
     assert found.begin == 1000
     assert found.is_equal
     assert found.is_whole
@@ -343,12 +346,12 @@ def test_a_replay_can_start_from_a_frozen_state(golden: Callable[[str], Log]) ->
 def test_before_the_first_frozen_state_it_starts_from_the_beginning(
     golden: Callable[[str], Log],
 ) -> None:
-    assert replay(golden("smc"), from_s=0.5, tolerances=OTHER_CPU).begin == 0
+    assert replay_log(golden("smc"), from_s=0.5, tolerances=OTHER_CPU).begin == 0
 
 
 def test_a_start_after_the_end_is_refused(golden: Callable[[str], Log]) -> None:
     with pytest.raises(NotReplayable, match="ends at"):
-        replay(golden("smc"), from_s=100.0)
+        replay_log(golden("smc"), from_s=100.0)
 
 
 # --- logs that lost something --------------------------------------------------------------------
@@ -358,9 +361,9 @@ def chunks_of(log: Path) -> Iterator[tuple[int, int]]:
     """Return where the chunks of a log begin and end."""
     from mcap.opcode import Opcode
 
-    from pamctl.log.framing import mapped, walk
+    from pamctl.log.framing import map_log_file, walk_records
 
-    for record in walk(mapped(log)):
+    for record in walk_records(map_log_file(log)):
         if record.opcode == Opcode.CHUNK:
             yield record.start, record.end
 
@@ -371,7 +374,7 @@ def recovered_without_a_chunk(tmp_path: Path, name: str, which: int) -> Log:
     _, end = list(chunks_of(source))[which]
     data[end - 100] ^= 0xFF
     (tmp_path / "damaged.mcap").write_bytes(data)
-    recover(tmp_path / "damaged.mcap", tmp_path / "saved.mcap")
+    recover_file(tmp_path / "damaged.mcap", tmp_path / "saved.mcap")
     return read(tmp_path / "saved.mcap")
 
 
@@ -379,7 +382,7 @@ def test_behind_a_loss_it_goes_on_from_the_next_frozen_state_and_says_so(tmp_pat
     log = recovered_without_a_chunk(tmp_path, "card", 2)
     lost = np.flatnonzero(np.diff(log["tick"]) - 1 != log["missed"][1:])
     assert len(lost) == 1
-    found = replay(log, tolerances=OTHER_CPU)
+    found = replay_log(log, tolerances=OTHER_CPU)
     assert found.is_equal
     assert not found.is_whole
     resumed = int(np.searchsorted(log["tick"], 1000))
@@ -395,7 +398,7 @@ def test_a_log_that_begins_with_a_loss_and_has_no_frozen_state_is_refused(tmp_pa
     assert len(log) > 100
     assert log["tick"][0] > 0
     with pytest.raises(NotReplayable, match="nobody knows the state"):
-        replay(log)
+        replay_log(log)
 
 
 def test_a_damaged_log_is_refused_with_the_way_to_recover_it(tmp_path: Path) -> None:
@@ -409,8 +412,8 @@ def test_a_damaged_log_is_refused_with_the_way_to_recover_it(tmp_path: Path) -> 
 def test_a_truncated_log_replays_once_it_is_recovered(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((GOLDEN / "missed.mcap").read_bytes()[:-60_000])
-    recover(cut, tmp_path / "saved.mcap")
-    found = replay(read(tmp_path / "saved.mcap"), tolerances=OTHER_CPU)
+    recover_file(cut, tmp_path / "saved.mcap")
+    found = replay_log(read(tmp_path / "saved.mcap"), tolerances=OTHER_CPU)
     assert found.is_equal
     assert found.is_whole
     assert found.ticks > 300
@@ -434,7 +437,7 @@ def test_a_log_that_lacks_what_the_tick_needs_names_the_version_to_replay_it_wit
     log = golden("qsmc")
     columns = {name: column for name, column in log.columns.items() if name != "pressure_v"}
     with pytest.raises(NotReplayable, match=r"lacks pressure_v.* replay it with pamctl 0\.1\.0"):
-        replay(replace(log, columns=columns))
+        replay_log(replace(log, columns=columns))
 
 
 def test_a_configuration_of_another_version_is_refused_with_the_key_that_does_not_fit(
@@ -442,7 +445,7 @@ def test_a_configuration_of_another_version_is_refused_with_the_key_that_does_no
 ) -> None:
     older = with_config(golden("qsmc"), "controller.lambda_hz", 3.0)
     with pytest.raises(NotReplayable, match=r"controller\.lambda_hz: unknown key"):
-        replay(older)
+        replay_log(older)
 
 
 def test_a_field_that_an_older_log_lacks_is_not_compared_and_named(
@@ -450,7 +453,7 @@ def test_a_field_that_an_older_log_lacks_is_not_compared_and_named(
 ) -> None:
     log = golden("qsmc")
     columns = {name: column for name, column in log.columns.items() if name != "robust_v"}
-    found = replay(replace(log, columns=columns), tolerances=OTHER_CPU)
+    found = replay_log(replace(log, columns=columns), tolerances=OTHER_CPU)
     assert found.is_equal
     assert found.absent == ("robust_v",)
 
@@ -462,14 +465,14 @@ def test_a_frozen_state_of_another_version_is_not_taken_for_ours(
     keyframes = copy.deepcopy(log.keyframes)
     del keyframes[0]["state"]["law.absement_m_s"]
     older = replace(log, keyframes=keyframes)
-    assert replay(older, tolerances=OTHER_CPU).is_equal
+    assert replay_log(older, tolerances=OTHER_CPU).is_equal
     with pytest.raises(NotReplayable, match="no frozen state that this version knows"):
-        replay(older, from_s=1.2)
+        replay_log(older, from_s=1.2)
 
 
 def test_a_log_without_configuration_is_refused(golden: Callable[[str], Log]) -> None:
     with pytest.raises(NotReplayable, match="no configuration"):
-        replay(replace(golden("qsmc"), config={}))
+        replay_log(replace(golden("qsmc"), config={}))
 
 
 # --- what if --------------------------------------------------------------------------------------

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.log.importing.imported_log import write_imported
-from pamctl.report.compose import report
+from pamctl.report.compose import compose_report
 from pamctl.report.html_page import Page
-from pamctl.report.reported_run import runs_of
-from pamctl.report.svg import Axis, Plot
+from pamctl.report.reported_run import name_runs
+from pamctl.report.svg import PlotAxis, SvgPlot
 
 HOSTILE = "<script>alert('x')</script>"
 
@@ -66,7 +66,7 @@ def imported(folder: Path) -> Path:
 
 
 def page_of(*paths: Path) -> str:
-    return report([read(path) for path in paths]).html()
+    return compose_report([read(path) for path in paths]).html()
 
 
 def test_the_page_of_a_minute_stays_below_a_megabyte_and_holds_the_whole_story(minute):
@@ -90,7 +90,7 @@ def test_the_figures_of_the_page_are_those_of_the_run(minute):
 def test_a_trip_is_told_with_its_reason_and_its_time(tripped):
     html = page_of(tripped)
     assert "Ended with exit code 4" in html
-    at_s = read(tripped)["t_s"][-1] - read(tripped)["t_s"][runs_of([read(tripped)])[0].shown][0]
+    at_s = read(tripped)["t_s"][-1] - read(tripped)["t_s"][name_runs([read(tripped)])[0].shown][0]
     assert re.search(rf"trip</td>.*tracking error above its limit.*{at_s:.3f}", html)
 
 
@@ -118,7 +118,7 @@ def test_a_log_without_ticks_and_one_with_a_single_tick_are_reported_in_words(fo
     for count in (0, 1):
         columns = {name: values[:count] for name, values in log.columns.items()}
         short = type(log)(**{**vars(log), "columns": columns, "time_ns": log.time_ns[:count]})
-        html = report([short]).html()
+        html = compose_report([short]).html()
         words = "holds no tick" if count == 0 else "Too few ticks"
         assert words in html
 
@@ -133,7 +133,7 @@ def test_several_runs_share_a_page_a_time_axis_and_a_table_of_what_differs(minut
 def test_gains_that_changed_in_the_run_are_told_with_their_time(square):
     log = read(square)
     later = {**log.gains[0], "lambda_per_s": 12.5, "tick": 3000}
-    html = report([type(log)(**{**vars(log), "gains": [log.gains[0], later]})]).html()
+    html = compose_report([type(log)(**{**vars(log), "gains": [log.gains[0], later]})]).html()
     (row,) = re.findall(r"<td[^>]*>lambda_per_s</td><td[^>]*>([\d.]+)</td><td[^>]*>12.5</td>", html)
     assert float(row) == log.gains[0]["lambda_per_s"]
 
@@ -150,7 +150,7 @@ def test_logs_of_the_same_name_are_told_apart_by_their_folders(folder, square):
     twin = folder / "elsewhere"
     twin.mkdir()
     (twin / square.name).write_bytes(square.read_bytes())
-    names = [run.name for run in runs_of([read(square), read(twin / square.name)])]
+    names = [run.name for run in name_runs([read(square), read(twin / square.name)])]
     assert names == ["square", "elsewhere/square"]
 
 
@@ -190,7 +190,7 @@ def test_a_phone_shows_the_page_without_complaint_and_without_scrolling_sideways
 def test_the_look_sees_what_is_wrong_with_a_page(tmp_path):
     page = tmp_path / "report.html"
     wrong = Page("wrong")
-    wrong.figure(Plot("p", Axis("x"), Axis("y")).line([0.0, 1.0], [0.0, 1.0]))
+    wrong.figure(SvgPlot("p", PlotAxis("x"), PlotAxis("y")).line([0.0, 1.0], [0.0, 1.0]))
     bad = '<div style="width:900px">wide</div><img src="picture.png"></main>'
     page.write_text(wrong.html().replace("</main>", bad))
     found, console, _ = look(page, tmp_path, width=390)

@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pamctl.report.decimate import extremes, one_of_each_cell, unbroken, without_repeats
+from pamctl.report.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
 from pamctl.report.html_page import Page
-from pamctl.report.scale import Axis, Scale, nice_step, scale_of, tick_text
-from pamctl.report.svg import Plot
+from pamctl.report.scale import PlotAxis, Scale, choose_step, fit_scale, format_tick
+from pamctl.report.svg import SvgPlot
 
 HEIGHTS = st.floats(-1e6, 1e6, allow_nan=False)
 HOSTILE = '</title><script>alert("1")</script><img src=x onerror=alert(1)>&"\''
-T, Y = Axis("time", "s", tight=True), Axis("displacement", "mm")
+T, Y = PlotAxis("time", "s", tight=True), PlotAxis("displacement", "mm")
 
 
 @st.composite
@@ -31,7 +31,7 @@ def lines(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
 @given(lines(), st.floats(0.5, 50.0))
 def test_every_column_keeps_its_lowest_and_its_highest_point(line, column):
     x, y = line
-    kept = extremes(x, y, column)
+    kept = keep_extremes(x, y, column)
     assert (np.diff(kept) > 0).all()
     assert {0, len(x) - 1} <= set(kept.tolist())
     columns = np.floor(x / column)
@@ -43,7 +43,7 @@ def test_every_column_keeps_its_lowest_and_its_highest_point(line, column):
 @given(lines(), st.floats(0.5, 50.0))
 def test_a_column_costs_two_points_however_many_there_are(line, column):
     x, y = line
-    assert len(extremes(x, y, column)) <= 2 * len(np.unique(np.floor(x / column))) + 2
+    assert len(keep_extremes(x, y, column)) <= 2 * len(np.unique(np.floor(x / column))) + 2
 
 
 @given(lines(), st.floats(0.5, 50.0))
@@ -53,7 +53,7 @@ def test_every_point_of_a_curve_or_cloud_lies_in_a_cell_that_is_drawn(line, cell
     def cells(kept):
         return set(zip(np.floor(x[kept] / cell), np.floor(y[kept] / cell), strict=True))
 
-    for kept in (without_repeats(x, y, cell), one_of_each_cell(x, y, cell)):
+    for kept in (drop_repeats(x, y, cell), thin_cloud(x, y, cell)):
         assert cells(kept) == cells(np.arange(len(x)))
         assert y[kept].min() == y.min()
         assert x[kept].max() == x.max()
@@ -63,7 +63,7 @@ def test_a_single_spike_of_a_minute_at_1_khz_reaches_the_drawing():
     t = np.arange(60_000) * 1e-3
     y = np.zeros_like(t)
     y[31_415] = 1.0
-    drawn = Plot("spike", T, Axis("y", low=0.0, high=1.0), height_px=100).line(t, y).html()
+    drawn = SvgPlot("spike", T, PlotAxis("y", low=0.0, high=1.0), height_px=100).line(t, y).html()
     (outline,) = re.findall(r'<path class="l c0" d="([^"]+)"', drawn)
     assert min(_heights(outline)) == 0  # the top of the frame
     assert len(outline) < 20_000
@@ -71,15 +71,15 @@ def test_a_single_spike_of_a_minute_at_1_khz_reaches_the_drawing():
 
 def test_a_line_breaks_where_the_value_is_not_a_number_and_a_lone_point_is_a_dot():
     y = np.array([1.0, 2.0, np.nan, 3.0, np.inf, 4.0, 5.0])
-    assert unbroken(np.arange(7.0), y) == [slice(0, 2), slice(3, 4), slice(5, 7)]
-    drawn = Plot("gaps", T, Y).line(np.arange(7.0), y).html()
+    assert find_unbroken(np.arange(7.0), y) == [slice(0, 2), slice(3, 4), slice(5, 7)]
+    drawn = SvgPlot("gaps", T, Y).line(np.arange(7.0), y).html()
     (outline,) = re.findall(r'<path class="l c0" d="([^"]+)"', drawn)
     assert outline.count("M") == 3
     assert "h0" in outline
 
 
 def test_a_step_line_holds_its_value_until_the_next():
-    drawn = Plot("steps", T, Axis("u", "V", low=0.0, high=1.0), height_px=100)
+    drawn = SvgPlot("steps", T, PlotAxis("u", "V", low=0.0, high=1.0), height_px=100)
     outline = drawn.line([0.0, 1.0, 2.0], [0.0, 1.0, 0.5], step=True).html()
     (path,) = re.findall(r'<path class="l c0" d="([^"]+)"', outline)
     assert path == "M0 1000l3600 0 0-1000 3600 0 0 500"
@@ -99,7 +99,7 @@ def test_ticks_are_round_rising_within_the_axis_and_tell_themselves_apart(low, s
 
 @given(st.floats(1e-12, 1e12))
 def test_a_nice_step_is_one_two_or_five_times_a_power_of_ten(rough):
-    step = nice_step(rough)
+    step = choose_step(rough)
     digits = f"{step:.3e}"
     assert digits[:5] in ("1.000", "2.000", "5.000")
     assert rough * 0.99 <= step <= rough * 2.6
@@ -110,20 +110,20 @@ def test_a_nice_step_is_one_two_or_five_times_a_power_of_ten(rough):
     [([], 0.0, 1.0), ([np.nan, np.inf], 0.0, 1.0), ([0.0, 0.0], -1.0, 1.0), ([20.0], 19.0, 21.0)],
 )
 def test_an_axis_without_extent_still_has_one(data, low, high):
-    scale = scale_of(Axis("x"), [np.array(data)])
+    scale = fit_scale(PlotAxis("x"), [np.array(data)])
     assert (scale.low, scale.high) == (low, high)
 
 
 def test_a_log_axis_leaves_out_what_it_cannot_show():
-    scale = scale_of(Axis("count", log=True), [np.array([-1.0, 0.0, 1.0, 1000.0])])
+    scale = fit_scale(PlotAxis("count", log=True), [np.array([-1.0, 0.0, 1.0, 1000.0])])
     assert 0.5 < scale.low < 1.0
     assert np.isnan(scale.places(np.array([0.0, -1.0]))).all()
     assert [tick.text for tick in scale.ticks()] == ["1", "10", "100", "1000"]
 
 
 def test_numbers_far_from_zero_keep_the_digits_that_tell_them_apart():
-    assert tick_text(101_325.25, 0.25 / 5, 101_325.25) == "101325.25"
-    assert tick_text(-0.5, 0.5, 1.0) == "\N{MINUS SIGN}0.5"
+    assert format_tick(101_325.25, 0.25 / 5, 101_325.25) == "101325.25"
+    assert format_tick(-0.5, 0.5, 1.0) == "\N{MINUS SIGN}0.5"
 
 
 def test_hostile_texts_stay_texts_everywhere():
@@ -136,7 +136,7 @@ def test_hostile_texts_stay_texts_everywhere():
     page.facts({HOSTILE: HOSTILE})
     page.table([HOSTILE], [[HOSTILE]], caption=HOSTILE)
     page.fold(HOSTILE, HOSTILE)
-    plot = Plot(HOSTILE, Axis(HOSTILE, HOSTILE), Axis(HOSTILE, HOSTILE))
+    plot = SvgPlot(HOSTILE, PlotAxis(HOSTILE, HOSTILE), PlotAxis(HOSTILE, HOSTILE))
     plot.line([0.0, 1.0], [0.0, 1.0], HOSTILE).level(0.5, HOSTILE).place(0.5, HOSTILE)
     plot.heat([0.0, 1.0], [0.0, 1.0], [[0.5]], HOSTILE)
     page.figure(plot, caption=HOSTILE)
@@ -148,7 +148,7 @@ def test_hostile_texts_stay_texts_everywhere():
 
 def test_a_page_asks_for_nothing_outside_itself():
     page = Page("alone")
-    page.figure(Plot("p", T, Y).line([0.0, 1.0], [0.0, 1.0]))
+    page.figure(SvgPlot("p", T, Y).line([0.0, 1.0], [0.0, 1.0]))
     html = page.html()
     assert not re.search(r"(?:src|href)\s*=\s*[\"'](?!#)", html)
     assert not re.search(r"url\(|@import|https?:", html)
@@ -157,7 +157,7 @@ def test_a_page_asks_for_nothing_outside_itself():
 
 def test_every_kind_of_mark_makes_well_formed_svg():
     x = np.linspace(0.0, 1.0, 50)
-    plot = Plot("all", Axis("x"), Axis("y"))
+    plot = SvgPlot("all", PlotAxis("x"), PlotAxis("y"))
     plot.line(x, x, "a").curve(x, x**2, "b").points(x, x**3, "c").band(x, 0.0, x, "d")
     plot.bars(np.linspace(0, 1, 5), [0.0, 1.0, 2.0, np.nan], "e").level(0.2, "l").place(0.3, "p")
     root = ElementTree.fromstring(plot.html())
@@ -168,15 +168,15 @@ def test_every_kind_of_mark_makes_well_formed_svg():
 
 def test_a_plot_without_data_says_so():
     for data in ([], [np.nan, np.nan]):
-        assert "nothing was measured" in Plot("p", T, Y).line(data, data).html()
-    assert "nothing was measured" not in Plot("p", T, Y).line([0.0], [1.0]).html()
+        assert "nothing was measured" in SvgPlot("p", T, Y).line(data, data).html()
+    assert "nothing was measured" not in SvgPlot("p", T, Y).line([0.0], [1.0]).html()
 
 
 def test_data_of_unequal_length_are_refused_by_the_plots_name():
     with pytest.raises(ValueError, match="spiral: x has shape"):
-        Plot("spiral", T, Y).line([0.0, 1.0], [0.0])
+        SvgPlot("spiral", T, Y).line([0.0, 1.0], [0.0])
     with pytest.raises(ValueError, match="spiral: a histogram has one edge more"):
-        Plot("spiral", T, Y).bars([0.0, 1.0], [1.0, 2.0])
+        SvgPlot("spiral", T, Y).bars([0.0, 1.0], [1.0, 2.0])
 
 
 def _heights(outline: str) -> list[int]:

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.reproduce import paper_cases as cases
-from pamctl.reproduce.reproduction import PARTS, reproduce
-from pamctl.reproduce.table_iv import inside
-from pamctl.simulate.merit import TABLE_IV, merits_of
+from pamctl.reproduce.reproduction import PARTS, reproduce_paper
+from pamctl.reproduce.table_iv import is_within_bound
+from pamctl.simulate.merit import TABLE_IV, compute_log_merits
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def test_the_numbers_are_those_of_a_run_that_begins_at_once(numbers, tmp_path):
     options = [word for key in begin_at_once for word in ("--set", key)]
     which = ["--controller", "paper-table3-qsmc", "--experiment", "tracking-2"]
     CliRunner().invoke(app, ["run", "--fast", "--quiet", "--log", str(log), *which, *options])
-    measured = merits_of(read(log))["measured"]
+    measured = compute_log_merits(read(log))["measured"]
     assert measured is not None
     batch = numbers["fig5"]["qSMC as printed"]
     assert batch["max_m"] == pytest.approx(measured.max_m, rel=1e-12)
@@ -51,8 +51,8 @@ def test_the_printed_qsmc_stays_inside_table_iv_and_in_millimetres_it_does_not(n
     table = numbers["table4"]
     for experiment in ("tracking-1", "tracking-2"):
         found, bound = table["simulated"]["paper"][experiment], table["paper"][experiment]["qsmc"]
-        assert inside(found["qSMC as printed"], bound)
-        assert not inside(found["qSMC as printed, in mm"], bound)
+        assert is_within_bound(found["qSMC as printed"], bound)
+        assert not is_within_bound(found["qSMC as printed, in mm"], bound)
 
 
 def test_the_printed_smc_trips_and_without_the_limit_it_is_off_by_millimetres(numbers):
@@ -115,8 +115,8 @@ def test_a_phone_shows_the_whole_paper_below_a_megabyte(whole, tmp_path):
 
 def test_the_same_seed_gives_the_same_page_and_another_seed_other_numbers():
     def made(seed: int) -> tuple[str, dict[str, Any]]:
-        cases._simulated.cache_clear()
-        found = reproduce(["fig5"], seed)
+        cases._simulate_case.cache_clear()
+        found = reproduce_paper(["fig5"], seed)
         return found.page.html(), found.numbers
 
     first = made(3)

@@ -23,18 +23,18 @@ from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
     DEFAULT_NAMES,
     SECTIONS,
-    Raw,
+    RawSettings,
     RunSettings,
-    check,
+    build_config_schema,
+    check_config_file,
     config_dir,
-    find,
+    find_config_file,
     from_resolved,
-    names,
+    list_shipped,
     resolve,
-    schema,
-    to_json,
-    to_yaml,
-    validated,
+    settings_to_json,
+    settings_to_yaml,
+    validate_settings,
 )
 
 SCHEMA_LINE = "# yaml-language-server: $schema=../pamctl.schema.json"
@@ -89,14 +89,14 @@ def _in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def toy_problems(text: str, *overrides: str) -> list[str]:
     Path("my.yaml").write_text(text)
     with pytest.raises(ConfigError) as caught:
-        toy(Raw.read(Path("my.yaml")), *overrides)
+        toy(RawSettings.read(Path("my.yaml")), *overrides)
     return str(caught.value).splitlines()
 
 
-def toy(raw: Raw, *overrides: str) -> Toy:
+def toy(raw: RawSettings, *overrides: str) -> Toy:
     for override in overrides:
         raw.override(override)
-    return validated(TOY, raw)
+    return validate_settings(TOY, raw)
 
 
 SLIDING = "controller:\n  law: sliding\n  lambda_per_s: 225\n"
@@ -236,7 +236,7 @@ JARGON = ("input", "Input", "extra", "permitted", "instance", "tag", "Field requ
 def test_pydantics_jargon_never_reaches_the_user(data: Any) -> None:
     mapping = data if isinstance(data, dict) else {"controller": data}
     try:
-        toy(Raw(mapping, {(): "my.yaml:1:1"}))
+        toy(RawSettings(mapping, {(): "my.yaml:1:1"}))
     except ConfigError as error:
         said = str(error)
     else:
@@ -250,7 +250,7 @@ def test_pydantics_jargon_never_reaches_the_user(data: Any) -> None:
 
 def test_an_override_takes_a_scalar_or_a_flow_value_and_makes_the_mappings_on_its_way() -> None:
     made = toy(
-        Raw.parse(f"{SLIDING}steps: [{{low_m: 0}}]\n", Path("my.yaml")),
+        RawSettings.parse(f"{SLIDING}steps: [{{low_m: 0}}]\n", Path("my.yaml")),
         "controller.lambda_per_s=1e1",
         "controller.taps=[3, 4]",
         "limits.low_m=-0.5",
@@ -299,8 +299,8 @@ def test_settings_come_back_equal_from_yaml_and_from_json(
 ) -> None:
     gains = Sliding(law="sliding", lambda_per_s=rate, limit_v=limit, notes=notes)
     made = Toy(controller=gains, steps=[Limits(low_m=1e-05)])
-    for text in (to_yaml(made), to_json(made)):
-        assert toy(Raw.parse(text, Path("log"))) == made
+    for text in (settings_to_yaml(made), settings_to_json(made)):
+        assert toy(RawSettings.parse(text, Path("log"))) == made
 
 
 # --- the shipped files -------------------------------------------------------------------
@@ -315,24 +315,26 @@ def test_every_shipped_file_names_the_schema_and_is_valid() -> None:
     assert list(shipped())
     for path in shipped():
         assert path.read_text().splitlines()[0] == SCHEMA_LINE, path
-        assert check(path) == path.parent.name
+        assert check_config_file(path) == path.parent.name
 
 
 def test_every_section_ships_its_default() -> None:
     for section, name in DEFAULT_NAMES.items():
-        assert name in names(section)
+        assert name in list_shipped(section)
 
 
 def test_the_committed_schema_equals_the_generated_one() -> None:
     committed = json.loads((config_dir() / "pamctl.schema.json").read_text())
-    assert committed == schema(), "run: pamctl config schema > config/pamctl.schema.json"
+    assert committed == build_config_schema(), (
+        "run: pamctl config schema > config/pamctl.schema.json"
+    )
 
 
 def test_every_reference_within_the_schema_leads_somewhere() -> None:
-    text = json.dumps(schema())
+    text = json.dumps(build_config_schema())
     used = {part.split('"')[0] for part in text.split('"#/$defs/')[1:]}
-    assert used <= set(schema()["$defs"])
-    assert len(schema()["anyOf"]) > len(SECTIONS)
+    assert used <= set(build_config_schema()["$defs"])
+    assert len(build_config_schema()["anyOf"]) > len(SECTIONS)
 
 
 def _models(model: type[BaseModel], seen: set[type[BaseModel]]) -> set[type[BaseModel]]:
@@ -377,7 +379,7 @@ def test_every_settings_model_is_frozen_and_refuses_unknown_keys() -> None:
 
 def test_a_run_told_nothing_is_the_default_run_and_comes_back_equal_from_its_log() -> None:
     run = resolve()
-    assert run == from_resolved(to_yaml(run)) == from_resolved(to_json(run))
+    assert run == from_resolved(settings_to_yaml(run)) == from_resolved(settings_to_json(run))
     assert run.seed == 0
     with pytest.raises(ValidationError):
         run.seed = 1  # type: ignore[misc]
@@ -387,7 +389,7 @@ def test_a_run_told_nothing_is_the_default_run_and_comes_back_equal_from_its_log
 @examples(max_examples=20, deadline=None)
 def test_numbers_of_a_run_come_back_to_the_bit(duration_s: float, seed: int) -> None:
     run = default_run().model_copy(update={"duration_s": duration_s, "seed": seed})
-    assert from_resolved(to_yaml(run)) == run
+    assert from_resolved(settings_to_yaml(run)) == run
 
 
 @cache
@@ -431,14 +433,14 @@ def test_problems_of_several_files_come_at_once() -> None:
 
 def test_an_unknown_name_gets_the_nearest_and_the_list() -> None:
     with pytest.raises(ConfigError) as caught:
-        find("plant", "papr")
+        find_config_file("plant", "papr")
     assert str(caught.value).startswith(
         "--plant papr: there is no such plant; did you mean 'paper'? There are paper"
     )
     with pytest.raises(ConfigError, match="there is no such controller"):
         resolve(controller="")  # an empty shell variable is not the default
-    assert find("plant", "paper") == config_dir() / "plant" / "paper.yaml"
-    assert find("plant", "here/paper") == Path("here/paper")
+    assert find_config_file("plant", "paper") == config_dir() / "plant" / "paper.yaml"
+    assert find_config_file("plant", "here/paper") == Path("here/paper")
 
 
 def test_a_resolved_configuration_that_no_longer_fits_names_itself() -> None:
@@ -453,22 +455,24 @@ def test_a_files_kind_is_told_by_its_folder_or_by_its_keys() -> None:
         "rig/mine.yaml": "backend: sim\n",
         "plant.yaml": "base: paper\n",
         "motion.yaml": "kind: tracking\ncycles: 1\n",
-        "resolved.yaml": to_yaml(default_run()),
+        "resolved.yaml": settings_to_yaml(default_run()),
     }.items():
         Path(name).write_text(text)
-    kinds = [check(Path(name)) for name in ("rig/mine.yaml", "plant.yaml", "motion.yaml")]
+    kinds = [
+        check_config_file(Path(name)) for name in ("rig/mine.yaml", "plant.yaml", "motion.yaml")
+    ]
     assert kinds == ["rig", "plant", "experiment"]
-    assert check(Path("resolved.yaml")) == "run"
+    assert check_config_file(Path("resolved.yaml")) == "run"
     Path("what.yaml").write_text("colour: red\n")
     with pytest.raises(ConfigError, match=r"what\.yaml: cannot tell what this configures"):
-        check(Path("what.yaml"))
+        check_config_file(Path("what.yaml"))
 
 
 def test_a_file_with_its_sections_heading_is_told_to_drop_it() -> None:
     Path("plant").mkdir()
     Path("plant/mine.yaml").write_text("plant:\n  base: paper\n")
     with pytest.raises(ConfigError) as caught:
-        check(Path("plant/mine.yaml"))
+        check_config_file(Path("plant/mine.yaml"))
     assert str(caught.value) == (
         "plant/mine.yaml:1:1: plant.plant: unknown key; "
         "a plant's keys stand in its file without this heading"
@@ -573,4 +577,4 @@ def test_config_show_keeps_problems_off_stdout() -> None:
 def test_config_schema_prints_the_schema() -> None:
     code, out, _ = config("schema")
     assert code == 0
-    assert json.loads(out) == schema()
+    assert json.loads(out) == build_config_schema()

@@ -11,7 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pamctl.settings import yaml12 as yamlfile
-from pamctl.settings.yaml12 import MAX_BYTES, YamlError, dump, load, parse, parse_value
+from pamctl.settings.yaml12 import (
+    MAX_BYTES,
+    YamlError,
+    dump_yaml,
+    load_yaml,
+    parse_yaml,
+    parse_yaml_value,
+)
 
 HERE = Path("my.yaml")
 
@@ -25,7 +32,7 @@ def written(folder: Path, content: str | bytes) -> Path:
 def complaint(content: str | bytes, folder: Path) -> str:
     """The error of loading `content`, without the folder it was in."""
     with pytest.raises(YamlError) as caught:
-        load(written(folder, content))
+        load_yaml(written(folder, content))
     return str(caught.value).replace(f"{folder}/", "")
 
 
@@ -51,7 +58,7 @@ def complaint(content: str | bytes, folder: Path) -> str:
     ],
 )
 def test_scalars_follow_the_core_schema_of_yaml_1_2(text: str, value: object) -> None:
-    read = parse_value(text)
+    read = parse_yaml_value(text)
     assert read == value
     assert type(read) is type(value)
 
@@ -60,18 +67,18 @@ def test_scalars_follow_the_core_schema_of_yaml_1_2(text: str, value: object) ->
     "text", ["on", "off", "yes", "no", "y", "1:30", "1_000", "2026-01-01", "="]
 )
 def test_what_only_yaml_1_1_reads_otherwise_stays_text(text: str) -> None:
-    assert parse_value(text) == text
-    assert parse_value("!!str 1e-4") == "1e-4"
+    assert parse_yaml_value(text) == text
+    assert parse_yaml_value("!!str 1e-4") == "1e-4"
 
 
 def test_nan_is_read_as_a_float_for_the_model_to_refuse() -> None:
-    value = parse_value(".nan")
+    value = parse_yaml_value(".nan")
     assert isinstance(value, float)
     assert math.isnan(value)
 
 
 def test_every_key_and_item_knows_its_line_and_column(tmp_path: Path) -> None:
-    document = load(written(tmp_path, "# gains\nlaw: qsmc\neffects:\n  spool: {hz: 109}\n"))
+    document = load_yaml(written(tmp_path, "# gains\nlaw: qsmc\neffects:\n  spool: {hz: 109}\n"))
     assert document.data == {"law": "qsmc", "effects": {"spool": {"hz": 109}}}
     assert document.marks == {
         (): (2, 1),
@@ -80,11 +87,11 @@ def test_every_key_and_item_knows_its_line_and_column(tmp_path: Path) -> None:
         ("effects", "spool"): (4, 3),
         ("effects", "spool", "hz"): (4, 11),
     }
-    assert parse("a:\n- 1\n- 2\n", HERE).marks[("a", 1)] == (3, 3)
+    assert parse_yaml("a:\n- 1\n- 2\n", HERE).marks[("a", 1)] == (3, 3)
 
 
 def test_a_value_below_an_alias_is_placed_where_it_is_written_out() -> None:
-    document = parse("a: &shared\n  k: 1\nb: *shared\n", HERE)
+    document = parse_yaml("a: &shared\n  k: 1\nb: *shared\n", HERE)
     assert document.data == {"a": {"k": 1}, "b": {"k": 1}}
     assert document.marks[("b",)] == (3, 1)
     assert document.marks[("b", "k")] == (2, 3)
@@ -144,27 +151,27 @@ def test_a_huge_file_is_refused_without_being_read(tmp_path: Path) -> None:
     with path.open("wb") as file:
         file.truncate(100_000_000)
     with pytest.raises(YamlError, match="is larger than 256 KiB"):
-        load(path)
+        load_yaml(path)
 
 
 def test_what_is_no_readable_file_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(YamlError, match="no such file"):
-        load(tmp_path / "none.yaml")
+        load_yaml(tmp_path / "none.yaml")
     with pytest.raises(YamlError, match="is a directory, not a file"):
-        load(tmp_path)
+        load_yaml(tmp_path)
     with pytest.raises(YamlError, match="cannot be read"):
-        load(tmp_path / "nul\0.yaml")
+        load_yaml(tmp_path / "nul\0.yaml")
 
     def refuse(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(yamlfile.Path, "open", refuse)  # root may read what chmod forbids
     with pytest.raises(YamlError, match=r"cannot be read \(Permission denied\)"):
-        load(tmp_path / "secret.yaml")
+        load_yaml(tmp_path / "secret.yaml")
 
 
 def test_a_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path: Path) -> None:
-    document = load(written(tmp_path, b"\xef\xbb\xbfa: 1\r\nb: 2\r\n"))
+    document = load_yaml(written(tmp_path, b"\xef\xbb\xbfa: 1\r\nb: 2\r\n"))
     assert document.data == {"a": 1, "b": 2}
     assert document.marks[("b",)] == (2, 1)
 
@@ -190,7 +197,7 @@ YAML_LIKE = st.lists(
 @settings(max_examples=400, deadline=None)
 def test_no_text_raises_anything_but_a_yaml_error(text: str) -> None:
     with suppress(YamlError):
-        assert isinstance(parse(text, HERE).data, dict)
+        assert isinstance(parse_yaml(text, HERE).data, dict)
 
 
 @given(content=st.binary(max_size=60))
@@ -201,7 +208,7 @@ def test_no_bytes_raise_anything_but_a_yaml_error(
     path = tmp_path_factory.getbasetemp() / "bytes.yaml"
     path.write_bytes(content)
     with suppress(YamlError):
-        assert isinstance(load(path).data, dict)
+        assert isinstance(load_yaml(path).data, dict)
 
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
@@ -220,16 +227,16 @@ VALUES = st.recursive(
 @given(st.dictionaries(KEYS, VALUES, max_size=5))
 @settings(max_examples=200, deadline=None)
 def test_what_is_dumped_is_read_back_equal(data: dict[str, object]) -> None:
-    assert parse(dump(data), HERE).data == data
+    assert parse_yaml(dump_yaml(data), HERE).data == data
 
 
 @given(st.floats(allow_nan=False))
 @settings(deadline=None)
 def test_floats_come_back_to_the_bit(value: float) -> None:
-    read = parse(dump({"x": value}), HERE).data["x"]
+    read = parse_yaml(dump_yaml({"x": value}), HERE).data["x"]
     assert isinstance(read, float)
     assert read.hex() == value.hex()
 
 
 def test_a_small_gain_is_dumped_so_that_yaml_1_1_reads_it_too() -> None:
-    assert dump({"k": 1e-05, "law": "on"}) == "k: 1.0e-05\nlaw: 'on'\n"
+    assert dump_yaml({"k": 1e-05, "law": "on"}) == "k: 1.0e-05\nlaw: 'on'\n"

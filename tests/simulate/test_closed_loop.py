@@ -15,16 +15,22 @@ from numpy.typing import NDArray
 from support.runs import MemoryJournal, ScriptedSupervisor
 
 from hal.sim.sim_rig import sensor_chain
-from pamctl.control.experiment import segments
+from pamctl.control.experiment import build_segments
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import plant_parameters
-from pamctl.processes.backends import clock_of, rig_of
-from pamctl.realtime.loop import control
-from pamctl.settings.build import nominal_zero_of, program_of, setup_of
+from pamctl.processes.backends import build_clock, build_rig
+from pamctl.realtime.loop import run_loop
+from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.settings.rig_file import SimRigSettings
 from pamctl.signals import Phase, Reference, TickRecord
-from pamctl.simulate.closed_loop import BatchRow, BatchRun, references, sensor_noise, simulate
+from pamctl.simulate.closed_loop import (
+    BatchRow,
+    BatchRun,
+    draw_sensor_noise,
+    simulate,
+    tabulate_references,
+)
 
 LAWS = ("qsmc", "smc", "pid")  # the shipped gains
 TRACKING = """
@@ -78,15 +84,15 @@ def settled(
 
 
 def real_loop(settings: RunSettings) -> Run:
-    clock = clock_of(settings, may_spin=False)
-    parts = rig_of(settings, clock)
+    clock = build_clock(settings, may_spin=False)
+    parts = build_rig(settings, clock)
     journal = MemoryJournal()
-    ending = control(
+    ending = run_loop(
         parts.rig,
         clock,
-        setup_of(settings),
+        build_tick_setup(settings),
         nominal_zero_of(settings),
-        program_of(settings),
+        build_program(settings),
         journal,
         ScriptedSupervisor(),
         parts.truth,
@@ -101,7 +107,7 @@ def batch(
     rig = settings.rig
     assert isinstance(rig, SimRigSettings)
     return simulate(
-        setup_of(settings),
+        build_tick_setup(settings),
         plant_parameters(settings.plant),
         sensor_chain(rig.sim, rig.calibration),
         asked,
@@ -113,8 +119,10 @@ def batch(
 
 def assert_same_to_the_bit(settings: RunSettings) -> tuple[Run, BatchRun]:
     real = real_loop(settings)
-    asked = references(segments(settings.experiment), 1.0 / settings.rig.loop.rate_hz)
-    compiled = batch(settings, asked, sensor_noise(len(asked), settings.seed))
+    asked = tabulate_references(
+        build_segments(settings.experiment), 1.0 / settings.rig.loop.rate_hz
+    )
+    compiled = batch(settings, asked, draw_sensor_noise(len(asked), settings.seed))
     for name in Reference._fields:
         np.testing.assert_array_equal(compiled[name], real.column(name), err_msg=name)
     for name in BatchRow._fields:
@@ -173,19 +181,19 @@ def test_a_trip_ends_both_in_the_same_tick(folder: Path) -> None:
 
 
 def test_the_noise_depends_on_the_seed_and_on_nothing_else() -> None:
-    np.testing.assert_array_equal(sensor_noise(100, 3), sensor_noise(200, 3)[:100])
-    assert not np.array_equal(sensor_noise(100, 3), sensor_noise(100, 4))
+    np.testing.assert_array_equal(draw_sensor_noise(100, 3), draw_sensor_noise(200, 3)[:100])
+    assert not np.array_equal(draw_sensor_noise(100, 3), draw_sensor_noise(100, 4))
 
 
 def test_finer_steps_of_the_plant_move_the_result_by_less_than_a_micrometre(folder: Path) -> None:
     """Without sensor feedback in the way: the loop's quantised encoder would amplify any bit."""
     settings = settled(folder, "qsmc", "rig.sim.sensor_noise_v=0", experiment="square")
-    asked = references(segments(settings.experiment), 1e-3)
+    asked = tabulate_references(build_segments(settings.experiment), 1e-3)
     still = np.zeros(len(asked))
     rig = settings.rig
     assert isinstance(rig, SimRigSettings)
     common = (
-        setup_of(settings),
+        build_tick_setup(settings),
         plant_parameters(settings.plant),
         sensor_chain(rig.sim, rig.calibration),
         asked,

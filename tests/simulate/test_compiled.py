@@ -14,11 +14,11 @@ from typing import NamedTuple
 import pytest
 
 import pamctl.compiled
-from pamctl.compiled import compiled
+from pamctl.compiled import compile_kernel
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper.valve import orifice_flow
-from pamctl.plant.parameters import PlantState, vented
-from pamctl.plant.step import plant_advance, plant_step
+from pamctl.plant.parameters import PlantState, vented_state
+from pamctl.plant.step import advance_plant, plant_step
 
 VALVE_109_HZ = {"valve_spool": {"time_constant_s": 1 / (2 * math.pi * 109), "damping_ratio": 0.7}}
 OVERDAMPED = {"valve_spool": {"time_constant_s": 2e-3, "damping_ratio": 1.5}}
@@ -39,10 +39,10 @@ def test_a_second_of_the_plant_is_the_same_to_the_bit(effects: dict[str, dict[st
     relative tolerance of some 1e-15.
     """
     p = plant_parameters(PlantSettings(effects=effects))
-    twin = compiled(plant_advance)
-    plain_state = twin_state = vented(p)
+    twin = compile_kernel(advance_plant)
+    plain_state = twin_state = vented_state(p)
     for tick in range(1000):
-        plain_state = plant_advance(p, plain_state, command_v(tick), 1e-3, 0.5e-3)
+        plain_state = advance_plant(p, plain_state, command_v(tick), 1e-3, 0.5e-3)
         twin_state = twin(p, twin_state, command_v(tick), 1e-3, 0.5e-3)
         assert tuple(twin_state) == tuple(plain_state), tick
     assert plain_state.position_m > 1e-3
@@ -50,33 +50,33 @@ def test_a_second_of_the_plant_is_the_same_to_the_bit(effects: dict[str, dict[st
 
 def test_a_twin_returns_the_kernels_own_types() -> None:
     p = plant_parameters(PlantSettings())
-    state = compiled(plant_advance)(p, vented(p), 1.0, 1e-3, 1e-3)
+    state = compile_kernel(advance_plant)(p, vented_state(p), 1.0, 1e-3, 1e-3)
     assert type(state) is PlantState
 
 
 def test_a_kernel_has_one_twin() -> None:
-    assert compiled(plant_advance) is compiled(plant_advance)
+    assert compile_kernel(advance_plant) is compile_kernel(advance_plant)
 
 
 def test_a_kernel_that_another_one_calls_can_be_called_from_python_too() -> None:
     """The cache keeps both kinds of its code apart."""
     p = plant_parameters(PlantSettings())
-    state = compiled(plant_advance)(p, vented(p), 1.0, 1e-3, 1e-3)
-    assert compiled(plant_step)(p, vented(p), 1.0, 1e-3) == state
+    state = compile_kernel(advance_plant)(p, vented_state(p), 1.0, 1e-3, 1e-3)
+    assert compile_kernel(plant_step)(p, vented_state(p), 1.0, 1e-3) == state
 
 
 def test_a_twin_raises_where_the_kernel_does() -> None:
     """Numba's own way would be a silent infinity."""
     p = plant_parameters(PlantSettings())
-    for flow in (orifice_flow, compiled(orifice_flow)):
+    for flow in (orifice_flow, compile_kernel(orifice_flow)):
         with pytest.raises(ZeroDivisionError):
             flow(p.paper, 0.0, 1e5)
 
 
 def test_compiling_leaves_the_plain_function_plain() -> None:
-    before = plant_advance.__globals__["plant_step"]
-    compiled(plant_advance)
-    assert plant_advance.__globals__["plant_step"] is before
+    before = advance_plant.__globals__["plant_step"]
+    compile_kernel(advance_plant)
+    assert advance_plant.__globals__["plant_step"] is before
     assert type(before).__name__ == "function"
 
 
@@ -175,7 +175,7 @@ def test_the_next_process_finds_the_machine_code_unless_a_called_kernel_changed(
     assert {folder.name[:8] for folder in (cache / "pamctl").iterdir()} == {"kernels-"}
 
     # `pressure_step` is in pressure.py, which stays as it is.
-    valve = checkout / "pamctl" / "plant" / "valve.py"
+    valve = checkout / "pamctl" / "plant" / "paper" / "valve.py"
     half = valve.read_text().replace("p.valve_gain_m2_per_v * abs(", "0.5 * abs(1e-6 * ")
     assert half != valve.read_text()
     valve.write_text(half)

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from hal.sim.register import peek_v
-from pamctl.daemon.client import Client, Unreachable
+from pamctl.daemon.client import Client, DaemonUnreachableError
 from pamctl.processes.backends import ao_path
 from support.patience import BUSY_PC, PATIENCE_S
 
@@ -139,7 +139,7 @@ def _await_answer(made: Daemon, said: Path) -> None:
         try:
             made.ask("status")
             return
-        except Unreachable:
+        except DaemonUnreachableError:
             if made.process.poll() is not None or time.monotonic() > deadline_s:
                 raise AssertionError(said.read_text()) from None
             time.sleep(0.02)

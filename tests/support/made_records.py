@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pamctl.control.excitation import ProgramSettings, commands
+from pamctl.control.excitation import ProgramSettings, generate_commands
 from pamctl.diagnose import Record
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.effects import CATALOGUE
@@ -46,7 +46,7 @@ PROGRAMS = {
 
 def command_v(program: str) -> np.ndarray:
     """Sample a program's command at 1 kHz."""
-    held = commands(ProgramSettings(kind="program", parts=PROGRAMS[program]))
+    held = generate_commands(ProgramSettings(kind="program", parts=PROGRAMS[program]))
     return np.concatenate([np.full(round(h.duration_s / PERIOD_S), h.valve_v) for h in held])
 
 

@@ -12,7 +12,7 @@ from subprocess import Popen
 from typing import Any, get_type_hints
 
 from pamctl.log.run_meta import RunMeta
-from pamctl.recording.recorder import await_ready, spawn
+from pamctl.recording.recorder import await_recorder, spawn_recorder
 from pamctl.recording.ring import Ring, RingFull
 from pamctl.signals import TICK_FIELDS, TickRecord
 from support.patience import PATIENCE_S
@@ -91,9 +91,9 @@ def put(ring: Ring, ticks: Iterable[int], *, patience_s: float = PATIENCE_S) -> 
 @contextmanager
 def recording(ring: Ring) -> Iterator[Popen[bytes]]:
     """Run a real recorder on the ring; end it, one way or another, with the block."""
-    process = spawn(ring.path)
+    process = spawn_recorder(ring.path)
     try:
-        await_ready(ring, process)
+        await_recorder(ring, process)
         yield process
     finally:
         process.kill()

@@ -12,8 +12,8 @@ from pamctl.exit_codes import Ending
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
-from pamctl.realtime.loop import control
-from pamctl.settings.build import nominal_zero_of, program_of, setup_of
+from pamctl.realtime.loop import run_loop
+from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.signals import Phase, TickRecord, Truth
 
@@ -46,7 +46,7 @@ class MemoryJournal:
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
         self.keyframes.append((tick, state))
 
-    def no_more_ticks(self) -> None:
+    def end_ticks(self) -> None:
         pass
 
     def named(self, name: str) -> list[Mapping[str, object]]:
@@ -67,11 +67,11 @@ class ScriptedSupervisor:
     abort_at: int | None = None
     tick: int = -1
 
-    def abort_wanted(self) -> bool:
+    def wants_abort(self) -> bool:
         self.tick += 1  # asked once in every tick
         return self.abort_at is not None and self.tick >= self.abort_at
 
-    def stop_wanted(self, tick: int) -> Ending | None:
+    def find_stop(self, tick: int) -> Ending | None:
         return self.ending if self.stop_at is not None and tick >= self.stop_at else None
 
 
@@ -126,12 +126,12 @@ def run(
     """Run the loop to its end, on the settings' plant or another one."""
     made = parts(settings, faults, missed, plant)
     journal = journal or MemoryJournal()
-    ending = control(
+    ending = run_loop(
         wrap(made.whole),
         made.clock,
-        setup_of(settings),
+        build_tick_setup(settings),
         nominal_zero_of(settings),
-        program_of(settings),
+        build_program(settings),
         journal,
         supervisor or ScriptedSupervisor(),
         lambda: Truth(made.plant.position_m, made.plant.pressure_pa),

@@ -12,9 +12,9 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from pamctl.json_text import to_json
-from pamctl.log.container import message_record, message_records
-from pamctl.log.framing import FRAME, Record, mapped, walk
-from pamctl.log.new_file import new_file
+from pamctl.log.container import make_message_record, make_message_records
+from pamctl.log.framing import FRAME, FileRecord, map_log_file, walk_records
+from pamctl.log.new_file import create_new_file
 from pamctl.log.schema import (
     EVENT_TOPIC,
     IMPORTED,
@@ -22,7 +22,7 @@ from pamctl.log.schema import (
     TICK_TOPIC,
     imported_fields,
     tick_descriptor,
-    units,
+    units_of_columns,
 )
 from pamctl.log.wire import TickLayout
 from pamctl.log.writer import NO_SCHEMA, LogWriter
@@ -40,31 +40,31 @@ def write_small(path: Path, chunks: int = CHUNKS) -> Path:
     table["tick"], table["t_s"], table["dt_s"] = tick, tick * 1e-3, 1e-3
     table["position_m"] = np.sin(tick)
     messages = layout.encode(table)
-    with new_file(path) as stream:
+    with create_new_file(path) as stream:
         writer = LogWriter(stream)
         writer.metadata("run", {"law": "qsmc"})
         writer.attachment("config.json", to_json({"law": "qsmc"}))
         schema = (TICK_MESSAGE, "protobuf", tick_descriptor(fields))
-        known = {"schema_version": "1", "units": to_json(units(fields)).decode()}
+        known = {"schema_version": "1", "units": to_json(units_of_columns(fields)).decode()}
         ticks = writer.channel(TICK_TOPIC, "protobuf", schema, {**known, "origin": IMPORTED})
         events = writer.channel(EVENT_TOPIC, "json", NO_SCHEMA)
         for first in range(0, len(tick), CHUNK_TICKS):
             part = messages[first : first + CHUNK_TICKS]
             times_ns = part["tick"].astype(np.int64) * 1_000_000
-            writer.add(ticks, message_records(part, times_ns, part["tick"]))
+            writer.add(ticks, make_message_records(part, times_ns, part["tick"]))
             data = to_json({"event": "x", "value": 0.1 * first, "row": first})
-            writer.add(events, message_record(data, int(times_ns[-1]), first))
+            writer.add(events, make_message_record(data, int(times_ns[-1]), first))
             writer.end_chunk()
         writer.finish()
     return path
 
 
-def rewritten(path: Path, edit: Callable[[Record], bytes]) -> bytes:
+def rewritten(path: Path, edit: Callable[[FileRecord], bytes]) -> bytes:
     """Return a file whose records have other bodies of the same length, every checksum right."""
-    file = mapped(path)
+    file = map_log_file(path)
     out = bytearray(MCAP0_MAGIC)
     summary_at = 0
-    for record in walk(file):
+    for record in walk_records(file):
         body = bytearray(edit(record))
         if record.opcode == Opcode.DATA_END:
             body[:4] = struct.pack("<I", zlib.crc32(out))

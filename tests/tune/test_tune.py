@@ -18,43 +18,55 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pamctl.control.experiment import segments
+from pamctl.control.experiment import build_segments
 from pamctl.control.law import law_gains, respond
 from pamctl.control.surface import ARMED
 from pamctl.plant.model import PlantSettings
-from pamctl.settings.resolve import check, resolve, to_data
+from pamctl.settings.resolve import check_config_file, resolve, settings_to_data
 from pamctl.signals import Estimate, Phase, Reference
-from pamctl.simulate.batch import tracked
-from pamctl.tune import Jury, Member, Search, SearchError, Trial, ensemble, fixed_members
-from pamctl.tune.gains_search import cost_of
-from pamctl.tune.gains_trial import SHORT, Verdict
-from pamctl.tune.plant_ensemble import OFF_BY, UNSURE, holds_the_farthest_point
+from pamctl.simulate.batch import simulate_merit
+from pamctl.tune import (
+    GainsSearch,
+    GainsTrial,
+    Jury,
+    Member,
+    SearchError,
+    draw_ensemble,
+    make_fixed_members,
+)
+from pamctl.tune.gains_search import compute_cost
+from pamctl.tune.gains_trial import SHORT, GainsVerdict
+from pamctl.tune.plant_ensemble import (
+    PARAMETER_TOLERANCE,
+    UNCERTAIN_PARAMETERS,
+    holds_the_farthest_point,
+)
 from pamctl.tune.search_space import SPACES
 
 PID = resolve(controller="pid").controller
-PAPER = fixed_members([("paper", resolve().plant)])
+PAPER = make_fixed_members([("paper", resolve().plant)])
 BEFORE_PAPER = Jury((), 1.0, tuple(PAPER))
 
 # --- the plants ----------------------------------------------------------------------
 
 
 def test_the_same_seed_draws_the_same_plants_and_a_larger_ensemble_only_adds() -> None:
-    assert ensemble(8, 3)[:5] == ensemble(5, 3)
-    assert ensemble(5, 3) != ensemble(5, 4)
+    assert draw_ensemble(8, 3)[:5] == draw_ensemble(5, 3)
+    assert draw_ensemble(5, 3) != draw_ensemble(5, 4)
 
 
 def test_no_parameter_is_further_off_than_promised_and_each_plant_can_do_the_experiments() -> None:
     nominal = PlantSettings().parameters
-    members = ensemble(40, 0)
-    for name in UNSURE:
+    members = draw_ensemble(40, 0)
+    for name in UNCERTAIN_PARAMETERS:
         found = [getattr(m.plant.parameters, name) / getattr(nominal, name) for m in members]
-        assert 1.0 - OFF_BY <= min(found) < 0.9
-        assert 1.1 < max(found) <= 1.0 + OFF_BY
+        assert 1.0 - PARAMETER_TOLERANCE <= min(found) < 0.9
+        assert 1.1 < max(found) <= 1.0 + PARAMETER_TOLERANCE
     assert all(holds_the_farthest_point(m.plant) for m in members)
 
 
 def test_a_drawn_plant_is_the_same_after_a_journey() -> None:
-    members = ensemble(3, 1)
+    members = draw_ensemble(3, 1)
     assert pickle.loads(pickle.dumps(members)) == members
 
 
@@ -68,9 +80,9 @@ def test_a_muscle_too_weak_for_the_upper_set_point_is_known_as_such() -> None:
 
 
 def test_the_whole_trial_says_what_the_paper_s_experiments_say() -> None:
-    verdict = Trial("whole").verdict(PID, PAPER[0])
+    verdict = GainsTrial("whole").verdict(PID, PAPER[0])
     for number, experiment in (("1", "tracking-1"), ("2", "tracking-2")):
-        found = tracked(resolve(controller="pid", experiment=experiment))
+        found = simulate_merit(resolve(controller="pid", experiment=experiment))
         assert found is not None
         assert verdict.figures_um[f"max {number}"] == found.max_m * 1e6
         assert verdict.figures_um[f"RMS {number}"] == found.rms_m * 1e6
@@ -81,7 +93,7 @@ def test_the_short_trial_ranks_gains_as_the_whole_one_does() -> None:
     """It is what the search goes by."""
     weak = [PID.model_copy(update={"kp_v_per_length": kp}) for kp in (9.5, 3.0, 1.0, 0.3)]
     short, whole = (
-        [Trial(length).verdict(gains, PAPER[0]).worst for gains in weak]  # type: ignore[arg-type]
+        [GainsTrial(length).verdict(gains, PAPER[0]).worst for gains in weak]  # type: ignore[arg-type]
         for length in ("short", "whole")
     )
     assert sorted(short) == short
@@ -93,14 +105,14 @@ def test_trials_take_as_long_as_they_say_and_the_short_one_rests_as_long_as_the_
     """A steady error counted too early asks for an integral that hunts."""
     experiments = [resolve(experiment=f"tracking-{number}").experiment for number in (1, 2)]
     assert SHORT.rest_s == experiments[0].rest_s  # type: ignore[union-attr]
-    assert Trial("short").duration_s == sum(s.duration_s for s in segments(SHORT))
-    both = [s.duration_s for experiment in experiments for s in segments(experiment)]
-    assert Trial("whole").duration_s == pytest.approx(sum(both))
+    assert GainsTrial("short").duration_s == sum(s.duration_s for s in build_segments(SHORT))
+    both = [s.duration_s for experiment in experiments for s in build_segments(experiment)]
+    assert GainsTrial("whole").duration_s == pytest.approx(sum(both))
 
 
 def test_gains_that_trip_cost_more_than_any_that_do_not() -> None:
     wild = PID.model_copy(update={"kp_v_per_length": 100.0, "kd_v_s_per_length": 2.0})
-    verdict = Trial().verdict(wild, Member("delayed", PAPER[0].plant, output_delay_ticks=1))
+    verdict = GainsTrial().verdict(wild, Member("delayed", PAPER[0].plant, output_delay_ticks=1))
     assert verdict.worst > 5.0
     assert not verdict.is_inside
 
@@ -117,7 +129,7 @@ def test_every_point_is_a_controller_that_can_be_written_and_read(
     point = np.array([data.draw(st.floats(low, high)) for low, high in space.bounds])
     controller = space.controller(point)
     gains = space.gains(point)
-    assert {name: to_data(controller)[name] for name in gains if name != "model"} == {
+    assert {name: settings_to_data(controller)[name] for name in gains if name != "model"} == {
         name: value for name, value in gains.items() if name != "model"
     }
     assert space.point(gains) == pytest.approx(point, abs=2e-3)
@@ -155,11 +167,11 @@ def test_with_the_mass_of_table_i_smc_undamps_and_with_the_sought_one_it_damps()
 # --- the jury ------------------------------------------------------------------------
 
 
-class Told(Trial):
+class Told(GainsTrial):
     """A trial whose verdicts are known beforehand: a plant's name is its ratio."""
 
-    def verdict(self, controller: object, member: Member) -> Verdict:
-        return Verdict(float(member.name), "told", {}, 0.0)
+    def verdict(self, controller: object, member: Member) -> GainsVerdict:
+        return GainsVerdict(float(member.name), "told", {}, 0.0)
 
 
 def called(*ratios: float) -> tuple[Member, ...]:
@@ -168,18 +180,18 @@ def called(*ratios: float) -> tuple[Member, ...]:
 
 def test_gains_cost_the_worst_named_plant_and_a_quantile_of_the_drawn_ones() -> None:
     jury = Jury(called(*range(11)), 0.9, called(20, 30))
-    found = cost_of(PID, np.inf, jury, Told(), range(11))
+    found = compute_cost(PID, np.inf, jury, Told(), range(11))
     assert found.value == 30.0 + 9.0
     assert found.runs == 13
 
 
 def test_plants_are_spared_once_it_is_certain_that_the_gains_are_beyond_the_limit() -> None:
     jury = Jury(called(1, 1, 1, 5, 5, 5, 1, 1, 1, 1, 1), 0.9, called(1))
-    in_order = cost_of(PID, 4.0, jury, Told(), range(11))
-    hardest_first = cost_of(PID, 4.0, jury, Told(), [5, 4, 3, 0, 1, 2, 6, 7, 8, 9, 10])
+    in_order = compute_cost(PID, 4.0, jury, Told(), range(11))
+    hardest_first = compute_cost(PID, 4.0, jury, Told(), [5, 4, 3, 0, 1, 2, 6, 7, 8, 9, 10])
     assert (in_order.value, in_order.runs) == (6.0, 1 + 5)
     assert (hardest_first.value, hardest_first.runs) == (6.0, 1 + 2)
-    assert cost_of(PID, 0.5, jury, Told(), range(11)).runs == 1
+    assert compute_cost(PID, 0.5, jury, Told(), range(11)).runs == 1
 
 
 @given(
@@ -194,8 +206,8 @@ def test_sparing_plants_never_changes_who_wins(
 ) -> None:
     jury = Jury(called(*drawn), quantile, called(*named))
     order = data.draw(st.permutations(range(len(drawn))))
-    whole = cost_of(PID, np.inf, jury, Told(), range(len(drawn)))
-    raced = cost_of(PID, limit, jury, Told(), order)
+    whole = compute_cost(PID, np.inf, jury, Told(), range(len(drawn)))
+    raced = compute_cost(PID, limit, jury, Told(), order)
     assert raced.value <= whole.value
     assert (raced.value <= limit) == (whole.value <= limit)
     assert raced.value > limit or raced == whole._replace(ratios=raced.ratios)
@@ -204,8 +216,8 @@ def test_sparing_plants_never_changes_who_wins(
 # --- the search ----------------------------------------------------------------------
 
 
-def search(state: Path | None = None, seed: int = 1) -> Search:
-    return Search("pid", BEFORE_PAPER, seed, state=state)
+def search(state: Path | None = None, seed: int = 1) -> GainsSearch:
+    return GainsSearch("pid", BEFORE_PAPER, seed, state=state)
 
 
 @pytest.fixture(scope="module")
@@ -245,8 +257,8 @@ def test_another_search_s_state_is_refused(tmp_path: Path) -> None:
         search(state, seed=2)
     heavier = PlantSettings.model_validate({"parameters": {"mass_kg": 0.06}})
     with pytest.raises(SearchError, match="another search"):
-        changed = Jury((), 1.0, tuple(fixed_members([("paper", heavier)])))
-        Search("pid", changed, 1, state=state)
+        changed = Jury((), 1.0, tuple(make_fixed_members([("paper", heavier)])))
+        GainsSearch("pid", changed, 1, state=state)
     state.write_text("{")
     with pytest.raises(SearchError, match="no search"):
         search(state)
@@ -266,7 +278,7 @@ def test_the_file_says_how_it_was_made_and_can_be_run(tmp_path: Path) -> None:
     assert made.returncode == 0, made.stderr
     text = (tmp_path / "mine.yaml").read_text()
     assert "pamctl tune --law pid --plant paper --generations 1 --jobs 1 --out mine.yaml" in text
-    assert check(tmp_path / "mine.yaml") == "controller"
+    assert check_config_file(tmp_path / "mine.yaml") == "controller"
     assert yaml.safe_load(text)["law"] == "pid"
     assert "pid, named plants: 1 of 1 inside" in made.stdout
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.yaml"]
@@ -285,7 +297,9 @@ def test_drawn_plants_find_their_way_into_other_processes(tmp_path: Path) -> Non
     made = tune("--check", "pid", *which, "--jobs", "2", "--json", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     found = json.loads(made.stdout)["scores"]
-    ratios = [Trial("whole").verdict(PID, member).worst for member in ensemble(2, 1_000_003)]
+    ratios = [
+        GainsTrial("whole").verdict(PID, member).worst for member in draw_ensemble(2, 1_000_003)
+    ]
     assert found["fresh"]["plants"] == 2
     assert found["fresh"]["worst"] == max(ratios)
     assert found["named"]["plants"] == found["named"]["inside"] == 1
@@ -327,7 +341,7 @@ def test_ctrl_c_keeps_the_best_so_far_and_the_search(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=120)
     assert process.returncode == 130, said
-    assert check(tmp_path / "mine.yaml") == "controller"
+    assert check_config_file(tmp_path / "mine.yaml") == "controller"
     assert (tmp_path / "mine.search.json").exists()
     assert b"without mine.yaml the same command goes on from mine.search.json" in said
     assert not _children_of(process.pid)

@@ -8,14 +8,14 @@ from typing import Literal, NamedTuple
 
 from pamctl.commissioning.calibrate.holding import read_while_held
 from pamctl.commissioning.calibrate.outcome import (
-    CalibrationRefused,
+    CalibrationError,
+    CalibrationOutcome,
+    CalibrationValue,
     Operator,
-    Outcome,
-    Value,
     require_near,
     slope,
 )
-from pamctl.commissioning.hands_on import Bench, rest_of
+from pamctl.commissioning.hands_on import Bench, summarise_samples
 
 Mover = Literal["hand", "muscle"]
 
@@ -41,10 +41,10 @@ class _Move(NamedTuple):
 
 def calibrate_encoder_by_hand(
     bench: Bench, operator: Operator, displacements_mm: Sequence[float]
-) -> Outcome:
+) -> CalibrationOutcome:
     """Let the carriage be moved by gauge blocks; the vented muscle follows.
 
-    An empty list asks for one displacement. Raises `CalibrationRefused` or `LimitMet`.
+    An empty list asks for one displacement. Raises `CalibrationError` or `LimitMet`.
     """
 
     def stay() -> None:
@@ -53,21 +53,21 @@ def calibrate_encoder_by_hand(
     moves = []
     for known_mm in displacements_mm or (None,):
         operator.wait("put the carriage against its stop, the muscle extended", stay)
-        before = rest_of(bench.hold(bench.safe_valve_v, _AVERAGED_S)).counts
+        before = summarise_samples(bench.hold(bench.safe_valve_v, _AVERAGED_S)).counts
         block = "a gauge block" if known_mm is None else f"the gauge block of {known_mm:g} mm"
         operator.wait(f"move the carriage by {block} the way the muscle contracts", stay)
-        after = rest_of(bench.hold(bench.safe_valve_v, _AVERAGED_S)).counts
+        after = summarise_samples(bench.hold(bench.safe_valve_v, _AVERAGED_S)).counts
         moved_mm = operator.number("how far was that, mm?", stay) if known_mm is None else known_mm
         moves.append(_Move(after - before, _require_length_m(moved_mm)))
-    return _outcome(bench, moves, "gauge blocks of")
+    return _evaluate_moves(bench, moves, "gauge blocks of")
 
 
 def calibrate_encoder_by_muscle(
     bench: Bench, operator: Operator, points_kpa: Sequence[float]
-) -> Outcome:
+) -> CalibrationOutcome:
     """Fill the muscle to each pressure (kPa gauge), and ask for the contraction measured there.
 
-    Raises `CalibrationRefused` or `LimitMet`.
+    Raises `CalibrationError` or `LimitMet`.
     """
     start = bench.settle(bench.homing.vent_v)
     moves = []
@@ -80,22 +80,22 @@ def calibrate_encoder_by_muscle(
         )
         moves.append(_Move(held.counts - start.counts, _require_length_m(contraction_mm)))
     end = bench.settle(bench.homing.vent_v)
-    outcome = _outcome(bench, moves, "contractions of")
+    outcome = _evaluate_moves(bench, moves, "contractions of")
     back = end.counts - start.counts
     return outcome._replace(figures={**outcome.figures, "return_counts": back})
 
 
 def _require_length_m(displacement_mm: float) -> float:
     if not (math.isfinite(displacement_mm) and displacement_mm > 0.0):
-        raise CalibrationRefused(
+        raise CalibrationError(
             f"a displacement of {displacement_mm:g} mm says nothing about the scale; it must be "
             "positive, the way the muscle contracts (the sign is found from the counts)"
         )
     return displacement_mm * 1e-3
 
 
-def _outcome(bench: Bench, moves: Sequence[_Move], what: str) -> Outcome:
-    sign = _common_sign(moves)
+def _evaluate_moves(bench: Bench, moves: Sequence[_Move], what: str) -> CalibrationOutcome:
+    sign = _find_common_sign(moves)
     counts = [sign * move.counts for move in moves]
     lengths_m = [move.displacement_m for move in moves]
     scale = slope(counts, lengths_m)
@@ -104,7 +104,7 @@ def _outcome(bench: Bench, moves: Sequence[_Move], what: str) -> Outcome:
     residuals_m = [m - scale * n for n, m in zip(counts, lengths_m, strict=True)]
     if max(map(abs, residuals_m)) > _WORST_SHARE * max(lengths_m):
         shown = ", ".join(f"{residual * 1e6:+.0f}" for residual in residuals_m)
-        raise CalibrationRefused(
+        raise CalibrationError(
             f"the displacements do not agree on one scale (residuals {shown} um); was one "
             "mistyped, or did the carriage slip?"
         )
@@ -115,16 +115,16 @@ def _outcome(bench: Bench, moves: Sequence[_Move], what: str) -> Outcome:
         f"{', '.join(f'{n:.0f}' for n in counts)} counts, residuals "
         f"{', '.join(f'{r * 1e6:+.1f}' for r in residuals_m)} um"
     )
-    return Outcome(
+    return CalibrationOutcome(
         (
-            Value(
+            CalibrationValue(
                 ("calibration", "encoder_m_per_count"),
                 float(f"{scale:.7g}"),
                 "m",
                 _uncertainty(scale, counts, residuals_m),
                 how,
             ),
-            Value(
+            CalibrationValue(
                 ("calibration", "encoder_sign"),
                 sign,
                 "",
@@ -139,17 +139,17 @@ def _outcome(bench: Bench, moves: Sequence[_Move], what: str) -> Outcome:
     )
 
 
-def _common_sign(moves: Sequence[_Move]) -> int:
+def _find_common_sign(moves: Sequence[_Move]) -> int:
     for move in moves:
         if abs(move.counts) < _LEAST_COUNTS:
-            raise CalibrationRefused(
+            raise CalibrationError(
                 f"the encoder saw {move.counts:.0f} counts for {move.displacement_m * 1e3:g} mm; "
                 "check that it is plugged in (`pamctl doctor --actuate`), and that the carriage "
                 "moved; a simulated rig has no carriage to push: there use --by muscle"
             )
     signs = {1 if move.counts > 0 else -1 for move in moves}
     if len(signs) > 1:
-        raise CalibrationRefused(
+        raise CalibrationError(
             "the moves went different ways; each must go the way the muscle contracts"
         )
     return signs.pop()

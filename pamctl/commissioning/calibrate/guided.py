@@ -12,28 +12,33 @@ from typing import Any, NamedTuple
 import typer
 
 from hal.rig import RigError
-from pamctl.cli.config import chosen, config_errors_exit
-from pamctl.commissioning.calibrate.outcome import CalibrationRefused, Operator, Outcome, Prepared
-from pamctl.commissioning.calibrate.rig_file_text import with_values
-from pamctl.commissioning.hands_on import Bench, LimitMet
-from pamctl.commissioning.open_bench import workplace
+from pamctl.cli.config import exit_on_config_errors, resolve_options
+from pamctl.commissioning.calibrate.outcome import (
+    CalibrationError,
+    CalibrationOutcome,
+    Operator,
+    PreparedAnswers,
+)
+from pamctl.commissioning.calibrate.rig_file_text import insert_values
+from pamctl.commissioning.hands_on import Bench, LimitError
+from pamctl.commissioning.open_bench import open_workplace
 from pamctl.commissioning.terminal_operator import NoAnswer, Terminal
 from pamctl.exit_codes import ExitCode
 from pamctl.processes.backends import require_backend
-from pamctl.processes.interrupts import Interrupted
+from pamctl.processes.interrupts import SignalInterrupt
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
     SECTIONS,
-    Raw,
+    RawSettings,
     RunSettings,
-    find,
-    shown,
-    to_data,
-    validated,
+    find_config_file,
+    settings_to_data,
+    shorten_path,
+    validate_settings,
 )
 
 
-def answers_of(
+def check_answers(
     option: str, values: Sequence[float] | None, points: Sequence[float]
 ) -> Sequence[float] | None:
     """Return the answers given by options, if any; leave where they do not fit the questions.
@@ -51,7 +56,7 @@ def answers_of(
     return values
 
 
-class Order(NamedTuple):
+class CalibrationOptions(NamedTuple):
     """What every calibration is told on the command line."""
 
     backend: str | None
@@ -66,34 +71,36 @@ class Order(NamedTuple):
 
 def calibrate_rig(
     what: str,
-    work: Callable[[Bench, Operator], Outcome],
-    order: Order,
+    work: Callable[[Bench, Operator], CalibrationOutcome],
+    order: CalibrationOptions,
     answers: Sequence[float] | None = None,
 ) -> None:
     """Do the work over the rig and write what was found; nothing is written on any other path."""
     backend, rig, overrides, out, yes, as_json, points_kpa = order
-    settings, names = chosen(backend, rig, overrides, as_json=as_json, fast=False)
-    with config_errors_exit(as_json=as_json):
-        source = find("rig", names["rig"])
+    settings, names = resolve_options(backend, rig, overrides, as_json=as_json, fast=False)
+    with exit_on_config_errors(as_json=as_json):
+        source = find_config_file("rig", names["rig"])
         _require_new(out)
     _require_within_limit(points_kpa, settings)
     terminal = Terminal()
     try:
         if not yes:
-            terminal.agree("the rig will be pressurised and may move; is everything clear of it?")
+            terminal.require_yes(
+                "the rig will be pressurised and may move; is everything clear of it?"
+            )
         require_backend(settings)
-        with workplace(settings) as bench:
-            outcome = work(bench, terminal if answers is None else Prepared(answers))
-        with config_errors_exit(as_json=as_json):
-            text = _rig_file(out, source, outcome, what)
-    except (NoAnswer, CalibrationRefused, LimitMet, RigError, Interrupted) as error:
+        with open_workplace(settings) as bench:
+            outcome = work(bench, terminal if answers is None else PreparedAnswers(answers))
+        with exit_on_config_errors(as_json=as_json):
+            text = _make_rig_file(out, source, outcome, what)
+    except (NoAnswer, CalibrationError, LimitError, RigError, SignalInterrupt) as error:
         code = _code_of(error)
         if as_json:
             typer.echo(json.dumps({"exit_code": code, "reason": str(error)}, indent=2))
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(code) from None
-    failure = _written(out, text)
-    _tell(settings, outcome, out, failure, as_json=as_json)
+    failure = _write_file(out, text)
+    _print_outcome(settings, outcome, out, failure, as_json=as_json)
     if failure:
         typer.echo(f"error: {failure}", err=True)
         raise typer.Exit(ExitCode.UNEXPECTED)
@@ -101,11 +108,11 @@ def calibrate_rig(
 
 def _code_of(error: Exception) -> int:
     match error:
-        case Interrupted():
+        case SignalInterrupt():
             return error.code
         case RigError():
             return int(ExitCode.UNAVAILABLE)
-        case LimitMet():
+        case LimitError():
             return int(ExitCode.SAFETY_TRIP)
         case NoAnswer():
             return int(ExitCode.USAGE)
@@ -133,16 +140,16 @@ def _require_within_limit(points_kpa: Sequence[float], settings: RunSettings) ->
             raise typer.BadParameter(message, param_hint="--point")
 
 
-def _rig_file(out: Path, source: Path, outcome: Outcome, what: str) -> str:
+def _make_rig_file(out: Path, source: Path, outcome: CalibrationOutcome, what: str) -> str:
     """Return the source's text with the values; raise `ConfigError` where that is no rig file."""
     now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     heading = f"{now}: pamctl calibrate {what}, from {source.name}"
-    text = with_values(source.read_text(encoding="utf-8"), outcome, heading)
-    validated(SECTIONS["rig"], Raw.parse(text, out), title="rig")
+    text = insert_values(source.read_text(encoding="utf-8"), outcome, heading)
+    validate_settings(SECTIONS["rig"], RawSettings.parse(text, out), title="rig")
     return text
 
 
-def _written(out: Path, text: str) -> str:
+def _write_file(out: Path, text: str) -> str:
     """Write the new file; return why that failed, for the values must not be lost with it."""
     try:
         with out.open("x", encoding="utf-8") as file:
@@ -152,10 +159,10 @@ def _written(out: Path, text: str) -> str:
     return ""
 
 
-def _tell(
-    settings: RunSettings, outcome: Outcome, out: Path, failure: str, *, as_json: bool
+def _print_outcome(
+    settings: RunSettings, outcome: CalibrationOutcome, out: Path, failure: str, *, as_json: bool
 ) -> None:
-    before = to_data(settings.rig)
+    before = settings_to_data(settings.rig)
     if as_json:
         values = [{**v._asdict(), "keys": ".".join(v.keys)} for v in outcome.values]
         code = int(ExitCode.UNEXPECTED if failure else ExitCode.OK)
@@ -173,4 +180,4 @@ def _tell(
     for note in outcome.notes:
         typer.echo(note)
     if not failure:
-        typer.echo(f"rig file: {shown(out)}")
+        typer.echo(f"rig file: {shorten_path(out)}")

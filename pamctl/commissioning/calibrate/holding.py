@@ -6,7 +6,7 @@ from collections import deque
 
 from hal.rig import RawSample
 from pamctl.commissioning.calibrate.outcome import Operator
-from pamctl.commissioning.hands_on import Bench, Rest, rest_of
+from pamctl.commissioning.hands_on import Bench, SensorStatistics, summarise_samples
 
 _AVERAGED = 500
 _IDLE = 20
@@ -14,14 +14,14 @@ _IDLE = 20
 
 def read_while_held(
     bench: Bench, operator: Operator, point_kpa: float, question: str
-) -> tuple[Rest, float]:
+) -> tuple[SensorStatistics, float]:
     """Hold a pressure (kPa gauge) until the question is answered.
 
     Returns what the sensors said just before the answer, when the person was looking, and the
     answer. Raises `LimitMet` where the pressure cannot be reached.
     """
     target_pa = bench.absolute_pa(point_kpa)
-    bench.bring_to(target_pa)
+    bench.bring_to_pressure(target_pa)
     latest: deque[RawSample] = deque(maxlen=_AVERAGED)
 
     def hold_on() -> None:
@@ -30,4 +30,4 @@ def read_while_held(
     answer = operator.number(f"about {point_kpa:g} kPa: {question}", hold_on)
     while len(latest) < _AVERAGED:
         hold_on()
-    return rest_of(latest), answer
+    return summarise_samples(latest), answer

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 
-class Value(NamedTuple):
+class CalibrationValue(NamedTuple):
     """One value for the rig file, and how good it is."""
 
     keys: tuple[str, str]
@@ -18,17 +18,17 @@ class Value(NamedTuple):
     how: str
 
 
-class Outcome(NamedTuple):
+class CalibrationOutcome(NamedTuple):
     """All that a calibration found."""
 
-    values: tuple[Value, ...]
+    values: tuple[CalibrationValue, ...]
     notes: tuple[str, ...]
     """What is worth a dated line in the file, and has no key there."""
     figures: Mapping[str, object]
     """Behind the values: points, residuals, noise; SI, units in the names."""
 
 
-class CalibrationRefused(Exception):
+class CalibrationError(Exception):
     """What was measured or entered makes no sense; the message says why, and what to check."""
 
 
@@ -42,7 +42,7 @@ class Operator(Protocol):
         """Ask for a number."""
 
 
-class Prepared:
+class PreparedAnswers:
     """Answers given beforehand, in the order of the questions: for scripts."""
 
     def __init__(self, answers: Sequence[float], idle_times: int = 30) -> None:
@@ -59,7 +59,7 @@ class Prepared:
         """Give the next answer a moment later."""
         self.wait(question, idle)
         if not self._answers:
-            raise CalibrationRefused(f"no value was given for: {question}")
+            raise CalibrationError(f"no value was given for: {question}")
         return self._answers.pop(0)
 
 
@@ -77,6 +77,6 @@ def require_near(name: str, found: float, nominal: float, hints: Mapping[float, 
     why = next(
         known, f"if the part is another one, put its data sheet's {name} into the file first"
     )
-    raise CalibrationRefused(
+    raise CalibrationError(
         f"{name} would be {found:.6g}, {ratio:.3g} times the file's {nominal:.6g}: {why}"
     )

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 from pamctl.commissioning.calibrate.holding import read_while_held
 from pamctl.commissioning.calibrate.outcome import (
-    CalibrationRefused,
+    CalibrationError,
+    CalibrationOutcome,
+    CalibrationValue,
     Operator,
-    Outcome,
-    Value,
     require_near,
     slope,
 )
-from pamctl.commissioning.hands_on import Bench, Rest
+from pamctl.commissioning.hands_on import Bench, SensorStatistics
 
 DEFAULT_POINTS_KPA = (100.0, 200.0, 300.0)
 _CODE_V = 10.0 / 65536
@@ -32,24 +32,26 @@ _HINTS = {
 }
 
 
-def calibrate_pressure(bench: Bench, operator: Operator, points_kpa: Sequence[float]) -> Outcome:
+def calibrate_pressure(
+    bench: Bench, operator: Operator, points_kpa: Sequence[float]
+) -> CalibrationOutcome:
     """Vent and take the zero; hold each pressure (kPa gauge) and ask what the gauge reads.
 
-    Raises `CalibrationRefused` or `LimitMet`.
+    Raises `CalibrationError` or `LimitMet`.
     """
-    zero = _zero(bench)
+    zero = _measure_zero(bench)
     volts, readings_pa, noises_v = [], [], []
     for point_kpa in points_kpa:
         held, reading_kpa = read_while_held(
             bench, operator, point_kpa, "what does the reference gauge read, kPa above atmosphere?"
         )
         if not (math.isfinite(reading_kpa) and reading_kpa > 0.0):
-            raise CalibrationRefused(f"a gauge at pressure does not read {reading_kpa:g} kPa")
+            raise CalibrationError(f"a gauge at pressure does not read {reading_kpa:g} kPa")
         volts.append(held.sensor_v - zero.sensor_v)
         readings_pa.append(reading_kpa * 1e3)
         noises_v.append(math.hypot(_mean_noise_v(zero), _CORRELATED * _mean_noise_v(held)))
     bench.hold(bench.safe_valve_v, bench.period_s)
-    zero_value = Value(
+    zero_value = CalibrationValue(
         ("calibration", "sensor_zero_v"),
         round(zero.sensor_v, 6),
         "V",
@@ -58,12 +60,12 @@ def calibrate_pressure(bench: Bench, operator: Operator, points_kpa: Sequence[fl
     )
     figures = {"zero": zero._asdict(), "sensor_v": volts, "reading_pa": readings_pa}
     if not points_kpa:
-        return Outcome((zero_value,), (), figures)
-    gain, residuals_pa = _fitted(bench, volts, readings_pa)
-    return Outcome(
+        return CalibrationOutcome((zero_value,), (), figures)
+    gain, residuals_pa = _fit_gain(bench, volts, readings_pa)
+    return CalibrationOutcome(
         (
             zero_value,
-            Value(
+            CalibrationValue(
                 ("calibration", "sensor_pa_per_v"),
                 round(gain, 2),
                 "Pa/V",
@@ -77,19 +79,19 @@ def calibrate_pressure(bench: Bench, operator: Operator, points_kpa: Sequence[fl
     )
 
 
-def _zero(bench: Bench) -> Rest:
+def _measure_zero(bench: Bench) -> SensorStatistics:
     cal = bench.settings
     zero = bench.settle(bench.homing.vent_v, averaged_s=1.0)
     lowest, highest = cal.sensor_zero_lowest_v, cal.sensor_zero_highest_v
     if not lowest <= zero.sensor_v <= highest:
-        raise CalibrationRefused(
+        raise CalibrationError(
             f"the vented sensor gives {zero.sensor_v:.3f} V, outside {lowest:g} to {highest:g} V; "
             "check that the muscle is vented, and the sensor's supply and wiring"
         )
     return zero
 
 
-def _fitted(
+def _fit_gain(
     bench: Bench, volts: Sequence[float], readings_pa: Sequence[float]
 ) -> tuple[float, list[float]]:
     """Fit a line through the zero, which the atmosphere gives; return it with its residuals."""
@@ -98,7 +100,7 @@ def _fitted(
     residuals = [pa - gain * v for v, pa in zip(volts, readings_pa, strict=True)]
     if max(map(abs, residuals)) > _WORST_SHARE * max(readings_pa):
         shown = ", ".join(f"{residual * 1e-3:+.1f}" for residual in residuals)
-        raise CalibrationRefused(
+        raise CalibrationError(
             f"the readings do not lie on a line through zero (residuals {shown} kPa); was one "
             "mistyped, or read as absolute pressure?"
         )
@@ -116,5 +118,5 @@ def _gain_uncertainty(
     return max(by_noise, 2.0 * math.sqrt(variance) / spread_v)
 
 
-def _mean_noise_v(rest: Rest) -> float:
+def _mean_noise_v(rest: SensorStatistics) -> float:
     return math.hypot(rest.mean_noise_v, _CODE_V / math.sqrt(12.0))

@@ -12,9 +12,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from hal.calibration import output_v
-from pamctl.commissioning.calibrate.outcome import CalibrationRefused, Outcome, Value
-from pamctl.commissioning.doctor.actuate import pulsed, valve_sign
-from pamctl.commissioning.hands_on import Bench, Rest, rest_of
+from pamctl.commissioning.calibrate.outcome import (
+    CalibrationError,
+    CalibrationOutcome,
+    CalibrationValue,
+)
+from pamctl.commissioning.doctor.actuate import judge_valve_sign, pulse_valve
+from pamctl.commissioning.hands_on import Bench, SensorStatistics, summarise_samples
 
 RESOLUTION_V = 0.5e-3
 """About an output code and a half."""
@@ -30,7 +34,7 @@ _CODE_V = 10.0 / 65536
 _LEAST_SUPPLY_KPA = 50.0
 
 
-class _Edge(NamedTuple):
+class _NullEdge(NamedTuple):
     """Where the pressure begins to rise, or to fall."""
 
     command_v: float
@@ -39,14 +43,14 @@ class _Edge(NamedTuple):
     fast it grows with the command."""
 
 
-def calibrate_valve(bench: Bench, span_v: float = 1.0) -> Outcome:
+def calibrate_valve(bench: Bench, span_v: float = 1.0) -> CalibrationOutcome:
     """Move the muscle to find sign, supply and null.
 
-    The null is looked for `span_v` (V) around the file's. Raises `CalibrationRefused`, `LimitMet`.
+    The null is looked for `span_v` (V) around the file's. Raises `CalibrationError`, `LimitMet`.
     """
-    sign = valve_sign(bench, pulsed(bench))
+    sign = judge_valve_sign(bench, pulse_valve(bench))
     if sign.level != "ok":
-        raise CalibrationRefused(f"{sign.found}; {sign.fix}")
+        raise CalibrationError(f"{sign.found}; {sign.fix}")
     # Against the sensor's own zero of today: the file's may be off by more than the supply is.
     zero = bench.settle(bench.homing.vent_v)
     supply = bench.settle(bench.homing.fill_v)
@@ -55,23 +59,25 @@ def calibrate_valve(bench: Bench, span_v: float = 1.0) -> Outcome:
         + (supply.sensor_v - zero.sensor_v) * bench.settings.sensor_pa_per_v
     )
     if bench.gauge_kpa(supply_pa) < _LEAST_SUPPLY_KPA:
-        raise CalibrationRefused(
+        raise CalibrationError(
             f"the supply gives {bench.gauge_kpa(supply_pa):.0f} kPa gauge only; open it, or "
             "calibrate the pressure sensor first"
         )
     middle_pa = 0.5 * (supply_pa + bench.settings.atmospheric_pressure_pa)
-    upper = _edge(bench, middle_pa, span_v, 1, supply)
-    lower = _edge(bench, middle_pa, span_v, -1, supply)
+    upper = _find_edge(bench, middle_pa, span_v, 1, supply)
+    lower = _find_edge(bench, middle_pa, span_v, -1, supply)
     bench.hold(bench.safe_valve_v, bench.period_s)
-    return _outcome(bench, upper, lower, supply_pa)
+    return _evaluate_edges(bench, upper, lower, supply_pa)
 
 
-def _edge(bench: Bench, at_pa: float, span_v: float, side: int, supply: Rest) -> _Edge:
+def _find_edge(
+    bench: Bench, at_pa: float, span_v: float, side: int, supply: SensorStatistics
+) -> _NullEdge:
     """Halve the span until the edge on one side is known: `side` 1 is rising, -1 falling."""
     least_v = max(4.0 * math.sqrt(2.0 / (_ENDS_S / bench.period_s)) * supply.noise_v, 2.0 * _CODE_V)
 
     def moves(command_v: float) -> bool:
-        return side * _change_v(bench, at_pa, command_v) > least_v
+        return side * _measure_change_v(bench, at_pa, command_v) > least_v
 
     still_v, moving_v = -side * span_v, side * span_v
     _require_bracket(moves, still_v, moving_v, span_v, side)
@@ -82,19 +88,19 @@ def _edge(bench: Bench, at_pa: float, span_v: float, side: int, supply: Rest) ->
         else:
             still_v = middle_v
     edge_v = 0.5 * (still_v + moving_v)
-    growth = side * _change_v(bench, at_pa, edge_v + side * _NEARBY_V) / _NEARBY_V
-    return _Edge(edge_v, least_v / max(growth, least_v / _NEARBY_V))
+    growth = side * _measure_change_v(bench, at_pa, edge_v + side * _NEARBY_V) / _NEARBY_V
+    return _NullEdge(edge_v, least_v / max(growth, least_v / _NEARBY_V))
 
 
-def _change_v(bench: Bench, at_pa: float, command_v: float) -> float:
+def _measure_change_v(bench: Bench, at_pa: float, command_v: float) -> float:
     """Return how the sensor's voltage changes over a dwell that begins at a pressure."""
-    bench.bring_to(at_pa)
+    bench.bring_to_pressure(at_pa)
     still = round(_COMING_TO_REST_S / bench.period_s)
     bench.hold_pressure(at_pa, lambda samples: len(samples) >= still)
     bench.hold(command_v, _STANDING_S)
-    begin = rest_of(bench.hold(command_v, _ENDS_S))
+    begin = summarise_samples(bench.hold(command_v, _ENDS_S))
     bench.hold(command_v, _DWELL_S - _ENDS_S)
-    return rest_of(bench.hold(command_v, _ENDS_S)).sensor_v - begin.sensor_v
+    return summarise_samples(bench.hold(command_v, _ENDS_S)).sensor_v - begin.sensor_v
 
 
 def _require_bracket(
@@ -102,14 +108,16 @@ def _require_bracket(
 ) -> None:
     what = "rise" if side > 0 else "fall"
     if moves(still_v) or not moves(moving_v):
-        raise CalibrationRefused(
+        raise CalibrationError(
             f"the pressure does not begin to {what} between -{span_v:g} and {span_v:g} V around "
             "the file's null; is the supply open, does the muscle leak, is driver_offset_v far "
             "off? Widen with --span"
         )
 
 
-def _outcome(bench: Bench, upper: _Edge, lower: _Edge, supply_pa: float) -> Outcome:
+def _evaluate_edges(
+    bench: Bench, upper: _NullEdge, lower: _NullEdge, supply_pa: float
+) -> CalibrationOutcome:
     null_v = 0.5 * (upper.command_v + lower.command_v)
     blur_v = upper.blur_v + lower.blur_v
     width_v = max(0.0, upper.command_v - lower.command_v - blur_v)
@@ -118,7 +126,7 @@ def _outcome(bench: Bench, upper: _Edge, lower: _Edge, supply_pa: float) -> Outc
     offset_v = round(output_v(bench.calibration, null_v), 5)
     seen = f"dead band {width_v * 1e3:.0f} mV" if width_v > uncertainty_v else "no dead band seen"
     values = [
-        Value(
+        CalibrationValue(
             ("calibration", "driver_offset_v"),
             offset_v,
             "V",
@@ -130,7 +138,7 @@ def _outcome(bench: Bench, upper: _Edge, lower: _Edge, supply_pa: float) -> Outc
     reach_v = min(offset_v - cal.driver_low_v, cal.driver_high_v - offset_v) / cal.driver_gain
     if reach_v < bench.limits.command_v:
         values.append(
-            Value(
+            CalibrationValue(
                 ("limits", "command_v"),
                 math.floor(reach_v * 1e3) * 1e-3,
                 "V",
@@ -139,7 +147,7 @@ def _outcome(bench: Bench, upper: _Edge, lower: _Edge, supply_pa: float) -> Outc
             )
         )
     supply_kpa = supply_pa * 1e-3
-    return Outcome(
+    return CalibrationOutcome(
         tuple(values),
         (
             f"the supply gives {supply_kpa:.1f} kPa absolute ({bench.gauge_kpa(supply_pa):.1f} "

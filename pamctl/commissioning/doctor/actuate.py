@@ -9,13 +9,13 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from hal.rig import RawSample
-from pamctl.commissioning.doctor.findings import Finding
-from pamctl.commissioning.hands_on import Bench, LimitMet, Rest, rest_of
+from pamctl.commissioning.doctor.findings import DoctorFinding
+from pamctl.commissioning.hands_on import Bench, LimitError, SensorStatistics, summarise_samples
 
 _END_SAMPLES = 5
 
 
-class Pulse(NamedTuple):
+class PulseResponse(NamedTuple):
     """What a pulse changed, by the sensors."""
 
     rise_v: float
@@ -24,39 +24,39 @@ class Pulse(NamedTuple):
     """Of the encoder; positive is contraction by the file's `encoder_sign`."""
 
 
-class Answer(NamedTuple):
+class ActuationResponse(NamedTuple):
     """What the rig did when asked to fill, and then to exhaust."""
 
-    fill: Pulse
-    exhaust: Pulse
+    fill: PulseResponse
+    exhaust: PulseResponse
 
 
-def pulsed(bench: Bench) -> Answer:
-    """Fill for a moment, exhaust for a moment. Raises `LimitMet`."""
+def pulse_valve(bench: Bench) -> ActuationResponse:
+    """Fill for a moment, exhaust for a moment. Raises `LimitError`."""
     homing, sign = bench.homing, bench.settings.encoder_sign
     begin = bench.settle(bench.safe_valve_v, 0.1)
-    top = _end(bench.hold(homing.fill_v, homing.fill_s))
-    bottom = _end(bench.hold(-homing.fill_v, homing.fill_s))
+    top = _average_end(bench.hold(homing.fill_v, homing.fill_s))
+    bottom = _average_end(bench.hold(-homing.fill_v, homing.fill_s))
     bench.hold(bench.safe_valve_v, bench.period_s)
-    return Answer(
-        Pulse(top.sensor_v - begin.sensor_v, sign * (top.counts - begin.counts)),
-        Pulse(bottom.sensor_v - top.sensor_v, sign * (bottom.counts - top.counts)),
+    return ActuationResponse(
+        PulseResponse(top.sensor_v - begin.sensor_v, sign * (top.counts - begin.counts)),
+        PulseResponse(bottom.sensor_v - top.sensor_v, sign * (bottom.counts - top.counts)),
     )
 
 
-def actuation_findings(bench: Bench) -> Iterator[Finding]:
+def examine_actuation(bench: Bench) -> Iterator[DoctorFinding]:
     """Move the muscle and judge what it did."""
     try:
-        answer = pulsed(bench)
-    except LimitMet as error:
+        answer = pulse_valve(bench)
+    except LimitError as error:
         fix = "mend that first; nothing can be said of valve and encoder"
-        yield Finding("valve.sign", "fault", f"stopped: {error}", "within the limits", fix)
+        yield DoctorFinding("valve.sign", "fault", f"stopped: {error}", "within the limits", fix)
         return
-    yield valve_sign(bench, answer)
-    yield encoder_follows(bench, answer)
+    yield judge_valve_sign(bench, answer)
+    yield judge_encoder_motion(bench, answer)
 
 
-def valve_sign(bench: Bench, answer: Answer) -> Finding:
+def judge_valve_sign(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
     """See that fill raises the pressure, and exhaust lowers it."""
     name, (fill, exhaust), least_v = "valve.sign", answer, _least_v(bench)
     data = {"fill_rise_v": fill.rise_v, "exhaust_rise_v": exhaust.rise_v}
@@ -68,13 +68,13 @@ def valve_sign(bench: Bench, answer: Answer) -> Finding:
     wanted = f"a rise, then a fall, of {least_v:g} V or more"
     fills, exhausts = fill.rise_v >= least_v, exhaust.rise_v <= -least_v
     if fills and exhausts:
-        return Finding(name, "ok", found, data=data)
+        return DoctorFinding(name, "ok", found, data=data)
     if fill.rise_v <= -least_v and exhaust.rise_v >= least_v:
         fix = (
             "THE VALVE IS REVERSED, and the safe voltage fills. Shut the supply off; swap the "
             "valve's ports or the driver's polarity, and run this again before anything else"
         )
-        return Finding(name, "fault", f"reversed: {found}", wanted, fix, data)
+        return DoctorFinding(name, "fault", f"reversed: {found}", wanted, fix, data)
     if fills:
         fix = "filled, but not exhausted: a blocked exhaust, or a null that is far off"
     elif exhausts:
@@ -86,10 +86,10 @@ def valve_sign(bench: Bench, answer: Answer) -> Finding:
             "open the supply; check the driver's power, its command wire on nidaq.valve_channel, "
             "and with a voltmeter that the output follows"
         )
-    return Finding(name, "fault", found, wanted, fix, data)
+    return DoctorFinding(name, "fault", found, wanted, fix, data)
 
 
-def encoder_follows(bench: Bench, answer: Answer) -> Finding:
+def judge_encoder_motion(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
     """See that the encoder grows with contraction, which is what more pressure does."""
     name, least = "encoder.alive", bench.homing.fill_counts
     pulse = max(answer, key=lambda pulse: abs(pulse.rise_v))
@@ -99,17 +99,17 @@ def encoder_follows(bench: Bench, answer: Answer) -> Finding:
     if max(abs(pulse.counts) for pulse in answer) < least:
         if abs(pulse.rise_v) < _least_v(bench):
             fix = "the pressure did not change either: mend the valve first"
-            return Finding(name, "warning", f"not known: {found}", wanted, fix, data)
+            return DoctorFinding(name, "warning", f"not known: {found}", wanted, fix, data)
         fix = (
             "unplugged? check the encoder's plug, its 5 V supply, A and B lines, "
             "nidaq.encoder_counter, and that the carriage is coupled"
         )
-        return Finding(name, "fault", found, wanted, fix, data)
+        return DoctorFinding(name, "fault", found, wanted, fix, data)
     if pulse.counts * pulse.rise_v < 0:
         sign = -bench.settings.encoder_sign
         fix = f"set calibration.encoder_sign to {sign} in the rig file, or swap A and B"
-        return Finding(name, "fault", f"reversed: {found}", wanted, fix, data)
-    return Finding(name, "ok", found, data=data)
+        return DoctorFinding(name, "fault", f"reversed: {found}", wanted, fix, data)
+    return DoctorFinding(name, "ok", found, data=data)
 
 
 def _least_v(bench: Bench) -> float:
@@ -117,5 +117,5 @@ def _least_v(bench: Bench) -> float:
     return bench.homing.fill_rise_v or 0.02
 
 
-def _end(samples: Sequence[RawSample]) -> Rest:
-    return rest_of(samples[-_END_SAMPLES:])
+def _average_end(samples: Sequence[RawSample]) -> SensorStatistics:
+    return summarise_samples(samples[-_END_SAMPLES:])

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 
 from hal.nidaq.card_settings import NidaqSettings
 from hal.rig import RigError
-from pamctl.commissioning.doctor.findings import Finding, told
+from pamctl.commissioning.doctor.findings import DoctorFinding, describe_rig_error
 from pamctl.settings.rig_file import NidaqRigSettings
 
 if TYPE_CHECKING:  # importing it loads nidaqmx, which a PC without a card need not do
-    from hal.nidaq.probe import Card, Range, User
+    from hal.nidaq.probe import Card, DriverUser, Range
 
 _BUSY = (-50103, -200022)
 
 
-def card_findings(rig: NidaqRigSettings) -> Iterator[Finding]:
+def examine_card(rig: NidaqRigSettings) -> Iterator[DoctorFinding]:
     """Look at driver and card, from the outside inwards, as far as each step allows the next."""
-    nodes = device_nodes(Path("/dev"))
+    nodes = check_device_nodes(Path("/dev"))
     try:
         from hal.nidaq import probe
         from hal.nidaq.on_demand import require_card
@@ -28,51 +28,59 @@ def card_findings(rig: NidaqRigSettings) -> Iterator[Finding]:
     except Exception as error:
         fix = "move a broken .env or settings.ini out of this directory, or reinstall pamctl"
         found = f"the package nidaqmx cannot be imported: {error}"
-        yield Finding("card.driver", "fault", found, "nidaqmx imported", fix)
+        yield DoctorFinding("card.driver", "fault", found, "nidaqmx imported", fix)
         return
     try:
-        driver = probe.driver()
+        driver = probe.identify_driver()
     except RigError as error:
-        yield Finding("card.driver", "fault", told(error), "NI-DAQmx for Linux loaded", error.fix)
+        yield DoctorFinding(
+            "card.driver",
+            "fault",
+            describe_rig_error(error),
+            "NI-DAQmx for Linux loaded",
+            error.fix,
+        )
         yield from nodes
         return
     found = f"NI-DAQmx {driver.version} ({driver.library}), package nidaqmx {driver.package}"
-    yield Finding("card.driver", "ok", found, data=driver._asdict())
+    yield DoctorFinding("card.driver", "ok", found, data=driver._asdict())
     yield from nodes
     settings = rig.nidaq
     try:
-        card = probe.card(settings.device)
+        card = probe.identify_card(settings.device)
         require_card(settings)
     except RigError as error:
         there = f"the driver lists {', '.join(driver.devices) or 'no device'}"
         wanted = f"{settings.device}, as nidaq.device of the rig file says"
-        yield Finding("card.device", "fault", f"{told(error)}; {there}", wanted, error.fix)
+        yield DoctorFinding(
+            "card.device", "fault", f"{describe_rig_error(error)}; {there}", wanted, error.fix
+        )
         return
-    yield device(settings.device, card)
-    yield channels(settings, card)
-    yield input_range(rig, card)
-    yield output_range(settings, card)
-    busy = probe.conflicts(settings)
-    yield reservations(busy, probe.driver_users([os.getpid()]) if busy else [])
+    yield judge_device(settings.device, card)
+    yield judge_channels(settings, card)
+    yield judge_input_range(rig, card)
+    yield judge_output_range(settings, card)
+    busy = probe.find_conflicts(settings)
+    yield judge_reservations(busy, probe.find_driver_users([os.getpid()]) if busy else [])
     if settings.pressure_channel in busy:
         return
-    yield on_demand(probe.on_demand_failure(settings))
+    yield judge_on_demand(probe.try_on_demand_read(settings))
 
 
-def clock_finding(rig: NidaqRigSettings) -> Finding:
+def examine_card_clock(rig: NidaqRigSettings) -> DoctorFinding:
     """Try the card's own clock, with the safe voltage on the output; hold the device for it."""
-    from hal.nidaq.probe import hardware_timed_failure
+    from hal.nidaq.probe import try_hardware_timing
 
-    failure = hardware_timed_failure(rig.nidaq, rig.loop.rate_hz, rig.safe_volts)
-    return hardware_timed(failure, rig.nidaq.timing == "hardware_timed")
+    failure = try_hardware_timing(rig.nidaq, rig.loop.rate_hz, rig.safe_volts)
+    return judge_hardware_timing(failure, rig.nidaq.timing == "hardware_timed")
 
 
-def device_nodes(directory: Path) -> Iterator[Finding]:
+def check_device_nodes(directory: Path) -> Iterator[DoctorFinding]:
     """See that this user may talk to the driver's kernel part, where its nodes can be seen."""
     nodes = sorted([*directory.glob("nidaq*"), *directory.glob("nipal*")])
     barred = [node for node in nodes if not os.access(node, os.R_OK | os.W_OK)]
     if barred:
-        yield Finding(
+        yield DoctorFinding(
             "card.permission",
             "fault",
             f"no access to {', '.join(map(str, barred))}",
@@ -80,20 +88,20 @@ def device_nodes(directory: Path) -> Iterator[Finding]:
             f"ls -l {barred[0]} shows its group: sudo usermod -aG GROUP $USER, and log in again",
         )
     elif nodes:
-        yield Finding("card.permission", "ok", f"access to {', '.join(map(str, nodes))}")
+        yield DoctorFinding("card.permission", "ok", f"access to {', '.join(map(str, nodes))}")
 
 
-def device(name: str, card: Card) -> Finding:
+def judge_device(name: str, card: Card) -> DoctorFinding:
     """Say which card it is."""
     found = f"{name}: {card.product_type}, serial {card.serial_number:X}, bus {card.bus}"
     data = card._asdict()
     if card.is_simulated:
         fix = "a device simulated by NI's driver: its encoder never counts; use --backend sim"
-        return Finding("card.device", "fault", found, "a card", fix, data)
-    return Finding("card.device", "ok", found, data=data)
+        return DoctorFinding("card.device", "fault", found, "a card", fix, data)
+    return DoctorFinding("card.device", "ok", found, data=data)
 
 
-def channels(settings: NidaqSettings, card: Card) -> Finding:
+def judge_channels(settings: NidaqSettings, card: Card) -> DoctorFinding:
     """See that the card has the terminals that the rig file names."""
     asked = {
         "pressure_channel": (settings.pressure_channel, card.inputs),
@@ -103,78 +111,90 @@ def channels(settings: NidaqSettings, card: Card) -> Finding:
     found = ", ".join(f"{channel}" for channel, _ in asked.values())
     missing = {key: there for key, (channel, there) in asked.items() if channel not in there}
     if not missing:
-        return Finding("card.channels", "ok", found)
+        return DoctorFinding("card.channels", "ok", found)
     there = "; ".join(f"nidaq.{key}: {', '.join(names)}" for key, names in missing.items())
     fix = f"correct {' and '.join(f'nidaq.{key}' for key in missing)} in the rig file"
-    return Finding("card.channels", "fault", found, f"one of {there}", fix)
+    return DoctorFinding("card.channels", "fault", found, f"one of {there}", fix)
 
 
-def input_range(rig: NidaqRigSettings, card: Card) -> Finding:
+def judge_input_range(rig: NidaqRigSettings, card: Card) -> DoctorFinding:
     """See that the input's range holds every voltage that a limit has to see."""
     name, settings, limits, cal = "card.input_range", rig.nidaq, rig.limits, rig.calibration
     asked = (settings.input_low_v, settings.input_high_v)
-    taken = _narrowest(asked, card.input_ranges)
+    taken = _choose_narrowest(asked, card.input_ranges)
     highest_v = (
         cal.sensor_zero_v + (limits.pressure_pa - cal.atmospheric_pressure_pa) / cal.sensor_pa_per_v
     )
     least = (limits.sensor_low_v, max(limits.sensor_high_v, highest_v))
-    found = f"asked {_shown(asked)}" + (f", the card takes {_shown(taken)}" if taken else "")
+    found = f"asked {_format_range(asked)}" + (
+        f", the card takes {_format_range(taken)}" if taken else ""
+    )
     if taken is None:
-        wanted = f"within one of {', '.join(map(_shown, card.input_ranges))}"
+        wanted = f"within one of {', '.join(map(_format_range, card.input_ranges))}"
         fix = "correct nidaq.input_low_v and nidaq.input_high_v"
-        return Finding(name, "fault", found, wanted, fix)
+        return DoctorFinding(name, "fault", found, wanted, fix)
     resolution_pa = (taken[1] - taken[0]) / 65536 * cal.sensor_pa_per_v
     data = {"low_v": taken[0], "high_v": taken[1], "step_pa": resolution_pa}
     if not _holds(asked, least) or not _holds(taken, least):
-        wanted = f"at least {_shown(least)}, or limits.pressure_pa and the wire are not watched"
+        wanted = (
+            f"at least {_format_range(least)}, or limits.pressure_pa and the wire are not watched"
+        )
         fix = f"set nidaq.input_low_v to {-5.0:g} and nidaq.input_high_v to {5.0:g}"
-        return Finding(name, "fault", found, wanted, fix, data)
-    return Finding(name, "ok", f"{found}: {resolution_pa:.0f} Pa a code", data=data)
+        return DoctorFinding(name, "fault", found, wanted, fix, data)
+    return DoctorFinding(name, "ok", f"{found}: {resolution_pa:.0f} Pa a code", data=data)
 
 
-def output_range(settings: NidaqSettings, card: Card) -> Finding:
+def judge_output_range(settings: NidaqSettings, card: Card) -> DoctorFinding:
     """See that the card can put out what the rig file allows."""
     asked = (settings.output_low_v, settings.output_high_v)
-    found = f"{_shown(asked)} of the card's {', '.join(map(_shown, card.output_ranges))}"
+    found = (
+        f"{_format_range(asked)} of the card's {', '.join(map(_format_range, card.output_ranges))}"
+    )
     if any(_holds(one, asked) for one in card.output_ranges):
-        return Finding("card.output_range", "ok", found)
+        return DoctorFinding("card.output_range", "ok", found)
     fix = "correct nidaq.output_low_v and nidaq.output_high_v"
-    return Finding("card.output_range", "fault", found, "within the card's range", fix)
+    return DoctorFinding("card.output_range", "fault", found, "within the card's range", fix)
 
 
-def reservations(busy: dict[str, RigError], users: list[User]) -> Finding:
+def judge_reservations(busy: dict[str, RigError], users: list[DriverUser]) -> DoctorFinding:
     """Say which parts of the card another program holds, and who may be holding them."""
     if not busy:
-        return Finding("card.reservations", "ok", "input, counter and output are free")
+        return DoctorFinding("card.reservations", "ok", "input, counter and output are free")
     error = next(iter(busy.values()))
-    found = "; ".join(told(error) for error in busy.values())
+    found = "; ".join(describe_rig_error(error) for error in busy.values())
     if any(error.code not in _BUSY for error in busy.values()):
-        return Finding("card.reservations", "fault", found, "free", error.fix)
+        return DoctorFinding("card.reservations", "fault", found, "free", error.fix)
     who = "; ".join(f"process {user.pid} ({user.command})" for user in users)
     fix = f"end what uses the driver: {who}" if who else f"{error.fix}; as root, this names it"
     data = {"channels": sorted(busy), "users": [user._asdict() for user in users]}
-    return Finding("card.reservations", "fault", found, "free", fix, data)
+    return DoctorFinding("card.reservations", "fault", found, "free", fix, data)
 
 
-def on_demand(failure: RigError | None) -> Finding:
+def judge_on_demand(failure: RigError | None) -> DoctorFinding:
     """Tell whether a read works when it is asked for."""
     if failure is None:
-        return Finding("timing.on_demand", "ok", "works")
-    return Finding("timing.on_demand", "fault", told(failure), "a read when asked", failure.fix)
+        return DoctorFinding("timing.on_demand", "ok", "works")
+    return DoctorFinding(
+        "timing.on_demand", "fault", describe_rig_error(failure), "a read when asked", failure.fix
+    )
 
 
-def hardware_timed(failure: RigError | None, is_wanted: bool) -> Finding:
+def judge_hardware_timing(failure: RigError | None, is_wanted: bool) -> DoctorFinding:
     """Tell whether the card's own clock can pace the loop."""
     name = "timing.hardware"
     if failure is None:
-        return Finding(name, "ok", "works: the card's clock can pace the loop")
+        return DoctorFinding(name, "ok", "works: the card's clock can pace the loop")
     if is_wanted:
         fix = f"set nidaq.timing to on_demand; {failure.fix}"
-        return Finding(name, "fault", told(failure), "as nidaq.timing says", fix)
-    return Finding(name, "ok", f"not available, and not needed: {told(failure)}")
+        return DoctorFinding(
+            name, "fault", describe_rig_error(failure), "as nidaq.timing says", fix
+        )
+    return DoctorFinding(
+        name, "ok", f"not available, and not needed: {describe_rig_error(failure)}"
+    )
 
 
-def _narrowest(asked: Range, ranges: tuple[Range, ...]) -> Range | None:
+def _choose_narrowest(asked: Range, ranges: tuple[Range, ...]) -> Range | None:
     fitting = [one for one in ranges if _holds(one, asked)]
     return min(fitting, key=lambda one: one[1] - one[0], default=None)
 
@@ -183,5 +203,5 @@ def _holds(outer: Range, inner: Range) -> bool:
     return outer[0] <= inner[0] and inner[1] <= outer[1]
 
 
-def _shown(pair: Range) -> str:
+def _format_range(pair: Range) -> str:
     return f"{pair[0]:g} to {pair[1]:g} V"

@@ -11,7 +11,7 @@ Level = Literal["ok", "warning", "fault"]
 """fault: a run would fail, or would not be safe. warning: it would work, but worse."""
 
 
-class Finding(NamedTuple):
+class DoctorFinding(NamedTuple):
     """One line of the doctor's report; `name` is stable between versions."""
 
     name: str
@@ -25,23 +25,23 @@ class Finding(NamedTuple):
     """The figures behind the words, in SI, units in the names."""
 
 
-def told(error: RigError) -> str:
+def describe_rig_error(error: RigError) -> str:
     """Return what a device says is wrong, with its number: the fix has a place of its own."""
     return error.what if error.code is None else f"{error.what} (device error {error.code})"
 
 
-def document(findings: Iterable[Finding]) -> list[dict[str, object]]:
+def encode_findings(findings: Iterable[DoctorFinding]) -> list[dict[str, object]]:
     """Return the findings for `--json`."""
     return [finding._asdict() for finding in findings]
 
 
-def worst(findings: Iterable[Finding]) -> Level:
+def worst_level(findings: Iterable[DoctorFinding]) -> Level:
     """Return the level of the worst finding; no finding is no fault."""
     levels = {finding.level for finding in findings}
     return "fault" if "fault" in levels else "warning" if "warning" in levels else "ok"
 
 
-def report(findings: Iterable[Finding]) -> Iterator[str]:
+def format_findings(findings: Iterable[DoctorFinding]) -> Iterator[str]:
     """Write the findings for a terminal, a line each, and the way out below each that is not ok."""
     for finding in findings:
         yield f"{finding.level:<8} {finding.name:<22} {finding.found}"

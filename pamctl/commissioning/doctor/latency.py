@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from hal.rig import Rig
-from pamctl.commissioning.doctor.findings import Finding, Level
+from pamctl.commissioning.doctor.findings import DoctorFinding, Level
 from pamctl.realtime.clock import Clock
 
 CALLS = 2000
@@ -22,7 +22,7 @@ _GOOD_SHARE, _BAD_SHARE = 0.05, 0.5
 """Of a period, at the 99th percentile: below is ok, above is a fault."""
 
 
-class Spread(NamedTuple):
+class LatencySpread(NamedTuple):
     """Durations summed up, in microseconds."""
 
     samples: int
@@ -37,7 +37,7 @@ class Spread(NamedTuple):
         return f"p50 {self.p50_us:.1f}, p99 {self.p99_us:.1f}, max {self.max_us:.1f} us"
 
 
-def spread(durations_ns: Sequence[int]) -> Spread:
+def summarise_latencies(durations_ns: Sequence[int]) -> LatencySpread:
     """Sum up durations, at least one; percentiles are values that occurred."""
     ordered = sorted(durations_ns)
     last = len(ordered) - 1
@@ -51,7 +51,9 @@ def spread(durations_ns: Sequence[int]) -> Spread:
         edge = next(edge for edge in edges if duration_ns < edge * 1e3)
         counts[f"below_{edge}_us"] += 1
     histogram = {name: count for name, count in counts.items() if count}
-    return Spread(len(ordered), quantile_us(0.5), quantile_us(0.99), ordered[-1] * 1e-3, histogram)
+    return LatencySpread(
+        len(ordered), quantile_us(0.5), quantile_us(0.99), ordered[-1] * 1e-3, histogram
+    )
 
 
 # --- waking up -------------------------------------------------------------------------------
@@ -60,32 +62,32 @@ def spread(durations_ns: Sequence[int]) -> Spread:
 class WakeUps(NamedTuple):
     """How late a clock woke up, and how many of its grid points passed unused."""
 
-    late: Spread
+    late: LatencySpread
     missed: int
 
 
-def measured_wake_ups(clock: Clock, duration_s: float) -> WakeUps:
+def measure_wake_ups(clock: Clock, duration_s: float) -> WakeUps:
     """Wait for the grid again and again; needs nothing but a clock."""
     ticks = max(10, round(duration_s * 1e9 / clock.period_ns))
     late_ns, missed = [], 0
-    with _undisturbed():
+    with _pause_garbage_collection():
         last = clock.wait().tick + ticks
         while True:
             wake = clock.wait()
             late_ns.append(wake.now_ns - wake.deadline_ns)
             missed += wake.missed
             if wake.tick >= last:
-                return WakeUps(spread(late_ns), missed)
+                return WakeUps(summarise_latencies(late_ns), missed)
 
 
-def wake_up_finding(name: str, wake_ups: WakeUps, period_s: float, how: str) -> Finding:
+def judge_wake_ups(name: str, wake_ups: WakeUps, period_s: float, how: str) -> DoctorFinding:
     """Judge a measurement against the loop's period; `how` names the scheduling."""
     late, missed = wake_ups
     ticks = late.samples + missed
-    level = _judged(late.p99_us * 1e-6 / period_s)
+    level = _judge_share(late.p99_us * 1e-6 / period_s)
     if missed and level == "ok":
         level = "fault" if missed > 0.01 * ticks else "warning"
-    return Finding(
+    return DoctorFinding(
         name,
         level,
         f"{how}: late by {late}, {missed} of {ticks} ticks missed",
@@ -99,24 +101,24 @@ def wake_up_finding(name: str, wake_ups: WakeUps, period_s: float, how: str) -> 
 # --- calls of the rig ------------------------------------------------------------------------
 
 
-class Calls(NamedTuple):
+class CallCosts(NamedTuple):
     """What the three calls of a tick cost."""
 
-    encoder: Spread
-    pressure: Spread
-    output: Spread
+    encoder: LatencySpread
+    pressure: LatencySpread
+    output: LatencySpread
 
 
-def measured_calls(
+def measure_calls(
     rig: Rig, safe_volts: float, now_ns: Callable[[], int] = time.monotonic_ns, calls: int = CALLS
-) -> Calls:
+) -> CallCosts:
     """Read, and write the safe voltage, back to back; the rig is open.
 
     A sample's own times part the encoder's share from the pressure sensor's: encoder first.
     """
     encoder_ns, pressure_ns, output_ns = [], [], []
     until_ns = now_ns() + round(_LONGEST_S * 1e9)
-    with _undisturbed():
+    with _pause_garbage_collection():
         for _ in range(calls):
             sample = rig.read()
             read_ns = now_ns()
@@ -127,16 +129,20 @@ def measured_calls(
             output_ns.append(written_ns - read_ns)
             if written_ns > until_ns:
                 break
-    return Calls(spread(encoder_ns), spread(pressure_ns), spread(output_ns))
+    return CallCosts(
+        summarise_latencies(encoder_ns),
+        summarise_latencies(pressure_ns),
+        summarise_latencies(output_ns),
+    )
 
 
-def call_findings(calls: Calls, period_s: float) -> Iterator[Finding]:
+def judge_calls(calls: CallCosts, period_s: float) -> Iterator[DoctorFinding]:
     """Judge each call against its third of the share that a tick may take."""
     for name, cost in calls._asdict().items():
-        level = _judged(3.0 * cost.p99_us * 1e-6 / period_s)
+        level = _judge_share(3.0 * cost.p99_us * 1e-6 / period_s)
         if level == "ok" and cost.max_us * 1e-6 > period_s:
             level = "warning"
-        yield Finding(
+        yield DoctorFinding(
             f"latency.{name}",
             level,
             f"{cost} of {cost.samples} calls",
@@ -147,12 +153,12 @@ def call_findings(calls: Calls, period_s: float) -> Iterator[Finding]:
         )
 
 
-def _judged(share: float) -> Level:
+def _judge_share(share: float) -> Level:
     return "ok" if share <= _GOOD_SHARE else "warning" if share <= _BAD_SHARE else "fault"
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
+def _pause_garbage_collection() -> Iterator[None]:
     was_enabled = gc.isenabled()
     gc.disable()
     try:

@@ -7,7 +7,7 @@ import platform
 from collections.abc import Iterator
 from pathlib import Path
 
-from pamctl.commissioning.doctor.findings import Finding, Level
+from pamctl.commissioning.doctor.findings import DoctorFinding, Level
 from pamctl.realtime.scheduling import Preparation
 
 _MB = 1 << 20
@@ -26,24 +26,24 @@ _RIGHTS = {
 }
 
 
-def pc_findings(shared_memory: Path, log_directory: Path) -> Iterator[Finding]:
+def examine_pc(shared_memory: Path, log_directory: Path) -> Iterator[DoctorFinding]:
     """Look at what does not depend on the rig, and needs no measurement."""
-    yield kernel()
-    yield processors(os.cpu_count() or 1)
-    yield governor(Path("/sys/devices/system/cpu"))
-    yield shared_memory_room(shared_memory)
-    yield log_room(log_directory)
+    yield check_kernel()
+    yield check_processors(os.cpu_count() or 1)
+    yield check_governor(Path("/sys/devices/system/cpu"))
+    yield check_shared_memory(shared_memory)
+    yield check_log_disk(log_directory)
 
 
-def kernel() -> Finding:
+def check_kernel() -> DoctorFinding:
     """Look for PREEMPT_RT."""
     release, version = platform.release(), platform.version()
-    is_real_time = "PREEMPT_RT" in version or _text(Path("/sys/kernel/realtime")) == "1"
+    is_real_time = "PREEMPT_RT" in version or _read_text(Path("/sys/kernel/realtime")) == "1"
     found = f"{platform.system()} {release}, {'' if is_real_time else 'not '}PREEMPT_RT"
     data = {"release": release, "preempt_rt": is_real_time}
     if is_real_time:
-        return Finding("pc.kernel", "ok", found, data=data)
-    return Finding(
+        return DoctorFinding("pc.kernel", "ok", found, data=data)
+    return DoctorFinding(
         "pc.kernel",
         "warning",
         found,
@@ -54,12 +54,12 @@ def kernel() -> Finding:
     )
 
 
-def processors(count: int) -> Finding:
+def check_processors(count: int) -> DoctorFinding:
     """Count them: the loop wants one for itself."""
     data = {"processors": count}
     if count > 1:
-        return Finding("pc.processors", "ok", f"{count}", data=data)
-    return Finding(
+        return DoctorFinding("pc.processors", "ok", f"{count}", data=data)
+    return DoctorFinding(
         "pc.processors",
         "warning",
         "1",
@@ -69,15 +69,15 @@ def processors(count: int) -> Finding:
     )
 
 
-def governor(cpus: Path) -> Finding:
+def check_governor(cpus: Path) -> DoctorFinding:
     """See at which clock rate the processors idle."""
     files = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_governor"))
-    governors = sorted({_text(file) for file in files})
+    governors = sorted({_read_text(file) for file in files})
     if not governors:
         found = "not visible (a virtual machine, or the firmware's own)"
-        return Finding("pc.governor", "ok", found, data={"governors": []})
+        return DoctorFinding("pc.governor", "ok", found, data={"governors": []})
     level: Level = "ok" if governors == ["performance"] else "warning"
-    return Finding(
+    return DoctorFinding(
         "pc.governor",
         level,
         ", ".join(governors),
@@ -87,14 +87,14 @@ def governor(cpus: Path) -> Finding:
     )
 
 
-def shared_memory_room(directory: Path) -> Finding:
+def check_shared_memory(directory: Path) -> DoctorFinding:
     """See that rings and locks can be laid into shared memory."""
     name, wanted = "pc.shared_memory", f"writable, {_RING_BYTES // _MB} MB free for ring and locks"
     if not (directory.is_dir() and os.access(directory, os.W_OK)):
         fix = f"mount -t tmpfs -o mode=1777 tmpfs {directory}"
-        return Finding(name, "fault", f"{directory} cannot be written", wanted, fix)
+        return DoctorFinding(name, "fault", f"{directory} cannot be written", wanted, fix)
     free = _free_bytes(directory)
-    return Finding(
+    return DoctorFinding(
         name,
         "ok" if free >= _RING_BYTES else "fault",
         f"{directory}: {free // _MB} MB free",
@@ -105,12 +105,12 @@ def shared_memory_room(directory: Path) -> Finding:
     )
 
 
-def log_room(directory: Path) -> Finding:
+def check_log_disk(directory: Path) -> DoctorFinding:
     """See how long a log may become."""
     place = next(path for path in (directory, *directory.absolute().parents) if path.is_dir())
     if not os.access(place, os.W_OK):
         fix = "change to a directory of yours, or give --log to each run"
-        return Finding("pc.log_disk", "fault", f"{place} cannot be written", "writable", fix)
+        return DoctorFinding("pc.log_disk", "fault", f"{place} cannot be written", "writable", fix)
     free = _free_bytes(place)
     lasts_s = free / _LOG_BYTES_PER_S
     level: Level = (
@@ -120,7 +120,7 @@ def log_room(directory: Path) -> Finding:
         if lasts_s < _COMFORTABLE_LOG_S
         else "ok"
     )
-    return Finding(
+    return DoctorFinding(
         "pc.log_disk",
         level,
         f"{place}: {free // _MB} MB free, logs of {lasts_s / 3600:.1f} h",
@@ -130,7 +130,7 @@ def log_room(directory: Path) -> Finding:
     )
 
 
-def permission_findings(preparation: Preparation) -> Iterator[Finding]:
+def judge_permissions(preparation: Preparation) -> Iterator[DoctorFinding]:
     """Tell which steps of the preparation for real time this user is permitted."""
     for step in preparation.steps:
         if step.name not in _RIGHTS:
@@ -138,7 +138,7 @@ def permission_findings(preparation: Preparation) -> Iterator[Finding]:
         # A refusal is worse timing and never a wrong run: `--rt require` is for who wants more.
         level: Level = "ok" if step.done else "warning"
         reason, _, fix = step.detail.partition("; ")
-        yield Finding(
+        yield DoctorFinding(
             f"pc.{step.name}",
             level,
             step.detail if step.done else f"refused: {reason}",
@@ -153,7 +153,7 @@ def _free_bytes(place: Path) -> int:
     return disk.f_bavail * disk.f_frsize
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return path.read_text().strip()
     except OSError:

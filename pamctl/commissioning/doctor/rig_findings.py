@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from hal.rig import RigError
-from pamctl.commissioning.doctor.actuate import actuation_findings
-from pamctl.commissioning.doctor.findings import Finding, told
-from pamctl.commissioning.doctor.latency import call_findings, measured_calls
+from pamctl.commissioning.doctor.actuate import examine_actuation
+from pamctl.commissioning.doctor.findings import DoctorFinding, describe_rig_error
+from pamctl.commissioning.doctor.latency import judge_calls, measure_calls
 from pamctl.commissioning.doctor.sensors import (
     is_in_range,
-    moved_by_hand,
-    never_moved,
-    resting,
-    sensor_findings,
+    judge_hand_motion,
+    judge_sensors,
+    measure_at_rest,
+    report_unmoved_encoder,
 )
 from pamctl.commissioning.hands_on import Bench
 from pamctl.realtime.scheduling import prepare
@@ -22,22 +22,22 @@ CountsByHand = Callable[[Bench], int | None]
 """Asks for the carriage to be moved; returns over how many counts it went, None unasked."""
 
 
-def rig_findings(
+def examine_rig(
     bench: Bench, *, actuate: bool, by_hand: CountsByHand, loop_cpu: int | None
-) -> Iterator[Finding]:
+) -> Iterator[DoctorFinding]:
     """Look at sensors and calls at the safe voltage; move the muscle where that is wanted."""
     with prepare("auto", loop_cpu):  # as a run's loop makes these calls
-        calls = measured_calls(bench.rig, bench.safe_volts)
-    yield from call_findings(calls, bench.period_s)
-    rest = resting(bench)
-    yield from sensor_findings(bench, rest)
+        calls = measure_calls(bench.rig, bench.safe_volts)
+    yield from judge_calls(calls, bench.period_s)
+    rest = measure_at_rest(bench)
+    yield from judge_sensors(bench, rest)
     if not actuate:
         counts = by_hand(bench)
-        yield never_moved() if counts is None else moved_by_hand(counts)
+        yield report_unmoved_encoder() if counts is None else judge_hand_motion(counts)
     elif is_in_range(bench, rest):
-        yield from actuation_findings(bench)
+        yield from examine_actuation(bench)
     else:
-        yield Finding(
+        yield DoctorFinding(
             "valve.sign",
             "fault",
             "not tried: with a sensor that is not there the pressure could not be watched",
@@ -46,8 +46,12 @@ def rig_findings(
         )
 
 
-def unavailable(error: RigError) -> Finding:
+def report_unavailable_rig(error: RigError) -> DoctorFinding:
     """Say that the rig could not be had, or was lost on the way."""
-    return Finding(
-        "rig.device", "fault", told(error), "the device, for this command alone", error.fix
+    return DoctorFinding(
+        "rig.device",
+        "fault",
+        describe_rig_error(error),
+        "the device, for this command alone",
+        error.fix,
     )

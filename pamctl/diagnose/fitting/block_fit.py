@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
-from pamctl.diagnose.fitting.drives import RUNAWAY, Drive, stacked
-from pamctl.diagnose.fitting.numbers import Free, value_of, with_values
+from pamctl.diagnose.fitting.drives import RUNAWAY, Drive, stack_residuals
+from pamctl.diagnose.fitting.numbers import FreeNumber, value_of, with_values
 from pamctl.diagnose.measured.record import Array
 from pamctl.plant.flat import NEUTRAL
 from pamctl.plant.model import PlantSettings
@@ -54,7 +54,7 @@ class Fit:
     """A plant fitted to training drives."""
 
     settings: PlantSettings
-    free: tuple[Free, ...]
+    free: tuple[FreeNumber, ...]
     drives: tuple[Drive, ...]
     residual: Array
     """At the solution, all drives one behind the other."""
@@ -96,7 +96,7 @@ class _Slope:
     age: int = 0
     """Updates since they were made."""
 
-    def carried_to(self, vector: Array, residual: Array) -> _Slope:
+    def carry_to(self, vector: Array, residual: Array) -> _Slope:
         """Return the nearest derivatives that agree with the step just done (Broyden's update)."""
         step = vector - self.vector
         missed = residual - self.residual - self.jacobian @ step
@@ -104,17 +104,17 @@ class _Slope:
         return _Slope(vector.copy(), residual.copy(), jacobian, self.age + 1)
 
 
-def fit(
+def fit_numbers(
     drives: Sequence[Drive],
     start: PlantSettings,
-    free: Sequence[Free],
+    free: Sequence[FreeNumber],
     effort: Effort = FULL,
 ) -> Fit:
     """Fit `free` from where `start` stands; robust against what the model cannot show."""
     drives, free = tuple(drives), tuple(free)
     if not free:
-        return Fit(start, (), drives, stacked(drives, start))
-    start, begun = _tamed(drives, start, free)
+        return Fit(start, (), drives, stack_residuals(drives, start))
+    start, begun = _tame_start(drives, start, free)
     scale = np.array([f.scale for f in free])
     low = np.array([f.low for f in free]) / scale
     high = np.array([f.high for f in free]) / scale
@@ -129,15 +129,15 @@ def fit(
     known: list[tuple[Array, Array]] = []  # the optimiser asks for the slope where it just was
 
     def residual_at(vector: Array) -> Array:
-        known[:] = [*known[-1:], (vector.copy(), stacked(drives, settings_at(vector)))]
+        known[:] = [*known[-1:], (vector.copy(), stack_residuals(drives, settings_at(vector)))]
         return known[-1][1]
 
     def slope_at(vector: Array, step: float, last: list[_Slope]) -> Array:
         here = next((r for v, r in known if np.array_equal(v, vector)), None)
         settings = settings_at(vector)
-        residual = stacked(drives, settings) if here is None else here
+        residual = stack_residuals(drives, settings) if here is None else here
         if last and last[0].age < effort.updates and not np.array_equal(last[0].vector, vector):
-            last[0] = last[0].carried_to(vector, residual)
+            last[0] = last[0].carry_to(vector, residual)
         else:
             slope = sensitivity(drives, settings, free, residual, step)
             last[:] = [_Slope(vector.copy(), residual.copy(), slope)]
@@ -164,11 +164,11 @@ def fit(
         over = descended(descended(found.x, LONG_STEP).x, STEP)
         found = min(found, over, key=lambda result: float(result.cost))
     settings = settings_at(found.x)
-    return Fit(settings, free, drives, stacked(drives, settings))
+    return Fit(settings, free, drives, stack_residuals(drives, settings))
 
 
-def _tamed(
-    drives: Sequence[Drive], start: PlantSettings, free: Sequence[Free]
+def _tame_start(
+    drives: Sequence[Drive], start: PlantSettings, free: Sequence[FreeNumber]
 ) -> tuple[PlantSettings, Array]:
     """Draw a start from which the model runs away back to its effects' neutral values.
 
@@ -176,7 +176,7 @@ def _tamed(
     """
     effects = [f.name for f in free if f.effect]
     for _ in range(HALVINGS):
-        begun = stacked(drives, start)
+        begun = stack_residuals(drives, start)
         if np.max(np.abs(begun)) < 0.5 * RUNAWAY:
             break
         nearer = {name: 0.5 * (value_of(start, name) + NEUTRAL[name]) for name in effects}
@@ -187,7 +187,7 @@ def _tamed(
 def sensitivity(
     drives: Sequence[Drive],
     settings: PlantSettings,
-    free: Sequence[Free],
+    free: Sequence[FreeNumber],
     residual: Array,
     step: float = STEP,
 ) -> Array:
@@ -197,13 +197,13 @@ def sensitivity(
 
 
 def _derivative(
-    drives: Sequence[Drive], settings: PlantSettings, free: Free, residual: Array, step: float
+    drives: Sequence[Drive], settings: PlantSettings, free: FreeNumber, residual: Array, step: float
 ) -> Array:
     value = value_of(settings, free.name)
     if value + step > free.high:
         step = -step
     moved = with_values(settings, {free.name: value + step})
-    return (stacked(drives, moved) - residual) * (free.scale / step)
+    return (stack_residuals(drives, moved) - residual) * (free.scale / step)
 
 
 def rms(residual: Array) -> float:

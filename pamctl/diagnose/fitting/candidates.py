@@ -14,7 +14,13 @@ from itertools import product
 import numpy as np
 
 from pamctl.diagnose.fitting.evidence import Evidence
-from pamctl.diagnose.fitting.numbers import Free, described, effects_on, of_effect, value_of
+from pamctl.diagnose.fitting.numbers import (
+    FreeNumber,
+    active_effects,
+    look_up_parameter,
+    numbers_of_effect,
+    value_of,
+)
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.effects.description import EffectDescription, EffectForm
 from pamctl.plant.model import PlantSettings
@@ -31,55 +37,57 @@ class Candidate:
 
     name: str
     form: str
-    free: tuple[Free, ...]
+    free: tuple[FreeNumber, ...]
     held: tuple[tuple[str, float], ...]
     """Numbers that the form fixes, by full name."""
     blocks: frozenset[str]
     """The blocks that it reaches."""
 
     @property
-    def held_alone(self) -> tuple[tuple[str, float], ...]:
+    def fixed_numbers(self) -> tuple[tuple[str, float], ...]:
         """What the form fixes and no fit may move."""
         moved = {f.name for f in self.free}
         return tuple((name, value) for name, value in self.held if name not in moved)
 
     @property
-    def switches(self) -> tuple[Free, ...]:
+    def switches(self) -> tuple[FreeNumber, ...]:
         """The numbers that switch it on."""
-        return tuple(f for f in self.free if described(f).role == "size")
+        return tuple(f for f in self.free if look_up_parameter(f).role == "size")
 
     @property
-    def shapes(self) -> tuple[Free, ...]:
+    def shapes(self) -> tuple[FreeNumber, ...]:
         """The numbers that only shape it."""
-        return tuple(f for f in self.free if described(f).role == "shape")
+        return tuple(f for f in self.free if look_up_parameter(f).role == "shape")
 
 
-def candidates(evidence: Evidence, without: Collection[str] = ()) -> tuple[Candidate, ...]:
+def list_candidates(evidence: Evidence, without: Collection[str] = ()) -> tuple[Candidate, ...]:
     """Return the effects that reach a block of the evidence; `without` leaves some out.
 
     Those that the start model has already, and those that no experiment can identify, are
     not asked for.
     """
-    on = effects_on(evidence.nominal)
+    on = active_effects(evidence.nominal)
     return tuple(
         candidate
         for name, effect in CATALOGUE.items()
         if name not in {*without, *NEVER_NAMED, *on} and effect.identifiable
-        for candidate in _forms(effect, evidence.blocks)
+        for candidate in _list_forms(effect, evidence.blocks)
     )
 
 
-def _forms(effect: EffectDescription, blocks: Collection[str]) -> Iterator[Candidate]:
+def _list_forms(effect: EffectDescription, blocks: Collection[str]) -> Iterator[Candidate]:
     reached = frozenset(block for block in effect.seen_by if block in blocks)
     if not reached:
         return
     everything = tuple(p.name for p in effect.parameters if not p.choices)
     for form in effect.forms or (EffectForm(effect.name, everything),):
         held = tuple((f"{effect.name}.{n}", float(v)) for n, v in form.held.items())
-        yield Candidate(effect.name, form.name, of_effect(effect.name, form.free), held, reached)
+        yield Candidate(
+            effect.name, form.name, numbers_of_effect(effect.name, form.free), held, reached
+        )
 
 
-def dosed(number: Free, doses: float, neutral: float) -> float:
+def apply_dose(number: FreeNumber, doses: float, neutral: float) -> float:
     """Go from neutral by so many smallest sizes of interest, within the range."""
     step = doses * number.scale
     if neutral + step <= number.high:
@@ -87,41 +95,43 @@ def dosed(number: Free, doses: float, neutral: float) -> float:
     return max(neutral - step, number.low) if neutral >= number.high else number.high
 
 
-def trials(candidate: Candidate, settings: PlantSettings) -> Iterator[list[dict[str, float]]]:
+def generate_doses(
+    candidate: Candidate, settings: PlantSettings
+) -> Iterator[list[dict[str, float]]]:
     """Yield sets of small doses: in each set one dose of every switch, under one shape."""
-    for shape, doses in product(_shapes(candidate, settings), DOSES):
+    for shape, doses in product(_vary_shapes(candidate, settings), DOSES):
         yield [
             {
                 **shape,
                 **dict(candidate.held),
-                s.name: dosed(s, doses, value_of(settings, s.name)),
+                s.name: apply_dose(s, doses, value_of(settings, s.name)),
             }
             for s in candidate.switches
         ]
 
 
-def _shapes(candidate: Candidate, settings: PlantSettings) -> Iterator[dict[str, float]]:
-    usual = {f.name: _usual(f, settings) for f in candidate.shapes}
+def _vary_shapes(candidate: Candidate, settings: PlantSettings) -> Iterator[dict[str, float]]:
+    usual = {f.name: _usual_shape(f, settings) for f in candidate.shapes}
     yield usual
     for number in candidate.shapes:
         for end in (number.low, number.high):
-            between = _between(usual[number.name], end, number.high)
+            between = _geometric_mean(usual[number.name], end, number.high)
             if between != usual[number.name]:
                 yield {**usual, number.name: between}
 
 
-def _usual(number: Free, settings: PlantSettings) -> float:
+def _usual_shape(number: FreeNumber, settings: PlantSettings) -> float:
     """Return the catalogue's start of a shape, or else its value."""
-    start = described(number).start
+    start = look_up_parameter(number).start
     return start if number.low < start < number.high else value_of(settings, number.name)
 
 
-def _between(value: float, end: float, high: float) -> float:
+def _geometric_mean(value: float, end: float, high: float) -> float:
     """Geometric mean, since shapes are times and speeds; a zero counts as a hundredth."""
     least = 1e-2 * high
     return float(np.sqrt(max(value, least) * max(end, least))) if high > 0.0 else value
 
 
-def reaching(found: Sequence[Candidate], blocks: Collection[str]) -> tuple[Candidate, ...]:
+def select_reaching(found: Sequence[Candidate], blocks: Collection[str]) -> tuple[Candidate, ...]:
     """Return the candidates that reach one of the blocks."""
     return tuple(c for c in found if c.blocks & set(blocks))

@@ -20,14 +20,14 @@ from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.measured.sensor_noise import Noise
 from pamctl.plant.drive import (
     STEPS_A_TICK,
-    Grid,
+    SampleGrid,
+    build_grid,
     drive_coupled,
     drive_mechanics,
     drive_pressure,
-    grid_of,
 )
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.parameters import PlantParameters, at_rest
+from pamctl.plant.parameters import PlantParameters, rest_state
 
 PRESSURE, MECHANICS = "pressure", "mechanics"
 
@@ -37,7 +37,7 @@ VENTED_PA = 20e3
 """A sensor's zero may be off by so much; a muscle that starts higher does not start vented."""
 MODELLED_HZ = 1.0
 """The same, of what is left of it beside a pressure block that is at its floor."""
-SETTLED = 1000
+SETTLED_MS = 1000
 """Milliseconds after which a muscle stands still."""
 RUNAWAY = 1e6
 """Deviations: the residual of a model that runs away, as a spring with a negative rate does."""
@@ -78,23 +78,23 @@ class Drive:
         return len(self.measured) if self.rows is None else int(self.rows.sum())
 
     @cached_property
-    def grid(self) -> Grid:
+    def grid(self) -> SampleGrid:
         """The simulation's steps."""
-        return grid_of(self.step_s, len(self.measured), self.steps)
+        return build_grid(self.step_s, len(self.measured), self.steps)
 
-    def simulated(self, settings: PlantSettings) -> Array:
+    def simulate(self, settings: PlantSettings) -> Array:
         """Simulate the block; return what its sensor would show without noise."""
-        return self.simulated_with(plant_parameters(settings))
+        return self.simulate_with(plant_parameters(settings))
 
-    def simulated_with(self, p: PlantParameters) -> Array:
+    def simulate_with(self, p: PlantParameters) -> Array:
         """Simulate the block with the numbers that the kernels use."""
         if not self.has_position:
             return drive_coupled(p, self.valve_v, self.grid).pressure_pa
         if self.block == PRESSURE:
             rests = self.start == p.atmospheric_pressure_pa
-            start = None if rests else at_rest(p, float(self.driven[0]), self.start)
+            start = None if rests else rest_state(p, float(self.driven[0]), self.start)
             return drive_pressure(p, self.valve_v, self.driven, self.grid, start=start).pressure_pa
-        start = at_rest(p, self.start, p.atmospheric_pressure_pa) if self.start else None
+        start = rest_state(p, self.start, p.atmospheric_pressure_pa) if self.start else None
         return drive_mechanics(p, self.driven, self.grid, start=start).position_m
 
     def resting_gauge_pa(self, settings: PlantSettings, samples: int) -> float:
@@ -108,9 +108,9 @@ class Drive:
 
     def residual(self, settings: PlantSettings) -> Array:
         """Return measurement minus simulation, in deviations of the sensor, shape (samples,)."""
-        return self.compared(self.simulated(settings))
+        return self.residual_of(self.simulate(settings))
 
-    def compared(self, simulated: Array) -> Array:
+    def residual_of(self, simulated: Array) -> Array:
         """Return measurement minus a simulated output, in deviations of the sensor."""
         most = RUNAWAY * self.deviation
         error = np.nan_to_num(self.measured - simulated, nan=most).clip(-most, most)
@@ -120,18 +120,20 @@ class Drive:
             error = error - np.clip(np.mean(error), -self.slack, self.slack)
         return error / self.deviation
 
-    def chance(self, *key: int) -> np.random.Generator:
+    def random_generator(self, *key: int) -> np.random.Generator:
         """Return random numbers that are this record's own, and the same for the same key."""
         return np.random.default_rng([crc32(self.measured.tobytes()), *key])
 
-    def disturbance(self, noise: Noise, replica: int) -> Array:
+    def draw_disturbance(self, noise: Noise, replica: int) -> Array:
         """Draw noise of the driving signal, smoothed as the signal itself was, shape (n,).
 
         Kept: every model's floor is found with the same noise, and differs by the model alone.
         """
         if replica not in self._disturbances:
-            drawn = noise.sensed(np.zeros(len(self.driven)), self.chance(replica, 0))
-            smooth = _smoothed(drawn, float(np.median(self.step_s)), self.cutoff_hz)
+            drawn = noise.simulate_sensor(
+                np.zeros(len(self.driven)), self.random_generator(replica, 0)
+            )
+            smooth = _smooth_signal(drawn, float(np.median(self.step_s)), self.cutoff_hz)
             self._disturbances[replica] = smooth
         return self._disturbances[replica]
 
@@ -140,7 +142,7 @@ class Drive:
         return {}
 
 
-def pressure_drive(record: Record, noises: dict[str, Noise], atmosphere_pa: float) -> Drive:
+def prepare_pressure_drive(record: Record, noises: dict[str, Noise], atmosphere_pa: float) -> Drive:
     """Prepare a record for the pressure block."""
     has_position = record.position_m is not None
     position_m = record["position_m"] if has_position else np.zeros(len(record))
@@ -149,17 +151,17 @@ def pressure_drive(record: Record, noises: dict[str, Noise], atmosphere_pa: floa
         record.name,
         record.step_s,
         record["valve_v"],
-        _smoothed(position_m, record.period_s, 0.0),
+        _smooth_signal(position_m, record.period_s, 0.0),
         0.0,
         record["pressure_pa"],
         max(noises["pressure_pa"].total, 1.0),
         0.0,
-        _rest_pa(record, noises["pressure_pa"], atmosphere_pa),
+        _initial_pressure_pa(record, noises["pressure_pa"], atmosphere_pa),
         has_position=has_position,
     )
 
 
-def mechanics_drive(
+def prepare_mechanics_drive(
     record: Record,
     noises: dict[str, Noise],
     modelled_pa: Array | None = None,
@@ -177,23 +179,23 @@ def mechanics_drive(
         record.name,
         record.step_s,
         np.zeros(len(record)),
-        base + _smoothed(record["pressure_pa"] - base, record.period_s, cutoff_hz),
+        base + _smooth_signal(record["pressure_pa"] - base, record.period_s, cutoff_hz),
         cutoff_hz,
         record["position_m"],
         max(noise.total, 1e-7),
         noise.resolution,
-        rest_m(record, noise),
+        initial_position_m(record, noise),
     )
 
 
 def contraction_m(settings: PlantSettings, gauge_pa: float) -> float:
     """Return how far a muscle moves, from the vented rest, under a constant pressure."""
     p = plant_parameters(settings)
-    steady_pa = np.full(SETTLED, p.atmospheric_pressure_pa + gauge_pa)
+    steady_pa = np.full(SETTLED_MS, p.atmospheric_pressure_pa + gauge_pa)
     return float(drive_mechanics(p, steady_pa, 1e-3).position_m[-1])
 
 
-def force_drive(record: Record, noises: dict[str, Noise]) -> Drive:
+def prepare_force_drive(record: Record, noises: dict[str, Noise]) -> Drive:
     """Prepare a record of a mechanism that a measured force drives, no muscle between."""
     noise = noises["position_m"]
     return Drive(
@@ -201,22 +203,22 @@ def force_drive(record: Record, noises: dict[str, Noise]) -> Drive:
         record.name,
         record.step_s,
         np.zeros(len(record)),
-        _smoothed(record["force_n"], record.period_s, SMOOTH_HZ),
+        _smooth_signal(record["force_n"], record.period_s, SMOOTH_HZ),
         SMOOTH_HZ,
         record["position_m"],
         max(noise.total, 1e-7),
         noise.resolution,
-        rest_m(record, noise),
+        initial_position_m(record, noise),
     )
 
 
-def rest_m(record: Record, noise: Noise) -> float:
+def initial_position_m(record: Record, noise: Noise) -> float:
     """Where the muscle rests at first: at zero, unless the encoder clearly says otherwise."""
     position_m = float(np.mean(record["position_m"][: max(min(record.rest_samples, 500), 1)]))
     return position_m if abs(position_m) > 3.0 * max(noise.resolution, 1e-6) else 0.0
 
 
-def _rest_pa(record: Record, noise: Noise, atmosphere_pa: float) -> float:
+def _initial_pressure_pa(record: Record, noise: Noise, atmosphere_pa: float) -> float:
     """Return the pressure at first: the atmosphere's, where that is within a sensor's tolerance."""
     count = max(min(record.rest_samples, 500), 1)
     pressure_pa = float(np.mean(record["pressure_pa"][:count]))
@@ -224,7 +226,7 @@ def _rest_pa(record: Record, noise: Noise, atmosphere_pa: float) -> float:
     return atmosphere_pa if near else pressure_pa
 
 
-def _smoothed(values: Array, period_s: float, cutoff_hz: float) -> Array:
+def _smooth_signal(values: Array, period_s: float, cutoff_hz: float) -> Array:
     """Smooth without delay: second order both ways, or a cubic over 15 samples."""
     if cutoff_hz == 0.0:
         cubic: Array = savgol_filter(values, 15, 3)
@@ -241,7 +243,7 @@ def _smoothed(values: Array, period_s: float, cutoff_hz: float) -> Array:
     return smooth
 
 
-def stacked(drives: Sequence[Drive], settings: PlantSettings) -> Array:
+def stack_residuals(drives: Sequence[Drive], settings: PlantSettings) -> Array:
     """Return the residuals of several drives, one behind the other."""
     p = plant_parameters(settings)
-    return np.concatenate([drive.compared(drive.simulated_with(p)) for drive in drives])
+    return np.concatenate([drive.residual_of(drive.simulate_with(p)) for drive in drives])

@@ -14,17 +14,17 @@ from pamctl.diagnose.fitting.drives import (
     SMOOTH_HZ,
     Drive,
     contraction_m,
-    force_drive,
-    mechanics_drive,
-    pressure_drive,
+    prepare_force_drive,
+    prepare_mechanics_drive,
+    prepare_pressure_drive,
 )
 from pamctl.diagnose.fitting.floor import Floor
-from pamctl.diagnose.fitting.repeatability import Repeat, repeats
+from pamctl.diagnose.fitting.repeatability import Repeat, find_repeats
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
-from pamctl.diagnose.measured.sensor_noise import Noise, estimate
+from pamctl.diagnose.measured.sensor_noise import Noise, estimate_channel_noise
 from pamctl.plant.model import PlantSettings
 
-SMALLEST = {"pressure_pa": 60.0, "position_m": 3.2e-6}
+SMALLEST_MISFIT = {"pressure_pa": 60.0, "position_m": 3.2e-6}
 """A misfit below is of no interest, however significant; by channel."""
 
 
@@ -54,9 +54,9 @@ class Evidence:
         drive = self.train[block][0]
         channel = "pressure_pa" if block == PRESSURE else "position_m"
         # Of a poor sensor a fifth of its noise.
-        return max(SMALLEST[channel], 0.2 * self.noises[channel].total) / drive.deviation
+        return max(SMALLEST_MISFIT[channel], 0.2 * self.noises[channel].total) / drive.deviation
 
-    def counted(self, floors: Mapping[str, Floor]) -> Evidence:
+    def weigh_by_floors(self, floors: Mapping[str, Floor]) -> Evidence:
         """Return the evidence with each block's residuals counted by what they are worth.
 
         A fit of both blocks weighs them by it. The mechanics' floor is several counts of the
@@ -70,12 +70,12 @@ class Evidence:
 
         return replace(self, together={b: recounted(b, d) for b, d in self.train.items()})
 
-    def fitted_on(self, blocks: Collection[str]) -> tuple[Drive, ...]:
+    def training_drives(self, blocks: Collection[str]) -> tuple[Drive, ...]:
         """Return the drives that a fit of these blocks goes by."""
         drives = self.together if self.together and len(blocks) > 1 else self.train
         return tuple(d for b in self.blocks if b in blocks for d in drives[b])
 
-    def only(self, blocks: Collection[str]) -> Evidence:
+    def select_blocks(self, blocks: Collection[str]) -> Evidence:
         """Return the evidence of some of the blocks."""
         return replace(
             self,
@@ -85,30 +85,30 @@ class Evidence:
         )
 
 
-def prepared(
+def prepare_evidence(
     train: Sequence[Record], holdout: Sequence[Record], nominal: PlantSettings
 ) -> Evidence:
     """Prepare records; noise is estimated from all of them together."""
     everything = [*train, *holdout]
     noises = {
-        channel: estimate(everything, channel)
+        channel: estimate_channel_noise(everything, channel)
         for channel in CHANNELS
         if channel != "valve_v" and channel in everything[0].channels
     }
     measured = everything[0].channels
     # A single run that is cut is in both parts, and no repeat of itself.
     different = [*train, *(r for r in holdout if all(r is not t for t in train))]
-    evidence = Evidence(nominal, {}, {}, noises, repeated=repeats(different))
+    evidence = Evidence(nominal, {}, {}, noises, repeated=find_repeats(different))
     drivers: dict[str, Callable[[Record], Drive]] = {}
     atmosphere_pa = nominal.parameters.atmospheric_pressure_pa
     if nominal.actuator == "direct":
         if {"force_n", "position_m"} <= {*measured}:
-            drivers[MECHANICS] = lambda record: force_drive(record, noises)
+            drivers[MECHANICS] = lambda record: prepare_force_drive(record, noises)
     else:
         if {"valve_v", "pressure_pa"} <= {*measured}:
-            drivers[PRESSURE] = lambda record: pressure_drive(record, noises, atmosphere_pa)
+            drivers[PRESSURE] = lambda record: prepare_pressure_drive(record, noises, atmosphere_pa)
         if {"position_m", "pressure_pa"} <= {*measured}:
-            drivers[MECHANICS] = lambda record: mechanics_drive(record, noises)
+            drivers[MECHANICS] = lambda record: prepare_mechanics_drive(record, noises)
     for block, driver in drivers.items():
         evidence.train[block] = tuple(map(driver, train))
         evidence.holdout[block] = tuple(map(driver, holdout))
@@ -130,8 +130,8 @@ def with_modelled_pressure(
     cutoff_hz = MODELLED_HZ if trusted else SMOOTH_HZ
 
     def driven_by(record: Record, pressure: Drive) -> Drive:
-        modelled_pa = _steady_at_rest(pressure.simulated(pressure_model), record.rest_samples)
-        drive = mechanics_drive(record, evidence.noises, modelled_pa, cutoff_hz)
+        modelled_pa = _hold_rest_pressure(pressure.simulate(pressure_model), record.rest_samples)
+        drive = prepare_mechanics_drive(record, evidence.noises, modelled_pa, cutoff_hz)
         gauge_pa = pressure.resting_gauge_pa(pressure_model, record.rest_samples) if trusted else 0
         moved_m = contraction_m(evidence.nominal, gauge_pa) if gauge_pa > 0.0 else 0.0
         if drive.start or moved_m <= drive.slack:
@@ -149,7 +149,7 @@ def with_modelled_pressure(
     )
 
 
-def _steady_at_rest(pressure_pa: Array, samples: int) -> Array:
+def _hold_rest_pressure(pressure_pa: Array, samples: int) -> Array:
     """Let a model that began at the atmosphere's pressure rest where it came to rest."""
     if not samples:
         return pressure_pa

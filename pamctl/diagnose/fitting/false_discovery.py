@@ -13,7 +13,7 @@ RATE = 0.05
 """Of what is said to stand out, the share that noise alone may have brought, in the mean."""
 
 
-def discovered(p_values: ArrayLike, rate: float = RATE) -> NDArray[np.bool_]:
+def flag_discoveries(p_values: ArrayLike, rate: float = RATE) -> NDArray[np.bool_]:
     """Tell which comparisons stand out, by Benjamini and Hochberg's step-up.
 
     It holds for regimes that share samples as well, since these go up and down together.

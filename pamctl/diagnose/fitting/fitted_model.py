@@ -10,31 +10,31 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from pamctl.diagnose.fitting.block_fit import FULL, QUICK, Effort, Fit, fit, rms
+from pamctl.diagnose.fitting.block_fit import FULL, QUICK, Effort, Fit, fit_numbers, rms
 from pamctl.diagnose.fitting.candidates import Candidate
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stacked
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
 from pamctl.diagnose.fitting.evidence import Evidence
-from pamctl.diagnose.fitting.floor import Floor, floor
+from pamctl.diagnose.fitting.floor import Floor, simulate_floor
 from pamctl.diagnose.fitting.numbers import (
     SENSOR_ZERO,
-    Free,
-    calibrated,
+    FreeNumber,
+    active_effects,
+    calibrated_number,
     calibration_of,
-    described,
-    effects_on,
-    of_start,
+    look_up_parameter,
+    numbers_of_start,
     sensor_zero,
     with_values,
 )
-from pamctl.diagnose.fitting.repeatability import Spread, repeatability
+from pamctl.diagnose.fitting.repeatability import RepeatSpread, measure_repeatability
 from pamctl.diagnose.measured.record import Array
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
-TRIFLE = 0.5
+LEAST_SIZE = 0.5
 """Of the smallest size of interest: what is smaller is no name."""
-FORM = 0.01
-FAR = 2.5
+FORM_SHARE = 0.01
+FAR_ABOVE_LIMIT = 2.5
 """A block so many limits high is above any floor."""
 
 _FLOORS: WeakKeyDictionary[Fit, dict[str, Floor]] = WeakKeyDictionary()
@@ -82,7 +82,7 @@ class Model:
     def residuals(self) -> dict[str, Array]:
         """Held-out residuals of each block, in deviations of the sensor."""
         return {
-            block: stacked(self.evidence.holdout[block], self.fit_of(block).settings)
+            block: stack_residuals(self.evidence.holdout[block], self.fit_of(block).settings)
             for block in self.evidence.blocks
         }
 
@@ -94,34 +94,34 @@ class Model:
     @cached_property
     def floors(self) -> dict[str, Floor]:
         """What a perfect model would leave, by block."""
-        return {block: self._floor(block) for block in self.evidence.blocks}
+        return {block: self._find_floor(block) for block in self.evidence.blocks}
 
-    def imitated(self, block: str) -> Fit:
+    def fit_for_floor(self, block: str) -> Fit:
         """Return the fit whose own data a block is held against."""
         root = self.root
         if root is None:
             return self.fit_of(block)
-        is_own = self.is_final and self.rms[block] <= FAR * root.floors[block].limit
+        is_own = self.is_final and self.rms[block] <= FAR_ABOVE_LIMIT * root.floors[block].limit
         return self.fit_of(block) if is_own else root.fit_of(block)
 
-    def _floor(self, block: str) -> Floor:
-        if self.root is not None and self.imitated(block) is self.root.fit_of(block):
+    def _find_floor(self, block: str) -> Floor:
+        if self.root is not None and self.fit_for_floor(block) is self.root.fit_of(block):
             return self.root.floors[block]
         fitted = self.fit_of(block)
         known = _FLOORS.setdefault(fitted, {})
         if block not in known:
             holdout, margin = self.evidence.holdout[block], self.evidence.margin(block)
-            known[block] = floor(fitted, holdout, self.evidence.noises, margin=margin)
+            known[block] = simulate_floor(fitted, holdout, self.evidence.noises, margin=margin)
         return known[block].with_repeatability(self.repeatability[block])
 
     @cached_property
-    def repeatability(self) -> dict[str, Spread]:
+    def repeatability(self) -> dict[str, RepeatSpread]:
         """By how much the rig does not repeat itself, by block."""
         if self.root is not None:
             return self.root.repeatability
         evidence = self.evidence
         return {
-            block: repeatability(
+            block: measure_repeatability(
                 [*evidence.train[block], *evidence.holdout[block]],
                 self.fit_of(block).settings,
                 evidence.repeated,
@@ -139,7 +139,7 @@ class Model:
         Of what an effect has explained, a hundredth may be left: nature's form is never quite ours.
         """
         before = self.root.rms[block] if self.root is not None and self.effects else 0.0
-        return self.rms[block] <= float(np.hypot(self.floors[block].limit, FORM * before))
+        return self.rms[block] <= float(np.hypot(self.floors[block].limit, FORM_SHARE * before))
 
     @property
     def unexplained(self) -> tuple[str, ...]:
@@ -154,10 +154,10 @@ class Model:
     @property
     def is_plausible(self) -> bool:
         """Tell whether every effect is worth a name, and no number stands at its range's end."""
-        return all(map(self._is_substantial, self.effects)) and not self.leans
+        return all(map(self._is_substantial, self.effects)) and not self.has_number_at_bound
 
     @property
-    def leans(self) -> bool:
+    def has_number_at_bound(self) -> bool:
         """Tell whether a calibrated number or a size stands at an end of its range."""
         sizes = {s.name for c in self.effects for s in c.switches}
         bound = {name for fitted in self.fits.values() for name in fitted.at_bound}
@@ -167,7 +167,8 @@ class Model:
         """Tell whether one of an effect's sizes is not far below the smallest of interest."""
         values = {n: v for fitted in self.fits.values() for n, v in fitted.values.items()}
         return any(
-            abs(values[s.name] - described(s).neutral) >= TRIFLE * s.scale for s in effect.switches
+            abs(values[s.name] - look_up_parameter(s).neutral) >= LEAST_SIZE * s.scale
+            for s in effect.switches
         )
 
     @cached_property
@@ -179,7 +180,7 @@ class Model:
         )
 
 
-def alone(fitted: Fit, block: str) -> Fit:
+def extract_block_fit(fitted: Fit, block: str) -> Fit:
     """Return one block's share of a fit."""
     rows = np.concatenate([np.full(d.samples, d.block == block) for d in fitted.drives])
     if rows.all():
@@ -190,7 +191,7 @@ def alone(fitted: Fit, block: str) -> Fit:
     return part
 
 
-def groups(
+def group_blocks(
     blocks: Sequence[str], effects: Sequence[Candidate], *, joint: bool
 ) -> tuple[frozenset[str], ...]:
     """Return which blocks must be fitted together, because an effect reaches both."""
@@ -198,9 +199,9 @@ def groups(
     return (frozenset(blocks),) if shared else tuple(frozenset({b}) for b in blocks)
 
 
-def numbers(
+def list_free_numbers(
     blocks: frozenset[str], effects: Sequence[Candidate], evidence: Evidence
-) -> tuple[Free, ...]:
+) -> tuple[FreeNumber, ...]:
     """Return what a fit of these blocks may move: calibration first, then the effects'.
 
     Where no position was measured the mechanics move with the pressure block, and its numbers
@@ -215,30 +216,30 @@ def numbers(
     has_zero = nominal.actuator == "muscle" and all(f.name != SENSOR_ZERO for f in own)
     zero = (sensor_zero(nominal),) if has_zero else ()
     return (
-        *(calibrated(n, nominal) for n in names),
+        *(calibrated_number(n, nominal) for n in names),
         *zero,
-        *of_start(nominal, {PRESSURE, MECHANICS} if blind else blocks),
+        *numbers_of_start(nominal, {PRESSURE, MECHANICS} if blind else blocks),
         *own,
     )
 
 
-def recalibrated(evidence: Evidence, known: Mapping[frozenset[str], Fit] | None = None) -> Model:
+def recalibrate(evidence: Evidence, known: Mapping[frozenset[str], Fit] | None = None) -> Model:
     """Fit the start model's calibrated numbers, and no effect.
 
     `known` are fits that were made before on the same drives.
     """
-    return extended(Model(evidence, (), {}), (), [{}], effort=FULL, known=known or {})
+    return fit_model(Model(evidence, (), {}), (), [{}], effort=FULL, known=known or {})
 
 
-def weighed(base: Model) -> Model:
+def weigh_blocks(base: Model) -> Model:
     """Return a recalibrated model whose fits of both blocks weigh each by its floor."""
     if len(base.evidence.blocks) < 2:
         return base
-    evidence = base.evidence.counted(base.floors)
-    return recalibrated(evidence) if base.is_joint else replace(base, evidence=evidence)
+    evidence = base.evidence.weigh_by_floors(base.floors)
+    return recalibrate(evidence) if base.is_joint else replace(base, evidence=evidence)
 
 
-def joined(model: Model) -> Model:
+def fit_jointly(model: Model) -> Model:
     """Fit all blocks anew with the geometry that they share.
 
     Each block for itself may hide an effect in its own length of braid: what is complete
@@ -246,16 +247,18 @@ def joined(model: Model) -> Model:
     """
     if model.is_joint or len(model.evidence.blocks) < 2:
         return model
-    return extended(model, model.effects, [{}], joint=True, effort=FULL)
+    return fit_model(model, model.effects, [{}], joint=True, effort=FULL)
 
 
-def polished(model: Model) -> Model:
+def fit_to_end(model: Model) -> Model:
     """Fit a model's numbers to the end; what no effect reaches stays."""
-    fits = {blocks: fit(f.drives, f.settings, f.free, FULL) for blocks, f in model.fits.items()}
+    fits = {
+        blocks: fit_numbers(f.drives, f.settings, f.free, FULL) for blocks, f in model.fits.items()
+    }
     return Model(model.evidence, model.effects, fits, model.is_joint, model.root, is_final=True)
 
 
-def extended(
+def fit_model(
     base: Model,
     effects: Sequence[Candidate],
     starts: Sequence[Mapping[str, float]],
@@ -269,32 +272,37 @@ def extended(
     Blocks that no change of effects reaches keep the fit that `base` has.
     """
     evidence = base.evidence
-    joint = joint or base.is_joint or _starts_shared(evidence)
+    joint = joint or base.is_joint or _has_shared_effect(evidence)
     reached = {b for c in {*effects} ^ {*base.effects} for b in c.blocks}
     kept = {**known, **{b: f for b, f in base.fits.items() if not b & reached}}
     fits: dict[frozenset[str], Fit] = {}
-    for blocks in groups(evidence.blocks, effects, joint=joint):
+    for blocks in group_blocks(evidence.blocks, effects, joint=joint):
         if blocks in kept:
             fits[blocks] = kept[blocks]
             continue
-        drives = evidence.fitted_on(blocks)
-        free = numbers(blocks, effects, evidence)
-        begun = _begun(base, blocks, effects)
-        tried = [fit(drives, _started(begun, free, effects, s), free, effort) for s in starts]
+        drives = evidence.training_drives(blocks)
+        free = list_free_numbers(blocks, effects, evidence)
+        begun = _start_from_base(base, blocks, effects)
+        tried = [
+            fit_numbers(drives, _move_to_start(begun, free, effects, s), free, effort)
+            for s in starts
+        ]
         fits[blocks] = min(tried, key=lambda f: f.mean_square)
     root = base.root or (base if base.fits else None)
     return Model(evidence, tuple(effects), fits, joint, root, is_final=effort is FULL)
 
 
-def _starts_shared(evidence: Evidence) -> bool:
+def _has_shared_effect(evidence: Evidence) -> bool:
     """Tell whether the start model has an effect that both blocks must agree on."""
     return any(
         len({*CATALOGUE[name].seen_by} & {*evidence.blocks}) > 1
-        for name in effects_on(evidence.nominal)
+        for name in active_effects(evidence.nominal)
     )
 
 
-def _begun(base: Model, blocks: frozenset[str], effects: Sequence[Candidate]) -> PlantSettings:
+def _start_from_base(
+    base: Model, blocks: frozenset[str], effects: Sequence[Candidate]
+) -> PlantSettings:
     """Start from the base model's numbers, without the effects that are gone."""
     kept = {c.name for c in effects}
     values = {name: value for c in effects if c.blocks & blocks for name, value in c.held}
@@ -309,9 +317,9 @@ def _begun(base: Model, blocks: frozenset[str], effects: Sequence[Candidate]) ->
     return with_values(base.evidence.nominal, values)
 
 
-def _started(
+def _move_to_start(
     begun: PlantSettings,
-    free: Sequence[Free],
+    free: Sequence[FreeNumber],
     effects: Sequence[Candidate],
     start: Mapping[str, float],
 ) -> PlantSettings:
@@ -322,10 +330,10 @@ def _started(
     return with_values(begun, {**held, **{n: v for n, v in start.items() if n in names}})
 
 
-def asis(evidence: Evidence) -> Model:
+def wrap_nominal_model(evidence: Evidence) -> Model:
     """Return the start model with nothing fitted."""
     fits = {
-        frozenset({block}): fit(drives, evidence.nominal, ())
+        frozenset({block}): fit_numbers(drives, evidence.nominal, ())
         for block, drives in evidence.train.items()
     }
     return Model(evidence, (), fits)

@@ -15,13 +15,13 @@ import numpy as np
 
 from pamctl.diagnose.fitting.block_fit import Fit, rms, sensitivity
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive
-from pamctl.diagnose.fitting.repeatability import Spread
+from pamctl.diagnose.fitting.repeatability import RepeatSpread
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.measured.sensor_noise import Noise
 from pamctl.plant.model import PlantSettings
 
 REPLICAS = 12
-SURE = 3.0
+LIMIT_SIGMAS = 3.0
 """Of the scatter: the few slow waves that a short record holds may all be high ones, and what a
 named effect leaves must not be called unexplained for it."""
 STRETCH_S = 0.25
@@ -47,7 +47,7 @@ class Floor:
     repeatability: float = 0.0
     """The limit that the rig's own repeatability sets; 0 where nothing is repeated."""
 
-    def with_repeatability(self, found: Spread) -> Floor:
+    def with_repeatability(self, found: RepeatSpread) -> Floor:
         """Raise the limit to what the rig itself does differently each time.
 
         What it does beyond the floor counts with two sigma of its uncertainty. It is not held
@@ -65,7 +65,7 @@ class Floor:
         return "repeatability" if self.limit == self.repeatability else "self-simulation"
 
 
-def floor(
+def simulate_floor(
     fitted: Fit,
     holdout: Sequence[Drive],
     noises: dict[str, Noise],
@@ -80,13 +80,13 @@ def floor(
     `margin` is the smallest excess that matters, in deviations of the sensor. The refit is
     one Gauss-Newton step on the fit's own derivatives: noise moves the numbers but little.
     """
-    made = imitations(fitted, holdout, noises, replicas=replicas)
+    made = imitate_records(fitted, holdout, noises, replicas=replicas)
     spread = np.array([rms(imitation.residual) for imitation in made])
-    memories = [_memory(imitation.noise, holdout) for imitation in made]
+    memories = [_estimate_memory(imitation.noise, holdout) for imitation in made]
     mean = float(spread.mean())
     scatter = float(spread.std(ddof=1))
-    sensor = sensor_of(holdout, noises)
-    high = max(float(np.quantile(spread, 0.95)), mean + SURE * scatter)
+    sensor = sensor_noise_of(holdout, noises)
+    high = max(float(np.quantile(spread, 0.95)), mean + LIMIT_SIGMAS * scatter)
     high *= 1.0 + 2.0 * sensor.uncertainty
     limit, memory = float(np.hypot(high, margin)), max(float(np.mean(memories)), 1.0)
     shifts = np.array([imitation.shift for imitation in made])
@@ -105,7 +105,7 @@ class Imitation:
     """The residual before the refit."""
 
 
-def imitations(
+def imitate_records(
     fitted: Fit,
     holdout: Sequence[Drive],
     noises: dict[str, Noise],
@@ -114,36 +114,38 @@ def imitations(
 ) -> list[Imitation]:
     """Make records of the fitted plant with noise anew, and refit; each time the same ones."""
     made = []
-    ideal_train = [d.simulated(fitted.settings) for d in fitted.drives]
-    ideal_hold = [d.simulated(fitted.settings) for d in holdout]
+    ideal_train = [d.simulate(fitted.settings) for d in fitted.drives]
+    ideal_hold = [d.simulate(fitted.settings) for d in holdout]
     hold_slope = sensitivity(
         holdout,
         fitted.settings,
         fitted.free,
-        np.concatenate([d.compared(ideal) for d, ideal in zip(holdout, ideal_hold, strict=True)]),
+        np.concatenate(
+            [d.residual_of(ideal) for d, ideal in zip(holdout, ideal_hold, strict=True)]
+        ),
     )
     inverse = np.linalg.pinv(fitted.jacobian) if fitted.free else np.zeros((0, 1))
     for replica in range(replicas):
-        train = _replica(fitted.drives, ideal_train, fitted.settings, noises, replica)
-        hold = _replica(holdout, ideal_hold, fitted.settings, noises, replica)
+        train = _simulate_replica(fitted.drives, ideal_train, fitted.settings, noises, replica)
+        hold = _simulate_replica(holdout, ideal_hold, fitted.settings, noises, replica)
         shift = -(inverse @ train) if fitted.free else np.zeros(0)
         made.append(Imitation(hold + hold_slope @ shift, shift, hold))
     return made
 
 
-def sensor_of(drives: Sequence[Drive], noises: dict[str, Noise]) -> Noise:
+def sensor_noise_of(drives: Sequence[Drive], noises: dict[str, Noise]) -> Noise:
     """Return the noise of what a block's drives are compared with."""
     return noises["position_m" if drives[0].block == MECHANICS else "pressure_pa"]
 
 
-def _memory(residual: Array, drives: Sequence[Drive]) -> float:
+def _estimate_memory(residual: Array, drives: Sequence[Drive]) -> float:
     """Return the variance of means over a stretch, times its samples, over that of the samples."""
     length = max(int(STRETCH_S / float(np.median(drives[0].step_s))), 1)
     whole = residual[: len(residual) // length * length].reshape(-1, length)
     return float(np.mean(whole.mean(axis=1) ** 2) * length / np.mean(whole**2))
 
 
-def _replica(
+def _simulate_replica(
     drives: Sequence[Drive],
     ideals: Sequence[Array],
     settings: PlantSettings,
@@ -153,13 +155,13 @@ def _replica(
     """Residuals that noise alone would leave."""
     return np.concatenate(
         [
-            _noisy(drive, ideal, settings, noises, replica).residual(settings)
+            _add_noise(drive, ideal, settings, noises, replica).residual(settings)
             for drive, ideal in zip(drives, ideals, strict=True)
         ]
     )
 
 
-def _noisy(
+def _add_noise(
     drive: Drive,
     ideal: Array,
     settings: PlantSettings,
@@ -172,8 +174,8 @@ def _noisy(
         inner, outer = ("force_n" if settings.actuator == "direct" else "pressure_pa"), inner
     driven = drive.driven
     if inner in noises:
-        driven = driven + drive.disturbance(noises[inner], replica)
-    measured = noises[outer].sensed(ideal, drive.chance(replica, 1))
+        driven = driven + drive.draw_disturbance(noises[inner], replica)
+    measured = noises[outer].simulate_sensor(ideal, drive.random_generator(replica, 1))
     noisy = replace(drive, driven=driven, measured=measured)
     noisy.__dict__["grid"] = drive.grid  # the steps stay
     return noisy

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pamctl.diagnose.fitting.block_fit import Fit, fit, rms
-from pamctl.diagnose.fitting.drives import Drive, stacked
+from pamctl.diagnose.fitting.block_fit import Fit, fit_numbers, rms
+from pamctl.diagnose.fitting.drives import Drive, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.measured.record import Array
 
@@ -23,31 +23,33 @@ WHOLE = 2.0
 """An error in proportion to the sub-step is twice what its half changes."""
 
 
-def finer(drives: Sequence[Drive]) -> tuple[Drive, ...]:
+def halve_substep(drives: Sequence[Drive]) -> tuple[Drive, ...]:
     """Return the drives with half the sub-step."""
     return tuple(replace(drive, steps=2 * drive.steps) for drive in drives)
 
 
-def shift(fitted: Fit) -> Array:
+def find_substep_shift(fitted: Fit) -> Array:
     """Return how far the sub-step moved the fitted numbers, in their scales, shape (p,).
 
     Where half of it changes much, one fit more tells: a muscle that sticks in another place is
     beyond any first order.
     """
-    drives = finer(fitted.drives)
-    change = stacked(drives, fitted.settings) - fitted.residual
+    drives = halve_substep(fitted.drives)
+    change = stack_residuals(drives, fitted.settings) - fitted.residual
     if rms(change) <= SMALL * rms(fitted.residual):
         moved: Array = -np.linalg.pinv(fitted.jacobian) @ change
         return WHOLE * moved
-    fine = fit(drives, fitted.settings, fitted.free).values
+    fine = fit_numbers(drives, fitted.settings, fitted.free).values
     return WHOLE * np.array([(fine[f.name] - fitted.values[f.name]) / f.scale for f in fitted.free])
 
 
-def changes(model: Model) -> dict[str, float]:
+def compare_substeps(model: Model) -> dict[str, float]:
     """Return by how much half the sub-step changes a model on held-out data, RMS over the floor."""
     return {
         block: rms(
-            stacked(finer(model.evidence.holdout[block]), model.fit_of(block).settings)
+            stack_residuals(
+                halve_substep(model.evidence.holdout[block]), model.fit_of(block).settings
+            )
             - model.residuals[block]
         )
         / model.floors[block].mean
@@ -55,7 +57,7 @@ def changes(model: Model) -> dict[str, float]:
     }
 
 
-def integrator_told(found: Mapping[str, float]) -> str:
+def describe_integrator(found: Mapping[str, float]) -> str:
     """Say what is not small; empty where all is."""
     large = [
         f"{block} by {change:.2f} x floor" for block, change in found.items() if change > SMALL

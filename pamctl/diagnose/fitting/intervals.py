@@ -16,7 +16,7 @@ from scipy.stats import t as student
 from pamctl.diagnose.fitting.block_fit import Fit
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import Floor
-from pamctl.diagnose.fitting.integrator import shift
+from pamctl.diagnose.fitting.integrator import find_substep_shift
 from pamctl.diagnose.fitting.numbers import unit_of
 from pamctl.diagnose.measured.record import Array
 
@@ -24,7 +24,7 @@ STRETCH_S = 1.0
 
 
 @dataclass(frozen=True)
-class Estimate:
+class FittedNumber:
     """A fitted number with its 90 % interval."""
 
     name: str
@@ -38,28 +38,31 @@ class Estimate:
         return {"value": self.value, "ci90": [self.low, self.high], "unit": self.unit}
 
 
-def estimates(model: Model) -> tuple[Estimate, ...]:
+def estimate_intervals(model: Model) -> tuple[FittedNumber, ...]:
     """Return every free number of a model with its interval; the geometry is the mechanics'."""
-    found: dict[str, Estimate] = {}
+    found: dict[str, FittedNumber] = {}
     for block in sorted(model.evidence.blocks, reverse=True):
         fitted = model.fit_of(block)
         floors = [model.floors[b] for b in model.evidence.blocks if model.fit_of(b) is fitted]
-        for name, estimate in _of_fit(fitted, floors).items():
+        for name, estimate in _estimate_of_fit(fitted, floors).items():
             found.setdefault(name, estimate)
     return tuple(found.values())
 
 
-def _of_fit(fitted: Fit, floors: list[Floor]) -> dict[str, Estimate]:
+def _estimate_of_fit(fitted: Fit, floors: list[Floor]) -> dict[str, FittedNumber]:
     """Return every free number of a fit with its interval, within its range."""
     if not fitted.free:
         return {}
-    halves = np.sqrt(np.maximum(_of_residual(fitted), _of_noise(fitted, floors)) + _of_step(fitted))
+    halves = np.sqrt(
+        np.maximum(_squared_width_of_residual(fitted), _squared_width_of_noise(fitted, floors))
+        + _squared_width_of_step(fitted)
+    )
     found = {}
     for number, half in zip(fitted.free, map(float, halves), strict=True):
         if number.is_nuisance:
             continue
         value = fitted.values[number.name]
-        found[number.name] = Estimate(
+        found[number.name] = FittedNumber(
             number.name,
             value,
             max(value - half * number.scale, number.low),
@@ -69,7 +72,7 @@ def _of_fit(fitted: Fit, floors: list[Floor]) -> dict[str, Estimate]:
     return found
 
 
-def _of_noise(fitted: Fit, floors: list[Floor]) -> Array:
+def _squared_width_of_noise(fitted: Fit, floors: list[Floor]) -> Array:
     """Half width, squared, for what noise does to a number: of the worse of the blocks' floors."""
     squares = np.zeros(len(fitted.free))
     for floor in floors:
@@ -84,9 +87,9 @@ def _of_noise(fitted: Fit, floors: list[Floor]) -> Array:
     return squares
 
 
-def _of_step(fitted: Fit) -> Array:
+def _squared_width_of_step(fitted: Fit) -> Array:
     """Half width, squared, for what the integrator's sub-step does to a number."""
-    return _quantile(np.inf) ** 2 * shift(fitted) ** 2
+    return _quantile(np.inf) ** 2 * find_substep_shift(fitted) ** 2
 
 
 def _quantile(freedom: float) -> float:
@@ -94,7 +97,7 @@ def _quantile(freedom: float) -> float:
     return float(student.ppf(0.95, freedom))
 
 
-def _of_residual(fitted: Fit) -> Array:
+def _squared_width_of_residual(fitted: Fit) -> Array:
     """Half width, squared, from the scores of the residual, stretch by stretch."""
     slope, residual = fitted.jacobian, fitted.residual
     bread = np.linalg.pinv(slope.T @ slope)

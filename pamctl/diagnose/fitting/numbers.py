@@ -12,7 +12,7 @@ from pamctl.plant.model import PlantSettings, settings_of, values_of
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeNumber:
     """One number that a fit may move: `stiffness_n_per_m`, or `valve_spool.time_constant_s`."""
 
     name: str
@@ -85,39 +85,39 @@ UNITS: Mapping[str, str] = {
 }
 
 
-def calibrated(name: str, nominal: PlantSettings) -> Free:
+def calibrated_number(name: str, nominal: PlantSettings) -> FreeNumber:
     """Return one of the muscle's numbers with its range about the plant file's value."""
     value = value_of(nominal, name)
     if name == DRY_FRICTION:
-        return Free(name, 0.0, 3.0 * value, 0.01 * value, is_nuisance=True)
+        return FreeNumber(name, 0.0, 3.0 * value, 0.01 * value, is_nuisance=True)
     low, high = _CALIBRATION[name]
     scale = 2e-4 if name == "braid_length_m" else 1e-2
-    return Free(name, low * value, high * value, scale * value)
+    return FreeNumber(name, low * value, high * value, scale * value)
 
 
-def sensor_zero(nominal: PlantSettings) -> Free:
+def sensor_zero(nominal: PlantSettings) -> FreeNumber:
     """Return the pressure sensor's zero: homing leaves 100 Pa, which is 11 um of the muscle."""
     value = value_of(nominal, SENSOR_ZERO)
-    return Free(SENSOR_ZERO, value - ZERO_PA, value + ZERO_PA, 50.0, is_nuisance=True)
+    return FreeNumber(SENSOR_ZERO, value - ZERO_PA, value + ZERO_PA, 50.0, is_nuisance=True)
 
 
-def of_effect(effect: str, names: Collection[str]) -> tuple[Free, ...]:
+def numbers_of_effect(effect: str, names: Collection[str]) -> tuple[FreeNumber, ...]:
     """Return numbers of an effect with the ranges of the catalogue."""
     return tuple(
-        Free(f"{effect}.{p.name}", p.low, p.high, p.smallest_of_interest)
+        FreeNumber(f"{effect}.{p.name}", p.low, p.high, p.smallest_of_interest)
         for p in CATALOGUE[effect].parameters
         if p.name in names
     )
 
 
-def effects_on(nominal: PlantSettings) -> tuple[str, ...]:
+def active_effects(nominal: PlantSettings) -> tuple[str, ...]:
     """Return the effects that the start model has; a zero that homing left is none."""
     zero_pa = value_of(nominal, SENSOR_ZERO)
     homed = {SENSOR_ZERO.split(".")[0]} if abs(zero_pa) <= ZERO_PA else set()
     return tuple(n for n in nominal.effects.model_dump(exclude_none=True) if n not in homed)
 
 
-def of_start(nominal: PlantSettings, blocks: Collection[str]) -> tuple[Free, ...]:
+def numbers_of_start(nominal: PlantSettings, blocks: Collection[str]) -> tuple[FreeNumber, ...]:
     """Return the numbers of the start model's effects that these blocks show.
 
     Those off neutral and within their ranges: the form that the effect has stays as it is. The
@@ -125,8 +125,8 @@ def of_start(nominal: PlantSettings, blocks: Collection[str]) -> tuple[Free, ...
     """
     free_anyway = {SENSOR_ZERO, *((DRY_FRICTION,) if nominal.actuator == "direct" else ())}
     return tuple(
-        Free(f"{name}.{p.name}", p.low, p.high, p.smallest_of_interest, is_calibrated=True)
-        for name in effects_on(nominal)
+        FreeNumber(f"{name}.{p.name}", p.low, p.high, p.smallest_of_interest, is_calibrated=True)
+        for name in active_effects(nominal)
         if CATALOGUE[name].identifiable and {*CATALOGUE[name].seen_by} & {*blocks}
         for p in CATALOGUE[name].parameters
         if not p.choices
@@ -136,15 +136,15 @@ def of_start(nominal: PlantSettings, blocks: Collection[str]) -> tuple[Free, ...
     )
 
 
-def described(free: Free) -> EffectParameter:
+def look_up_parameter(free: FreeNumber) -> EffectParameter:
     """Return what the catalogue says of an effect's number; raise KeyError for a muscle's own."""
     effect, name = free.name.split(".")
     return next(p for p in CATALOGUE[effect].parameters if p.name == name)
 
 
-def unit_of(free: Free) -> str:
+def unit_of(free: FreeNumber) -> str:
     """Return the unit that a report gives; empty for a plain number."""
-    unit = described(free).unit if "." in free.name else UNITS[free.name]
+    unit = look_up_parameter(free).unit if "." in free.name else UNITS[free.name]
     return "" if unit == "1" else unit
 
 

@@ -46,7 +46,7 @@ class Repeat(NamedTuple):
     """The same position was asked for; the commands are the loop's."""
 
 
-class Spread(NamedTuple):
+class RepeatSpread(NamedTuple):
     """By how much a block does not repeat itself."""
 
     rms: float
@@ -55,71 +55,73 @@ class Spread(NamedTuple):
     """Of what is not the sensor's, relative, one sigma."""
 
 
-UNKNOWN = Spread(0.0, 0.0)
+UNKNOWN = RepeatSpread(0.0, 0.0)
 
 
-def repeats(records: Sequence[Record]) -> tuple[Repeat, ...]:
+def find_repeats(records: Sequence[Record]) -> tuple[Repeat, ...]:
     """Find where different runs, or different parts of a run, are asked the same.
 
     By their commands; where these differ, by their references.
     """
     known = [(i, r) for i, r in enumerate(records) if r.valve_v is not None]
-    across = [found for a, b in combinations(known, 2) for found in _from_the_start(a, b)]
-    return (*across, *(found for i, r in known for found in _within(i, r)))
+    across = [found for a, b in combinations(known, 2) for found in _find_across_runs(a, b)]
+    return (*across, *(found for i, r in known for found in _find_within_run(i, r)))
 
 
-def _from_the_start(a: tuple[int, Record], b: tuple[int, Record]) -> Iterator[Repeat]:
+def _find_across_runs(a: tuple[int, Record], b: tuple[int, Record]) -> Iterator[Repeat]:
     (one, first), (other, second) = a, b
     size = min(len(first), len(second))
     same_grid = abs(first.period_s - second.period_s) < 1e-3 * first.period_s
     if first is second or not same_grid:
         return
     for by_reference in (False, True):
-        asked, again = _asked(first, by_reference), _asked(second, by_reference)
+        asked, again = _demand_of(first, by_reference), _demand_of(second, by_reference)
         if asked is None or again is None:
             continue
-        differs = _differ(asked[:size], again[:size], by_reference)
+        differs = _find_differences(asked[:size], again[:size], by_reference)
         length = int(np.argmax(differs)) if differs.any() else size
-        if _tells(first, 0, length):
+        if _is_telling(first, 0, length):
             yield Repeat(one, 0, other, 0, length, by_reference)
             return
 
 
-def _asked(record: Record, by_reference: bool) -> Array | None:
+def _demand_of(record: Record, by_reference: bool) -> Array | None:
     return record.reference_m if by_reference else record.valve_v
 
 
-def _differ(one: Array, other: Array, by_reference: bool) -> NDArray[np.bool_]:
+def _find_differences(one: Array, other: Array, by_reference: bool) -> NDArray[np.bool_]:
     """Tell where two stretches ask different things; of no reference nothing is known."""
     alike: NDArray[np.bool_] = np.abs(one - other) <= (SAME_M if by_reference else 0.0)
     return ~alike
 
 
-def _within(index: int, record: Record) -> Iterator[Repeat]:
+def _find_within_run(index: int, record: Record) -> Iterator[Repeat]:
     """Find the longest stretch that comes again after some time, as periods do."""
     for by_reference in (False, True):
-        asked = _asked(record, by_reference)
-        best = None if asked is None else _longest(index, record, asked, by_reference)
+        asked = _demand_of(record, by_reference)
+        best = None if asked is None else _find_longest(index, record, asked, by_reference)
         if best is not None:
             yield best
             return
 
 
-def _longest(index: int, record: Record, asked: Array, by_reference: bool) -> Repeat | None:
+def _find_longest(index: int, record: Record, asked: Array, by_reference: bool) -> Repeat | None:
     past = round(PAST_S / record.period_s)
-    marks = _marks(asked, by_reference)
+    marks = _find_period_starts(asked, by_reference)
     best: Repeat | None = None
     for lag in sorted({int(lag) for lag in (marks[1:60] - marks[:1])}):
-        differs = np.flatnonzero(_differ(asked[lag:], asked[:-lag], by_reference))
+        differs = np.flatnonzero(_find_differences(asked[lag:], asked[:-lag], by_reference))
         edges = np.concatenate([[-1], differs, [len(asked) - lag]])
         longest = int(np.argmax(np.diff(edges)))
         start, stop = int(edges[longest]) + 1 + past, int(edges[longest + 1])
-        if (best is None or stop - start > best.length) and _tells(record, start, stop - start):
+        if (best is None or stop - start > best.length) and _is_telling(
+            record, start, stop - start
+        ):
             best = Repeat(index, start, index, start + lag, stop - start, by_reference)
     return best
 
 
-def _marks(asked: Array, by_reference: bool) -> NDArray[np.intp]:
+def _find_period_starts(asked: Array, by_reference: bool) -> NDArray[np.intp]:
     """Return where a period may begin: at jumps of a command, where a reference rises past half."""
     if not by_reference:
         return np.flatnonzero(np.abs(np.diff(asked)) > MOVES_V) + 1
@@ -127,14 +129,14 @@ def _marks(asked: Array, by_reference: bool) -> NDArray[np.intp]:
     return np.flatnonzero((asked[:-1] < half) & (asked[1:] >= half)) + 1
 
 
-def _tells(record: Record, start: int, length: int) -> bool:
+def _is_telling(record: Record, start: int, length: int) -> bool:
     part = record["valve_v"][start : start + max(length, 0)]
     return length * record.period_s >= LEAST_S and float(np.ptp(part)) > MOVES_V
 
 
-def repeatability(
+def measure_repeatability(
     drives: Sequence[Drive], settings: PlantSettings, found: Sequence[Repeat]
-) -> Spread:
+) -> RepeatSpread:
     """Return by how much a block does not repeat itself.
 
     `drives` are in the order of the records that the repeats were found in.
@@ -145,8 +147,8 @@ def repeatability(
     simulated: dict[int, Array] = {}
     for index in {i for r in found for i in (r.one, r.other)}:
         drive = replace(drives[index], rows=None)
-        simulated[index] = drive.simulated(settings)
-        left[index] = drive.compared(simulated[index])
+        simulated[index] = drive.simulate(settings)
+        left[index] = drive.residual_of(simulated[index])
         simulated[index] /= drive.deviation
     differences = np.concatenate([_difference(left, r) for r in found])
     # Of equal commands all that differs in the simulation is what the rig did differently.
@@ -156,7 +158,7 @@ def repeatability(
     pieces = max(len(differences) * period_s / PIECE_S, 1.0)
     beyond = max(float(np.sum(differences**2) - moved), 0.0)
     spread = float(np.sqrt(0.5 * beyond / len(differences)))
-    return Spread(spread, 1.0 / float(np.sqrt(2.0 * pieces)))
+    return RepeatSpread(spread, 1.0 / float(np.sqrt(2.0 * pieces)))
 
 
 def _difference(signals: Mapping[int, Array], repeat: Repeat) -> Array:

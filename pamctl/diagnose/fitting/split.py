@@ -15,8 +15,8 @@ STRETCHES = 9
 """A single run is cut into so many; every third is held out."""
 
 
-def by_run(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
-    """Hold every third run out, at least one; a single run is both, see `by_stretch`."""
+def split_by_run(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
+    """Hold every third run out, at least one; a single run is both, see `split_by_stretch`."""
     if len(records) == 1:
         return list(records), list(records)
     held = set(range(1, len(records), 3))
@@ -26,7 +26,7 @@ def by_run(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
     )
 
 
-def by_stretch(evidence: Evidence) -> Evidence:
+def split_by_stretch(evidence: Evidence) -> Evidence:
     """Fit on two thirds of the samples of each run and judge by the others, in long stretches.
 
     Never by samples: neighbours are much the same. The blocks are simulated over the whole
@@ -34,11 +34,11 @@ def by_stretch(evidence: Evidence) -> Evidence:
     """
     return replace(
         evidence,
-        train={b: tuple(_third(d, False) for d in ds) for b, ds in evidence.train.items()},
-        holdout={b: tuple(_third(d, True) for d in ds) for b, ds in evidence.holdout.items()},
+        train={b: tuple(_take_third(d, False) for d in ds) for b, ds in evidence.train.items()},
+        holdout={b: tuple(_take_third(d, True) for d in ds) for b, ds in evidence.holdout.items()},
     )
 
 
-def _third(drive: Drive, held_out: bool) -> Drive:
+def _take_third(drive: Drive, held_out: bool) -> Drive:
     stretch = np.arange(len(drive.measured)) * STRETCHES // len(drive.measured)
     return replace(drive, rows=(stretch % 3 == 1) == held_out)

@@ -15,9 +15,9 @@ from pamctl.diagnose.measured.record import Array, Record
 STEP_V = 3.0
 QUIET_S, BEFORE_S, AFTER_S = 0.3, 0.15, 0.3
 """The command rests so long before a step; answers are looked for from `BEFORE_S` before it on."""
-ANSWERED = 0.05
+ANSWER_SHARE = 0.05
 """Of the whole change: an answer has begun."""
-LEAST = {"pressure_pa": 80e3, "position_m": 3e-3}
+LEAST_CHANGE = {"pressure_pa": 80e3, "position_m": 3e-3}
 """Smaller changes are no answer to a step."""
 EARLY_S = {"pressure_pa": 3e-3, "position_m": 5e-3}
 """So much before its cause an answer may seem to begin, by noise and by ticks that came late."""
@@ -26,16 +26,16 @@ LATE_S = {"pressure_pa": 0.035, "position_m": 0.1}
 CAUSE = {"pressure_pa": "valve_v", "position_m": "pressure_pa"}
 
 
-def shifted(record: Record) -> Iterator[str]:
+def check_time_shifts(record: Record) -> Iterator[str]:
     """Yield the reason where a column cannot be of the same time as what causes it."""
     if record.valve_v is None or record.pressure_pa is None:
         return
-    steps = _steps(record)
+    steps = _find_steps(record)
     causes = [float(record.t_s[step]) for step in steps]
     for channel in ("pressure_pa", "position_m"):
         if channel not in record.channels:
             continue
-        answers = [_answer_s(record, channel, step) for step in steps]
+        answers = [_find_answer_s(record, channel, step) for step in steps]
         late = [a - c for c, a in zip(causes, answers, strict=True) if np.isfinite(a - c)]
         causes = answers
         if not late:
@@ -50,7 +50,7 @@ def shifted(record: Record) -> Iterator[str]:
             )
 
 
-def _steps(record: Record) -> list[int]:
+def _find_steps(record: Record) -> list[int]:
     """Return the samples at which the command steps out of a rest."""
     command = record["valve_v"]
     jumps = np.flatnonzero(np.abs(np.diff(command)) >= STEP_V) + 1
@@ -64,7 +64,7 @@ def _steps(record: Record) -> list[int]:
     ]
 
 
-def _answer_s(record: Record, channel: str, step: int) -> float:
+def _find_answer_s(record: Record, channel: str, step: int) -> float:
     """Return when a channel begins to answer a step; NaN where it does not, or did not rest."""
     quiet, before, after = (round(s / record.period_s) for s in (QUIET_S, BEFORE_S, AFTER_S))
     values: Array = record[channel]
@@ -72,9 +72,9 @@ def _answer_s(record: Record, channel: str, step: int) -> float:
     rested, drift = float(later.mean()), float(later.mean() - earlier.mean())
     change = values[step - before : step + after] - rested
     whole = float(change[np.argmax(np.abs(change))])
-    if abs(whole) < LEAST[channel] or abs(drift) > 0.2 * ANSWERED * abs(whole):
+    if abs(whole) < LEAST_CHANGE[channel] or abs(drift) > 0.2 * ANSWER_SHARE * abs(whole):
         return float("nan")
-    begun = int(np.argmax(change / whole > ANSWERED))
+    begun = int(np.argmax(change / whole > ANSWER_SHARE))
     if not begun:
         return float("nan")
     return float(record.t_s[step - before + begun])

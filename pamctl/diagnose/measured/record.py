@@ -23,7 +23,7 @@ REST_V = 0.05
 """Commands that differ by less leave the valve where it is (V)."""
 RISE_FROM = 20
 """Samples whose median is the level that a force starts from."""
-RISEN = 10.0
+RISE_OVER_NOISE = 10.0
 """Times the noise: a force so far from its start has left it, however its noise remembers."""
 
 
@@ -47,12 +47,12 @@ class Record:
 
     def __post_init__(self) -> None:
         """Take any sequence of numbers; raise ValueError where lengths differ."""
-        object.__setattr__(self, "t_s", _column(self.t_s))
+        object.__setattr__(self, "t_s", _as_column(self.t_s))
         for channel in (*CHANNELS, "reference_m"):
             values = getattr(self, channel)
             if values is None:
                 continue
-            column = _column(values)
+            column = _as_column(values)
             if column.shape != self.t_s.shape:
                 raise ValueError(
                     f"{self.name}: {channel} has {len(column)} samples, t_s has {len(self.t_s)}"
@@ -91,7 +91,7 @@ class Record:
         column: Array = values
         return column
 
-    def between(self, start: int, stop: int, name: str) -> Record:
+    def cut_samples(self, start: int, stop: int, name: str) -> Record:
         """Return the samples [start, stop) as a record of their own."""
         return Record(
             name,
@@ -116,11 +116,11 @@ class Record:
             start_pa = np.median(self.pressure_pa[:5])
             moved |= np.abs(self.pressure_pa - start_pa) > 3e3
         if self.force_n is not None:
-            moved[_risen_from(self.force_n) :] = True
+            moved[_find_rise(self.force_n) :] = True
         return int(np.argmax(moved)) if moved.any() else len(self)
 
 
-def _risen_from(values: Array) -> int:
+def _find_rise(values: Array) -> int:
     """Return where a channel leaves its start for good measure; its length where it does not.
 
     A slow ramp is in the noise for a while: it has begun as long before the first level as it
@@ -129,7 +129,7 @@ def _risen_from(values: Array) -> int:
     third = np.abs(np.diff(values, 3))  # of white noise sqrt(20) as large, of a ramp nothing
     noise = float(np.median(third)) / (0.6745 * np.sqrt(20.0)) if len(third) else 0.0
     away = np.abs(values - np.median(values[:RISE_FROM]))
-    level = RISEN * max(noise, resolution(values))
+    level = RISE_OVER_NOISE * max(noise, estimate_resolution(values))
     first, second = (np.flatnonzero(away > times * level) for times in (1.0, 2.0))
     if not len(first):
         return len(values)
@@ -137,11 +137,11 @@ def _risen_from(values: Array) -> int:
     return max(2 * int(first[0]) - later, 0)
 
 
-def _column(values: ArrayLike) -> Array:
+def _as_column(values: ArrayLike) -> Array:
     return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
 
 
-def resolution(values: Array) -> float:
+def estimate_resolution(values: Array) -> float:
     """Return the step in which a channel was digitised; 0 where none can be seen.
 
     The step is the smallest difference that occurs, if the others are whole multiples.

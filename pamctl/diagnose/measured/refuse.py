@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pamctl.diagnose.measured.column_shift import shifted
+from pamctl.diagnose.measured.column_shift import check_time_shifts
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
 from pamctl.diagnose.measured.sensor_noise import Noise
 from pamctl.plant.model import PlantSettings
@@ -20,11 +20,11 @@ class BadData(Exception):
     """The measurement cannot be diagnosed; the message says why and what to do."""
 
 
-def check(records: Sequence[Record], plant: PlantSettings) -> None:
+def check_measured_runs(records: Sequence[Record], plant: PlantSettings) -> None:
     """Raise `BadData` with every reason found, a line each."""
-    reasons = [reason for record in records for reason in _record_reasons(record, plant)]
-    reasons += _disagreements(records)
-    reasons += [] if reasons else _unexcited(records, plant)
+    reasons = [reason for record in records for reason in _check_record(record, plant)]
+    reasons += _check_channels(records)
+    reasons += [] if reasons else _check_excitation(records, plant)
     if reasons:
         raise BadData("\n".join(dict.fromkeys(reasons)))
 
@@ -35,14 +35,14 @@ def check_sensors(records: Sequence[Record], noises: dict[str, Noise]) -> None:
         reason
         for record in records
         for channel in record.channels
-        for reason in _clipped(record, channel, noises.get(channel))
+        for reason in _check_clipping(record, channel, noises.get(channel))
     ]
-    reasons += [reason for record in records for reason in shifted(record)]
+    reasons += [reason for record in records for reason in check_time_shifts(record)]
     if reasons:
         raise BadData("\n".join(dict.fromkeys(reasons)))
 
 
-def _record_reasons(record: Record, plant: PlantSettings) -> Iterator[str]:
+def _check_record(record: Record, plant: PlantSettings) -> Iterator[str]:
     if len(record) < 100 or record.duration_s < SHORTEST_S:
         yield f"{record.name}: shorter than {SHORTEST_S:g} s; record a whole excitation"
         return
@@ -58,11 +58,11 @@ def _record_reasons(record: Record, plant: PlantSettings) -> Iterator[str]:
         row = int(np.argmax(~(record.step_s > 0.0))) + 1
         yield f"{record.name}: t_s does not increase at row {row}; sort or repair the time column"
         return
-    yield from _gaps(record)
-    yield from _units(record, plant)
+    yield from _check_gaps(record)
+    yield from _check_units(record, plant)
 
 
-def _gaps(record: Record) -> Iterator[str]:
+def _check_gaps(record: Record) -> Iterator[str]:
     longest = int(np.argmax(record.step_s))
     gap_s = float(record.step_s[longest])
     if gap_s > max(LONGEST_GAP_S, 5.0 * record.period_s):
@@ -77,7 +77,7 @@ def _gaps(record: Record) -> Iterator[str]:
         )
 
 
-def _units(record: Record, plant: PlantSettings) -> Iterator[str]:
+def _check_units(record: Record, plant: PlantSettings) -> Iterator[str]:
     muscle = plant.parameters
     if record.valve_v is not None:
         low, high = float(record.valve_v.min()), float(record.valve_v.max())
@@ -92,7 +92,7 @@ def _units(record: Record, plant: PlantSettings) -> Iterator[str]:
                 "not the command; subtract the driver's offset (5 V)"
             )
     if record.pressure_pa is not None:
-        low, high = _ends(record.pressure_pa)
+        low, high = _usual_ends(record.pressure_pa)
         atmosphere, tank = muscle.atmospheric_pressure_pa, muscle.tank_pressure_pa
         if high < 5e3:
             yield (
@@ -123,11 +123,11 @@ def _units(record: Record, plant: PlantSettings) -> Iterator[str]:
             )
 
 
-def _ends(values: Array) -> tuple[float, float]:
+def _usual_ends(values: Array) -> tuple[float, float]:
     return float(np.quantile(values, 0.001)), float(np.quantile(values, 0.999))
 
 
-def _clipped(record: Record, channel: str, noise: Noise | None) -> Iterator[str]:
+def _check_clipping(record: Record, channel: str, noise: Noise | None) -> Iterator[str]:
     """A channel that stands still at its very end, where its noise should show."""
     if noise is None:  # of the command there is no sensor
         return
@@ -139,7 +139,7 @@ def _clipped(record: Record, channel: str, noise: Noise | None) -> Iterator[str]
         if share < 0.02 or run < 20:
             continue
         noisy = noise.deviation > noise.resolution and noise.deviation > 0.0
-        pushed = channel == "position_m" and _still_pushed(record, at_end)
+        pushed = channel == "position_m" and _is_still_pushed(record, at_end)
         if noisy or pushed:
             yield (
                 f"{record.name}: {channel} stands at its {end} value {extreme:.6g} for "
@@ -148,7 +148,7 @@ def _clipped(record: Record, channel: str, noise: Noise | None) -> Iterator[str]
             )
 
 
-def _still_pushed(record: Record, at_end: NDArrayBool) -> bool:
+def _is_still_pushed(record: Record, at_end: NDArrayBool) -> bool:
     """Tell whether the pressure moves, while the position does not, by more than friction holds."""
     if record.pressure_pa is None:
         return False
@@ -162,7 +162,7 @@ def _longest_run(flags: NDArrayBool) -> int:
     return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
 
 
-def _unexcited(records: Sequence[Record], plant: PlantSettings) -> Iterator[str]:
+def _check_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterator[str]:
     """A channel that hardly moves in any record tells nothing."""
     least = {
         "valve_v": 0.1,
@@ -171,7 +171,9 @@ def _unexcited(records: Sequence[Record], plant: PlantSettings) -> Iterator[str]
         "force_n": 2.0,
     }
     for channel in CHANNELS:
-        spans = [np.subtract(*_ends(r[channel])[::-1]) for r in records if channel in r.channels]
+        spans = [
+            np.subtract(*_usual_ends(r[channel])[::-1]) for r in records if channel in r.channels
+        ]
         if spans and max(spans) < least[channel]:
             yield (
                 f"{channel} varies by {max(spans):.3g} only over all records: it is not excited; "
@@ -179,7 +181,7 @@ def _unexcited(records: Sequence[Record], plant: PlantSettings) -> Iterator[str]
             )
 
 
-def _disagreements(records: Sequence[Record]) -> Iterator[str]:
+def _check_channels(records: Sequence[Record]) -> Iterator[str]:
     channels = {record.channels for record in records}
     if len(channels) > 1:
         listed = "; ".join(sorted({f"{r.name} has {', '.join(r.channels)}" for r in records}))

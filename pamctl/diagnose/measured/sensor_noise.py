@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from pamctl.diagnose.measured.record import Array, Record, resolution
+from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
 
 ORDER = 12
 """Of the autoregressive model: enough for a filtered or drifting sensor."""
@@ -45,7 +45,7 @@ class Noise:
         drawn: Array = lfilter([1.0], [1.0, *(-m for m in self.memory)], innovation)[settle:]
         return drawn
 
-    def sensed(self, values: Array, random: np.random.Generator) -> Array:
+    def simulate_sensor(self, values: Array, random: np.random.Generator) -> Array:
         """Return what the sensor would have shown: noise added, then rounded to the nearest."""
         noisy = values + self.draw(len(values), random) if self.deviation > 0.0 else values
         if self.resolution == 0.0:
@@ -57,32 +57,32 @@ class Noise:
         return np.round((noisy - offset) / self.resolution) * self.resolution + offset
 
 
-def estimate(records: Sequence[Record], channel: str) -> Noise:
+def estimate_channel_noise(records: Sequence[Record], channel: str) -> Noise:
     """Estimate a channel's noise over records; the rest second first, differences otherwise.
 
     Not by a median of differences: a converter's step would quantise that.
     """
-    step = float(np.median([resolution(r[channel]) for r in records]))
+    step = float(np.median([estimate_resolution(r[channel]) for r in records]))
     rests = [r[channel][: r.rest_samples] for r in records]
-    rests = [_detrended(rest) for rest in rests if len(rest) >= ENOUGH // 2]
-    differences = float(np.median([_from_differences(r[channel]) for r in records]))
+    rests = [_remove_trend(rest) for rest in rests if len(rest) >= ENOUGH // 2]
+    differences = float(np.median([_estimate_from_differences(r[channel]) for r in records]))
     if sum(map(len, rests)) < ENOUGH:
-        return Noise(_without_rounding(differences, step), (), 0.0, step, 0.02)
-    rested = _of_rests(rests, step)
+        return Noise(_subtract_rounding(differences, step), (), 0.0, step, 0.02)
+    rested = _estimate_from_rests(rests, step)
     # White noise has no memory: the whole run tells its size, better than a second of rest.
     close = abs(differences - rested.total) < 4.0 * rested.uncertainty * rested.total
     if rested.deviation and not rested.memory and close:
-        return Noise(_without_rounding(differences, step), (), 0.0, step, 0.005)
+        return Noise(_subtract_rounding(differences, step), (), 0.0, step, 0.005)
     return rested
 
 
-def _detrended(rest: Array) -> Array:
+def _remove_trend(rest: Array) -> Array:
     index = np.arange(len(rest), dtype=np.float64)
     fitted: Array = np.polynomial.Polynomial.fit(index, rest, 1)(index)
     return rest - fitted
 
 
-def _of_rests(rests: Iterable[Array], step: float) -> Noise:
+def _estimate_from_rests(rests: Iterable[Array], step: float) -> Noise:
     """Yule and Walker on the pooled autocovariance of the rests."""
     pieces = [rest for rest in rests if len(rest) > 4 * ORDER]
     lags = np.zeros(ORDER + 1)
@@ -97,7 +97,9 @@ def _of_rests(rests: Iterable[Array], step: float) -> Noise:
     memory = np.linalg.solve(toeplitz, lags[1:])
     # A memory that its own scatter explains is none.
     if np.all(np.abs(memory) < 3.5 / np.sqrt(sum(map(len, pieces)))):
-        return Noise(_without_rounding(deviation, step), (), 0.0, step, _relative(pieces, 1.0))
+        return Noise(
+            _subtract_rounding(deviation, step), (), 0.0, step, _relative_uncertainty(pieces, 1.0)
+        )
     drive = float(np.sqrt(max(lags[0] - memory @ lags[1:], 0.0)))
     worth = max(drive**2 / lags[0], 0.05)
     return Noise(
@@ -105,16 +107,16 @@ def _of_rests(rests: Iterable[Array], step: float) -> Noise:
         tuple(map(float, memory)),
         drive,
         step,
-        _relative(pieces, worth),
+        _relative_uncertainty(pieces, worth),
     )
 
 
-def _relative(pieces: Sequence[Array], worth: float) -> float:
+def _relative_uncertainty(pieces: Sequence[Array], worth: float) -> float:
     """Scatter of a deviation estimated from so many samples; with memory each is worth less."""
     return float(1.0 / np.sqrt(2.0 * worth * sum(map(len, pieces))))
 
 
-def _from_differences(values: Array) -> float:
+def _estimate_from_differences(values: Array) -> float:
     """Take third differences, without the tenth of them that a step of the command makes."""
     third = np.abs(np.diff(values, 3))
     kept = third[third <= np.quantile(third, 0.9)]
@@ -122,5 +124,5 @@ def _from_differences(values: Array) -> float:
     return float(np.sqrt(np.mean(kept**2)) / (0.7893 * np.sqrt(20.0)))
 
 
-def _without_rounding(deviation: float, step: float) -> float:
+def _subtract_rounding(deviation: float, step: float) -> float:
     return float(np.sqrt(max(deviation**2 - step**2 / 12.0, 0.0)))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.intervals import Estimate
+from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import value_of
-from pamctl.diagnose.naming.search import Search
+from pamctl.diagnose.naming.search import EffectSearch
 
 UNSURE = 0.6
 """Half an interval over the distance from neutral: near 1 it reaches neutral."""
@@ -15,19 +15,21 @@ SMALL_GAIN = 1.5
 """The residual over the floor without the effect, over that with it."""
 
 
-def any_doubtful(model: Model, search: Search, numbers: Sequence[Estimate]) -> bool:
+def has_doubtful_effect(
+    model: Model, search: EffectSearch, numbers: Sequence[FittedNumber]
+) -> bool:
     """Tell whether an effect of a model is doubtful on both accounts.
 
     Either alone may happen to a true one: a small effect gains little, and the derivative of a
     delay within a tick is not worth much.
     """
     return any(
-        _is_unsure(name, model, numbers) and _gain(name, model, search) < SMALL_GAIN
+        _is_unsure(name, model, numbers) and _gain_of_effect(name, model, search) < SMALL_GAIN
         for name in model.names
     )
 
 
-def _is_unsure(name: str, model: Model, numbers: Sequence[Estimate]) -> bool:
+def _is_unsure(name: str, model: Model, numbers: Sequence[FittedNumber]) -> bool:
     own = [number for number in numbers if number.name.startswith(f"{name}.")]
     return bool(own) and all(
         0.5 * (n.high - n.low) > UNSURE * abs(n.value - value_of(model.evidence.nominal, n.name))
@@ -35,13 +37,13 @@ def _is_unsure(name: str, model: Model, numbers: Sequence[Estimate]) -> bool:
     )
 
 
-def _gain(name: str, model: Model, search: Search) -> float:
+def _gain_of_effect(name: str, model: Model, search: EffectSearch) -> float:
     """Return how much worse the worst block is without an effect; infinite if nobody tried."""
     others = {*model.names} - {name}
     tried = [search.base, *(m for level in search.levels for m in level)]
-    without = [_worst(m) for m in tried if {*m.names} == others]
-    return min(without, default=float("inf")) / _worst(model)
+    without = [_worst_ratio(m) for m in tried if {*m.names} == others]
+    return min(without, default=float("inf")) / _worst_ratio(model)
 
 
-def _worst(model: Model) -> float:
+def _worst_ratio(model: Model) -> float:
     return max(model.ratio(block) for block in model.evidence.blocks)

@@ -15,13 +15,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from pamctl.diagnose.fitting.candidates import Candidate
-from pamctl.diagnose.fitting.fitted_model import Model, extended
+from pamctl.diagnose.fitting.fitted_model import Model, fit_model
 from pamctl.diagnose.measured.record import Array
-from pamctl.diagnose.naming.score import Score, scores
-from pamctl.diagnose.naming.search import Search, finished, mapped, promising, proven, rank
+from pamctl.diagnose.naming.score import Score, score_candidates
+from pamctl.diagnose.naming.search import (
+    EffectSearch,
+    confirm_complete,
+    fit_to_end_if_near,
+    rank,
+    run_fit_jobs,
+    select_promising,
+)
 
-TRIED = 6
-SERIOUS = 3
+MOST_RIVALS = 6
+MOST_SERIOUS_RIVALS = 3
 """So many rivals are fitted to the end."""
 STRETCH_S = 0.25
 REPLICAS = 400
@@ -53,47 +60,52 @@ class Standing:
     """The rivals' models."""
 
     @property
-    def equals(self) -> tuple[str, ...]:
+    def equal_rivals(self) -> tuple[str, ...]:
         """Rivals that the data do not tell from it."""
         return tuple(r.name for r in self.rivals if r.is_equal)
 
 
-def standings(
-    chosen: Model, search: Search, found: Sequence[Candidate], executor: Executor | None = None
+def find_rivals(
+    chosen: Model,
+    search: EffectSearch,
+    found: Sequence[Candidate],
+    executor: Executor | None = None,
 ) -> tuple[Standing, ...]:
     """Return every effect of the chosen model with its rivals, the nearest first."""
-    return tuple(_standing(chosen, effect, search, found, executor) for effect in chosen.effects)
+    return tuple(
+        _find_rivals_of_effect(chosen, effect, search, found, executor) for effect in chosen.effects
+    )
 
 
-def _standing(
+def _find_rivals_of_effect(
     chosen: Model,
     effect: Candidate,
-    search: Search,
+    search: EffectSearch,
     found: Sequence[Candidate],
     executor: Executor | None,
 ) -> Standing:
     others = tuple(c for c in chosen.effects if c != effect)
-    without = extended(search.base, others, [chosen.effect_values])
-    tried = _already_tried(search, chosen, effect)
+    without = fit_model(search.base, others, [chosen.effect_values])
+    tried = _find_tried_models(search, chosen, effect)
     known = {candidate for candidate, _ in tried}
     jobs = [
         (without, score)
-        for score in _promising(without, effect, found, chosen)
+        for score in _score_rivals(without, effect, found, chosen)
         if score.candidate not in known
     ]
-    fitted = mapped(_replaced, jobs, executor)
+    fitted = run_fit_jobs(_fit_rival, jobs, executor)
     tried += [(score.candidate, m) for (_, score), m in zip(jobs, fitted, strict=True)]
     models: dict[str, Model] = {}
     for candidate, model in sorted(tried, key=lambda pair: rank(pair[1])):
         models.setdefault(candidate.name, model)  # the best form of each name
-    for name in [*models][:SERIOUS]:
-        models[name] = proven(finished(models[name]))
-    rivals, wins = _judged(chosen, effect, models)
+    for name in [*models][:MOST_SERIOUS_RIVALS]:
+        models[name] = confirm_complete(fit_to_end_if_near(models[name]))
+    rivals, wins = _judge_rivals(chosen, effect, models)
     return Standing(effect, rivals, wins, not without.is_complete, tuple(models.values()))
 
 
-def _already_tried(
-    search: Search, chosen: Model, effect: Candidate
+def _find_tried_models(
+    search: EffectSearch, chosen: Model, effect: Candidate
 ) -> list[tuple[Candidate, Model]]:
     """Find models of the search that differ from the chosen one in this effect only."""
     kept = {*chosen.names} - {effect.name}
@@ -107,24 +119,26 @@ def _already_tried(
     ]
 
 
-def _promising(
+def _score_rivals(
     without: Model, effect: Candidate, found: Sequence[Candidate], chosen: Model
 ) -> list[Score]:
     open_to = [c for c in found if c.name not in chosen.names and c.blocks & effect.blocks]
     best = {
         s.candidate: s
         for block in effect.blocks
-        for s in promising(scores(without.fit_of(block), open_to, block), TRIED)
+        for s in select_promising(
+            score_candidates(without.fit_of(block), open_to, block), MOST_RIVALS
+        )
     }
     return [*best.values()]
 
 
-def _replaced(job: tuple[Model, Score]) -> Model:
+def _fit_rival(job: tuple[Model, Score]) -> Model:
     without, score = job
-    return extended(without, (*without.effects, score.candidate), [score.start])
+    return fit_model(without, (*without.effects, score.candidate), [score.start])
 
 
-def _judged(
+def _judge_rivals(
     chosen: Model, effect: Candidate, models: dict[str, Model]
 ) -> tuple[tuple[Rival, ...], float]:
     """Compare by paired block bootstrap of the held-out mean squares."""

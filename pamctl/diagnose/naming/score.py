@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from pamctl.diagnose.fitting.block_fit import Fit
-from pamctl.diagnose.fitting.candidates import Candidate, trials
-from pamctl.diagnose.fitting.drives import stacked
+from pamctl.diagnose.fitting.candidates import Candidate, generate_doses
+from pamctl.diagnose.fitting.drives import stack_residuals
 from pamctl.diagnose.fitting.numbers import value_of, with_values
 from pamctl.diagnose.measured.record import Array
 from pamctl.plant.model import PlantSettings
@@ -37,7 +37,7 @@ _KNOWN: WeakKeyDictionary[Fit, dict[tuple[Candidate, str], Score]] = WeakKeyDict
 """By fit, candidate and block: what is missing is asked of a recalibrated block more than once."""
 
 
-def scores(fitted: Fit, found: Sequence[Candidate], block: str) -> list[Score]:
+def score_candidates(fitted: Fit, found: Sequence[Candidate], block: str) -> list[Score]:
     """Score candidates on a fit's own drives by what they explain of a block, the best first.
 
     A fit of both blocks counts with all its rows: the geometry that they share may explain
@@ -47,14 +47,14 @@ def scores(fitted: Fit, found: Sequence[Candidate], block: str) -> list[Score]:
     known = _KNOWN.setdefault(fitted, {})
     asked = [candidate for candidate in found if (candidate, block) not in known]
     if asked:
-        basis = _movable(fitted)
-        left = beside(basis, fitted.residual)
+        basis = _find_movable_basis(fitted)
+        left = project_out(basis, fitted.residual)
         for candidate in asked:
-            known[candidate, block] = _score(fitted, basis, left, rows, candidate)
+            known[candidate, block] = _score_candidate(fitted, basis, left, rows, candidate)
     return sorted((known[candidate, block] for candidate in found), key=lambda s: -s.explained)
 
 
-def _movable(fitted: Fit) -> Array:
+def _find_movable_basis(fitted: Fit) -> Array:
     """Return an orthonormal basis of what recalibration can still do, shape (n, at most p).
 
     A number at an end of its range cannot, and what it strains for may be an effect's.
@@ -67,34 +67,36 @@ def _movable(fitted: Fit) -> Array:
     return basis
 
 
-def _score(
+def _score_candidate(
     fitted: Fit, basis: Array, left: Array, rows: NDArray[np.bool_], candidate: Candidate
 ) -> Score:
     best = Score(candidate, 0.0, {})
-    for doses in trials(candidate, fitted.settings):
+    for doses in generate_doses(candidate, fitted.settings):
         secants = np.column_stack([secant(fitted, dose) for dose in doses])
-        secants = beside(basis, secants)
-        amounts = _amounts(secants, left, _range(candidate, fitted.settings, doses))
+        secants = project_out(basis, secants)
+        amounts = _fit_amounts(secants, left, _dose_range(candidate, fitted.settings, doses))
         rest = (left - secants @ amounts)[rows]
         explained = 1.0 - float(np.sum(rest**2) / np.sum(left[rows] ** 2))
         if explained > best.explained:
-            best = Score(candidate, explained, _start(candidate, fitted.settings, doses, amounts))
+            best = Score(
+                candidate, explained, _choose_start(candidate, fitted.settings, doses, amounts)
+            )
     return best
 
 
 def secant(fitted: Fit, values: dict[str, float]) -> Array:
     """Return how a dose moves the simulated outputs, in deviations of the sensors."""
-    moved = stacked(fitted.drives, with_values(fitted.settings, values))
+    moved = stack_residuals(fitted.drives, with_values(fitted.settings, values))
     return fitted.residual - moved
 
 
-def beside(basis: Array, vectors: Array) -> Array:
+def project_out(basis: Array, vectors: Array) -> Array:
     """Remove what the recalibrated numbers can do as well."""
     beside: Array = vectors - basis @ (basis.T @ vectors)
     return beside
 
 
-def _amounts(secants: Array, left: Array, bounds: tuple[Array, Array]) -> Array:
+def _fit_amounts(secants: Array, left: Array, bounds: tuple[Array, Array]) -> Array:
     """Least squares for how much of each dose, within the numbers' ranges."""
     triangle: Array = np.asarray(np.linalg.qr(np.column_stack([secants, left]), mode="r"))
     size = secants.shape[1]
@@ -102,7 +104,7 @@ def _amounts(secants: Array, left: Array, bounds: tuple[Array, Array]) -> Array:
     return amounts
 
 
-def _range(
+def _dose_range(
     candidate: Candidate, settings: PlantSettings, doses: Sequence[dict[str, float]]
 ) -> tuple[Array, Array]:
     """How many doses of each switch its range allows."""
@@ -116,7 +118,7 @@ def _range(
     return np.array(low), np.array(high)
 
 
-def _start(
+def _choose_start(
     candidate: Candidate,
     settings: PlantSettings,
     doses: Sequence[dict[str, float]],
@@ -127,11 +129,11 @@ def _start(
     for number, dose, amount in zip(candidate.switches, doses, amounts, strict=True):
         neutral = value_of(settings, number.name)
         value = neutral + amount * (dose[number.name] - neutral)
-        start[number.name] = inside(value, number.low, number.high, number.scale)
+        start[number.name] = clip_inside(value, number.low, number.high, number.scale)
     return start
 
 
-def inside(value: float, low: float, high: float, scale: float) -> float:
+def clip_inside(value: float, low: float, high: float, scale: float) -> float:
     """Return the value, at least a fifth of a visible step away from the ends of its range."""
     edge = min(0.2 * scale, 0.1 * (high - low))
     return float(np.clip(value, low + edge, high - edge))

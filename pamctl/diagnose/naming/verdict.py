@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.naming.rivals import Standing
-from pamctl.diagnose.naming.search import Search
+from pamctl.diagnose.naming.search import EffectSearch
 
 LEAST_CLOSED = 0.8
 """A partial explanation closes at least so much of a block's gap to the floor."""
@@ -36,7 +36,7 @@ class Judgement:
     """Share of the way from recalibrated to floor, of the worse of the blocks."""
 
 
-def judged(search: Search, nominal: Model) -> Judgement:
+def judge_search(search: EffectSearch, nominal: Model) -> Judgement:
     """Judge what a search has found, before rivals are heard.
 
     `nominal` is the start model as it stands.
@@ -47,25 +47,25 @@ def judged(search: Search, nominal: Model) -> Judgement:
         return Judgement(Verdict.NO_DISCREPANCY if fits else Verdict.MISCALIBRATED, best, 1.0)
     if best.is_complete:
         return Judgement(Verdict.NAMED, best, 1.0)
-    partial = _partial(search)
+    partial = _find_partial(search)
     if partial is None:
         return Judgement(Verdict.NONE_KNOWN, search.base, 0.0)
-    return Judgement(Verdict.PARTIAL, partial, closed(search.base, partial))
+    return Judgement(Verdict.PARTIAL, partial, closed_share_of(search.base, partial))
 
 
-def closed(base: Model, model: Model) -> float:
+def closed_share_of(base: Model, model: Model) -> float:
     """Return the share of the way to the floor that a model goes, of the worst block of base."""
-    shares = [_closed(base, model, block) for block in base.unexplained]
+    shares = [_closed_share_of_block(base, model, block) for block in base.unexplained]
     return min(shares, default=1.0)
 
 
-def _closed(base: Model, model: Model, block: str) -> float:
+def _closed_share_of_block(base: Model, model: Model, block: str) -> float:
     floor = model.floors[block].mean
     way = base.rms[block] - floor
     return float((base.rms[block] - model.rms[block]) / way) if way > 0.0 else 1.0
 
 
-def _partial(search: Search) -> Model | None:
+def _find_partial(search: EffectSearch) -> Model | None:
     """Return the model that explains most, if every effect in it is worth its place."""
     best: Model | None = None
     before = search.base
@@ -81,16 +81,18 @@ def _is_worth(before: Model, model: Model, base: Model) -> bool:
     """Tell whether another effect closes most of what was left, at nobody's expense."""
     if not {*before.names} <= {*model.names} or {*model.unexplained} - {*base.unexplained}:
         return False
-    gained = max((_closed(before, model, b) for b in before.unexplained), default=0.0)
+    gained = max(
+        (_closed_share_of_block(before, model, b) for b in before.unexplained), default=0.0
+    )
     return gained >= LEAST_CLOSED and model.is_plausible
 
 
-def after_rivals(judgement: Judgement, standings: Sequence[Standing]) -> Verdict:
+def revise_verdict(judgement: Judgement, standings: Sequence[Standing]) -> Verdict:
     """Turn a named verdict into an ambiguous one where a rival is no worse.
 
     Of a part of the truth that could be another's as well nothing is said: the remainder
     bends the candidates.
     """
-    if not any(s.equals for s in standings):
+    if not any(s.equal_rivals for s in standings):
         return judgement.verdict
     return Verdict.AMBIGUOUS if judgement.verdict is Verdict.NAMED else Verdict.NONE_KNOWN

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
-from pamctl.diagnose.diagnosis import Diagnosis, where_left
+from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
 from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.report.next_experiment import ambiguous, blind_spots, next_experiment
+from pamctl.diagnose.report.next_experiment import (
+    choose_next_experiment,
+    list_ambiguous_sets,
+    list_blind_spots,
+)
 from pamctl.diagnose.report.sentences import sentence
 from pamctl.plant.effects import CATALOGUE
 
 SCHEMA = 1
 
 
-def document(diagnosis: Diagnosis) -> dict[str, Any]:
+def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the document as plain values."""
     if diagnosis.verdict is Verdict.BAD_DATA:
         return {
@@ -31,25 +35,25 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
             "gap": {},
             "unexplained": None,
         }
-    block, ratio, regimes = where_left(diagnosis)
+    block, ratio, regimes = find_largest_remainder(diagnosis)
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict.value,
         "sentence": sentence(diagnosis),
-        "effects": [_effect(diagnosis, s) for s in diagnosis.standings],
-        "ambiguous": ambiguous(diagnosis),
+        "effects": [_effect_entry(diagnosis, s) for s in diagnosis.standings],
+        "ambiguous": list_ambiguous_sets(diagnosis),
         "recalibrated": {n.name: n.as_dict() for n in diagnosis.recalibrated},
-        "blind_spots": blind_spots(diagnosis),
-        "next_experiment": next_experiment(diagnosis),
+        "blind_spots": list_blind_spots(diagnosis),
+        "next_experiment": choose_next_experiment(diagnosis),
         "gap": {name: gap.as_dict() for name, gap in (diagnosis.gap or {}).items()},
         "explained": diagnosis.explained,
         "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
-        "limits": _limits(diagnosis),
+        "limits": _list_limits(diagnosis),
         "integrator": {
             block: {"change_over_floor": change, "is_small": change <= SMALL}
             for block, change in diagnosis.stepping.items()
         },
-        "correction": _correction(diagnosis),
+        "correction": _correction_entry(diagnosis),
         "regimes": [
             {
                 "block": c.block,
@@ -64,7 +68,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _limits(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+def _list_limits(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
     """What counts as a discrepancy of each block, and whether simulation or the rig decided it."""
     floors = diagnosis.model.floors if diagnosis.model else {}
     return {
@@ -73,14 +77,14 @@ def _limits(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
     }
 
 
-def _correction(diagnosis: Diagnosis) -> dict[str, Any] | None:
+def _correction_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:
     if diagnosis.remainder is None:
         return None
     table = {"table": diagnosis.corrected.as_dict()} if diagnosis.corrected else {}
     return {**diagnosis.remainder.as_dict(), **table}
 
 
-def _effect(diagnosis: Diagnosis, standing: Standing) -> dict[str, Any]:
+def _effect_entry(diagnosis: Diagnosis, standing: Standing) -> dict[str, Any]:
     name = standing.effect.name
     return {
         "name": name,

@@ -10,36 +10,36 @@ from collections.abc import Sequence
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.report.extended_plant_file import plant_file
-from pamctl.diagnose.report.findings_part import write_findings, write_tried
+from pamctl.diagnose.report.extended_plant_file import format_plant_file
+from pamctl.diagnose.report.findings_part import write_findings, write_trials
 from pamctl.diagnose.report.head_part import write_head
-from pamctl.diagnose.report.page_words import title
+from pamctl.diagnose.report.page_words import write_headline
 from pamctl.diagnose.report.regime_map import write_map
 from pamctl.diagnose.report.remains_part import (
-    write_blind,
-    write_compared,
-    write_measured,
-    write_remains,
+    write_blind_spots,
+    write_compared_runs,
+    write_measured_runs,
+    write_remainder,
 )
 from pamctl.diagnose.report.traces_part import write_traces
 from pamctl.report.html_page import Page
 
 
-def page_of(diagnosis: Diagnosis, records: Sequence[Record]) -> Page:
+def build_diagnosis_page(diagnosis: Diagnosis, records: Sequence[Record]) -> Page:
     """Return the page of a diagnosis; `records` are all that it was given, good or bad."""
     names = [record.name for record in records]
-    page = Page(title(diagnosis), f"Diagnosis of {', '.join(names)}")
+    page = Page(write_headline(diagnosis), f"Diagnosis of {', '.join(names)}")
     write_head(page, diagnosis)
     if diagnosis.reason:
-        write_compared(page, diagnosis, records)
-        write_measured(page, records)
+        write_compared_runs(page, diagnosis, records)
+        write_measured_runs(page, records)
         return page
     write_traces(page, diagnosis)
     write_map(page, diagnosis)
     write_findings(page, diagnosis)
-    write_tried(page, diagnosis)
-    write_remains(page, diagnosis)
-    write_blind(page, diagnosis)
-    write_compared(page, diagnosis, records)
-    page.fold("plant.yaml", plant_file(diagnosis, names))
+    write_trials(page, diagnosis)
+    write_remainder(page, diagnosis)
+    write_blind_spots(page, diagnosis)
+    write_compared_runs(page, diagnosis, records)
+    page.fold("plant.yaml", format_plant_file(diagnosis, names))
     return page

@@ -6,23 +6,23 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.report.sentences import correction_told, sentence
-from pamctl.settings.yaml12 import dump
+from pamctl.diagnose.report.sentences import describe_correction_result, sentence
+from pamctl.settings.yaml12 import dump_yaml
 
 
-def plant_file(diagnosis: Diagnosis, logs: Sequence[str]) -> str:
+def format_plant_file(diagnosis: Diagnosis, logs: Sequence[str]) -> str:
     """Write the diagnosis's plant as YAML, its origin and intervals as comments."""
     data: dict[str, Any] = diagnosis.plant.model_dump(
         mode="json", round_trip=True, exclude_none=True
     )
-    return "".join(f"# {line}\n" for line in _head(diagnosis, logs)) + dump(data)
+    return "".join(f"# {line}\n" for line in _head_lines(diagnosis, logs)) + dump_yaml(data)
 
 
-def _head(diagnosis: Diagnosis, logs: Sequence[str]) -> Iterator[str]:
+def _head_lines(diagnosis: Diagnosis, logs: Sequence[str]) -> Iterator[str]:
     yield f"Written by `pamctl diagnose` from {', '.join(logs)}."
     yield f"Verdict: {diagnosis.verdict.value}. {sentence(diagnosis)}"
     if diagnosis.corrected is not None:
-        yield correction_told(diagnosis.corrected)
+        yield describe_correction_result(diagnosis.corrected)
     if diagnosis.numbers:
         yield "Fitted, with 90 % intervals:"
     for n in diagnosis.numbers:

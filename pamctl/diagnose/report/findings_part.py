@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pamctl.diagnose.diagnosis import Diagnosis, Trial
+from pamctl.diagnose.diagnosis import Diagnosis, EffectsTrial
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.report.page_words import parameter_of, shift, told
+from pamctl.diagnose.report.page_words import parameter_of, relative_shift, spell_names
 from pamctl.plant.effects import CATALOGUE
 from pamctl.report.html_page import Page
 
@@ -25,7 +25,7 @@ def write_findings(page: Page, diagnosis: Diagnosis) -> None:
         page.section("The numbers of the model")
         page.table(
             ["parameter", "as it stood", "recalibrated", "90 % interval", "unit", "off by"],
-            list(_recalibrated(diagnosis)),
+            list(_list_recalibrated(diagnosis)),
             caption="Fitted with the effects, if there are any. A number is off where its interval "
             "does not reach the value that it had.",
         )
@@ -34,7 +34,7 @@ def write_findings(page: Page, diagnosis: Diagnosis) -> None:
 def _write_effect(page: Page, diagnosis: Diagnosis, standing: Standing) -> None:
     name = standing.effect.name
     effect = CATALOGUE[name]
-    page.heading(told(name))
+    page.heading(spell_names(name))
     form = standing.effect.form
     page.facts(
         {
@@ -59,7 +59,7 @@ def _write_effect(page: Page, diagnosis: Diagnosis, standing: Standing) -> None:
 def _write_rivals(page: Page, standing: Standing) -> None:
     rows = [
         [
-            told(rival.name),
+            spell_names(rival.name),
             f"{rival.residual_over_floor:.2f}",
             f"{100.0 * rival.wins:.0f} %",
             "not told apart" if rival.is_equal else "worse",
@@ -76,10 +76,10 @@ def _write_rivals(page: Page, standing: Standing) -> None:
         page.text("No other effect of the catalogue came near enough to be heard.")
 
 
-def _recalibrated(diagnosis: Diagnosis) -> Iterator[list[str]]:
+def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[list[str]]:
     for number in diagnosis.recalibrated:
-        nominal = diagnosis.started(number.name)
-        off = shift(diagnosis, number)
+        nominal = diagnosis.start_value(number.name)
+        off = relative_shift(diagnosis, number)
         yield [
             number.name,
             f"{nominal:.5g}",
@@ -90,7 +90,7 @@ def _recalibrated(diagnosis: Diagnosis) -> Iterator[list[str]]:
         ]
 
 
-def write_tried(page: Page, diagnosis: Diagnosis) -> None:
+def write_trials(page: Page, diagnosis: Diagnosis) -> None:
     """Rank what was tried by what it leaves."""
     base = diagnosis.base
     if base is None or not diagnosis.tried:
@@ -98,11 +98,11 @@ def write_tried(page: Page, diagnosis: Diagnosis) -> None:
     page.section("What was tried")
     blocks = base.evidence.blocks
     rows = [["recalibrated only", *(f"{base.ratio(block):.2f}" for block in blocks)]]
-    best: dict[tuple[str, ...], Trial] = {}
+    best: dict[tuple[str, ...], EffectsTrial] = {}
     for trial in diagnosis.tried:
         best.setdefault(trial.names, trial)  # the best form of each set
     for names, trial in [*best.items()][:_MOST]:
-        rows.append([told(*names), *(f"{trial.ratios[block]:.2f}" for block in blocks)])
+        rows.append([spell_names(*names), *(f"{trial.ratios[block]:.2f}" for block in blocks)])
     page.table(
         ["model", *(f"{block}, x floor" for block in blocks)],
         rows,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report import page_words as words
-from pamctl.diagnose.report.compared_models import SHOWN, Stage, stages
-from pamctl.diagnose.show import Gap
+from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS, ModelStage, list_model_stages
+from pamctl.diagnose.show import HeldOutGap
 from pamctl.report.html_page import Page
 from pamctl.report.levels import Levels
 
@@ -21,19 +21,19 @@ _KINDS = {
 
 def write_head(page: Page, diagnosis: Diagnosis) -> None:
     """Write what a reader without patience needs."""
-    page.note(words.verdict(diagnosis), kind=_KINDS.get(diagnosis.verdict, "note"))
-    shown = stages(diagnosis)
+    page.note(words.explain_verdict(diagnosis), kind=_KINDS.get(diagnosis.verdict, "note"))
+    shown = list_model_stages(diagnosis)
     if diagnosis.gap:
         page.grid(
-            *(_levels(name, gap, shown) for name, gap in diagnosis.gap.items()),
-            caption=_caption(diagnosis),
+            *(_draw_levels(name, gap, shown) for name, gap in diagnosis.gap.items()),
+            caption=_write_caption(diagnosis),
         )
     page.heading("What to do next")
-    page.points(*words.following(diagnosis))
+    page.points(*words.advise_next_steps(diagnosis))
 
 
-def _levels(name: str, gap: Gap, shown: list[Stage]) -> Levels:
-    signal = SHOWN[name]
+def _draw_levels(name: str, gap: HeldOutGap, shown: list[ModelStage]) -> Levels:
+    signal = SIGNAL_DISPLAYS[name]
     levels = Levels(signal.title, signal.gap_unit)
     for stage in shown:
         value = float(getattr(gap, stage.key)) * signal.gap_factor
@@ -42,9 +42,10 @@ def _levels(name: str, gap: Gap, shown: list[Stage]) -> Levels:
     return levels
 
 
-def _caption(diagnosis: Diagnosis) -> str:
+def _write_caption(diagnosis: Diagnosis) -> str:
     parts = [
-        f"{100.0 * gap.closed:.1f} % of the {SHOWN[name].title.split(',')[0].lower()}'s gap"
+        f"{100.0 * gap.closed:.1f} % of the "
+        f"{SIGNAL_DISPLAYS[name].title.split(',')[0].lower()}'s gap"
         for name, gap in (diagnosis.gap or {}).items()
     ]
     closed = f" {' and '.join(parts)} is closed, from recalibrated to that line."

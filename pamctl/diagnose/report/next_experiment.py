@@ -5,29 +5,29 @@ from __future__ import annotations
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.experiments import separating, showing
+from pamctl.diagnose.experiments import find_separating_experiment, find_showing_experiment
 from pamctl.diagnose.naming.verdict import Verdict
 
 NEARLY_SEEN = 3.0
 """What shows from so many smallest sizes on is no reason for another experiment."""
 
 
-def ambiguous(diagnosis: Diagnosis) -> list[list[str]]:
+def list_ambiguous_sets(diagnosis: Diagnosis) -> list[list[str]]:
     """Return the sets of effects that the data do not tell apart."""
-    return [[s.effect.name, *s.equals] for s in diagnosis.standings if s.equals]
+    return [[s.effect.name, *s.equal_rivals] for s in diagnosis.standings if s.equal_rivals]
 
 
-def blind_spots(diagnosis: Diagnosis) -> list[dict[str, object]]:
+def list_blind_spots(diagnosis: Diagnosis) -> list[dict[str, object]]:
     """Return what these records could not have shown."""
     audit = diagnosis.audit
     return [spot.as_dict() for spot in audit.blind_spots] if audit else []
 
 
-def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
+def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
     """Return the experiment that would tell more, if there is one."""
-    sets = ambiguous(diagnosis)
+    sets = list_ambiguous_sets(diagnosis)
     if sets:
-        return separating(sets[0])
+        return find_separating_experiment(sets[0])
     if diagnosis.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
         return {
             "name": "diagnosis",
@@ -36,4 +36,4 @@ def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
         }
     spots = [s for s in diagnosis.audit.blind_spots if s.experiment] if diagnosis.audit else []
     hidden = max(spots, key=lambda s: s.sizes, default=None)
-    return showing(hidden.name) if hidden and hidden.sizes > NEARLY_SEEN else None
+    return find_showing_experiment(hidden.name) if hidden and hidden.sizes > NEARLY_SEEN else None

@@ -12,10 +12,10 @@ from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.false_discovery import RATE
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.locate import Cell
+from pamctl.diagnose.locate import RegimeMisfit
 from pamctl.diagnose.measured.record import Array
 from pamctl.report.html_page import Page
-from pamctl.report.svg import Axis, Plot
+from pamctl.report.svg import PlotAxis, SvgPlot
 
 _FEWEST = 15
 """Samples that make a cell of a map."""
@@ -24,13 +24,13 @@ _BRIGHT = 5.0
 _NAMES = {PRESSURE: "Pressure block", MECHANICS: "Mechanics"}
 
 
-class Plane(NamedTuple):
+class WorkingPlane(NamedTuple):
     """Where a block was, sample by sample, and the grid that it is shown on."""
 
     x: Array
     y: Array
-    x_axis: Axis
-    y_axis: Axis
+    x_axis: PlotAxis
+    y_axis: PlotAxis
     x_edges: Array
     y_edges: Array
 
@@ -49,8 +49,8 @@ def write_map(page: Page, diagnosis: Diagnosis) -> None:
     )
     blocks = sorted(model.evidence.blocks, key=base.ratio, reverse=True)
     for block in blocks:
-        page.grid(*_maps(block, base, model), caption=_caption(block))
-    page.table(*_regimes(diagnosis.regimes, diagnosis.cells, model, blocks))
+        page.grid(*_draw_maps(block, base, model), caption=_write_caption(block))
+    page.table(*_tabulate_regimes(diagnosis.regimes, diagnosis.cells, model, blocks))
     page.text(
         "Each regime is held against the same regime of records that the model made itself. Those "
         "that stand out do so by more than is too small to matter, and at such a level that of "
@@ -58,24 +58,25 @@ def write_map(page: Page, diagnosis: Diagnosis) -> None:
     )
 
 
-def _caption(block: str) -> str:
+def _write_caption(block: str) -> str:
     if block == PRESSURE:
         return "RMS of the pressure block's residual over command and pressure."
     return "RMS of the mechanics' residual over velocity and displacement."
 
 
-def _maps(block: str, base: Model, model: Model) -> list[Plot]:
+def _draw_maps(block: str, base: Model, model: Model) -> list[SvgPlot]:
     """Return one map, or two on one scale of colours."""
     plane = plane_of(model.evidence.holdout[block], model)
     labels = [(f"{_NAMES[block]}, recalibrated", base)]
     if model.effects:
         labels.append((f"{_NAMES[block]}, extended", model))
     grids = [
-        np.sqrt(_means(plane, m.residuals[block] ** 2)) / m.floors[block].mean for _, m in labels
+        np.sqrt(_cell_means(plane, m.residuals[block] ** 2)) / m.floors[block].mean
+        for _, m in labels
     ]
     brightest = np.nanmax(grids[0], initial=_BRIGHT)
     return [
-        Plot(label, plane.x_axis, plane.y_axis).heat(
+        SvgPlot(label, plane.x_axis, plane.y_axis).heat(
             plane.x_edges, plane.y_edges, grid, "x floor", low=0.0, high=float(brightest)
         )
         for (label, _), grid in zip(labels, grids, strict=True)
@@ -91,9 +92,9 @@ def write_shape(page: Page, diagnosis: Diagnosis) -> None:
         plane = plane_of(model.evidence.holdout[block], model)
         factor, unit = (1e-3, "kPa") if block == PRESSURE else (1e6, "µm")
         deviation = model.evidence.holdout[block][0].deviation
-        grid = _means(plane, model.residuals[block] * deviation * factor)
+        grid = _cell_means(plane, model.residuals[block] * deviation * factor)
         widest = float(np.nanmax(np.abs(grid))) if np.isfinite(grid).any() else 1.0
-        plot = Plot(f"{_NAMES[block]}: unnamed correction", plane.x_axis, plane.y_axis)
+        plot = SvgPlot(f"{_NAMES[block]}: unnamed correction", plane.x_axis, plane.y_axis)
         plot.heat(plane.x_edges, plane.y_edges, grid, unit, low=-widest, high=widest)
         page.figure(
             plot,
@@ -103,22 +104,22 @@ def write_shape(page: Page, diagnosis: Diagnosis) -> None:
         )
 
 
-def plane_of(drives: Sequence[Drive], model: Model) -> Plane:
+def plane_of(drives: Sequence[Drive], model: Model) -> WorkingPlane:
     """Return the working plane of a block, over the samples that count of all of its records."""
     p = model.evidence.nominal.parameters
     if drives[0].block == PRESSURE:
-        x = np.concatenate([_counted(d, d.valve_v) for d in drives])
-        gauge = [_counted(d, d.measured - p.atmospheric_pressure_pa) for d in drives]
+        x = np.concatenate([_select_counted(d, d.valve_v) for d in drives])
+        gauge = [_select_counted(d, d.measured - p.atmospheric_pressure_pa) for d in drives]
         y = np.concatenate(gauge) * 1e-3
-        axes = Axis("valve command", "V"), Axis("pressure, gauge", "kPa")
+        axes = PlotAxis("valve command", "V"), PlotAxis("pressure, gauge", "kPa")
     else:
-        x = np.concatenate([_counted(d, _velocity(d)) for d in drives]) * 1e3
-        y = np.concatenate([_counted(d, d.measured) for d in drives]) * 1e3
-        axes = Axis("velocity", "mm/s"), Axis("displacement", "mm")
-    return Plane(x, y, *axes, _edges(x, 41), _edges(y, 15))
+        x = np.concatenate([_select_counted(d, _velocity(d)) for d in drives]) * 1e3
+        y = np.concatenate([_select_counted(d, d.measured) for d in drives]) * 1e3
+        axes = PlotAxis("velocity", "mm/s"), PlotAxis("displacement", "mm")
+    return WorkingPlane(x, y, *axes, _cell_edges(x, 41), _cell_edges(y, 15))
 
 
-def _counted(drive: Drive, values: Array) -> Array:
+def _select_counted(drive: Drive, values: Array) -> Array:
     return values if drive.rows is None else values[drive.rows]
 
 
@@ -128,7 +129,7 @@ def _velocity(drive: Drive) -> Array:
     return velocity
 
 
-def _edges(values: Array, cells: int) -> Array:
+def _cell_edges(values: Array, cells: int) -> Array:
     """Cut the usual range evenly; the odd sample beyond it is not drawn."""
     low, high = np.quantile(values, [0.002, 0.998])
     if high <= low:
@@ -136,7 +137,7 @@ def _edges(values: Array, cells: int) -> Array:
     return np.linspace(low, high, cells + 1)
 
 
-def _means(plane: Plane, values: Array) -> Array:
+def _cell_means(plane: WorkingPlane, values: Array) -> Array:
     """Return the mean in every cell, shape (rows, columns); NaN where there is too little."""
     edges = (plane.y_edges, plane.x_edges)
     count = np.histogram2d(plane.y, plane.x, bins=edges)[0]
@@ -145,8 +146,11 @@ def _means(plane: Plane, values: Array) -> Array:
     return means
 
 
-def _regimes(
-    before: Sequence[Cell], after: Sequence[Cell], model: Model, blocks: Sequence[str]
+def _tabulate_regimes(
+    before: Sequence[RegimeMisfit],
+    after: Sequence[RegimeMisfit],
+    model: Model,
+    blocks: Sequence[str],
 ) -> tuple[list[str], list[list[str]]]:
     """Return header and rows: regimes of all blocks, the worst before first."""
     later = {(c.block, c.regime): c for c in after}
@@ -161,11 +165,11 @@ def _regimes(
         last = later.get((cell.block, cell.regime)) if model.effects else None
         if model.effects:
             row.append(f"{last.residual_over_floor:.2f}" if last else "-")
-        rows.append([*row, _stands_out(cell, last)])
+        rows.append([*row, _describe_standing_out(cell, last)])
     return header, rows
 
 
-def _stands_out(before: Cell, after: Cell | None) -> str:
+def _describe_standing_out(before: RegimeMisfit, after: RegimeMisfit | None) -> str:
     still = after is not None and after.stands_out
     return {
         (True, True): "still",

@@ -4,44 +4,44 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pamctl.diagnose.diagnosis import Diagnosis, where_left
-from pamctl.diagnose.fitting.integrator import integrator_told
+from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
+from pamctl.diagnose.fitting.integrator import describe_integrator
 from pamctl.diagnose.measured.record import CHANNELS, Record
-from pamctl.diagnose.report.compared_models import SHOWN
-from pamctl.diagnose.report.page_words import told
+from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
+from pamctl.diagnose.report.page_words import spell_names
 from pamctl.diagnose.report.regime_map import write_shape
-from pamctl.diagnose.report.sentences import correction_told, limits_told
+from pamctl.diagnose.report.sentences import describe_correction_result, describe_discrepancy_limits
 from pamctl.report.html_page import Page
-from pamctl.report.svg import Axis, Plot
+from pamctl.report.svg import PlotAxis, SvgPlot
 
 
-def write_remains(page: Page, diagnosis: Diagnosis) -> None:
+def write_remainder(page: Page, diagnosis: Diagnosis) -> None:
     """Say what is left, and where."""
     model = diagnosis.model
     if model is None:
         return
     page.section("What remains")
-    page.text(limits_told(model))
-    if integrator_told(diagnosis.stepping):
-        page.note(integrator_told(diagnosis.stepping))
+    page.text(describe_discrepancy_limits(model))
+    if describe_integrator(diagnosis.stepping):
+        page.note(describe_integrator(diagnosis.stepping))
     if model.is_complete:
-        block, ratio, _ = where_left(diagnosis)
+        block, ratio, _ = find_largest_remainder(diagnosis)
         page.text(
             f"Nothing above the limit. The {block} block is nearest to it, at {ratio:.2f} times "
             f"its floor where {model.floors[block].limit / model.floors[block].mean:.2f} would "
             "count as a discrepancy."
         )
         return
-    block, ratio, regimes = where_left(diagnosis)
+    block, ratio, regimes = find_largest_remainder(diagnosis)
     page.text(f"The {block} block is left at {ratio:.1f} times its floor: {regimes}.")
     write_shape(page, diagnosis)
     if diagnosis.remainder is not None:
         page.note(diagnosis.remainder.sentence)
     if diagnosis.corrected is not None:
-        page.note(correction_told(diagnosis.corrected))
+        page.note(describe_correction_result(diagnosis.corrected))
 
 
-def write_blind(page: Page, diagnosis: Diagnosis) -> None:
+def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
     """List what these records could not have shown, and pairs that they do not tell apart."""
     audit = diagnosis.audit
     if audit is None or not (audit.blind_spots or audit.inseparable):
@@ -51,7 +51,7 @@ def write_blind(page: Page, diagnosis: Diagnosis) -> None:
         page.table(
             ["effect", "why", "experiment that shows it"],
             [
-                [told(s.name), f"{s.why}; {s.visible}", s.experiment or "none"]
+                [spell_names(s.name), f"{s.why}; {s.visibility}", s.experiment or "none"]
                 for s in audit.blind_spots
             ],
             caption="That an effect is not named says nothing where it is listed here.",
@@ -59,18 +59,20 @@ def write_blind(page: Page, diagnosis: Diagnosis) -> None:
     if audit.inseparable:
         page.table(
             ["effects", "not told apart by these data; the experiment that would", "why"],
-            [[told(*p.names), p.experiment, p.why] for p in audit.inseparable],
+            [[spell_names(*p.names), p.experiment, p.why] for p in audit.inseparable],
         )
 
 
-def write_compared(page: Page, diagnosis: Diagnosis, records: Sequence[Record]) -> None:
+def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Record]) -> None:
     """Say what was measured, what it was held against, and how."""
     page.section("What was compared")
     train, holdout = diagnosis.train or records, diagnosis.holdout
     cut = {r.name for r in train} & {r.name for r in holdout}
-    rows = [_row(r, "cut: two thirds fitted on, one judged by") for r in train if r.name in cut]
-    rows += [_row(r, "fitted on" if holdout else "none") for r in train if r.name not in cut]
-    rows += [_row(r, "judged by") for r in holdout if r.name not in cut]
+    rows = [
+        _record_row(r, "cut: two thirds fitted on, one judged by") for r in train if r.name in cut
+    ]
+    rows += [_record_row(r, "fitted on" if holdout else "none") for r in train if r.name not in cut]
+    rows += [_record_row(r, "judged by") for r in holdout if r.name not in cut]
     page.table(["record", "use", "duration, s", "samples", "period, ms", "measured"], rows)
     model = diagnosis.model
     if model is None:
@@ -78,25 +80,25 @@ def write_compared(page: Page, diagnosis: Diagnosis, records: Sequence[Record]) 
     effects = diagnosis.nominal.effects.model_dump(exclude_none=True)
     page.text(
         f"The start model has the base {diagnosis.nominal.base} and "
-        + (f"the effects {told(*effects)}." if effects else "no further effect.")
+        + (f"the effects {spell_names(*effects)}." if effects else "no further effect.")
     )
     noises = model.evidence.noises
     page.table(
         ["sensor", "noise", "converter's step", "unit", "kind"],
-        [_noise(name, noise.deviation, noise.resolution, bool(noise.memory))
-         for name, noise in noises.items() if name in SHOWN],
+        [_noise_row(name, noise.deviation, noise.resolution, bool(noise.memory))
+         for name, noise in noises.items() if name in SIGNAL_DISPLAYS],
         caption="Estimated from the rest at the beginning, or from differences.",
     )  # fmt: skip
 
 
-def write_measured(page: Page, records: Sequence[Record]) -> None:
+def write_measured_runs(page: Page, records: Sequence[Record]) -> None:
     """Draw the records as they came, where nothing could be made of them."""
     for record in records:
         plots = []
         for channel in record.channels:
             factor, unit = _UNITS[channel]
-            axis = Axis(channel.split("_")[0], unit)
-            plot = Plot(channel, Axis("time", "s", tight=True), axis, height_px=110)
+            axis = PlotAxis(channel.split("_")[0], unit)
+            plot = SvgPlot(channel, PlotAxis("time", "s", tight=True), axis, height_px=110)
             plots.append(plot.line(record.t_s, factor * record[channel]))
         page.figure(*plots, caption=f"{record.name} as it was given.")
 
@@ -110,7 +112,7 @@ _UNITS = {
 }
 
 
-def _row(record: Record, use: str) -> list[str]:
+def _record_row(record: Record, use: str) -> list[str]:
     measured = ", ".join(channel.rsplit("_", 1)[0] for channel in record.channels)
     if len(record) < 2:
         return [record.name, use, "-", str(len(record)), "-", measured]
@@ -118,8 +120,8 @@ def _row(record: Record, use: str) -> list[str]:
     return [record.name, use, f"{record.duration_s:.1f}", str(len(record)), period, measured]
 
 
-def _noise(channel: str, deviation: float, step: float, coloured: bool) -> list[str]:
-    how = SHOWN[channel]
+def _noise_row(channel: str, deviation: float, step: float, coloured: bool) -> list[str]:
+    how = SIGNAL_DISPLAYS[channel]
     kind = "correlated from sample to sample" if coloured else "white"
     cells = [f"{value * how.gap_factor:.3g}" for value in (deviation, step)]
     return [how.title, *cells, how.gap_unit, kind]

@@ -4,32 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pamctl.diagnose.correction import Corrected
-from pamctl.diagnose.diagnosis import Diagnosis, where_left
+from pamctl.diagnose.correction import CorrectionResult
+from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.integrator import integrator_told
-from pamctl.diagnose.fitting.intervals import Estimate
+from pamctl.diagnose.fitting.integrator import describe_integrator
+from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.report.next_experiment import next_experiment
+from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.plant.effects import CATALOGUE
 
 
 def sentence(diagnosis: Diagnosis) -> str:
     """Say what was found, in one or two sentences."""
-    block, ratio, regimes = where_left(diagnosis)
-    names = " and ".join(_told(diagnosis, s.effect.name) for s in diagnosis.standings)
+    block, ratio, regimes = find_largest_remainder(diagnosis)
+    names = " and ".join(_describe_effect(diagnosis, s.effect.name) for s in diagnosis.standings)
     match diagnosis.verdict:
         case Verdict.BAD_DATA:
             return f"These data cannot be diagnosed: {diagnosis.reason}"
         case Verdict.NO_DISCREPANCY:
             return "The model explains the measurement down to the noise; nothing is missing."
         case Verdict.MISCALIBRATED:
-            return f"Nothing is missing from the model, but numbers are off: {_shifts(diagnosis)}."
+            shifts = _list_shifts(diagnosis)
+            return f"Nothing is missing from the model, but numbers are off: {shifts}."
         case Verdict.NAMED:
             return f"Missing from the model: {names}. With it the rest is at the noise floor."
         case Verdict.AMBIGUOUS:
             sets = " or ".join(
-                ", ".join([s.effect.name, *s.equals]) for s in diagnosis.standings if s.equals
+                ", ".join([s.effect.name, *s.equal_rivals])
+                for s in diagnosis.standings
+                if s.equal_rivals
             )
             return (
                 f"Something is missing that these data do not tell apart: one of {sets}. "
@@ -59,14 +62,14 @@ def summary(diagnosis: Diagnosis) -> str:
     if diagnosis.model and any(
         floor.decided_by == "repeatability" for floor in diagnosis.model.floors.values()
     ):
-        parts.append(limits_told(diagnosis.model))
-    if integrator_told(diagnosis.stepping):
-        parts.append(integrator_told(diagnosis.stepping))
+        parts.append(describe_discrepancy_limits(diagnosis.model))
+    if describe_integrator(diagnosis.stepping):
+        parts.append(describe_integrator(diagnosis.stepping))
     if diagnosis.remainder is not None:
         parts.append(diagnosis.remainder.sentence)
     if diagnosis.corrected is not None:
-        parts.append(correction_told(diagnosis.corrected))
-    following = next_experiment(diagnosis)
+        parts.append(describe_correction_result(diagnosis.corrected))
+    following = choose_next_experiment(diagnosis)
     if following:
         parts.append(f"next: {following['name']}: {following['why']}")
     return "\n\n".join(parts)
@@ -87,7 +90,7 @@ def _rival_rows(diagnosis: Diagnosis) -> Iterator[str]:
             yield f"{standing.effect.name:<24}{rival.name:<24}{left}"
 
 
-def limits_told(model: Model) -> str:
+def describe_discrepancy_limits(model: Model) -> str:
     """Say what a discrepancy was held against."""
     told = []
     for block, floor in model.floors.items():
@@ -104,7 +107,7 @@ def limits_told(model: Model) -> str:
     return f"Above these limits a misfit is a discrepancy: {', '.join(told)}.{without}"
 
 
-def correction_told(added: Corrected) -> str:
+def describe_correction_result(added: CorrectionResult) -> str:
     """Say whether the unnamed correction is in the model, and what it does to the gap."""
     rows = []
     for name, before in added.before.items():
@@ -132,21 +135,21 @@ def gap_units(channel: str) -> tuple[float, str]:
     return (1e6, "position, um") if channel == "position_m" else (1e-3, "pressure, kPa")
 
 
-def _told(diagnosis: Diagnosis, name: str) -> str:
+def _describe_effect(diagnosis: Diagnosis, name: str) -> str:
     numbers = [n for n in diagnosis.numbers if n.name.startswith(f"{name}.")]
-    listed = ", ".join(f"{n.name.split('.')[1]} {_value(n)}" for n in numbers)
+    listed = ", ".join(f"{n.name.split('.')[1]} {_format_value(n)}" for n in numbers)
     return f"{name} ({listed}; {CATALOGUE[name].equation})"
 
 
-def _value(number: Estimate) -> str:
+def _format_value(number: FittedNumber) -> str:
     half = 0.5 * (number.high - number.low)
     return f"{number.value:.4g} +- {half:.2g} {number.unit}".rstrip()
 
 
-def _shifts(diagnosis: Diagnosis) -> str:
+def _list_shifts(diagnosis: Diagnosis) -> str:
     rows = []
     for number in diagnosis.recalibrated:
-        nominal = diagnosis.started(number.name)
+        nominal = diagnosis.start_value(number.name)
         change = number.value / nominal - 1.0 if nominal else 0.0
         outside = not number.low <= nominal <= number.high
         if outside and abs(change) > 2e-3:

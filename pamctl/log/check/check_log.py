@@ -13,18 +13,18 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from pamctl.log.check.conformance import Conformance
-from pamctl.log.check.log_problems import Finding, Findings, Severity
-from pamctl.log.check.plausible import TickOrder, check_columns
+from pamctl.log.check.log_problems import LogFinding, LogFindings, Severity
+from pamctl.log.check.plausible import TickOrderCheck, check_columns
 from pamctl.log.contents import Contents
 from pamctl.log.framing import (
     Damage,
+    FileRecord,
     LogError,
-    Record,
-    making_sense,
-    mapped,
-    unpack,
-    verify,
-    walk,
+    map_log_file,
+    translate_parse_errors,
+    unpack_chunk,
+    verify_checksum,
+    walk_records,
 )
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
 from pamctl.log.wire import UnknownLayout
@@ -34,12 +34,12 @@ ConfigCheck = Callable[[str], Sequence[str]]
 
 
 @dataclass(frozen=True)
-class Report:
+class LogCheckReport:
     """What was found of one log."""
 
     path: str
     ticks: int
-    findings: tuple[Finding, ...]
+    findings: tuple[LogFinding, ...]
 
     @property
     def ok(self) -> bool:
@@ -47,15 +47,17 @@ class Report:
         return all(finding.severity != Severity.ERROR for finding in self.findings)
 
 
-def check(path: str | Path, problems_of_config: ConfigCheck = lambda text: ()) -> Report:
+def check_log(
+    path: str | Path, problems_of_config: ConfigCheck = lambda text: ()
+) -> LogCheckReport:
     """Check a log; raise LogError if the file is none at all."""
     path = Path(path)
-    findings = Findings()
-    order = TickOrder(findings)
+    findings = LogFindings()
+    order = TickOrderCheck(findings)
     contents = Contents((EVENT_TOPIC, TICK_TOPIC), order.take)
-    file = mapped(path)
+    file = map_log_file(path)
     try:
-        _walk(file, contents, Conformance(findings), findings)
+        _check_records(file, contents, Conformance(findings), findings)
     except Damage as damage:
         if damage.offset == 0:
             raise LogError(f"{path} is no log: {damage}") from damage
@@ -66,17 +68,17 @@ def check(path: str | Path, problems_of_config: ConfigCheck = lambda text: ()) -
         raise LogError(f"{path} is no log of pamctl: it has no channel {TICK_TOPIC}")
     order.end()
     _check_story(contents, findings, problems_of_config)
-    return Report(str(path), order.count, tuple(findings.told()))
+    return LogCheckReport(str(path), order.count, tuple(findings.told()))
 
 
-def _walk(
-    file: memoryview, contents: Contents, conformance: Conformance, findings: Findings
+def _check_records(
+    file: memoryview, contents: Contents, conformance: Conformance, findings: LogFindings
 ) -> None:
     """Take every record that is whole; raise Damage where no next one can be found."""
-    for record in walk(file):
+    for record in walk_records(file):
         try:
-            with making_sense(record):
-                _take(file, record, contents, conformance)
+            with translate_parse_errors(record):
+                _check_record(file, record, contents, conformance)
         except Damage as damage:
             findings.error("damage", str(damage))
             conformance.lost(record)
@@ -84,9 +86,11 @@ def _walk(
         conformance.end()
 
 
-def _take(file: memoryview, record: Record, contents: Contents, conformance: Conformance) -> None:
-    verify(file, record)
-    inside = unpack(record) if record.opcode == Opcode.CHUNK else None
+def _check_record(
+    file: memoryview, record: FileRecord, contents: Contents, conformance: Conformance
+) -> None:
+    verify_checksum(file, record)
+    inside = unpack_chunk(record) if record.opcode == Opcode.CHUNK else None
     conformance.take(file, record, inside)
     if inside is not None:
         contents.inside(inside)
@@ -94,7 +98,9 @@ def _take(file: memoryview, record: Record, contents: Contents, conformance: Con
         contents.take(file[: record.end], record)
 
 
-def _check_story(contents: Contents, findings: Findings, problems_of_config: ConfigCheck) -> None:
+def _check_story(
+    contents: Contents, findings: LogFindings, problems_of_config: ConfigCheck
+) -> None:
     """Check what a log tells beside its ticks: columns, configuration, outcome, origin."""
     recovery = contents.metadata.get("recovery")
     check_columns(contents, findings)
@@ -117,7 +123,7 @@ def _check_story(contents: Contents, findings: Findings, problems_of_config: Con
 
 
 def _check_config(
-    contents: Contents, findings: Findings, problems_of_config: ConfigCheck, *, lost: bool
+    contents: Contents, findings: LogFindings, problems_of_config: ConfigCheck, *, lost: bool
 ) -> None:
     text = contents.attachments.get("config.json")
     if text is None:

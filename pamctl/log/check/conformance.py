@@ -26,10 +26,10 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from pamctl.log.check.log_problems import Findings
+from pamctl.log.check.log_problems import LogFindings
 from pamctl.log.check.summary_check import SummaryCheck
-from pamctl.log.framing import NO_CHECKSUM, Damage, Record, record_at
-from pamctl.log.ticks import INDEX_ENTRY, run_of
+from pamctl.log.framing import NO_CHECKSUM, Damage, FileRecord, record_at
+from pamctl.log.ticks import INDEX_ENTRY, find_message_run
 
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _INDEX_ENTRY = np.dtype(INDEX_ENTRY)
@@ -38,7 +38,7 @@ _INDEX_ENTRY = np.dtype(INDEX_ENTRY)
 class Conformance:
     """Goes along with the records of a file, and says at its end what does not agree."""
 
-    def __init__(self, findings: Findings) -> None:
+    def __init__(self, findings: LogFindings) -> None:
         self._findings = findings
         self._last = 0
         self._in_summary = False
@@ -52,37 +52,39 @@ class Conformance:
         self._expected_index: dict[int, NDArray[Any]] = {}
         self._summary = SummaryCheck(findings)
 
-    def take(self, file: memoryview, record: Record, chunk: memoryview | None) -> None:
+    def take(self, file: memoryview, record: FileRecord, chunk: memoryview | None) -> None:
         """Take the next record of the file; `chunk` is what is in it, if it is one."""
         if self._last == 0 and record.opcode != Opcode.HEADER:
-            self._error("order", f"the file begins with a record {record.opcode}, not its header")
+            self._add_error(
+                "order", f"the file begins with a record {record.opcode}, not its header"
+            )
         if self._in_summary:
             self._summary.take(record)
         elif record.opcode == Opcode.CHUNK and chunk is not None:
             self._chunk(record, chunk)
         elif record.opcode == Opcode.MESSAGE_INDEX:
-            self._message_index(record)
+            self._check_message_index(record)
         elif record.opcode == Opcode.MESSAGE:
-            self._messages(file, record, record.start, record.end)
+            self._take_messages(file, record, record.start, record.end)
         else:
-            self._datum(record)
+            self._take_datum(record)
         self._last = record.opcode
 
-    def lost(self, record: Record) -> None:
+    def lost(self, record: FileRecord) -> None:
         """Take a record that is damaged: what it held is neither known nor missed."""
         self._last = record.opcode
         self._in_summary = self._in_summary or record.opcode == Opcode.DATA_END
 
-    def _datum(self, record: Record) -> None:
+    def _take_datum(self, record: FileRecord) -> None:
         match record.opcode:
             case Opcode.SCHEMA:
-                self._schema(record)
+                self._take_schema(record)
             case Opcode.CHANNEL:
                 self._channel(record)
             case Opcode.ATTACHMENT:
                 a = Attachment.read(record.stream())
                 if record.body[-4:] == NO_CHECKSUM:
-                    self._unchecked(f"the attachment {a.name}")
+                    self._warn_unchecked(f"the attachment {a.name}")
                 self._attachments.append(
                     AttachmentIndex(
                         offset=record.start,
@@ -101,30 +103,34 @@ class Conformance:
             case Opcode.DATA_END:
                 self._in_summary = True
                 if DataEnd.read(record.stream()).data_section_crc == 0:
-                    self._unchecked("the data section")
+                    self._warn_unchecked("the data section")
             case Opcode.HEADER if self._last == 0:
                 pass
             case _:
-                self._error("order", f"at byte {record.start}, a record {record.opcode} among data")
+                self._add_error(
+                    "order", f"at byte {record.start}, a record {record.opcode} among data"
+                )
 
-    def _schema(self, record: Record) -> None:
+    def _take_schema(self, record: FileRecord) -> None:
         number = int.from_bytes(record.body[:2], "little")
         if number == 0:
-            self._error("schema", f"at byte {record.start}, a schema has the number 0")
+            self._add_error("schema", f"at byte {record.start}, a schema has the number 0")
         if self._schemas.setdefault(number, bytes(record.body)) != record.body:
-            self._error("schema", f"schema {number} is described in two ways")
+            self._add_error("schema", f"schema {number} is described in two ways")
         Schema.read(record.stream())
 
-    def _channel(self, record: Record) -> None:
+    def _channel(self, record: FileRecord) -> None:
         channel = Channel.read(record.stream())
         if channel.schema_id and channel.schema_id not in self._schemas:
-            self._error("channel", f"channel {channel.topic} has schema {channel.schema_id}: none")
+            self._add_error(
+                "channel", f"channel {channel.topic} has schema {channel.schema_id}: none"
+            )
         if self._channels.setdefault(channel.id, bytes(record.body)) != record.body:
-            self._error("channel", f"channel {channel.id} is described in two ways")
+            self._add_error("channel", f"channel {channel.id} is described in two ways")
 
     # --- chunks ---------------------------------------------------------------------------
 
-    def _chunk(self, record: Record, inside: memoryview) -> None:
+    def _chunk(self, record: FileRecord, inside: memoryview) -> None:
         chunk, found = Chunk.read(record.stream()), []
         at = 0
         while at < len(inside):
@@ -132,29 +138,31 @@ class Conformance:
             if part.opcode not in _IN_CHUNKS:
                 raise Damage(record.start, f"a chunk holds a record {part.opcode}")
             if part.opcode == Opcode.MESSAGE:
-                found.append(self._messages(inside, part, part.start, len(inside)))
+                found.append(self._take_messages(inside, part, part.start, len(inside)))
                 at += found[-1][1]
             else:
-                self._datum(part)
+                self._take_datum(part)
                 at = part.end
-        self._chunk_facts(record, chunk, inside, found)
+        self._check_chunk(record, chunk, inside, found)
 
-    def _messages(
-        self, data: memoryview, first: Record, start: int, end: int
+    def _take_messages(
+        self, data: memoryview, first: FileRecord, start: int, end: int
     ) -> tuple[NDArray[Any], int]:
         """Take the run of messages that begins with the first; return them, and their bytes."""
-        messages = run_of(data[:end], first)
+        messages = find_message_run(data[:end], first)
         channel = int(messages["channel"][0])
         if channel not in self._channels:
-            self._error("channel", f"at byte {start}, messages of channel {channel}, unknown yet")
+            self._add_error(
+                "channel", f"at byte {start}, messages of channel {channel}, unknown yet"
+            )
         self._counts[channel] += len(messages)
         self._times += [int(messages["log_time"].min()), int(messages["log_time"].max())]
         self._times = [min(self._times), max(self._times)]
         return messages, messages.nbytes
 
-    def _chunk_facts(
+    def _check_chunk(
         self,
-        record: Record,
+        record: FileRecord,
         chunk: Chunk,
         inside: memoryview,
         found: list[tuple[NDArray[Any], int]],
@@ -163,15 +171,15 @@ class Conformance:
         times = [messages["log_time"] for messages, _ in found]
         start, end = (min(map(np.min, times)), max(map(np.max, times))) if times else (0, 0)
         if (chunk.message_start_time, chunk.message_end_time) != (start, end):
-            self._error("chunk", f"{where} gives other times than its messages have")
+            self._add_error("chunk", f"{where} gives other times than its messages have")
         if chunk.uncompressed_size != len(inside):
-            self._error(
+            self._add_error(
                 "chunk",
                 f"{where} says that it holds {chunk.uncompressed_size} bytes, not {len(inside)}",
             )
         if chunk.uncompressed_crc == 0:
-            self._unchecked(where)
-        self._expected_index = _index_of(inside, found)
+            self._warn_unchecked(where)
+        self._expected_index = _build_index(inside, found)
         self._chunks.append(
             ChunkIndex(
                 chunk_length=record.end - record.start,
@@ -186,16 +194,16 @@ class Conformance:
             )
         )
 
-    def _message_index(self, record: Record) -> None:
+    def _check_message_index(self, record: FileRecord) -> None:
         channel = int.from_bytes(record.body[:2], "little")
         if self._last not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
-            self._error("order", f"at byte {record.start}, a message index is behind no chunk")
+            self._add_error("order", f"at byte {record.start}, a message index is behind no chunk")
         stored = np.frombuffer(record.body[6:], _INDEX_ENTRY)
         expected = self._expected_index.get(channel, stored[:0])
         size = int.from_bytes(record.body[2:6], "little")
         if size != stored.nbytes or not np.array_equal(np.sort(stored), np.sort(expected)):
             what = f"the message index of channel {channel} at byte {record.start}"
-            self._error("index", f"{what} is not that of its chunk")
+            self._add_error("index", f"{what} is not that of its chunk")
         if self._chunks:
             index = self._chunks[-1]
             index.message_index_offsets[channel] = record.start
@@ -228,14 +236,16 @@ class Conformance:
             schema_count=len(self._schemas),
         )
 
-    def _error(self, kind: str, message: str) -> None:
+    def _add_error(self, kind: str, message: str) -> None:
         self._findings.error(kind, message)
 
-    def _unchecked(self, what: str) -> None:
+    def _warn_unchecked(self, what: str) -> None:
         self._findings.warning("checksum", f"{what} has no checksum: damage to it would not show")
 
 
-def _index_of(inside: memoryview, found: list[tuple[NDArray[Any], int]]) -> dict[int, NDArray[Any]]:
+def _build_index(
+    inside: memoryview, found: list[tuple[NDArray[Any], int]]
+) -> dict[int, NDArray[Any]]:
     """Return the message index that a chunk should have, by channel."""
     base = np.frombuffer(inside, np.uint8).ctypes.data
     index: dict[int, list[NDArray[Any]]] = {}

@@ -22,7 +22,7 @@ class Severity(StrEnum):
     """As it should be, and worth saying."""
 
 
-class Finding(NamedTuple):
+class LogFinding(NamedTuple):
     """One thing that was found."""
 
     severity: Severity
@@ -32,30 +32,32 @@ class Finding(NamedTuple):
 
 
 @dataclass
-class Findings:
+class LogFindings:
     """All that was found, in the order in which it was."""
 
-    all: list[Finding] = field(default_factory=list)
+    all: list[LogFinding] = field(default_factory=list)
     kinds: Counter[str] = field(default_factory=Counter)
     """How often each kind was found, told or not."""
 
     def error(self, kind: str, message: str) -> None:
         """Add an error."""
-        self._add(Finding(Severity.ERROR, kind, message))
+        self._add(LogFinding(Severity.ERROR, kind, message))
 
     def warning(self, kind: str, message: str) -> None:
         """Add a warning."""
-        self._add(Finding(Severity.WARNING, kind, message))
+        self._add(LogFinding(Severity.WARNING, kind, message))
 
     def note(self, kind: str, message: str) -> None:
         """Add a note."""
-        self._add(Finding(Severity.NOTE, kind, message))
+        self._add(LogFinding(Severity.NOTE, kind, message))
 
-    def told(self) -> list[Finding]:
+    def told(self) -> list[LogFinding]:
         """Return the findings, and of each kind that went on how often it did."""
         more = {kind: n - MOST_OF_A_KIND for kind, n in self.kinds.items() if n > MOST_OF_A_KIND}
         weights = {finding.kind: finding.severity for finding in self.all}
-        rest = (Finding(weights[kind], kind, f"and {n} more of these") for kind, n in more.items())
+        rest = (
+            LogFinding(weights[kind], kind, f"and {n} more of these") for kind, n in more.items()
+        )
         return [*self.all, *rest]
 
     def any(self, severity: Severity) -> bool:
@@ -69,7 +71,7 @@ class Findings:
             for finding in self.all
         ]
 
-    def _add(self, finding: Finding) -> None:
+    def _add(self, finding: LogFinding) -> None:
         self.kinds[finding.kind] += 1
         if self.kinds[finding.kind] <= MOST_OF_A_KIND:
             self.all.append(finding)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.json_text import from_json
-from pamctl.log.check.log_problems import Findings
+from pamctl.log.check.log_problems import LogFindings
 from pamctl.log.container import SEQUENCE
 from pamctl.log.contents import Contents
-from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, unit_of
+from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, unit_of_column
 from pamctl.log.ticks import TickBatch
 from pamctl.signals import TICK_FIELDS
 
@@ -20,10 +20,10 @@ CLOCK_TOLERANCE_S = 1e-6
 _NEEDED = ("tick", "t_s", "dt_s", "missed")
 
 
-class TickOrder:
+class TickOrderCheck:
     """Goes along with the batches of ticks, and says where number and time do not go on."""
 
-    def __init__(self, findings: Findings) -> None:
+    def __init__(self, findings: LogFindings) -> None:
         self._findings = findings
         self._before: dict[str, NDArray[Any]] = {}
         self._period_s = float("nan")
@@ -41,7 +41,7 @@ class TickOrder:
             name: np.concatenate([self._before.get(name, column[:0]), column])
             for name, column in now.items()
         }
-        self._numbers(ticks)
+        self._check_numbers(ticks)
         self._times(ticks)
         if (now["tick"] & SEQUENCE != batch.sequence).any():
             at = int(now["tick"][(now["tick"] & SEQUENCE != batch.sequence).argmax()])
@@ -49,7 +49,7 @@ class TickOrder:
         self.count += len(batch.sequence)
         self._before = {name: column[-1:] for name, column in now.items()}
 
-    def _numbers(self, ticks: dict[str, NDArray[Any]]) -> None:
+    def _check_numbers(self, ticks: dict[str, NDArray[Any]]) -> None:
         tick = ticks["tick"]
         step, missed = np.diff(tick), ticks["missed"][1:]
         self.missed += int(missed.sum())
@@ -87,7 +87,7 @@ class TickOrder:
             self._findings.note("missed", counted)
 
 
-def check_columns(contents: Contents, findings: Findings) -> None:
+def check_columns(contents: Contents, findings: LogFindings) -> None:
     """Check that a tick has the columns it should, each with its unit."""
     if contents.ticks is None:
         return
@@ -99,7 +99,7 @@ def check_columns(contents: Contents, findings: Findings) -> None:
         findings.error("units", f"the metadata of {TICK_TOPIC} makes no sense: {error}")
         return
     for name, column in contents.ticks.none.items():
-        unit = unit_of(name)
+        unit = unit_of_column(name)
         if column.dtype.kind == "f" and unit == "1":
             findings.error("units", f"the name of {name} states no unit")
         elif stated.get(name) != unit:

@@ -18,8 +18,8 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from pamctl.log.check.log_problems import Findings
-from pamctl.log.framing import FRAME, Record
+from pamctl.log.check.log_problems import LogFindings
+from pamctl.log.framing import FRAME, FileRecord
 
 _PARSERS: Mapping[int, type[McapRecord]] = {
     Opcode.CHUNK_INDEX: ChunkIndex,
@@ -33,22 +33,22 @@ _REPEATED = (Opcode.SCHEMA, Opcode.CHANNEL)
 class SummaryCheck:
     """Goes along with the records behind the data."""
 
-    def __init__(self, findings: Findings) -> None:
+    def __init__(self, findings: LogFindings) -> None:
         self._findings = findings
         self._stored: dict[int, list[Any]] = {}
         self._groups: list[SummaryOffset] = []
         self._stored_groups: list[SummaryOffset] = []
 
-    def take(self, record: Record) -> None:
+    def take(self, record: FileRecord) -> None:
         """Take the next record, the footer last."""
         if record.opcode == Opcode.SUMMARY_OFFSET:
             group = SummaryOffset.read(record.stream())
             self._stored_groups += [group] if group.group_length else []
         elif record.opcode == Opcode.FOOTER:
-            self._footer(Footer.read(record.stream()), record)
+            self._check_footer(Footer.read(record.stream()), record)
         else:
-            self._indexed(record)
-            self._group(record)
+            self._take_indexed(record)
+            self._add_to_group(record)
 
     def compare(self, expected: Mapping[int, Sequence[Any]]) -> None:
         """Compare with what the records of the data would have, by opcode."""
@@ -56,20 +56,22 @@ class SummaryCheck:
             what = Opcode(opcode).name.lower().replace("_", " ")
             if opcode in self._stored:
                 stored = self._stored[opcode]
-                self._compare(what, sorted(stored) if opcode in _REPEATED else stored, those)
+                self._compare_records(
+                    what, sorted(stored) if opcode in _REPEATED else stored, those
+                )
             elif those and self._stored:
                 self._findings.warning("summary", f"the summary has no {what}")
 
-    def _indexed(self, record: Record) -> None:
+    def _take_indexed(self, record: FileRecord) -> None:
         if record.opcode in _REPEATED:
             self._stored.setdefault(record.opcode, []).append(bytes(record.body))
         elif record.opcode in _PARSERS:
-            self._stored.setdefault(record.opcode, []).append(self._parsed(record))
+            self._stored.setdefault(record.opcode, []).append(self._parse_record(record))
         else:
             at = f"at byte {record.start}"
             self._findings.error("order", f"{at}, a record {record.opcode} behind the data")
 
-    def _parsed(self, record: Record) -> McapRecord:
+    def _parse_record(self, record: FileRecord) -> McapRecord:
         value: McapRecord = _PARSERS[record.opcode].read(record.stream())  # type: ignore[attr-defined]
         # The parsers are lenient: what they made of the bytes must be all that there is.
         again = RecordBuilder()
@@ -79,14 +81,14 @@ class SummaryCheck:
             self._findings.error("summary", f"{at} has lengths that are wrong")
         return value
 
-    def _group(self, record: Record) -> None:
+    def _add_to_group(self, record: FileRecord) -> None:
         length = record.end - record.start
         if self._groups and self._groups[-1].group_opcode == record.opcode:
             self._groups[-1].group_length += length
         else:
             self._groups.append(SummaryOffset(record.opcode, record.start, length))
 
-    def _footer(self, footer: Footer, record: Record) -> None:
+    def _check_footer(self, footer: Footer, record: FileRecord) -> None:
         if footer.summary_start == 0:
             self._findings.warning("index", "the file has no summary: viewers must scan all of it")
             return
@@ -100,18 +102,18 @@ class SummaryCheck:
         if self._stored_groups and self._stored_groups != self._groups:
             self._findings.error("summary", "the summary offsets are not those of the summary")
 
-    def _compare(self, what: str, stored: Sequence[Any], expected: Sequence[Any]) -> None:
+    def _compare_records(self, what: str, stored: Sequence[Any], expected: Sequence[Any]) -> None:
         if len(stored) != len(expected):
             there = f"{len(stored)} records of kind {what}, of the data there are {len(expected)}"
             self._findings.error("summary", f"the summary has {there}")
             return
         for number, (one, other) in enumerate(zip(stored, expected, strict=True)):
             if one != other:
-                told = f"{what} {number} is not that of the data: {_differences(one, other)}"
+                told = f"{what} {number} is not that of the data: {_name_differences(one, other)}"
                 self._findings.error("summary", told)
 
 
-def _differences(one: Any, other: Any) -> str:
+def _name_differences(one: Any, other: Any) -> str:
     if not is_dataclass(one):
         return "another description"
     names = [f.name for f in fields(one) if getattr(one, f.name) != getattr(other, f.name)]

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from hal.configured import Configured
-from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, Reading
+from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, ColumnReading
 
 Column = Annotated[
     str, Field(min_length=1, description="name in the file; in a matrix of a MAT file, yout(:,2)")
@@ -34,7 +34,7 @@ class TimeMap(Configured):
     ] = None
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> TimeMap:
+    def _check_one_source(self) -> TimeMap:
         if (self.column is None) == (self.rate_hz is None):
             raise ValueError("give either a column or, where there is none, rate_hz")
         return self
@@ -89,19 +89,21 @@ class ImportMap(Configured):
         float, Field(gt=5e4, lt=1.2e5, description="what a gauge pressure is counted from")
     ] = ATMOSPHERIC_PRESSURE_PA
 
-    def readings(self) -> list[Reading]:
+    def readings(self) -> list[ColumnReading]:
         """Return how each column is read, time first if there is a column of it."""
         found = []
         if self.time.column is not None:
-            found.append(Reading(TIME, self.time.column, self.time.unit))
+            found.append(ColumnReading(TIME, self.time.column, self.time.unit))
         for quantity, part in (
             ("valve_v", self.valve),
             ("position_m", self.position),
             ("force_n", self.force),
         ):
             if part is not None:
-                found.append(Reading(quantity, part.column, part.unit, part.gain, part.offset))
+                found.append(
+                    ColumnReading(quantity, part.column, part.unit, part.gain, part.offset)
+                )
         if (p := self.pressure) is not None:
             place = (p.column, p.unit, p.gain, p.offset, p.gauge, self.atmospheric_pressure_pa)
-            found.append(Reading("pressure_pa", *place))
+            found.append(ColumnReading("pressure_pa", *place))
         return found

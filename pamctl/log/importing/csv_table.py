@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pamctl.log.importing.measured_table import ImportRefused, Table
+from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
 
 _DELIMITERS = ("\t", ";", ",")
 _COMMENTS = ("#", "%")
@@ -19,14 +19,14 @@ _EMPTY = ' \t;,"'
 _SEPARATOR = re.compile(r"sep=.\s*", re.IGNORECASE)
 
 
-def read_csv(path: Path) -> Table:
+def read_csv(path: Path) -> MeasuredTable:
     """Read a file; an empty cell is NaN. Raise ImportRefused, with the line, where it is no table.
 
     With semicolons between cells, a comma within one is a decimal comma.
     """
     try:
         with path.open(encoding="utf-8-sig") as file:
-            return _table(path, _numbered(file))
+            return _parse_table(path, _number_lines(file))
     except OSError as error:
         raise ImportRefused(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -34,19 +34,19 @@ def read_csv(path: Path) -> Table:
         raise ImportRefused(f"{path} {told}") from error
 
 
-def _table(path: Path, lines: Iterator[tuple[int, str]]) -> Table:
+def _parse_table(path: Path, lines: Iterator[tuple[int, str]]) -> MeasuredTable:
     first = next(lines, None)
     if first is None:
         raise ImportRefused(f"{path} is empty")
     delimiter = next((mark for mark in _DELIMITERS if mark in first[1]), ",")
-    names = _names(path, first[1], delimiter)
-    numbers, rows = _numbers(path, lines, names, delimiter)
+    names = _parse_names(path, first[1], delimiter)
+    numbers, rows = _parse_numbers(path, lines, names, delimiter)
     table = np.array(numbers, float).reshape(len(rows), len(names))
     columns = {name: table[:, index].copy() for index, name in enumerate(names)}
-    return Table(columns, np.array(rows, np.int64))
+    return MeasuredTable(columns, np.array(rows, np.int64))
 
 
-def _numbered(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
+def _number_lines(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
     """Return the lines that say something, each with its number.
 
     Excel leaves lines of empty cells below a table, and may put `sep=;` above it.
@@ -57,7 +57,7 @@ def _numbered(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-def _names(path: Path, line: str, delimiter: str) -> list[str]:
+def _parse_names(path: Path, line: str, delimiter: str) -> list[str]:
     names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
     if all(_is_number(name) for name in names):
         raise ImportRefused(f"{path} has no line of names above its numbers; add one")
@@ -75,7 +75,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _numbers(
+def _parse_numbers(
     path: Path, lines: Iterator[tuple[int, str]], names: Sequence[str], delimiter: str
 ) -> tuple[array[float], array[int]]:
     """Return all numbers, row behind row, and the line of each row."""

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.container import message_records
-from pamctl.log.new_file import new_file
+from pamctl.log.container import make_message_records
+from pamctl.log.new_file import create_new_file
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import IMPORTED, TICK_TOPIC, imported_fields
 from pamctl.log.wire import TickLayout
-from pamctl.log.writer import LogWriter, begin
+from pamctl.log.writer import LogWriter, begin_log
 
 CHUNK_TICKS = 2048
 
@@ -36,20 +36,20 @@ def write_imported(
     """
     fields = imported_fields(quantities)
     layout = TickLayout.of_fields(fields)
-    messages = layout.encode(_table(t_s, quantities, layout))
+    messages = layout.encode(_build_table(t_s, quantities, layout))
     meta = RunMeta(
         str(path),
         metadata={"run": {"backend": IMPORTED}, "import": story},
         tick_fields=fields,
         origin=IMPORTED,
     )
-    with new_file(Path(path)) as stream:
+    with create_new_file(Path(path)) as stream:
         writer = LogWriter(stream)
-        channel = begin(writer, meta)[TICK_TOPIC]
+        channel = begin_log(writer, meta)[TICK_TOPIC]
         for start in range(0, len(t_s), CHUNK_TICKS):
             part = messages[start : start + CHUNK_TICKS]
             times_ns = np.rint(part["t_s"] * 1e9).astype(np.int64)
-            writer.add(channel, message_records(part, times_ns, part["tick"]))
+            writer.add(channel, make_message_records(part, times_ns, part["tick"]))
             writer.end_chunk()
         writer.finish()
 
@@ -59,7 +59,7 @@ def nominal_period_s(t_s: Floats) -> float:
     return float(np.median(np.diff(t_s)))
 
 
-def _table(t_s: Floats, quantities: Mapping[str, Floats], layout: TickLayout) -> NDArray[Any]:
+def _build_table(t_s: Floats, quantities: Mapping[str, Floats], layout: TickLayout) -> NDArray[Any]:
     """Return the columns of the log as one structured array."""
     period_s = nominal_period_s(t_s)
     steps = np.maximum(1, np.rint(np.diff(t_s) / period_s)).astype(np.int64)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.log.check.log_problems import Findings
+from pamctl.log.check.log_problems import LogFindings
 from pamctl.log.importing.imported_log import nominal_period_s
 from pamctl.log.importing.quantities import TIME
 
@@ -29,7 +29,7 @@ SHORTEST_PERIOD_S = 1e-9
 _SHOWN_ROWS = 5
 
 
-def judge_time(t_s: Floats, rows: Rows, findings: Findings, column: str = TIME) -> None:
+def judge_time(t_s: Floats, rows: Rows, findings: LogFindings, column: str = TIME) -> None:
     """Check times of shape (n,): what is not an error here rises strictly, and a log holds it.
 
     `column` is what the source calls them.
@@ -39,19 +39,19 @@ def judge_time(t_s: Floats, rows: Rows, findings: Findings, column: str = TIME) 
         findings.error("rows", f"there {there}; a measurement needs two at least")
         return
     if not np.isfinite(t_s).all():
-        where = _rows(rows, ~np.isfinite(t_s))
+        where = _name_rows(rows, ~np.isfinite(t_s))
         findings.error("time", f"the time ({column}) is missing or not finite in {where}")
         return
     beyond = np.abs(t_s / LONGEST_S - t_s[0] / LONGEST_S) > 1.0  # their difference may overflow
     if beyond.any():
-        told = f"is more than {LONGEST_S:.3g} s from the first at {_rows(rows, beyond)}"
+        told = f"is more than {LONGEST_S:.3g} s from the first at {_name_rows(rows, beyond)}"
         findings.error("time", f"the time ({column}) {told}; a log's clock of ns holds no more")
         return
     step = np.diff(t_s)
     if (step < 0).any():
-        findings.error("time", f"the time goes backwards at {_rows(rows[1:], step < 0)}")
+        findings.error("time", f"the time goes backwards at {_name_rows(rows[1:], step < 0)}")
     if (step == 0).any():
-        told = f"the time of the row before is repeated at {_rows(rows[1:], step == 0)}"
+        told = f"the time of the row before is repeated at {_name_rows(rows[1:], step == 0)}"
         findings.error("time", f"{told}; drop those rows, or export more digits of the time")
     if findings.kinds["time"]:
         return
@@ -62,7 +62,7 @@ def judge_time(t_s: Floats, rows: Rows, findings: Findings, column: str = TIME) 
         return
     gap = step > GAP_PERIODS * period_s
     if gap.any():
-        told = f"of up to {step.max():.6g} s before {_rows(rows[1:], gap)}"
+        told = f"of up to {step.max():.6g} s before {_name_rows(rows[1:], gap)}"
         findings.warning("gap", f"{np.count_nonzero(gap)} gaps {told}; they count as missed ticks")
     off = np.abs(step[~gap] - period_s).max() / period_s
     if off > JITTER:
@@ -72,7 +72,7 @@ def judge_time(t_s: Floats, rows: Rows, findings: Findings, column: str = TIME) 
         findings.error("unit", f"a row every {period_s:.6g} s: is the time in ms?")
 
 
-def judge_values(quantities: Mapping[str, Floats], rows: Rows, findings: Findings) -> None:
+def judge_values(quantities: Mapping[str, Floats], rows: Rows, findings: LogFindings) -> None:
     """Check quantities in SI, each of shape (n,)."""
     for name, values in quantities.items():
         good = np.isfinite(values)
@@ -80,15 +80,15 @@ def judge_values(quantities: Mapping[str, Floats], rows: Rows, findings: Finding
             findings.error("not-finite", f"{name} has no value at all")
             continue
         if not good.all():
-            where = _rows(rows, ~good)
+            where = _name_rows(rows, ~good)
             findings.warning("not-finite", f"{name} is missing or not finite in {where}")
         if np.ptp(values[good]) == 0.0:
             findings.warning("constant", f"{name} is {values[good][0]:.6g} throughout")
         if name in _DOUBTS and (doubt := _DOUBTS[name](values[good])):
-            findings.error("unit", f"{name} is {_range(values[good])}: {doubt}")
+            findings.error("unit", f"{name} is {_show_range(values[good])}: {doubt}")
 
 
-def judge_sign(quantities: Mapping[str, Floats], findings: Findings) -> None:
+def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
     """Check that the muscle contracts with pressure, where both were measured."""
     if not {"pressure_pa", "position_m"} <= quantities.keys():
         return
@@ -130,11 +130,11 @@ _DOUBTS = {
 }
 
 
-def _range(values: Floats) -> str:
+def _show_range(values: Floats) -> str:
     return f"{values.min():.6g} to {values.max():.6g}"
 
 
-def _rows(rows: Rows, where: NDArray[np.bool_]) -> str:
+def _name_rows(rows: Rows, where: NDArray[np.bool_]) -> str:
     """Name the rows where something is, the first of them if they are many."""
     found = rows[where]
     listed = ", ".join(str(row) for row in found[:_SHOWN_ROWS].tolist())

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io.matlab import MatlabOpaque
 
-from pamctl.log.importing.measured_table import Floats, ImportRefused, Table
+from pamctl.log.importing.measured_table import Floats, ImportRefused, MeasuredTable
 
 _SIMULINK_TIME = "time_s"
 """Simulink's own time is in seconds: `tout`, and the time of its structures."""
@@ -30,7 +30,7 @@ class _Column(NamedTuple):
     called: str = ""
 
 
-def read_mat(path: Path) -> Table:
+def read_mat(path: Path) -> MeasuredTable:
     """Read a file of version 4, 6 or 7; raise ImportRefused where it cannot be, with what to do."""
     from scipy.io import loadmat
 
@@ -48,7 +48,7 @@ def read_mat(path: Path) -> Table:
     columns = []
     for name, value in content.items():
         try:
-            columns += [] if name.startswith("__") else list(_columns(name, value))
+            columns += [] if name.startswith("__") else list(_read_columns(name, value))
         except (ValueError, TypeError, IndexError) as error:
             told = f"the variable {name} has a form that is not understood ({error})"
             raise ImportRefused(f"{path}: {told}; save arrays, or structure with time") from error
@@ -56,69 +56,71 @@ def read_mat(path: Path) -> Table:
         told = "no arrays of numbers: save timeseries objects as structure with time"
         raise ImportRefused(f"{path} holds {told}")
     longest = max(len(column.values) for column in columns)
-    return Table(
+    return MeasuredTable(
         {column.name: column.values for column in columns},
         np.arange(1, longest + 1),
         {column.name: column.called for column in columns if column.called},
     )
 
 
-def _columns(name: str, value: Any) -> Iterator[_Column]:
+def _read_columns(name: str, value: Any) -> Iterator[_Column]:
     """Yield what is in a variable, or in a field; objects and texts hold nothing for us."""
     if not isinstance(value, np.ndarray) or isinstance(value, MatlabOpaque):
         return
     if value.dtype.names is not None:
         if value.size == 1:
-            yield from _struct(name, value.reshape(-1)[0])
+            yield from _read_struct(name, value.reshape(-1)[0])
     elif value.dtype.kind in "fiub" and value.ndim == 2:
-        yield from _array(name, value)
+        yield from _read_array(name, value)
 
 
-def _array(name: str, value: NDArray[Any]) -> Iterator[_Column]:
+def _read_array(name: str, value: NDArray[Any]) -> Iterator[_Column]:
     called = _SIMULINK_TIME if name.rpartition(".")[2] == "tout" else ""
     if 1 in value.shape:
         if value.size > 1:
-            yield _Column(name, value.reshape(-1).astype(float), called or _leaf(name))
+            yield _Column(name, value.reshape(-1).astype(float), called or _leaf_name(name))
         return
     for index in range(value.shape[1]):
         yield _Column(f"{name}(:,{index + 1})", value[:, index].astype(float))
 
 
-def _leaf(name: str) -> str:
+def _leaf_name(name: str) -> str:
     """Return the last part of a field's name, nothing if it is a variable's."""
     outer, _, leaf = name.rpartition(".")
     return leaf if outer else ""
 
 
-def _struct(name: str, record: Any) -> Iterator[_Column]:
+def _read_struct(name: str, record: Any) -> Iterator[_Column]:
     fields = {field.lower(): field for field in record.dtype.names}
     if "time" in fields and "signals" in fields:
-        yield from _structure_with_time(name, record[fields["time"]], record[fields["signals"]])
+        yield from _read_structure_with_time(
+            name, record[fields["time"]], record[fields["signals"]]
+        )
     elif "time" in fields and "data" in fields:
-        yield _Column(f"{name}.time", _flat(record[fields["time"]]), _SIMULINK_TIME)
-        yield _Column(name, _flat(record[fields["data"]]), _leaf(name))
+        yield _Column(f"{name}.time", _flatten_values(record[fields["time"]]), _SIMULINK_TIME)
+        yield _Column(name, _flatten_values(record[fields["data"]]), _leaf_name(name))
     else:
         for field in record.dtype.names:
-            yield from _columns(f"{name}.{field}", record[field])
+            yield from _read_columns(f"{name}.{field}", record[field])
 
 
-def _structure_with_time(name: str, time: Any, signals: Any) -> Iterator[_Column]:
+def _read_structure_with_time(name: str, time: Any, signals: Any) -> Iterator[_Column]:
     if np.size(time) > 1:
-        yield _Column(f"{name}.time", _flat(time), _SIMULINK_TIME)
+        yield _Column(f"{name}.time", _flatten_values(time), _SIMULINK_TIME)
     each = signals.reshape(-1)
     for index, signal in enumerate(each):
-        values, label = signal["values"], _label(signal)
+        values, label = signal["values"], _read_label(signal)
         called = f"{name}({index + 1})" if len(each) > 1 else name
         if values.ndim == 2 and 1 not in values.shape:
-            yield from _array(called, values)
+            yield from _read_array(called, values)
         else:
-            yield _Column(called, _flat(values), label or _leaf(name))
+            yield _Column(called, _flatten_values(values), label or _leaf_name(name))
 
 
-def _flat(value: Any) -> Floats:
+def _flatten_values(value: Any) -> Floats:
     return np.asarray(value, float).reshape(-1)
 
 
-def _label(signal: Any) -> str:
+def _read_label(signal: Any) -> str:
     label = signal["label"] if "label" in signal.dtype.names else ""
     return str(np.asarray(label).reshape(-1)[0]) if np.size(label) else ""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log.framing import LogError
-from pamctl.log.ticks import nearest
+from pamctl.log.ticks import suggest_nearest
 
 Floats = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ class ImportRefused(LogError):
 
 
 @dataclass(frozen=True)
-class Table:
+class MeasuredTable:
     """Columns, and what the file calls a row."""
 
     columns: Mapping[str, Floats]
@@ -34,5 +34,5 @@ class Table:
         if name in self.columns:
             return self.columns[name]
         listed = ", ".join(list(self.columns)[:20]) or "none"
-        hint = nearest(name, self.columns)
+        hint = suggest_nearest(name, self.columns)
         raise ImportRefused(f"there is no column {name!r}{hint}; there are {listed}")

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.json_text import to_json
-from pamctl.log.check.log_problems import Finding, Findings, Severity
+from pamctl.log.check.log_problems import LogFinding, LogFindings, Severity
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.csv_table import read_csv
 from pamctl.log.importing.imported_log import nominal_period_s, write_imported
 from pamctl.log.importing.judge import judge_sign, judge_time, judge_values
-from pamctl.log.importing.measured_table import ImportRefused, Table
-from pamctl.log.importing.quantities import TIME, Reading, understood
-from pamctl.log.importing.resample import resampled
-from pamctl.regular_file import what_else
+from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
+from pamctl.log.importing.quantities import TIME, ColumnReading, parse_column_name
+from pamctl.log.importing.resample import resample_columns
+from pamctl.regular_file import describe_irregular_file
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ MOST_TICKS = 50_000_000
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportSummary:
     """What became of a measured file."""
 
     source: str
@@ -38,8 +38,8 @@ class Imported:
     ticks: int
     period_s: float | None
     """The nominal one, by the median of the steps."""
-    readings: tuple[Reading, ...]
-    findings: tuple[Finding, ...]
+    readings: tuple[ColumnReading, ...]
+    findings: tuple[LogFinding, ...]
 
 
 def import_log(
@@ -49,22 +49,22 @@ def import_log(
     *,
     resample_hz: float | None = None,
     accept_units: bool = False,
-) -> Imported:
+) -> ImportSummary:
     """Make a log of a CSV or MAT file, unless something in it stops that: see `findings`.
 
     `accept_units` makes warnings of units that look wrong. Raise ImportRefused where the
     file cannot be read or its columns cannot be found, LogError if the log exists.
     """
     source, destination = Path(source), Path(destination)
-    table = _table(source)
-    findings = Findings()
-    readings = import_map.readings() if import_map else _by_names(table, findings)
-    quantities = _in_si(table, readings)
+    table = _read_table(source)
+    findings = LogFindings()
+    readings = import_map.readings() if import_map else _match_names(table, findings)
+    quantities = _convert_to_si(table, readings)
     t_s = quantities.pop(TIME, None)
     if t_s is None:
-        t_s = _even_time(quantities, import_map)
+        t_s = _make_even_time(quantities, import_map)
     rows = table.rows[: len(t_s)]
-    judge_time(t_s, rows, findings, _column_of_time(readings))
+    judge_time(t_s, rows, findings, _find_time_column(readings))
     judge_values(quantities, rows, findings)
     judge_sign(quantities, findings)
     _judge_whole(quantities, findings)
@@ -73,11 +73,11 @@ def import_log(
     stopped = findings.any(Severity.ERROR)
     if not stopped:
         if resample_hz is not None:
-            _tell_resampling(t_s, resample_hz, findings)
-            t_s, quantities = _on_grid(t_s, quantities, resample_hz)
-        story = _story(source, table, readings, findings, float(t_s[0]), resample_hz)
+            _note_resampling(t_s, resample_hz, findings)
+            t_s, quantities = _resample_to_grid(t_s, quantities, resample_hz)
+        story = _describe_import(source, table, readings, findings, float(t_s[0]), resample_hz)
         write_imported(destination, t_s - t_s[0], quantities, story)
-    return Imported(
+    return ImportSummary(
         source=str(source),
         destination=str(destination),
         written=not stopped,
@@ -88,8 +88,8 @@ def import_log(
     )
 
 
-def _table(source: Path) -> Table:
-    if something := what_else(source):
+def _read_table(source: Path) -> MeasuredTable:
+    if something := describe_irregular_file(source):
         raise ImportRefused(f"cannot read {source}: it is {something}")
     if source.suffix.lower() != ".mat":
         return read_csv(source)
@@ -99,17 +99,19 @@ def _table(source: Path) -> Table:
     return read_mat(source)
 
 
-def _by_names(table: Table, findings: Findings) -> list[Reading]:
+def _match_names(table: MeasuredTable, findings: LogFindings) -> list[ColumnReading]:
     """Return the columns whose names say what they hold."""
-    found: dict[str, Reading] = {}
+    found: dict[str, ColumnReading] = {}
     ignored = []
     for column in table.columns:
-        reading = understood(column) or understood(column, table.called.get(column, ""))
+        reading = parse_column_name(column) or parse_column_name(
+            column, table.called.get(column, "")
+        )
         if reading is None:
             ignored.append(column)
         elif reading.quantity not in found:
             found[reading.quantity] = reading
-        elif reading.quantity != TIME or not _same(table, found[TIME], reading):
+        elif reading.quantity != TIME or not _is_same_time(table, found[TIME], reading):
             both = f"{found[reading.quantity].column} and {column}"
             raise ImportRefused(f"both {both} give {reading.quantity}; choose one with --map")
     if TIME not in found:
@@ -121,14 +123,14 @@ def _by_names(table: Table, findings: Findings) -> list[Reading]:
     return list(found.values())
 
 
-def _same(table: Table, one: Reading, other: Reading) -> bool:
+def _is_same_time(table: MeasuredTable, one: ColumnReading, other: ColumnReading) -> bool:
     first, second = table[one.column], table[other.column]
     return len(first) == len(second) and bool((one.to_si(first) == other.to_si(second)).all())
 
 
-def _in_si(table: Table, readings: Sequence[Reading]) -> dict[str, Floats]:
+def _convert_to_si(table: MeasuredTable, readings: Sequence[ColumnReading]) -> dict[str, Floats]:
     """Return the quantities in SI, all of one length."""
-    columns = {reading.quantity: _one_in_si(table, reading) for reading in readings}
+    columns = {reading.quantity: _convert_one_to_si(table, reading) for reading in readings}
     lengths = {reading.column: len(table[reading.column]) for reading in readings}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -136,7 +138,7 @@ def _in_si(table: Table, readings: Sequence[Reading]) -> dict[str, Floats]:
     return columns
 
 
-def _one_in_si(table: Table, reading: Reading) -> Floats:
+def _convert_one_to_si(table: MeasuredTable, reading: ColumnReading) -> Floats:
     raw = table[reading.column]
     with np.errstate(over="ignore"):
         values = reading.to_si(raw)
@@ -147,18 +149,18 @@ def _one_in_si(table: Table, reading: Reading) -> Floats:
     return values
 
 
-def _even_time(quantities: dict[str, Floats], import_map: ImportMap | None) -> Floats:
+def _make_even_time(quantities: dict[str, Floats], import_map: ImportMap | None) -> Floats:
     rate_hz = import_map.time.rate_hz if import_map else None
     if rate_hz is None or not quantities:
         raise ImportRefused("no column of a measured quantity is named; there is nothing to import")
     return np.arange(len(next(iter(quantities.values())))) / rate_hz
 
 
-def _column_of_time(readings: Sequence[Reading]) -> str:
+def _find_time_column(readings: Sequence[ColumnReading]) -> str:
     return next((reading.column for reading in readings if reading.quantity == TIME), "rate_hz")
 
 
-def _judge_whole(quantities: dict[str, Floats], findings: Findings) -> None:
+def _judge_whole(quantities: dict[str, Floats], findings: LogFindings) -> None:
     if not {"pressure_pa", "position_m"} & quantities.keys():
         findings.error("columns", "neither pressure nor position: nothing was measured")
     elif not quantities.keys() >= {"valve_v", "pressure_pa", "position_m"}:
@@ -167,11 +169,11 @@ def _judge_whole(quantities: dict[str, Floats], findings: Findings) -> None:
         findings.warning("columns", told)
 
 
-def _on_grid(
+def _resample_to_grid(
     t_s: Floats, quantities: dict[str, Floats], rate_hz: float
 ) -> tuple[Floats, dict[str, Floats]]:
     """Return the measurement at `rate_hz`; raise ImportRefused where next to nothing is left."""
-    grid_s, there = resampled(t_s, quantities, rate_hz)
+    grid_s, there = resample_columns(t_s, quantities, rate_hz)
     if len(grid_s) < 2:
         lasts_s, was_hz = t_s[-1] - t_s[0], 1.0 / nominal_period_s(t_s)
         told = f"--resample {rate_hz:g} leaves 1 tick of {lasts_s:.6g} s"
@@ -180,7 +182,7 @@ def _on_grid(
     return grid_s, there
 
 
-def _tell_resampling(t_s: Floats, rate_hz: float, findings: Findings) -> None:
+def _note_resampling(t_s: Floats, rate_hz: float, findings: LogFindings) -> None:
     ticks = (t_s[-1] - t_s[0]) * rate_hz
     if ticks > MOST_TICKS:
         raise ImportRefused(f"--resample {rate_hz:g} would make {ticks:.3g} ticks: is it in Hz?")
@@ -191,11 +193,11 @@ def _tell_resampling(t_s: Floats, rate_hz: float, findings: Findings) -> None:
         findings.warning("aliasing", told)
 
 
-def _story(
+def _describe_import(
     source: Path,
-    table: Table,
-    readings: Sequence[Reading],
-    findings: Findings,
+    table: MeasuredTable,
+    readings: Sequence[ColumnReading],
+    findings: LogFindings,
     first_t_s: float,
     resample_hz: float | None,
 ) -> dict[str, str]:

@@ -49,7 +49,7 @@ _NAME = re.compile(rf"({'|'.join(sorted(_WORDS, key=len, reverse=True))})_([a-z]
 
 
 @dataclass(frozen=True)
-class Reading:
+class ColumnReading:
     """How a column of the source becomes a column of the log."""
 
     quantity: str
@@ -68,7 +68,7 @@ class Reading:
         return value + self.atmospheric_pressure_pa if self.gauge else value
 
 
-def understood(column: str, name: str = "") -> Reading | None:
+def parse_column_name(column: str, name: str = "") -> ColumnReading | None:
     """Return what a column holds by its name, None if that does not say it.
 
     `name` is where the column is called otherwise than it is found.
@@ -81,4 +81,4 @@ def understood(column: str, name: str = "") -> Reading | None:
     unit = next((unit for unit in UNITS[quantity] if unit.lower() == suffix), None)
     if unit is None:
         return None
-    return Reading(quantity, column, unit, gauge=word == "pressure_gauge")
+    return ColumnReading(quantity, column, unit, gauge=word == "pressure_gauge")

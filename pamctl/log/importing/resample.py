@@ -13,7 +13,7 @@ from pamctl.log.importing.judge import GAP_PERIODS
 Floats = NDArray[np.float64]
 
 
-def resampled(
+def resample_columns(
     t_s: Floats, quantities: Mapping[str, Floats], rate_hz: float
 ) -> tuple[Floats, dict[str, Floats]]:
     """Return times at `rate_hz` from the first on, and the quantities there.
@@ -29,10 +29,12 @@ def resampled(
     in_gap = step[before] > GAP_PERIODS * max(nominal_period_s(t_s), 1.0 / rate_hz)
     on_edge = (grid == t_s[before]) | (grid >= t_s[before + 1])
     kept = grid[~in_gap | on_edge]
-    return kept, {name: _at(kept, t_s, values, name) for name, values in quantities.items()}
+    return kept, {
+        name: _interpolate_at(kept, t_s, values, name) for name, values in quantities.items()
+    }
 
 
-def _at(grid: Floats, t_s: Floats, values: Floats, name: str) -> Floats:
+def _interpolate_at(grid: Floats, t_s: Floats, values: Floats, name: str) -> Floats:
     if name == "valve_v":
         held: Floats = values[np.searchsorted(t_s, grid, side="right") - 1]
         return held

@@ -12,23 +12,23 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 
 from pamctl.json_text import from_json
-from pamctl.log.container import Packed
+from pamctl.log.container import PackedChunk
 from pamctl.log.framing import (
     NO_CHECKSUM,
     Damage,
+    FileRecord,
     LogError,
-    Record,
-    content_of,
-    making_sense,
-    mapped,
+    map_log_file,
+    read_chunk_content,
     record_at,
     records_in,
-    verify,
+    translate_parse_errors,
+    verify_checksum,
 )
-from pamctl.log.new_file import new_file
-from pamctl.log.repair.salvage import Hole, data_vouched, salvage, summary_of
+from pamctl.log.new_file import create_new_file
+from pamctl.log.repair.salvage import Hole, is_data_vouched, read_summary, salvage_records
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
-from pamctl.log.ticks import run_of
+from pamctl.log.ticks import find_message_run
 from pamctl.log.writer import NO_SCHEMA, LogWriter
 
 
@@ -50,15 +50,15 @@ class Recovery:
     """Names of saved metadata that no whole checksum vouches for: they have none of their own."""
 
 
-def recover(source: str | Path, destination: str | Path) -> Recovery:
+def recover_file(source: str | Path, destination: str | Path) -> Recovery:
     """Save all that is whole of a log into a new file; raise LogError if nothing is.
 
     Works on any MCAP file. A damaged chunk is left out and the next one saved, which is
     found by its checksum where lengths lead nowhere. The source is not touched.
     """
     source, destination = Path(source), Path(destination)
-    file = mapped(source)
-    with new_file(destination) as stream:
+    file = map_log_file(source)
+    with create_new_file(destination) as stream:
         writer = LogWriter(stream)
         copy = LogCopy(writer)
         copy.file(file)
@@ -91,7 +91,7 @@ def sign_recovery(writer: LogWriter, recovery: Recovery) -> None:
     writer.finish()
 
 
-def _is_description(record: Record) -> bool:
+def _is_description(record: FileRecord) -> bool:
     return record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL)
 
 
@@ -118,9 +118,9 @@ class LogCopy:
 
     def file(self, file: memoryview) -> None:
         """Copy a file's data section as far as it is whole; the summary is made anew."""
-        self._vouched = data_vouched(file)
+        self._vouched = is_data_vouched(file)
         self._learn_channels(file)
-        for part in salvage(file):
+        for part in salvage_records(file):
             if isinstance(part, Hole):
                 self.damage.append(str(part.damage))
                 self.bytes_lost += part.bytes_lost
@@ -130,7 +130,7 @@ class LogCopy:
                 if part.opcode == Opcode.CHUNK and not self._looked_ahead:
                     self._looked_ahead = True
                     self._learn_ahead(file, part)
-                self._try(file, part)
+                self._try_copy(file, part)
                 self.cut = self.cut and part.opcode != Opcode.DATA_END
 
     @property
@@ -145,33 +145,35 @@ class LogCopy:
 
     def _learn_channels(self, file: memoryview) -> None:
         """Learn from a whole summary what a damaged first chunk would not tell."""
-        for record in summary_of(file):
+        for record in read_summary(file):
             if _is_description(record):
                 self._copy(file, record)
 
-    def _learn_ahead(self, file: memoryview, first: Record) -> None:
+    def _learn_ahead(self, file: memoryview, first: FileRecord) -> None:
         """Learn from the first chunk, or from the next one that tells it, which channels are."""
-        for part in salvage(file):
+        for part in salvage_records(file):
             if isinstance(part, Hole) or part.opcode != Opcode.CHUNK or part.start < first.start:
                 continue
-            with suppress(Damage), making_sense(part):
+            with suppress(Damage), translate_parse_errors(part):
                 for record in takewhile(
-                    _is_description, records_in(memoryview(self._unpacked(part).content))
+                    _is_description, records_in(memoryview(self._unpack_chunk(part).content))
                 ):
                     self._copy(file, record)
             if self._channels:
                 return
 
-    def _unpacked(self, record: Record) -> Packed:
+    def _unpack_chunk(self, record: FileRecord) -> PackedChunk:
         chunk = Chunk.read(record.stream())
         self._refuse_unchecked(record, chunk.uncompressed_crc != 0)
-        return Packed(content_of(chunk), chunk.compression, chunk.data, chunk.uncompressed_crc)
+        return PackedChunk(
+            read_chunk_content(chunk), chunk.compression, chunk.data, chunk.uncompressed_crc
+        )
 
-    def _try(self, file: memoryview, record: Record) -> None:
+    def _try_copy(self, file: memoryview, record: FileRecord) -> None:
         try:
-            with making_sense(record):
+            with translate_parse_errors(record):
                 if not (self._vouched and record.opcode == Opcode.DATA_END):  # done once
-                    verify(file, record)
+                    verify_checksum(file, record)
                 if self.cut:  # what stands behind the data is made anew
                     self._copy(file[: record.end], record)
         except Damage as damage:
@@ -180,11 +182,11 @@ class LogCopy:
             if record.opcode != Opcode.DATA_END:
                 self.bytes_lost += record.end - record.start
 
-    def _copy(self, data: memoryview, record: Record) -> int:
+    def _copy(self, data: memoryview, record: FileRecord) -> int:
         """Copy a record within `data`, a message with those alike behind it; return their end."""
         match record.opcode:
             case Opcode.CHUNK:
-                packed, at = self._unpacked(record), 0
+                packed, at = self._unpack_chunk(record), 0
                 inside = memoryview(packed.content)
                 while at < len(inside):
                     at = self._copy(inside, record_at(inside, at))
@@ -206,7 +208,7 @@ class LogCopy:
                 self._metadata[metadata.name] = None
         return record.end
 
-    def _refuse_unchecked(self, record: Record, checked: bool) -> None:
+    def _refuse_unchecked(self, record: FileRecord, checked: bool) -> None:
         """Raise Damage for what has no checksum: where a block was zeroed, it looks like that."""
         if not (checked or self._vouched):
             raise Damage(record.start, "nothing says whether it is whole: it has no checksum")
@@ -219,8 +221,8 @@ class LogCopy:
         )
         self._channels[channel.id] = (channel.topic, copied)
 
-    def _copy_messages(self, data: memoryview, first: Record) -> int:
-        run = run_of(data, first)
+    def _copy_messages(self, data: memoryview, first: FileRecord) -> int:
+        run = find_message_run(data, first)
         channel = int(run["channel"][0])
         if channel not in self._channels:
             raise Damage(first.start, f"channel {channel} was described in a part that is lost")

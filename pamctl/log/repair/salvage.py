@@ -17,12 +17,12 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from pamctl.log.framing import (
     FRAME,
     Damage,
-    Record,
-    making_sense,
+    FileRecord,
     record_at,
     records_in,
-    unpack,
-    verify,
+    translate_parse_errors,
+    unpack_chunk,
+    verify_checksum,
 )
 
 _CHUNK_FRAME = re.compile(rb"(?=\x06.{4}\x00{4})", re.DOTALL)
@@ -40,7 +40,7 @@ class Hole(NamedTuple):
     """Whether nothing is found behind it."""
 
 
-def salvage(file: memoryview) -> Iterator[Record | Hole]:
+def salvage_records(file: memoryview) -> Iterator[FileRecord | Hole]:
     """Yield what is there, in order, to the footer or the end of the file."""
     if file[: len(MAGIC)] != MAGIC:
         yield Hole(Damage(0, "it does not begin as an MCAP file does"), 0, at_end=False)
@@ -51,7 +51,7 @@ def salvage(file: memoryview) -> Iterator[Record | Hole]:
             record = _known_record_at(file, at)
         except Damage as damage:
             # What came last may have had a wrong length, and have hidden a chunk in itself.
-            found = _next_chunk(file, last + 1) if in_data else None
+            found = _find_next_chunk(file, last + 1) if in_data else None
             if found is None:
                 yield Hole(damage, len(file) - at if in_data else 0, at_end=True)
                 return
@@ -66,42 +66,42 @@ def salvage(file: memoryview) -> Iterator[Record | Hole]:
             return
 
 
-def summary_of(file: memoryview) -> list[Record]:
+def read_summary(file: memoryview) -> list[FileRecord]:
     """Return the records of the summary, none if it has no checksum that is right."""
-    footer = _vouched_footer(file)
+    footer = _find_vouched_footer(file)
     if footer is None:
         return []
     start = Footer.read(footer.stream()).summary_start
     return list(records_in(file[: footer.start], start))
 
 
-def data_vouched(file: memoryview) -> bool:
+def is_data_vouched(file: memoryview) -> bool:
     """Tell whether the file's end holds a checksum of all its data, and it is right."""
-    footer = _vouched_footer(file)
+    footer = _find_vouched_footer(file)
     if footer is None:
         return False
     with suppress(Damage):
         end = record_at(file, Footer.read(footer.stream()).summary_start - _DATA_END_BYTES)
-        with making_sense(end):
-            verify(file, end)
+        with translate_parse_errors(end):
+            verify_checksum(file, end)
             stored = DataEnd.read(end.stream()).data_section_crc
             return end.opcode == Opcode.DATA_END and stored != 0
     return False
 
 
-def _vouched_footer(file: memoryview) -> Record | None:
+def _find_vouched_footer(file: memoryview) -> FileRecord | None:
     """Return the footer if it is there, and with it a summary that is whole."""
     with suppress(Damage):
         footer = record_at(file, max(0, len(file) - len(MAGIC) - _FOOTER_BYTES))
-        with making_sense(footer):
+        with translate_parse_errors(footer):
             told = Footer.read(footer.stream())
             if footer.opcode == Opcode.FOOTER and told.summary_start and told.summary_crc:
-                verify(file, footer)
+                verify_checksum(file, footer)
                 return footer
     return None
 
 
-def _known_record_at(file: memoryview, at: int) -> Record:
+def _known_record_at(file: memoryview, at: int) -> FileRecord:
     record = record_at(file, at)
     # From 128 on opcodes are free for everyone's own use.
     if Opcode.DATA_END < record.opcode < 128:
@@ -109,10 +109,10 @@ def _known_record_at(file: memoryview, at: int) -> Record:
     return record
 
 
-def _next_chunk(file: memoryview, at: int) -> Record | None:
+def _find_next_chunk(file: memoryview, at: int) -> FileRecord | None:
     for match in _CHUNK_FRAME.finditer(file, at):
         with suppress(Exception):  # whatever a parser says of bytes that are no chunk
             record = record_at(file, match.start())
-            if Chunk.read(record.stream()).uncompressed_crc and len(unpack(record)):
+            if Chunk.read(record.stream()).uncompressed_crc and len(unpack_chunk(record)):
                 return record
     return None

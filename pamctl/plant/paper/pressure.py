@@ -24,7 +24,7 @@ def middle_pressure_pa(
     energy = pressure_pa * volume_m3(p, position_m)
     inflow = valve_flow(p, opening_v, pressure_pa)
     filled = energy + 0.5 * step_s * p.specific_energy_j_per_kg * inflow
-    return _not_past_source(p, opening_v, pressure_pa, filled / volume_m3(p, middle_m))
+    return _stop_at_source(p, opening_v, pressure_pa, filled / volume_m3(p, middle_m))
 
 
 def pressure_step(
@@ -49,10 +49,10 @@ def pressure_step(
     energy = pressure_pa * volume_m3(p, position_m)
     inflow = valve_flow(p, opening_v, middle_pa)
     filled = energy + step_s * p.specific_energy_j_per_kg * inflow
-    return _not_past_source(p, opening_v, middle_pa, filled / volume_m3(p, end_m))
+    return _stop_at_source(p, opening_v, middle_pa, filled / volume_m3(p, end_m))
 
 
-def _not_past_source(
+def _stop_at_source(
     p: PaperParameters, opening_v: float, pressure_pa: float, next_pa: float
 ) -> float:
     """Stop at the source's pressure.

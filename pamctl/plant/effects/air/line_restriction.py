@@ -23,7 +23,7 @@ def line_time_s(line: LineRestriction, specific_energy_j_per_kg: float) -> float
     return line.resistance_pa_s_per_kg * line.volume_m3 / specific_energy_j_per_kg
 
 
-def led(time_s: float, step_s: float) -> tuple[float, float]:
+def lag_weights(time_s: float, step_s: float) -> tuple[float, float]:
     """Return how a lag follows over a step: its share of the past, and its weight of a ramp.
 
     y(h) = kept y(0) + (1 - kept) r(0) + weight (r(h) - r(0)) for a straight r: exact.

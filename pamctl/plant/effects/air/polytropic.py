@@ -14,12 +14,12 @@ class Polytropic(NamedTuple):
     exponent: float = 1.0
 
 
-def air_of(polytropic: Polytropic, volume_m3: float) -> float:
+def polytropic_volume(polytropic: Polytropic, volume_m3: float) -> float:
     """V^a: the pressure times this is what inflow adds to."""
     return volume_m3 if polytropic.exponent == 1.0 else pow(volume_m3, polytropic.exponent)
 
 
-def worth_of_inflow(polytropic: Polytropic, volume_m3: float) -> float:
+def polytropic_slope(polytropic: Polytropic, volume_m3: float) -> float:
     """A V^(a-1), the slope of V^a."""
     if polytropic.exponent == 1.0:
         return 1.0

@@ -13,7 +13,7 @@ class BladderThreshold(NamedTuple):
     pressure_pa: float = 0.0
 
 
-def loading_pa(bladder: BladderThreshold, gauge_pa: float) -> float:
+def pulling_pressure_pa(bladder: BladderThreshold, gauge_pa: float) -> float:
     """Return the gauge pressure that pulls."""
     if bladder.pressure_pa == 0.0:
         return gauge_pa

@@ -13,7 +13,7 @@ class BraidStretch(NamedTuple):
     compliance_per_pa: float = 0.0
 
 
-def stretch_of(braid: BraidStretch, gauge_pa: float) -> float:
+def stretch_ratio(braid: BraidStretch, gauge_pa: float) -> float:
     """Return the length of the threads over that without pressure."""
     return 1.0 + braid.compliance_per_pa * gauge_pa
 

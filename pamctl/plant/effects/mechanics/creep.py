@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.air.line_restriction import led
+from pamctl.plant.effects.air.line_restriction import lag_weights
 from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
 
 FAST = 0.1
@@ -20,25 +20,27 @@ class Creep(NamedTuple):
     """Of the stiffness, in a second branch that is ten times as fast."""
 
 
-class Crept(NamedTuple):
+class DashpotPositions(NamedTuple):
     """Positions at which the dashpots are."""
 
     slow_m: float
     fast_m: float
 
 
-def crept(creep: Creep, before: Crept, begin_m: float, end_m: float, step_s: float) -> Crept:
+def advance_dashpots(
+    creep: Creep, before: DashpotPositions, begin_m: float, end_m: float, step_s: float
+) -> DashpotPositions:
     """Let the dashpots follow a straight motion: exact."""
-    kept, weight = led(creep.time_constant_s, step_s)
+    kept, weight = lag_weights(creep.time_constant_s, step_s)
     slow_m = kept * before.slow_m + (1.0 - kept) * begin_m + weight * (end_m - begin_m)
     if creep.fast_share == 0.0:
-        return Crept(slow_m, slow_m)
-    kept, weight = led(FAST * creep.time_constant_s, step_s)
+        return DashpotPositions(slow_m, slow_m)
+    kept, weight = lag_weights(FAST * creep.time_constant_s, step_s)
     fast_m = kept * before.fast_m + (1.0 - kept) * begin_m + weight * (end_m - begin_m)
-    return Crept(slow_m, fast_m)
+    return DashpotPositions(slow_m, fast_m)
 
 
-def creep_force_n(creep: Creep, dashpots: Crept, position_m: float) -> float:
+def creep_force_n(creep: Creep, dashpots: DashpotPositions, position_m: float) -> float:
     """Return the force of the branches, against displacement."""
     slow_n = creep.stiffness_n_per_m * (1.0 - creep.fast_share) * (position_m - dashpots.slow_m)
     fast_n = creep.stiffness_n_per_m * creep.fast_share * (position_m - dashpots.fast_m)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from pamctl.plant.effects.description import EffectDescription, EffectForm, size
 
-LEAST = 0.1
+LEAST_FACTOR = 0.1
 """Of its first value, that a drifting number never falls below."""
 
 
@@ -18,9 +18,9 @@ class Drift(NamedTuple):
     friction_per_s: float = 0.0
 
 
-def drifted(per_s: float, age_s: float) -> float:
+def drift_factor(per_s: float, age_s: float) -> float:
     """Return the factor by which a number has changed."""
-    return max(1.0 + per_s * age_s, LEAST) if per_s != 0.0 else 1.0
+    return max(1.0 + per_s * age_s, LEAST_FACTOR) if per_s != 0.0 else 1.0
 
 
 DESCRIPTION = EffectDescription(

@@ -13,7 +13,7 @@ class MovingMass(NamedTuple):
     added_kg: float = 0.0
 
 
-def moved_kg(mass: MovingMass, mass_kg: float) -> float:
+def total_mass_kg(mass: MovingMass, mass_kg: float) -> float:
     """Return the whole mass; part of the plant's parameters, not of its steps."""
     return mass_kg + mass.added_kg
 

@@ -25,7 +25,7 @@ class Presliding(NamedTuple):
     """Sigma_1 of LuGre's form."""
 
 
-class Slipped(NamedTuple):
+class SlipEnd(NamedTuple):
     """The end of a step on bristles."""
 
     way_m: float
@@ -33,12 +33,12 @@ class Slipped(NamedTuple):
     bristle_n: float
 
 
-def held_n(force_n: float, drive_n: float, lower_n: float, upper_n: float) -> float:
+def clamp_bristle_n(force_n: float, drive_n: float, lower_n: float, upper_n: float) -> float:
     """Return a bristle's force within the band; one not loaded yet (infinite) holds the drive."""
     return min(max(drive_n if isinf(force_n) else force_n, lower_n), upper_n)
 
 
-def bent_damping(presliding: Presliding, left_n: float, width_n: float) -> float:
+def bristle_damping(presliding: Presliding, left_n: float, width_n: float) -> float:
     """Return sigma_1 dz/dx, what LuGre's bristle adds to damping at `left_n` below its limit."""
     if presliding.form != LUGRE:
         return 0.0
@@ -54,7 +54,7 @@ def slip(
     left_n: float,
     width_n: float,
     step_s: float,
-) -> Slipped:
+) -> SlipEnd:
     """Slip forwards for a step; everything counted in the direction of motion.
 
     `surplus_n` is the drive beyond the bristle's present force, `left_n` what that force may still
@@ -69,14 +69,14 @@ def slip(
     by_force = (step_s - by_speed_s) / damping_n_s_per_m
     free_m = by_speed_s * velocity_m_per_s + by_force * surplus_n
     if free_m <= 0.0:
-        return Slipped(0.0, 0.0, 0.0)
+        return SlipEnd(0.0, 0.0, 0.0)
     stiffness = 1.0 / presliding.compliance_m_per_n
     if presliding.form == ELASTO_PLASTIC:
         way_m, gained_n, mean_n = _elasto_plastic(free_m, by_force, stiffness, left_n)
     else:
         way_m, gained_n, mean_n = _dahl(free_m, by_force, stiffness / width_n, left_n)
     terminal = (surplus_n - mean_n) / damping_n_s_per_m
-    return Slipped(way_m, terminal + (velocity_m_per_s - terminal) * decay, gained_n)
+    return SlipEnd(way_m, terminal + (velocity_m_per_s - terminal) * decay, gained_n)
 
 
 def _elasto_plastic(

@@ -17,7 +17,7 @@ class Stribeck(NamedTuple):
     """2 is Gaussian, 1 Tustin's exponential."""
 
 
-def risen(stribeck: Stribeck, velocity_m_per_s: float) -> float:
+def stribeck_factor(stribeck: Stribeck, velocity_m_per_s: float) -> float:
     """Return dry friction over that at high speed."""
     if stribeck.rise == 0.0:
         return 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pamctl.plant.effects.description import EffectDescription, size
-from pamctl.plant.effects.play import followed
+from pamctl.plant.effects.play import follow_with_play
 
 
 class EncoderBacklash(NamedTuple):
@@ -14,9 +14,9 @@ class EncoderBacklash(NamedTuple):
     width_m: float = 0.0
 
 
-def geared_m(backlash: EncoderBacklash, before_m: float, position_m: float) -> float:
+def follow_backlash_m(backlash: EncoderBacklash, before_m: float, position_m: float) -> float:
     """Follow the muscle with a slack of `width_m` in all."""
-    return followed(before_m, position_m, backlash.width_m)
+    return follow_with_play(before_m, position_m, backlash.width_m)
 
 
 DESCRIPTION = EffectDescription(

@@ -13,7 +13,9 @@ class PressureSensorGain(NamedTuple):
     gain: float = 1.0
 
 
-def scaled_pa(sensor: PressureSensorGain, pressure_pa: float, atmospheric_pa: float) -> float:
+def scale_pressure_pa(
+    sensor: PressureSensorGain, pressure_pa: float, atmospheric_pa: float
+) -> float:
     """Return what is shown of an absolute pressure."""
     if sensor.gain == 1.0:
         return pressure_pa

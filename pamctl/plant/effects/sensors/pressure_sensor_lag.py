@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.air.line_restriction import led
+from pamctl.plant.effects.air.line_restriction import lag_weights
 from pamctl.plant.effects.description import EffectDescription, size
 
 
@@ -14,13 +14,13 @@ class PressureSensorLag(NamedTuple):
     time_constant_s: float = 0.0
 
 
-def lagged_pa(
+def lag_pressure_pa(
     lag: PressureSensorLag, before_pa: float, begin_pa: float, end_pa: float, step_s: float
 ) -> float:
     """Follow a pressure that goes straight from `begin_pa` to `end_pa`: exact."""
     if lag.time_constant_s <= 0.0:
         return end_pa
-    kept, weight = led(lag.time_constant_s, step_s)
+    kept, weight = lag_weights(lag.time_constant_s, step_s)
     return kept * before_pa + (1.0 - kept) * begin_pa + weight * (end_pa - begin_pa)
 
 

@@ -13,7 +13,7 @@ class ValveAsymmetry(NamedTuple):
     exhaust_gain: float = 1.0
 
 
-def sided_v(asymmetry: ValveAsymmetry, opening_v: float) -> float:
+def apply_asymmetry_v(asymmetry: ValveAsymmetry, opening_v: float) -> float:
     """Return the opening that a symmetric valve would need for the same area."""
     return opening_v if opening_v > 0.0 else asymmetry.exhaust_gain * opening_v
 

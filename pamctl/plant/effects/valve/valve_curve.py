@@ -16,7 +16,7 @@ class ValveCurve(NamedTuple):
     exponent: float = 1.0
 
 
-def curved_v(curve: ValveCurve, opening_v: float) -> float:
+def apply_curve_v(curve: ValveCurve, opening_v: float) -> float:
     """Return the opening that a linear valve would need for the same area."""
     travel = abs(opening_v)
     bent_v = opening_v * (1.0 + curve.curvature_per_v * travel)

@@ -14,7 +14,7 @@ class ValveDeadband(NamedTuple):
     exhaust_width_v: float = 0.0
 
 
-def uncovered_v(deadband: ValveDeadband, spool_v: float) -> float:
+def apply_deadband_v(deadband: ValveDeadband, spool_v: float) -> float:
     """Return what the overlap leaves of the spool's travel."""
     if spool_v > 0.0:
         return max(spool_v - deadband.fill_width_v, 0.0)

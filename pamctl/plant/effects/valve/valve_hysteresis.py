@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pamctl.plant.effects.description import EffectDescription, size
-from pamctl.plant.effects.play import followed
+from pamctl.plant.effects.play import follow_with_play
 
 
 class ValveHysteresis(NamedTuple):
@@ -14,9 +14,9 @@ class ValveHysteresis(NamedTuple):
     width_v: float = 0.0
 
 
-def play_v(hysteresis: ValveHysteresis, before_v: float, command_v: float) -> float:
+def follow_hysteresis_v(hysteresis: ValveHysteresis, before_v: float, command_v: float) -> float:
     """Follow the command with a slack of `width_v` in all."""
-    return followed(before_v, command_v, hysteresis.width_v)
+    return follow_with_play(before_v, command_v, hysteresis.width_v)
 
 
 DESCRIPTION = EffectDescription(

@@ -15,7 +15,7 @@ class ValveSaturation(NamedTuple):
     shortfall_v: float = 0.0
 
 
-def limited_v(saturation: ValveSaturation, command_v: float) -> float:
+def saturate_command_v(saturation: ValveSaturation, command_v: float) -> float:
     """Return what of the command the driver passes on."""
     if saturation.shortfall_v <= 0.0:
         return command_v

@@ -17,7 +17,7 @@ from math import inf
 import numpy as np
 
 from pamctl.diagnose.experiments import find_separating_experiment
-from pamctl.diagnose.fitting.block_fit import Fit
+from pamctl.diagnose.fitting.block_fit import Fit, project_out, secant
 from pamctl.diagnose.fitting.candidates import Candidate, apply_dose, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import prepare_evidence, with_modelled_pressure
@@ -25,7 +25,6 @@ from pamctl.diagnose.fitting.fitted_model import Model, extract_block_fit, recal
 from pamctl.diagnose.fitting.numbers import FreeNumber, look_up_parameter, unit_of, value_of
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.measured.refuse import check_measured_runs, check_sensors
-from pamctl.diagnose.naming.score import project_out, secant
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
 

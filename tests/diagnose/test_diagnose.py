@@ -165,7 +165,7 @@ def test_a_rival_that_does_better_takes_the_place_of_what_it_is_held_against() -
     search = search_effects(recalibrate(evidence), [late])
     assert search.best.names == ("command_delay",)
     (standing,) = rivals.find_rivals(search.best, search, [late, slow])
-    assert search.add_models(standing.heard).best.names == ("valve_spool",)
+    assert search.add_models(standing.rival_models).best.names == ("valve_spool",)
 
 
 def test_a_rival_that_leaves_something_is_no_equal_of_what_leaves_nothing(

@@ -16,8 +16,8 @@ from pamctl.cli.app import app
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, record_of
 from pamctl.diagnose.extend import assemble_plant
 from pamctl.diagnose.fitting.drives import Drive
+from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.rivals import Rival
-from pamctl.diagnose.remainder import regress_remainder
 from pamctl.diagnose.report.compared_models import HeldOutRun, HeldOutSignal, ModelStage
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.traces_part import STRETCH_S, find_telling_stretch
@@ -74,7 +74,7 @@ def as_if(named: Diagnosis, verdict: Verdict) -> Diagnosis:
             base = named.base
             assert base is not None
             own = tuple(n for n in named.numbers if "." not in n.name)
-            bare = replace(named, model=base, cells=named.regimes, standings=(), numbers=own)
+            bare = replace(named, model=base, misfits=named.base_misfits, standings=(), numbers=own)
             rest = replace(bare, verdict=verdict)
             left = regress_remainder(base, "pressure") if verdict is Verdict.NONE_KNOWN else None
             return replace(rest, plant=assemble_plant(base), explained=0.0, remainder=left)
@@ -107,7 +107,7 @@ def test_the_bars_are_the_gap_of_the_diagnosis(named, records):
             for g in (gap.nominal, gap.recalibrated, gap.extended)]  # fmt: skip
     assert [value for _, value, _ in shown] == told
     assert [label for label, *_ in shown[:3]] == [
-        "as it stood", "recalibrated", "with valve deadband",
+        "start model", "recalibrated", "with valve deadband",
     ]  # fmt: skip
 
 
@@ -182,7 +182,7 @@ def test_a_log_without_a_command_has_a_page_of_the_mechanics_alone(records):
     assert html.count('class="levels"') == 1
     assert "Pressure block" not in html
     assert "Valve command" not in html
-    assert "cut: two thirds fitted on, one judged by" in html
+    assert "cut: two thirds for the fit, one to judge by" in html
 
 
 def test_diagnose_writes_the_page_beside_the_document_even_of_bad_data(tmp_path):

@@ -11,13 +11,9 @@ from support.made_records import measured, pair
 from pamctl.diagnose.fitting.candidates import list_candidates
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model, fit_model, recalibrate
-from pamctl.diagnose.fitting.integrator import (
-    SMALL,
-    compare_substeps,
-    describe_integrator,
-    halve_substep,
-)
+from pamctl.diagnose.fitting.integrator import SMALL, compare_substeps, halve_substep
 from pamctl.diagnose.fitting.intervals import FittedNumber, estimate_intervals
+from pamctl.diagnose.report.phrases import describe_substeps
 from pamctl.plant.flat import PAPER
 from pamctl.plant.model import PlantSettings
 
@@ -69,7 +65,7 @@ def test_half_the_sub_step_changes_nothing_that_matters_of_the_papers_muscle() -
     found = compare_substeps(recalibrate(prepare_evidence(train, held, PlantSettings())))
     assert set(found) == {"pressure", "mechanics"}
     assert max(found.values()) < SMALL
-    assert describe_integrator(found) == ""
+    assert describe_substeps(found) == ""
 
 
 def test_half_the_sub_step_is_half_of_it() -> None:
@@ -81,7 +77,7 @@ def test_half_the_sub_step_is_half_of_it() -> None:
 def test_an_integrator_too_coarse_for_steep_friction_is_told() -> None:
     found = compare_substeps(sticky())
     assert found["mechanics"] > SMALL
-    said = describe_integrator(found)
+    said = describe_substeps(found)
     assert "mechanics by" in said
     assert "pressure" not in said
 

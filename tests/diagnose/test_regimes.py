@@ -8,9 +8,15 @@ from scipy.stats import kstest
 from support.made_records import measured, pair
 
 from pamctl.diagnose.fitting.evidence import prepare_evidence
-from pamctl.diagnose.fitting.false_discovery import exceedance, flag_discoveries
 from pamctl.diagnose.fitting.fitted_model import recalibrate
-from pamctl.diagnose.locate import EVENLY, RegimeMisfit, describe_worst_regimes, locate_misfits
+from pamctl.diagnose.locate import (
+    EVENLY,
+    RegimeMisfit,
+    describe_worst_regimes,
+    exceedance,
+    flag_discoveries,
+    locate_misfits,
+)
 from pamctl.plant.model import PlantSettings
 
 THROMBOLYSIS = (0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459,

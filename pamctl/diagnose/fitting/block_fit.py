@@ -206,6 +206,18 @@ def _derivative(
     return (stack_residuals(drives, moved) - residual) * (free.scale / step)
 
 
+def secant(fitted: Fit, values: dict[str, float]) -> Array:
+    """Return by how much these values move the simulated outputs, in deviations of the sensors."""
+    moved = stack_residuals(fitted.drives, with_values(fitted.settings, values))
+    return fitted.residual - moved
+
+
+def project_out(basis: Array, vectors: Array) -> Array:
+    """Remove the part of the vectors that lies in the span of an orthonormal basis."""
+    rest: Array = vectors - basis @ (basis.T @ vectors)
+    return rest
+
+
 def rms(residual: Array) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(residual**2)))

@@ -7,7 +7,7 @@ which the model itself makes: neither shows it. A simulation with half the sub-s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -55,17 +55,3 @@ def compare_substeps(model: Model) -> dict[str, float]:
         / model.floors[block].mean
         for block in model.evidence.blocks
     }
-
-
-def describe_integrator(found: Mapping[str, float]) -> str:
-    """Say what is not small; empty where all is."""
-    large = [
-        f"{block} by {change:.2f} x floor" for block, change in found.items() if change > SMALL
-    ]
-    if not large:
-        return ""
-    return (
-        f"Half the integrator's sub-step changes {' and '.join(large)}: so much of the fit is the "
-        "simulation's own, not the rig's. The intervals have room for it; the numbers are those "
-        "with which this simulation comes nearest."
-    )

@@ -11,8 +11,9 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 from pamctl.diagnose.fitting.candidates import Candidate
-from pamctl.diagnose.fitting.fitted_model import Model, wrap_nominal_model
+from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.intervals import FittedNumber, estimate_intervals
+from pamctl.diagnose.fitting.model_fit import wrap_nominal_model
 from pamctl.diagnose.naming.doubt import has_doubtful_effect
 from pamctl.diagnose.naming.rivals import Standing, find_rivals
 from pamctl.diagnose.naming.search import EffectSearch, EffectsTrial, Progress, search_effects

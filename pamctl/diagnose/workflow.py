@@ -20,8 +20,9 @@ from pamctl.diagnose.extend import add_correction_tables, extend_plant
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure
-from pamctl.diagnose.fitting.fitted_model import Model, recalibrate, weigh_blocks
+from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.integrator import compare_substeps
+from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.split import split_by_run, split_by_stretch
 from pamctl.diagnose.locate import locate_misfits
 from pamctl.diagnose.measured.record import Record
@@ -30,7 +31,7 @@ from pamctl.diagnose.name import Naming, name_effects
 from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.search import Progress, search_effects
 from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.show import is_no_worse, measure_gaps
+from pamctl.diagnose.show import HeldOutGap, is_no_worse, measure_gaps
 from pamctl.plant.model import PlantSettings
 
 
@@ -64,7 +65,8 @@ def diagnose(
     ratios = ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks)
     progress(f"recalibrated: {ratios}")
     naming = name_effects(base, candidates, executor, progress)
-    return _extend_and_show(naming, train, holdout, candidates, correction=correction)
+    naming, gaps = _withdraw_if_worse(naming, holdout)
+    return _conclude(naming, gaps, train, holdout, candidates, correction=correction)
 
 
 def _check_and_prepare(
@@ -113,22 +115,27 @@ def _recalibrate(
     return recalibrate(driven, alone.fits)
 
 
-def _extend_and_show(
+def _withdraw_if_worse(
+    naming: Naming, holdout: Sequence[Record]
+) -> tuple[Naming, dict[str, HeldOutGap]]:
+    """Measure the held-out gap; withdraw names that make the coupled simulation worse."""
+    gaps = measure_gaps(naming.base, naming.model, holdout)
+    if not naming.model.effects or is_no_worse(gaps):
+        return naming, gaps
+    naming = naming.withdraw_effects()
+    return naming, measure_gaps(naming.base, naming.model, holdout)
+
+
+def _conclude(
     naming: Naming,
+    gaps: dict[str, HeldOutGap],
     train: Sequence[Record],
     holdout: Sequence[Record],
     candidates: Sequence[Candidate],
     *,
     correction: bool,
 ) -> Diagnosis:
-    """Extend the plant, measure the gap that is left, and locate it.
-
-    Names that make the coupled simulation worse are withdrawn first.
-    """
-    gaps = measure_gaps(naming.base, naming.model, holdout)
-    if naming.model.effects and not is_no_worse(gaps):
-        naming = naming.withdraw_effects()
-        gaps = measure_gaps(naming.base, naming.model, holdout)
+    """Extend the plant, and locate what is left."""
     model = naming.model
     plant, remainder, tables = extend_plant(naming.verdict, model), None, None
     if naming.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):

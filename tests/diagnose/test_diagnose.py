@@ -17,7 +17,7 @@ from pamctl.diagnose.fitting.block_fit import fit_numbers, rms
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, RUNAWAY, stack_residuals
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure
-from pamctl.diagnose.fitting.fitted_model import fit_jointly, fit_model, recalibrate, weigh_blocks
+from pamctl.diagnose.fitting.model_fit import fit_jointly, fit_model, recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.numbers import with_values
 from pamctl.diagnose.measured.column_shift import check_time_shifts
 from pamctl.diagnose.measured.record import estimate_resolution

@@ -10,9 +10,10 @@ from support.made_records import measured, pair
 
 from pamctl.diagnose.fitting.candidates import list_candidates
 from pamctl.diagnose.fitting.evidence import prepare_evidence
-from pamctl.diagnose.fitting.fitted_model import Model, fit_model, recalibrate
+from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.integrator import SMALL, compare_substeps, halve_substep
 from pamctl.diagnose.fitting.intervals import FittedNumber, estimate_intervals
+from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate
 from pamctl.diagnose.report.phrases import describe_substeps
 from pamctl.plant.flat import PAPER
 from pamctl.plant.model import PlantSettings

@@ -8,7 +8,7 @@ from scipy.stats import kstest
 from support.made_records import measured, pair
 
 from pamctl.diagnose.fitting.evidence import prepare_evidence
-from pamctl.diagnose.fitting.fitted_model import recalibrate
+from pamctl.diagnose.fitting.model_fit import recalibrate
 from pamctl.diagnose.locate import (
     EVENLY,
     RegimeMisfit,

@@ -22,9 +22,9 @@ STIFFNESS = 1e-3
 
 
 def fit_correction_table(drives: Sequence[Drive], plant: PlantSettings) -> PlantSettings:
-    """Fit a block's table on drives, from zero, or from what the plant has already.
+    """Fit a block's table on drives, from zeros or from the table that the plant has already.
 
-    Gauss and Newton; bends cost a little, so that a node which no sample visits follows its
+    Gauss-Newton steps. Bends have a small cost, so that a node without samples follows its
     neighbours.
     """
     grid = _TableGrid.from_drives(drives, plant)
@@ -65,12 +65,12 @@ class _TableGrid:
     first: Array
     second: Array
     step: float
-    """Of a node, small but visible."""
+    """Step of a node for a derivative: small but visible."""
     start: Array
 
     @classmethod
     def from_drives(cls, drives: Sequence[Drive], plant: PlantSettings) -> _TableGrid:
-        """Lay the grid over where the drives were; a grid that the plant has stays."""
+        """Lay the grid over the range of the drives, or keep the grid that the plant has."""
         block = drives[0].block
         known = plant.correction and (
             plant.correction.pull if block == MECHANICS else plant.correction.flow
@@ -85,7 +85,7 @@ class _TableGrid:
             load = np.concatenate([d.driven for d in drives])
             first, second = _even_lines(measured, 6), _even_lines(load, 6)
         else:
-            # Closest near null, where valves are least like their formula.
+            # Finest near null, where valves differ most from their formula.
             widest_v = max(float(np.max(np.abs(d.valve_v))) for d in drives)
             even = np.linspace(-1.0, 1.0, 9)
             first, second = widest_v * even * np.abs(even), _even_lines(measured, 4)
@@ -93,7 +93,7 @@ class _TableGrid:
 
     @property
     def second_differences(self) -> Array:
-        """Second differences along both axes, and a little of each node itself."""
+        """Matrix of second differences along both axes, and a tenth of each node itself."""
         rows, columns = len(self.first), len(self.second)
         along = np.kron(np.diff(np.eye(rows), 2, axis=0), np.eye(columns))
         across = np.kron(np.eye(rows), np.diff(np.eye(columns), 2, axis=0))

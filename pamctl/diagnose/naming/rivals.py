@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pamctl.diagnose.fitting.candidates import Candidate
-from pamctl.diagnose.fitting.fitted_model import Model, fit_model
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.model_fit import fit_model
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.score import Score, score_candidates
 from pamctl.diagnose.naming.search import (
@@ -24,8 +25,8 @@ from pamctl.diagnose.naming.search import (
     fit_to_end_if_near,
     rank,
     run_fit_jobs,
-    select_promising,
 )
+from pamctl.diagnose.naming.shortlist import select_promising
 
 MOST_RIVALS = 6
 MOST_SERIOUS_RIVALS = 3

@@ -8,24 +8,24 @@ from the best few of the level before: two effects can each look poor alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from pamctl.diagnose.fitting.block_fit import FULL
-from pamctl.diagnose.fitting.candidates import (
-    Candidate,
-    apply_dose,
-    generate_doses,
-    select_reaching,
+from pamctl.diagnose.fitting.candidates import Candidate, select_reaching
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.model_fit import fit_jointly, fit_model, fit_to_end
+from pamctl.diagnose.naming.score import Score, score_candidates
+from pamctl.diagnose.naming.shortlist import (
+    SHORTLIST,
+    WORTH_ANOTHER_EFFECT,
+    list_other_starts,
+    make_small_dose,
+    shortlist_candidates,
 )
-from pamctl.diagnose.fitting.fitted_model import Model, fit_jointly, fit_model, fit_to_end
-from pamctl.diagnose.fitting.numbers import value_of
-from pamctl.diagnose.naming.score import Score, clip_inside, score_candidates
 
-SHORTLIST = 6
-"""Candidates refitted for each unexplained block, and as many again that reach both."""
 NARROWEST = 4
 """Shortlist of later levels, which grow from fewer models. It must not be shorter: a spool promises
 less than a delay at first."""
@@ -38,22 +38,11 @@ MOST_FINISHED = 3
 EQUAL_MARGIN = 0.1
 """A simpler form counts as equally good if it leaves at most this much more. The unit is the way
 from the floor to its limit."""
-HOPELESS_SHARE = 0.2
-"""From the fourth on, a candidate must promise more than this share of what the first promises."""
-WORTH_ANOTHER_EFFECT = 1.15
-"""Another effect is tried where more than this multiple of the limit is left. Below, it would only
-correct the form of an effect, or what both blocks disagree about."""
 MOST_REFORMED = 2
 """Models of a level whose last effect is tried in its other forms."""
 SEVERAL_STARTS = 2
 """Candidates of a shortlist that are fitted from several starts."""
 MOST_EFFECTS = 3
-MOST_EFFECTS_IN_BLOCK = 2
-"""Three free structures in one block fit anything."""
-NEAR_FORM = 0.15
-"""A form of an effect is not fitted if it promises less than the best form by more than this."""
-PROMISE = 0.02
-"""A candidate must promise at least this share of the residual."""
 
 Progress = Callable[[str], None]
 """Receives one line about each step."""
@@ -240,7 +229,7 @@ def _list_other_jobs(base: Model, candidates: Sequence[Candidate], jobs: _Jobs) 
         ):
             key = frozenset({score.candidate})
             if key not in jobs:
-                start = score.start or _small_dose(base, score.candidate)
+                start = score.start or make_small_dose(base, score.candidate)
                 others.setdefault(key, _Job(base, replace(score, start=start), is_wide=False))
     return others
 
@@ -271,7 +260,7 @@ def _fit_other_forms(
 
 def _fit_other_form(job: tuple[Model, Candidate]) -> Model:
     model, form = job
-    start = {**_small_dose(model, form), **model.effect_values, **dict(form.held)}
+    start = {**make_small_dose(model, form), **model.effect_values, **dict(form.held)}
     return fit_model(model, (*model.effects[:-1], form), [start], effort=FULL)
 
 
@@ -279,83 +268,6 @@ def _fit_job(job: _Job) -> Model:
     model, score = job.model, job.score
     starts = [score.start, *(list_other_starts(model, score) if job.is_wide else ())]
     return fit_model(model, (*model.effects, score.candidate), starts)
-
-
-def list_other_starts(model: Model, score: Score) -> Iterator[dict[str, float]]:
-    """Yield a start three times as far from neutral, and one three times as near.
-
-    The right valley may lie farther away; and a fit does not return from friction that sticks
-    too much.
-    """
-    for factor in (3.0, 1.0 / 3.0):
-        other = dict(score.start)
-        for number in score.candidate.switches:
-            neutral = value_of(model.evidence.nominal, number.name)
-            value = neutral + factor * (other[number.name] - neutral)
-            other[number.name] = clip_inside(value, number.low, number.high, number.scale)
-        yield other
-
-
-def shortlist_candidates(
-    model: Model, candidates: Sequence[Candidate], width: int = SHORTLIST
-) -> list[Score]:
-    """Return the most promising candidates for what a model leaves, the best first."""
-    chosen: dict[Candidate, Score] = {}
-    for block in model.unexplained:
-        if model.effects and model.rms[block] < WORTH_ANOTHER_EFFECT * model.floors[block].limit:
-            continue
-        others = [
-            c
-            for c in select_reaching(candidates, {block})
-            if c.name not in model.names and _has_room(model, c)
-        ]
-        for score in select_promising(score_candidates(model.fit_of(block), others, block), width):
-            known = chosen.get(score.candidate)
-            if known is None or known.explained < score.explained:
-                chosen[score.candidate] = score
-    if model.is_joint and not model.effects and model.unexplained:
-        for candidate in _select_shared(model, candidates):
-            chosen.setdefault(candidate, Score(candidate, 0.0, _small_dose(model, candidate)))
-    return sorted(chosen.values(), key=lambda s: -s.explained)
-
-
-def _select_shared(model: Model, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates that can make blocks disagree which are each at their floor.
-
-    These are all that reach several blocks. Recalibration of each block imitates them so well
-    that, to first order, the residual shows nothing of them.
-    """
-    return [c for c in candidates if len(c.blocks & {*model.evidence.blocks}) > 1]
-
-
-def _small_dose(model: Model, candidate: Candidate) -> dict[str, float]:
-    settings = model.evidence.nominal
-    start = next(generate_doses(candidate, settings))[0]
-    return start | {
-        s.name: apply_dose(s, 1.0, value_of(settings, s.name)) for s in candidate.switches
-    }
-
-
-def select_promising(ranked: Sequence[Score], width: int) -> list[Score]:
-    """Take the first names of a ranking, each in every form that is near its best."""
-    best: dict[str, float] = {}
-    for score in ranked:
-        best.setdefault(score.candidate.name, score.explained)
-    hopeless = HOPELESS_SHARE * max(best.values(), default=0.0)
-    names = [n for place, n in enumerate(best) if place < 3 or best[n] > hopeless][:width]
-    return [
-        s
-        for s in ranked
-        if s.candidate.name in names
-        and s.explained >= max(PROMISE, best[s.candidate.name] - NEAR_FORM)
-    ]
-
-
-def _has_room(model: Model, candidate: Candidate) -> bool:
-    return all(
-        sum(block in c.blocks for c in model.effects) < MOST_EFFECTS_IN_BLOCK
-        for block in candidate.blocks
-    )
 
 
 def run_fit_jobs(

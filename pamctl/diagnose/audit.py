@@ -207,8 +207,8 @@ def _describe_blind_spot(candidate: Candidate, power: float) -> BlindSpot:
     effect = CATALOGUE[candidate.name]
     dose = f"{size:g} {unit_of(switch)}".rstrip()
     if neutral := look_up_parameter(switch).neutral:
-        dose += f" off {neutral:g}"
-    why = f"at {dose} it stays below the floor's limit"
+        dose += f" away from {neutral:g}"
+    why = f"a size of {dose} stays below the floor's limit"
     visible_from = _find_visible_size(switch, size, power)
     sizes = 1.0 / power if visible_from else inf
     return BlindSpot(candidate.name, why, effect.best_experiment, visible_from, sizes)

@@ -106,7 +106,7 @@ def _recalibrate(
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
         return recalibrate(evidence)
     alone = recalibrate(evidence.select_blocks({PRESSURE}))
-    progress("pressure block alone, for a clean pressure to drive the mechanics")
+    progress("pressure block alone: its simulation drives the mechanics with less noise")
     # Here the nearest fit counts, not the simplest form of a name.
     nearest = search_effects(alone, candidates, executor, width=2).nearest
     driven = with_modelled_pressure(

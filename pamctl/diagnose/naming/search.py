@@ -281,5 +281,6 @@ def run_fit_jobs(
 
 def _describe_level(level: Sequence[Model]) -> str:
     best = level[0]
-    left = ", ".join(f"{b} {best.ratio(b):.2f}x floor" for b in best.evidence.blocks)
-    return f"best with {len(best.effects)}: {' + '.join(best.names)} ({left})"
+    ratios = ", ".join(f"{b} {best.ratio(b):.2f} x floor" for b in best.evidence.blocks)
+    count = "1 effect" if len(best.effects) == 1 else f"{len(best.effects)} effects"
+    return f"best with {count}: {' and '.join(best.names)} ({ratios})"

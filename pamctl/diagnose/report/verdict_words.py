@@ -54,7 +54,7 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     experiment = choose_next_experiment(diagnosis)
     if experiment:
         yield _describe_experiment(experiment)
-        yield f"This program holds all experiments: `{_RECORD}`."
+        yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
 
 
 def _describe_experiment(experiment: Mapping[str, Any]) -> str:
@@ -104,7 +104,7 @@ def _word_named(diagnosis: Diagnosis) -> VerdictWords:
     return VerdictWords(
         f"Missing from the model: {names}",
         f"With {describe_effects(diagnosis)} the residual is at the noise floor.",
-        "No choice of its own numbers lets the model explain the measurement. With "
+        "The model cannot explain the measurement with any values of its own numbers. With "
         f"{names} it explains the measurement down to the sensor noise. "
         f"Size: {list_sizes(diagnosis)}.",
         (
@@ -120,8 +120,8 @@ def _word_ambiguous(diagnosis: Diagnosis) -> VerdictWords:
     return VerdictWords(
         f"Something is missing, and these data do not tell what: {sets}",
         f"Best so far: {describe_effects(diagnosis)}.",
-        "No choice of its own numbers lets the model explain the measurement, but more than one "
-        f"effect does: {sets}. plant.yaml has {spell_effects(diagnosis)}, which fits best "
+        "The model cannot explain the measurement with any values of its own numbers. More than "
+        f"one effect explains it: {sets}. plant.yaml has the best fit, {spell_effects(diagnosis)} "
         f"({list_sizes(diagnosis)}). It predicts what was measured. The cause stays open until "
         "the experiment below has been run.",
         ("Do not repair the rig on this evidence. Run the experiment that separates them.",),

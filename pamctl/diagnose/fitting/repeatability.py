@@ -64,8 +64,8 @@ def find_repeats(records: Sequence[Record]) -> tuple[Repeat, ...]:
     The demand is the command; where commands differ, the reference.
     """
     known = [(i, r) for i, r in enumerate(records) if r.valve_v is not None]
-    across = [found for a, b in combinations(known, 2) for found in _find_across_runs(a, b)]
-    return (*across, *(found for i, r in known for found in _find_within_run(i, r)))
+    across = [repeat for a, b in combinations(known, 2) for repeat in _find_across_runs(a, b)]
+    return (*across, *(repeat for i, r in known for repeat in _find_within_run(i, r)))
 
 
 def _find_across_runs(a: tuple[int, Record], b: tuple[int, Record]) -> Iterator[Repeat]:

@@ -75,7 +75,7 @@ def _find_answer_s(record: Record, channel: str, step: int) -> float:
     whole = float(change[np.argmax(np.abs(change))])
     if abs(whole) < LEAST_CHANGE[channel] or abs(drift) > 0.2 * ANSWER_SHARE * abs(whole):
         return float("nan")
-    begun = int(np.argmax(change / whole > ANSWER_SHARE))
-    if not begun:
+    first = int(np.argmax(change / whole > ANSWER_SHARE))
+    if not first:
         return float("nan")
-    return float(record.t_s[step - before + begun])
+    return float(record.t_s[step - before + first])

@@ -44,15 +44,16 @@ from pamctl.diagnose import Record  # noqa: E402
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates, select_reaching  # noqa: E402
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE  # noqa: E402
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure  # noqa: E402
-from pamctl.diagnose.fitting.fitted_model import Model, fit_model, recalibrate  # noqa: E402
+from pamctl.diagnose.fitting.fitted_model import Model  # noqa: E402
 from pamctl.diagnose.fitting.intervals import estimate_intervals  # noqa: E402
+from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate  # noqa: E402
 from pamctl.diagnose.naming.score import score_candidates  # noqa: E402
 from pamctl.diagnose.naming.search import (  # noqa: E402
     confirm_complete,
     fit_to_end_if_near,
-    list_other_starts,
     rank,
 )
+from pamctl.diagnose.naming.shortlist import list_other_starts  # noqa: E402
 from pamctl.plant.drive import drive_coupled  # noqa: E402
 from pamctl.plant.flat import NEUTRAL, PAPER, parameters_of  # noqa: E402
 from pamctl.plant.model import PlantSettings  # noqa: E402

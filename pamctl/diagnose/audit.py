@@ -1,10 +1,10 @@
-"""What an excitation cannot see, and what it cannot tell apart, before any fit.
+"""Step 1, audit: what an excitation cannot show, and what it cannot tell apart.
 
-Every effect is dosed at its smallest size of interest, recalibration takes what it can,
-and the rest is held against the floor: below the limit the effect is in a blind spot. Of
-two effects, the one is hidden and the other fitted: if less than the limit is left, this
-excitation does not tell them apart. The paper's full-scale squares, for instance, cannot
-see a dead band of the valve at all: |u| is always 5 V, and the valve's gain absorbs it.
+Every effect is simulated at its smallest size of interest. What recalibration can imitate is
+removed, and the rest is compared with the floor: below the limit the effect is a blind spot. Of
+a pair of effects, one is simulated and the other fitted: if less than the limit is left, this
+excitation does not tell them apart. For example, the paper's full-scale squares cannot show a
+dead band of the valve: |u| is always 5 V, and the valve's gain absorbs the dead band.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from math import inf
 import numpy as np
 
 from pamctl.diagnose.experiments import find_separating_experiment
-from pamctl.diagnose.fitting.block_fit import Fit
+from pamctl.diagnose.fitting.block_fit import Fit, project_out, secant
 from pamctl.diagnose.fitting.candidates import Candidate, apply_dose, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import prepare_evidence, with_modelled_pressure
-from pamctl.diagnose.fitting.fitted_model import Model, extract_block_fit, recalibrate
+from pamctl.diagnose.fitting.fitted_model import Model, extract_block_fit
+from pamctl.diagnose.fitting.model_fit import recalibrate
 from pamctl.diagnose.fitting.numbers import FreeNumber, look_up_parameter, unit_of, value_of
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.measured.refuse import check_measured_runs, check_sensors
-from pamctl.diagnose.naming.score import project_out, secant
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
@@ -41,15 +41,15 @@ class BlindSpot:
     name: str
     why: str
     experiment: str
-    """What would show it; empty where nothing would."""
+    """The experiment that shows it; empty where none does."""
     visible_from: tuple[float, str] | None
-    """Size and unit from which it would show, if it grows in proportion; None for never."""
+    """Size and unit from which it shows, if it grows in proportion; None for never."""
     sizes: float = inf
-    """The same, in smallest sizes of interest."""
+    """The same size, in smallest sizes of interest."""
 
     @property
     def visibility(self) -> str:
-        """Say from which size on it shows."""
+        """Say from which size on the effect shows."""
         if self.visible_from is None:
             return "it does not show at any size"
         size, unit = self.visible_from
@@ -78,7 +78,7 @@ class Inseparable:
 
 @dataclass(frozen=True)
 class Audit:
-    """What an excitation is good for."""
+    """What an excitation can show, and what it cannot."""
 
     sees: tuple[str, ...]
     blind_spots: tuple[BlindSpot, ...]
@@ -102,21 +102,21 @@ def audit_run(record: Record, plant: PlantSettings) -> Audit:
     check_measured_runs([record], plant)
     evidence = prepare_evidence([record], [record], plant)
     check_sensors([record], evidence.noises)
-    found = list_candidates(evidence)
+    candidates = list_candidates(evidence)
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        return audit_model(recalibrate(evidence), found)
+        return audit_model(recalibrate(evidence), candidates)
     alone = recalibrate(evidence.select_blocks({PRESSURE}))
     clean, trusted = alone.fit_of(PRESSURE).settings, alone.is_explained(PRESSURE)
     driven = with_modelled_pressure(evidence, [record], [record], clean, trusted=trusted)
-    return audit_model(recalibrate(driven, alone.fits), found)
+    return audit_model(recalibrate(driven, alone.fits), candidates)
 
 
-def audit_model(model: Model, found: Sequence[Candidate], *, pairs: bool = True) -> Audit:
-    """Audit the training records of a model that is at, or near, its floor.
+def audit_model(model: Model, candidates: Sequence[Candidate], *, pairs: bool = True) -> Audit:
+    """Audit the training records of a model that is at its floor, or near it.
 
-    Of an effect with several forms the first stands for all.
+    The first form of an effect stands for all its forms.
     """
-    firsts = {c.name: c for c in reversed(found)}
+    firsts = {c.name: c for c in reversed(candidates)}
     doses = {
         block: _simulate_doses(model, block, firsts.values()) for block in model.evidence.blocks
     }
@@ -132,14 +132,14 @@ def audit_model(model: Model, found: Sequence[Candidate], *, pairs: bool = True)
     blind = tuple(_describe_blind_spot(c, powers[n]) for n, c in firsts.items() if n not in sees)
     alike = _find_inseparable_pairs(doses, spare, sees) if pairs else []
     return Audit(
-        sees, (*blind, *_list_unseen_effects(model, found)), tuple(map(_advise_pair, alike))
+        sees, (*blind, *_list_unseen_effects(model, candidates)), tuple(map(_advise_pair, alike))
     )
 
 
 def _find_inseparable_pairs(
     doses: Mapping[str, Mapping[str, Array]], spare: Mapping[str, float], sees: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Find pairs of which one explains all that the other does above the limits."""
+    """Return the pairs in which one effect explains the other down to the limits."""
 
     def explains(other: str, one: str) -> bool:
         return all(
@@ -152,7 +152,7 @@ def _find_inseparable_pairs(
 
 
 def _unexplained_rms(hidden: Array, fitted: Array | None) -> float:
-    """RMS of what is left of an effect's strongest dose when another is fitted to it."""
+    """Return the RMS that is left of an effect's strongest dose when another effect is fitted."""
     strongest = hidden[:, int(np.argmax(_column_rms(hidden)))]
     if fitted is None:
         return float(np.sqrt(np.mean(strongest**2)))
@@ -170,15 +170,15 @@ def _advise_pair(pair: tuple[str, str]) -> Inseparable:
 
 
 def _room_below_limit(model: Model, block: str) -> float:
-    """How much a misfit adds before the limit is passed, in deviations of the sensor."""
+    """Return how much a misfit may add before the limit is passed, in deviations of the sensor."""
     floor = model.floors[block]
     return float(np.sqrt(floor.limit**2 - floor.mean**2))
 
 
-def _simulate_doses(model: Model, block: str, found: Iterable[Candidate]) -> dict[str, Array]:
-    """Dose the switches by their smallest sizes of interest, beside what recalibration can do.
+def _simulate_doses(model: Model, block: str, candidates: Iterable[Candidate]) -> dict[str, Array]:
+    """Simulate the smallest sizes of interest, without what recalibration can imitate.
 
-    Arrays of shape (n, doses) by name, in deviations of the sensor.
+    Returns arrays of shape (n, doses) by name, in deviations of the sensor.
     """
     fitted = extract_block_fit(model.fit_of(block), block)
     basis = np.linalg.qr(fitted.jacobian)[0] if fitted.free else np.zeros((len(fitted.residual), 0))
@@ -186,13 +186,13 @@ def _simulate_doses(model: Model, block: str, found: Iterable[Candidate]) -> dic
         c.name: project_out(
             basis, np.column_stack([secant(fitted, d) for d in _list_smallest_doses(c, fitted)])
         )
-        for c in found
+        for c in candidates
         if block in c.blocks
     }
 
 
 def _list_smallest_doses(candidate: Candidate, fitted: Fit) -> list[dict[str, float]]:
-    """Each switch alone, and all together: two widths alike may hide where one would show."""
+    """List each switch alone, and all together: two equal widths may hide where one shows."""
     held = dict(candidate.held)
     sizes = {
         s.name: apply_dose(s, 1.0, value_of(fitted.settings, s.name)) for s in candidate.switches
@@ -207,28 +207,28 @@ def _describe_blind_spot(candidate: Candidate, power: float) -> BlindSpot:
     effect = CATALOGUE[candidate.name]
     dose = f"{size:g} {unit_of(switch)}".rstrip()
     if neutral := look_up_parameter(switch).neutral:
-        dose += f" off {neutral:g}"
-    why = f"at {dose} it stays below the floor's limit"
+        dose += f" away from {neutral:g}"
+    why = f"a size of {dose} stays below the floor's limit"
     visible_from = _find_visible_size(switch, size, power)
     sizes = 1.0 / power if visible_from else inf
     return BlindSpot(candidate.name, why, effect.best_experiment, visible_from, sizes)
 
 
 def _find_visible_size(switch: FreeNumber, size: float, power: float) -> tuple[float, str] | None:
-    """In proportion: a size that would just pass the limit, where the range allows it."""
+    """Return the size that just passes the limit, in proportion; None beyond its range."""
     if power <= 0.0 or size / power > max(abs(switch.high), abs(switch.low)):
         return None
     return size / power, unit_of(switch)
 
 
-def _list_unseen_effects(model: Model, found: Sequence[Candidate]) -> list[BlindSpot]:
-    """Effects that reach none of the blocks that these records drive, and the moving mass."""
-    asked = {c.name for c in found} | {*model.names}
+def _list_unseen_effects(model: Model, candidates: Sequence[Candidate]) -> list[BlindSpot]:
+    """List effects that reach no block that these records drive, and those that nothing shows."""
+    examined = {c.name for c in candidates} | {*model.names}
     spots = [
         BlindSpot(name, why, "", None) for name, why in UNIDENTIFIABLE.items() if name in CATALOGUE
     ]
     for name, effect in CATALOGUE.items():
-        if name in asked or name in UNIDENTIFIABLE or name == "drift":
+        if name in examined or name in UNIDENTIFIABLE or name == "drift":
             continue
         if effect.block not in (*model.evidence.blocks, "sensors"):
             why = "these records do not drive its block"

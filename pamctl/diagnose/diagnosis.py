@@ -1,4 +1,4 @@
-"""What a diagnosis found, in one object: verdict, names, numbers, the extended plant."""
+"""The result of a diagnosis in one object: verdict, names, numbers, the extended plant."""
 
 from __future__ import annotations
 
@@ -6,26 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pamctl.diagnose.audit import Audit
-from pamctl.diagnose.correction import CorrectionResult
+from pamctl.diagnose.extend import CorrectionResult
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.locate import RegimeMisfit, describe_worst_regimes
 from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.naming.remainder import Remainder
 from pamctl.diagnose.naming.rivals import Standing
+from pamctl.diagnose.naming.search import EffectsTrial
 from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.remainder import Remainder
 from pamctl.diagnose.show import HeldOutGap
 from pamctl.plant.model import PlantSettings
-
-
-@dataclass(frozen=True)
-class EffectsTrial:
-    """One set of effects that was fitted."""
-
-    names: tuple[str, ...]
-    ratios: Mapping[str, float]
-    """Held-out RMS over the floor, by block."""
 
 
 @dataclass(frozen=True)
@@ -37,32 +29,36 @@ class Diagnosis:
     plant: PlantSettings
     """The model to go on with: recalibrated, and extended by what was named."""
     reason: str = ""
-    """Of bad data."""
+    """Why the data cannot be diagnosed; empty otherwise."""
     model: Model | None = None
+    """The fits with the named effects; None for bad data."""
     base: Model | None = None
+    """The fits without any effect."""
     standings: tuple[Standing, ...] = ()
     numbers: tuple[FittedNumber, ...] = ()
     gap: dict[str, HeldOutGap] | None = None
-    cells: tuple[RegimeMisfit, ...] = ()
-    """What is left, by regime."""
-    regimes: tuple[RegimeMisfit, ...] = ()
-    """The misfit of the recalibrated model, by regime."""
-    stepping: Mapping[str, float] = field(default_factory=dict)
+    misfits: tuple[RegimeMisfit, ...] = ()
+    """What the model leaves, by regime."""
+    base_misfits: tuple[RegimeMisfit, ...] = ()
+    """What the recalibrated model leaves, by regime."""
+    substep_changes: Mapping[str, float] = field(default_factory=dict)
     """By how much half the integrator's sub-step changes each block, over its floor."""
-    tried: tuple[EffectsTrial, ...] = ()
-    """What was fitted, the best first."""
+    trials: tuple[EffectsTrial, ...] = ()
+    """Every set of effects that was fitted, the best first."""
     remainder: Remainder | None = None
-    corrected: CorrectionResult | None = None
-    """What became of the wish to have the remainder in the model."""
+    """The shape of what the effects leave."""
+    correction: CorrectionResult | None = None
+    """The tables for what the effects leave; None where none were requested."""
     train: tuple[Record, ...] = ()
     holdout: tuple[Record, ...] = ()
     explained: float = 0.0
+    """Share of the gap from recalibrated to floor that the effects close."""
     audit: Audit | None = None
     """What these records could not have shown."""
 
     @property
     def recalibrated(self) -> tuple[FittedNumber, ...]:
-        """The numbers that the start model had already, its effects' among them."""
+        """The numbers that the start model has already, those of its effects included."""
         named = self.model.names if self.model else ()
         return tuple(n for n in self.numbers if n.name.split(".")[0] not in named)
 
@@ -72,9 +68,9 @@ class Diagnosis:
 
 
 def find_largest_remainder(diagnosis: Diagnosis) -> tuple[str, float, str]:
-    """Return block, residual over floor and regimes of what is left most."""
+    """Return the block with the most left: its name, residual over floor, and worst regimes."""
     model = diagnosis.model
     if model is None:
         return "", 0.0, ""
     block = max(model.evidence.blocks, key=model.ratio)
-    return block, model.ratio(block), describe_worst_regimes(diagnosis.cells, block)
+    return block, model.ratio(block), describe_worst_regimes(diagnosis.misfits, block)

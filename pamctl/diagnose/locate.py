@@ -1,8 +1,8 @@
-"""Where simulation and measurement disagree: by block, and by regime within it.
+"""Step 2, locate: where simulation and measurement disagree, by block and by regime.
 
-A misfit over a whole run may hide in a rare regime (the valve near null, a reversal), or be
-carried by one. Each regime is compared with the same regime of the replicas, and of the many
-comparisons only those stand out that noise would bring about in one of twenty at most.
+A misfit may lie in a rare regime: the valve near null, a reversal. Each regime is compared with
+the same regime of the self-simulated replicas. The comparisons are many; on average at most one
+in twenty of those that stand out is noise.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import savgol_filter
+from scipy.stats import false_discovery_control
+from scipy.stats import t as student
 
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive
-from pamctl.diagnose.fitting.false_discovery import exceedance, flag_discoveries
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import imitate_records, sensor_noise_of
 from pamctl.diagnose.measured.record import Array
@@ -24,11 +25,16 @@ from pamctl.diagnose.measured.record import Array
 Rows = NDArray[np.bool_]
 
 FEWEST_SAMPLES = 100
-"""Samples that make a regime."""
+"""A regime with fewer samples is left out."""
 NULL_V = 0.5
+"""Smaller commands are near null (V)."""
 SLOW_M_PER_S = 5e-4
+"""Slower motion counts as rest."""
 CHOKED = 0.528
+"""Critical pressure ratio of air; flow below it is choked."""
 EVENLY = "spread evenly"
+RATE = 0.05
+"""Share of the regimes that stand out which may be noise, on average."""
 
 
 @dataclass(frozen=True)
@@ -38,24 +44,24 @@ class RegimeMisfit:
     block: str
     regime: str
     share: float
-    """Of the samples."""
+    """Share of the samples."""
     rms: float
     """In deviations of the sensor."""
     residual_over_floor: float
-    """The floor is that of this regime: friction makes more noise in some than in others."""
+    """Over this regime's own floor: friction makes more noise in some regimes than in others."""
     excess_share: float
-    """Share of the block's whole misfit (square above the floor's) that lies here."""
+    """Share of the block's whole misfit (squares above the floor's) that lies in this regime."""
     p_value: float
-    """Chance that noise alone leaves as much here beyond what is too small to matter."""
+    """Chance that noise alone leaves as much, beyond what is too small to matter."""
     stands_out: bool = False
-    """Of all regimes that stand out one in twenty may be noise, in the mean."""
+    """One in twenty regimes that stand out may be noise, on average."""
 
 
 def locate_misfits(model: Model) -> list[RegimeMisfit]:
     """Return every regime of every block, the worst of each block first."""
-    every = [cell for block in model.evidence.blocks for cell in _locate_in_block(model, block)]
-    found = flag_discoveries([cell.p_value for cell in every])
-    return [replace(cell, stands_out=bool(out)) for cell, out in zip(every, found, strict=True)]
+    misfits = [m for block in model.evidence.blocks for m in _locate_in_block(model, block)]
+    flags = flag_discoveries([misfit.p_value for misfit in misfits])
+    return [replace(m, stands_out=bool(flag)) for m, flag in zip(misfits, flags, strict=True)]
 
 
 def _locate_in_block(model: Model, block: str) -> list[RegimeMisfit]:
@@ -64,21 +70,21 @@ def _locate_in_block(model: Model, block: str) -> list[RegimeMisfit]:
     residual = model.residuals[block]
     noise = np.array(
         [
-            made.residual
-            for made in imitate_records(model.fit_for_floor(block), drives, evidence.noises)
+            imitation.residual
+            for imitation in imitate_records(model.fit_for_floor(block), drives, evidence.noises)
         ]
     )
     floor = model.floors[block]
-    # What the rig itself does differently each time is no misfit, in whichever regime.
+    # What the rig does differently each time is no misfit in any regime.
     noise *= max(floor.repeatability / floor.mean, 1.0)
-    trifle = evidence.margin(block) ** 2
-    doubt = 2.0 * sensor_noise_of(drives, evidence.noises).uncertainty
+    negligible = evidence.margin(block) ** 2
+    uncertainty = 2.0 * sensor_noise_of(drives, evidence.noises).uncertainty
     excess = float(np.sum(np.maximum(residual**2 - floor.mean**2, 0.0))) or 1.0
     masks: dict[str, list[Rows]] = {}
     for drive in drives:
         for name, rows in find_regimes(drive, model).items():
             masks.setdefault(name, []).append(rows if drive.rows is None else rows[drive.rows])
-    found = []
+    misfits = []
     for name, parts in masks.items():
         rows = np.concatenate(parts)
         if rows.sum() < FEWEST_SAMPLES:
@@ -88,14 +94,16 @@ def _locate_in_block(model: Model, block: str) -> list[RegimeMisfit]:
         usual = np.mean(noise[:, rows] ** 2, axis=1)
         ratio = float(np.sqrt(level / np.mean(usual)))
         inside = float(np.sum(np.maximum(part**2 - floor.mean**2, 0.0))) / excess
-        chance = exceedance(level - trifle, usual, doubt)
+        chance = exceedance(level - negligible, usual, uncertainty)
         share = float(rows.mean())
-        found.append(RegimeMisfit(block, name, share, float(np.sqrt(level)), ratio, inside, chance))
-    return sorted(found, key=lambda c: -c.residual_over_floor)
+        misfits.append(
+            RegimeMisfit(block, name, share, float(np.sqrt(level)), ratio, inside, chance)
+        )
+    return sorted(misfits, key=lambda c: -c.residual_over_floor)
 
 
 def find_regimes(drive: Drive, model: Model) -> Mapping[str, Rows]:
-    """Return the regimes of a drive, each as the samples that are in it."""
+    """Return the regimes of a drive, each as a mask of its samples, shape (n,)."""
     p = model.evidence.nominal.parameters
     period_s = float(np.median(drive.step_s))
     if drive.block == MECHANICS:
@@ -156,9 +164,32 @@ def _find_pressure_regimes(gauge_pa: Array, full_pa: float) -> dict[str, Rows]:
     }
 
 
-def describe_worst_regimes(found: Sequence[RegimeMisfit], block: str) -> str:
-    """Say in words in which regimes a block's misfit lies: the worst two that stand out."""
-    worst = [c for c in found if c.block == block and c.stands_out][:2]
+def describe_worst_regimes(misfits: Sequence[RegimeMisfit], block: str) -> str:
+    """Name the regimes of a block's misfit: the worst two that stand out."""
+    worst = [c for c in misfits if c.block == block and c.stands_out][:2]
     if not worst:
         return EVENLY
     return ", ".join(f"{c.regime} ({c.residual_over_floor:.1f} x floor)" for c in worst)
+
+
+def flag_discoveries(p_values: ArrayLike, rate: float = RATE) -> NDArray[np.bool_]:
+    """Tell which comparisons stand out, by Benjamini and Hochberg's step-up.
+
+    It also holds for regimes that share samples, since their levels are positively correlated.
+    """
+    p = np.asarray(p_values, dtype=np.float64)
+    flags: NDArray[np.bool_] = false_discovery_control(p) <= rate if len(p) else p > 0.0
+    return flags
+
+
+def exceedance(level: float, replicas: Array, uncertainty: float = 0.0) -> float:
+    """Return the chance that another replica has a level at least this high.
+
+    Levels are mean squares, and their logarithms are nearly normal: Student's t of the next draw.
+    `uncertainty` is that of the replicas' own scale, relative, one sigma.
+    """
+    logs = np.log(replicas)
+    scatter = float(np.hypot(logs.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(logs)), uncertainty))
+    if level <= 0.0 or scatter == 0.0:
+        return float(level <= np.exp(logs.mean()))
+    return float(student.sf((np.log(level) - logs.mean()) / scatter, len(logs) - 1))

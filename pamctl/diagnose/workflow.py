@@ -1,4 +1,4 @@
-"""The workflow: prepare, recalibrate, locate, name, hear the rivals, extend, show.
+"""The workflow: prepare, recalibrate, then the steps: audit, locate, name, extend, show.
 
 from concurrent.futures import ProcessPoolExecutor
 from pamctl.diagnose import diagnose, record_of, sentence
@@ -10,29 +10,29 @@ print(sentence(diagnosis))
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 
-from pamctl.diagnose.conclude import conclude_diagnosis, refuse_diagnosis
+from pamctl.diagnose.audit import audit_model
 from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.extend import add_correction_tables, extend_plant
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure
-from pamctl.diagnose.fitting.fitted_model import (
-    Model,
-    recalibrate,
-    weigh_blocks,
-    wrap_nominal_model,
-)
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.integrator import compare_substeps
+from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.split import split_by_run, split_by_stretch
+from pamctl.diagnose.locate import locate_misfits
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
-from pamctl.diagnose.naming.rivals import Standing, find_rivals
-from pamctl.diagnose.naming.search import EffectSearch, search_effects
-from pamctl.diagnose.naming.verdict import Judgement, Verdict, judge_search
+from pamctl.diagnose.name import Naming, name_effects
+from pamctl.diagnose.naming.remainder import regress_remainder
+from pamctl.diagnose.naming.search import Progress, search_effects
+from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.show import HeldOutGap, is_no_worse, measure_gaps
 from pamctl.plant.model import PlantSettings
-
-Progress = Callable[[str], None]
 
 
 def diagnose(
@@ -47,52 +47,26 @@ def diagnose(
 ) -> Diagnosis:
     """Say what the plant's model lacks to explain these runs.
 
-    Fits on `train`, judges by `holdout`; where that is empty, `train` is split by run, or
-    by long stretches if there is one only. `without` leaves effects out of the catalogue.
-    With `correction` what no effect explains is added to the plant as a table, where that helps.
-    Candidates are fitted in `executor`'s workers if one is given, any with the standard
-    library's `submit`. Data that cannot be diagnosed give the verdict `bad_data`.
+    The model is fitted on `train` and judged by `holdout`. Without `holdout`, `train` is split by
+    run; a single run is split into long stretches. `without` leaves effects out of the catalogue.
+    With `correction`, what no effect explains is added to the plant as a table, where that helps.
+    Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
+    library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
-    tell = progress or (lambda line: None)
+    progress = progress or (lambda line: None)
     try:
         evidence, train, holdout = _check_and_prepare(train, holdout, plant)
     except BadData as error:
-        return refuse_diagnosis(plant, str(error))
-    found = list_candidates(evidence, without)
-    effects = len({candidate.name for candidate in found})  # some in several forms
-    tell(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue can be asked for")
-    base = weigh_blocks(
-        _recalibrate_with_clean_pressure(evidence, found, train, holdout, executor, tell)
-    )
-    evidence = base.evidence
-    tell("recalibrated: " + ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks))
-    search = search_effects(base, found, executor, tell)
-    search, judgement, heard = _hear_rivals(
-        search, wrap_nominal_model(evidence), found, executor, tell
-    )
-    return conclude_diagnosis(
-        judgement, heard, search, train, holdout, found, correction=correction
-    )
-
-
-def _hear_rivals(
-    search: EffectSearch,
-    nominal: Model,
-    found: Sequence[Candidate],
-    executor: Executor | None,
-    tell: Progress,
-) -> tuple[EffectSearch, Judgement, tuple[Standing, ...]]:
-    """Judge what was found, and hear its rivals; where one of them does better, hear its rivals."""
-    judgement = judge_search(search, nominal)
-    heard: tuple[Standing, ...] = ()
-    while judgement.verdict in (Verdict.NAMED, Verdict.PARTIAL):
-        tell("hearing the rivals of " + " and ".join(judgement.model.names))
-        heard = find_rivals(judgement.model, search, found, executor)
-        search = search.add_models(model for standing in heard for model in standing.heard)
-        before, judgement = judgement, judge_search(search, nominal)
-        if judgement.model.effects == before.model.effects:
-            break
-    return search, judgement, heard
+        return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error))
+    candidates = list_candidates(evidence, without)
+    effects = len({candidate.name for candidate in candidates})  # some have several forms
+    progress(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue are candidates")
+    base = weigh_blocks(_recalibrate(evidence, candidates, train, holdout, executor, progress))
+    ratios = ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks)
+    progress(f"recalibrated: {ratios}")
+    naming = name_effects(base, candidates, executor, progress)
+    naming, gaps = _withdraw_if_worse(naming, holdout)
+    return _conclude(naming, gaps, train, holdout, candidates, correction=correction)
 
 
 def _check_and_prepare(
@@ -106,9 +80,9 @@ def _check_and_prepare(
     fitted, held = split_by_run(train) if split else ([*train], [*holdout])
     evidence = prepare_evidence(fitted, held, plant)
     if not evidence.blocks:
-        held_channels = ", ".join(records[0].channels) or "nothing"
+        channels = ", ".join(records[0].channels) or "nothing"
         raise BadData(
-            f"the records hold {held_channels}: wanted are pressure_pa with valve_v or "
+            f"the records hold {channels}; needed are pressure_pa with valve_v or "
             "position_m; or, with `actuator: direct` in the plant file, force_n with position_m"
         )
     check_sensors(records, evidence.noises)
@@ -117,22 +91,75 @@ def _check_and_prepare(
     return evidence, fitted, held
 
 
-def _recalibrate_with_clean_pressure(
+def _recalibrate(
     evidence: Evidence,
-    found: Sequence[Candidate],
+    candidates: Sequence[Candidate],
     train: Sequence[Record],
     holdout: Sequence[Record],
     executor: Executor | None,
-    tell: Progress,
+    progress: Progress,
 ) -> Model:
-    """Recalibrate; let the pressure block, with whatever it takes, tell noise from pressure."""
+    """Recalibrate; drive the mechanics by a pressure that the pressure block has cleaned.
+
+    The pressure block takes whatever effects it needs: they tell the pressure from its noise.
+    """
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
         return recalibrate(evidence)
     alone = recalibrate(evidence.select_blocks({PRESSURE}))
-    tell("pressure block alone, for a clean pressure to drive the mechanics")
-    # The simplest form of a name would do to name it; what drives the mechanics is to be true.
-    best = search_effects(alone, found, executor, width=2).nearest
+    progress("pressure block alone: its simulation drives the mechanics with less noise")
+    # Here the nearest fit counts, not the simplest form of a name.
+    nearest = search_effects(alone, candidates, executor, width=2).nearest
     driven = with_modelled_pressure(
-        evidence, train, holdout, best.fit_of(PRESSURE).settings, trusted=best.is_complete
+        evidence, train, holdout, nearest.fit_of(PRESSURE).settings, trusted=nearest.is_complete
     )
     return recalibrate(driven, alone.fits)
+
+
+def _withdraw_if_worse(
+    naming: Naming, holdout: Sequence[Record]
+) -> tuple[Naming, dict[str, HeldOutGap]]:
+    """Measure the held-out gap; withdraw names that make the coupled simulation worse."""
+    gaps = measure_gaps(naming.base, naming.model, holdout)
+    if not naming.model.effects or is_no_worse(gaps):
+        return naming, gaps
+    naming = naming.withdraw_effects()
+    return naming, measure_gaps(naming.base, naming.model, holdout)
+
+
+def _conclude(
+    naming: Naming,
+    gaps: dict[str, HeldOutGap],
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    candidates: Sequence[Candidate],
+    *,
+    correction: bool,
+) -> Diagnosis:
+    """Extend the plant, and locate what is left."""
+    model = naming.model
+    plant, remainder, tables = extend_plant(naming.verdict, model), None, None
+    if naming.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
+        remainder = regress_remainder(model, max(model.evidence.blocks, key=model.ratio))
+        tables = add_correction_tables(model, plant, holdout) if correction else None
+    if tables and tables.blocks:
+        gaps = {name: replace(gap, corrected=tables.after[name]) for name, gap in gaps.items()}
+    return Diagnosis(
+        naming.verdict,
+        model.evidence.nominal,
+        tables.plant if tables else plant,
+        model=model,
+        base=naming.base,
+        standings=naming.standings,
+        numbers=naming.numbers,
+        gap=gaps,
+        misfits=tuple(locate_misfits(model)),
+        base_misfits=tuple(locate_misfits(naming.base)),
+        substep_changes=compare_substeps(model),
+        trials=naming.trials,
+        remainder=remainder,
+        correction=tables,
+        train=tuple(train),
+        holdout=tuple(holdout),
+        explained=naming.explained,
+        audit=audit_model(model, [c for c in candidates if c.name not in model.names], pairs=False),
+    )

@@ -1,4 +1,4 @@
-"""The README's example of a diagnosis from Python, as it stands there."""
+"""The README's example of a diagnosis from Python, unchanged."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pamctl.cli.app import app
 README = Path(__file__).parents[2] / "README.md"
 
 
-def test_the_example_with_an_executor_runs_as_it_stands(tmp_path: Path) -> None:
+def test_the_example_with_an_executor_runs_unchanged(tmp_path: Path) -> None:
     for seed, name in (("1", "a.mcap"), ("2", "b.mcap")):
         run = ["run", "--fast", "--quiet", "--experiment", "diagnosis", "--duration", "3.5"]
         run += ["--seed", seed, "--set", f"experiment.seed={seed}", "--log", str(tmp_path / name)]

@@ -1,4 +1,4 @@
-"""The page of a diagnosis: every verdict has a good one, for a reader who was not there."""
+"""The page of a diagnosis, for every verdict."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from pamctl.cli.app import app
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, record_of
 from pamctl.diagnose.extend import assemble_plant
 from pamctl.diagnose.fitting.drives import Drive
+from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.rivals import Rival
-from pamctl.diagnose.remainder import regress_remainder
 from pamctl.diagnose.report.compared_models import HeldOutRun, HeldOutSignal, ModelStage
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.traces_part import STRETCH_S, find_telling_stretch
@@ -25,8 +25,8 @@ from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
 HOSTILE = "<script>alert('x')</script>"
-ASKED = {"valve_deadband", "valve_curve", "cubic_stiffness"}
-"""A small catalogue, for the sake of time."""
+SEARCHED = {"valve_deadband", "valve_curve", "cubic_stiffness"}
+"""A small catalogue, to save time."""
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +52,8 @@ def records(logs: list[Path]) -> list[Record]:
 
 @pytest.fixture(scope="module")
 def named(records: list[Record]) -> Diagnosis:
-    """A real diagnosis: the rig's dead band is not in the model that it starts from."""
-    found = diagnose(records[:1], records[1:], PlantSettings(), without={*CATALOGUE} - ASKED)
+    """A real diagnosis: the start model lacks the rig's dead band."""
+    found = diagnose(records[:1], records[1:], PlantSettings(), without={*CATALOGUE} - SEARCHED)
     assert found.verdict is Verdict.NAMED
     return found
 
@@ -74,7 +74,7 @@ def as_if(named: Diagnosis, verdict: Verdict) -> Diagnosis:
             base = named.base
             assert base is not None
             own = tuple(n for n in named.numbers if "." not in n.name)
-            bare = replace(named, model=base, cells=named.regimes, standings=(), numbers=own)
+            bare = replace(named, model=base, misfits=named.base_misfits, standings=(), numbers=own)
             rest = replace(bare, verdict=verdict)
             left = regress_remainder(base, "pressure") if verdict is Verdict.NONE_KNOWN else None
             return replace(rest, plant=assemble_plant(base), explained=0.0, remainder=left)
@@ -107,7 +107,7 @@ def test_the_bars_are_the_gap_of_the_diagnosis(named, records):
             for g in (gap.nominal, gap.recalibrated, gap.extended)]  # fmt: skip
     assert [value for _, value, _ in shown] == told
     assert [label for label, *_ in shown[:3]] == [
-        "as it stood", "recalibrated", "with valve deadband",
+        "start model", "recalibrated", "with valve deadband",
     ]  # fmt: skip
 
 
@@ -148,7 +148,7 @@ def test_every_other_verdict_has_a_page_that_says_so(named, records, verdict, ti
     assert "<svg" in html
 
 
-def test_what_none_of_the_known_explains_is_drawn_but_never_called_a_cause(named, records):
+def test_what_no_known_effect_explains_is_drawn_but_never_called_a_cause(named, records):
     html = page(as_if(named, Verdict.NONE_KNOWN), records)
     assert "Pressure block: unnamed correction" in html
     assert "not why" in html
@@ -158,14 +158,14 @@ def test_what_none_of_the_known_explains_is_drawn_but_never_called_a_cause(named
     assert "with valve deadband" not in html
 
 
-def test_two_that_are_not_told_apart_are_both_on_top_with_what_would_tell_them(named, records):
+def test_two_equal_effects_are_both_on_top_with_the_experiment_that_separates_them(named, records):
     first, rest = page(as_if(named, Verdict.AMBIGUOUS), records).split("<h2", 1)
     assert "Do not repair the rig on this evidence" in first
     assert "null staircase" in first
     assert "not told apart</td>" in rest
 
 
-def test_bad_data_have_a_page_with_the_reason_and_the_columns_as_they_came(logs, records, tmp_path):
+def test_bad_data_have_a_page_with_the_reason_and_the_columns_as_given(logs, records, tmp_path):
     stuck = replace(records[0], position_m=np.zeros(len(records[0])))
     found = diagnose([stuck], records[1:], PlantSettings())
     assert found.verdict is Verdict.BAD_DATA
@@ -182,10 +182,10 @@ def test_a_log_without_a_command_has_a_page_of_the_mechanics_alone(records):
     assert html.count('class="levels"') == 1
     assert "Pressure block" not in html
     assert "Valve command" not in html
-    assert "cut: two thirds fitted on, one judged by" in html
+    assert "cut: two thirds for the fit, one to judge by" in html
 
 
-def test_diagnose_writes_the_page_beside_the_document_even_of_bad_data(tmp_path):
+def test_diagnose_writes_page_and_document_for_bad_data_too(tmp_path):
     header, out = "t_s,valve_v,pressure_pa,position_m", tmp_path / "out"
     rows = [f"{k * 1e-3:.3f},{k % 2},{2e5 + k},0.0" for k in range(300)]
     (tmp_path / "lab.csv").write_text("\n".join([header, *rows]))
@@ -197,7 +197,7 @@ def test_diagnose_writes_the_page_beside_the_document_even_of_bad_data(tmp_path)
     assert reason.split(":")[0] in (out / "report.html").read_text()
 
 
-def test_names_of_records_stay_texts(named, records):
+def test_names_of_records_are_escaped(named, records):
     hostile = [replace(r, name=HOSTILE) for r in records]
     html = page(named, hostile)
     assert "<script" not in html
@@ -217,7 +217,7 @@ def test_the_page_of_a_minute_stays_below_a_megabyte(named, records):
 
 
 def five_times(drive: Drive) -> Drive:
-    """The same record five times, one behind the other."""
+    """The same record five times, one after the other."""
     columns = {name: np.tile(getattr(drive, name), 5) for name in ("valve_v", "driven", "measured")}
     period = float(np.median(drive.step_s))
     steps = np.concatenate([np.append(drive.step_s, period)] * 5)[:-1]
@@ -238,7 +238,7 @@ def test_the_most_telling_stretch_is_where_the_gap_opens():
 
 
 @pytest.mark.parametrize("verdict", [Verdict.NAMED, Verdict.NONE_KNOWN])
-def test_a_phone_shows_the_page_without_a_word_of_complaint(named, records, tmp_path, verdict):
+def test_the_page_fits_a_phone_and_the_console_stays_empty(named, records, tmp_path, verdict):
     file = tmp_path / "report.html"
     file.write_text(page(as_if(named, verdict), records), encoding="utf-8")
     found, console, asked = look(file, tmp_path, width=390)

@@ -1,4 +1,4 @@
-"""Intervals hold the truth about as often as they say, and what the integrator does is told."""
+"""Intervals hold the truth about as often as stated, and include the integrator's error."""
 
 from __future__ import annotations
 
@@ -10,24 +10,21 @@ from support.made_records import measured, pair
 
 from pamctl.diagnose.fitting.candidates import list_candidates
 from pamctl.diagnose.fitting.evidence import prepare_evidence
-from pamctl.diagnose.fitting.fitted_model import Model, fit_model, recalibrate
-from pamctl.diagnose.fitting.integrator import (
-    SMALL,
-    compare_substeps,
-    describe_integrator,
-    halve_substep,
-)
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.integrator import SMALL, compare_substeps, halve_substep
 from pamctl.diagnose.fitting.intervals import FittedNumber, estimate_intervals
+from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate
+from pamctl.diagnose.report.phrases import describe_substeps
 from pamctl.plant.flat import PAPER
 from pamctl.plant.model import PlantSettings
 
 STICKY = {"stribeck.rise": 0.3, "stribeck.speed_m_per_s": 0.0075}
-"""Friction that falls so steeply with speed that the muscle moves by jumps."""
+"""Friction that falls so steeply with speed that the muscle moves in jumps."""
 
 
 @cache
 def sticky() -> Model:
-    """The true structure fitted to a rig of steep friction, simulated in far finer steps."""
+    """The true structure fitted to a rig with steep friction, simulated in much finer steps."""
     train, held = pair(**{name.replace(".", "__"): value for name, value in STICKY.items()})
     evidence = prepare_evidence(train, held, PlantSettings())
     form = next(
@@ -37,11 +34,11 @@ def sticky() -> Model:
 
 
 def of(model: Model) -> dict[str, FittedNumber]:
-    """Its numbers by name."""
+    """Return the fitted numbers by name."""
     return {number.name: number for number in estimate_intervals(model)}
 
 
-def test_intervals_of_calibrated_numbers_hold_the_truth_about_as_often_as_they_say() -> None:
+def test_intervals_of_calibrated_numbers_hold_the_truth_about_as_often_as_stated() -> None:
     inside = []
     for seed in range(6):
         off = {"stiffness_n_per_m": 9400.0 + 90.0 * seed, "damping_n_s_per_m": 560.0}
@@ -52,7 +49,7 @@ def test_intervals_of_calibrated_numbers_hold_the_truth_about_as_often_as_they_s
     assert np.mean(inside) > 0.75  # 90 %, less two standard errors of six rigs
 
 
-def test_an_interval_is_as_wide_as_the_replicas_scatter_and_they_are_few() -> None:
+def test_an_interval_counts_the_scatter_of_few_replicas() -> None:
     train, held = pair()
     model = recalibrate(prepare_evidence(train, held, PlantSettings()))
     fitted, floor = model.fit_of("pressure"), model.floors["pressure"]
@@ -64,30 +61,30 @@ def test_an_interval_is_as_wide_as_the_replicas_scatter_and_they_are_few() -> No
     assert half >= 1.796 * np.sqrt(13 / 12) * floor.shifts[:, place].std(ddof=1)
 
 
-def test_half_the_sub_step_changes_nothing_that_matters_of_the_papers_muscle() -> None:
+def test_half_the_sub_step_hardly_changes_the_papers_muscle() -> None:
     train, held = pair()
     found = compare_substeps(recalibrate(prepare_evidence(train, held, PlantSettings())))
     assert set(found) == {"pressure", "mechanics"}
     assert max(found.values()) < SMALL
-    assert describe_integrator(found) == ""
+    assert describe_substeps(found) == ""
 
 
-def test_half_the_sub_step_is_half_of_it() -> None:
+def test_half_the_sub_step_means_twice_the_steps() -> None:
     train, held = pair()
     drives = prepare_evidence(train, held, PlantSettings()).train["pressure"]
     assert [d.steps for d in halve_substep(drives)] == [2 * d.steps for d in drives]
 
 
-def test_an_integrator_too_coarse_for_steep_friction_is_told() -> None:
+def test_an_integrator_too_coarse_for_steep_friction_is_reported() -> None:
     found = compare_substeps(sticky())
     assert found["mechanics"] > SMALL
-    said = describe_integrator(found)
+    said = describe_substeps(found)
     assert "mechanics by" in said
     assert "pressure" not in said
 
 
 @pytest.mark.parametrize("name", STICKY)
-def test_intervals_have_room_for_what_a_coarse_integrator_does_to_the_numbers(name: str) -> None:
+def test_intervals_include_the_error_of_a_coarse_integrator(name: str) -> None:
     number = of(sticky())[name]
     assert number.low <= STICKY[name] <= number.high
     assert number.high - number.low < 0.25 * STICKY[name]

@@ -1,4 +1,4 @@
-"""The map of regimes marks what stands out, and noise no more often than it says."""
+"""The table of regimes marks what stands out; noise stands out no more often than stated."""
 
 from __future__ import annotations
 
@@ -8,9 +8,15 @@ from scipy.stats import kstest
 from support.made_records import measured, pair
 
 from pamctl.diagnose.fitting.evidence import prepare_evidence
-from pamctl.diagnose.fitting.false_discovery import exceedance, flag_discoveries
-from pamctl.diagnose.fitting.fitted_model import recalibrate
-from pamctl.diagnose.locate import EVENLY, RegimeMisfit, describe_worst_regimes, locate_misfits
+from pamctl.diagnose.fitting.model_fit import recalibrate
+from pamctl.diagnose.locate import (
+    EVENLY,
+    RegimeMisfit,
+    describe_worst_regimes,
+    exceedance,
+    flag_discoveries,
+    locate_misfits,
+)
 from pamctl.plant.model import PlantSettings
 
 THROMBOLYSIS = (0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344, 0.0459,
@@ -23,19 +29,19 @@ def test_the_step_up_finds_what_benjamini_and_hochberg_found() -> None:
 
 
 def test_the_step_up_looks_from_the_largest_down() -> None:
-    # Neither is below 0.025, its share if it were alone; together both are below 0.05.
+    # Alone, each must be below 0.025. Together, both may be up to 0.05.
     assert flag_discoveries([0.04, 0.045], 0.05).all()
     assert not flag_discoveries([0.04, 0.06], 0.05).any()
     assert len(flag_discoveries([], 0.05)) == 0
 
 
-def test_where_all_is_noise_anything_is_found_as_often_as_the_rate_says() -> None:
+def test_in_pure_noise_something_is_found_as_often_as_the_rate_says() -> None:
     sets = np.random.default_rng(3).random((4000, 18))
     found = np.mean([flag_discoveries(p, 0.05).any() for p in sets])
     assert found == pytest.approx(0.05, abs=3.0 * np.sqrt(0.05 * 0.95 / 4000))
 
 
-def test_of_what_is_found_no_more_is_false_than_the_rate_says() -> None:
+def test_the_share_of_false_findings_is_at_most_the_rate() -> None:
     random = np.random.default_rng(4)
     false = []
     for _ in range(2000):
@@ -55,7 +61,7 @@ def test_noise_exceeds_its_replicas_as_often_as_the_p_value_says() -> None:
     assert kstest(chances, "uniform").pvalue > 0.01
 
 
-def test_a_level_below_all_trifles_never_stands_out() -> None:
+def test_a_level_too_small_to_matter_never_stands_out() -> None:
     assert exceedance(-0.1, np.array([1.0, 1.1, 0.9])) == 1.0
 
 

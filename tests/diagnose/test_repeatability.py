@@ -1,4 +1,4 @@
-"""A real rig never reaches a simulated floor: what it does differently each time is no effect."""
+"""What a rig does differently each time is no effect: its repeatability limits the diagnosis."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEAD_BAND = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_widt
 
 
 def restless(program: str, seed: int, **hidden: float) -> Record:
-    """A run whose pressure wanders by 1.2 kPa as soon as it is not at rest, in no model's way."""
+    """A run whose pressure wanders by 1.2 kPa after the rest, as no model does."""
     record = measured(program, seed, **hidden)
     random = np.random.default_rng(100 + seed)
     kept = np.exp(-PERIOD_S / 0.1)
@@ -39,7 +39,7 @@ def found(*, again: bool, **hidden: float) -> Diagnosis:
     return diagnose(train, held, PlantSettings(), without=few)
 
 
-def test_two_runs_of_the_same_commands_are_a_repeat_and_one_run_cut_in_two_is_none() -> None:
+def test_two_runs_of_the_same_commands_are_a_repeat_and_one_run_in_two_lists_is_none() -> None:
     one, other = measured("fit", 1), measured("fit", 3)
     (repeat,) = find_repeats([one, other])
     assert (repeat.one, repeat.other, repeat.length) == (0, 1, len(one))
@@ -47,7 +47,7 @@ def test_two_runs_of_the_same_commands_are_a_repeat_and_one_run_cut_in_two_is_no
     assert find_repeats([one, measured("judge", 2)]) == ()
 
 
-def test_periods_are_repeats_once_their_past_is_the_same() -> None:
+def test_periods_with_the_same_past_are_repeats() -> None:
     command = np.where(np.arange(12_000) // 500 % 2, -5.0, 5.0)
     record = Record("squares", np.arange(12_000) * 1e-3, valve_v=command)
     (repeat,) = find_repeats([record])
@@ -56,7 +56,7 @@ def test_periods_are_repeats_once_their_past_is_the_same() -> None:
     assert repeat.length >= 7000
 
 
-def test_a_restless_rig_is_not_blamed_where_its_runs_are_repeated() -> None:
+def test_a_rig_that_wanders_is_no_discrepancy_where_its_runs_are_repeated() -> None:
     alone, repeated = found(again=False), found(again=True)
     assert alone.verdict is Verdict.NONE_KNOWN
     assert build_diagnosis_document(alone)["limits"]["pressure"]["decided_by"] == "self-simulation"
@@ -74,12 +74,12 @@ def test_an_effect_is_named_on_a_rig_that_repeats_itself_badly() -> None:
 
 
 def looped(seed: int, hand_v: float = 0.005, wander_pa: float = 0.0, **hidden: float) -> Record:
-    """A run under a loop: to the same reference each run has a command a little of its own."""
+    """A run in closed loop: the reference is the same, the command differs a little each time."""
     truth = parameters_of({name.replace("__", "."): value for name, value in hidden.items()})
     random = np.random.default_rng(seed)
-    asked_v = command_v("fit")
-    own_v = lfilter([0.1], [1.0, -0.9], random.normal(0.0, 4.0 * hand_v, len(asked_v)))
-    command = np.clip(asked_v + own_v * (np.arange(len(asked_v)) > 600), -5.0, 5.0)
+    demand_v = command_v("fit")
+    own_v = lfilter([0.1], [1.0, -0.9], random.normal(0.0, 4.0 * hand_v, len(demand_v)))
+    command = np.clip(demand_v + own_v * (np.arange(len(demand_v)) > 600), -5.0, 5.0)
     driven = drive_coupled(truth, command, PERIOD_S, steps=8)
     kept = np.exp(-PERIOD_S / 0.1)
     wander = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], random.normal(size=len(command)))
@@ -92,18 +92,18 @@ def looped(seed: int, hand_v: float = 0.005, wander_pa: float = 0.0, **hidden: f
         + random.normal(0.0, 300.0, len(wander))
         + wander_pa * wander,
         position_m=np.floor(driven.position_m / COUNT_M + random.uniform()) * COUNT_M,
-        reference_m=1e-3 * asked_v,
+        reference_m=1e-3 * demand_v,
     )
 
 
 def spread_over_noise(**loop: float) -> float:
-    """What the pressure block of two looped runs does not repeat, in deviations of its sensor."""
+    """How far the pressure block of two looped runs is from repeating itself, in deviations."""
     records = [looped(seed, **loop) for seed in (1, 2)]
     evidence = prepare_evidence(records, [], PlantSettings())
     return measure_repeatability(evidence.train["pressure"], PlantSettings(), evidence.repeated).rms
 
 
-def test_runs_to_the_same_reference_are_repeats_though_their_commands_differ() -> None:
+def test_runs_with_the_same_reference_are_repeats_though_their_commands_differ() -> None:
     one, other = looped(1), looped(2)
     (repeat,) = find_repeats([one, other])
     assert repeat.by_reference
@@ -128,20 +128,20 @@ def test_periods_of_a_reference_are_repeats() -> None:
     assert repeat.length >= 7000
 
 
-def test_what_the_model_lacks_is_no_restlessness_of_the_rig_under_a_loop() -> None:
+def test_in_closed_loop_a_missing_effect_is_not_counted_as_poor_repeatability() -> None:
     # Without the dead band the model is 60 deviations off, in both runs alike.
     assert spread_over_noise(**DEAD_BAND) < 1.3
 
 
-def test_what_the_rig_does_differently_under_a_loop_is_counted() -> None:
+def test_in_closed_loop_what_the_rig_does_differently_is_counted() -> None:
     assert 3.0 < spread_over_noise(wander_pa=1.2e3) < 5.0
 
 
-def test_a_loop_that_hunts_tells_nothing_rather_than_too_much() -> None:
+def test_a_loop_that_hunts_gives_no_repeatability_rather_than_a_wrong_one() -> None:
     assert spread_over_noise(hand_v=0.3, **DEAD_BAND) < 3.0
 
 
-def test_a_log_of_a_closed_loop_brings_its_reference() -> None:
+def test_a_log_of_a_closed_loop_holds_its_reference() -> None:
     record = record_of(GOLDEN / "qsmc.mcap")
     assert record.reference_m is not None
     assert len(record.reference_m) == len(record)

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 from support.made_records import all_but, pair
 
-import pamctl.diagnose.correction
+import pamctl.diagnose.extend
 from pamctl.compiled import compile_kernel
 from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
-from pamctl.diagnose.correction import add_correction_tables as corrected_by_table
+from pamctl.diagnose.extend import add_correction_tables
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
-from pamctl.diagnose.report.sentences import describe_correction_result
+from pamctl.diagnose.report.phrases import describe_correction
 from pamctl.plant.correction_tables import CorrectionTable, interpolate_table
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import AirState, PlantState, ValveState, vented_state
@@ -153,19 +153,17 @@ def test_a_table_that_makes_the_held_out_gap_larger_is_left_out(monkeypatch) -> 
     before = found.plant.model_copy(update={"correction": None})
     worse = found.plant.parameters.model_copy(update={"stiffness_n_per_m": 20e3})
     bad = found.plant.model_copy(update={"parameters": worse})
-    monkeypatch.setattr(
-        pamctl.diagnose.correction, "fit_correction_table", lambda drives, plant: bad
-    )
+    monkeypatch.setattr(pamctl.diagnose.extend, "fit_correction_table", lambda drives, plant: bad)
     assert found.base is not None
-    kept = corrected_by_table(found.base, before, found.holdout)
+    kept = add_correction_tables(found.base, before, found.holdout)
     assert kept.plant == before
     assert kept.after == kept.before
-    assert "left out of the model" in describe_correction_result(kept)
+    assert "left out of the model" in describe_correction(kept)
 
 
 def test_nothing_is_added_where_nobody_asks_or_nothing_is_left() -> None:
     records = without_command()
     found = diagnose(*records, PlantSettings(), without=all_but("creep"), correction=True)
     assert found.verdict is Verdict.NO_DISCREPANCY
-    assert found.corrected is None
+    assert found.correction is None
     assert found.plant.correction is None

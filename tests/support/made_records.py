@@ -6,6 +6,8 @@ import numpy as np
 
 from pamctl.control.excitation import ProgramSettings, generate_commands
 from pamctl.diagnose import Record
+from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
+from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.flat import parameters_of
@@ -68,10 +70,15 @@ def measured(program: str, seed: int = 0, **hidden: float) -> Record:
 
 
 def pair(**hidden: float) -> tuple[list[Record], list[Record]]:
-    """Return what to fit on and what to judge by."""
+    """Return the records for the fit and those to judge by."""
     return [measured("fit", 1, **hidden)], [measured("judge", 2, **hidden)]
 
 
 def all_but(*names: str) -> set[str]:
-    """Leave out the rest of the catalogue, where a test does not need it."""
+    """Return the rest of the catalogue, which a test leaves out to save time."""
     return {*CATALOGUE} - {*names}
+
+
+def find_candidate(name: str, evidence: Evidence) -> Candidate:
+    """Return the first form of an effect as a candidate."""
+    return next(c for c in list_candidates(evidence) if c.name == name)

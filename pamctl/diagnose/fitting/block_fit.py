@@ -1,8 +1,8 @@
 """Fit numbers of the plant to records, block by block, through the simulation's own integrator.
 
-Output-error form: a block runs freely from the vented rest, driven by the other block's
-measured signal, and its output is compared with the sensor. Residuals are counted in
-deviations of the sensor, so that both blocks weigh alike.
+Output-error form: a block runs freely from the vented rest, driven by the other block's measured
+signal, and its output is compared with the sensor. The unit of a residual is the standard
+deviation of the sensor, so that both blocks weigh the same.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from pamctl.plant.model import PlantSettings
 
 @dataclass(frozen=True)
 class Effort:
-    """How far a fit is driven."""
+    """How far the optimiser goes."""
 
     evaluations: int
     tolerance: float
     updates: int = 0
-    """So many times derivatives are carried on by a rank-one update before they are made anew."""
+    """Rank-one updates of the derivatives before they are computed again."""
 
 
 QUICK = Effort(8, 1e-3, updates=2)
@@ -36,17 +36,17 @@ QUICK = Effort(8, 1e-3, updates=2)
 FULL = Effort(15, 1e-6)
 """For numbers that are reported."""
 STEP = 3e-3
-"""Of a scale, for a derivative. The simulation is exact between events, so that a short step is
-no worse than its rounding; a step a tenth long moves when the muscle sticks and slips, and such a
-slope stops a fit in the valley of braid, stiffness and friction, well above its floor."""
+"""Step of a derivative, in scales of the number. The simulation is exact between events, so a short
+step costs only rounding. A step of 0.1 moves the moments at which the muscle sticks and slips; with
+such slopes a fit stops in the valley of braid, stiffness and friction, well above its floor."""
 LONG_STEP = 3e-2
-"""To look beyond a kink, where the muscle begins to stick in another place."""
+"""Step that reaches beyond a kink, where the muscle begins to stick in another place."""
 STUCK = 3
-"""The optimiser's word for steps that shrank to nothing on a slope."""
+"""The optimiser's status for steps that became too small on a slope."""
 ROBUST = 10.0
-"""Residuals beyond so many times the usual one pull linearly only."""
+"""Residuals above this multiple of the usual one count linearly, not by their square."""
 HALVINGS = 10
-"""Of a start from which the model runs away, until its effects are as good as neutral."""
+"""Halvings of the effects at a start from which the model runs away; then they are neutral."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Fit:
     free: tuple[FreeNumber, ...]
     drives: tuple[Drive, ...]
     residual: Array
-    """At the solution, all drives one behind the other."""
+    """At the solution; all drives, one after the other."""
 
     @cached_property
     def jacobian(self) -> Array:
@@ -66,7 +66,7 @@ class Fit:
 
     @cached_property
     def mean_square(self) -> float:
-        """Of the residual, in deviations of the sensor."""
+        """Mean square of the residual, in squared deviations of the sensor."""
         return float(np.mean(self.residual**2))
 
     @property
@@ -76,7 +76,7 @@ class Fit:
 
     @property
     def at_bound(self) -> tuple[str, ...]:
-        """Numbers that ended at an end of their range, a neutral value left out."""
+        """Numbers at an end of their range; an effect at its neutral value does not count."""
         return tuple(
             free.name
             for free in self.free
@@ -94,10 +94,10 @@ class _Slope:
     residual: Array
     jacobian: Array
     age: int = 0
-    """Updates since they were made."""
+    """Updates since the derivatives were computed."""
 
     def carry_to(self, vector: Array, residual: Array) -> _Slope:
-        """Return the nearest derivatives that agree with the step just done (Broyden's update)."""
+        """Return the nearest derivatives that agree with the last step (Broyden's update)."""
         step = vector - self.vector
         missed = residual - self.residual - self.jacobian @ step
         jacobian = self.jacobian + np.outer(missed, step / (step @ step))
@@ -110,78 +110,103 @@ def fit_numbers(
     free: Sequence[FreeNumber],
     effort: Effort = FULL,
 ) -> Fit:
-    """Fit `free` from where `start` stands; robust against what the model cannot show."""
+    """Fit the numbers `free` from the values of `start`; robust to what the model cannot show."""
     drives, free = tuple(drives), tuple(free)
     if not free:
         return Fit(start, (), drives, stack_residuals(drives, start))
-    start, begun = _tame_start(drives, start, free)
-    scale = np.array([f.scale for f in free])
-    low = np.array([f.low for f in free]) / scale
-    high = np.array([f.high for f in free]) / scale
-    first = np.array([value_of(start, f.name) for f in free]) / scale
-    first = np.clip(first, low, high)
-    knee = ROBUST * max(float(np.median(np.abs(begun))) / 0.6745, 1.0)
+    start, first_residual = _tame_start(drives, start, free)
+    knee = ROBUST * max(float(np.median(np.abs(first_residual))) / 0.6745, 1.0)
+    problem = _LeastSquares(drives, start, free, effort, knee)
+    result = problem.descend(problem.first, STEP)
+    if result.status == STUCK:
+        over = problem.descend(problem.descend(result.x, LONG_STEP).x, STEP)
+        result = min(result, over, key=lambda r: float(r.cost))
+    settings = problem.settings_at(result.x)
+    return Fit(settings, free, drives, stack_residuals(drives, settings))
 
-    def settings_at(vector: Array) -> PlantSettings:
-        numbers = dict(zip((f.name for f in free), np.clip(vector, low, high) * scale, strict=True))
-        return with_values(start, numbers)
 
-    known: list[tuple[Array, Array]] = []  # the optimiser asks for the slope where it just was
+class _LeastSquares:
+    """A fit as the optimiser sees it: a vector of numbers in their scales, and the residual."""
 
-    def residual_at(vector: Array) -> Array:
-        known[:] = [*known[-1:], (vector.copy(), stack_residuals(drives, settings_at(vector)))]
-        return known[-1][1]
+    def __init__(
+        self,
+        drives: Sequence[Drive],
+        start: PlantSettings,
+        free: Sequence[FreeNumber],
+        effort: Effort,
+        knee: float,
+    ) -> None:
+        self.drives, self.start, self.free = drives, start, free
+        self.effort, self.knee = effort, knee
+        self.scale = np.array([f.scale for f in free])
+        self.low = np.array([f.low for f in free]) / self.scale
+        self.high = np.array([f.high for f in free]) / self.scale
+        values = np.array([value_of(start, f.name) for f in free])
+        self.first: Array = np.clip(values / self.scale, self.low, self.high)
+        # The optimiser needs the slope where it has just computed the residual.
+        self._last_residuals: list[tuple[Array, Array]] = []
+        self._slope: _Slope | None = None
 
-    def slope_at(vector: Array, step: float, last: list[_Slope]) -> Array:
-        here = next((r for v, r in known if np.array_equal(v, vector)), None)
-        settings = settings_at(vector)
-        residual = stack_residuals(drives, settings) if here is None else here
-        if last and last[0].age < effort.updates and not np.array_equal(last[0].vector, vector):
-            last[0] = last[0].carry_to(vector, residual)
-        else:
-            slope = sensitivity(drives, settings, free, residual, step)
-            last[:] = [_Slope(vector.copy(), residual.copy(), slope)]
-        return last[0].jacobian.copy()  # the optimiser scales in place what it is given
-
-    def descended(vector: Array, step: float) -> OptimizeResult:
-        last: list[_Slope] = []
+    def descend(self, vector: Array, step: float) -> OptimizeResult:
+        """Minimise from a vector, with derivatives by differences of `step` scales."""
+        self._slope = None
         return least_squares(
-            residual_at,
+            self._residual_at,
             vector,
-            lambda v: slope_at(v, step, last),
-            bounds=(low, high),
+            lambda v: self._jacobian_at(v, step),
+            bounds=(self.low, self.high),
             method="dogbox",
             loss="soft_l1",
-            f_scale=knee,
-            ftol=effort.tolerance,
+            f_scale=self.knee,
+            ftol=self.effort.tolerance,
             xtol=1e-6,
             gtol=1e-10,
-            max_nfev=effort.evaluations,
+            max_nfev=self.effort.evaluations,
         )
 
-    found = descended(first, STEP)
-    if found.status == STUCK:
-        over = descended(descended(found.x, LONG_STEP).x, STEP)
-        found = min(found, over, key=lambda result: float(result.cost))
-    settings = settings_at(found.x)
-    return Fit(settings, free, drives, stack_residuals(drives, settings))
+    def settings_at(self, vector: Array) -> PlantSettings:
+        """Return the plant with the numbers of a vector."""
+        values = np.clip(vector, self.low, self.high) * self.scale
+        return with_values(self.start, dict(zip((f.name for f in self.free), values, strict=True)))
+
+    def _residual_at(self, vector: Array) -> Array:
+        residual = stack_residuals(self.drives, self.settings_at(vector))
+        self._last_residuals = [*self._last_residuals[-1:], (vector.copy(), residual)]
+        return residual
+
+    def _jacobian_at(self, vector: Array, step: float) -> Array:
+        known = (r for v, r in self._last_residuals if np.array_equal(v, vector))
+        settings, last = self.settings_at(vector), self._slope
+        residual = next(known, None)
+        if residual is None:
+            residual = stack_residuals(self.drives, settings)
+        if (
+            last is not None
+            and last.age < self.effort.updates
+            and not np.array_equal(last.vector, vector)
+        ):
+            self._slope = last.carry_to(vector, residual)
+        else:
+            jacobian = sensitivity(self.drives, settings, self.free, residual, step)
+            self._slope = _Slope(vector.copy(), residual.copy(), jacobian)
+        return self._slope.jacobian.copy()  # the optimiser scales its argument in place
 
 
 def _tame_start(
     drives: Sequence[Drive], start: PlantSettings, free: Sequence[FreeNumber]
 ) -> tuple[PlantSettings, Array]:
-    """Draw a start from which the model runs away back to its effects' neutral values.
+    """Move a start from which the model runs away towards its effects' neutral values.
 
-    There no slope shows the way. Returns the start and its residual.
+    Where the model runs away, no slope shows the way. Returns the start and its residual.
     """
     effects = [f.name for f in free if f.effect]
     for _ in range(HALVINGS):
-        begun = stack_residuals(drives, start)
-        if np.max(np.abs(begun)) < 0.5 * RUNAWAY:
+        residual = stack_residuals(drives, start)
+        if np.max(np.abs(residual)) < 0.5 * RUNAWAY:
             break
         nearer = {name: 0.5 * (value_of(start, name) + NEUTRAL[name]) for name in effects}
         start = with_values(start, nearer)
-    return start, begun
+    return start, residual
 
 
 def sensitivity(
@@ -191,7 +216,7 @@ def sensitivity(
     residual: Array,
     step: float = STEP,
 ) -> Array:
-    """Derivatives of the stacked residual by each number in units of its scale, shape (n, p)."""
+    """Return derivatives of the stacked residual by each number in its scale, shape (n, p)."""
     columns = [_derivative(drives, settings, f, residual, step * f.scale) for f in free]
     return np.column_stack(columns) if columns else np.zeros((len(residual), 0))
 
@@ -206,6 +231,18 @@ def _derivative(
     return (stack_residuals(drives, moved) - residual) * (free.scale / step)
 
 
+def secant(fitted: Fit, values: dict[str, float]) -> Array:
+    """Return by how much these values move the simulated outputs, in deviations of the sensors."""
+    moved = stack_residuals(fitted.drives, with_values(fitted.settings, values))
+    return fitted.residual - moved
+
+
+def project_out(basis: Array, vectors: Array) -> Array:
+    """Remove the part of the vectors that lies in the span of an orthonormal basis."""
+    rest: Array = vectors - basis @ (basis.T @ vectors)
+    return rest
+
+
 def rms(residual: Array) -> float:
-    """Root mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(residual**2)))

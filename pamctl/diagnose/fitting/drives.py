@@ -2,7 +2,7 @@
 
     pressure block:  u, measured x -> P          mechanics block:  measured P -> x
 
-A block that is innocent then stays at its noise floor whatever the other one hides.
+A block without a fault then stays at its noise floor, whatever the other block hides.
 """
 
 from __future__ import annotations
@@ -32,49 +32,50 @@ from pamctl.plant.parameters import PlantParameters, rest_state
 PRESSURE, MECHANICS = "pressure", "mechanics"
 
 SMOOTH_HZ = 60.0
-"""Of a measured pressure before it drives the mechanics: friction rectifies its noise."""
-VENTED_PA = 20e3
-"""A sensor's zero may be off by so much; a muscle that starts higher does not start vented."""
+"""Cutoff for a measured pressure before it drives the mechanics: friction rectifies its noise."""
 MODELLED_HZ = 1.0
-"""The same, of what is left of it beside a pressure block that is at its floor."""
+"""Cutoff for measured minus modelled pressure where the pressure block is at its floor."""
+VENTED_PA = 20e3
+"""Tolerance of a sensor's zero; a muscle that starts higher does not start vented."""
 SETTLED_MS = 1000
-"""Milliseconds after which a muscle stands still."""
+"""Time after which a muscle stands still (ms)."""
 RUNAWAY = 1e6
-"""Deviations: the residual of a model that runs away, as a spring with a negative rate does."""
+"""Residual of a model that runs away, in deviations of the sensor. A spring with a negative rate
+does so."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """One record as one block sees it: what goes in, and what should come out."""
+    """One record for one block: the inputs, and the measured output."""
 
     block: str
     name: str
     step_s: Array
     """Time from each sample to the next, shape (n - 1,)."""
     valve_v: Array
-    """Command after each sample, shape (n,); of the mechanics, zeros."""
+    """Command after each sample, shape (n,); zeros for the mechanics."""
     driven: Array
     """Position (pressure block) or pressure (mechanics), smoothed, shape (n,)."""
     cutoff_hz: float
-    """How strongly the noise of `driven` is smoothed; 0 for the encoder's 15 samples."""
+    """Cutoff of the filter on `driven`; 0 stands for the cubic over 15 samples."""
     measured: Array
-    """What the block should show, shape (n,)."""
+    """Measured output of the block, shape (n,)."""
     deviation: float
-    """Residuals are counted in it: at first the sensor's own."""
+    """Unit of the residuals: the sensor's standard deviation, or a weight given by `Evidence`."""
     slack: float
-    """How far off the measurement's zero may be: a converter's step, or more where the encoder
-    was zeroed on a muscle that a leak had filled a little."""
+    """Tolerance of the measurement's zero: a converter's step, or more where the encoder was zeroed
+    on a muscle that a leak had filled a little."""
     start: float
-    """Where the block is at first: atmospheric pressure, or the position at rest."""
+    """Initial output of the block: atmospheric pressure, or the position at rest."""
     steps: int = STEPS_A_TICK
     has_position: bool = True
-    """False of a pressure block whose position was not measured: then the model moves itself."""
+    """False for a pressure block whose position was not measured: the model then simulates it."""
     rows: NDArray[np.bool_] | None = None
-    """Which samples count, shape (n,); None for all."""
+    """The samples that count, shape (n,); None for all."""
 
     @property
     def samples(self) -> int:
-        """How many samples count."""
+        """Number of samples that count."""
         return len(self.measured) if self.rows is None else int(self.rows.sum())
 
     @cached_property
@@ -83,11 +84,11 @@ class Drive:
         return build_grid(self.step_s, len(self.measured), self.steps)
 
     def simulate(self, settings: PlantSettings) -> Array:
-        """Simulate the block; return what its sensor would show without noise."""
+        """Simulate the block; return the output of its sensor without noise."""
         return self.simulate_with(plant_parameters(settings))
 
     def simulate_with(self, p: PlantParameters) -> Array:
-        """Simulate the block with the numbers that the kernels use."""
+        """Simulate the block with the kernels' parameters."""
         if not self.has_position:
             return drive_coupled(p, self.valve_v, self.grid).pressure_pa
         if self.block == PRESSURE:
@@ -98,7 +99,7 @@ class Drive:
         return drive_mechanics(p, self.driven, self.grid, start=start).position_m
 
     def resting_gauge_pa(self, settings: PlantSettings, samples: int) -> float:
-        """Return the true pressure above the atmosphere's that the valve leaves at rest."""
+        """Return the true gauge pressure that the valve leaves at rest."""
         p = plant_parameters(settings)
         if not (self.has_position and samples):
             return 0.0
@@ -121,13 +122,13 @@ class Drive:
         return error / self.deviation
 
     def random_generator(self, *key: int) -> np.random.Generator:
-        """Return random numbers that are this record's own, and the same for the same key."""
+        """Return a random generator that is fixed by this record and the key."""
         return np.random.default_rng([crc32(self.measured.tobytes()), *key])
 
     def draw_disturbance(self, noise: Noise, replica: int) -> Array:
-        """Draw noise of the driving signal, smoothed as the signal itself was, shape (n,).
+        """Draw noise of the driving signal, smoothed like the signal itself, shape (n,).
 
-        Kept: every model's floor is found with the same noise, and differs by the model alone.
+        The draws are kept: the floors of all models use the same noise.
         """
         if replica not in self._disturbances:
             drawn = noise.simulate_sensor(
@@ -169,8 +170,8 @@ def prepare_mechanics_drive(
 ) -> Drive:
     """Prepare a record for the mechanical block.
 
-    `modelled_pa` is the pressure block's own account of the measured pressure: only the
-    difference to it is smoothed then, so that steep flanks stay as they are.
+    `modelled_pa` is the pressure block's simulation of the measured pressure. With it, only the
+    difference is smoothed, so that steep flanks stay as they are.
     """
     noise = noises["position_m"]
     base = 0.0 if modelled_pa is None else modelled_pa
@@ -189,14 +190,14 @@ def prepare_mechanics_drive(
 
 
 def contraction_m(settings: PlantSettings, gauge_pa: float) -> float:
-    """Return how far a muscle moves, from the vented rest, under a constant pressure."""
+    """Return how far a constant pressure moves a muscle from its vented rest."""
     p = plant_parameters(settings)
     steady_pa = np.full(SETTLED_MS, p.atmospheric_pressure_pa + gauge_pa)
     return float(drive_mechanics(p, steady_pa, 1e-3).position_m[-1])
 
 
 def prepare_force_drive(record: Record, noises: dict[str, Noise]) -> Drive:
-    """Prepare a record of a mechanism that a measured force drives, no muscle between."""
+    """Prepare a record of a mechanism that a measured force drives, without a muscle."""
     noise = noises["position_m"]
     return Drive(
         MECHANICS,
@@ -213,13 +214,13 @@ def prepare_force_drive(record: Record, noises: dict[str, Noise]) -> Drive:
 
 
 def initial_position_m(record: Record, noise: Noise) -> float:
-    """Where the muscle rests at first: at zero, unless the encoder clearly says otherwise."""
+    """Return the initial position: zero, unless the encoder clearly shows another."""
     position_m = float(np.mean(record["position_m"][: max(min(record.rest_samples, 500), 1)]))
     return position_m if abs(position_m) > 3.0 * max(noise.resolution, 1e-6) else 0.0
 
 
 def _initial_pressure_pa(record: Record, noise: Noise, atmosphere_pa: float) -> float:
-    """Return the pressure at first: the atmosphere's, where that is within a sensor's tolerance."""
+    """Return the initial pressure: the atmosphere's, if within the sensor's tolerance."""
     count = max(min(record.rest_samples, 500), 1)
     pressure_pa = float(np.mean(record["pressure_pa"][:count]))
     near = abs(pressure_pa - atmosphere_pa) < max(VENTED_PA, 5.0 * noise.deviation)
@@ -227,15 +228,15 @@ def _initial_pressure_pa(record: Record, noise: Noise, atmosphere_pa: float) -> 
 
 
 def _smooth_signal(values: Array, period_s: float, cutoff_hz: float) -> Array:
-    """Smooth without delay: second order both ways, or a cubic over 15 samples."""
+    """Smooth without delay: second order in both directions, or a cubic over 15 samples."""
     if cutoff_hz == 0.0:
         cubic: Array = savgol_filter(values, 15, 3)
         return cubic
     relative = 2.0 * cutoff_hz * period_s
     if relative >= 0.9:
         return values
-    # Mirrored at the ends for a whole period: else the filter would start from a single noisy
-    # sample, and the muscle, which at rest follows every pascal, with it.
+    # The ends are mirrored for a whole period. Otherwise the filter starts from a single noisy
+    # sample, and the muscle at rest follows every pascal of it.
     mirrored = min(round(2.0 / relative), len(values) - 1)
     smooth: Array = sosfiltfilt(
         butter(2, relative, output="sos"), values, padtype="even", padlen=mirrored
@@ -244,6 +245,6 @@ def _smooth_signal(values: Array, period_s: float, cutoff_hz: float) -> Array:
 
 
 def stack_residuals(drives: Sequence[Drive], settings: PlantSettings) -> Array:
-    """Return the residuals of several drives, one behind the other."""
+    """Return the residuals of several drives, one after the other."""
     p = plant_parameters(settings)
     return np.concatenate([drive.residual_of(drive.simulate_with(p)) for drive in drives])

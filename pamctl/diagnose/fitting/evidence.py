@@ -1,4 +1,4 @@
-"""What a diagnosis goes by: the drives of both blocks, and how well the sensors see."""
+"""The evidence of a diagnosis: the drives of both blocks, and the sensors' noise."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pamctl.diagnose.measured.sensor_noise import Noise, estimate_channel_noise
 from pamctl.plant.model import PlantSettings
 
 SMALLEST_MISFIT = {"pressure_pa": 60.0, "position_m": 3.2e-6}
-"""A misfit below is of no interest, however significant; by channel."""
+"""A smaller misfit does not matter, however significant it is; by channel, in SI."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class Evidence:
     noises: dict[str, Noise]
     """By channel."""
     together: Mapping[str, tuple[Drive, ...]] = field(default_factory=dict)
-    """The training drives as a fit of both blocks counts them; empty where none is made."""
+    """Training drives for a fit of both blocks, weighed against each other; may be empty."""
     repeated: tuple[Repeat, ...] = ()
-    """Where the same commands come again; records counted through `train`, then `holdout`."""
+    """Where the same commands come again; records are numbered through `train`, then `holdout`."""
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -50,28 +50,27 @@ class Evidence:
         return tuple(self.train)
 
     def margin(self, block: str) -> float:
-        """Return the smallest misfit that matters, counted as the block's residuals are."""
+        """Return the smallest misfit that matters, in the unit of the block's residuals."""
         drive = self.train[block][0]
         channel = "pressure_pa" if block == PRESSURE else "position_m"
-        # Of a poor sensor a fifth of its noise.
+        # For a poor sensor: a fifth of its noise.
         return max(SMALLEST_MISFIT[channel], 0.2 * self.noises[channel].total) / drive.deviation
 
     def weigh_by_floors(self, floors: Mapping[str, Floor]) -> Evidence:
-        """Return the evidence with each block's residuals counted by what they are worth.
+        """Return the evidence with weights for a fit of both blocks.
 
-        A fit of both blocks weighs them by it. The mechanics' floor is several counts of the
-        encoder, and slow: counted in deviations of the sensor it would outweigh a pressure whose
-        noise forgets at once, and bend to itself what both share.
+        The mechanics' floor is several counts of the encoder, and slow. In deviations of the
+        sensor it would outweigh the pressure, whose noise is white, and distort what both share.
         """
 
-        def recounted(block: str, drives: Sequence[Drive]) -> tuple[Drive, ...]:
-            worth = floors[block].mean * float(np.sqrt(floors[block].memory))
-            return tuple(replace(d, deviation=d.deviation * worth) for d in drives)
+        def weigh_drives(block: str, drives: Sequence[Drive]) -> tuple[Drive, ...]:
+            weight = floors[block].mean * float(np.sqrt(floors[block].memory))
+            return tuple(replace(d, deviation=d.deviation * weight) for d in drives)
 
-        return replace(self, together={b: recounted(b, d) for b, d in self.train.items()})
+        return replace(self, together={b: weigh_drives(b, d) for b, d in self.train.items()})
 
     def training_drives(self, blocks: Collection[str]) -> tuple[Drive, ...]:
-        """Return the drives that a fit of these blocks goes by."""
+        """Return the drives for a fit of these blocks."""
         drives = self.together if self.together and len(blocks) > 1 else self.train
         return tuple(d for b in self.blocks if b in blocks for d in drives[b])
 
@@ -89,29 +88,31 @@ def prepare_evidence(
     train: Sequence[Record], holdout: Sequence[Record], nominal: PlantSettings
 ) -> Evidence:
     """Prepare records; noise is estimated from all of them together."""
-    everything = [*train, *holdout]
+    records = [*train, *holdout]
+    measured = records[0].channels
     noises = {
-        channel: estimate_channel_noise(everything, channel)
+        channel: estimate_channel_noise(records, channel)
         for channel in CHANNELS
-        if channel != "valve_v" and channel in everything[0].channels
+        if channel != "valve_v" and channel in measured
     }
-    measured = everything[0].channels
-    # A single run that is cut is in both parts, and no repeat of itself.
+    # A single run that is cut is in both lists; it does not repeat itself.
     different = [*train, *(r for r in holdout if all(r is not t for t in train))]
     evidence = Evidence(nominal, {}, {}, noises, repeated=find_repeats(different))
-    drivers: dict[str, Callable[[Record], Drive]] = {}
+    preparers: dict[str, Callable[[Record], Drive]] = {}
     atmosphere_pa = nominal.parameters.atmospheric_pressure_pa
     if nominal.actuator == "direct":
         if {"force_n", "position_m"} <= {*measured}:
-            drivers[MECHANICS] = lambda record: prepare_force_drive(record, noises)
+            preparers[MECHANICS] = lambda record: prepare_force_drive(record, noises)
     else:
         if {"valve_v", "pressure_pa"} <= {*measured}:
-            drivers[PRESSURE] = lambda record: prepare_pressure_drive(record, noises, atmosphere_pa)
+            preparers[PRESSURE] = lambda record: prepare_pressure_drive(
+                record, noises, atmosphere_pa
+            )
         if {"position_m", "pressure_pa"} <= {*measured}:
-            drivers[MECHANICS] = lambda record: prepare_mechanics_drive(record, noises)
-    for block, driver in drivers.items():
-        evidence.train[block] = tuple(map(driver, train))
-        evidence.holdout[block] = tuple(map(driver, holdout))
+            preparers[MECHANICS] = lambda record: prepare_mechanics_drive(record, noises)
+    for block, prepare in preparers.items():
+        evidence.train[block] = tuple(map(prepare, train))
+        evidence.holdout[block] = tuple(map(prepare, holdout))
     return evidence
 
 
@@ -123,34 +124,37 @@ def with_modelled_pressure(
     *,
     trusted: bool,
 ) -> Evidence:
-    """Drive the mechanics by the pressure block's account of the measured pressure.
+    """Drive the mechanics with the pressure block's simulation of the measured pressure.
 
-    Where the account is trusted, being at its floor, hardly any sensor noise is left.
+    If the simulation is trusted, because it is at its floor, hardly any sensor noise is left.
     """
     cutoff_hz = MODELLED_HZ if trusted else SMOOTH_HZ
 
-    def driven_by(record: Record, pressure: Drive) -> Drive:
+    def prepare_drive(record: Record, pressure: Drive) -> Drive:
         modelled_pa = _hold_rest_pressure(pressure.simulate(pressure_model), record.rest_samples)
         drive = prepare_mechanics_drive(record, evidence.noises, modelled_pa, cutoff_hz)
         gauge_pa = pressure.resting_gauge_pa(pressure_model, record.rest_samples) if trusted else 0
         moved_m = contraction_m(evidence.nominal, gauge_pa) if gauge_pa > 0.0 else 0.0
         if drive.start or moved_m <= drive.slack:
             return drive
-        # The encoder was zeroed where the muscle rested, and a leak held that up a little.
+        # The encoder was zeroed while a leak kept the muscle slightly contracted.
         return replace(drive, start=moved_m, slack=moved_m)
 
-    def driven(records: Sequence[Record], drives: Sequence[Drive]) -> tuple[Drive, ...]:
-        return tuple(driven_by(r, d) for r, d in zip(records, drives, strict=True))
+    def prepare_drives(records: Sequence[Record], drives: Sequence[Drive]) -> tuple[Drive, ...]:
+        return tuple(prepare_drive(r, d) for r, d in zip(records, drives, strict=True))
 
     return replace(
         evidence,
-        train={**evidence.train, MECHANICS: driven(train, evidence.train[PRESSURE])},
-        holdout={**evidence.holdout, MECHANICS: driven(holdout, evidence.holdout[PRESSURE])},
+        train={**evidence.train, MECHANICS: prepare_drives(train, evidence.train[PRESSURE])},
+        holdout={
+            **evidence.holdout,
+            MECHANICS: prepare_drives(holdout, evidence.holdout[PRESSURE]),
+        },
     )
 
 
 def _hold_rest_pressure(pressure_pa: Array, samples: int) -> Array:
-    """Let a model that began at the atmosphere's pressure rest where it came to rest."""
+    """Replace the rest at the start by the pressure at which the model settles there."""
     if not samples:
         return pressure_pa
     steady_pa = pressure_pa.copy()

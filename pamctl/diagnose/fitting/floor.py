@@ -1,9 +1,9 @@
-"""The floor: the residual that this very model leaves on data that it generated itself.
+"""The floor: the residual that a model leaves on data that it generated itself.
 
-A p-value would call every trifle significant: residuals are autocorrelated, and the noise
-of the pressure is rectified by friction. So the model is simulated on the same commands,
-given the same noise and converters, put through the same smoothing and refitted; what then
-remains on the held-out records is what a perfect model leaves.
+A p-value would call every small misfit significant: residuals are autocorrelated, and friction
+rectifies the noise of the pressure. Instead the model is simulated on the same commands, with the
+same noise, converters and smoothing, and refitted. The residual on the held-out records is then
+what a perfect model leaves.
 """
 
 from __future__ import annotations
@@ -22,46 +22,46 @@ from pamctl.plant.model import PlantSettings
 
 REPLICAS = 12
 LIMIT_SIGMAS = 3.0
-"""Of the scatter: the few slow waves that a short record holds may all be high ones, and what a
-named effect leaves must not be called unexplained for it."""
+"""Limit above the mean, in scatters. A short record holds few slow waves, and all may be high; what
+a named effect leaves must not count as unexplained for that."""
 STRETCH_S = 0.25
-"""Residuals so far apart are taken to have forgotten each other."""
+"""Residuals this far apart count as independent."""
 
 
 @dataclass(frozen=True)
 class Floor:
-    """What a perfect model would leave of one block on the held-out drives."""
+    """What a perfect model leaves of one block on the held-out drives."""
 
     mean: float
     """RMS in deviations of the sensor."""
     scatter: float
+    """Standard deviation over the replicas."""
     limit: float
-    """What lies above is a discrepancy: the replicas' 95 % quantile or three sigma, and a
+    """A residual above is a discrepancy: the replicas' 95 % quantile or three sigma, and a
     practical margin."""
     shifts: Array
-    """How far noise alone moved the fitted numbers, in their scales, (replicas, p)."""
+    """How far noise alone moves the fitted numbers, in their scales, shape (replicas, p)."""
     spread: Array
-    """RMS of each replica on the held-out drives."""
+    """RMS of each replica on the held-out drives, shape (replicas,)."""
     memory: float = 1.0
-    """How many samples of such a residual are one piece of news."""
+    """Number of samples of such a residual that are worth one independent sample."""
     repeatability: float = 0.0
     """The limit that the rig's own repeatability sets; 0 where nothing is repeated."""
 
-    def with_repeatability(self, found: RepeatSpread) -> Floor:
+    def with_repeatability(self, spread: RepeatSpread) -> Floor:
         """Raise the limit to what the rig itself does differently each time.
 
-        What it does beyond the floor counts with two sigma of its uncertainty. It is not held
-        down to the sensor's noise as the simulated floor is: no error of the model is in it,
-        since that is the same in both runs.
+        The spread beyond the floor counts with two sigma of its uncertainty. It contains no error
+        of the model, which is the same in both runs.
         """
-        beyond = float(np.sqrt(max(found.rms**2 - self.mean**2, 0.0)))
-        level = float(np.hypot(self.mean, beyond * (1.0 + 2.0 * found.uncertainty)))
-        level = level if found.rms else 0.0
+        beyond = float(np.sqrt(max(spread.rms**2 - self.mean**2, 0.0)))
+        level = float(np.hypot(self.mean, beyond * (1.0 + 2.0 * spread.uncertainty)))
+        level = level if spread.rms else 0.0
         return replace(self, limit=max(self.limit, level), repeatability=level)
 
     @property
     def decided_by(self) -> str:
-        """Say which of the two is the limit."""
+        """Name what sets the limit: `repeatability` or `self-simulation`."""
         return "repeatability" if self.limit == self.repeatability else "self-simulation"
 
 
@@ -73,34 +73,33 @@ def simulate_floor(
     margin: float,
     replicas: int = REPLICAS,
 ) -> Floor:
-    """Simulate the fitted plant with noise, refit, and measure the rest on `holdout`, of one block.
+    """Return the floor of one block: simulate with noise, refit, measure the rest on `holdout`.
 
-    What was fitted on both blocks is refitted on both: each steadies the numbers of the other.
-
-    `margin` is the smallest excess that matters, in deviations of the sensor. The refit is
-    one Gauss-Newton step on the fit's own derivatives: noise moves the numbers but little.
+    A fit of both blocks is refitted on both. `margin` is the smallest excess that matters, in
+    deviations of the sensor. The refit is one Gauss-Newton step with the fit's own derivatives:
+    noise moves the numbers only a little.
     """
-    made = imitate_records(fitted, holdout, noises, replicas=replicas)
-    spread = np.array([rms(imitation.residual) for imitation in made])
-    memories = [_estimate_memory(imitation.noise, holdout) for imitation in made]
+    replicates = imitate_records(fitted, holdout, noises, replicas=replicas)
+    spread = np.array([rms(imitation.residual) for imitation in replicates])
+    memories = [_estimate_memory(imitation.noise, holdout) for imitation in replicates]
     mean = float(spread.mean())
     scatter = float(spread.std(ddof=1))
     sensor = sensor_noise_of(holdout, noises)
     high = max(float(np.quantile(spread, 0.95)), mean + LIMIT_SIGMAS * scatter)
     high *= 1.0 + 2.0 * sensor.uncertainty
     limit, memory = float(np.hypot(high, margin)), max(float(np.mean(memories)), 1.0)
-    shifts = np.array([imitation.shift for imitation in made])
+    shifts = np.array([imitation.shift for imitation in replicates])
     return Floor(mean, scatter, limit, shifts, spread, memory)
 
 
 @dataclass(frozen=True)
 class Imitation:
-    """One replica of the records: what noise alone leaves and moves."""
+    """One replica of the records: the residual and the shift that noise alone causes."""
 
     residual: Array
     """On the held-out drives, after the refit."""
     shift: Array
-    """Of the fitted numbers, in their scales."""
+    """Shift of the fitted numbers, in their scales, shape (p,)."""
     noise: Array
     """The residual before the refit."""
 
@@ -112,8 +111,8 @@ def imitate_records(
     *,
     replicas: int = REPLICAS,
 ) -> list[Imitation]:
-    """Make records of the fitted plant with noise anew, and refit; each time the same ones."""
-    made = []
+    """Simulate records of the fitted plant with new noise, and refit; the noise is reproducible."""
+    replicates = []
     ideal_train = [d.simulate(fitted.settings) for d in fitted.drives]
     ideal_hold = [d.simulate(fitted.settings) for d in holdout]
     hold_slope = sensitivity(
@@ -129,17 +128,17 @@ def imitate_records(
         train = _simulate_replica(fitted.drives, ideal_train, fitted.settings, noises, replica)
         hold = _simulate_replica(holdout, ideal_hold, fitted.settings, noises, replica)
         shift = -(inverse @ train) if fitted.free else np.zeros(0)
-        made.append(Imitation(hold + hold_slope @ shift, shift, hold))
-    return made
+        replicates.append(Imitation(hold + hold_slope @ shift, shift, hold))
+    return replicates
 
 
 def sensor_noise_of(drives: Sequence[Drive], noises: dict[str, Noise]) -> Noise:
-    """Return the noise of what a block's drives are compared with."""
+    """Return the noise of the sensor of a block's output."""
     return noises["position_m" if drives[0].block == MECHANICS else "pressure_pa"]
 
 
 def _estimate_memory(residual: Array, drives: Sequence[Drive]) -> float:
-    """Return the variance of means over a stretch, times its samples, over that of the samples."""
+    """Return the variance of stretch means times samples per stretch, over that of the samples."""
     length = max(int(STRETCH_S / float(np.median(drives[0].step_s))), 1)
     whole = residual[: len(residual) // length * length].reshape(-1, length)
     return float(np.mean(whole.mean(axis=1) ** 2) * length / np.mean(whole**2))
@@ -152,7 +151,7 @@ def _simulate_replica(
     noises: dict[str, Noise],
     replica: int,
 ) -> Array:
-    """Residuals that noise alone would leave."""
+    """Return the residuals that noise alone leaves."""
     return np.concatenate(
         [
             _add_noise(drive, ideal, settings, noises, replica).residual(settings)
@@ -168,7 +167,7 @@ def _add_noise(
     noises: dict[str, Noise],
     replica: int,
 ) -> Drive:
-    """Take the drive's inputs for the truth, and let the sensors see it anew."""
+    """Return the drive with new noise on its input and on its ideal output."""
     inner, outer = "position_m", "pressure_pa"
     if drive.block == MECHANICS:
         inner, outer = ("force_n" if settings.actuator == "direct" else "pressure_pa"), inner
@@ -177,5 +176,5 @@ def _add_noise(
         driven = driven + drive.draw_disturbance(noises[inner], replica)
     measured = noises[outer].simulate_sensor(ideal, drive.random_generator(replica, 1))
     noisy = replace(drive, driven=driven, measured=measured)
-    noisy.__dict__["grid"] = drive.grid  # the steps stay
+    noisy.__dict__["grid"] = drive.grid  # the steps are the same
     return noisy

@@ -1,13 +1,13 @@
-"""How much of a fit is its integrator's: what half the sub-step changes.
+"""The integrator's error in a fit: what half the sub-step changes.
 
-The fit's integrator is the simulation's, so that a fitted model does in a simulation what it did
-in the fit. What its sub-step gets wrong is then in the fitted numbers, and in the floor as well,
-which the model itself makes: neither shows it. A simulation with half the sub-step does.
+Fit and simulation use the same integrator, so that a fitted model behaves the same in both. The
+error of the sub-step is then in the fitted numbers and in the self-simulated floor, and neither
+shows it. A simulation with half the sub-step shows it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.measured.record import Array
 
 SMALL = 0.1
-"""Of the floor: a change by less is of no account."""
+"""A change below this share of the floor does not matter."""
 WHOLE = 2.0
 """An error in proportion to the sub-step is twice what its half changes."""
 
@@ -31,8 +31,8 @@ def halve_substep(drives: Sequence[Drive]) -> tuple[Drive, ...]:
 def find_substep_shift(fitted: Fit) -> Array:
     """Return how far the sub-step moved the fitted numbers, in their scales, shape (p,).
 
-    Where half of it changes much, one fit more tells: a muscle that sticks in another place is
-    beyond any first order.
+    Where half the sub-step changes much, one more fit is made: a muscle that sticks in another
+    place is no change of first order.
     """
     drives = halve_substep(fitted.drives)
     change = stack_residuals(drives, fitted.settings) - fitted.residual
@@ -44,7 +44,7 @@ def find_substep_shift(fitted: Fit) -> Array:
 
 
 def compare_substeps(model: Model) -> dict[str, float]:
-    """Return by how much half the sub-step changes a model on held-out data, RMS over the floor."""
+    """Return the change that half the sub-step makes on held-out data, RMS over floor, by block."""
     return {
         block: rms(
             stack_residuals(
@@ -55,17 +55,3 @@ def compare_substeps(model: Model) -> dict[str, float]:
         / model.floors[block].mean
         for block in model.evidence.blocks
     }
-
-
-def describe_integrator(found: Mapping[str, float]) -> str:
-    """Say what is not small; empty where all is."""
-    large = [
-        f"{block} by {change:.2f} x floor" for block, change in found.items() if change > SMALL
-    ]
-    if not large:
-        return ""
-    return (
-        f"Half the integrator's sub-step changes {' and '.join(large)}: so much of the fit is the "
-        "simulation's own, not the rig's. The intervals have room for it; the numbers are those "
-        "with which this simulation comes nearest."
-    )

@@ -1,9 +1,9 @@
-"""How sure a fitted number is, honestly under residuals that remember.
+"""Intervals of fitted numbers, for autocorrelated residuals.
 
-What noise does to a number is seen in the self-simulated replicas: its scatter and, since friction
-rectifies noise, its bias. They are few, so that their scatter is one of a sample (Student's t).
-What a wrong form does is in the residual: its scores, summed over seconds because neighbours are
-no news (a sandwich). What the integrator does is in a simulation with half its sub-step.
+Three sources add up. Noise: the self-simulated replicas show its scatter and, since friction
+rectifies noise, its bias; they are few, hence Student's t. A wrong form: the scores of the
+residual show it, summed over seconds because neighbours are correlated (a sandwich estimate).
+The integrator: a simulation with half its sub-step shows it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pamctl.diagnose.fitting.numbers import unit_of
 from pamctl.diagnose.measured.record import Array
 
 STRETCH_S = 1.0
+"""Scores are summed over stretches of this length."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +40,14 @@ class FittedNumber:
 
 
 def estimate_intervals(model: Model) -> tuple[FittedNumber, ...]:
-    """Return every free number of a model with its interval; the geometry is the mechanics'."""
-    found: dict[str, FittedNumber] = {}
+    """Return every free number of a model with its interval; the mechanics decide the geometry."""
+    estimates: dict[str, FittedNumber] = {}
     for block in sorted(model.evidence.blocks, reverse=True):
         fitted = model.fit_of(block)
         floors = [model.floors[b] for b in model.evidence.blocks if model.fit_of(b) is fitted]
         for name, estimate in _estimate_of_fit(fitted, floors).items():
-            found.setdefault(name, estimate)
-    return tuple(found.values())
+            estimates.setdefault(name, estimate)
+    return tuple(estimates.values())
 
 
 def _estimate_of_fit(fitted: Fit, floors: list[Floor]) -> dict[str, FittedNumber]:
@@ -57,48 +58,48 @@ def _estimate_of_fit(fitted: Fit, floors: list[Floor]) -> dict[str, FittedNumber
         np.maximum(_squared_width_of_residual(fitted), _squared_width_of_noise(fitted, floors))
         + _squared_width_of_step(fitted)
     )
-    found = {}
+    estimates = {}
     for number, half in zip(fitted.free, map(float, halves), strict=True):
         if number.is_nuisance:
             continue
         value = fitted.values[number.name]
-        found[number.name] = FittedNumber(
+        estimates[number.name] = FittedNumber(
             number.name,
             value,
             max(value - half * number.scale, number.low),
             min(value + half * number.scale, number.high),
             unit_of(number),
         )
-    return found
+    return estimates
 
 
 def _squared_width_of_noise(fitted: Fit, floors: list[Floor]) -> Array:
-    """Half width, squared, for what noise does to a number: of the worse of the blocks' floors."""
+    """Return the squared half widths that noise causes, from the worse of the blocks' floors."""
     squares = np.zeros(len(fitted.free))
     for floor in floors:
         shifts = floor.shifts
         if shifts.shape[1] != len(fitted.free):
-            continue  # of a rougher model, where a block is far above any floor
+            continue  # the floor of the recalibrated model, for a block far above any floor
         count = len(shifts)
         scatter = shifts.var(axis=0, ddof=1) * (1.0 + 1.0 / count)
         bias = shifts.mean(axis=0) ** 2
-        found = _quantile(count - 1) ** 2 * scatter + _quantile(np.inf) ** 2 * bias
-        squares = np.maximum(squares, found)
+        square = _quantile(count - 1) ** 2 * scatter + _quantile(np.inf) ** 2 * bias
+        squares = np.maximum(squares, square)
     return squares
 
 
 def _squared_width_of_step(fitted: Fit) -> Array:
-    """Half width, squared, for what the integrator's sub-step does to a number."""
+    """Return the squared half widths that the integrator's sub-step causes."""
     return _quantile(np.inf) ** 2 * find_substep_shift(fitted) ** 2
 
 
 def _quantile(freedom: float) -> float:
-    """Student's t that nine of ten stay below on either side."""
+    """Return the 95 % quantile of Student's t: 90 % lie within it on both sides."""
     return float(student.ppf(0.95, freedom))
 
 
 def _squared_width_of_residual(fitted: Fit) -> Array:
-    """Half width, squared, from the scores of the residual, stretch by stretch."""
+    """Return the squared half widths from the residual's scores, summed by stretches."""
     slope, residual = fitted.jacobian, fitted.residual
     bread = np.linalg.pinv(slope.T @ slope)
     filling = np.zeros_like(bread)

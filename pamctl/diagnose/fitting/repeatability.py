@@ -1,11 +1,11 @@
-"""How well the rig repeats itself, where the records ask the same of it again.
+"""How well the rig repeats itself, where the records demand the same of it again.
 
-No model can explain what is different each time. Of two runs with the same past the residuals
-of any model differ by that, and by the sensors' noise; what the model lacks is in both alike.
+No model can explain what is different each time. For two runs with the same past, the residuals
+of any model differ by that and by the sensors' noise; what the model lacks is the same in both.
 
-In closed loop the same reference brings about commands that are nearly the same. Each run is
-simulated under its own; and what these differences do to the simulation is taken off, as if the
-model were wrong about all of it: a loop that hunts tells nothing then, rather than too much.
+In closed loop the same reference leads to nearly the same commands. Each run is simulated with its
+own command. The effect of the differences on the simulation is then subtracted in full, as if the
+model were wrong about all of it: a loop that hunts gives no information rather than a wrong one.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from pamctl.diagnose.measured.record import Array, Record
 from pamctl.plant.model import PlantSettings
 
 PAST_S = 3.0
-"""The same past within a record; across records it is the same from the vented rest on."""
+"""Equal past that a repeat within a record needs. Two records are equal from the vented rest on."""
 LEAST_S = 2.0
-"""Shorter repeats tell nothing."""
+"""Shorter repeats give no information."""
 PIECE_S = 0.5
-"""Differences are counted as one over so long."""
+"""Differences within this time count as one."""
 MOVES_V = 0.5
-"""A valve that is held repeats itself by doing nothing."""
+"""The command of a repeat must vary by more than this: a closed valve always repeats itself."""
 SAME_M = 1e-6
-"""References that differ by less, a third of a count of the encoder, ask the same."""
+"""References that differ by less, a third of an encoder count, are the same."""
 
 
 class Repeat(NamedTuple):
@@ -43,29 +43,29 @@ class Repeat(NamedTuple):
     again: int
     length: int
     by_reference: bool = False
-    """The same position was asked for; the commands are the loop's."""
+    """The references are equal; the commands come from the loop."""
 
 
 class RepeatSpread(NamedTuple):
-    """By how much a block does not repeat itself."""
+    """How far a block is from repeating itself."""
 
     rms: float
-    """In deviations of its sensor, whose noise is in it; 0 where nothing is repeated."""
+    """In deviations of its sensor, with the sensor's noise; 0 where nothing is repeated."""
     uncertainty: float
-    """Of what is not the sensor's, relative, one sigma."""
+    """Relative uncertainty of the part that is not sensor noise, one sigma."""
 
 
 UNKNOWN = RepeatSpread(0.0, 0.0)
 
 
 def find_repeats(records: Sequence[Record]) -> tuple[Repeat, ...]:
-    """Find where different runs, or different parts of a run, are asked the same.
+    """Find where different runs, or different parts of a run, have the same demand.
 
-    By their commands; where these differ, by their references.
+    The demand is the command; where commands differ, the reference.
     """
     known = [(i, r) for i, r in enumerate(records) if r.valve_v is not None]
-    across = [found for a, b in combinations(known, 2) for found in _find_across_runs(a, b)]
-    return (*across, *(found for i, r in known for found in _find_within_run(i, r)))
+    across = [repeat for a, b in combinations(known, 2) for repeat in _find_across_runs(a, b)]
+    return (*across, *(repeat for i, r in known for repeat in _find_within_run(i, r)))
 
 
 def _find_across_runs(a: tuple[int, Record], b: tuple[int, Record]) -> Iterator[Repeat]:
@@ -75,10 +75,10 @@ def _find_across_runs(a: tuple[int, Record], b: tuple[int, Record]) -> Iterator[
     if first is second or not same_grid:
         return
     for by_reference in (False, True):
-        asked, again = _demand_of(first, by_reference), _demand_of(second, by_reference)
-        if asked is None or again is None:
+        demand, again = _demand_of(first, by_reference), _demand_of(second, by_reference)
+        if demand is None or again is None:
             continue
-        differs = _find_differences(asked[:size], again[:size], by_reference)
+        differs = _find_differences(demand[:size], again[:size], by_reference)
         length = int(np.argmax(differs)) if differs.any() else size
         if _is_telling(first, 0, length):
             yield Repeat(one, 0, other, 0, length, by_reference)
@@ -90,7 +90,7 @@ def _demand_of(record: Record, by_reference: bool) -> Array | None:
 
 
 def _find_differences(one: Array, other: Array, by_reference: bool) -> NDArray[np.bool_]:
-    """Tell where two stretches ask different things; of no reference nothing is known."""
+    """Tell where two demands differ; samples without a reference count as different."""
     alike: NDArray[np.bool_] = np.abs(one - other) <= (SAME_M if by_reference else 0.0)
     return ~alike
 
@@ -98,20 +98,20 @@ def _find_differences(one: Array, other: Array, by_reference: bool) -> NDArray[n
 def _find_within_run(index: int, record: Record) -> Iterator[Repeat]:
     """Find the longest stretch that comes again after some time, as periods do."""
     for by_reference in (False, True):
-        asked = _demand_of(record, by_reference)
-        best = None if asked is None else _find_longest(index, record, asked, by_reference)
+        demand = _demand_of(record, by_reference)
+        best = None if demand is None else _find_longest(index, record, demand, by_reference)
         if best is not None:
             yield best
             return
 
 
-def _find_longest(index: int, record: Record, asked: Array, by_reference: bool) -> Repeat | None:
+def _find_longest(index: int, record: Record, demand: Array, by_reference: bool) -> Repeat | None:
     past = round(PAST_S / record.period_s)
-    marks = _find_period_starts(asked, by_reference)
+    starts = _find_period_starts(demand, by_reference)
     best: Repeat | None = None
-    for lag in sorted({int(lag) for lag in (marks[1:60] - marks[:1])}):
-        differs = np.flatnonzero(_find_differences(asked[lag:], asked[:-lag], by_reference))
-        edges = np.concatenate([[-1], differs, [len(asked) - lag]])
+    for lag in sorted({int(lag) for lag in (starts[1:60] - starts[:1])}):
+        differs = np.flatnonzero(_find_differences(demand[lag:], demand[:-lag], by_reference))
+        edges = np.concatenate([[-1], differs, [len(demand) - lag]])
         longest = int(np.argmax(np.diff(edges)))
         start, stop = int(edges[longest]) + 1 + past, int(edges[longest + 1])
         if (best is None or stop - start > best.length) and _is_telling(
@@ -121,12 +121,12 @@ def _find_longest(index: int, record: Record, asked: Array, by_reference: bool) 
     return best
 
 
-def _find_period_starts(asked: Array, by_reference: bool) -> NDArray[np.intp]:
-    """Return where a period may begin: at jumps of a command, where a reference rises past half."""
+def _find_period_starts(demand: Array, by_reference: bool) -> NDArray[np.intp]:
+    """Return where a period may begin: where a command jumps, or a reference rises past half."""
     if not by_reference:
-        return np.flatnonzero(np.abs(np.diff(asked)) > MOVES_V) + 1
-    half = 0.5 * (np.nanmin(asked) + np.nanmax(asked))
-    return np.flatnonzero((asked[:-1] < half) & (asked[1:] >= half)) + 1
+        return np.flatnonzero(np.abs(np.diff(demand)) > MOVES_V) + 1
+    half = 0.5 * (np.nanmin(demand) + np.nanmax(demand))
+    return np.flatnonzero((demand[:-1] < half) & (demand[1:] >= half)) + 1
 
 
 def _is_telling(record: Record, start: int, length: int) -> bool:
@@ -135,34 +135,34 @@ def _is_telling(record: Record, start: int, length: int) -> bool:
 
 
 def measure_repeatability(
-    drives: Sequence[Drive], settings: PlantSettings, found: Sequence[Repeat]
+    drives: Sequence[Drive], settings: PlantSettings, repeats: Sequence[Repeat]
 ) -> RepeatSpread:
-    """Return by how much a block does not repeat itself.
+    """Return how far a block is from repeating itself.
 
-    `drives` are in the order of the records that the repeats were found in.
+    `drives` are in the order of the records in which the repeats were found.
     """
-    if not found:
+    if not repeats:
         return UNKNOWN
     left: dict[int, Array] = {}
     simulated: dict[int, Array] = {}
-    for index in {i for r in found for i in (r.one, r.other)}:
+    for index in {i for r in repeats for i in (r.one, r.other)}:
         drive = replace(drives[index], rows=None)
         simulated[index] = drive.simulate(settings)
         left[index] = drive.residual_of(simulated[index])
         simulated[index] /= drive.deviation
-    differences = np.concatenate([_difference(left, r) for r in found])
-    # Of equal commands all that differs in the simulation is what the rig did differently.
-    asked = [_difference(simulated, r) for r in found if r.by_reference]
-    moved = np.sum(np.concatenate(asked) ** 2) if asked else 0.0
-    period_s = float(np.median(drives[found[0].one].step_s))
+    differences = np.concatenate([_difference(left, r) for r in repeats])
+    # With equal commands, simulated differences come from the rig and are not subtracted.
+    simulated_differences = [_difference(simulated, r) for r in repeats if r.by_reference]
+    explained = np.sum(np.concatenate(simulated_differences) ** 2) if simulated_differences else 0.0
+    period_s = float(np.median(drives[repeats[0].one].step_s))
     pieces = max(len(differences) * period_s / PIECE_S, 1.0)
-    beyond = max(float(np.sum(differences**2) - moved), 0.0)
+    beyond = max(float(np.sum(differences**2) - explained), 0.0)
     spread = float(np.sqrt(0.5 * beyond / len(differences)))
     return RepeatSpread(spread, 1.0 / float(np.sqrt(2.0 * pieces)))
 
 
 def _difference(signals: Mapping[int, Array], repeat: Repeat) -> Array:
-    """Return what differs between the two stretches of a repeat."""
+    """Return the difference between the two stretches of a repeat."""
     one = signals[repeat.one][repeat.start : repeat.start + repeat.length]
     other = signals[repeat.other][repeat.again : repeat.again + repeat.length]
     difference: Array = one - other

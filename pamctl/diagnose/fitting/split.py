@@ -1,4 +1,4 @@
-"""What is fitted on and what is judged by: whole runs, or long stretches of a single one."""
+"""Split the records for fitting and judging: whole runs, or long stretches of a single run."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.diagnose.measured.record import Record
 
 STRETCHES = 9
-"""A single run is cut into so many; every third is held out."""
+"""Number of stretches of a single run; every third is held out."""
 
 
 def split_by_run(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
-    """Hold every third run out, at least one; a single run is both, see `split_by_stretch`."""
+    """Hold out every third run, at least one; `split_by_stretch` is for a single run."""
     if len(records) == 1:
         return list(records), list(records)
     held = set(range(1, len(records), 3))
@@ -27,10 +27,10 @@ def split_by_run(records: Sequence[Record]) -> tuple[list[Record], list[Record]]
 
 
 def split_by_stretch(evidence: Evidence) -> Evidence:
-    """Fit on two thirds of the samples of each run and judge by the others, in long stretches.
+    """Use two thirds of each run for the fit and one to judge by, in long stretches.
 
-    Never by samples: neighbours are much the same. The blocks are simulated over the whole
-    run either way, since only its beginning is a known state.
+    Single samples would not do: neighbours are nearly equal. The blocks are always simulated over
+    the whole run, since only its beginning is a known state.
     """
     return replace(
         evidence,

@@ -1,5 +1,5 @@
-"""The measured data: records, their noise, and what makes them unfit for a diagnosis.
+"""The measured data: records, their noise, and the reasons to refuse them.
 
-Nothing here knows a model.
+Nothing here simulates a model.
 Read `record.py` first, then `sensor_noise.py`.
 """

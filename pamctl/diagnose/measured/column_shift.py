@@ -1,6 +1,6 @@
 """Columns that are shifted against each other: an answer before its cause, or long after it.
 
-Looked at are steps of the command out of a rest, which pressure and position answer in an order
+The check uses steps of the command out of a rest. Pressure and position answer them in an order
 and within times that no effect of the catalogue can change.
 """
 
@@ -14,20 +14,21 @@ from pamctl.diagnose.measured.record import Array, Record
 
 STEP_V = 3.0
 QUIET_S, BEFORE_S, AFTER_S = 0.3, 0.15, 0.3
-"""The command rests so long before a step; answers are looked for from `BEFORE_S` before it on."""
+"""The command rests `QUIET_S` before a step. The search for answers begins `BEFORE_S` before the
+step and ends `AFTER_S` after it."""
 ANSWER_SHARE = 0.05
-"""Of the whole change: an answer has begun."""
+"""An answer has begun when this share of the whole change is reached."""
 LEAST_CHANGE = {"pressure_pa": 80e3, "position_m": 3e-3}
 """Smaller changes are no answer to a step."""
 EARLY_S = {"pressure_pa": 3e-3, "position_m": 5e-3}
-"""So much before its cause an answer may seem to begin, by noise and by ticks that came late."""
+"""Noise and late ticks may make an answer seem to begin this long before its cause."""
 LATE_S = {"pressure_pa": 0.035, "position_m": 0.1}
-"""The longest delay and the slowest valve, and of the position the strongest friction as well."""
+"""The longest delay with the slowest valve; for the position with the strongest friction too."""
 CAUSE = {"pressure_pa": "valve_v", "position_m": "pressure_pa"}
 
 
 def check_time_shifts(record: Record) -> Iterator[str]:
-    """Yield the reason where a column cannot be of the same time as what causes it."""
+    """Yield the reason where a column does not fit the time of its cause."""
     if record.valve_v is None or record.pressure_pa is None:
         return
     steps = _find_steps(record)
@@ -46,7 +47,7 @@ def check_time_shifts(record: Record) -> Iterator[str]:
             yield (
                 f"{record.name}: {channel} answers {abs(late_s) * 1e3:.0f} ms {order} "
                 f"{CAUSE[channel]}, which no valve, tube or sensor does: the columns are shifted "
-                "in time against each other; log them by one clock, or shift them back"
+                "in time against each other; log them with one clock, or shift them back"
             )
 
 
@@ -65,7 +66,7 @@ def _find_steps(record: Record) -> list[int]:
 
 
 def _find_answer_s(record: Record, channel: str, step: int) -> float:
-    """Return when a channel begins to answer a step; NaN where it does not, or did not rest."""
+    """Return when a channel begins to answer a step; NaN if it does not answer or did not rest."""
     quiet, before, after = (round(s / record.period_s) for s in (QUIET_S, BEFORE_S, AFTER_S))
     values: Array = record[channel]
     earlier, later = np.array_split(values[step - quiet : step - before], 2)
@@ -74,7 +75,7 @@ def _find_answer_s(record: Record, channel: str, step: int) -> float:
     whole = float(change[np.argmax(np.abs(change))])
     if abs(whole) < LEAST_CHANGE[channel] or abs(drift) > 0.2 * ANSWER_SHARE * abs(whole):
         return float("nan")
-    begun = int(np.argmax(change / whole > ANSWER_SHARE))
-    if not begun:
+    first = int(np.argmax(change / whole > ANSWER_SHARE))
+    if not first:
         return float("nan")
-    return float(record.t_s[step - before + begun])
+    return float(record.t_s[step - before + first])

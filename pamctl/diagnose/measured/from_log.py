@@ -1,4 +1,4 @@
-"""From a log, of this rig, of the simulation or imported, to a record."""
+"""Read a log, measured, simulated or imported, into a record."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def record_of(path: str | Path) -> Record:
     """
     log = pamctl.log.read(path)
     measured = pamctl.log.signals(log)
-    wanted = (measured.phase != Phase.HOMING) & (measured.phase != Phase.STOPPING)
+    usable = (measured.phase != Phase.HOMING) & (measured.phase != Phase.STOPPING)
     if measured.valve_v is not None:
-        wanted &= np.isfinite(measured.valve_v)
-    ticks = np.flatnonzero(wanted)
+        usable &= np.isfinite(measured.valve_v)
+    ticks = np.flatnonzero(usable)
     if not len(ticks):
         raise pamctl.log.LogError(f"{path} holds nothing but homing")
     whole = slice(int(ticks[0]), int(ticks[-1]) + 1)
@@ -31,6 +31,6 @@ def record_of(path: str | Path) -> Record:
         for name in ("valve_v", "pressure_pa", "position_m", "force_n")
         if getattr(part, name) is not None
     }
-    asked_m = log.columns.get("reference_m")  # an imported log may not have it
-    reference_m = None if asked_m is None or not np.isfinite(asked_m).any() else asked_m[whole]
+    column = log.columns.get("reference_m")  # an imported log may not have it
+    reference_m = None if column is None or not np.isfinite(column).any() else column[whole]
     return Record(Path(path).stem, part.t_s - part.t_s[0], **channels, reference_m=reference_m)

@@ -1,4 +1,4 @@
-"""One measured run as the diagnosis wants it: arrays in SI, sampled together."""
+"""One measured run for the diagnosis: arrays in SI, sampled together."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ CHANNELS: Mapping[str, str] = {
     "position_m": "m",
     "force_n": "N",
 }
-"""What a record may hold, and in which unit."""
+"""The channels that a record may hold, and their units."""
 
 REST_V = 0.05
-"""Commands that differ by less leave the valve where it is (V)."""
+"""Commands that differ by less do not move the valve (V)."""
 RISE_FROM = 20
-"""Samples whose median is the level that a force starts from."""
+"""Samples whose median is the level from which a force starts."""
 RISE_OVER_NOISE = 10.0
-"""Times the noise: a force so far from its start has left it, however its noise remembers."""
+"""A force has left its start when it is this multiple of its noise away, even if the noise is
+correlated."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +43,11 @@ class Record:
     position_m: Array | None = None
     force_n: Array | None = None
     reference_m: Array | None = None
-    """The position asked for in closed loop, NaN elsewhere: it tells which runs are repeats."""
+    """Reference position in closed loop, NaN elsewhere; it shows which runs are repeats."""
     notes: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        """Take any sequence of numbers; raise ValueError where lengths differ."""
+        """Accept any sequence of numbers; raise ValueError where lengths differ."""
         object.__setattr__(self, "t_s", _as_column(self.t_s))
         for channel in (*CHANNELS, "reference_m"):
             values = getattr(self, channel)
@@ -103,7 +104,7 @@ class Record:
 
     @cached_property
     def rest_samples(self) -> int:
-        """How many samples at the start precede the first change that the rig can answer."""
+        """Number of samples before the first change that the rig can answer."""
         moved = np.zeros(len(self), dtype=bool)
         if self.valve_v is not None:
             moved |= np.abs(self.valve_v - self.valve_v[0]) > REST_V
@@ -121,12 +122,12 @@ class Record:
 
 
 def _find_rise(values: Array) -> int:
-    """Return where a channel leaves its start for good measure; its length where it does not.
+    """Return where a channel leaves its start; its length where it does not.
 
-    A slow ramp is in the noise for a while: it has begun as long before the first level as it
-    takes from there to the second.
+    Noise hides the beginning of a slow ramp. The ramp takes as long to reach the first level as
+    from there to the second, twice as high: its beginning is extrapolated from both.
     """
-    third = np.abs(np.diff(values, 3))  # of white noise sqrt(20) as large, of a ramp nothing
+    third = np.abs(np.diff(values, 3))  # white noise grows by sqrt(20), a ramp vanishes
     noise = float(np.median(third)) / (0.6745 * np.sqrt(20.0)) if len(third) else 0.0
     away = np.abs(values - np.median(values[:RISE_FROM]))
     level = RISE_OVER_NOISE * max(noise, estimate_resolution(values))
@@ -142,7 +143,7 @@ def _as_column(values: ArrayLike) -> Array:
 
 
 def estimate_resolution(values: Array) -> float:
-    """Return the step in which a channel was digitised; 0 where none can be seen.
+    """Return the step with which a channel was digitised; 0 where none is visible.
 
     The step is the smallest difference that occurs, if the others are whole multiples.
     """
@@ -151,7 +152,7 @@ def estimate_resolution(values: Array) -> float:
     steps = steps[steps > 1e-9 * max(span, 1e-30)]
     if len(steps) < 20:
         return 0.0
-    # The smallest ones are one step each, apart from rounding.
+    # The smallest differences are one step each, apart from rounding.
     smallest = float(np.quantile(steps, 0.01))
     step = float(np.median(steps[steps < 1.5 * smallest]))
     multiples = steps[steps < 30.0 * step] / step

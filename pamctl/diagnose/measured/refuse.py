@@ -1,4 +1,4 @@
-"""Data that would mislead the diagnosis are refused, with the reason and the way out."""
+"""Refuse data that would mislead the diagnosis; say why, and what to do."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pamctl.diagnose.measured.sensor_noise import Noise
 from pamctl.plant.model import PlantSettings
 
 LONGEST_GAP_S = 0.05
-"""A few missed ticks are in the model's time step; a longer gap hides commands."""
+"""A few missed ticks only make a time step longer; a longer gap hides commands."""
 SHORTEST_S = 2.0
 
 
@@ -30,7 +30,7 @@ def check_measured_runs(records: Sequence[Record], plant: PlantSettings) -> None
 
 
 def check_sensors(records: Sequence[Record], noises: dict[str, Noise]) -> None:
-    """Raise `BadData` for clipped channels, which only their noise can tell, and shifted ones."""
+    """Raise `BadData` for clipped channels, which their noise reveals, and for shifted ones."""
     reasons = [
         reason
         for record in records
@@ -68,7 +68,7 @@ def _check_gaps(record: Record) -> Iterator[str]:
     if gap_s > max(LONGEST_GAP_S, 5.0 * record.period_s):
         yield (
             f"{record.name}: a gap of {gap_s:.3g} s after row {longest}: what the valve did there "
-            "is not known; split the log at the gap"
+            "is unknown; split the log at the gap"
         )
     if record.period_s > 0.012:
         yield (
@@ -78,49 +78,59 @@ def _check_gaps(record: Record) -> Iterator[str]:
 
 
 def _check_units(record: Record, plant: PlantSettings) -> Iterator[str]:
-    muscle = plant.parameters
-    if record.valve_v is not None:
-        low, high = float(record.valve_v.min()), float(record.valve_v.max())
-        if high > 10.5 or low < -10.5:
-            yield (
-                f"{record.name}: valve_v runs from {low:.3g} to {high:.3g}: not volts of command "
-                "(-5 to 5); is it in mV or per cent?"
-            )
-        elif low > -0.2 and high > 5.5:
-            yield (
-                f"{record.name}: valve_v runs from {low:.3g} to {high:.3g}: the output voltage, "
-                "not the command; subtract the driver's offset (5 V)"
-            )
-    if record.pressure_pa is not None:
-        low, high = _usual_ends(record.pressure_pa)
-        atmosphere, tank = muscle.atmospheric_pressure_pa, muscle.tank_pressure_pa
-        if high < 5e3:
-            yield (
-                f"{record.name}: pressure_pa runs from {low:.3g} to {high:.3g}: not absolute "
-                "pascals; is it in kPa or bar?"
-            )
-        elif low < 0.5 * atmosphere:
-            yield (
-                f"{record.name}: pressure_pa falls to {low:.4g} Pa, below the atmosphere: "
-                "is it gauge pressure? Absolute is wanted"
-            )
-        elif high > 2.0 * tank:
-            yield (
-                f"{record.name}: pressure_pa rises to {high:.4g} Pa, the tank has {tank:.4g} Pa: "
-                "wrong unit, or the wrong tank_pressure_pa in the plant file"
-            )
-    if record.position_m is not None:
-        low, high = float(record.position_m.min()), float(record.position_m.max())
-        if max(abs(low), abs(high)) > 0.45 * muscle.rest_length_m:
-            yield (
-                f"{record.name}: position_m runs from {low:.3g} to {high:.3g}, the muscle is "
-                f"{muscle.rest_length_m:.3g} m long: is it in mm or counts?"
-            )
-        elif record.pressure_pa is not None and low < -0.02 * muscle.rest_length_m:
-            yield (
-                f"{record.name}: position_m falls to {low:.3g} m: contraction must count "
-                "positive, from zero at the vented muscle"
-            )
+    yield from _check_command_unit(record)
+    yield from _check_pressure_unit(record, plant)
+    yield from _check_position_unit(record, plant)
+
+
+def _check_command_unit(record: Record) -> Iterator[str]:
+    if record.valve_v is None:
+        return
+    low, high = float(record.valve_v.min()), float(record.valve_v.max())
+    runs = f"{record.name}: valve_v runs from {low:.3g} to {high:.3g}"
+    if high > 10.5 or low < -10.5:
+        yield f"{runs}: not volts of command (-5 to 5); is it in mV or per cent?"
+    elif low > -0.2 and high > 5.5:
+        yield (f"{runs}: the output voltage, not the command; subtract the driver's offset (5 V)")
+
+
+def _check_pressure_unit(record: Record, plant: PlantSettings) -> Iterator[str]:
+    if record.pressure_pa is None:
+        return
+    low, high = _usual_ends(record.pressure_pa)
+    atmosphere, tank = plant.parameters.atmospheric_pressure_pa, plant.parameters.tank_pressure_pa
+    if high < 5e3:
+        yield (
+            f"{record.name}: pressure_pa runs from {low:.3g} to {high:.3g}: not absolute "
+            "pascals; is it in kPa or bar?"
+        )
+    elif low < 0.5 * atmosphere:
+        yield (
+            f"{record.name}: pressure_pa falls to {low:.4g} Pa, below the atmosphere: "
+            "is it gauge pressure? It must be absolute"
+        )
+    elif high > 2.0 * tank:
+        yield (
+            f"{record.name}: pressure_pa rises to {high:.4g} Pa, the tank has {tank:.4g} Pa: "
+            "wrong unit, or the wrong tank_pressure_pa in the plant file"
+        )
+
+
+def _check_position_unit(record: Record, plant: PlantSettings) -> Iterator[str]:
+    if record.position_m is None:
+        return
+    low, high = float(record.position_m.min()), float(record.position_m.max())
+    length_m = plant.parameters.rest_length_m
+    if max(abs(low), abs(high)) > 0.45 * length_m:
+        yield (
+            f"{record.name}: position_m runs from {low:.3g} to {high:.3g}, the muscle is "
+            f"{length_m:.3g} m long: is it in mm or counts?"
+        )
+    elif record.pressure_pa is not None and low < -0.02 * length_m:
+        yield (
+            f"{record.name}: position_m falls to {low:.3g} m: contraction must count "
+            "positive, from zero at the vented muscle"
+        )
 
 
 def _usual_ends(values: Array) -> tuple[float, float]:
@@ -128,8 +138,8 @@ def _usual_ends(values: Array) -> tuple[float, float]:
 
 
 def _check_clipping(record: Record, channel: str, noise: Noise | None) -> Iterator[str]:
-    """A channel that stands still at its very end, where its noise should show."""
-    if noise is None:  # of the command there is no sensor
+    """Find a channel that stands still at its extreme value, where its noise should show."""
+    if noise is None:  # the command has no sensor
         return
     values = record[channel]
     for end, extreme in (("highest", values.max()), ("lowest", values.min())):
@@ -142,14 +152,14 @@ def _check_clipping(record: Record, channel: str, noise: Noise | None) -> Iterat
         pushed = channel == "position_m" and _is_still_pushed(record, at_end)
         if noisy or pushed:
             yield (
-                f"{record.name}: {channel} stands at its {end} value {extreme:.6g} for "
+                f"{record.name}: {channel} stays at its {end} value {extreme:.6g} for "
                 f"{100.0 * share:.0f} % of the time: the sensor is clipped; widen its range, "
                 "or drive less far"
             )
 
 
 def _is_still_pushed(record: Record, at_end: NDArrayBool) -> bool:
-    """Tell whether the pressure moves, while the position does not, by more than friction holds."""
+    """Tell whether the pressure changes by more than friction holds while the position rests."""
     if record.pressure_pa is None:
         return False
     span = float(np.ptp(record.pressure_pa))
@@ -163,7 +173,7 @@ def _longest_run(flags: NDArrayBool) -> int:
 
 
 def _check_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterator[str]:
-    """A channel that hardly moves in any record tells nothing."""
+    """Find a channel that hardly moves in any record: it tells nothing."""
     least = {
         "valve_v": 0.1,
         "pressure_pa": 0.02 * plant.parameters.tank_pressure_pa,
@@ -176,7 +186,7 @@ def _check_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterat
         ]
         if spans and max(spans) < least[channel]:
             yield (
-                f"{channel} varies by {max(spans):.3g} only over all records: it is not excited; "
+                f"{channel} varies by only {max(spans):.3g} over all records: it is not excited; "
                 "record `pamctl run --experiment diagnosis`"
             )
 

@@ -1,4 +1,4 @@
-"""What a sensor adds: estimated from rest, drawn again for the self-simulated floor."""
+"""Sensor noise: estimated from the rest, and drawn again for the self-simulated floor."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
 
 ORDER = 12
-"""Of the autoregressive model: enough for a filtered or drifting sensor."""
+"""Order of the autoregressive model: enough for a filtered or drifting sensor."""
 ENOUGH = 200
-"""Samples at rest below which the noise is taken from differences instead."""
+"""With fewer samples at rest, the noise is estimated from differences."""
 
 
 @dataclass(frozen=True)
@@ -23,13 +23,13 @@ class Noise:
     deviation: float
     """Standard deviation, in the channel's unit."""
     memory: tuple[float, ...]
-    """Coefficients on the samples before; empty for white noise."""
+    """Coefficients on the earlier samples; empty for white noise."""
     drive: float
     """Standard deviation of the innovation."""
     resolution: float
-    """Step of the converter; 0 where none was seen."""
+    """Step of the converter; 0 where none is visible."""
     uncertainty: float = 0.0
-    """Of the deviation, relative, one sigma."""
+    """Relative uncertainty of the deviation, one sigma."""
 
     @property
     def total(self) -> float:
@@ -46,21 +46,21 @@ class Noise:
         return drawn
 
     def simulate_sensor(self, values: Array, random: np.random.Generator) -> Array:
-        """Return what the sensor would have shown: noise added, then rounded to the nearest."""
+        """Return what the sensor would show: noise is added, then rounded to the nearest step."""
         noisy = values + self.draw(len(values), random) if self.deviation > 0.0 else values
         if self.resolution == 0.0:
             return noisy
-        if not noisy.any():  # a signal that stands still, dithered by its own motion elsewhere
+        if not noisy.any():  # the rounding error of a signal that moves
             return random.uniform(-0.5, 0.5, len(noisy)) * self.resolution
-        # The zero lies anywhere within a step.
+        # The zero of the converter lies anywhere within a step.
         offset = random.uniform(0.0, self.resolution)
         return np.round((noisy - offset) / self.resolution) * self.resolution + offset
 
 
 def estimate_channel_noise(records: Sequence[Record], channel: str) -> Noise:
-    """Estimate a channel's noise over records; the rest second first, differences otherwise.
+    """Estimate a channel's noise over records, from the rests or else from differences.
 
-    Not by a median of differences: a converter's step would quantise that.
+    A median of differences would not do: the converter's step quantises it.
     """
     step = float(np.median([estimate_resolution(r[channel]) for r in records]))
     rests = [r[channel][: r.rest_samples] for r in records]
@@ -69,7 +69,7 @@ def estimate_channel_noise(records: Sequence[Record], channel: str) -> Noise:
     if sum(map(len, rests)) < ENOUGH:
         return Noise(_subtract_rounding(differences, step), (), 0.0, step, 0.02)
     rested = _estimate_from_rests(rests, step)
-    # White noise has no memory: the whole run tells its size, better than a second of rest.
+    # White noise has no memory: the whole run shows its size better than a second of rest.
     close = abs(differences - rested.total) < 4.0 * rested.uncertainty * rested.total
     if rested.deviation and not rested.memory and close:
         return Noise(_subtract_rounding(differences, step), (), 0.0, step, 0.005)
@@ -83,19 +83,19 @@ def _remove_trend(rest: Array) -> Array:
 
 
 def _estimate_from_rests(rests: Iterable[Array], step: float) -> Noise:
-    """Yule and Walker on the pooled autocovariance of the rests."""
+    """Solve the Yule-Walker equations for the pooled autocovariance of the rests."""
     pieces = [rest for rest in rests if len(rest) > 4 * ORDER]
     lags = np.zeros(ORDER + 1)
     for piece in pieces:
         lags += [float(piece[lag:] @ piece[: len(piece) - lag]) for lag in range(ORDER + 1)]
     lags /= sum(map(len, pieces))
     deviation = float(np.sqrt(lags[0]))
-    if deviation <= 0.6 * step:  # only the converter is seen
+    if deviation <= 0.6 * step:  # only the converter is visible
         return Noise(0.0, (), 0.0, step)
     lags[0] -= step**2 / 12.0
     toeplitz = np.array([[lags[abs(i - j)] for j in range(ORDER)] for i in range(ORDER)])
     memory = np.linalg.solve(toeplitz, lags[1:])
-    # A memory that its own scatter explains is none.
+    # Coefficients within their own scatter are no memory.
     if np.all(np.abs(memory) < 3.5 / np.sqrt(sum(map(len, pieces)))):
         return Noise(
             _subtract_rounding(deviation, step), (), 0.0, step, _relative_uncertainty(pieces, 1.0)
@@ -112,15 +112,16 @@ def _estimate_from_rests(rests: Iterable[Array], step: float) -> Noise:
 
 
 def _relative_uncertainty(pieces: Sequence[Array], worth: float) -> float:
-    """Scatter of a deviation estimated from so many samples; with memory each is worth less."""
+    """Return the scatter of an estimated deviation; each sample counts as `worth` samples."""
     return float(1.0 / np.sqrt(2.0 * worth * sum(map(len, pieces))))
 
 
 def _estimate_from_differences(values: Array) -> float:
-    """Take third differences, without the tenth of them that a step of the command makes."""
+    """Use third differences; leave out the largest tenth, which steps of the command cause."""
     third = np.abs(np.diff(values, 3))
     kept = third[third <= np.quantile(third, 0.9)]
-    # rms of a normal variable cut at its 90 % quantile is 0.7893 of the whole's; sqrt(20) by lags.
+    # A normal variable cut at its 90 % quantile keeps 0.7893 of its RMS. Third differences
+    # multiply white noise by sqrt(20).
     return float(np.sqrt(np.mean(kept**2)) / (0.7893 * np.sqrt(20.0)))
 
 

@@ -1,4 +1,4 @@
-"""An effect whose size can hardly be told from nothing, and which explains little, is no name."""
+"""A name is doubtful if the effect's size may be zero and the effect explains little."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.naming.search import EffectSearch
 
 UNSURE = 0.6
-"""Half an interval over the distance from neutral: near 1 it reaches neutral."""
+"""Half an interval over the distance from neutral; at 1 the interval reaches neutral."""
 SMALL_GAIN = 1.5
-"""The residual over the floor without the effect, over that with it."""
+"""Residual over floor without the effect, divided by that with it."""
 
 
 def has_doubtful_effect(
     model: Model, search: EffectSearch, numbers: Sequence[FittedNumber]
 ) -> bool:
-    """Tell whether an effect of a model is doubtful on both accounts.
+    """Tell whether an effect of a model is uncertain in size and explains little.
 
-    Either alone may happen to a true one: a small effect gains little, and the derivative of a
-    delay within a tick is not worth much.
+    Either alone may happen to a true effect: a small effect gains little, and the size of a delay
+    within one tick is uncertain.
     """
     return any(
         _is_unsure(name, model, numbers) and _gain_of_effect(name, model, search) < SMALL_GAIN
@@ -38,9 +38,9 @@ def _is_unsure(name: str, model: Model, numbers: Sequence[FittedNumber]) -> bool
 
 
 def _gain_of_effect(name: str, model: Model, search: EffectSearch) -> float:
-    """Return how much worse the worst block is without an effect; infinite if nobody tried."""
+    """Return how much worse the worst block is without an effect; infinite if not tried."""
     others = {*model.names} - {name}
-    tried = [search.base, *(m for level in search.levels for m in level)]
+    tried = (search.base, *search.models)
     without = [_worst_ratio(m) for m in tried if {*m.names} == others]
     return min(without, default=float("inf")) / _worst_ratio(model)
 

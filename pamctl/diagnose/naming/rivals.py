@@ -1,9 +1,9 @@
 """What else could it be: every named effect against the best other explanations.
 
-Each effect of the chosen set is taken out and the others are tried in its place, by the
-same score test and refit. A rival that is not clearly worse on the held-out records is no
-rival but an equal: then the data do not tell, and the verdict says so. What leaves something
-above the floor, where the chosen effects leave nothing, the data have refuted already.
+Each effect of the chosen set is taken out, and the other candidates are tried in its place, by the
+same score test and refit. A rival that is not clearly worse on the held-out records is an equal:
+the data do not tell the two apart, and the verdict says so. Where the chosen effects leave nothing
+above the floor, the data have refuted any rival that leaves something.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pamctl.diagnose.fitting.candidates import Candidate
-from pamctl.diagnose.fitting.fitted_model import Model, fit_model
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.model_fit import fit_model
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.score import Score, score_candidates
 from pamctl.diagnose.naming.search import (
@@ -24,16 +25,17 @@ from pamctl.diagnose.naming.search import (
     fit_to_end_if_near,
     rank,
     run_fit_jobs,
-    select_promising,
 )
+from pamctl.diagnose.naming.shortlist import select_promising
 
 MOST_RIVALS = 6
 MOST_SERIOUS_RIVALS = 3
-"""So many rivals are fitted to the end."""
+"""Rivals that are fitted to the end."""
 STRETCH_S = 0.25
 REPLICAS = 400
 MUCH = 0.05
-"""A rival is clearly worse when its mean square is, in 98 of 100 replicas, by so much."""
+"""A rival is clearly worse if the log of its mean square is larger by this much in 98 of 100
+replicas."""
 
 
 @dataclass(frozen=True)
@@ -43,37 +45,36 @@ class Rival:
     name: str
     residual_over_floor: float
     wins: float
-    """Share of the bootstrap replicas in which it does better."""
+    """Share of the bootstrap replicas in which it leaves less."""
     is_equal: bool
 
 
 @dataclass(frozen=True)
 class Standing:
-    """One effect of the chosen set, and its rivals."""
+    """How one effect of the chosen set stands against its rivals."""
 
     effect: Candidate
     rivals: tuple[Rival, ...]
     confidence: float
-    is_needed: bool
-    """Without it something is left above the floor."""
-    heard: tuple[Model, ...] = ()
-    """The rivals' models."""
+    """Share of the bootstrap replicas in which it beats every rival."""
+    rival_models: tuple[Model, ...] = ()
 
     @property
     def equal_rivals(self) -> tuple[str, ...]:
-        """Rivals that the data do not tell from it."""
+        """Rivals that the data do not tell apart from it."""
         return tuple(r.name for r in self.rivals if r.is_equal)
 
 
 def find_rivals(
     chosen: Model,
     search: EffectSearch,
-    found: Sequence[Candidate],
+    candidates: Sequence[Candidate],
     executor: Executor | None = None,
 ) -> tuple[Standing, ...]:
     """Return every effect of the chosen model with its rivals, the nearest first."""
     return tuple(
-        _find_rivals_of_effect(chosen, effect, search, found, executor) for effect in chosen.effects
+        _find_rivals_of_effect(chosen, effect, search, candidates, executor)
+        for effect in chosen.effects
     )
 
 
@@ -81,7 +82,7 @@ def _find_rivals_of_effect(
     chosen: Model,
     effect: Candidate,
     search: EffectSearch,
-    found: Sequence[Candidate],
+    candidates: Sequence[Candidate],
     executor: Executor | None,
 ) -> Standing:
     others = tuple(c for c in chosen.effects if c != effect)
@@ -90,7 +91,7 @@ def _find_rivals_of_effect(
     known = {candidate for candidate, _ in tried}
     jobs = [
         (without, score)
-        for score in _score_rivals(without, effect, found, chosen)
+        for score in _score_rivals(without, effect, candidates, chosen)
         if score.candidate not in known
     ]
     fitted = run_fit_jobs(_fit_rival, jobs, executor)
@@ -100,19 +101,18 @@ def _find_rivals_of_effect(
         models.setdefault(candidate.name, model)  # the best form of each name
     for name in [*models][:MOST_SERIOUS_RIVALS]:
         models[name] = confirm_complete(fit_to_end_if_near(models[name]))
-    rivals, wins = _judge_rivals(chosen, effect, models)
-    return Standing(effect, rivals, wins, not without.is_complete, tuple(models.values()))
+    rivals, confidence = _judge_rivals(chosen, effect, models)
+    return Standing(effect, rivals, confidence, tuple(models.values()))
 
 
 def _find_tried_models(
     search: EffectSearch, chosen: Model, effect: Candidate
 ) -> list[tuple[Candidate, Model]]:
-    """Find models of the search that differ from the chosen one in this effect only."""
+    """Return models of the search that differ from the chosen one in this effect only."""
     kept = {*chosen.names} - {effect.name}
     return [
         (next(c for c in model.effects if c.name not in kept), model)
-        for level in search.levels
-        for model in level
+        for model in search.models
         if len(model.effects) == len(chosen.effects)
         and kept < {*model.names}
         and effect.name not in model.names
@@ -120,14 +120,14 @@ def _find_tried_models(
 
 
 def _score_rivals(
-    without: Model, effect: Candidate, found: Sequence[Candidate], chosen: Model
+    without: Model, effect: Candidate, candidates: Sequence[Candidate], chosen: Model
 ) -> list[Score]:
-    open_to = [c for c in found if c.name not in chosen.names and c.blocks & effect.blocks]
+    others = [c for c in candidates if c.name not in chosen.names and c.blocks & effect.blocks]
     best = {
         s.candidate: s
         for block in effect.blocks
         for s in select_promising(
-            score_candidates(without.fit_of(block), open_to, block), MOST_RIVALS
+            score_candidates(without.fit_of(block), others, block), MOST_RIVALS
         )
     }
     return [*best.values()]
@@ -141,18 +141,16 @@ def _fit_rival(job: tuple[Model, Score]) -> Model:
 def _judge_rivals(
     chosen: Model, effect: Candidate, models: dict[str, Model]
 ) -> tuple[tuple[Rival, ...], float]:
-    """Compare by paired block bootstrap of the held-out mean squares."""
+    """Return the judged rivals and the confidence, by a paired block bootstrap of mean squares."""
     names = list(models)
-    blocks = sorted({b for c in (effect,) for b in c.blocks})
-    best = _mean_squares(chosen, blocks)
-    theirs = np.array([_mean_squares(models[n], blocks) for n in names]).reshape(
-        len(names), len(best)
+    blocks = sorted(effect.blocks)
+    own = _mean_squares(chosen, blocks)
+    others = np.array([_mean_squares(models[n], blocks) for n in names]).reshape(
+        len(names), len(own)
     )
     random = np.random.default_rng(7)
-    picks = random.integers(0, len(best), (REPLICAS, len(best)))
-    own = np.log(best[picks].mean(axis=1))
-    others = np.log(theirs[:, picks].mean(axis=2))
-    margins = others - own
+    picks = random.integers(0, len(own), (REPLICAS, len(own)))
+    margins = np.log(others[:, picks].mean(axis=2)) - np.log(own[picks].mean(axis=1))
     rivals = []
     for index, name in enumerate(names):
         low = float(np.quantile(margins[index], 0.02))
@@ -170,7 +168,7 @@ def _judge_rivals(
 
 
 def _mean_squares(model: Model, blocks: Sequence[str]) -> Array:
-    """Held-out mean squares over stretches, each block counted in its own floor, shape (m,)."""
+    """Return held-out mean squares over stretches, each block in units of its floor, shape (m,)."""
     pieces = []
     for block in blocks:
         residual = model.residuals[block] / model.floors[block].mean

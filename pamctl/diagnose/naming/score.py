@@ -1,7 +1,7 @@
-"""The score test: how much of what is left could an effect explain, to first order?
+"""The score test: how much of the residual can an effect explain, to first order?
 
-A dose of the effect is simulated, what recalibration would make of it is projected out,
-and the rest is compared with the residual. One simulation a dose instead of a fit.
+A dose of the effect is simulated, and what recalibration can imitate of it is projected out. The
+rest is compared with the residual. This takes one simulation per dose instead of a fit.
 """
 
 from __future__ import annotations
@@ -14,56 +14,55 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from pamctl.diagnose.fitting.block_fit import Fit
+from pamctl.diagnose.fitting.block_fit import Fit, project_out, secant
 from pamctl.diagnose.fitting.candidates import Candidate, generate_doses
-from pamctl.diagnose.fitting.drives import stack_residuals
-from pamctl.diagnose.fitting.numbers import value_of, with_values
+from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.measured.record import Array
 from pamctl.plant.model import PlantSettings
 
 
 @dataclass(frozen=True)
 class Score:
-    """What a candidate promises."""
+    """How much a candidate promises to explain."""
 
     candidate: Candidate
     explained: float
-    """Share of the residual's square, after recalibration."""
+    """Share of the residual's square that it explains after recalibration."""
     start: dict[str, float]
-    """Where a fit of it should start."""
+    """Numbers from which its fit should start."""
 
 
 _KNOWN: WeakKeyDictionary[Fit, dict[tuple[Candidate, str], Score]] = WeakKeyDictionary()
-"""By fit, candidate and block: what is missing is asked of a recalibrated block more than once."""
+"""By fit, candidate and block: the same recalibrated block is scored more than once."""
 
 
-def score_candidates(fitted: Fit, found: Sequence[Candidate], block: str) -> list[Score]:
-    """Score candidates on a fit's own drives by what they explain of a block, the best first.
+def score_candidates(fitted: Fit, candidates: Sequence[Candidate], block: str) -> list[Score]:
+    """Score candidates by what they explain of a block on a fit's own drives, the best first.
 
-    A fit of both blocks counts with all its rows: the geometry that they share may explain
-    nothing of the one block that the other contradicts.
+    A fit of both blocks counts with all its rows: shared geometry may explain nothing of one
+    block that the other block contradicts.
     """
     rows = np.concatenate([np.full(d.samples, d.block == block) for d in fitted.drives])
     known = _KNOWN.setdefault(fitted, {})
-    asked = [candidate for candidate in found if (candidate, block) not in known]
-    if asked:
+    unscored = [candidate for candidate in candidates if (candidate, block) not in known]
+    if unscored:
         basis = _find_movable_basis(fitted)
         left = project_out(basis, fitted.residual)
-        for candidate in asked:
+        for candidate in unscored:
             known[candidate, block] = _score_candidate(fitted, basis, left, rows, candidate)
-    return sorted((known[candidate, block] for candidate in found), key=lambda s: -s.explained)
+    return sorted((known[candidate, block] for candidate in candidates), key=lambda s: -s.explained)
 
 
 def _find_movable_basis(fitted: Fit) -> Array:
-    """Return an orthonormal basis of what recalibration can still do, shape (n, at most p).
+    """Return an orthonormal basis of what recalibration can still change, shape (n, at most p).
 
-    A number at an end of its range cannot, and what it strains for may be an effect's.
+    A number at an end of its range is left out: what pulls it there may be an effect.
     """
     bound = fitted.at_bound
-    open_to = [index for index, free in enumerate(fitted.free) if free.name not in bound]
-    if not open_to:
+    movable = [index for index, free in enumerate(fitted.free) if free.name not in bound]
+    if not movable:
         return np.zeros((len(fitted.residual), 0))
-    basis: Array = np.linalg.qr(fitted.jacobian[:, open_to])[0]
+    basis: Array = np.linalg.qr(fitted.jacobian[:, movable])[0]
     return basis
 
 
@@ -84,20 +83,8 @@ def _score_candidate(
     return best
 
 
-def secant(fitted: Fit, values: dict[str, float]) -> Array:
-    """Return how a dose moves the simulated outputs, in deviations of the sensors."""
-    moved = stack_residuals(fitted.drives, with_values(fitted.settings, values))
-    return fitted.residual - moved
-
-
-def project_out(basis: Array, vectors: Array) -> Array:
-    """Remove what the recalibrated numbers can do as well."""
-    beside: Array = vectors - basis @ (basis.T @ vectors)
-    return beside
-
-
 def _fit_amounts(secants: Array, left: Array, bounds: tuple[Array, Array]) -> Array:
-    """Least squares for how much of each dose, within the numbers' ranges."""
+    """Return by least squares how much of each dose fits, within the numbers' ranges."""
     triangle: Array = np.asarray(np.linalg.qr(np.column_stack([secants, left]), mode="r"))
     size = secants.shape[1]
     amounts: Array = lsq_linear(triangle[:size, :size], triangle[:size, size], bounds).x
@@ -107,7 +94,7 @@ def _fit_amounts(secants: Array, left: Array, bounds: tuple[Array, Array]) -> Ar
 def _dose_range(
     candidate: Candidate, settings: PlantSettings, doses: Sequence[dict[str, float]]
 ) -> tuple[Array, Array]:
-    """How many doses of each switch its range allows."""
+    """Return the least and the most doses of each switch that its range allows."""
     low, high = [], []
     for number, dose in zip(candidate.switches, doses, strict=True):
         neutral = value_of(settings, number.name)
@@ -124,7 +111,7 @@ def _choose_start(
     doses: Sequence[dict[str, float]],
     amounts: Array,
 ) -> dict[str, float]:
-    """Start a fit where the amounts say, but off the ends of the ranges."""
+    """Return the start that the amounts suggest, off the ends of the ranges."""
     start = dict(doses[0])
     for number, dose, amount in zip(candidate.switches, doses, amounts, strict=True):
         neutral = value_of(settings, number.name)
@@ -134,6 +121,6 @@ def _choose_start(
 
 
 def clip_inside(value: float, low: float, high: float, scale: float) -> float:
-    """Return the value, at least a fifth of a visible step away from the ends of its range."""
+    """Return the value, kept a fifth of a visible step away from the ends of its range."""
     edge = min(0.2 * scale, 0.1 * (high - low))
     return float(np.clip(value, low + edge, high - edge))

@@ -1,4 +1,4 @@
-"""The verdict: one of seven words, and what it means in this case."""
+"""The verdict: one of seven words, and the model that it rests on."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.search import EffectSearch
 
 LEAST_CLOSED = 0.8
-"""A partial explanation closes at least so much of a block's gap to the floor."""
+"""A partial explanation closes at least this share of a block's gap to the floor."""
 
 
 class Verdict(StrEnum):
-    """What the measurement says of the model."""
+    """What the measurement says about the model."""
 
     NO_DISCREPANCY = "no_discrepancy"
     MISCALIBRATED = "miscalibrated"
@@ -33,13 +33,13 @@ class Judgement:
     verdict: Verdict
     model: Model
     explained: float
-    """Share of the way from recalibrated to floor, of the worse of the blocks."""
+    """Share of the way from recalibrated to floor, in the worse block."""
 
 
 def judge_search(search: EffectSearch, nominal: Model) -> Judgement:
-    """Judge what a search has found, before rivals are heard.
+    """Judge the models of a search, without regard to rivals.
 
-    `nominal` is the start model as it stands.
+    `nominal` is the start model with nothing fitted.
     """
     best = search.best
     if best is search.base and best.is_complete:
@@ -54,7 +54,7 @@ def judge_search(search: EffectSearch, nominal: Model) -> Judgement:
 
 
 def closed_share_of(base: Model, model: Model) -> float:
-    """Return the share of the way to the floor that a model goes, of the worst block of base."""
+    """Return the share of the way to the floor that a model goes, in the worst block of `base`."""
     shares = [_closed_share_of_block(base, model, block) for block in base.unexplained]
     return min(shares, default=1.0)
 
@@ -78,7 +78,7 @@ def _find_partial(search: EffectSearch) -> Model | None:
 
 
 def _is_worth(before: Model, model: Model, base: Model) -> bool:
-    """Tell whether another effect closes most of what was left, at nobody's expense."""
+    """Tell whether another effect closes most of what was left and makes no block worse."""
     if not {*before.names} <= {*model.names} or {*model.unexplained} - {*base.unexplained}:
         return False
     gained = max(
@@ -88,10 +88,9 @@ def _is_worth(before: Model, model: Model, base: Model) -> bool:
 
 
 def revise_verdict(judgement: Judgement, standings: Sequence[Standing]) -> Verdict:
-    """Turn a named verdict into an ambiguous one where a rival is no worse.
+    """Make a named verdict ambiguous where a rival is no worse.
 
-    Of a part of the truth that could be another's as well nothing is said: the remainder
-    bends the candidates.
+    A partial explanation with an equal rival names nothing: the remainder distorts every fit.
     """
     if not any(s.equal_rivals for s in standings):
         return judgement.verdict

@@ -1,4 +1,4 @@
-"""The models that a page shows side by side, and what each makes of the held-out records."""
+"""The models that a page compares, and their simulations of the held-out records."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from pamctl.diagnose.extend import assemble_plant
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.report.page_words import spell_names
+from pamctl.diagnose.report.phrases import spell_names
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 
 
 class ModelStage(NamedTuple):
-    """A model on the way from the one that was started with to the one to go on with."""
+    """One of the models between the start model and the model to go on with."""
 
     key: str
-    """The name of its level in a `Gap`."""
+    """The name of its level in a `HeldOutGap`."""
     label: str
     plant: PlantSettings
     colour: int
@@ -46,31 +46,31 @@ SIGNAL_DISPLAYS: Mapping[str, SignalDisplay] = {
 
 
 def list_model_stages(diagnosis: Diagnosis) -> list[ModelStage]:
-    """Return the models that this verdict sets beside each other, the last one to go on with."""
+    """Return the models that this verdict compares; the last one is the model to go on with."""
     model, base = diagnosis.model, diagnosis.base
     if model is None or base is None:
         return []
-    found = [ModelStage("nominal", "as it stood", diagnosis.nominal, 3)]
+    stages = [ModelStage("nominal", "start model", diagnosis.nominal, 3)]
     if diagnosis.verdict is not Verdict.NO_DISCREPANCY:
-        found.append(ModelStage("recalibrated", "recalibrated", assemble_plant(base), 1))
+        stages.append(ModelStage("recalibrated", "recalibrated", assemble_plant(base), 1))
     if model.effects:
         label = f"with {spell_names(*model.names)}"
-        found.append(ModelStage("extended", label, assemble_plant(model), 0))
-    if diagnosis.corrected is not None and diagnosis.corrected.blocks:
-        found.append(ModelStage("corrected", "with an unnamed correction", diagnosis.plant, 2))
-    return found
+        stages.append(ModelStage("extended", label, assemble_plant(model), 0))
+    if diagnosis.correction is not None and diagnosis.correction.blocks:
+        stages.append(ModelStage("corrected", "with an unnamed correction", diagnosis.plant, 2))
+    return stages
 
 
 @dataclass(frozen=True)
 class HeldOutSignal:
-    """One measured signal of a held-out record, and the simulations of it, in SI."""
+    """One measured signal of a held-out record, and its simulations, in SI."""
 
     name: str
     measured: Array
     simulated: Mapping[str, Array]
     """By the key of the stage."""
     deviation: float
-    """Of its sensor."""
+    """Standard deviation of its sensor."""
 
     def residual(self, key: str) -> Array:
         """Return measurement minus simulation."""
@@ -79,56 +79,59 @@ class HeldOutSignal:
 
 @dataclass(frozen=True)
 class HeldOutRun:
-    """A record that nothing was fitted to, in the samples that were held out."""
+    """A record that was not used for any fit."""
 
     name: str
     t_s: Array
     command_v: Array | None
     counted: NDArray[np.bool_]
-    """Which samples were held out, where a single run was cut into stretches."""
+    """The samples that were held out: all, unless a single run was cut into stretches."""
     signals: tuple[HeldOutSignal, ...]
 
 
 def simulate_held_out(diagnosis: Diagnosis) -> list[HeldOutRun]:
-    """Simulate every stage on every held-out record: coupled, by the command alone, where one is.
+    """Simulate every stage on every held-out record.
 
-    Of records that drive one block only, that block is simulated.
+    The blocks are coupled and the command alone drives them. Where the records drive only one
+    block, that block alone is simulated.
     """
     model = diagnosis.model
     if model is None:
         return []
     drives = model.evidence.holdout
-    shown = list_model_stages(diagnosis)
+    stages = list_model_stages(diagnosis)
     if len(drives) == 2:
         pairs = zip(drives[PRESSURE], drives[MECHANICS], strict=True)
-        return [_simulate_both_blocks(pressure, mechanics, shown) for pressure, mechanics in pairs]
+        return [_simulate_both_blocks(pressure, mechanics, stages) for pressure, mechanics in pairs]
     (block,) = drives
-    return [_simulate_one_block(drive, shown) for drive in drives[block]]
+    return [_simulate_one_block(drive, stages) for drive in drives[block]]
 
 
-def _simulate_both_blocks(pressure: Drive, mechanics: Drive, shown: list[ModelStage]) -> HeldOutRun:
-    driven = {
+def _simulate_both_blocks(
+    pressure: Drive, mechanics: Drive, stages: list[ModelStage]
+) -> HeldOutRun:
+    simulated = {
         stage.key: drive_coupled(plant_parameters(stage.plant), pressure.valve_v, pressure.step_s)
-        for stage in shown
+        for stage in stages
     }
     position = HeldOutSignal(
         "position_m",
         mechanics.measured,
-        {key: found.position_m for key, found in driven.items()},
+        {key: run.position_m for key, run in simulated.items()},
         mechanics.deviation,
     )
-    gauge = HeldOutSignal(
+    absolute = HeldOutSignal(
         "pressure_pa",
         pressure.measured,
-        {key: found.pressure_pa for key, found in driven.items()},
+        {key: run.pressure_pa for key, run in simulated.items()},
         pressure.deviation,
     )
-    return _collect_run(pressure, pressure.valve_v, (position, gauge))
+    return _collect_run(pressure, pressure.valve_v, (position, absolute))
 
 
-def _simulate_one_block(drive: Drive, shown: list[ModelStage]) -> HeldOutRun:
+def _simulate_one_block(drive: Drive, stages: list[ModelStage]) -> HeldOutRun:
     name = "pressure_pa" if drive.block == PRESSURE else "position_m"
-    simulated = {stage.key: drive.simulate(stage.plant) for stage in shown}
+    simulated = {stage.key: drive.simulate(stage.plant) for stage in stages}
     command_v = drive.valve_v if drive.block == PRESSURE else None
     signal = HeldOutSignal(name, drive.measured, simulated, drive.deviation)
     return _collect_run(drive, command_v, (signal,))

@@ -1,4 +1,4 @@
-"""`diagnosis.json`, schema 1: the diagnosis for programs. Stable: keys are only ever added."""
+"""`diagnosis.json`, schema 1: the diagnosis for programs. Keys are added, never changed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from pamctl.diagnose.report.next_experiment import (
     list_ambiguous_sets,
     list_blind_spots,
 )
-from pamctl.diagnose.report.sentences import sentence
+from pamctl.diagnose.report.phrases import numbers_of
+from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.plant.effects import CATALOGUE
 
 SCHEMA = 1
@@ -51,7 +52,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "limits": _list_limits(diagnosis),
         "integrator": {
             block: {"change_over_floor": change, "is_small": change <= SMALL}
-            for block, change in diagnosis.stepping.items()
+            for block, change in diagnosis.substep_changes.items()
         },
         "correction": _correction_entry(diagnosis),
         "regimes": [
@@ -63,13 +64,13 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
                 "p_value": c.p_value,
                 "stands_out": c.stands_out,
             }
-            for c in diagnosis.cells
+            for c in diagnosis.misfits
         ],
     }
 
 
 def _list_limits(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
-    """What counts as a discrepancy of each block, and whether simulation or the rig decided it."""
+    """Return the limit of each block, and whether self-simulation or the rig's repeats set it."""
     floors = diagnosis.model.floors if diagnosis.model else {}
     return {
         block: {"limit_over_floor": f.limit / f.mean, "decided_by": f.decided_by}
@@ -80,7 +81,7 @@ def _list_limits(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
 def _correction_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:
     if diagnosis.remainder is None:
         return None
-    table = {"table": diagnosis.corrected.as_dict()} if diagnosis.corrected else {}
+    table = {"table": diagnosis.correction.as_dict()} if diagnosis.correction else {}
     return {**diagnosis.remainder.as_dict(), **table}
 
 
@@ -90,11 +91,7 @@ def _effect_entry(diagnosis: Diagnosis, standing: Standing) -> dict[str, Any]:
         "name": name,
         "block": CATALOGUE[name].block,
         "form": standing.effect.form,
-        "parameters": {
-            n.name.split(".")[1]: n.as_dict()
-            for n in diagnosis.numbers
-            if n.name.startswith(f"{name}.")
-        },
+        "parameters": {n.name.split(".")[1]: n.as_dict() for n in numbers_of(diagnosis, name)},
         "rivals": [
             {"name": r.name, "residual_over_floor": r.residual_over_floor} for r in standing.rivals
         ],

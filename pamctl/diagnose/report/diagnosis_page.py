@@ -1,7 +1,7 @@
 """`report.html`: the diagnosis for a reader who was not there, on one page without a network.
 
 The first screen has the verdict in plain words, the gap before and after as a picture, and
-what to do next; the rest is what these rest on.
+what to do next. The sections below give the evidence.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
 from pamctl.diagnose.report.findings_part import write_findings, write_trials
 from pamctl.diagnose.report.head_part import write_head
-from pamctl.diagnose.report.page_words import write_headline
 from pamctl.diagnose.report.regime_map import write_map
 from pamctl.diagnose.report.remains_part import (
     write_blind_spots,
@@ -22,13 +21,14 @@ from pamctl.diagnose.report.remains_part import (
     write_remainder,
 )
 from pamctl.diagnose.report.traces_part import write_traces
+from pamctl.diagnose.report.verdict_words import choose_words
 from pamctl.report.html_page import Page
 
 
 def build_diagnosis_page(diagnosis: Diagnosis, records: Sequence[Record]) -> Page:
-    """Return the page of a diagnosis; `records` are all that it was given, good or bad."""
+    """Return the page of a diagnosis; `records` are all records that were given, good or bad."""
     names = [record.name for record in records]
-    page = Page(write_headline(diagnosis), f"Diagnosis of {', '.join(names)}")
+    page = Page(choose_words(diagnosis).title, f"Diagnosis of {', '.join(names)}")
     write_head(page, diagnosis)
     if diagnosis.reason:
         write_compared_runs(page, diagnosis, records)

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.report.sentences import describe_correction_result, sentence
+from pamctl.diagnose.report.phrases import describe_correction
+from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.settings.yaml12 import dump_yaml
 
 
@@ -21,8 +22,8 @@ def format_plant_file(diagnosis: Diagnosis, logs: Sequence[str]) -> str:
 def _head_lines(diagnosis: Diagnosis, logs: Sequence[str]) -> Iterator[str]:
     yield f"Written by `pamctl diagnose` from {', '.join(logs)}."
     yield f"Verdict: {diagnosis.verdict.value}. {sentence(diagnosis)}"
-    if diagnosis.corrected is not None:
-        yield describe_correction_result(diagnosis.corrected)
+    if diagnosis.correction is not None:
+        yield describe_correction(diagnosis.correction)
     if diagnosis.numbers:
         yield "Fitted, with 90 % intervals:"
     for n in diagnosis.numbers:

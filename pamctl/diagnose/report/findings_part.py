@@ -1,18 +1,19 @@
-"""What was found: the effect with its equation, numbers and rivals; what was tried for it."""
+"""The named effects with equation, numbers and rivals; and every set of effects that was tried."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pamctl.diagnose.diagnosis import Diagnosis, EffectsTrial
+from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.naming.rivals import Standing
+from pamctl.diagnose.naming.search import EffectsTrial
 from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.report.page_words import parameter_of, relative_shift, spell_names
+from pamctl.diagnose.report.phrases import numbers_of, parameter_of, relative_shift, spell_names
 from pamctl.plant.effects import CATALOGUE
 from pamctl.report.html_page import Page
 
 _MOST = 20
-"""Sets of effects shown of those that were tried."""
+"""Sets of effects in the table of what was tried."""
 
 
 def write_findings(page: Page, diagnosis: Diagnosis) -> None:
@@ -24,10 +25,10 @@ def write_findings(page: Page, diagnosis: Diagnosis) -> None:
     if diagnosis.recalibrated:
         page.section("The numbers of the model")
         page.table(
-            ["parameter", "as it stood", "recalibrated", "90 % interval", "unit", "off by"],
+            ["parameter", "start model", "recalibrated", "90 % interval", "unit", "off by"],
             list(_list_recalibrated(diagnosis)),
-            caption="Fitted with the effects, if there are any. A number is off where its interval "
-            "does not reach the value that it had.",
+            caption="Fitted together with the effects, if there are any. A number is off if its "
+            "interval does not include the start model's value.",
         )
 
 
@@ -41,17 +42,16 @@ def _write_effect(page: Page, diagnosis: Diagnosis, standing: Standing) -> None:
             "name in plant files": name,
             "block": effect.block,
             **({"form": form} if form != name else {}),
-            "wins in": f"{100.0 * standing.confidence:.0f} % of bootstrap replicas",
+            "beats every rival in": f"{100.0 * standing.confidence:.0f} % of bootstrap replicas",
         }
     )
     page.note(effect.equation)
-    page.text(f"Without it: {effect.signature}.")
+    page.text(f"What a model without it shows: {effect.signature}.")
     rows = []
-    for number in diagnosis.numbers:
-        if number.name.split(".")[0] == name:
-            meant = parameter_of(number.name)
-            row = [meant.name, meant.meaning, f"{number.value:.5g}"]
-            rows.append([*row, f"{number.low:.5g} to {number.high:.5g}", number.unit])
+    for number in numbers_of(diagnosis, name):
+        parameter = parameter_of(number.name)
+        row = [parameter.name, parameter.meaning, f"{number.value:.5g}"]
+        rows.append([*row, f"{number.low:.5g} to {number.high:.5g}", number.unit])
     page.table(["parameter", "meaning", "value", "90 % interval", "unit"], rows)
     _write_rivals(page, standing)
 
@@ -68,12 +68,13 @@ def _write_rivals(page: Page, standing: Standing) -> None:
     ]
     if rows:
         page.table(
-            ["rival in its place", "left, x floor", "does better in", "verdict"],
+            ["rival", "left, x floor", "leaves less in", "verdict"],
             rows,
-            caption="Each rival was fitted in its place, and judged on the held-out records.",
+            caption="Each rival was fitted in place of the effect and judged on the held-out "
+            "records. The third column is the share of bootstrap replicas.",
         )
     else:
-        page.text("No other effect of the catalogue came near enough to be heard.")
+        page.text("No other effect of the catalogue came near enough to be fitted as a rival.")
 
 
 def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[list[str]]:
@@ -91,24 +92,24 @@ def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[list[str]]:
 
 
 def write_trials(page: Page, diagnosis: Diagnosis) -> None:
-    """Rank what was tried by what it leaves."""
+    """List the sets of effects that were fitted, by what they leave."""
     base = diagnosis.base
-    if base is None or not diagnosis.tried:
+    if base is None or not diagnosis.trials:
         return
     page.section("What was tried")
     blocks = base.evidence.blocks
     rows = [["recalibrated only", *(f"{base.ratio(block):.2f}" for block in blocks)]]
     best: dict[tuple[str, ...], EffectsTrial] = {}
-    for trial in diagnosis.tried:
+    for trial in diagnosis.trials:
         best.setdefault(trial.names, trial)  # the best form of each set
     for names, trial in [*best.items()][:_MOST]:
         rows.append([spell_names(*names), *(f"{trial.ratios[block]:.2f}" for block in blocks)])
     page.table(
         ["model", *(f"{block}, x floor" for block in blocks)],
         rows,
-        caption="Left on the held-out records, over the floor, the best first. Where a single "
-        "effect leaves nothing, those that promised less were not fitted; nor is every set of "
-        "several.",
+        caption="Residual on the held-out records over the floor, the best first. If a single "
+        "effect leaves nothing above the limit, effects that promised less were not fitted. Sets "
+        "of several effects were fitted only where they looked promising.",
     )
     if diagnosis.verdict is Verdict.NONE_KNOWN:
-        page.text("None of these leaves nothing, and none is named for being the least bad.")
+        page.text("Every one of these leaves something above the limit, so none is named.")

@@ -3,39 +3,31 @@
 from __future__ import annotations
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.report import page_words as words
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS, ModelStage, list_model_stages
+from pamctl.diagnose.report.verdict_words import advise_next_steps, choose_words
 from pamctl.diagnose.show import HeldOutGap
 from pamctl.report.html_page import Page
 from pamctl.report.levels import Levels
 
-_KINDS = {
-    Verdict.NO_DISCREPANCY: "good",
-    Verdict.MISCALIBRATED: "good",
-    Verdict.NAMED: "good",
-    Verdict.BAD_DATA: "bad",
-    Verdict.NONE_KNOWN: "bad",
-}
-
 
 def write_head(page: Page, diagnosis: Diagnosis) -> None:
-    """Write what a reader without patience needs."""
-    page.note(words.explain_verdict(diagnosis), kind=_KINDS.get(diagnosis.verdict, "note"))
-    shown = list_model_stages(diagnosis)
+    """Write the verdict, the gap and the next steps."""
+    words = choose_words(diagnosis)
+    page.note(words.explanation, kind=words.kind)
+    stages = list_model_stages(diagnosis)
     if diagnosis.gap:
         page.grid(
-            *(_draw_levels(name, gap, shown) for name, gap in diagnosis.gap.items()),
+            *(_draw_levels(name, gap, stages) for name, gap in diagnosis.gap.items()),
             caption=_write_caption(diagnosis),
         )
     page.heading("What to do next")
-    page.points(*words.advise_next_steps(diagnosis))
+    page.points(*advise_next_steps(diagnosis))
 
 
-def _draw_levels(name: str, gap: HeldOutGap, shown: list[ModelStage]) -> Levels:
+def _draw_levels(name: str, gap: HeldOutGap, stages: list[ModelStage]) -> Levels:
     signal = SIGNAL_DISPLAYS[name]
     levels = Levels(signal.title, signal.gap_unit)
-    for stage in shown:
+    for stage in stages:
         value = float(getattr(gap, stage.key)) * signal.gap_factor
         levels.bar(stage.label, value, colour=stage.colour)
     levels.mark(gap.floor * signal.gap_factor)
@@ -48,11 +40,11 @@ def _write_caption(diagnosis: Diagnosis) -> str:
         f"{SIGNAL_DISPLAYS[name].title.split(',')[0].lower()}'s gap"
         for name, gap in (diagnosis.gap or {}).items()
     ]
-    closed = f" {' and '.join(parts)} is closed, from recalibrated to that line."
+    closed = f" The effects close {' and '.join(parts)}, counted from recalibrated to this line."
     named = diagnosis.model is not None and bool(diagnosis.model.effects)
     coupled = diagnosis.model is not None and len(diagnosis.model.evidence.blocks) == 2
-    driven = "the whole model, driven by the command alone" if coupled else "the measured block"
+    driven = "The whole model is driven by the command alone." if coupled else ""
     return (
-        "What lies between measurement and simulation on records that nothing was fitted to, RMS: "
-        f"{driven}. The dashed line is what the sensor itself adds." + (closed if named else "")
+        "RMS of measurement minus simulation, on records that were not used for any fit. "
+        f"{driven} The dashed line is the sensor's own noise." + (closed if named else "")
     )

@@ -1,4 +1,4 @@
-"""Where they disagree: each block's residual over its working plane, and by regime."""
+"""Where model and measurement disagree: each block's residual over its working plane."""
 
 from __future__ import annotations
 
@@ -10,22 +10,21 @@ from scipy.signal import savgol_filter
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
-from pamctl.diagnose.fitting.false_discovery import RATE
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.locate import RegimeMisfit
+from pamctl.diagnose.locate import RATE, RegimeMisfit
 from pamctl.diagnose.measured.record import Array
 from pamctl.report.html_page import Page
 from pamctl.report.svg import PlotAxis, SvgPlot
 
 _FEWEST = 15
-"""Samples that make a cell of a map."""
+"""A cell of a map with fewer samples is left empty."""
 _BRIGHT = 5.0
-"""Times the floor: the brightest colour stands for no less, so that noise stays dark."""
+"""The brightest colour stands for at least this multiple of the floor, so that noise stays dark."""
 _NAMES = {PRESSURE: "Pressure block", MECHANICS: "Mechanics"}
 
 
 class WorkingPlane(NamedTuple):
-    """Where a block was, sample by sample, and the grid that it is shown on."""
+    """Where a block was, sample by sample, and the grid of its map."""
 
     x: Array
     y: Array
@@ -36,25 +35,25 @@ class WorkingPlane(NamedTuple):
 
 
 def write_map(page: Page, diagnosis: Diagnosis) -> None:
-    """Draw before and after, then tell the regimes in numbers."""
+    """Draw the maps before and after, then tabulate the regimes."""
     model, base = diagnosis.model, diagnosis.base
     if model is None or base is None:
         return
     page.section("Where they disagree")
     page.text(
-        "Each block is simulated alone here, driven by the other's measured signal, so that a "
-        "block without a fault stays dark whatever the other one hides. Counted is the held-out "
-        "residual over its floor, which is what the model would leave on data that it had made "
-        "itself: 1 is nothing but noise."
+        "Here each block is simulated alone, driven by the other's measured signal. A block "
+        "without a fault stays dark, whatever the other block hides. The colour is the held-out "
+        "residual over its floor: 1 is nothing but noise. The floor is what the model leaves on "
+        "data that it generated itself."
     )
     blocks = sorted(model.evidence.blocks, key=base.ratio, reverse=True)
     for block in blocks:
         page.grid(*_draw_maps(block, base, model), caption=_write_caption(block))
-    page.table(*_tabulate_regimes(diagnosis.regimes, diagnosis.cells, model, blocks))
+    page.table(*_tabulate_regimes(diagnosis.base_misfits, diagnosis.misfits, model, blocks))
     page.text(
-        "Each regime is held against the same regime of records that the model made itself. Those "
-        "that stand out do so by more than is too small to matter, and at such a level that of "
-        f"all that do {100.0 * RATE:.0f} % may be noise, in the mean (Benjamini and Hochberg)."
+        "Each regime is compared with the same regime of records that the model generated itself. "
+        "A regime stands out if its excess is large enough to matter. On average at most "
+        f"{100.0 * RATE:.0f} % of the regimes that stand out are noise (Benjamini and Hochberg)."
     )
 
 
@@ -65,7 +64,7 @@ def _write_caption(block: str) -> str:
 
 
 def _draw_maps(block: str, base: Model, model: Model) -> list[SvgPlot]:
-    """Return one map, or two on one scale of colours."""
+    """Return one map, or two with the same scale of colours."""
     plane = plane_of(model.evidence.holdout[block], model)
     labels = [(f"{_NAMES[block]}, recalibrated", base)]
     if model.effects:
@@ -84,7 +83,7 @@ def _draw_maps(block: str, base: Model, model: Model) -> list[SvgPlot]:
 
 
 def write_shape(page: Page, diagnosis: Diagnosis) -> None:
-    """Draw the mean of what is left, with its sign: a description, never a cause."""
+    """Draw the mean residual with its sign: a description, never a cause."""
     model = diagnosis.model
     if model is None or model.is_complete:
         return
@@ -98,14 +97,14 @@ def write_shape(page: Page, diagnosis: Diagnosis) -> None:
         plot.heat(plane.x_edges, plane.y_edges, grid, unit, low=-widest, high=widest)
         page.figure(
             plot,
-            caption="Mean of measurement \N{MINUS SIGN} simulation where the block was: what would "
-            "have to be added to the simulated signal. An unnamed correction: it says how the "
-            "model is wrong there, not why, and it holds for these excitations only.",
+            caption="Mean of measurement \N{MINUS SIGN} simulation over the plane: what the "
+            "simulated signal lacks there. This is an unnamed correction: it says how the model is "
+            "wrong, not why. It holds for these excitations only.",
         )
 
 
 def plane_of(drives: Sequence[Drive], model: Model) -> WorkingPlane:
-    """Return the working plane of a block, over the samples that count of all of its records."""
+    """Return the working plane of a block, over the counted samples of all its records."""
     p = model.evidence.nominal.parameters
     if drives[0].block == PRESSURE:
         x = np.concatenate([_select_counted(d, d.valve_v) for d in drives])
@@ -130,7 +129,7 @@ def _velocity(drive: Drive) -> Array:
 
 
 def _cell_edges(values: Array, cells: int) -> Array:
-    """Cut the usual range evenly; the odd sample beyond it is not drawn."""
+    """Divide the usual range evenly; the few samples beyond it are not drawn."""
     low, high = np.quantile(values, [0.002, 0.998])
     if high <= low:
         low, high = low - 0.5, high + 0.5
@@ -138,7 +137,7 @@ def _cell_edges(values: Array, cells: int) -> Array:
 
 
 def _cell_means(plane: WorkingPlane, values: Array) -> Array:
-    """Return the mean in every cell, shape (rows, columns); NaN where there is too little."""
+    """Return the mean of every cell, shape (rows, columns); NaN where samples are few."""
     edges = (plane.y_edges, plane.x_edges)
     count = np.histogram2d(plane.y, plane.x, bins=edges)[0]
     total = np.histogram2d(plane.y, plane.x, bins=edges, weights=values)[0]
@@ -152,7 +151,7 @@ def _tabulate_regimes(
     model: Model,
     blocks: Sequence[str],
 ) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows: regimes of all blocks, the worst before first."""
+    """Return header and rows: the regimes of all blocks, by their misfit before, largest first."""
     later = {(c.block, c.regime): c for c in after}
     header = ["block", "regime", "of the time", "of the misfit", "recalibrated, x floor"]
     if model.effects:

@@ -1,8 +1,7 @@
-"""On request: what no known effect explains is added to the model as a table.
+"""What no known effect explains, fitted as a table: a force or a flow without a name.
 
-The table is no cause. It is a force over displacement and load, or a flow over opening and
-pressure, fitted through the simulation like any number, and it stays out where it does not
-make the held-out gap smaller.
+The table of the mechanics is a force over displacement and load; that of the pressure block is
+a flow over opening and pressure. It is fitted through the simulation like any number.
 """
 
 from __future__ import annotations
@@ -14,72 +13,18 @@ import numpy as np
 
 from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive, stack_residuals
-from pamctl.diagnose.fitting.evidence import SMALLEST_MISFIT
-from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.measured.record import Array, Record
-from pamctl.diagnose.show import measure_rms_by_channel
+from pamctl.diagnose.measured.record import Array
 from pamctl.plant.model import CorrectionSettings, FlowSettings, PlantSettings, PullSettings
 
 ROUNDS = 6
-LEAST_GAIN = 0.05
-"""A table that takes less off the held-out RMS of its block is not worth its numbers."""
 STIFFNESS = 1e-3
-"""How much a bend of the table costs, beside what the data say of a usual node of it."""
-
-
-@dataclass(frozen=True)
-class CorrectionResult:
-    """What became of the wish for a table."""
-
-    plant: PlantSettings
-    """With the table where it helps, else as it was."""
-    blocks: tuple[str, ...]
-    """Those that have one now."""
-    why: str
-    """In plain words."""
-    before: dict[str, float]
-    """RMS of the held-out gap without the table, by channel, in SI."""
-    after: dict[str, float]
-    """The same with it; equal where it was left out."""
-
-    def as_dict(self) -> dict[str, object]:
-        """Return what the document holds."""
-        gap = {
-            name: {"before": self.before[name], "after": self.after[name]} for name in self.after
-        }
-        return {"applied": bool(self.blocks), "blocks": [*self.blocks], "why": self.why, "gap": gap}
-
-
-def add_correction_tables(
-    model: Model, plant: PlantSettings, holdout: Sequence[Record]
-) -> CorrectionResult:
-    """Add a table to `plant` for each block that `model` leaves above its limit."""
-    evidence = model.evidence
-    before = measure_rms_by_channel(evidence, holdout, plant)
-    kept, blocks, refused = plant, [], []
-    for block in model.unexplained:
-        table = fit_correction_table(evidence.train[block], kept)
-        left = [rms(stack_residuals(evidence.holdout[block], p)) for p in (kept, table)]
-        if left[1] <= (1.0 - LEAST_GAIN) * left[0]:
-            kept = table
-            blocks.append(block)
-        else:
-            refused.append(
-                f"a table for the {block} leaves {left[1] / left[0]:.2f} times what was left "
-                "of the held-out records"
-            )
-    after = measure_rms_by_channel(evidence, holdout, kept)
-    if worse := [name for name in after if after[name] > before[name] + SMALLEST_MISFIT[name]]:
-        refused = [f"tables for {' and '.join(blocks)} make the coupled gap of {worse[0]} larger"]
-        kept, blocks, after = plant, [], before
-    why = "; ".join([*(f"a table for the {b} is in the model" for b in blocks), *refused])
-    return CorrectionResult(kept, tuple(blocks), why, before, after)
+"""Cost of a bend of the table, over what the data say of a usual node."""
 
 
 def fit_correction_table(drives: Sequence[Drive], plant: PlantSettings) -> PlantSettings:
-    """Fit a block's table on drives, from zero, or from what the plant has already.
+    """Fit a block's table on drives, from zeros or from the table that the plant has already.
 
-    Gauss and Newton; bends cost a little, so that a node which no sample visits follows its
+    Gauss-Newton steps. Bends have a small cost, so that a node without samples follows its
     neighbours.
     """
     grid = _TableGrid.from_drives(drives, plant)
@@ -120,12 +65,12 @@ class _TableGrid:
     first: Array
     second: Array
     step: float
-    """Of a node, small but visible."""
+    """Step of a node for a derivative: small but visible."""
     start: Array
 
     @classmethod
     def from_drives(cls, drives: Sequence[Drive], plant: PlantSettings) -> _TableGrid:
-        """Lay the grid over where the drives were; a grid that the plant has stays."""
+        """Lay the grid over the range of the drives, or keep the grid that the plant has."""
         block = drives[0].block
         known = plant.correction and (
             plant.correction.pull if block == MECHANICS else plant.correction.flow
@@ -140,7 +85,7 @@ class _TableGrid:
             load = np.concatenate([d.driven for d in drives])
             first, second = _even_lines(measured, 6), _even_lines(load, 6)
         else:
-            # Closest near null, where valves are least like their formula.
+            # Finest near null, where valves differ most from their formula.
             widest_v = max(float(np.max(np.abs(d.valve_v))) for d in drives)
             even = np.linspace(-1.0, 1.0, 9)
             first, second = widest_v * even * np.abs(even), _even_lines(measured, 4)
@@ -148,7 +93,7 @@ class _TableGrid:
 
     @property
     def second_differences(self) -> Array:
-        """Second differences along both axes, and a little of each node itself."""
+        """Matrix of second differences along both axes, and a tenth of each node itself."""
         rows, columns = len(self.first), len(self.second)
         along = np.kron(np.diff(np.eye(rows), 2, axis=0), np.eye(columns))
         across = np.kron(np.eye(rows), np.diff(np.eye(columns), 2, axis=0))

@@ -1,8 +1,7 @@
 """The shape of what no known effect explains: a sparse sum of terms, never a cause.
 
-The missing pull on the muscle (or flow into it) is found by shifting the model until it
-follows the measurement, and regressed on a few signals. What comes out says in which
-direction to think; it is printed as an unnamed correction and nothing else.
+The residual of a block is regressed on its signals and their simplest products. The terms are
+a hint where to look; they are printed as an unnamed correction and nothing else.
 """
 
 from __future__ import annotations
@@ -19,8 +18,9 @@ from pamctl.diagnose.measured.record import Array
 
 MOST_TERMS = 3
 LEAST_GAIN = 0.05
-"""Of the remaining square: a term that gains less is left out."""
+"""A term that explains a smaller share of the remaining square is left out."""
 SMOOTH = 41
+"""Samples of the filter that differentiates position and pressure."""
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,6 @@ class Remainder:
     explained: float
     """Share of the residual's square."""
 
-    @property
-    def sentence(self) -> str:
-        """Say what was found, as what it is."""
-        if not self.terms:
-            return f"Unnamed correction of the {self.block}: no simple shape fits what is left."
-        shown = " ".join(f"{value:+.3g} {term}" for term, value in self.terms)
-        return (
-            f"Unnamed correction, not a cause: what is left of the {self.block} looks like "
-            f"{shown} {self.unit} ({100.0 * self.explained:.0f} % of its square; signals scaled "
-            "to their largest magnitude)."
-        )
-
     def as_dict(self) -> dict[str, object]:
         """Return what the document holds."""
         return {
@@ -58,7 +46,7 @@ class Remainder:
 
 
 def regress_remainder(model: Model, block: str) -> Remainder:
-    """Regress what is left of a block on its signals, the best few terms one by one."""
+    """Regress the residual of a block on its signals, one best term after the other."""
     rows: dict[str, list[Array]] = {}
     target = []
     for drive in model.evidence.train[block]:
@@ -108,8 +96,8 @@ def _choose_terms(
         for term in library:
             if term not in chosen:
                 columns = np.column_stack([library[t] for t in (*chosen, term)])
-                found = np.linalg.lstsq(columns, target, rcond=None)[0]
-                tried[term] = (float(np.sum((target - columns @ found) ** 2)), found)
+                fitted = np.linalg.lstsq(columns, target, rcond=None)[0]
+                tried[term] = (float(np.sum((target - columns @ fitted) ** 2)), fitted)
         best = min(tried, key=lambda term: tried[term][0])
         if left - tried[best][0] < LEAST_GAIN * left:
             break

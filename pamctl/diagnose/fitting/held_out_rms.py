@@ -1,0 +1,45 @@
+"""The residual of a plant on the held-out records, when the command alone drives it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pamctl.diagnose.fitting.block_fit import rms
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
+from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose.measured.record import Array, Record
+from pamctl.plant.drive import drive_coupled
+from pamctl.plant.model import PlantSettings, plant_parameters
+
+
+def measure_rms_by_channel(
+    evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings
+) -> dict[str, float]:
+    """Return the RMS of measurement minus simulation by channel, in SI.
+
+    Both blocks are simulated coupled, from the command alone. Where the records drive only one
+    block, that block's own output is compared.
+    """
+    if len(evidence.blocks) == 2:
+        return _measure_coupled_rms(evidence, holdout, plant)
+    block = evidence.blocks[0]
+    drives = evidence.holdout[block]
+    left = rms(stack_residuals(drives, plant)) * drives[0].deviation
+    return {"pressure_pa" if block == PRESSURE else "position_m": left}
+
+
+def _measure_coupled_rms(
+    evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings
+) -> dict[str, float]:
+    errors: dict[str, list[Array]] = {"position_m": [], "pressure_pa": []}
+    for record, drive in zip(holdout, evidence.holdout[MECHANICS], strict=True):
+        counted = slice(None) if drive.rows is None else drive.rows
+        driven = drive_coupled(plant_parameters(plant), record["valve_v"], record.step_s)
+        for channel in errors:
+            error = (record[channel] - getattr(driven, channel))[counted]
+            if channel == "position_m":
+                error = error - np.clip(np.mean(error), -drive.slack, drive.slack)
+            errors[channel].append(error)
+    return {channel: rms(np.concatenate(parts)) for channel, parts in errors.items()}

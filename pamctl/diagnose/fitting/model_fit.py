@@ -1,0 +1,173 @@
+"""Fit a model's numbers: recalibration, a set of effects, all blocks with one geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+from pamctl.diagnose.fitting.block_fit import FULL, QUICK, Effort, Fit, fit_numbers
+from pamctl.diagnose.fitting.candidates import Candidate
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
+from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.numbers import (
+    SENSOR_ZERO,
+    FreeNumber,
+    active_effects,
+    calibrated_number,
+    calibration_of,
+    numbers_of_start,
+    sensor_zero,
+    with_values,
+)
+from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.model import PlantSettings
+
+
+def group_blocks(
+    blocks: Sequence[str], effects: Sequence[Candidate], *, joint: bool
+) -> tuple[frozenset[str], ...]:
+    """Return which blocks are fitted together: all, if `joint` or if an effect reaches both."""
+    shared = joint or any(len(c.blocks & set(blocks)) > 1 for c in effects)
+    return (frozenset(blocks),) if shared else tuple(frozenset({b}) for b in blocks)
+
+
+def list_free_numbers(
+    blocks: frozenset[str], effects: Sequence[Candidate], evidence: Evidence
+) -> tuple[FreeNumber, ...]:
+    """Return the numbers that a fit of these blocks may move: calibration first, then effects.
+
+    Without a measured position the pressure block simulates the mechanics too. Their numbers are
+    then free as well.
+    """
+    nominal = evidence.nominal
+    blind = any(not d.has_position for b in blocks for d in evidence.train[b])
+    names = dict.fromkeys(
+        n for b in (PRESSURE, MECHANICS) if b in blocks or blind for n in calibration_of(b, nominal)
+    )
+    own = [f for c in effects if c.blocks & blocks for f in c.free]
+    has_zero = nominal.actuator == "muscle" and all(f.name != SENSOR_ZERO for f in own)
+    zero = (sensor_zero(nominal),) if has_zero else ()
+    return (
+        *(calibrated_number(n, nominal) for n in names),
+        *zero,
+        *numbers_of_start(nominal, {PRESSURE, MECHANICS} if blind else blocks),
+        *own,
+    )
+
+
+def recalibrate(evidence: Evidence, known: Mapping[frozenset[str], Fit] | None = None) -> Model:
+    """Fit the start model's calibrated numbers, and no effect.
+
+    `known` are earlier fits on the same drives.
+    """
+    return fit_model(Model(evidence, (), {}), (), [{}], effort=FULL, known=known or {})
+
+
+def weigh_blocks(base: Model) -> Model:
+    """Return a recalibrated model whose joint fits weigh each block by its floor."""
+    if len(base.evidence.blocks) < 2:
+        return base
+    evidence = base.evidence.weigh_by_floors(base.floors)
+    return recalibrate(evidence) if base.is_joint else replace(base, evidence=evidence)
+
+
+def fit_jointly(model: Model) -> Model:
+    """Fit all blocks again, with one geometry.
+
+    A block that is fitted alone may hide an effect in its own braid length. A model that is
+    complete only block by block is not complete.
+    """
+    if model.is_joint or len(model.evidence.blocks) < 2:
+        return model
+    return fit_model(model, model.effects, [{}], joint=True, effort=FULL)
+
+
+def fit_to_end(model: Model) -> Model:
+    """Fit a model's numbers to the end."""
+    fits = {
+        blocks: fit_numbers(f.drives, f.settings, f.free, FULL) for blocks, f in model.fits.items()
+    }
+    return Model(model.evidence, model.effects, fits, model.is_joint, model.root, is_final=True)
+
+
+def fit_model(
+    base: Model,
+    effects: Sequence[Candidate],
+    starts: Sequence[Mapping[str, float]],
+    *,
+    joint: bool = False,
+    effort: Effort = QUICK,
+    known: Mapping[frozenset[str], Fit] = MappingProxyType({}),
+) -> Model:
+    """Fit a model with these effects; keep the best of several starts.
+
+    Blocks that no changed effect reaches keep their fit from `base`.
+    """
+    evidence = base.evidence
+    joint = joint or base.is_joint or _has_shared_effect(evidence)
+    reached = {b for c in {*effects} ^ {*base.effects} for b in c.blocks}
+    kept = {**known, **{b: f for b, f in base.fits.items() if not b & reached}}
+    fits: dict[frozenset[str], Fit] = {}
+    for blocks in group_blocks(evidence.blocks, effects, joint=joint):
+        if blocks in kept:
+            fits[blocks] = kept[blocks]
+            continue
+        drives = evidence.training_drives(blocks)
+        free = list_free_numbers(blocks, effects, evidence)
+        settings = _start_from_base(base, blocks, effects)
+        tried = [
+            fit_numbers(drives, _move_to_start(settings, free, effects, s), free, effort)
+            for s in starts
+        ]
+        fits[blocks] = min(tried, key=lambda f: f.mean_square)
+    root = base.root or (base if base.fits else None)
+    return Model(evidence, tuple(effects), fits, joint, root, is_final=effort is FULL)
+
+
+def _has_shared_effect(evidence: Evidence) -> bool:
+    """Tell whether the start model has an effect that both blocks must agree on."""
+    return any(
+        len({*CATALOGUE[name].seen_by} & {*evidence.blocks}) > 1
+        for name in active_effects(evidence.nominal)
+    )
+
+
+def _start_from_base(
+    base: Model, blocks: frozenset[str], effects: Sequence[Candidate]
+) -> PlantSettings:
+    """Return the base model's numbers, without the effects that were taken out."""
+    kept = {c.name for c in effects}
+    values = {name: value for c in effects if c.blocks & blocks for name, value in c.held}
+    for block in sorted(blocks, reverse=True):  # the mechanics decide the geometry
+        if base.fits:
+            fitted = base.fit_of(block)
+            values |= {
+                f.name: fitted.values[f.name]
+                for f in fitted.free
+                if f.effect is None or f.effect in kept
+            }
+    return with_values(base.evidence.nominal, values)
+
+
+def _move_to_start(
+    settings: PlantSettings,
+    free: Sequence[FreeNumber],
+    effects: Sequence[Candidate],
+    start: Mapping[str, float],
+) -> PlantSettings:
+    """Return the plant at a start; an effect's numbers bring the values that its form fixes."""
+    names = {f.name for f in free}
+    own = {f.effect for f in free if f.name in start}
+    held = {n: v for c in effects if c.name in own for n, v in c.held}
+    return with_values(settings, {**held, **{n: v for n, v in start.items() if n in names}})
+
+
+def wrap_nominal_model(evidence: Evidence) -> Model:
+    """Return the start model with nothing fitted."""
+    fits = {
+        frozenset({block}): fit_numbers(drives, evidence.nominal, ())
+        for block, drives in evidence.train.items()
+    }
+    return Model(evidence, (), fits)

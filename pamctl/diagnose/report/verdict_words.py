@@ -1,0 +1,181 @@
+"""What every verdict says: title, finding, explanation and advice, one function a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.report.next_experiment import choose_next_experiment
+from pamctl.diagnose.report.phrases import (
+    describe_effects,
+    describe_largest_remainder,
+    list_sets,
+    list_shifts,
+    list_sizes,
+    spell_effects,
+    spell_names,
+)
+
+_RECORD = "pamctl run --experiment diagnosis --set experiment.seed=3 --log next.mcap"
+
+
+@dataclass(frozen=True)
+class VerdictWords:
+    """The words of one verdict, in one case."""
+
+    title: str
+    finding: str
+    """One or two sentences that complete the title on a terminal."""
+    explanation: str
+    """A few sentences for a reader who was not there."""
+    advice: tuple[str, ...]
+    """What to do next, the first thing first."""
+    kind: str = "note"
+    """How the page marks it: `good`, `bad` or `note`."""
+
+
+def choose_words(diagnosis: Diagnosis) -> VerdictWords:
+    """Return the words of the diagnosis's verdict."""
+    return _WORDS[diagnosis.verdict](diagnosis)
+
+
+def sentence(diagnosis: Diagnosis) -> str:
+    """Say what was found, in two or three sentences."""
+    words = choose_words(diagnosis)
+    return f"{words.title}. {words.finding}"
+
+
+def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
+    """Say what to do next, the first thing first."""
+    yield from choose_words(diagnosis).advice
+    experiment = choose_next_experiment(diagnosis)
+    if experiment:
+        yield _describe_experiment(experiment)
+        yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
+
+
+def _describe_experiment(experiment: Mapping[str, Any]) -> str:
+    effects = experiment["separates"]
+    apart = f", which tells {' from '.join(map(spell_names, effects))}" if len(effects) > 1 else ""
+    return f"Next experiment: {experiment['name']}{apart}. Why: {experiment['why']}."
+
+
+def _word_bad_data(diagnosis: Diagnosis) -> VerdictWords:
+    return VerdictWords(
+        "These data cannot be diagnosed",
+        diagnosis.reason,
+        f"Nothing was fitted, and nothing is concluded. The reason: {diagnosis.reason}",
+        (
+            "Repair what the reason names. `pamctl log check LOG` examines the log.",
+            f"Or record again, starting with the muscle vented and at rest: `{_RECORD}`.",
+        ),
+        "bad",
+    )
+
+
+def _word_no_discrepancy(diagnosis: Diagnosis) -> VerdictWords:
+    return VerdictWords(
+        "The model explains the measurement",
+        "What is left is sensor noise; nothing is missing.",
+        "The start model leaves no more than it leaves on data that it generated itself: sensor "
+        "noise. Nothing is missing that these data could show.",
+        ("Go on with the model that you have.",),
+        "good",
+    )
+
+
+def _word_miscalibrated(diagnosis: Diagnosis) -> VerdictWords:
+    shifts = list_shifts(diagnosis)
+    return VerdictWords(
+        "Nothing is missing from the model, but its numbers are off",
+        f"Changed: {shifts}.",
+        "With other numbers the model leaves no more than sensor noise. It needs no further "
+        f"effect. Changed: {shifts}.",
+        ("Go on with plant.yaml: the same model with the new numbers.",),
+        "good",
+    )
+
+
+def _word_named(diagnosis: Diagnosis) -> VerdictWords:
+    names = spell_effects(diagnosis)
+    return VerdictWords(
+        f"Missing from the model: {names}",
+        f"With {describe_effects(diagnosis)} the residual is at the noise floor.",
+        "The model cannot explain the measurement with any values of its own numbers. With "
+        f"{names} it explains the measurement down to the sensor noise. "
+        f"Size: {list_sizes(diagnosis)}.",
+        (
+            "Go on with plant.yaml, which has the effect: `pamctl tune --plant plant.yaml`, "
+            "`pamctl run --plant plant.yaml`.",
+        ),
+        "good",
+    )
+
+
+def _word_ambiguous(diagnosis: Diagnosis) -> VerdictWords:
+    sets = list_sets(diagnosis)
+    return VerdictWords(
+        f"Something is missing, and these data do not tell what: {sets}",
+        f"Best so far: {describe_effects(diagnosis)}.",
+        "The model cannot explain the measurement with any values of its own numbers. More than "
+        f"one effect explains it: {sets}. plant.yaml has the best fit, {spell_effects(diagnosis)} "
+        f"({list_sizes(diagnosis)}). It predicts what was measured. The cause stays open until "
+        "the experiment below has been run.",
+        ("Do not repair the rig on this evidence. Run the experiment that separates them.",),
+    )
+
+
+def _word_partial(diagnosis: Diagnosis) -> VerdictWords:
+    names = spell_effects(diagnosis)
+    closes = f"closes {100.0 * diagnosis.explained:.0f} % of the gap"
+    left = describe_largest_remainder(diagnosis)
+    return VerdictWords(
+        f"Explained in part only: {names}",
+        f"{describe_effects(diagnosis)} {closes}. {left}",
+        f"{names[:1].upper()}{names[1:]} {closes} ({list_sizes(diagnosis)}). Something else is "
+        f"missing as well. {left} Take the name as a lead, not as a finding.",
+        (
+            "plant.yaml predicts better than the start model. Use it where that is enough. The "
+            "next diagnosis may start from it: `pamctl diagnose next.mcap --plant plant.yaml`.",
+        ),
+    )
+
+
+def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
+    left = describe_largest_remainder(diagnosis)
+    advice = [
+        "Look where the maps below are bright, and at the rig: supply, tubing, mounting, "
+        "sensors. plant.yaml has the recalibrated numbers, and no effect."
+    ]
+    if diagnosis.correction is None:
+        advice.append(
+            "If prediction matters more than the cause: `pamctl diagnose --correction` adds "
+            "what is left to the model, as a table without a name."
+        )
+    elif diagnosis.correction.blocks:
+        advice.append(
+            "plant.yaml also has a table without a name. It predicts better and explains "
+            "nothing: tune a law on it, but do not judge the rig by it."
+        )
+    return VerdictWords(
+        "Something is missing, and it is none of the known effects",
+        left,
+        "After recalibration, no effect of the catalogue, alone or with others, explains what is "
+        f"left. {left} It has a shape, drawn below, but no name.",
+        tuple(advice),
+        "bad",
+    )
+
+
+_WORDS: Mapping[Verdict, Callable[[Diagnosis], VerdictWords]] = {
+    Verdict.BAD_DATA: _word_bad_data,
+    Verdict.NO_DISCREPANCY: _word_no_discrepancy,
+    Verdict.MISCALIBRATED: _word_miscalibrated,
+    Verdict.NAMED: _word_named,
+    Verdict.AMBIGUOUS: _word_ambiguous,
+    Verdict.PARTIAL: _word_partial,
+    Verdict.NONE_KNOWN: _word_none_known,
+}

@@ -62,15 +62,16 @@ class Listener:
     counted as nothing, lest a guardian that is always late never hears the silence.
     """
 
-    def __init__(self, now_ns: int, beat_ns: int) -> None:
-        """Begin to listen: the loop counts as alive now."""
+    def __init__(self, now_ns: int, beat_ns: int, period_ns: int = _POLL_NS) -> None:
+        """Begin to listen, every `period_ns`: the loop counts as alive now."""
+        self._period_ns = period_ns
         self._now_ns = now_ns
         self._beat_ns = beat_ns
         self._silent_ns = 0
 
     def measure_silence_ns(self, now_ns: int, beat_ns: int) -> int:
         """Look at the heartbeat; return how long it has stood still."""
-        heard_ns = min(now_ns - self._now_ns, 2 * _POLL_NS)
+        heard_ns = min(now_ns - self._now_ns, 2 * self._period_ns)
         if beat_ns == self._beat_ns:
             self._silent_ns += heard_ns
         else:

@@ -88,7 +88,7 @@ class Session:
         self._reading = threading.Lock()
         with block_signals():
             self._guardian = Guardianship(
-                self._ring, workshop.guardian, workshop.rig, settings.rig.loop.heartbeat_ms
+                self._ring, workshop.guardian, workshop.rig, settings.rig.loop
             )
             self._loop = subprocess.Popen(
                 [*workshop.loop, str(path), str(self._orders.fd)],

@@ -25,6 +25,7 @@ from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian_handle import LOOK_EVERY_S, Guardianship
 from pamctl.processes.loop_supervisor import STOP_SIGNALS
+from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.realtime.scheduling import Mode, raise_front_priority
 from pamctl.recording.finish_apart import finish_in_own_process
 from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
@@ -60,21 +61,21 @@ def conduct_run(
     rig: Rig,
     progress: Progress,
     mode: Mode,
-    heartbeat_ms: float,
+    pace: LoopSettings,
 ) -> FrontReport:
     """Run the loop on a fresh ring to its end; return when the log is on disk.
 
     Takes over SIGINT and SIGTERM while it runs. `rig` is not opened here: it is made safe
     where neither loop nor guardian is left to do it. `mode` is for this process alone: it
-    says whether the front may be scheduled in real time while it watches. A loop that is
-    silent for `heartbeat_ms` is frozen.
+    says whether the front may be scheduled in real time while it watches. `pace` says
+    how long the loop may be silent.
     """
     with _SignalForwarder() as signals:
         # The loop inherits the block and lifts it when it can listen: a signal that comes
         # while it starts waits for it, instead of killing it.
         with block_signals():
             recorder = spawn_recorder(ring.path)
-            guardian = Guardianship(ring, commands.guardian, rig, heartbeat_ms)
+            guardian = Guardianship(ring, commands.guardian, rig, pace)
             loop = subprocess.Popen(
                 [*commands.loop, str(ring.path)],
                 stdin=subprocess.PIPE,

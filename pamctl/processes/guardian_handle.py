@@ -17,11 +17,12 @@ from pathlib import Path
 
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.guardian import Listener, Takeover, drive_safe, patience_ns
+from pamctl.processes.guardian import POLL_MS, Silence, Takeover, drive_safe
+from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.recording.last_words import put_event_for_dead_loop
 from pamctl.recording.ring import Ring
 
-LOOK_EVERY_S = 5e-3
+LOOK_EVERY_S = POLL_MS * 1e-3
 """How often the owner of a `Guardianship` calls `look`."""
 _LEAD_NS = 40_000_000
 """The guardian's lead: the front kills a loop that is silent for this much longer."""
@@ -35,18 +36,18 @@ class Guardianship:
     """A guardian and its front. Without a `command` there is none, and nothing to guard."""
 
     def __init__(
-        self, ring: Ring, command: Sequence[str] | None, rig: Rig, heartbeat_ms: float
+        self, ring: Ring, command: Sequence[str] | None, rig: Rig, pace: LoopSettings
     ) -> None:
         """Start the guardian of a run.
 
-        `rig` is not open: the front makes it safe where nobody else can. A loop that is silent
-        for `heartbeat_ms` is the guardian's to kill, and the front's a little later.
+        `rig` is not open: the front makes it safe where nobody else can. `pace` says how long
+        a loop may be silent: then the guardian kills it, and the front a little later.
         """
         self._ring = ring
         self._rig = rig
-        self._heartbeat_ns = round(heartbeat_ms * 1e6)
+        self._pace = pace
         self._process = None if command is None else _spawn([*command, str(ring.path)])
-        self._listener: Listener | None = None
+        self._silence: Silence | None = None
         self._reason = ""
 
     def look(self, loop: subprocess.Popen[bytes]) -> None:
@@ -59,22 +60,15 @@ class Guardianship:
             return
         if self._process.poll() is not None:
             self._ring.guardian_lost = 1
-        silent_ns = self._measure_silence_ns()
-        ring = self._ring
-        patience = patience_ns(ring.loop_stage, bool(ring.loop_done), self._heartbeat_ns)
-        if silent_ns > patience + _LEAD_NS and loop.poll() is None:
-            silent_ms = silent_ns * 1e-6
-            self._reason = (
-                f"the loop was silent for {silent_ms:.0f} ms, its guardian did nothing, "
-                "and the front killed it"
+        if self._silence is None:
+            beat_ns, starved_ns = (
+                round(ms * 1e6) for ms in (self._pace.heartbeat_ms, self._pace.starved_ms)
             )
+            self._silence = Silence(self._ring, loop.pid, beat_ns, starved_ns, _LEAD_NS)
+        fault = self._silence.find_fault()
+        if fault and loop.poll() is None:
+            self._reason = f"{fault}, its guardian did nothing, and the front killed it"
             loop.kill()
-
-    def _measure_silence_ns(self) -> int:
-        now_ns, beat_ns = time.monotonic_ns(), self._ring.loop_beat_ns
-        if self._listener is None:
-            self._listener = Listener(now_ns, beat_ns, round(LOOK_EVERY_S * 1e9))
-        return self._listener.measure_silence_ns(now_ns, beat_ns)
 
     @property
     def pid(self) -> int | None:

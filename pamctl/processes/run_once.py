@@ -98,7 +98,7 @@ def _conduct_run(
     try:
         # Without a clock nothing is at stake in the front's death.
         mode = "off" if settings.fast else settings.rt
-        return conduct_run(ring, commands, rig, progress, mode, settings.rig.loop.heartbeat_ms)
+        return conduct_run(ring, commands, rig, progress, mode, settings.rig.loop)
     except BaseException:
         if not ring.head:
             ring.unlink()

@@ -215,7 +215,7 @@ def test_what_cannot_be_made_safe_says_why_when_patience_ends() -> None:
 
 
 def test_a_guardian_that_dies_is_lost_when_the_front_looks(ring: Ring) -> None:
-    front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], StubRig(), 50.0)  # type: ignore[arg-type]
+    front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], StubRig(), LoopSettings())  # type: ignore[arg-type]
     with sleeper() as loop:
         front.look(loop)
         assert not ring.guardian_lost
@@ -230,7 +230,7 @@ def test_a_guardian_that_dies_is_lost_when_the_front_looks(ring: Ring) -> None:
 
 def test_a_silent_loop_that_its_guardian_leaves_alone_is_killed_by_the_front(ring: Ring) -> None:
     rig = StubRig()
-    front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], rig, 20.0)  # type: ignore[arg-type]
+    front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], rig, LoopSettings())  # type: ignore[arg-type]
     ring.loop_stage = LoopStage.TICKING
     with sleeper() as loop:
         deadline_s = time.monotonic() + PATIENCE_S

@@ -87,7 +87,9 @@ class Session:
         self._open_rings = [self._ring]
         self._reading = threading.Lock()
         with block_signals():
-            self._guardian = Guardianship(self._ring, workshop.guardian, workshop.rig)
+            self._guardian = Guardianship(
+                self._ring, workshop.guardian, workshop.rig, settings.rig.loop
+            )
             self._loop = subprocess.Popen(
                 [*workshop.loop, str(path), str(self._orders.fd)],
                 stdin=subprocess.PIPE,
@@ -116,10 +118,10 @@ class Session:
         return self._loop.poll() is None
 
     def look(self) -> None:
-        """See whether the guardian lives; call it every few milliseconds, from any thread."""
+        """See whether guardian and loop live; call it every `LOOK_EVERY_S`, from any thread."""
         with self._reading:
             if self._ring in self._open_rings:
-                self._guardian.look()
+                self._guardian.look(self._loop)
 
     def latest_tick(self) -> dict[str, float] | None:
         """Return the newest tick's columns by name."""

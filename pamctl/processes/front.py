@@ -23,8 +23,9 @@ from typing import Any, NamedTuple
 
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.guardian_handle import Guardianship
+from pamctl.processes.guardian_handle import LOOK_EVERY_S, Guardianship
 from pamctl.processes.loop_supervisor import STOP_SIGNALS
+from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.realtime.scheduling import Mode, raise_front_priority
 from pamctl.recording.finish_apart import finish_in_own_process
 from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
@@ -55,20 +56,26 @@ class ProcessCommands(NamedTuple):
 
 
 def conduct_run(
-    ring: Ring, commands: ProcessCommands, rig: Rig, progress: Progress, mode: Mode
+    ring: Ring,
+    commands: ProcessCommands,
+    rig: Rig,
+    progress: Progress,
+    mode: Mode,
+    pace: LoopSettings,
 ) -> FrontReport:
     """Run the loop on a fresh ring to its end; return when the log is on disk.
 
     Takes over SIGINT and SIGTERM while it runs. `rig` is not opened here: it is made safe
     where neither loop nor guardian is left to do it. `mode` is for this process alone: it
-    says whether the front may be scheduled in real time while it watches.
+    says whether the front may be scheduled in real time while it watches. `pace` says
+    how long the loop may be silent.
     """
     with _SignalForwarder() as signals:
         # The loop inherits the block and lifts it when it can listen: a signal that comes
         # while it starts waits for it, instead of killing it.
         with block_signals():
             recorder = spawn_recorder(ring.path)
-            guardian = Guardianship(ring, commands.guardian, rig)
+            guardian = Guardianship(ring, commands.guardian, rig, pace)
             loop = subprocess.Popen(
                 [*commands.loop, str(ring.path)],
                 stdin=subprocess.PIPE,
@@ -134,15 +141,17 @@ def _watch(
     progress: Progress,
 ) -> None:
     """Return when the loop has ended; end it when the recorder has."""
+    shown_s = 0.0
     with closing(_Deaths([loop.pid, recorder.pid, guardian.pid])) as deaths:
         while loop.poll() is None:
             if recorder.poll() is not None:
                 ring.raise_flag(RecorderFlag.FAILED)
-            guardian.look()
-            tick = ring.latest_tick()
-            if tick is not None:
+            guardian.look(loop)
+            now_s = time.monotonic()
+            if now_s - shown_s >= _POLL_S and (tick := ring.latest_tick()) is not None:
+                shown_s = now_s
                 progress(tick, ring.worst_late_ns * 1e-9)
-            deaths.wait(_POLL_S)
+            deaths.wait(_POLL_S if guardian.pid is None else LOOK_EVERY_S)
 
 
 class _Deaths:

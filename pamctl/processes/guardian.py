@@ -18,6 +18,7 @@ import time
 from typing import NamedTuple
 
 from hal.rig import Rig, RigError
+from pamctl.processes.starvation import CpuBooks
 from pamctl.recording.ring import LoopStage, Ring
 
 POLL_MS = 5
@@ -86,11 +87,52 @@ def patience_ns(stage: int, done: bool, heartbeat_ns: int) -> int:
     return heartbeat_ns if stage == LoopStage.TICKING else SETTING_UP_NS
 
 
+class Silence:
+    """Judges a loop's silence: how long it may last depends on what the loop is doing."""
+
+    def __init__(
+        self, ring: Ring, loop_pid: int, heartbeat_ns: int, starved_ns: int, lead_ns: int = 0
+    ) -> None:
+        """Begin to listen: the loop counts as alive now.
+
+        A loop that ticks may be silent for `heartbeat_ns`; for `starved_ns`, if that is longer,
+        where it gets no CPU. `lead_ns` is added to both.
+        """
+        self._ring = ring
+        self._listener = Listener(time.monotonic_ns(), ring.loop_beat_ns)
+        self._books = CpuBooks(loop_pid)
+        self._is_counting = False
+        self._heartbeat_ns, self._starved_ns, self._lead_ns = heartbeat_ns, starved_ns, lead_ns
+
+    def find_fault(self) -> str:
+        """Look at the heartbeat; say what is wrong with a loop that must be killed."""
+        now_ns = time.monotonic_ns()
+        silent_ns = self._listener.measure_silence_ns(now_ns, self._ring.loop_beat_ns)
+        self._count_cpu_time(now_ns, silent_ns)
+        ring = self._ring
+        patience = patience_ns(ring.loop_stage, bool(ring.loop_done), self._heartbeat_ns)
+        if silent_ns <= patience + self._lead_ns:
+            return ""
+        silent_ms = silent_ns * 1e-6
+        if not self._books.is_starved(now_ns):
+            return f"the loop was silent for {silent_ms:.0f} ms"
+        if silent_ns <= max(patience, self._starved_ns) + self._lead_ns:
+            return ""
+        return f"the loop was starved: it got no CPU for {silent_ms:.0f} ms"
+
+    def _count_cpu_time(self, now_ns: int, silent_ns: int) -> None:
+        is_suspicious = silent_ns > 2 * _POLL_NS
+        if is_suspicious and not self._is_counting:
+            self._books.open_account(now_ns)
+        self._is_counting = is_suspicious
+
+
 class LoopProcess:
     """The loop as the guardian sees it: a handle that cannot be mistaken for a later process."""
 
     def __init__(self, pid: int) -> None:
         """A `pid` that is gone is a loop that is dead."""
+        self.pid = pid
         self._poll = select.poll()
         self._fd: int | None = None
         try:
@@ -109,18 +151,19 @@ class LoopProcess:
             signal.pidfd_send_signal(self._fd, signal.SIGKILL)
 
 
-def guard(ring: Ring, loop: LoopProcess, rig: Rig, heartbeat_ns: int) -> Takeover | None:
+def guard(
+    ring: Ring, loop: LoopProcess, rig: Rig, heartbeat_ns: int, starved_ns: int = 0
+) -> Takeover | None:
     """Watch the loop to its end, and leave the rig at its safe voltage.
 
     Returns None after an orderly end.
     """
-    listener = Listener(time.monotonic_ns(), ring.loop_beat_ns)
+    silence = Silence(ring, loop.pid, heartbeat_ns, starved_ns)
     reason = ""
     while not loop.dies_within(POLL_MS):
         ring.guardian_beats += 1
-        silent_ns = listener.measure_silence_ns(time.monotonic_ns(), ring.loop_beat_ns)
-        if silent_ns > patience_ns(ring.loop_stage, bool(ring.loop_done), heartbeat_ns):
-            reason = f"the loop was silent for {silent_ns * 1e-6:.0f} ms and was killed"
+        if fault := silence.find_fault():
+            reason = f"{fault} and was killed"
             break
     noticed_ns = time.monotonic_ns()
     if reason:

@@ -1,38 +1,74 @@
-"""The front's side of the guardian: start it, notice when it is gone, ask what it did."""
+"""The front's side of the guardian: start it, replace it when it fails, ask what it did.
+
+The guardian takes over from a loop that dies or freezes. If the guardian dies or freezes too,
+the front takes over: it kills a silent loop and drives the safe voltage. The front waits a
+little longer than the guardian, so that only one of them acts where both live.
+"""
 
 from __future__ import annotations
 
 import json
 import select
 import subprocess
+import time
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.guardian import Takeover, drive_safe
+from pamctl.processes.guardian import POLL_MS, Silence, Takeover, drive_safe
+from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.recording.last_words import put_event_for_dead_loop
 from pamctl.recording.ring import Ring
 
+LOOK_EVERY_S = POLL_MS * 1e-3
+"""How often the owner of a `Guardianship` calls `look`."""
+_LEAD_NS = 40_000_000
+"""The guardian's lead: the front kills a loop that is silent for this much longer."""
+_HEAD_START_S = 0.05
+"""The front drives the safe voltage itself if the guardian takes longer to report."""
 _REPORT_PATIENCE_S = 1.0
-"""From a guardian that takes longer the front takes the work over."""
 _LEAVE_PATIENCE_S = 2.0
 
 
 class Guardianship:
     """A guardian and its front. Without a `command` there is none, and nothing to guard."""
 
-    def __init__(self, ring: Ring, command: Sequence[str] | None, rig: Rig) -> None:
-        """Start the guardian of a run; `rig` is what the front can make safe itself."""
+    def __init__(
+        self, ring: Ring, command: Sequence[str] | None, rig: Rig, pace: LoopSettings
+    ) -> None:
+        """Start the guardian of a run.
+
+        `rig` is not open: the front makes it safe where nobody else can. `pace` says how long
+        a loop may be silent: then the guardian kills it, and the front a little later.
+        """
         self._ring = ring
         self._rig = rig
+        self._pace = pace
         self._process = None if command is None else _spawn([*command, str(ring.path)])
+        self._silence: Silence | None = None
+        self._reason = ""
 
-    def look(self) -> None:
-        """See whether the guardian lives; if not, the loop is safe within a few ticks.
+    def look(self, loop: subprocess.Popen[bytes]) -> None:
+        """See whether guardian and loop live; call it every `LOOK_EVERY_S`.
 
-        Whether one that lives is frozen is for the loop to hear, from its heartbeat.
+        A loop that lives stops by itself when its guardian is gone or frozen. A loop that is
+        frozen cannot: it is killed here if the guardian has not done it.
         """
-        if self._process and self._process.poll() is not None:
+        if not self._process:
+            return
+        if self._process.poll() is not None:
             self._ring.guardian_lost = 1
+        if self._silence is None:
+            beat_ns, starved_ns = (
+                round(ms * 1e6) for ms in (self._pace.heartbeat_ms, self._pace.starved_ms)
+            )
+            self._silence = Silence(self._ring, loop.pid, beat_ns, starved_ns, _LEAD_NS)
+        fault = self._silence.find_fault()
+        if fault and loop.poll() is None:
+            self._reason = f"{fault}, its guardian did nothing, and the front killed it"
+            loop.kill()
 
     @property
     def pid(self) -> int | None:
@@ -40,13 +76,16 @@ class Guardianship:
         return None if self._process is None else self._process.pid
 
     def judge_ending(self, ending: Ending) -> Ending:
-        """Return how the run of a loop that is no more ended, the valve included."""
+        """Return how the run of a dead loop ended, the valve included."""
         if not self._process:
             return ending
-        report = _read_report(self._process)
+        if self._reason:
+            ending = ending._replace(reason=self._reason)
+        noticed_ns = time.monotonic_ns()
+        report = self._await_report(self._process)
         if not report:
             self._process.kill()
-            return self._stand_in(ending)
+            return self._take_over(ending, noticed_ns)
         words = json.loads(report)
         return _ending_of_takeover(Takeover(**words), ending) if words else ending
 
@@ -59,30 +98,58 @@ class Guardianship:
                 self._process.kill()
             self._process.communicate()
 
-    def _stand_in(self, ending: Ending) -> Ending:
+    def _await_report(self, guardian: subprocess.Popen[bytes]) -> bytes:
+        """Return the guardian's last line; nothing if it is dead or frozen.
+
+        The valve does not wait for words: after a head start the front writes the safe voltage
+        as well. A card may refuse it while the guardian holds the output; then the guardian
+        lives, or its death below sets the output free.
+        """
+        assert guardian.stdout
+        began_s = time.monotonic()
+        is_safe = False
+        while (waited_s := time.monotonic() - began_s) < _REPORT_PATIENCE_S:
+            if select.select([guardian.stdout], [], [], LOOK_EVERY_S)[0]:
+                return guardian.stdout.readline()
+            if _is_stopped(guardian.pid):
+                return b""
+            if waited_s > _HEAD_START_S and not is_safe:
+                self._rig.make_safe()
+                is_safe = self._rig.safe_failure is None
+        return b""
+
+    def _take_over(self, ending: Ending, noticed_ns: int) -> Ending:
         """Do what the guardian cannot do any more."""
         failure = drive_safe(self._rig)
-        if failure is not None:
-            return Ending(_worse_code(ending), _alarm_text(ending.reason, str(failure)))
-        return ending
+        if self._ring.loop_done and failure is None:
+            return ending
+        takeover = Takeover(
+            reason=self._reason,
+            silent_ms=(noticed_ns - self._ring.loop_beat_ns) * 1e-6,
+            latency_ms=(time.monotonic_ns() - noticed_ns) * 1e-6,
+            failure=str(failure or ""),
+        )
+        put_event_for_dead_loop(self._ring, {**takeover.event(), "event": "front_takeover"})
+        return _ending_of_takeover(takeover, ending, "the front")
 
 
 def _spawn(command: Sequence[str]) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0)
 
 
-def _read_report(guardian: subprocess.Popen[bytes]) -> bytes:
-    """Return the line that a guardian says in the end; nothing where it could not."""
-    assert guardian.stdout
-    heard, _, _ = select.select([guardian.stdout], [], [], _REPORT_PATIENCE_S)
-    return guardian.stdout.readline() if heard else b""
+def _is_stopped(pid: int) -> bool:
+    """Tell whether a signal or a debugger has stopped a process."""
+    with suppress(OSError):
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        return state in {"T", "t"}
+    return False
 
 
-def _ending_of_takeover(takeover: Takeover, ending: Ending) -> Ending:
+def _ending_of_takeover(takeover: Takeover, ending: Ending, who: str = "the guardian") -> Ending:
     reason = takeover.reason or ending.reason
     if takeover.failure:
         return Ending(_worse_code(ending), _alarm_text(reason, takeover.failure))
-    done = f"the guardian drove the safe voltage {takeover.latency_ms:.1f} ms later"
+    done = f"{who} drove the safe voltage {takeover.latency_ms:.1f} ms later"
     return Ending(ExitCode.UNEXPECTED, f"{reason}; {done}")
 
 

@@ -58,7 +58,8 @@ def _guard(ring: Ring) -> Takeover | None:
     loop = LoopProcess(_await_loop_pid(ring))
     prepare_guardian(settings.rt, settings.rig.loop.cpu)
     ring.guardian_ready = 1
-    return guard(ring, loop, rig, round(settings.rig.loop.heartbeat_ms * 1e6))
+    pace = settings.rig.loop
+    return guard(ring, loop, rig, round(pace.heartbeat_ms * 1e6), round(pace.starved_ms * 1e6))
 
 
 def _await_loop_pid(ring: Ring) -> int:

@@ -97,7 +97,8 @@ def _conduct_run(
     commands = ProcessCommands([*start, "pamctl.processes.loop_main"], guardian)
     try:
         # Without a clock nothing is at stake in the front's death.
-        return conduct_run(ring, commands, rig, progress, "off" if settings.fast else settings.rt)
+        mode = "off" if settings.fast else settings.rt
+        return conduct_run(ring, commands, rig, progress, mode, settings.rig.loop)
     except BaseException:
         if not ring.head:
             ring.unlink()

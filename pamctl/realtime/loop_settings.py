@@ -23,6 +23,15 @@ class LoopSettings(Configured):
         float,
         Field(ge=20, le=10_000, description="a loop silent for longer is killed by the guardian"),
     ] = 50.0
+    starved_ms: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=60_000,
+            description="a silent loop that gets no CPU is killed after this time, "
+            "or after heartbeat_ms if that is longer",
+        ),
+    ] = 0.0
     stop_ramp_s: Annotated[
         float, Field(ge=0.001, le=5, description="from the last command to the safe one")
     ] = 0.5

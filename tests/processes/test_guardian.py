@@ -25,6 +25,7 @@ from support.rings import await_ring, await_tick
 from hal.rig import RigError, open_rig
 from hal.sim.register import SharedRegister, peek_v
 from hal.sim.sim_rig import SimRig, SimSettings, sensor_chain
+from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.reader import read
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
@@ -214,14 +215,36 @@ def test_what_cannot_be_made_safe_says_why_when_patience_ends() -> None:
 
 
 def test_a_guardian_that_dies_is_lost_when_the_front_looks(ring: Ring) -> None:
-    front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], StubRig())  # type: ignore[arg-type]
-    front.look()
-    assert not ring.guardian_lost
+    front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], StubRig(), LoopSettings())  # type: ignore[arg-type]
+    with sleeper() as loop:
+        front.look(loop)
+        assert not ring.guardian_lost
+        assert front.pid
+        os.kill(front.pid, signal.SIGKILL)
+        os.waitid(os.P_PID, front.pid, os.WEXITED | os.WNOWAIT)
+        front.look(loop)
+        assert ring.guardian_lost
+        assert loop.poll() is None
+    front.dismiss()
+
+
+def test_a_silent_loop_that_its_guardian_leaves_alone_is_killed_by_the_front(ring: Ring) -> None:
+    rig = StubRig()
+    front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], rig, LoopSettings())  # type: ignore[arg-type]
+    ring.loop_stage = LoopStage.TICKING
+    with sleeper() as loop:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while loop.poll() is None:
+            assert time.monotonic() < deadline_s
+            front.look(loop)
+            time.sleep(1e-3)
     assert front.pid
-    os.kill(front.pid, signal.SIGKILL)
-    os.waitid(os.P_PID, front.pid, os.WEXITED | os.WNOWAIT)
-    front.look()
-    assert ring.guardian_lost
+    os.kill(front.pid, signal.SIGSTOP)
+    ending = front.judge_ending(Ending(ExitCode.UNEXPECTED, "the loop process was killed"))
+    assert ending.code == ExitCode.UNEXPECTED
+    assert "its guardian did nothing" in ending.reason
+    assert "the front drove the safe voltage" in ending.reason
+    assert rig.tries == 1
     front.dismiss()
 
 
@@ -478,6 +501,31 @@ def test_a_loop_that_dies_or_freezes_leaves_the_valve_safe_and_the_log_complete(
     assert "the guardian drove the safe voltage" in said
     assert ("killed by SIGKILL" if number == signal.SIGKILL else "silent for") in said
     assert len(takeovers(run)) == 1
+    assert_log_complete_to(run, before)
+
+
+@pytest.mark.parametrize("first", ["loop_main", "guardian_main"])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_frozen_loop_without_a_guardian_is_ended_by_the_front(
+    tmp_path: Path, device: str, first: str, number: signal.Signals
+) -> None:
+    faults = {"loop_main": signal.SIGSTOP, "guardian_main": number}
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        for name in sorted(faults, key=lambda name: name != first):
+            os.kill(run.pids[name], faults[name])
+        run.await_safe()
+        _, said = run.front.communicate(timeout=PATIENCE_S)
+        await_gone(*run.pids.values())
+    assert run.front.returncode == 1
+    # A loop that is frozen a moment after its guardian may have noticed that in between.
+    if "the front killed it" in said:
+        assert "the front drove the safe voltage" in said
+        assert [e["event"] for e in read(run.log).events].count("front_takeover") == 1
+    else:
+        assert first == "guardian_main"
+        assert "the guardian " in said
     assert_log_complete_to(run, before)
 
 

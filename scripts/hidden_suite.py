@@ -29,7 +29,7 @@ from hidden.examine import examine  # noqa: E402
 from hidden.excitations import PROGRAMS  # noqa: E402
 from hidden.oracle import oracle  # noqa: E402
 from hidden.scoring import ORACLE, Result, confusion, figures, table  # noqa: E402
-from taken_up import taken_up  # noqa: E402
+from resumable_study import run_resumable  # noqa: E402
 
 GOOD = ("right", "right_set", "silent", "honest", "twin")
 ORACLE_PROGRAMS = ("standard", "short", "brief", "squares", "closed_loop")
@@ -61,7 +61,7 @@ def key(case: Case) -> str:
     return f"{case.id}#{case.repeat}@{case.program}"
 
 
-def examined(case: Case) -> dict[str, Any]:
+def examine_case(case: Case) -> dict[str, Any]:
     """Run one case; a crash of the diagnosis is a result too."""
     try:
         return {"key": key(case), **examine(case)}
@@ -69,12 +69,12 @@ def examined(case: Case) -> dict[str, Any]:
         return {"key": key(case), "error": traceback.format_exc(limit=-4)}
 
 
-def told(result: dict[str, Any]) -> str:
+def describe_verdict(result: dict[str, Any]) -> str:
     """Return the verdict, for the line of progress."""
     return str(result.get("document", {}).get("verdict", "CRASH"))
 
 
-def written(every: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
+def format_oracle(every: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
     """Return the oracle as JSON, one line for each size of an effect."""
     programs = []
     for program, effects in every.items():
@@ -117,11 +117,11 @@ def main() -> None:
     parser.add_argument("--oracle", action="store_true")
     options = parser.parse_args()
     if options.oracle:
-        ORACLE.write_text(written({program: oracle(program) for program in ORACLE_PROGRAMS}))
+        ORACLE.write_text(format_oracle({program: oracle(program) for program in ORACLE_PROGRAMS}))
         return
     cases = chosen(options)
     tasks = {key(case): case for case in cases}
-    found = taken_up(tasks, examined, options.results, options.workers, told)
+    found = run_resumable(tasks, examine_case, options.results, options.workers, describe_verdict)
     results = [
         Result(case, found[key(case)]["document"], found[key(case)]["seconds"])
         for case in cases

@@ -38,7 +38,7 @@ from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M  # noqa: E402
 from hidden.truth_values import NEUTRAL as HIDDEN_NEUTRAL  # noqa: E402
 from hidden.truth_values import TRUE  # noqa: E402
 from readme_table import table, write_between  # noqa: E402
-from taken_up import taken_up  # noqa: E402
+from resumable_study import run_resumable  # noqa: E402
 
 from pamctl.diagnose import Record  # noqa: E402
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates, select_reaching  # noqa: E402
@@ -210,7 +210,7 @@ def _best(evidence: Evidence, forms: Sequence[Candidate]) -> Model:
     return best
 
 
-def examined(task: Task) -> dict[str, Any]:
+def examine_task(task: Task) -> dict[str, Any]:
     """Return the intervals of one rig beside the truth."""
     runs, true = {"own": own, "hidden": hidden}[task.rig](task)
     began = time.process_time()
@@ -319,7 +319,7 @@ def main() -> None:
         for rig in options.rigs.split(",")
     ]
     keyed = {task.key: task for task in tasks}
-    found = taken_up(keyed, examined, options.results, options.workers)
+    found = run_resumable(keyed, examine_task, options.results, options.workers)
     lines = summary([found[key] for key in keyed])
     if options.json:
         print(json.dumps([asdict(line) for line in lines], indent=2))

@@ -20,12 +20,12 @@ from hal.calibration import Zero
 from pamctl.control.experiment import Segment
 from pamctl.log import Log
 from pamctl.realtime.tick import first_state
+from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import Difference, Differences, StageField
-from pamctl.replay.recorded_run import BehindTheEnd, NotReplayable, ReplaySource
-from pamctl.replay.replayable import find_absent_fields, read_replay_source
-from pamctl.replay.rerun import TickReplay, list_compared_fields
-from pamctl.replay.retick import retick_stretch
-from pamctl.replay.retrace import retrace_course
+from pamctl.replay.read_source import find_absent_fields, read_replay_source
+from pamctl.replay.replay_source import BehindTheEnd, NotReplayable, ReplaySource
+from pamctl.replay.tick_kernel import replay_stretch
+from pamctl.replay.tick_replay import TickReplay, list_compared_fields
 from pamctl.replay.tolerance import EXACT, Tolerances
 
 __all__ = [
@@ -49,7 +49,7 @@ class Replay:
     """How many were replayed."""
     skipped: int
     """Ticks behind a loss, up to the next frozen state: nobody knows the state they began with."""
-    unasked: int
+    without_reference: int
     """Replayed ticks whose reference could not be asked for again, for the same reason."""
     fields: tuple[StageField, ...]
     """What was compared."""
@@ -67,7 +67,7 @@ class Replay:
     @property
     def is_whole(self) -> bool:
         """Whether every tick asked for could be replayed, reference included."""
-        return not self.skipped and not self.unasked
+        return not self.skipped and not self.without_reference
 
     @property
     def speed(self) -> float:
@@ -102,7 +102,7 @@ def replay_log(
         begin=begin,
         ticks=len(recording) - begin - run.skipped,
         skipped=run.skipped,
-        unasked=run.unasked,
+        without_reference=run.without_reference,
         fields=tuple(run.differences.compared),
         absent=tuple(find_absent_fields(log)),
         differences=run.differences.all(),
@@ -113,5 +113,5 @@ def replay_log(
 def _load_kernels(recording: ReplaySource) -> None:
     """Run over no tick at all: to compile, or load what was compiled, is no part of the speed."""
     nowhere = first_state(Zero(0.0, 0.0), 0.0)
-    retick_stretch(recording.setup_at(0), recording.output, nowhere, recording.inputs(0, 0))
-    retrace_course([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))
+    replay_stretch(recording.setup_at(0), recording.output, nowhere, recording.inputs(0, 0))
+    trace_course([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))

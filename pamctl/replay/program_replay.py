@@ -17,9 +17,9 @@ from hal.rig import RawSample
 from pamctl.control.experiment import make_valve_reference
 from pamctl.control.homing import HomingError
 from pamctl.realtime.program import Program
+from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import find_differing
-from pamctl.replay.recorded_run import ReplaySource
-from pamctl.replay.retrace import retrace_course
+from pamctl.replay.replay_source import ReplaySource
 from pamctl.settings.build import build_ordered_program, build_program, nominal_zero_of
 from pamctl.signals import Phase, Reference
 
@@ -64,23 +64,23 @@ class ProgramReplay:
         Stretches come in order, without one left out.
         """
         if begin in self._recording.orders:
-            self._program = self._ordered(begin)
+            self._program = self._resume_order(begin)
         if begin in self._recording.losses and begin > 0 and self._depends_on_history(begin):
             self._program = None
         if self._program is None:
             self._program = self._resume_program(begin)
         if self._program is None:
             return None
-        asked = None if self._plain else self._retrace_course(self._program, begin, end)
+        asked = None if self._plain else self._trace_course(self._program, begin, end)
         return asked or self._ask_tick_by_tick(self._program, begin, end)
 
-    def _retrace_course(self, program: Program, begin: int, end: int) -> ProgramAnswer | None:
+    def _trace_course(self, program: Program, begin: int, end: int) -> ProgramAnswer | None:
         """Return what a course asks for in one go, where that is what the log says."""
         if program.running is None or self._recording.stops & set(range(begin, end)):
             return None
         course, course_begin_s = program.running
         t_s = self._recording.log.t[begin:end]
-        rows = retrace_course(course.segments, course.duration_s, course_begin_s, t_s)
+        rows = trace_course(course.segments, course.duration_s, course_begin_s, t_s)
         if rows is None or any(
             find_differing(self._recording.log[name][begin:end].astype(np.float64), row) is not None
             for name, row in zip(Reference._fields, rows, strict=True)
@@ -95,7 +95,7 @@ class ProgramReplay:
         """Return a program that has come as far as `begin`, None if the log does not say how."""
         recording, times_s = self._recording, self._recording.log.t
         if recording.orders:
-            return self._ordered(begin)
+            return self._resume_order(begin)
         if not recording.settings.rig.homing.enabled:
             course_begin_s = 0.0
         elif homed := [tick for tick in recording.zeros if 0 < tick <= begin]:
@@ -112,7 +112,7 @@ class ProgramReplay:
             return program if program.is_stopping else None
         return program
 
-    def _ordered(self, begin: int) -> Program | None:
+    def _resume_order(self, begin: int) -> Program | None:
         """Ask the program that was ordered last all that it was asked up to `begin`."""
         ordered_at = max((tick for tick in self._recording.orders if tick <= begin), default=None)
         if ordered_at is None or self._recording.losses & set(range(ordered_at, begin + 1)):
@@ -143,7 +143,7 @@ class ProgramReplay:
             if self._is_first:
                 zeros[tick] = nominal_zero_of(self._recording.settings)(sample)
                 self._is_first = False
-            reference, zero = self._asked(program, t_s, sample, last_v)
+            reference, zero = self._ask_once(program, t_s, sample, last_v)
             if reference is None and self._recording.orders and program.is_stopping:
                 reference = self._parked  # the loop goes on when a run is over
             rows.append(_NOTHING if reference is None else reference)
@@ -156,7 +156,7 @@ class ProgramReplay:
             np.array(rows, dtype=np.float64).reshape(-1, len(Reference._fields)).T, zeros
         )
 
-    def _asked(
+    def _ask_once(
         self, program: Program, t_s: float, sample: RawSample, last_v: float
     ) -> tuple[Reference | None, Zero | None]:
         """Ask as the loop does: a course that is over begins its stop at once."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-def retrace_course(
+def trace_course(
     course: Sequence[Segment], duration_s: float, begin_s: float, t_s: Floats
 ) -> Floats | None:
     """Return the references of a course that began at `begin_s`; None if it is over by the last.
@@ -29,7 +29,7 @@ def retrace_course(
     `t_s`, of shape (n,), rises; the result has the shape (fields of Reference, n).
     """
     rows = np.empty((len(Reference._fields), len(t_s)))
-    done = _compile_retrace()(_tabulate_segments(tuple(course)), duration_s, t_s - begin_s, rows)
+    done = _compile_trace()(_tabulate_segments(tuple(course)), duration_s, t_s - begin_s, rows)
     return rows if done == len(t_s) else None
 
 
@@ -44,11 +44,11 @@ def _tabulate_segments(course: tuple[Segment, ...]) -> Floats:
 
 
 @cache
-def _compile_retrace() -> Callable[..., int]:
-    return compile_kernel(retrace)
+def _compile_trace() -> Callable[..., int]:
+    return compile_kernel(trace_segments)
 
 
-def retrace(segments: Floats, duration_s: float, t_s: Floats, rows: Floats) -> int:
+def trace_segments(segments: Floats, duration_s: float, t_s: Floats, rows: Floats) -> int:
     """Kernel: fill a column of `rows` for each time; return how many there were until the end."""
     index = 0
     for i in range(len(t_s)):

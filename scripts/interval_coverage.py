@@ -1,14 +1,14 @@
 """How often the 90 % intervals of a diagnosis hold the truth, by simulation.
 
     python scripts/interval_coverage.py [--rigs own,hidden] [--effects NAME,...] [--seeds 4]
-        [--program brief] [--workers 2] [--results FILE] [--json | --readme]
+        [--program brief] [--workers 2] [--results FILE] [--json | --write]
 
 An effect of drawn size (1 to 10 smallest sizes of interest), under drawn parameters, noise and
 homing, is hidden in the project's own simulated rig (finely stepped) and in those of tests/hidden,
 which share no code with it and have other forms. Only the true structure is fitted, without a
 search, so that a rig costs seconds. Lines of a JSONL file are not run again. The table goes to
-stdout (markdown, JSON, or into the README), progress to stderr. A standard error counts rigs, not
-numbers: those of one rig are not independent.
+stdout (markdown or JSON), with --write into README or manual; progress goes to stderr. A standard
+error counts rigs, not numbers: those of one rig are not independent.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hidden.rig import HiddenRig  # noqa: E402
 from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M  # noqa: E402
 from hidden.truth_values import NEUTRAL as HIDDEN_NEUTRAL  # noqa: E402
 from hidden.truth_values import TRUE  # noqa: E402
-from readme_table import table, write_between  # noqa: E402
+from measured_table import format_table, write_measured  # noqa: E402
 from resumable_study import run_resumable  # noqa: E402
 
 from pamctl.diagnose import Record  # noqa: E402
@@ -298,7 +298,9 @@ def markdown(lines: Sequence[Coverage]) -> str:
         ]
         for line in lines
     ]
-    return table(["", "rigs", "numbers", "90 % intervals that hold the truth", "half width"], rows)
+    return format_table(
+        ["", "rigs", "numbers", "90 % intervals that hold the truth", "half width"], rows
+    )
 
 
 def main() -> None:
@@ -310,7 +312,9 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--results", type=Path, default=Path("logs/coverage.jsonl"))
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--readme", action="store_true", help="put the table into the README")
+    parser.add_argument(
+        "--write", "--readme", action="store_true", help="write the table into README or manual"
+    )
     options = parser.parse_args()
     tasks = [
         Task(rig, effect, seed, options.program)
@@ -325,8 +329,8 @@ def main() -> None:
         print(json.dumps([asdict(line) for line in lines], indent=2))
         return
     print(markdown(lines))
-    if options.readme:
-        write_between("interval_coverage", markdown(lines))
+    if options.write:
+        write_measured("interval_coverage", markdown(lines))
 
 
 if __name__ == "__main__":

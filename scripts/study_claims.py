@@ -1,7 +1,7 @@
 """The paper's claims as a study: tracking, sensors, cost, parameters, sensitivity, and what q does.
 
     python scripts/study_claims.py              # shows the tables
-    python scripts/study_claims.py --readme     # and puts them into the README
+    python scripts/study_claims.py --write      # and writes them into README or manual
     python scripts/study_claims.py --json
     python scripts/study_claims.py --quick      # a few plants and rounds: does it run?
 
@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from bench_simulation import LAW_TICKS, ClosedLoop, interleaved, run_law, run_nothing
-from readme_table import table, write_between
+from measured_table import format_table, write_measured
 
 from pamctl.control.smc import linearise_model
 from pamctl.plant.model import plant_parameters
@@ -288,7 +288,7 @@ def laid_out(found: dict[str, Any]) -> str:
             share = f"{e.inside} of {e.plants}"
             rows.append([f"`{law}`", sensors, cell(of_law[sensors]["paper"]), median, share])
     edges = [0.0, *DEAD_BANDS_V]
-    inside_table = table(
+    inside_table = format_table(
         [
             "fresh plants inside Table IV",
             "all",
@@ -296,7 +296,7 @@ def laid_out(found: dict[str, Any]) -> str:
         ],
         shares,
     )
-    tracked_table = table(
+    tracked_table = format_table(
         [
             "RMS 1 / steady / RMS 2, µm",
             "sensors",
@@ -310,14 +310,14 @@ def laid_out(found: dict[str, Any]) -> str:
         law: f"{count} and {found['model_numbers']} of the muscle" if law == "smc" else str(count)
         for law, count in found["gains"].items()
     }
-    cost_table = table(
+    cost_table = format_table(
         ["", *(f"`{law}`" for law in LAWS)],
         [
             ["one step of the law, times PID's", *(f"{found['cost'][law]:.2f}" for law in LAWS)],
             ["numbers to choose", *(counts[law] for law in LAWS)],
         ],
     )
-    sensitive = table(
+    sensitive = format_table(
         ["gain", "law", "x 0.5", "as shipped", "x 2"],
         [
             [f"`{name}`", f"`{law}`", *(f"{ratio:.2f}" for ratio in ratios)]
@@ -325,7 +325,7 @@ def laid_out(found: dict[str, Any]) -> str:
             for name, ratios in by_name.items()
         ],
     )
-    swept = table(
+    swept = format_table(
         ["q", "lambda as shipped", "lambda^q as shipped", "motion apart, µm"],
         [
             [
@@ -356,7 +356,9 @@ def plain(value: Any) -> Any:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--readme", action="store_true", help="write the tables into the README")
+    parser.add_argument(
+        "--write", "--readme", action="store_true", help="write the table into README or manual"
+    )
     parser.add_argument("--quick", action="store_true", help="2 plants, 2 rounds: does it run?")
     parser.add_argument("--plants", type=int, default=200, help="of the ensemble")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
@@ -364,8 +366,8 @@ def main() -> None:
     how = (2, 2, SWEPT_Q[:2]) if options.quick else (options.plants, 15, SWEPT_Q)
     found = study(*how, options.jobs)
     print(json.dumps(plain(found), indent=1) if options.json else laid_out(found))
-    if options.readme:
-        write_between("study_claims", laid_out(found))
+    if options.write:
+        write_measured("study_claims", laid_out(found))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The README's tables of tracking errors: every shipped gains file on four plants.
 
     python scripts/tracking_table.py            # shows them
-    python scripts/tracking_table.py --readme   # and puts them into the README
+    python scripts/tracking_table.py --write    # and writes them into README or manual
     python scripts/tracking_table.py --json
 
 Runs the compiled closed loop: the loop's own tick on the plant of the simulated rig.
@@ -13,7 +13,7 @@ import argparse
 import json
 import math
 
-from readme_table import table, write_between
+from measured_table import format_table, write_measured
 
 from pamctl.settings.resolve import list_shipped, resolve
 from pamctl.simulate.batch import simulate_merit
@@ -60,7 +60,7 @@ def cell(found: Merit | None) -> str:
 def laid_out(found: Found) -> str:
     """Both tables as Markdown."""
     return "\n\n".join(
-        table(
+        format_table(
             [f"{title}: max / RMS{' / steady' if title.endswith('1') else ''}", *PLANTS],
             [
                 *([f"`{c}`", *map(cell, row.values())] for c, row in found[experiment].items()),
@@ -78,7 +78,9 @@ def laid_out(found: Found) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--readme", action="store_true", help="write the tables into the README")
+    parser.add_argument(
+        "--write", "--readme", action="store_true", help="write the table into README or manual"
+    )
     options = parser.parse_args()
     found = measured()
     if options.json:
@@ -89,8 +91,8 @@ def main() -> None:
         print(json.dumps(plain, indent=1))
     else:
         print(laid_out(found))
-    if options.readme:
-        write_between("tracking_table", laid_out(found))
+    if options.write:
+        write_measured("tracking_table", laid_out(found))
 
 
 if __name__ == "__main__":

@@ -46,7 +46,7 @@ def chosen(options: argparse.Namespace) -> list[Case]:
             for case in all_cases(options.null_each, options.seeds)
             if options.subset == "all" or case.group in groups
         ]
-    wanted = [case for case in cases if options.select_blocks in case.id]
+    wanted = [case for case in cases if options.only in case.id]
     # What is asked of a mechanism without air, or of squares alone, another program cannot ask.
     return [
         replace(case, program=options.program)

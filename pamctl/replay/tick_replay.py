@@ -1,4 +1,4 @@
-"""A replay under way: stretch by stretch, what the log says beside what comes out now."""
+"""The replay of a log, stretch by stretch: run the tick and compare it with the log."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pamctl.signals import TICK_FIELDS
 
 
 def list_compared_fields() -> list[str]:
-    """Name every field that a replay compares: of the zeros, of a tick, and of a keyframe."""
+    """Name every field that a replay compares: zeros, reference, tick and keyframe."""
     return [
         *Zero._fields,
         *_REFERENCE,
@@ -30,21 +30,21 @@ _REMEMBERED = tuple(
     for index, name in enumerate(keyframe_fields(first_state(Zero(0.0, 0.0), 0.0)))
     if name.startswith(("filters.", "law.", "safety."))
 )
-"""What a keyframe has beside the tick: the memory of filters, law and safety."""
+"""The fields of a keyframe that are not in the tick: the memory of filters, law and safety."""
 
 
 class TickReplay:
-    """A replay under way: the state, and what was found so far."""
+    """A replay in progress: its state, and the differences so far."""
 
     def __init__(
         self, recording: ReplaySource, begin: int, differences: Differences, *, plain: bool
     ) -> None:
-        """Begin before the tick `begin`; stretches come in order from there."""
+        """Begin before the tick `begin`; take all stretches in order from there."""
         self.differences = differences
         self.skipped = 0
-        """Ticks so far whose state nobody knows."""
+        """Number of ticks so far whose state is unknown."""
         self.without_reference = 0
-        """Ticks so far whose reference nobody knows."""
+        """Number of ticks so far whose reference is unknown."""
         self._recording = recording
         self._program = ProgramReplay(recording, begin, plain=plain)
         self._state = recording.keyframes.get(begin - 1)
@@ -52,7 +52,7 @@ class TickReplay:
         self._parted = False
 
     def take(self, begin: int, end: int) -> None:
-        """Replay a stretch and compare it."""
+        """Replay a stretch and compare it with the log."""
         self._state = self._recording.state_at(begin, self._state)
         asked = self._program.ask(begin, end)
         if self._state is None:
@@ -79,12 +79,12 @@ class TickReplay:
         if not self._plain and not self._parted and self._differs(after, rows, begin, end):
             after, rows = replay_stretch(setup, recording.output, state, inputs, plain=True)
             self._forget_failed_writes(rows, begin, end)
-            # From its first real difference on a replay only has to be told apart, not judged.
+            # After the first real difference, the compiled tick is exact enough.
             self._parted = self._differs(after, rows, begin, end)
         return after, rows
 
     def _forget_failed_writes(self, rows: Floats, begin: int, end: int) -> None:
-        """A write that failed is on record as NaN: nobody knows what it did."""
+        """Set the output of failed writes to NaN, as in the log: what was applied is unknown."""
         failed = np.isnan(self._read_logged("applied_v", begin, end))
         rows[-1, failed] = np.nan
 

@@ -387,7 +387,7 @@ def test_fields_in_another_order_on_the_wire_are_not_taken_for_each_other(tmp_pa
 def test_a_tick_without_an_integer_is_refused_since_no_integer_means_missing(tmp_path):
     descriptor = tick_descriptor(TICK_FIELDS)
     write_ticks(tmp_path / "a.mcap", descriptor, [proto_class(descriptor)().SerializeToString()])
-    with pytest.raises(LogError, match="version we cannot read: a tick lacks its tick"):
+    with pytest.raises(LogError, match="version that cannot be read: a tick lacks its tick"):
         read(tmp_path / "a.mcap")
 
 

@@ -250,7 +250,7 @@ def test_a_file_that_is_not_there_is_named_with_its_path(tmp_path, name):
         (changed(pressure_pa=GAUGE_PA / 1e5), "unit", "bar"),
         (changed(position_m=POSITION_M * 1e3), "unit", "position_mm"),
         (changed(valve_v=VALVE_V + 5.0), "unit", "0..10 V"),
-        (changed(position_m=np.full_like(T_S, np.nan)), "not-finite", "no value at all"),
+        (changed(position_m=np.full_like(T_S, np.nan)), "not-finite", "has no values"),
         ({"t_s": T_S, "valve_v": VALVE_V}, "columns", "nothing was measured"),
         ({name: column[:1] for name, column in GOOD.items()}, "rows", "there is 1 row"),
         ({name: column[:0] for name, column in GOOD.items()}, "rows", "there are 0 rows"),

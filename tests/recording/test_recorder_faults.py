@@ -415,8 +415,8 @@ def test_a_log_that_cannot_be_finished_stays_where_it_is_with_its_ring(tmp_path)
     path = orphan(tmp_path, "a", tmp_path / "logs" / "a.mcap", 300)
     (tmp_path / "logs").rename(tmp_path / "moved")
     (found,) = recover_orphans(tmp_path)
-    assert f"{tmp_path / 'logs'} is gone; make it again" in found.problem
-    assert found.problem.endswith(f"or give the log up: rm {path}")
+    assert f"{tmp_path / 'logs'} is gone; create it again" in found.problem
+    assert found.problem.endswith(f"or remove the ring to give up the log: rm {path}")
     assert path.exists()
     (tmp_path / "moved").rename(tmp_path / "logs")
     (found,) = recover_orphans(tmp_path)

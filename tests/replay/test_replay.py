@@ -397,7 +397,7 @@ def test_a_log_that_begins_with_a_loss_and_has_no_frozen_state_is_refused(tmp_pa
     log = recovered_without_a_chunk(tmp_path, "missed", 0)
     assert len(log) > 100
     assert log["tick"][0] > 0
-    with pytest.raises(NotReplayable, match="nobody knows the state"):
+    with pytest.raises(NotReplayable, match="the state to start from is unknown"):
         replay_log(log)
 
 
@@ -428,7 +428,7 @@ def test_in_an_imported_log_there_is_nothing_to_replay(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["replay", str(tmp_path / "lab.mcap"), "--json"])
     assert done.exit_code == 65
     assert "imported" in json.loads(done.stdout)["reason"]
-    assert "nothing to replay" in done.stderr
+    assert "no tick of pamctl to replay" in done.stderr
 
 
 def test_a_log_that_lacks_what_the_tick_needs_names_the_version_to_replay_it_with(
@@ -466,7 +466,7 @@ def test_a_frozen_state_of_another_version_is_not_taken_for_ours(
     del keyframes[0]["state"]["law.absement_m_s"]
     older = replace(log, keyframes=keyframes)
     assert replay_log(older, tolerances=OTHER_CPU).is_equal
-    with pytest.raises(NotReplayable, match="no frozen state that this version knows"):
+    with pytest.raises(NotReplayable, match="no frozen state that this version can read"):
         replay_log(older, from_s=1.2)
 
 

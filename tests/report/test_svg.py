@@ -175,7 +175,7 @@ def test_a_plot_without_data_says_so():
 def test_data_of_unequal_length_are_refused_by_the_plots_name():
     with pytest.raises(ValueError, match="spiral: x has shape"):
         SvgPlot("spiral", T, Y).line([0.0, 1.0], [0.0])
-    with pytest.raises(ValueError, match="spiral: a histogram has one edge more"):
+    with pytest.raises(ValueError, match="spiral: a histogram needs one edge more"):
         SvgPlot("spiral", T, Y).bars([0.0, 1.0], [1.0, 2.0])
 
 

@@ -1,13 +1,13 @@
-"""Examine `pamctl diagnose` on rigs in which an effect is hidden, and print how it did.
+"""Examine `pamctl diagnose` on rigs with a hidden effect, and print the results.
 
     python scripts/hidden_suite.py --subset quick|all|GROUP[,GROUP...] [--only TEXT]
         [--program short] [--null-each 100] [--seeds 1] [--workers 2] [--results FILE] [--json]
     python scripts/hidden_suite.py --oracle
 
-Results are appended to a JSONL file, one line a case, and cases found there are not run again: an
-examination of hours can be stopped and taken up. The table, the confusion matrix and every miss
-go to stdout (markdown, or one JSON document), progress to stderr. `--oracle` computes again what
-each program of excitation can show at all (`tests/hidden/oracle.json`).
+Results are appended to a JSONL file, one line a case, and stored cases are not run again: an
+examination of hours can be stopped and resumed. The table, the confusion matrix and every miss
+go to stdout (markdown, or one JSON document), progress to stderr. `--oracle` computes which effects
+each excitation can show at all (`tests/hidden/oracle.json`).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ GOOD = ("right", "right_set", "silent", "honest", "twin")
 ORACLE_PROGRAMS = ("standard", "short", "brief", "squares", "closed_loop")
 
 
-def chosen(options: argparse.Namespace) -> list[Case]:
-    """Return the cases asked for."""
+def choose_cases(options: argparse.Namespace) -> list[Case]:
+    """Return the selected cases."""
     if options.subset == "quick":
         cases: Iterable[Case] = quick_cases()
     else:
@@ -47,7 +47,7 @@ def chosen(options: argparse.Namespace) -> list[Case]:
             if options.subset == "all" or case.group in groups
         ]
     wanted = [case for case in cases if options.only in case.id]
-    # What is asked of a mechanism without air, or of squares alone, another program cannot ask.
+    # Cases of a mechanism without air, or of squares only, do not suit another program.
     return [
         replace(case, program=options.program)
         if options.program and case.program == "standard"
@@ -57,7 +57,7 @@ def chosen(options: argparse.Namespace) -> list[Case]:
 
 
 def key(case: Case) -> str:
-    """Return what a case is known by in the results."""
+    """Return the key of a case in the results."""
     return f"{case.id}#{case.repeat}@{case.program}"
 
 
@@ -70,7 +70,7 @@ def examine_case(case: Case) -> dict[str, Any]:
 
 
 def describe_verdict(result: dict[str, Any]) -> str:
-    """Return the verdict, for the line of progress."""
+    """Return the verdict, for the progress line."""
     return str(result.get("document", {}).get("verdict", "CRASH"))
 
 
@@ -87,7 +87,7 @@ def format_oracle(every: dict[str, dict[str, dict[str, dict[str, float]]]]) -> s
 
 
 def report(results: list[Result], crashed: list[str]) -> str:
-    """Return the whole account in markdown, losses included."""
+    """Return the full report in markdown, with every miss."""
     parts = [table(figures(results)), confusion(results), "Not right:"]
     for result in results:
         if result.mark not in GOOD:
@@ -119,7 +119,7 @@ def main() -> None:
     if options.oracle:
         ORACLE.write_text(format_oracle({program: oracle(program) for program in ORACLE_PROGRAMS}))
         return
-    cases = chosen(options)
+    cases = choose_cases(options)
     tasks = {key(case): case for case in cases}
     found = run_resumable(tasks, examine_case, options.results, options.workers, describe_verdict)
     results = [

@@ -3,7 +3,7 @@
     python scripts/bench_wakeup.py --rounds 6 --seconds 2 > wakeup.json
 
 JSON on stdout, a table on stderr. Compare only ratios within one run, and only those of p50 and
-p99: on a virtual machine the tail belongs to the hypervisor. The last columns show it: `stalls` is the
+p99: on a virtual machine the tail belongs to the hypervisor. See the last columns: `stalls` is the
 time lost in wake-ups later than 0.2 ms, `queued` is the time that this kernel let the process wait
 for a CPU. A stall that was not queued happened below the kernel.
 

@@ -92,8 +92,8 @@ def _require_pyarrow() -> None:
     try:
         import pyarrow  # noqa: F401
     except ImportError:
-        told = "Parquet needs the package pyarrow; install it with pip install 'pamctl[parquet]'"
-        raise ExportError(told) from None
+        detail = "Parquet needs the package pyarrow; install it with pip install 'pamctl[parquet]'"
+        raise ExportError(detail) from None
 
 
 def _units(columns: Columns) -> dict[str, str]:

@@ -80,8 +80,8 @@ def _is_my_file(path: Path) -> bool:
 def _require_home(ring: Ring) -> None:
     folder = Path(ring.meta.log_path).parent
     if not folder.is_dir():
-        told = f"{folder} is gone; create it again and the next start finishes the log there"
-        raise LogError(f"{told}, or remove the ring to give up the log: rm {ring.path}")
+        detail = f"{folder} is gone; create it again and the next start finishes the log there"
+        raise LogError(f"{detail}, or remove the ring to give up the log: rm {ring.path}")
 
 
 def _finish(ring: Ring) -> Recovery:

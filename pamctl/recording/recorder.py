@@ -84,7 +84,7 @@ def _record(ring: Ring, owner: _Pipe) -> int:
         from pamctl.recording.drain import record_run
 
         whole = record_run(ring, owner)
-    # After any failure the loop must be told, and the user gets one line.
+    # After any failure the loop must know, and the user gets one line.
     except Exception as error:
         full = isinstance(error, OSError) and is_full(error)
         ring.raise_flag(RecorderFlag.FAILED | (RecorderFlag.DISK_FULL if full else 0))

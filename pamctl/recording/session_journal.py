@@ -22,7 +22,7 @@ class SessionJournal:
     """Puts rows into the ring of the current run, or else into the session's own ring."""
 
     def __init__(self, session: Ring, recorded: Callable[[Ring | None], None]) -> None:
-        """Begin between runs; `recorded` is told which ring has a recorder, or None."""
+        """Begin between runs; `recorded` gets the ring that has a recorder, or None."""
         self._session = session
         self._recorded = recorded
         self._ring = session

@@ -74,8 +74,8 @@ class _Place:
 
     def description(self, name: str) -> str:
         """Return the model's description of one of its keys."""
-        told = (p[name].get("description", "") for p in self._properties() if name in p)
-        return next(told, "")
+        descriptions = (p[name].get("description", "") for p in self._properties() if name in p)
+        return next(descriptions, "")
 
     def choices(self, tag: str) -> list[str]:
         """Return the allowed values of the key that distinguishes a union's members."""

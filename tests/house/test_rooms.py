@@ -69,7 +69,7 @@ def test_no_two_public_types_share_a_name() -> None:
 @pytest.mark.parametrize("path", PACKAGES, ids=_name_of)
 def test_each_room_says_what_it_is_and_where_to_begin(path: Path) -> None:
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    advice = re.search(r"Read `([^`]+)`(?: (?:and|or) `[^`]+`)? first", text)
+    advice = re.search(r"Read `([^`]+)`", text)
     assert advice, "add the line: Read `FILE` first."
     assert (path.parent / advice[1]).exists(), f"there is no {advice[1]}"
 

@@ -1,4 +1,4 @@
-"""The ring: what is put is what is taken, whole, once, and after any death."""
+"""The ring: rows come out as they were put, complete, once, and after any death."""
 
 from __future__ import annotations
 

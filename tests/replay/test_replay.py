@@ -54,7 +54,7 @@ CLOSED_LOOP = [name for name in NAMES if name not in ("steps", "readonly")]
 
 @pytest.fixture(scope="session")
 def golden() -> Callable[[str], Log]:
-    """Return a golden log by its name; nobody changes it."""
+    """Return a golden log by its name; no test changes it."""
     logs = {name: read(GOLDEN / f"{name}.mcap") for name in NAMES}
     return logs.__getitem__
 
@@ -160,7 +160,7 @@ def test_nothing_that_comes_from_the_wall_clock_is_compared() -> None:
 
 
 def with_config(log: Log, key: str, value: object) -> Log:
-    """Return the log as if its run had been configured otherwise."""
+    """Return the log as if its run had had other settings."""
     config = copy.deepcopy(log.config)
     *way, last = key.split(".")
     section = config
@@ -261,7 +261,7 @@ def test_another_source_is_caught_and_its_stage_named_first(
 
 @pytest.fixture(params=["up", "down", "random"])
 def other_libm(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every function of libm that the tick calls be wrong in its last bit."""
+    """Make every libm function that the tick calls wrong in its last bit."""
     chance = random.Random(1)
 
     def off(function: Callable[..., float]) -> Callable[..., float]:

@@ -1,4 +1,4 @@
-"""Reports: one page for any log, which a browser shows without a word of complaint."""
+"""Reports: one page for any log, which a browser shows without errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HOSTILE = "<script>alert('x')</script>"
 
 
 def run_to(path: Path, *options: str) -> Path:
-    """A real run in simulation, in a process of its own as always."""
+    """A real simulated run in a separate process."""
     command = ["run", "--fast", "--quiet", "--log", str(path), *options]
     result = CliRunner().invoke(app, command)
     assert path.exists(), result.output
@@ -109,7 +109,7 @@ def test_an_imported_log_shows_what_it_has_and_its_source_stays_a_text(imported)
     assert "&lt;script&gt;" in html
     _, after = html.split("Time between samples", 1)
     (left, right), *others = re.findall(r"M(\d+) [^VH]*V\d+H(\d+)V\d+z", after)
-    assert int(right) - int(left) >= 50  # equal steps are a bar that can be seen, and the only one
+    assert int(right) - int(left) >= 50  # equal steps are one visible bar
     assert not others
 
 
@@ -184,7 +184,7 @@ def test_a_phone_shows_the_page_without_complaint_and_without_scrolling_sideways
     assert found["outside"] == []
     assert found["needed"] <= found["width"] <= 390
     assert found["plots"] > 0
-    assert found["smallest"] >= 11.0  # px: a plot's words do not shrink with it
+    assert found["smallest"] >= 11.0  # px: a plot's words keep their size
 
 
 def test_the_look_sees_what_is_wrong_with_a_page(tmp_path):

@@ -1,4 +1,4 @@
-"""The drawing of plots: nothing that matters is left out, and nothing gets out of its place."""
+"""Plots: all extremes are drawn, and everything is in its place."""
 
 from __future__ import annotations
 

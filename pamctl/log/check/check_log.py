@@ -106,13 +106,13 @@ def _check_story(
     check_columns(contents, findings)
     if recovery is not None:
         lost = recovery.get("lossless") == "false"
-        told = f"the log was recovered: {recovery.get('damage') or 'nothing was lost'}"
-        (findings.warning if lost else findings.note)("recovered", told)
+        detail = f"the log was recovered: {recovery.get('damage') or 'nothing was lost'}"
+        (findings.warning if lost else findings.note)("recovered", detail)
         if lost:
             findings.soften("gap")
         if recovery.get("unverified"):
-            told = f"no checksum covers the metadata {recovery['unverified']}"
-            findings.warning("unverified", told)
+            detail = f"no checksum covers the metadata {recovery['unverified']}"
+            findings.warning("unverified", detail)
     if contents.is_imported:
         source = contents.metadata.get("import", {}).get("source", "an unknown source")
         findings.note("imported", f"imported from {source}: it has no configuration and no outcome")

@@ -76,8 +76,8 @@ class TickOrderCheck:
             self._clock(f"log_time advanced by {wall[i]} s, but t_s by {step[i]}", tick[i + 1])
         periods = dt_s[1:] / self._period_s - (1 + ticks["missed"][1:])
         for i in np.flatnonzero(whole & ~(np.abs(periods) <= 1.0)):
-            told = f"dt_s is {dt_s[i + 1]}, with {ticks['missed'][i + 1]} missed ticks"
-            self._findings.warning("period", f"at tick {tick[i + 1]}, {told}")
+            detail = f"dt_s is {dt_s[i + 1]}, with {ticks['missed'][i + 1]} missed ticks"
+            self._findings.warning("period", f"at tick {tick[i + 1]}, {detail}")
 
     def _clock(self, what: str, tick: int) -> None:
         self._findings.error("clock", f"at tick {tick}, {what}")

@@ -95,12 +95,12 @@ class SummaryCheck:
             )
             return
         if footer.summary_crc == 0:
-            told = "the summary has no checksum: damage would not be noticed"
-            self._findings.warning("checksum", told)
+            detail = "the summary has no checksum: damage would not be noticed"
+            self._findings.warning("checksum", detail)
         begins = self._groups[0].group_start if self._groups else record.start
         if footer.summary_start != begins:
-            told = f"the footer states a wrong start of the summary, {footer.summary_start}"
-            self._findings.error("summary", told)
+            detail = f"the footer states a wrong start of the summary, {footer.summary_start}"
+            self._findings.error("summary", detail)
         if self._stored_groups and self._stored_groups != self._groups:
             self._findings.error("summary", "the summary offsets do not match the summary")
 
@@ -111,8 +111,8 @@ class SummaryCheck:
             return
         for number, (one, other) in enumerate(zip(stored, expected, strict=True)):
             if one != other:
-                told = f"{what} {number} does not match the data: {_name_differences(one, other)}"
-                self._findings.error("summary", told)
+                detail = f"{what} {number} does not match the data: {_name_differences(one, other)}"
+                self._findings.error("summary", detail)
 
 
 def _name_differences(one: Any, other: Any) -> str:

@@ -30,8 +30,8 @@ def read_csv(path: Path) -> MeasuredTable:
     except OSError as error:
         raise ImportRefused(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        told = "is not UTF-8 text; save it as such (Excel: CSV UTF-8)"
-        raise ImportRefused(f"{path} {told}") from error
+        detail = "is not UTF-8 text; save it as such (Excel: CSV UTF-8)"
+        raise ImportRefused(f"{path} {detail}") from error
 
 
 def _parse_table(path: Path, lines: Iterator[tuple[int, str]]) -> MeasuredTable:
@@ -83,14 +83,14 @@ def _parse_numbers(
     for number, line in lines:
         cells = next(csv.reader([line], delimiter=delimiter))
         if len(cells) != len(names):
-            told = f"has {len(cells)} cells, but the line of names has {len(names)}"
-            raise ImportRefused(f"{path}:{number}: the line {told}")
+            detail = f"has {len(cells)} cells, but the line of names has {len(names)}"
+            raise ImportRefused(f"{path}:{number}: the line {detail}")
         decimal = [cell.replace(",", ".") if delimiter == ";" else cell for cell in cells]
         try:
             numbers.extend([float(cell) if cell.strip() else math.nan for cell in decimal])
         except ValueError:
             index = next(i for i, c in enumerate(decimal) if c.strip() and not _is_number(c))
-            told = f"{names[index]} is {cells[index]!r}, but must be a number"
-            raise ImportRefused(f"{path}:{number}: {told}") from None
+            detail = f"{names[index]} is {cells[index]!r}, but must be a number"
+            raise ImportRefused(f"{path}:{number}: {detail}") from None
         rows.append(number)
     return numbers, rows

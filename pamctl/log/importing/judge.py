@@ -45,30 +45,34 @@ def judge_time(t_s: Floats, rows: Rows, findings: LogFindings, column: str = TIM
         return
     beyond = np.abs(t_s / LONGEST_S - t_s[0] / LONGEST_S) > 1.0  # the difference may overflow
     if beyond.any():
-        told = f"is more than {LONGEST_S:.3g} s from the first at {_name_rows(rows, beyond)}"
-        findings.error("time", f"the time ({column}) {told}; a log's clock in ns cannot hold more")
+        detail = f"is more than {LONGEST_S:.3g} s from the first at {_name_rows(rows, beyond)}"
+        findings.error(
+            "time", f"the time ({column}) {detail}; a log's clock in ns cannot hold more"
+        )
         return
     step = np.diff(t_s)
     if (step < 0).any():
         findings.error("time", f"the time goes backwards at {_name_rows(rows[1:], step < 0)}")
     if (step == 0).any():
-        told = f"the previous row's time is repeated at {_name_rows(rows[1:], step == 0)}"
-        findings.error("time", f"{told}; drop those rows, or export more digits of the time")
+        detail = f"the previous row's time is repeated at {_name_rows(rows[1:], step == 0)}"
+        findings.error("time", f"{detail}; drop those rows, or export more digits of the time")
     if findings.kinds["time"]:
         return
     period_s = nominal_period_s(t_s)
     if period_s < SHORTEST_PERIOD_S:
-        told = f"rows are {period_s:.6g} s apart; a log's clock counts ns"
-        findings.error("time", f"the time ({column}) has another unit: {told}")
+        detail = f"rows are {period_s:.6g} s apart; a log's clock counts ns"
+        findings.error("time", f"the time ({column}) has another unit: {detail}")
         return
     gap = step > GAP_PERIODS * period_s
     if gap.any():
-        told = f"of up to {step.max():.6g} s before {_name_rows(rows[1:], gap)}"
-        findings.warning("gap", f"{np.count_nonzero(gap)} gaps {told}; they count as missed ticks")
+        detail = f"of up to {step.max():.6g} s before {_name_rows(rows[1:], gap)}"
+        findings.warning(
+            "gap", f"{np.count_nonzero(gap)} gaps {detail}; they count as missed ticks"
+        )
     off = np.abs(step[~gap] - period_s).max() / period_s
     if off > JITTER:
-        told = f"the time steps differ from {period_s:.6g} s by up to {off:.0%}"
-        findings.warning("jitter", f"{told}; --resample puts the rows on an even grid")
+        detail = f"the time steps differ from {period_s:.6g} s by up to {off:.0%}"
+        findings.warning("jitter", f"{detail}; --resample puts the rows on an even grid")
     if period_s >= 0.1:
         findings.error("unit", f"a row every {period_s:.6g} s: is the time in ms?")
 
@@ -98,8 +102,8 @@ def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
     if np.count_nonzero(good) < 2 or min(np.ptp(pressure[good]), np.ptp(position[good])) == 0.0:
         return
     if np.corrcoef(pressure[good], position[good])[0, 1] < -0.5:
-        told = "position_m falls as pressure_pa rises; contraction must be positive"
-        findings.warning("sign", f"{told}: map it with gain: -1")
+        detail = "position_m falls as pressure_pa rises; contraction must be positive"
+        findings.warning("sign", f"{detail}: map it with gain: -1")
 
 
 def _doubt_valve(values: Floats) -> str:

@@ -38,8 +38,8 @@ def read_mat(path: Path) -> MeasuredTable:
         with path.open("rb") as file:  # given a path, loadmat hides why it cannot open the file
             content = loadmat(file, struct_as_record=True, squeeze_me=False)
     except NotImplementedError:
-        told = "is a MAT file of version 7.3; save it again with save(name, ..., '-v7')"
-        raise ImportRefused(f"{path} {told}") from None
+        detail = "is a MAT file of version 7.3; save it again with save(name, ..., '-v7')"
+        raise ImportRefused(f"{path} {detail}") from None
     except OSError as error:
         raise ImportRefused(f"cannot read {path}: {error.strerror or error}") from error
     # A parser may raise anything for a file that is not a MAT file.
@@ -50,11 +50,11 @@ def read_mat(path: Path) -> MeasuredTable:
         try:
             columns += [] if name.startswith("__") else list(_read_columns(name, value))
         except (ValueError, TypeError, IndexError) as error:
-            told = f"the variable {name} has a form that is not understood ({error})"
-            raise ImportRefused(f"{path}: {told}; save arrays, or structure with time") from error
+            detail = f"the variable {name} has a form that is not understood ({error})"
+            raise ImportRefused(f"{path}: {detail}; save arrays, or structure with time") from error
     if not columns:
-        told = "no arrays of numbers: save timeseries objects as structure with time"
-        raise ImportRefused(f"{path} holds {told}")
+        detail = "no arrays of numbers: save timeseries objects as structure with time"
+        raise ImportRefused(f"{path} holds {detail}")
     longest = max(len(column.values) for column in columns)
     return MeasuredTable(
         {column.name: column.values for column in columns},

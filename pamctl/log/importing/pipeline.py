@@ -116,8 +116,8 @@ def _match_names(table: MeasuredTable, findings: LogFindings) -> list[ColumnRead
             raise ImportRefused(f"both {both} give {reading.quantity}; choose one with --map")
     if TIME not in found:
         listed = ", ".join(list(table.columns)[:20])
-        told = "no column is called t_s, time_s, time_ms or the like, with the unit in its name"
-        raise ImportRefused(f"{told}; there are {listed}; name the time column with --map")
+        detail = "no column is called t_s, time_s, time_ms or the like, with the unit in its name"
+        raise ImportRefused(f"{detail}; there are {listed}; name the time column with --map")
     if ignored:
         findings.note(
             "ignored",
@@ -147,8 +147,8 @@ def _convert_one_to_si(table: MeasuredTable, reading: ColumnReading) -> Floats:
         values = reading.to_si(raw)
     lost = np.flatnonzero(np.isfinite(raw) & ~np.isfinite(values))
     if len(lost):
-        told = f"{reading.column} is {raw[lost[0]]:g} {reading.unit} at row {table.rows[lost[0]]}"
-        raise ImportRefused(f"{told}: too large for a number in SI")
+        detail = f"{reading.column} is {raw[lost[0]]:g} {reading.unit} at row {table.rows[lost[0]]}"
+        raise ImportRefused(f"{detail}: too large for a number in SI")
     return values
 
 
@@ -168,8 +168,8 @@ def _judge_whole(quantities: dict[str, Floats], findings: LogFindings) -> None:
         findings.error("columns", "there is neither pressure nor position: nothing was measured")
     elif not quantities.keys() >= {"valve_v", "pressure_pa", "position_m"}:
         missing = {"valve_v", "pressure_pa", "position_m"} - quantities.keys()
-        told = f"no {', '.join(sorted(missing))}: only analyses that do not need it are possible"
-        findings.warning("columns", told)
+        detail = f"no {', '.join(sorted(missing))}: only analyses that do not need it are possible"
+        findings.warning("columns", detail)
 
 
 def _resample_to_grid(
@@ -179,9 +179,9 @@ def _resample_to_grid(
     grid_s, there = resample_columns(t_s, quantities, rate_hz)
     if len(grid_s) < 2:
         lasts_s, was_hz = t_s[-1] - t_s[0], 1.0 / nominal_period_s(t_s)
-        told = f"--resample {rate_hz:g} leaves 1 tick of {lasts_s:.6g} s"
+        detail = f"--resample {rate_hz:g} leaves 1 tick of {lasts_s:.6g} s"
         way_out = f"give a rate in Hz nearer to the measurement's own {was_hz:.6g}"
-        raise ImportRefused(f"{told}; a measurement needs at least two: {way_out}")
+        raise ImportRefused(f"{detail}; a measurement needs at least two: {way_out}")
     return grid_s, there
 
 
@@ -195,8 +195,8 @@ def _note_resampling(t_s: Floats, rate_hz: float, findings: LogFindings) -> None
         f"from {was_hz:.6g} to {rate_hz:.6g} Hz; measured values interpolated, the command held",
     )
     if rate_hz < 0.9 * was_hz:
-        told = f"signals faster than {rate_hz / 2:.6g} Hz are aliased: there is no filter"
-        findings.warning("aliasing", told)
+        detail = f"signals faster than {rate_hz / 2:.6g} Hz are aliased: there is no filter"
+        findings.warning("aliasing", detail)
 
 
 def _describe_import(

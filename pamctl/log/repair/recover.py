@@ -26,7 +26,7 @@ from pamctl.log.framing import (
     verify_checksum,
 )
 from pamctl.log.new_file import create_new_file
-from pamctl.log.repair.salvage import Hole, is_data_vouched, read_summary, salvage_records
+from pamctl.log.repair.salvage import Hole, is_data_verified, read_summary, salvage_records
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
 from pamctl.log.ticks import find_message_run
 from pamctl.log.writer import NO_SCHEMA, LogWriter
@@ -109,7 +109,7 @@ class LogCopy:
         self.cut = True
         """Whether the end of the file is missing."""
         self.bytes_lost = 0
-        self._vouched = False
+        self._verified = False
         """Whether a checksum of the whole file shows that its data are undamaged."""
         self._metadata: dict[str, None] = {}
         self._looked_ahead = False
@@ -118,7 +118,7 @@ class LogCopy:
 
     def file(self, file: memoryview) -> None:
         """Copy the undamaged part of a file's data; the summary is computed again."""
-        self._vouched = is_data_vouched(file)
+        self._verified = is_data_verified(file)
         self._learn_channels(file)
         for part in salvage_records(file):
             if isinstance(part, Hole):
@@ -141,7 +141,7 @@ class LogCopy:
     @property
     def unverified(self) -> tuple[str, ...]:
         """Names of copied metadata that no checksum covers."""
-        return () if self._vouched else tuple(self._metadata)
+        return () if self._verified else tuple(self._metadata)
 
     def _learn_channels(self, file: memoryview) -> None:
         """Learn the channels from an undamaged summary, in case the first chunk is damaged."""
@@ -172,7 +172,7 @@ class LogCopy:
     def _try_copy(self, file: memoryview, record: FileRecord) -> None:
         try:
             with translate_parse_errors(record):
-                if not (self._vouched and record.opcode == Opcode.DATA_END):  # verified before
+                if not (self._verified and record.opcode == Opcode.DATA_END):  # verified before
                     verify_checksum(file, record)
                 if self.cut:  # the summary is computed again
                     self._copy(file[: record.end], record)
@@ -210,7 +210,7 @@ class LogCopy:
 
     def _refuse_unchecked(self, record: FileRecord, checked: bool) -> None:
         """Raise Damage for parts without a checksum: a block of zeros would look like that."""
-        if not (checked or self._vouched):
+        if not (checked or self._verified):
             raise Damage(record.start, "it has no checksum: damage would not be noticed")
 
     def _copy_channel(self, channel: Channel) -> None:

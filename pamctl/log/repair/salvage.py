@@ -68,16 +68,16 @@ def salvage_records(file: memoryview) -> Iterator[FileRecord | Hole]:
 
 def read_summary(file: memoryview) -> list[FileRecord]:
     """Return the records of the summary; none without a valid checksum."""
-    footer = _find_vouched_footer(file)
+    footer = _find_verified_footer(file)
     if footer is None:
         return []
     start = Footer.read(footer.stream()).summary_start
     return list(records_in(file[: footer.start], start))
 
 
-def is_data_vouched(file: memoryview) -> bool:
+def is_data_verified(file: memoryview) -> bool:
     """Tell whether the end of the file holds a valid checksum of all its data."""
-    footer = _find_vouched_footer(file)
+    footer = _find_verified_footer(file)
     if footer is None:
         return False
     with suppress(Damage):
@@ -89,13 +89,13 @@ def is_data_vouched(file: memoryview) -> bool:
     return False
 
 
-def _find_vouched_footer(file: memoryview) -> FileRecord | None:
+def _find_verified_footer(file: memoryview) -> FileRecord | None:
     """Return the footer if it and its summary are undamaged."""
     with suppress(Damage):
         footer = record_at(file, max(0, len(file) - len(MAGIC) - _FOOTER_BYTES))
         with translate_parse_errors(footer):
-            told = Footer.read(footer.stream())
-            if footer.opcode == Opcode.FOOTER and told.summary_start and told.summary_crc:
+            stored = Footer.read(footer.stream())
+            if footer.opcode == Opcode.FOOTER and stored.summary_start and stored.summary_crc:
                 verify_checksum(file, footer)
                 return footer
     return None

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from pamctl.log import read
 from pamctl.report.compose import compose_report
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import PlotAxis, SvgPlot
 from pamctl.reproduce.paper_cases import PRINTED_QSMC, TUNED
 from pamctl.reproduce.reproduction import reproduce_paper
 from pamctl.signals import Phase

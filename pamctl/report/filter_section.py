@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.motion_section import MM, make_time_axis
 from pamctl.report.reported_run import ReportedRun
 from pamctl.report.summary_section import MICRO
-from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 
 CLOSE_S = 0.06
 """Time before and after the place of the close-up."""

@@ -18,8 +18,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Protocol
 
+from pamctl.report.drawing.svg import SvgPlot, share_x_axis
 from pamctl.report.style import STYLE
-from pamctl.report.svg import SvgPlot, share_x_axis
 
 _NUMBER = re.compile(r"^[\s<>\N{MINUS SIGN}+-]*[\d.][\d\s.,e/:%x\N{MULTIPLICATION SIGN}+-]*$")
 _NO_NUMBER = ("", "-", "nan", "trips")

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun, law_name, paper_rows
 from pamctl.report.summary_section import MICRO, rms_of_finite
-from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 
 KPA, MM = 1e-3, 1e3
 

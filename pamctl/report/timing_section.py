@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun
-from pamctl.report.svg import PlotAxis, SvgPlot
 from pamctl.simulate.merit import summarise_durations
 
 WORST = 10

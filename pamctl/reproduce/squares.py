@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import PlotAxis, SvgPlot
 from pamctl.reproduce.paper_cases import PLANTS, Case
 from pamctl.simulate.batch import SimulatedRun
 

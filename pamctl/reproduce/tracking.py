@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.reproduce.paper_cases import FITTED_SMC, PRINTED_QSMC, PRINTED_SMC, TUNED, Case
 from pamctl.signals import Phase
 from pamctl.simulate.batch import SimulatedRun

@@ -15,9 +15,9 @@ from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.report.compose import compose_report
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import name_runs
-from pamctl.report.svg import PlotAxis, SvgPlot
 
 HOSTILE = "<script>alert('x')</script>"
 

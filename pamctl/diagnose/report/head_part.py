@@ -7,8 +7,8 @@ from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report import page_words as words
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS, ModelStage, list_model_stages
 from pamctl.diagnose.show import HeldOutGap
+from pamctl.report.drawing.levels import Levels
 from pamctl.report.html_page import Page
-from pamctl.report.levels import Levels
 
 _KINDS = {
     Verdict.NO_DISCREPANCY: "good",

@@ -14,8 +14,8 @@ from pamctl.diagnose.fitting.false_discovery import RATE
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.locate import RegimeMisfit
 from pamctl.diagnose.measured.record import Array
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import PlotAxis, SvgPlot
 
 _FEWEST = 15
 """Samples that make a cell of a map."""

@@ -11,8 +11,8 @@ from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
 from pamctl.diagnose.report.page_words import spell_names
 from pamctl.diagnose.report.regime_map import write_shape
 from pamctl.diagnose.report.sentences import describe_correction_result, describe_discrepancy_limits
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import PlotAxis, SvgPlot
 
 
 def write_remainder(page: Page, diagnosis: Diagnosis) -> None:

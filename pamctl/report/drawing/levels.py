@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from html import escape
 
-from pamctl.report.svg import css_of
+from pamctl.report.drawing.svg import css_of
 
 _WIDTH = 1000
 

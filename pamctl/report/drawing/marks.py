@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.report.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
-from pamctl.report.scale import Scale
+from pamctl.report.drawing.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
+from pamctl.report.drawing.scale import Scale
 
 Floats = NDArray[np.float64]
 

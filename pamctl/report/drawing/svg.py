@@ -20,9 +20,9 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pamctl.report import marks
-from pamctl.report.marks import FRAME_WIDTH, HEAT, PIXEL, Frame, HeatRange, PlotMark
-from pamctl.report.scale import PlotAxis, Scale, fit_scale
+from pamctl.report.drawing import marks
+from pamctl.report.drawing.marks import FRAME_WIDTH, HEAT, PIXEL, Frame, HeatRange, PlotMark
+from pamctl.report.drawing.scale import PlotAxis, Scale, fit_scale
 
 __all__ = ["MUTED", "PlotAxis", "SvgPlot", "css_of", "share_x_axis"]
 

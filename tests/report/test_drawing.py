@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pamctl.report.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
+from pamctl.report.drawing.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
+from pamctl.report.drawing.scale import PlotAxis, Scale, choose_step, fit_scale, format_tick
+from pamctl.report.drawing.svg import SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.scale import PlotAxis, Scale, choose_step, fit_scale, format_tick
-from pamctl.report.svg import SvgPlot
 
 HEIGHTS = st.floats(-1e6, 1e6, allow_nan=False)
 HOSTILE = '</title><script>alert("1")</script><img src=x onerror=alert(1)>&"\''

@@ -1,9 +1,9 @@
-"""Kernels: plain scalar functions, which Python runs unchanged and numba compiles unchanged.
+"""Kernels: plain scalar functions that Python runs as they stand and numba compiles.
 
-A kernel takes and returns floats, ints, bools and NamedTuples of them. It calls only `math` and
-other kernels of this package. `compile_kernel(kernel)` returns its machine-code twin, built from
-the same source: every kernel that it names is replaced by that kernel's twin. The loop process
-runs the plain functions and never imports numba.
+A kernel takes and returns floats, ints, bools and NamedTuples of them, and calls
+only `math` and other kernels of this house. `compile_kernel(kernel)` gives its machine-code
+twin, built from the same source: every kernel it names is replaced by that one's
+twin. The loop process runs the plain functions and never imports numba.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _HOUSE = ("pamctl", "hal")
 def compile_kernel(kernel: Kernel) -> Kernel:
     """Return the numba twin of a kernel: same arguments, same values, at machine speed.
 
-    The first call compiles (seconds). The machine code is kept in the user's cache for the next
-    process, under a key made of all sources on which the kernel can depend.
+    The first call compiles (seconds); the machine code is kept in the user's cache
+    for the next process, under a key made of every source that the kernel can depend on.
     """
     return cast(Kernel, _make_twin(kernel, for_python=True))
 
@@ -36,8 +36,8 @@ def compile_kernel(kernel: Kernel) -> Kernel:
 def _make_twin(kernel: FunctionType, *, for_python: bool) -> Any:
     """Return a twin that Python can call, or one that only other twins call.
 
-    The code that unpacks Python's tuples is longer than most kernels: without it the closed loop
-    compiles in less than half the time.
+    What takes Python's tuples apart, and C's, is longer than most kernels: without it the
+    closed loop compiles in less than half the time.
     """
     used = {*kernel.__code__.co_names, "__builtins__", "__name__"}
     twin = FunctionType(
@@ -49,7 +49,7 @@ def _make_twin(kernel: FunctionType, *, for_python: bool) -> Any:
         kernel.__name__,
         kernel.__defaults__,
     )
-    # numba's cache identifies a function by its name, but a kernel may be compiled both ways.
+    # numba's cache knows a function by its name: a kernel may be called both ways.
     twin.__qualname__ = kernel.__qualname__ + ("" if for_python else "_for_kernels")
     twin.__module__ = kernel.__module__
     return _import_numba(kernel.__module__).njit(
@@ -67,11 +67,11 @@ def _make_twin_if_kernel(value: object) -> object:
 
 
 def _import_numba(module: str) -> ModuleType:
-    """Return numba with a cache key for the kernels of this module: all sources they depend on."""
+    """Return numba, told to keep the code of this module's kernels by all they depend on."""
     import numba
 
-    # numba checks only a kernel's own file to see whether its cached code is stale. But
-    # kernels call each other, and use each other's types, across files.
+    # numba looks only at a kernel's own file to see whether its cached code is stale;
+    # ours call each other, and use each other's types, across files.
     settings: Any = numba.config
     settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_hash_sources(module)}")
     return numba
@@ -83,7 +83,7 @@ def _cache_home() -> Path:
 
 @cache
 def _may_cache() -> bool:
-    """Tell whether the user has a private cache folder; /tmp is open to everyone."""
+    """Tell whether the user has a place of their own for machine code; /tmp is everyone's."""
     try:
         _cache_home().mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -93,7 +93,7 @@ def _may_cache() -> bool:
 
 @cache
 def _hash_sources(module: str) -> str:
-    """Hash the sources of a module and of all modules of this package that it imports."""
+    """Hash the sources of a module and of all in this house that it imports, on any way."""
     waiting, found = [module], {module}
     while waiting:
         new = _find_imports(waiting.pop()) - found
@@ -107,7 +107,7 @@ def _hash_sources(module: str) -> str:
 
 @cache
 def _find_imports(module: str) -> set[str]:
-    """Find the modules of this package that a module's source imports, also those for types."""
+    """Find the modules of this house that a module's source names, those for types included."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(_source_of(module).read_bytes())):
         if isinstance(node, ast.Import):
@@ -121,7 +121,7 @@ def _find_imports(module: str) -> set[str]:
 
 
 def _source_of(module: str) -> Path:
-    if module == "__main__":  # a script with its own kernel
+    if module == "__main__":  # a script with a kernel of its own
         return Path(str(sys.modules[module].__file__))
     path = Path(__file__).parent.parent.joinpath(*module.split("."))
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")

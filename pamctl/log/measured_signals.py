@@ -93,9 +93,8 @@ def _compute_output_v(log: Log) -> Floats:
     before_v = np.concatenate(([float(rig["safe_output_v"])], applied_v[:-1]))
     if rig.get("backend") == "sim":
         return before_v
-    # A card outputs the voltage at its next edge, even if the loop misses that edge. In a tick of
-    # several periods, the first has the old voltage and the others have the new one. Their mean
-    # moves the same amount of air.
+    # A card puts it out at its next edge, be that missed or not: of a tick of several periods
+    # the first has the old voltage and the others the new. Their mean moves as much air.
     old_share = 1.0 / (1.0 + np.concatenate((log["missed"][1:], [0])))
     return np.asarray(old_share * before_v + (1.0 - old_share) * applied_v)
 

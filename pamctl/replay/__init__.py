@@ -49,7 +49,7 @@ class Replay:
     """Number of replayed ticks."""
     skipped: int
     """Ticks after a loss, up to the next frozen state: the state before them is unknown."""
-    without_reference: int
+    unasked: int
     """Replayed ticks whose reference could not be computed again, for the same reason."""
     fields: tuple[StageField, ...]
     """The compared fields."""
@@ -67,7 +67,7 @@ class Replay:
     @property
     def is_whole(self) -> bool:
         """Whether every tick could be replayed, with its reference."""
-        return not self.skipped and not self.without_reference
+        return not self.skipped and not self.unasked
 
     @property
     def speed(self) -> float:
@@ -101,7 +101,7 @@ def replay_log(
         begin=begin,
         ticks=len(recording) - begin - run.skipped,
         skipped=run.skipped,
-        without_reference=run.without_reference,
+        unasked=run.unasked,
         fields=tuple(run.differences.compared),
         absent=tuple(find_absent_fields(log)),
         differences=run.differences.all(),

@@ -29,7 +29,7 @@ def make_replay_document(found: Replay, tolerance: str | None) -> dict[str, Any]
         "from_tick": _tick(found, found.begin),
         "ticks": found.ticks,
         "skipped_ticks": found.skipped,
-        "ticks_without_reference": found.without_reference,
+        "ticks_without_reference": found.unasked,
         "fields": [".".join(place) for place in found.fields],
         "fields_not_in_log": list(found.absent),
         "first": None if first is None else _describe_first(found, first),
@@ -115,9 +115,8 @@ def format_replay(found: Replay) -> str:
             f"not replayed: {found.skipped} ticks behind ticks that the log has lost, "
             "up to the next frozen state"
         )
-    if found.without_reference:
-        count = found.without_reference
-        lines.append(f"reference not compared in {count} ticks, because ticks before them are lost")
+    if found.unasked:
+        lines.append(f"reference not compared in {found.unasked} ticks, for ticks lost before them")
     return "\n".join(lines)
 
 

@@ -43,7 +43,7 @@ class TickReplay:
         self.differences = differences
         self.skipped = 0
         """Number of ticks so far whose state is unknown."""
-        self.without_reference = 0
+        self.unasked = 0
         """Number of ticks so far whose reference is unknown."""
         self._recording = recording
         self._program = ProgramReplay(recording, begin, plain=plain)
@@ -60,7 +60,7 @@ class TickReplay:
             self._state = self._recording.keyframes.get(end - 1)
             return
         if asked is None:
-            self.without_reference += end - begin
+            self.unasked += end - begin
         else:
             self._compare_answer(asked, begin, end)
         self._state, rows = self._replay_stretch(self._state, begin, end)

@@ -51,7 +51,7 @@ class SimulatedRun:
 
 
 def simulate_run(settings: RunSettings) -> SimulatedRun:
-    """Simulate a run; raise ValueError if its rig is not simulated."""
+    """Simulate a run; raise ValueError for a rig that is not simulated."""
     rig = settings.rig
     if not isinstance(rig, SimRigSettings):
         raise ValueError("only a simulated rig can be run as a batch")

@@ -1,14 +1,12 @@
 """Gains for a law on a plant, or on an ensemble of plants, by search in simulation.
 
-    plant_ensemble   which plants
-    gains_trial      how well one set of gains does on one plant, against Table IV
-    search_space     which gains a law has, and their bounds
-    gains_search     the search itself: repeatable, resumable, parallel
-    gains_file       the result, with how it was made
+    ensemble   which plants
+    trial      how well one set of gains does on one plant, against Table IV
+    space      which gains a law has, and between which bounds they are sought
+    search     the search itself: repeatable, resumable, parallel
+    gains_file the result, with how it was made
 
-Read `gains_search.py` first.
-
-Everything runs on the compiled closed loop: the tick of the loop process.
+Everything runs on the compiled closed loop: the very tick of the loop process.
 """
 
 from pamctl.tune.gains_search import BestGains, GainsSearch, Jury, SearchError

@@ -1,4 +1,4 @@
-"""How a run ended, and the exit code that says so."""
+"""How a run ended, and the exit code for it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ExitCode(IntEnum):
 
 
 class Ending(NamedTuple):
-    """Why the loop left."""
+    """Why the loop ended."""
 
     code: ExitCode
     reason: str

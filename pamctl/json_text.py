@@ -1,8 +1,7 @@
-"""The log's JSON, and its one rule for numbers that JSON does not have.
+"""JSON of the log, with a rule for numbers that JSON does not have.
 
-A float that is not finite is written as the string "nan", "inf" or "-inf", and
-those three strings are read back as floats. A text that must survive as text is
-therefore none of the three.
+A float that is not finite is written as the string "nan", "inf" or "-inf". These three strings
+are read back as floats, so no real text may be one of them.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 
 
 def to_json(value: object) -> bytes:
-    """Write a value as valid JSON; what JSON does not know goes in as its text."""
+    """Write a value as valid JSON; unknown types are written as their text."""
     try:
         return _dump(value)
     except ValueError:
@@ -24,7 +23,7 @@ def to_json(value: object) -> bytes:
 
 
 def from_json(text: bytes | str) -> Any:
-    """Read what `to_json` wrote; raise ValueError for what is not JSON."""
+    """Read the output of `to_json`; raise ValueError if it is not JSON."""
     return _restore(json.loads(text))
 
 

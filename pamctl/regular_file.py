@@ -1,4 +1,4 @@
-"""What may be read as a file: what has an end, and does not wait for somebody to write."""
+"""Refuse to read anything but regular files: others may never end, or wait for a writer."""
 
 from __future__ import annotations
 
@@ -7,17 +7,20 @@ from pathlib import Path
 
 
 def describe_irregular_file(path: Path) -> str:
-    """Say what is there that is no file; nothing for a file, or where there is nothing.
+    """Describe a path that is not a regular file; empty for regular and missing files.
 
-    Ask before opening: a pipe waits for its other end then, and `/dev/zero` never ends.
+    Call it before opening: opening a pipe waits for its other end, and `/dev/zero` never ends.
     """
     try:
         mode = path.stat().st_mode
-    except (OSError, ValueError):  # opening it says why better; ValueError: a NUL in the path
+    except (
+        OSError,
+        ValueError,
+    ):  # opening it gives a better message; ValueError: a NUL in the path
         return ""
     if stat.S_ISREG(mode):
         return ""
     if stat.S_ISDIR(mode):
         return "a directory, not a file"
     kind = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}.get(stat.S_IFMT(mode), "a device")
-    return f"{kind}, not a file; copy what comes out of it into a file first"
+    return f"{kind}, not a file; copy its content into a file first"

@@ -1,12 +1,12 @@
-"""What looking on costs the loop, and how long an emergency stop takes.
+"""What watching costs the loop, and how long an emergency stop takes.
 
     python scripts/bench_daemon.py --rounds 6 > daemon.json
 
-JSON on stdout, a table on stderr. One daemon holds a position. In turn nobody looks on, and five
-clients ask for the status at 10 Hz beside a viewer of the web page and a Foxglove client, each
-served by a process of its own: wake-up behind the deadline and duration of the tick come from the
-log. Then a client demands the emergency stop, again and again, from before it connects until the
-output, looked at as with a voltmeter, is at the safe voltage. Needs `pamctl[live]`.
+JSON on stdout, a table on stderr. One daemon holds a position, in turn unwatched and watched: five
+clients ask for the status at 10 Hz, beside a viewer of the web page and a Foxglove client, each
+served by its own process. Wake-up lateness and tick duration come from the log. Then a client
+demands the emergency stop many times; measured from before it connects until the output is at
+the safe voltage. Needs `pamctl[live]`.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ CASES = ("alone", "watched")
 
 
 class Bench:
-    """A daemon on a simulated rig, and who asks it."""
+    """A daemon on a simulated rig, and its client."""
 
     def __init__(self, folder: Path) -> None:
         self.device, self.socket = f"bench{os.getpid()}", folder / "control.sock"
         command = [sys.executable, "-m", "pamctl", "daemon", "--socket", str(self.socket)]
         command += ["--logs", str(folder / "logs"), "--set", "rig.homing.enabled=false"]
-        # A shared machine stalls now and then: that is measured here, and no reason to end.
+        # A shared machine stalls now and then: that is measured here, and must not end the run.
         busy = ["limits.sample_age_s=0.5", "limits.missed_ticks=500", "limits.tracking_error_mm=20"]
         busy += ["limits.pressure_model_pa=300000.0", "loop.heartbeat_ms=1000"]
         command += [part for key in busy for part in ("--set", f"rig.{key}")]
@@ -59,12 +59,12 @@ class Bench:
         self.wait_for(lambda status: status["state"] == "idle")
 
     def ask(self, method: str, **params: Any) -> Any:
-        """Ask as a verb does: connect, ask, hang up."""
+        """Ask as a verb does: connect, ask, disconnect."""
         with Client(self.socket) as client:
             return client.call(method, params)
 
     def wait_for(self, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Return the status once it is as wanted."""
+        """Return the status when `holds` is true of it."""
         deadline_s = time.monotonic() + PATIENCE_S
         while True:
             with suppress(DaemonUnreachableError):
@@ -72,7 +72,7 @@ class Bench:
                 if holds(status):
                     return status
             if time.monotonic() > deadline_s:
-                raise SystemExit("the daemon does not do as it is told")
+                raise SystemExit("the daemon does not reach the wanted state")
             time.sleep(0.02)
 
     def hold(self, position_m: float) -> Path:
@@ -82,12 +82,12 @@ class Bench:
         return log
 
     def is_safe(self) -> bool:
-        """Look at the output, which is 0 V when safe."""
+        """Tell whether the output is 0 V, the safe voltage."""
         volts = peek_v(ao_path(self.device))
         return volts is not None and abs(volts) <= AO_STEP_V
 
     def close(self) -> None:
-        """End the daemon, and take its traces away."""
+        """End the daemon, and remove its files."""
         self.process.terminate()
         self.process.wait(PATIENCE_S)
         for left in SHARED_MEMORY.glob(f"pamctl-{self.device}.*"):
@@ -168,7 +168,7 @@ def _view_live(port: int, ended: threading.Event, seen: dict[str, int]) -> None:
 
 
 def window(bench: Bench) -> tuple[int, int]:
-    """Return the numbers of the first and the last tick of a while that is measured."""
+    """Return the numbers of the first and the last tick of a measured interval."""
     time.sleep(SETTLE_S)
     first = bench.ask("status")["tick"]["tick"]
     time.sleep(WINDOW_S)
@@ -176,7 +176,7 @@ def window(bench: Bench) -> tuple[int, int]:
 
 
 def looking_on(bench: Bench, rounds: int) -> dict[str, Any]:
-    """Wake-up and tick alone and watched, in turn within one log."""
+    """Wake-up and tick, unwatched and watched, in turn within one log."""
     log_path = bench.hold(8e-3)
     windows: dict[str, list[tuple[int, int]]] = {case: [] for case in CASES}
     seen = {"answers": 0, "pictures": 0, "messages": 0}
@@ -200,7 +200,7 @@ def looking_on(bench: Bench, rounds: int) -> dict[str, Any]:
         each = {case: _percentiles([log[column][rows] for rows in chosen[case]]) for case in CASES}
         for case in CASES:
             report[case][name] = _spread(each[case])
-        # Round by round: what the machine does meanwhile falls into both of a pair.
+        # By round: a disturbance of the machine affects both halves of a round.
         report["ratio"][name] = _spread(each["watched"] / each["alone"])
     return report
 
@@ -210,7 +210,7 @@ def _percentiles(rounds: list[np.ndarray]) -> np.ndarray:
 
 
 def _spread(each: np.ndarray) -> dict[str, Any]:
-    """Median, least and most over the rounds: a stall falls into one of them."""
+    """Median, least and most of the rounds: a stall affects one of them."""
     return {
         p: {"median": float(np.median(n)), "least": float(n.min()), "most": float(n.max())}
         for p, n in zip(("p50", "p99"), each.T, strict=True)
@@ -226,7 +226,7 @@ def emergency_stops(bench: Bench, count: int) -> dict[str, Any]:
 def _emergency_stop_ms(bench: Bench) -> float:
     bench.hold(8e-3)
     if bench.is_safe():
-        raise SystemExit("the output is safe already: nothing could be measured")
+        raise SystemExit("the output is already safe: there is nothing to measure")
     asking = threading.Thread(target=bench.ask, args=("estop",))
     began_s = time.perf_counter()
     asking.start()

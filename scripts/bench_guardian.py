@@ -1,12 +1,12 @@
-"""What stands between a death and an open valve, and what the card costs a tick.
+"""How long a valve stays open after a process dies, and what the card costs a tick.
 
     python scripts/bench_guardian.py --rounds 10 > guardian.json
 
-JSON on stdout, a table on stderr. First, real runs in real time over the simulation and over the
-tests' stand-in for a card, one process of each ended by a real signal at a random moment; see
-`fault_rounds.py`. Then undisturbed runs, in turn: wake-up behind the deadline, and the time that
-reading and writing take within a tick. The stand-in's registers are memory: its times are those of
-the nidaqmx package and of the way through it, and say nothing of a card's.
+JSON on stdout, a table on stderr. First, runs in real time over the simulation and over the tests'
+stand-in card; a signal ends one process of each at a random moment, see `fault_rounds.py`. Then
+undisturbed runs of both in turn: wake-up lateness, and the time of reading and writing in a tick.
+The stand-in's registers are memory: its times are those of the nidaqmx package and of our code
+around it, not those of a card.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ CASES = {
     ("recorder", "killed"): 100.0,
     ("front", "killed"): 100.0,
 }
-"""Who meets what, and the target for the time to the safe voltage in ms."""
+"""Process and signal, and the limit for the time to the safe voltage in ms."""
 
 
 def deaths(both: list[Bench], folder: Path, rounds: int) -> dict[str, Any]:
     """Time from a signal to the safe voltage, and ticks lost, for every process."""
     found: dict[str, list[dict[str, Any]]] = {}
-    for index in range(rounds):  # in turn, so that all see the same PC
+    for index in range(rounds):  # in turn, so that both see the same PC
         for bench in both:
             for process, how in CASES:
                 log = folder / f"{bench.name}-{process}-{how}-{index}.mcap"
@@ -54,22 +54,22 @@ def deaths(both: list[Bench], folder: Path, rounds: int) -> dict[str, Any]:
         print(
             f"{case}: safe voltage after {times_ms['p50']:.1f} ms (p50), {times_ms['max']:.1f} ms "
             f"(max), target {row['target_ms']:.0f}; {row['ticks_lost']} ticks lost; "
-            f"{row['well']} of {row['rounds']} rounds as they must be {row['amiss'] or ''}",
+            f"{row['well']} of {row['rounds']} rounds correct {row['amiss'] or ''}",
             file=sys.stderr,
         )
     return report
 
 
 def one_death(bench: Bench, process: str, how: str, log: Path) -> dict[str, Any]:
-    """One round; on a busy PC a run may end by itself before its time, which is told."""
+    """Run one round; on a busy PC a run may end before its signal, which is reported."""
     try:
         return round_of(bench, process, how, log)
     except (Amiss, subprocess.TimeoutExpired) as amiss:
         return {"amiss": str(amiss)}
 
 
-def undisturbed(bench: Bench, log: Path, seconds: float) -> np.ndarray:
-    """One run to its end; a row a tick: lateness, read, write (s)."""
+def run_undisturbed(bench: Bench, log: Path, seconds: float) -> np.ndarray:
+    """Run without a fault; one row a tick: lateness, read, write (s)."""
     run = Run(bench, log, "--duration", str(seconds))
     _, said = run.front.communicate()
     if run.front.returncode:
@@ -85,7 +85,7 @@ def ticks(both: list[Bench], timed: Bench, folder: Path, rounds: int) -> dict[st
     for index in range(rounds):
         for name, bench in chosen.items():
             log = folder / f"quiet-{name}-{index}.mcap".replace(" ", "-")
-            rows[name].append(undisturbed(bench, log, 2.0))
+            rows[name].append(run_undisturbed(bench, log, 2.0))
     report = {}
     for name, runs in rows.items():
         late_s, read_s, write_s = np.concatenate(runs).T

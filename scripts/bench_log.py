@@ -1,4 +1,4 @@
-"""Cost of the log: the loop's put, the recorder's throughput, a tick's bytes, reading it back.
+"""Cost of the log: the loop's put, the recorder's throughput, bytes of a tick, reading.
 
 Prints one JSON document. Compare ratios within a run, not numbers between machines.
 """
@@ -26,8 +26,8 @@ from pamctl.recording.ring import Ring, RingFull
 from pamctl.signals import TickRecord
 
 
-def made_up_ticks(count: int) -> list[TickRecord]:
-    """Return ticks whose every float is noise on a trend: as hard to compress as a real one's."""
+def make_up_ticks(count: int) -> list[TickRecord]:
+    """Return ticks whose floats are noise on a trend: as hard to compress as a real run's."""
     chance = random.Random(1)
     stages = [(signals, get_type_hints(signals).values()) for signals in _stage_types()]
 
@@ -47,7 +47,7 @@ def _stage_types() -> list[Any]:
 
 
 def put_cost(directory: Path, ticks: list[TickRecord]) -> dict[str, float]:
-    """Time each put into a ring that has room, the timer's own cost taken off."""
+    """Time each put into a ring with room, without the cost of the timer itself."""
     clock = time.perf_counter_ns
     costs, empty = [], []
     with Ring.create(directory / "put.ring", RunMeta("unused.mcap"), len(ticks)) as ring:
@@ -109,9 +109,9 @@ def ticks_per_s(read_all: Callable[[], object], ticks: int) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--ticks", type=int, default=60_000)
-    parser.add_argument("--rings", type=Path, default=Path("/dev/shm"), help="where rings are put")
+    parser.add_argument("--rings", type=Path, default=Path("/dev/shm"), help="folder for rings")
     arguments = parser.parse_args()
-    ticks = made_up_ticks(arguments.ticks)
+    ticks = make_up_ticks(arguments.ticks)
     with (
         tempfile.TemporaryDirectory(dir=arguments.rings) as rings,
         tempfile.TemporaryDirectory() as logs,

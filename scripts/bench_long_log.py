@@ -1,7 +1,7 @@
-"""A long log: time and memory of the log tools, and what a killed recorder leaves to recover.
+"""A long log: time and memory of the log tools, and the recovery after a killed recorder.
 
-Prints one JSON document. Anonymous memory is what a process holds for itself; the pages of
-the file that it maps are the kernel's cache, and are counted apart.
+Prints one JSON document. Anonymous memory is a process's own; the mapped pages of the file belong
+to the kernel's cache and are counted separately.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench_log import made_up_ticks, put_when_there_is_room
+from bench_log import make_up_ticks, put_when_there_is_room
 
 from pamctl.log import read
 from pamctl.log.container import make_message_records
@@ -71,8 +71,8 @@ def write_long(path: Path, ticks: int) -> None:
         writer.finish()
 
 
-def measured(code: str) -> dict[str, float]:
-    """Run a tool in a process of its own; sample what it holds while it runs."""
+def measure(code: str) -> dict[str, float]:
+    """Run a tool in a separate process; sample its memory while it runs."""
     began = time.perf_counter()
     anonymous = mapped_file = 0
     with subprocess.Popen([sys.executable, "-c", code]) as process:
@@ -96,15 +96,15 @@ def _memory_kb(pid: int) -> dict[str, int]:
     return {name.rstrip(":"): int(value) for name, value, _ in lines}
 
 
-def killed_recorder(directory: Path, rings: Path) -> dict[str, Any]:
-    """Kill a recorder in mid-run, and recover its file alone, without the ring."""
+def kill_recorder(directory: Path, rings: Path) -> dict[str, Any]:
+    """Kill a recorder during a run, and recover its file alone, without the ring."""
     path, saved = directory / "killed.mcap", directory / "saved.mcap"
     with (
         Ring.create(rings / "kill.ring", RunMeta(str(path))) as ring,
         spawn_recorder(ring.path) as process,
     ):
         await_recorder(ring, process)
-        for tick in made_up_ticks(20_000):
+        for tick in make_up_ticks(20_000):
             put_when_there_is_room(ring, tick)
         process.send_signal(signal.SIGKILL)
         process.wait()
@@ -123,7 +123,7 @@ def killed_recorder(directory: Path, rings: Path) -> dict[str, Any]:
 
 def _whole_chunks(path: Path) -> int:
     count = 0
-    with suppress(Damage):  # where the file was cut
+    with suppress(Damage):  # where the file ends
         for record in walk_records(map_log_file(path)):
             count += record.opcode == CHUNK
     return count
@@ -132,7 +132,7 @@ def _whole_chunks(path: Path) -> int:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--ticks", type=int, default=3_600_000)
-    parser.add_argument("--rings", type=Path, default=Path("/dev/shm"), help="where rings are put")
+    parser.add_argument("--rings", type=Path, default=Path("/dev/shm"), help="folder for rings")
     arguments = parser.parse_args()
     with (
         tempfile.TemporaryDirectory() as directory,
@@ -143,8 +143,8 @@ def main() -> None:
         result = {
             "ticks": arguments.ticks,
             "file_mb": path.stat().st_size / 1e6,
-            "tools": {name: measured(code.format(path=str(path))) for name, code in TOOLS.items()},
-            "killed_recorder": killed_recorder(Path(directory), Path(rings)),
+            "tools": {name: measure(code.format(path=str(path))) for name, code in TOOLS.items()},
+            "killed_recorder": kill_recorder(Path(directory), Path(rings)),
         }
     json.dump(result, sys.stdout, indent=2)
     print()

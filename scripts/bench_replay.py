@@ -1,9 +1,9 @@
-"""Replay's speed, and what a long log costs: time and memory of the verbs that read it whole.
+"""Speed of the replay, and the cost of a long log: time and memory of the verbs that read it all.
 
     python scripts/bench_replay.py [--hours 1] [--log FILE] [--json]
 
-Makes a log of experiment 2 without a clock, or takes one that is there; every verb runs in a
-process of its own, caches warm. Prints one JSON document, and a table on stderr.
+Makes a log of experiment 2 without a clock, or uses an existing one. Every verb runs in a separate
+process with warm caches. Prints one JSON document, and a table on stderr.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ VERBS: Mapping[str, Sequence[str]] = {
 _CYCLE_S = 10.0
 
 
-def made(log: Path, hours: float) -> dict[str, float]:
-    """Run experiment 2 for so long; return how long that took."""
+def make_log(log: Path, hours: float) -> dict[str, float]:
+    """Run experiment 2 for this time; return how long that took."""
     seconds = 3600.0 * hours
     cycles = f"experiment.cycles={max(1, round(seconds / _CYCLE_S) + 1)}"
     command = ["run", "--fast", "--quiet", "--duration", f"{seconds:g}", "--log", str(log)]
@@ -42,7 +42,7 @@ def made(log: Path, hours: float) -> dict[str, float]:
 
 
 def cost(verb: Sequence[str], log: Path) -> dict[str, Any]:
-    """Run a verb on a log; return time, processor time and the most memory it held."""
+    """Run a verb on a log; return time, processor time and peak memory."""
     with tempfile.TemporaryFile() as out:
         began_s = time.perf_counter()
         process = subprocess.Popen([*PAMCTL, *verb, str(log), "--json"], stdout=out)
@@ -69,7 +69,7 @@ def main() -> None:
         log = arguments.log or Path(directory) / "long.mcap"
         result: dict[str, Any] = {}
         if arguments.log is None:
-            result["made"] = made(log, arguments.hours)
+            result["made"] = make_log(log, arguments.hours)
         result["bytes"] = log.stat().st_size
         for name in arguments.verbs:
             result[name] = found = cost(VERBS[name], log)

@@ -1,10 +1,10 @@
-"""What a user waits for: from the command to the first tick, and a run without a clock.
+"""What a user waits for: the time from the command to the first tick, and runs without a clock.
 
     python scripts/bench_run.py --rounds 5 > run.json
 
-JSON on stdout, a table on stderr. Start-up is measured in real time from before the
-process starts to the first tick's sample. The speed of `--fast` is that of the
-difference between a long and a short run, so start-up and homing are not in it.
+JSON on stdout, a table on stderr. Start-up is the real time from before the process starts to the
+sample of the first tick. The speed of `--fast` comes from the difference between a long and a
+short run: start-up and homing do not count.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LONG_S, SHORT_S = 40.0, 20.0
 
 
 def run(folder: Path, name: str, *options: str) -> tuple[float, Path]:
-    """One run with law and log; wall seconds of the whole process, and the log."""
+    """Run with law and log; return the wall seconds of the whole process, and the log."""
     path = folder / name
     command = [sys.executable, "-m", "pamctl", "run", "--quiet", "--log", str(path)]
     before_s = time.perf_counter()
@@ -35,14 +35,14 @@ def run(folder: Path, name: str, *options: str) -> tuple[float, Path]:
 
 
 def start_up_s(folder: Path, name: str) -> float:
-    """From the command to the first tick."""
+    """Time from the command to the first tick."""
     started_ns = time.time_ns()
     _, path = run(folder, name, "--duration", "0.1", "--set", "rig.homing.enabled=false", *DEVICE)
     return float(read(path).time_ns[0] - started_ns) * 1e-9
 
 
 def fast_multiple(folder: Path, name: str) -> float:
-    """Simulated seconds per wall second, start-up taken out."""
+    """Simulated seconds per wall second, without start-up."""
     options = ("--fast", "--experiment", "tracking-1")
     long_s, _ = run(folder, f"long-{name}", *options, "--duration", str(LONG_S))
     short_s, _ = run(folder, f"short-{name}", *options, "--duration", str(SHORT_S))

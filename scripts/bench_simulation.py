@@ -1,17 +1,17 @@
-"""How fast is the simulation, and how far from the converged solution? All in one run.
+"""Speed of the simulation, and its distance from the converged solution, in one run.
 
     python scripts/bench_simulation.py > simulation.json
 
-JSON on stdout, a table on stderr. Everything is measured in rounds that interleave all variants,
-so that what happens to the machine happens to all of them, in CPU time. Given are the median and
-the best round: a neighbour on the other half of the core can double the one, hardly the other.
+JSON on stdout, a table on stderr. Rounds interleave all variants, so that disturbances of the
+machine affect all of them; times are CPU times. The table gives the median and the best round: a
+neighbour on the other half of the core can double the median, but hardly the best.
 
 - the plant alone, compiled and in plain Python, at 1, 2 and 4 steps a tick, with the largest error
   of position against 512 steps a tick;
 - the whole closed loop, compiled: plant, sensors, filters, law, safety;
-- LSODA restarted every tick, as a general solver in a control loop has to be, on the same model
-  with friction's jump smoothed (SciPy cannot do without);
-- one step of each law, and one whole tick, in plain Python: what the real-time loop pays.
+- LSODA restarted every tick, as a general solver in a control loop must be, on the same model
+  with a smoothed friction jump (SciPy needs that);
+- one step of each law, and one whole tick, in plain Python: the cost in the real-time loop.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ COMMANDS_V = {"square +-5 V 1 Hz": SQUARE_V, "sine 1.5 V 3 Hz with holds": SMALL
 
 LAW_TICKS = 5000
 LSODA_TICKS = 700
-"""Of the square: filling, rest at the top, the stuck 14 ms after the switch, and venting."""
+"""For the square: filling, rest at the top, the stuck 14 ms after the switch, and venting."""
 
 
 # The plant.
@@ -119,7 +119,7 @@ def largest_um(positions_m: Any, converged_m: NDArray[np.float64]) -> float:
 
 
 class Lsoda(NamedTuple):
-    """One way to call it."""
+    """One way to call LSODA."""
 
     compiled_rates: bool
     in_c: bool
@@ -139,7 +139,7 @@ LSODA = {
 
 
 def rates(t: float, y: Any, command_v: float, slip_m_per_s: float) -> tuple[float, float, float]:
-    """Kernel: Eq. 9 as a general solver takes it, friction's jump smoothed."""
+    """Kernel: Eq. 9 for a general solver, with a smoothed friction jump."""
     x, v, pressure_pa = y[0], y[1], y[2]
     forces = axial_forces(P.paper, x, pressure_pa)
     friction_n = forces.damping_down_n_s_per_m * v
@@ -184,7 +184,7 @@ def run_lsoda(how: Lsoda, commands_v: Sequence[float]) -> list[float]:
 
 
 class ClosedLoop:
-    """A law under its shipped gains on experiment 2, and what it saw on the way."""
+    """A law with its shipped gains on experiment 2, and its inputs."""
 
     def __init__(self, law: str) -> None:
         settings = resolve(controller=law, overrides=["rig.homing.enabled=false"], fast=True)
@@ -201,7 +201,7 @@ class ClosedLoop:
         return simulate(self.setup, P, self.chain, self.reference, self.noise)
 
     def ticks(self, count: int) -> list[tuple[RawSample, Reference, Timing]]:
-        """What the tick was given, from the middle of the approach on."""
+        """The inputs of the tick, from the middle of the approach on."""
         xs, pressures = self.batch["true_position_m"], self.batch["true_pressure_pa"]
         first = 2000
         return [
@@ -223,7 +223,7 @@ class ClosedLoop:
         return first_state(self.chain.zero._replace(encoder_zero_counts=1000.0), -5.0)
 
     def estimates(self, count: int) -> list[tuple[Reference, Estimate]]:
-        """What the law was given."""
+        """The inputs of the law."""
         state, seen = self.start(), []
         for raw, reference, timing in self.ticks(count):
             state, _ = step(self.setup, state, raw, reference, timing)
@@ -239,7 +239,7 @@ def run_law(loop: ClosedLoop, seen: Sequence[tuple[Reference, Estimate]]) -> Law
 
 
 def run_nothing(seen: Sequence[tuple[Reference, Estimate]]) -> None:
-    """Take the same loop without its call."""
+    """Run the same loop without the call."""
     gains, state = None, ARMED
     for _reference, _estimate in seen:
         _, state = gains, state
@@ -248,7 +248,7 @@ def run_nothing(seen: Sequence[tuple[Reference, Estimate]]) -> None:
 def tick_times_us(
     loop: ClosedLoop, ticks: Sequence[tuple[RawSample, Reference, Timing]]
 ) -> list[float]:
-    """Each tick's time, the two readings of the clock taken off."""
+    """Time of each tick, without the two readings of the clock."""
     setup, state, now_ns = loop.setup, loop.start(), time.perf_counter_ns
     taken_ns = []
     for raw, reference, timing in ticks:
@@ -268,8 +268,10 @@ def seconds(work: Callable[[], object]) -> float:
     return time.process_time() - begin_s
 
 
-def interleaved(variants: dict[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
-    """Seconds of each; every round runs each once, beginning with another one."""
+def time_interleaved(
+    variants: dict[str, Callable[[], object]], rounds: int
+) -> dict[str, list[float]]:
+    """CPU seconds of each variant; every round runs each once, in a rotated order."""
     taken: dict[str, list[float]] = {name: [] for name in variants}
     for work in variants.values():
         work()  # warm: code compiled, files read, caches filled
@@ -307,7 +309,7 @@ def measure(rounds: int) -> dict[str, Any]:
     gc.collect()
     gc.freeze()
     gc.disable()  # as in the loop process
-    taken = interleaved(variants, rounds)
+    taken = time_interleaved(variants, rounds)
     gc.enable()
 
     errors = plant_errors_um()
@@ -373,11 +375,11 @@ def quantile(values: Sequence[float], share: float) -> float:
     return sorted(values)[int(share * (len(values) - 1))]
 
 
-# For the reader.
+# Output.
 
 
 class Target(NamedTuple):
-    """What we are content with."""
+    """A target."""
 
     what: str
     median: float
@@ -421,12 +423,12 @@ def is_met(row: Target) -> bool:
 
 
 def tell(text: str = "") -> None:
-    """Progress and tables belong to stderr: stdout is the result."""
+    """Print progress and tables to stderr: stdout is the result."""
     print(text, file=sys.stderr, flush=True)
 
 
 def tell_all(found: dict[str, Any]) -> None:
-    """Tables: the median round, and in brackets the best."""
+    """Print tables: the median round, and the best in brackets."""
     middle, best, errors = found["median"], found["best"], found["largest_error_um"]
     names = list(COMMANDS_V)
     tell(f"\nplant: us/tick (best), x real time (best), largest error in um: {'; '.join(names)}")

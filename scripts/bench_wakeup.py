@@ -1,14 +1,14 @@
-"""How late do we wake? `GridClock` beside Debian's cyclictest, interleaved in one run.
+"""Wake-up lateness: `GridClock` and Debian's cyclictest, interleaved in one run.
 
     python scripts/bench_wakeup.py --rounds 6 --seconds 2 > wakeup.json
 
-JSON on stdout, a table on stderr. Only ratios within one run are worth comparing, and of those only
-the ones of p50 and p99: on a virtual machine the tail belongs to the hypervisor. The columns at the
-end tell: `stalls` is the time lost in wake-ups later than 0.2 ms, `queued` is the time that this
-kernel let the process wait for a CPU. A stall that was not queued happened below the kernel.
+JSON on stdout, a table on stderr. Compare only ratios within one run, and only those of p50 and
+p99: on a virtual machine the tail belongs to the hypervisor. See the last columns: `stalls` is the
+time lost in wake-ups later than 0.2 ms, `queued` is the time that this kernel let the process wait
+for a CPU. A stall that was not queued happened below the kernel.
 
-A variant is a function from a number of ticks to a `Sample`, and an entry in `VARIANTS`; it is run
-in a fresh process every round, since most of what prepares a process for real time stays with it.
+A variant is a function from a number of ticks to a `Sample`, and an entry in `VARIANTS`. It runs in
+a fresh process every round, because most real-time preparations of a process cannot be undone.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ TARGETS = {
     "run": {"p50": 1.2, "p99": 1.3},
     "run-spin": {"p50": 0.05, "p99": 0.1},
 }
-"""Highest ratio to cyclictest that we are content with."""
+"""Highest acceptable ratio to cyclictest."""
 
 INSTALL_CYCLICTEST = "cyclictest is not on the PATH: apt-get install rt-tests"
 
 
 @dataclass
 class Sample:
-    """What one run of one variant saw."""
+    """The result of one run of one variant."""
 
     lateness_us: list[float]
-    """Behind the deadline slept for, one value a wake-up."""
+    """Lateness behind the deadline of each wake-up."""
     queued_ms: float | None = None
-    """How long this kernel let us wait for a CPU in all, where the variant can tell."""
+    """Total time that this kernel let us wait for a CPU, if the variant knows it."""
     notes: dict[str, str] = field(default_factory=dict)
 
 
@@ -65,7 +65,7 @@ Measure = Callable[[int], Sample]
 
 
 def cyclictest(ticks: int) -> Sample:
-    """The kernel's own yardstick, in C. It holds /dev/cpu_dma_latency at 0 unasked."""
+    """The kernel developers' own yardstick, in C. It holds /dev/cpu_dma_latency at 0 by itself."""
     program = shutil.which("cyclictest")
     if program is None:
         raise SystemExit(INSTALL_CYCLICTEST)
@@ -77,7 +77,7 @@ def cyclictest(ticks: int) -> Sample:
 
 
 def from_histogram(printed: str) -> Sample:
-    """Times from counts of whole microseconds: spread evenly over each, which rounds nothing."""
+    """Times from counts per microsecond: spread evenly over each, so that nothing is rounded."""
     lateness_us: list[float] = []
     summary: dict[str, str] = {}
     for line in printed.splitlines():
@@ -93,7 +93,7 @@ def from_histogram(printed: str) -> Sample:
 
 
 def grid(spin_ns: int = 0, phase_ns: int | None = None) -> Measure:
-    """Our clock, in a process prepared as the loop's."""
+    """Our clock, in a process prepared like the loop's."""
 
     def measure(ticks: int) -> Sample:
         from pamctl.realtime.clock import GridClock
@@ -104,8 +104,8 @@ def grid(spin_ns: int = 0, phase_ns: int | None = None) -> Measure:
             before_ms = queued_ms()
             wakes = [clock.wait() for _ in range(ticks)]
             queued = queued_ms() - before_ms
-        # Behind the deadline that was slept for, as cyclictest counts: a sleep that ended periods
-        # late is a missed tick to the loop, but a long latency here.
+        # Lateness behind the deadline of each sleep, as in cyclictest: a sleep that ends periods
+        # late is a missed tick for the loop, but a long latency here.
         lateness_us = [
             (wake.now_ns - wake.deadline_ns + wake.missed * PERIOD_NS) / 1e3 for wake in wakes
         ]
@@ -115,7 +115,7 @@ def grid(spin_ns: int = 0, phase_ns: int | None = None) -> Measure:
 
 
 def plain_sleep(ticks: int) -> Sample:
-    """What one writes without thinking about it: time.sleep in an ordinary process."""
+    """The simplest way: time.sleep in an ordinary process."""
     lateness_us = []
     before_ms = queued_ms()
     deadline_ns = time.monotonic_ns()
@@ -129,13 +129,13 @@ def plain_sleep(ticks: int) -> Sample:
 
 
 def queued_ms() -> float:
-    """How long this process has been ready to run so far, and was not let run."""
+    """How long this process has waited for a CPU so far."""
     _, waited_ns, _ = Path("/proc/self/schedstat").read_text().split()
     return int(waited_ns) / 1e6
 
 
 def whole_loop(*options: str) -> Measure:
-    """The loop of `pamctl run` on the simulated rig: plant, tick, ring and recorder and all."""
+    """The loop of `pamctl run` on the simulated rig, with plant, tick, ring and recorder."""
 
     def measure(ticks: int) -> Sample:
         import numpy as np
@@ -187,12 +187,12 @@ VARIANTS: dict[str, Measure] = {
 
 
 def run_fresh(variant: str, ticks: int) -> Sample:
-    """One run of one variant in a process of its own."""
+    """Run one variant in a separate process."""
     return Sample(**run_worker("--worker", variant, "--ticks", str(ticks)))
 
 
 def run_worker(*arguments: str) -> Any:
-    """What this script prints when called with these arguments."""
+    """Return what this script prints with these arguments."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     run = subprocess.run(
         [sys.executable, __file__, *arguments],
@@ -208,7 +208,7 @@ def run_worker(*arguments: str) -> Any:
 
 @contextmanager
 def cpu_hogs(count: int) -> Iterator[None]:
-    """Ordinary processes that do nothing but run; they also end by themselves with this one."""
+    """Ordinary processes that only compute; they end by themselves with this process."""
     busy = f"import os\nwhile os.getppid() == {os.getpid()}:\n for _ in range(10**5): pass"
     hogs = [subprocess.Popen([sys.executable, "-c", busy]) for _ in range(count)]
     try:
@@ -223,18 +223,18 @@ def cpu_hogs(count: int) -> Iterator[None]:
 def measure_round_robin(
     variants: Sequence[str], rounds: int, ticks: int, label: str
 ) -> dict[str, list[Sample]]:
-    """Every variant once a round, so that what happens to the machine happens to all of them."""
+    """Run every variant once a round, so that disturbances affect all of them."""
     samples: dict[str, list[Sample]] = {variant: [] for variant in variants}
     for number in range(rounds):
         tell(f"{label}: round {number + 1} of {rounds}")
-        first = number % len(variants)  # nobody always follows the same neighbour
+        first = number % len(variants)  # rotated: no variant always follows the same neighbour
         for variant in (*variants[first:], *variants[:first]):
             samples[variant].append(run_fresh(variant, ticks))
     return samples
 
 
 def cpu_seconds() -> tuple[float, float]:
-    """CPU time so far, all CPUs together: in all, and stolen by the hypervisor."""
+    """CPU time of all CPUs so far: in total, and stolen by the hypervisor."""
     first_line, _, _ = Path("/proc/stat").read_text().partition("\n")
     jiffies = [int(word) for word in first_line.split()[1:9]]
     per_second = os.sysconf("SC_CLK_TCK")
@@ -242,7 +242,7 @@ def cpu_seconds() -> tuple[float, float]:
 
 
 def measure_drift(ticks: int) -> dict[str, float]:
-    """Does the grid keep to the clock? Missed ticks are gaps in the index, not drift."""
+    """Check that the grid follows the clock. Missed ticks are gaps in the index, not drift."""
     from pamctl.realtime.clock import GridClock
     from pamctl.realtime.scheduling import prepare
 
@@ -269,7 +269,7 @@ def measure_drift(ticks: int) -> dict[str, float]:
 
 
 def quantile(ascending: Sequence[float], share: float) -> float:
-    """The smallest value that this share of all values does not exceed."""
+    """The smallest value that is not exceeded by this share of all values."""
     return ascending[max(0, -int(-share * len(ascending) // 1) - 1)]
 
 
@@ -280,7 +280,7 @@ def quantiles_us(lateness_us: Sequence[float]) -> dict[str, float]:
 
 
 def summarise(samples: dict[str, list[Sample]]) -> dict[str, Any]:
-    """Each variant over all rounds, its ratio to the baseline, and the ratios round by round."""
+    """Each variant over all rounds, its ratio to the baseline, and the ratios by round."""
     pooled = {variant: quantiles_us(pool(runs)) for variant, runs in samples.items()}
     by_round = {
         variant: [quantiles_us(run.lateness_us) for run in runs]
@@ -306,23 +306,23 @@ def summarise(samples: dict[str, list[Sample]]) -> dict[str, Any]:
 
 
 def pool(runs: Sequence[Sample]) -> list[float]:
-    """All rounds of a variant as one."""
+    """All rounds of a variant together."""
     return [value for run in runs for value in run.lateness_us]
 
 
 def total_queued_ms(runs: Sequence[Sample]) -> float | None:
-    """Over all rounds, where the variant can tell."""
+    """Over all rounds, if the variant knows it."""
     known = [run.queued_ms for run in runs if run.queued_ms is not None]
     return round(sum(known), 1) if known else None
 
 
 def ratio(ours: dict[str, float], theirs: dict[str, float]) -> dict[str, float]:
-    """Quantile by quantile."""
+    """The ratio of each quantile."""
     return {name: round(ours[name] / theirs[name], 4) for name in ours}
 
 
 def against_targets(condition: dict[str, Any]) -> list[dict[str, Any]]:
-    """Which targets this run has met: by the median round, since a neighbour's burst hits one."""
+    """The targets and whether the median round meets them: a neighbour's burst hits one round."""
     return [
         {
             "variant": variant,
@@ -338,16 +338,16 @@ def against_targets(condition: dict[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-# For the reader.
+# Output.
 
 
 def tell(text: str) -> None:
-    """Progress and tables belong to stderr: stdout is the result."""
+    """Print progress and tables to stderr: stdout is the result."""
     print(text, file=sys.stderr, flush=True)
 
 
 def tell_condition(label: str, condition: dict[str, Any]) -> None:
-    """One table: times, and in brackets their ratio to cyclictest."""
+    """Print one table: times, and their ratio to cyclictest in brackets."""
     tell(f"\n{label}: us behind the deadline (ratio to {BASELINE})")
     columns = "".join(f"{name:>18}" for name in QUANTILES)
     tell(f"{'':18}{columns}{'missed':>8}{'stalls ms':>11}{'queued ms':>11}")
@@ -379,12 +379,16 @@ def tell_drift(drift: dict[str, float]) -> None:
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rounds", type=int, default=6, help="rounds of all variants")
-    parser.add_argument("--seconds", type=float, default=2.0, help="of each variant in a round")
+    parser.add_argument(
+        "--seconds", type=float, default=2.0, help="seconds of each variant in a round"
+    )
     parser.add_argument("--hogs", type=int, default=3, help="CPU hogs; 0: idle only")
-    parser.add_argument("--drift-seconds", type=float, default=20.0, help="0: no drift run")
+    parser.add_argument(
+        "--drift-seconds", type=float, default=20.0, help="seconds of the drift run; 0: none"
+    )
     parser.add_argument(
         "--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME"
     )
@@ -394,7 +398,7 @@ def arguments() -> argparse.Namespace:
 
 
 def compare(options: argparse.Namespace) -> dict[str, Any]:
-    """The whole comparison."""
+    """Run the whole comparison."""
     variants = [BASELINE, *(name for name in options.variants if name != BASELINE)]
     ticks = round(options.seconds * 1e9 / PERIOD_NS)
     report: dict[str, Any] = {
@@ -428,7 +432,7 @@ def compare(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure, or, as the worker of such a run, be measured."""
+    """Measure, or run as the worker of a measurement."""
     options = arguments()
     if options.worker == "drift":
         print(json.dumps(measure_drift(options.ticks)))
@@ -437,7 +441,7 @@ def main() -> None:
     elif shutil.which("cyclictest") is None:
         raise SystemExit(INSTALL_CYCLICTEST)
     else:
-        # A terminated benchmark must leave no hog behind: let `finally` run.
+        # A terminated benchmark must leave no CPU hogs behind: let `finally` run.
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
         print(json.dumps(compare(options), indent=1))
 

@@ -2,14 +2,13 @@
 
     python scripts/fault_rounds.py --rounds 20 --resume faults.jsonl > faults.json
 
-JSON on stdout, a line for each round and a table on stderr; exit code 3 if anything was not as it
-must be. Ctrl-C ends it with what there is by then (130); with `--resume` each round is written
-down when it is over, and those that are written there already are not run again. Each round is one
-real run in real time with one real signal. What must hold after it: the output at the safe voltage,
-the log complete to the last tick that was put before the signal, the documented exit code, nothing
-left behind, and a next start that is clean. The output is looked at all the time, as with a
-voltmeter; its clock starts before the signal is sent. The card is the stand-in of the tests: it
-needs gcc.
+JSON on stdout, a line for each round and a table on stderr; exit code 3 if anything went wrong.
+Ctrl-C ends it with the results so far (130). With `--resume` each finished round is stored, and
+stored rounds are not run again. A round is one real run in real time with one real signal. After
+it, the output must be at the safe voltage, the log complete to the last tick before the signal, the
+exit code as documented, nothing left behind, and the next start clean. The output is watched all
+the time, as with a voltmeter; its clock starts before the signal is sent. The card is the stand-in
+of the tests: it needs gcc.
 """
 
 from __future__ import annotations
@@ -116,19 +115,19 @@ class Run:
         return found[0]
 
     def await_motion(self, ring: Ring) -> None:
-        """Return when the valve is off its safe voltage, at a random moment."""
+        """Return at a random moment at which the valve is off its safe voltage."""
         deadline_s = time.monotonic() + PATIENCE_S
         while ring.head < MOVING_TICKS or self.bench.output_v() < SAFE_V + 1.0:
             if self.front.poll() is not None:
                 assert self.front.stderr
                 said = self.front.stderr.read().decode().strip()
-                raise Amiss(f"the run ended before its time: {said}")
+                raise Amiss(f"the run ended too early: {said}")
             require(time.monotonic() < deadline_s, f"only {ring.head} rows, the valve is still")
             time.sleep(0.01)
         time.sleep(random.uniform(0.0, 0.7))
 
     def await_safe(self, since_s: float) -> float:
-        """Watch the output; return how long it took to be safe, in ms."""
+        """Watch the output; return the time until it is safe, in ms."""
         while abs(self.bench.output_v() - SAFE_V) > AO_STEP_V:
             require(time.perf_counter() - since_s < PATIENCE_S, f"{self.bench.output_v()} V")
             time.sleep(1e-4)
@@ -145,7 +144,7 @@ class Run:
 
 
 class Amiss(Exception):
-    """Something was not as it must be."""
+    """Something went wrong."""
 
 
 def require(holds: bool, what: str) -> None:
@@ -154,14 +153,14 @@ def require(holds: bool, what: str) -> None:
 
 
 def expected_code(process: str, signal_name: str) -> int:
-    """Return the exit code that is documented for an end."""
+    """Return the documented exit code for this end."""
     if process == "front":
         return -signal.SIGKILL if signal_name == "killed" else 130
     return 1
 
 
 def round_of(bench: Bench, process: str, signal_name: str, log: Path) -> dict[str, Any]:
-    """One run, one signal; how long until safe (ms), and ticks lost. Raises `Amiss`."""
+    """Run once with one signal; return time until safe (ms) and ticks lost. Raises `Amiss`."""
     run = Run(bench, log)
     pids: dict[str, int] = {}
     try:
@@ -171,7 +170,7 @@ def round_of(bench: Bench, process: str, signal_name: str, log: Path) -> dict[st
             began_s = time.perf_counter()
             os.kill(pids[process], SIGNALS[signal_name])
             if process == "front" and signal_name == "frozen":
-                # A front that stands still harms nobody: the run goes on, and can be ended.
+                # A frozen front harms nobody: the run goes on, and can be ended.
                 time.sleep(0.3)
                 os.kill(pids["front"], signal.SIGCONT)
                 began_s = time.perf_counter()
@@ -192,7 +191,7 @@ def round_of(bench: Bench, process: str, signal_name: str, log: Path) -> dict[st
 
 
 def ticks_lost(path: Path, last: int) -> int:
-    """Check a log for gaps; return how many ticks it lacks of those that were put."""
+    """Check a log for gaps; return how many of the ticks put it lacks."""
     log = read(path)
     require(np.array_equal(np.diff(log["tick"]) - 1, log["missed"][1:]), "the log has gaps")
     outcomes = [event for event in log.events if event["event"] == "outcome"]
@@ -208,7 +207,7 @@ def next_start(bench: Bench, log: Path) -> None:
 
 
 def rounds(count: int, timing: str, done: Counter[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """All cases in turn, so that all see the same PC, but for those rounds that are `done`."""
+    """Run all cases in turn, so that all see the same PC, without the rounds in `done`."""
     with tempfile.TemporaryDirectory() as temporary, benches(Path(temporary), timing) as both:
         cases = [
             (f"{bench.name} {process} {signal_name}", bench, process, signal_name)
@@ -233,15 +232,19 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--timing", choices=["on_demand", "hardware_timed"], default="on_demand")
-    parser.add_argument("--resume", type=Path, metavar="FILE", help="where each round is kept")
+    parser.add_argument("--resume", type=Path, metavar="FILE", help="file that stores each round")
     options = parser.parse_args()
-    cases = kept(options.resume, options.timing)
+    cases = read_kept(options.resume, options.timing)
     done = Counter({case: len(found) for case, found in cases.items()})
     stopped = False
     try:
         for case, found in rounds(options.rounds, options.timing, done):
             cases.setdefault(case, []).append(found)
-            print(f"{case:<26}{len(cases[case]):>4}  {told(found)}", file=sys.stderr, flush=True)
+            print(
+                f"{case:<26}{len(cases[case]):>4}  {describe_round(found)}",
+                file=sys.stderr,
+                flush=True,
+            )
             keep(options.resume, {"timing": options.timing, "case": case, **found})
     except KeyboardInterrupt:
         stopped = True
@@ -253,8 +256,8 @@ def main() -> int:
     return 0 if all(row["rounds"] == row["well"] for row in report.values()) else 3
 
 
-def kept(path: Path | None, timing: str) -> dict[str, list[dict[str, Any]]]:
-    """Return the rounds of an earlier call, by case; a line that was cut short is none."""
+def read_kept(path: Path | None, timing: str) -> dict[str, list[dict[str, Any]]]:
+    """Return the rounds of an earlier call, by case, without a line that was cut short."""
     cases: dict[str, list[dict[str, Any]]] = {}
     lines = path.read_text().splitlines() if path is not None and path.exists() else []
     for line in lines:
@@ -271,7 +274,7 @@ def keep(path: Path | None, found: dict[str, Any]) -> None:
             file.write(json.dumps(found) + "\n")
 
 
-def told(found: dict[str, Any]) -> str:
+def describe_round(found: dict[str, Any]) -> str:
     if "amiss" in found:
         return f"AMISS: {found['amiss']}"
     return f"safe after {found['safe_after_ms']:.1f} ms, {found['ticks_lost']} ticks lost"
@@ -280,7 +283,7 @@ def told(found: dict[str, Any]) -> str:
 def tell(report: dict[str, dict[str, Any]]) -> None:
     """Print the table of all cases."""
     print(
-        f"{'':<26}{'rounds':>7}{'as it must':>12}{'lost':>6}{'p50 ms':>9}{'max ms':>9}",
+        f"{'':<26}{'rounds':>7}{'correct':>12}{'lost':>6}{'p50 ms':>9}{'max ms':>9}",
         file=sys.stderr,
     )
     for case, row in report.items():

@@ -1,13 +1,13 @@
-"""Examine `pamctl diagnose` on rigs in which an effect is hidden, and print how it did.
+"""Examine `pamctl diagnose` on rigs with a hidden effect, and print the results.
 
     python scripts/hidden_suite.py --subset quick|all|GROUP[,GROUP...] [--only TEXT]
         [--program short] [--null-each 100] [--seeds 1] [--workers 2] [--results FILE] [--json]
     python scripts/hidden_suite.py --oracle
 
-Results are appended to a JSONL file, one line a case, and cases found there are not run again: an
-examination of hours can be stopped and taken up. The table, the confusion matrix and every miss
-go to stdout (markdown, or one JSON document), progress to stderr. `--oracle` computes again what
-each program of excitation can show at all (`tests/hidden/oracle.json`).
+Results are appended to a JSONL file, one line a case, and stored cases are not run again: an
+examination of hours can be stopped and resumed. The table, the confusion matrix and every miss
+go to stdout (markdown, or one JSON document), progress to stderr. `--oracle` computes which effects
+each excitation can show at all (`tests/hidden/oracle.json`).
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from hidden.examine import examine  # noqa: E402
 from hidden.excitations import PROGRAMS  # noqa: E402
 from hidden.oracle import oracle  # noqa: E402
 from hidden.scoring import ORACLE, Result, confusion, figures, table  # noqa: E402
-from taken_up import taken_up  # noqa: E402
+from resumable_study import run_resumable  # noqa: E402
 
 GOOD = ("right", "right_set", "silent", "honest", "twin")
 ORACLE_PROGRAMS = ("standard", "short", "brief", "squares", "closed_loop")
 
 
-def chosen(options: argparse.Namespace) -> list[Case]:
-    """Return the cases asked for."""
+def choose_cases(options: argparse.Namespace) -> list[Case]:
+    """Return the selected cases."""
     if options.subset == "quick":
         cases: Iterable[Case] = quick_cases()
     else:
@@ -46,8 +46,8 @@ def chosen(options: argparse.Namespace) -> list[Case]:
             for case in all_cases(options.null_each, options.seeds)
             if options.subset == "all" or case.group in groups
         ]
-    wanted = [case for case in cases if options.select_blocks in case.id]
-    # What is asked of a mechanism without air, or of squares alone, another program cannot ask.
+    wanted = [case for case in cases if options.only in case.id]
+    # Cases of a mechanism without air, or of squares only, do not suit another program.
     return [
         replace(case, program=options.program)
         if options.program and case.program == "standard"
@@ -57,11 +57,11 @@ def chosen(options: argparse.Namespace) -> list[Case]:
 
 
 def key(case: Case) -> str:
-    """Return what a case is known by in the results."""
+    """Return the key of a case in the results."""
     return f"{case.id}#{case.repeat}@{case.program}"
 
 
-def examined(case: Case) -> dict[str, Any]:
+def examine_case(case: Case) -> dict[str, Any]:
     """Run one case; a crash of the diagnosis is a result too."""
     try:
         return {"key": key(case), **examine(case)}
@@ -69,12 +69,12 @@ def examined(case: Case) -> dict[str, Any]:
         return {"key": key(case), "error": traceback.format_exc(limit=-4)}
 
 
-def told(result: dict[str, Any]) -> str:
-    """Return the verdict, for the line of progress."""
+def describe_verdict(result: dict[str, Any]) -> str:
+    """Return the verdict, for the progress line."""
     return str(result.get("document", {}).get("verdict", "CRASH"))
 
 
-def written(every: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
+def format_oracle(every: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
     """Return the oracle as JSON, one line for each size of an effect."""
     programs = []
     for program, effects in every.items():
@@ -87,7 +87,7 @@ def written(every: dict[str, dict[str, dict[str, dict[str, float]]]]) -> str:
 
 
 def report(results: list[Result], crashed: list[str]) -> str:
-    """Return the whole account in markdown, losses included."""
+    """Return the full report in markdown, with every miss."""
     parts = [table(figures(results)), confusion(results), "Not right:"]
     for result in results:
         if result.mark not in GOOD:
@@ -117,11 +117,11 @@ def main() -> None:
     parser.add_argument("--oracle", action="store_true")
     options = parser.parse_args()
     if options.oracle:
-        ORACLE.write_text(written({program: oracle(program) for program in ORACLE_PROGRAMS}))
+        ORACLE.write_text(format_oracle({program: oracle(program) for program in ORACLE_PROGRAMS}))
         return
-    cases = chosen(options)
+    cases = choose_cases(options)
     tasks = {key(case): case for case in cases}
-    found = taken_up(tasks, examined, options.results, options.workers, told)
+    found = run_resumable(tasks, examine_case, options.results, options.workers, describe_verdict)
     results = [
         Result(case, found[key(case)]["document"], found[key(case)]["seconds"])
         for case in cases

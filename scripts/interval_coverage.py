@@ -1,14 +1,14 @@
 """How often the 90 % intervals of a diagnosis hold the truth, by simulation.
 
     python scripts/interval_coverage.py [--rigs own,hidden] [--effects NAME,...] [--seeds 4]
-        [--program brief] [--workers 2] [--results FILE] [--json | --readme]
+        [--program brief] [--workers 2] [--results FILE] [--json | --write]
 
-An effect of drawn size (1 to 10 smallest sizes of interest), under drawn parameters, noise and
+An effect of random size (1 to 10 smallest sizes of interest), with random parameters, noise and
 homing, is hidden in the project's own simulated rig (finely stepped) and in those of tests/hidden,
-which share no code with it and have other forms. Only the true structure is fitted, without a
-search, so that a rig costs seconds. Lines of a JSONL file are not run again. The table goes to
-stdout (markdown, JSON, or into the README), progress to stderr. A standard error counts rigs, not
-numbers: those of one rig are not independent.
+which share no code with it and have other equations. Only the true structure is fitted, without a
+search, so that a rig takes seconds. Rigs stored in the JSONL file are not run again. The table goes
+to stdout (markdown or JSON), with --write into README or manual; progress goes to stderr. The
+standard error counts rigs, not numbers, because the numbers of one rig are not independent.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from hidden.rig import HiddenRig  # noqa: E402
 from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M  # noqa: E402
 from hidden.truth_values import NEUTRAL as HIDDEN_NEUTRAL  # noqa: E402
 from hidden.truth_values import TRUE  # noqa: E402
-from readme_table import table, write_between  # noqa: E402
-from taken_up import taken_up  # noqa: E402
+from measured_table import format_table, write_measured  # noqa: E402
+from resumable_study import run_resumable  # noqa: E402
 
 from pamctl.diagnose import Record  # noqa: E402
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates, select_reaching  # noqa: E402
@@ -68,7 +68,7 @@ OFF = {
     "tank_pressure_pa": 0.015,
     "braid_length_m": 0.003,
 }
-"""How far a rig's numbers are off the paper's, at most."""
+"""Largest deviation of a rig's numbers from the paper's."""
 HIDDEN_NUMBERS: dict[str, Callable[[HiddenRig], float]] = {
     "damping_n_s_per_m": lambda rig: rig.truth.damping,
     "stiffness_n_per_m": lambda rig: rig.truth.stiffness,
@@ -90,20 +90,20 @@ class Task:
 
     @property
     def key(self) -> str:
-        """What it is known by in the results."""
+        """Its key in the results."""
         return f"{self.rig}/{self.effect}#{self.seed}@{self.program}"
 
     @property
     def random(self) -> np.random.Generator:
-        """Its own, the same each time."""
+        """Its own random generator, the same each time."""
         return np.random.default_rng(zlib.crc32(self.key.encode()))
 
 
 Runs = tuple[list[Record], list[Record]]
 
 
-def hidden(task: Task) -> tuple[Runs, dict[str, float]]:
-    """Return a hidden rig's records, and its numbers as far as they mean the same in both forms."""
+def run_hidden_rig(task: Task) -> tuple[Runs, dict[str, float]]:
+    """Return a hidden rig's records, and those of its numbers that mean the same in both forms."""
     size = _size(task.random)
     case = Case(
         task.key,
@@ -119,18 +119,18 @@ def hidden(task: Task) -> tuple[Runs, dict[str, float]]:
     for name, number in TRUE.get(task.effect, {}).items():
         if not math.isclose(number(rig), HIDDEN_NEUTRAL.get(name, 0.0), abs_tol=1e-15):
             true[f"{task.effect}.{name}"] = number(rig)
-    return ([_handed(r) for r in train], [_handed(r) for r in held]), true
+    return ([_to_record(r) for r in train], [_to_record(r) for r in held]), true
 
 
-def _handed(record: Any) -> Record:
+def _to_record(record: Any) -> Record:
     return Record(name=record.name, **record.columns())
 
 
-def own(task: Task) -> tuple[Runs, dict[str, float]]:
+def run_own_rig(task: Task) -> tuple[Runs, dict[str, float]]:
     """Return records of the project's own plant, and its numbers."""
     random = task.random
     muscle = {n: PAPER[n] * (1.0 + by * random.uniform(-1.0, 1.0)) for n, by in OFF.items()}
-    hidden = _drawn(task.effect, random)
+    hidden = _draw_parameters(task.effect, random)
     truth = parameters_of({**muscle, **hidden})
     noise_pa = float(random.choice([150.0, 300.0, 600.0]))
     phase = random.uniform()
@@ -156,9 +156,9 @@ def _size(random: np.random.Generator) -> float:
     return float(np.exp(random.uniform(*np.log(SIZES))))
 
 
-def _drawn(effect: str, random: np.random.Generator) -> dict[str, float]:
+def _draw_parameters(effect: str, random: np.random.Generator) -> dict[str, float]:
     """Draw an effect in one of its forms: its sizes, and its shapes about where a fit starts."""
-    forms = [c for c in _everything() if c.name == effect]
+    forms = [c for c in _list_candidates() if c.name == effect]
     form = forms[int(random.integers(len(forms)))]
     size = _size(random)
     values = dict(form.held)
@@ -174,12 +174,12 @@ def _drawn(effect: str, random: np.random.Generator) -> dict[str, float]:
     return values
 
 
-def _everything() -> tuple[Candidate, ...]:
+def _list_candidates() -> tuple[Candidate, ...]:
     return list_candidates(Evidence(PlantSettings(), {PRESSURE: (), MECHANICS: ()}, {}, {}))
 
 
-def fitted(runs: Runs, effect: str) -> Model:
-    """Fit the true structure as the diagnosis would that has found it."""
+def fit_structure(runs: Runs, effect: str) -> Model:
+    """Fit the true structure, as the diagnosis does after it has found it."""
     train, held = runs
     evidence = prepare_evidence(train, held, PlantSettings())
     forms = [c for c in list_candidates(evidence) if c.name == effect]
@@ -191,7 +191,7 @@ def fitted(runs: Runs, effect: str) -> Model:
 
 
 def _best(evidence: Evidence, forms: Sequence[Candidate]) -> Model:
-    """Fit the most promising form from where it promises most; more only where that falls short."""
+    """Fit the most promising form first; try more forms only if that fit is not good enough."""
     base = confirm_complete(recalibrate(evidence))
     ranked = [
         score
@@ -211,11 +211,11 @@ def _best(evidence: Evidence, forms: Sequence[Candidate]) -> Model:
     return best
 
 
-def examined(task: Task) -> dict[str, Any]:
-    """Return the intervals of one rig beside the truth."""
-    runs, true = {"own": own, "hidden": hidden}[task.rig](task)
+def examine_task(task: Task) -> dict[str, Any]:
+    """Return the intervals of one rig with the true values."""
+    runs, true = {"own": run_own_rig, "hidden": run_hidden_rig}[task.rig](task)
     began = time.process_time()
-    model = fitted(runs, task.effect)
+    model = fit_structure(runs, task.effect)
     found = estimate_intervals(model)
     return {
         "key": task.key,
@@ -245,8 +245,10 @@ class Coverage:
     """Median, as a share of the number's distance from neutral (of its value)."""
 
 
-def coverage(what: str, results: Iterable[dict[str, Any]], *, of_effect: bool = True) -> Coverage:
-    """Count over rigs; the numbers of the effect, or those that are only recalibrated."""
+def compute_coverage(
+    what: str, results: Iterable[dict[str, Any]], *, of_effect: bool = True
+) -> Coverage:
+    """Count over rigs: the numbers of the effect, or the recalibrated ones."""
     shares, widths, count = [], [], 0
     for result in results:
         numbers = [n for n in result["numbers"] if ("." in n["name"]) == of_effect]
@@ -257,7 +259,7 @@ def coverage(what: str, results: Iterable[dict[str, Any]], *, of_effect: bool = 
             widths += [_half_width(n) for n in numbers]
             count += len(numbers)
     covered = float(np.mean(shares)) if shares else math.nan
-    # One rig more on either side, so that a handful that all hold are not sure of themselves.
+    # One rig more on either side: a few rigs that all hold must not look certain.
     smooth = (covered * len(shares) + 1.0) / (len(shares) + 2.0)
     error = math.sqrt(smooth * (1.0 - smooth) / max(len(shares), 1))
     return Coverage(what, len(shares), count, covered, error, float(np.median(widths or [np.nan])))
@@ -268,26 +270,28 @@ def _half_width(number: dict[str, Any]) -> float:
     return float(0.5 * (high - low) / abs(number["true"] - NEUTRAL.get(number["name"], 0.0)))
 
 
-def summary(results: Sequence[dict[str, Any]]) -> list[Coverage]:
-    """Return the whole account: by rig, then by effect."""
+def summarise(results: Sequence[dict[str, Any]]) -> list[Coverage]:
+    """Return the whole table: by rig, then by effect."""
     at_floor = [r for r in results if r["at_floor"]]
     lines = []
     for rig in RIGS:
         of_rig = [r for r in at_floor if r["rig"] == rig]
         if of_rig:
-            lines.append(coverage(f"{rig} rigs: numbers of the effect", of_rig))
-            lines.append(coverage(f"{rig} rigs: recalibrated numbers", of_rig, of_effect=False))
+            lines.append(compute_coverage(f"{rig} rigs: numbers of the effect", of_rig))
+            lines.append(
+                compute_coverage(f"{rig} rigs: recalibrated numbers", of_rig, of_effect=False)
+            )
     above = [r for r in results if not r["at_floor"]]
     if above:
-        lines.append(coverage("fits that end above the floor", above))
+        lines.append(compute_coverage("fits that end above the floor", above))
     by_effect = [
-        coverage(f"`{name}`", [r for r in at_floor if r["effect"] == name])
+        compute_coverage(f"`{name}`", [r for r in at_floor if r["effect"] == name])
         for name in sorted({r["effect"] for r in results})
     ]
     return [line for line in (*lines, *by_effect) if line.rigs]
 
 
-def markdown(lines: Sequence[Coverage]) -> str:
+def format_markdown(lines: Sequence[Coverage]) -> str:
     """Return the table."""
     rows = [
         [
@@ -299,7 +303,9 @@ def markdown(lines: Sequence[Coverage]) -> str:
         ]
         for line in lines
     ]
-    return table(["", "rigs", "numbers", "90 % intervals that hold the truth", "half width"], rows)
+    return format_table(
+        ["", "rigs", "numbers", "90 % intervals that hold the truth", "half width"], rows
+    )
 
 
 def main() -> None:
@@ -311,7 +317,9 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--results", type=Path, default=Path("logs/coverage.jsonl"))
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--readme", action="store_true", help="put the table into the README")
+    parser.add_argument(
+        "--write", "--readme", action="store_true", help="write the table into README or manual"
+    )
     options = parser.parse_args()
     tasks = [
         Task(rig, effect, seed, options.program)
@@ -320,14 +328,14 @@ def main() -> None:
         for rig in options.rigs.split(",")
     ]
     keyed = {task.key: task for task in tasks}
-    found = taken_up(keyed, examined, options.results, options.workers)
-    lines = summary([found[key] for key in keyed])
+    found = run_resumable(keyed, examine_task, options.results, options.workers)
+    lines = summarise([found[key] for key in keyed])
     if options.json:
         print(json.dumps([asdict(line) for line in lines], indent=2))
         return
-    print(markdown(lines))
-    if options.readme:
-        write_between("interval_coverage", markdown(lines))
+    print(format_markdown(lines))
+    if options.write:
+        write_measured("interval_coverage", format_markdown(lines))
 
 
 if __name__ == "__main__":

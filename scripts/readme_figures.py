@@ -1,6 +1,6 @@
-"""The pictures of the README: pages of `pamctl report`, `reproduce`, `diagnose`, photographed.
+"""Make the pictures of the README: screenshots of `pamctl report`, `reproduce` and `diagnose`.
 
-    python scripts/readme_figures.py [NAME ...]     # all of them, or these
+    python scripts/readme_figures.py [NAME ...]     # default: all
 
 Writes into .readme/. Needs Chromium (apt-get install chromium).
 """
@@ -16,8 +16,8 @@ from pathlib import Path
 
 from pamctl.log import read
 from pamctl.report.compose import compose_report
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import PlotAxis, SvgPlot
 from pamctl.reproduce.paper_cases import PRINTED_QSMC, TUNED
 from pamctl.reproduce.reproduction import reproduce_paper
 from pamctl.signals import Phase
@@ -28,8 +28,8 @@ BESIDE = """<!doctype html><body style="margin:0;display:flex;gap:24px;backgroun
 <iframe src="{page}" style="width:390px;height:{height}px;border:0"></iframe>"""
 
 
-def logged(folder: Path) -> Path:
-    """The log of a run in real time, timing and all."""
+def make_log(folder: Path) -> Path:
+    """Return the log of a run in real time, with timing."""
     log = folder / "run.mcap"
     device = "rig.sim.device=sim-readme"
     command = [sys.executable, "-m", "pamctl", "run", "--quiet", "--set", device]
@@ -37,8 +37,8 @@ def logged(folder: Path) -> Path:
     return log
 
 
-def diagnosed(folder: Path) -> Path:
-    """The page of a rig whose valve has a dead band that the model does not have."""
+def make_diagnosis(folder: Path) -> Path:
+    """Return the page of a diagnosis: the rig's valve has a dead band that the model lacks."""
     plant, out = folder / "mine.yaml", folder / "diagnosis"
     plant.write_text("effects: {valve_deadband: {fill_width_v: 0.25, exhaust_width_v: 0.2}}\n")
     logs = [folder / f"run-{seed}.mcap" for seed in (1, 2)]
@@ -52,8 +52,8 @@ def diagnosed(folder: Path) -> Path:
     return out / "report.html"
 
 
-def laws() -> Page:
-    """The error of four gains files in experiment 2, one plot each, on the same axes."""
+def make_laws_page() -> Page:
+    """Make a page with the errors of four gains files in experiment 2, on the same axes."""
     page = Page("True error in experiment 2", "On the model of Tables I and II", numbered=False)
     time, plots = PlotAxis("time since the end of the approach", "s", tight=True), []
     for colour, case in enumerate((PRINTED_QSMC, *TUNED[:3])):
@@ -69,7 +69,7 @@ def laws() -> Page:
     return page
 
 
-def photographed(page: Path, name: str, width: int, height: int) -> None:
+def take_picture(page: Path, name: str, width: int, height: int) -> None:
     """Take a picture of the top of a page."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if browser is None:
@@ -79,26 +79,26 @@ def photographed(page: Path, name: str, width: int, height: int) -> None:
     subprocess.run([browser, *look, *taken], check=True, capture_output=True)
 
 
-def photographed_beside(page: Path, name: str, height: int) -> None:
-    """Take a picture of the top of a page, on a screen and on a phone."""
+def take_picture_pair(page: Path, name: str, height: int) -> None:
+    """Take a picture of the top of a page on a screen and on a phone, side by side."""
     both = page.with_name("both.html")
     both.write_text(BESIDE.format(page=page.name, height=height))
-    photographed(both, name, 1334, height)
+    take_picture(both, name, 1334, height)
 
 
 HEIGHTS = {"report": 1500, "fig3": 1310, "fig5": 1245, "laws": 720, "diagnosis": 1500}
 BESIDE_A_PHONE = ("report", "diagnosis")
 
 
-def page_of(name: str, folder: Path) -> Path:
-    """Make the page that a picture shows."""
+def make_page(name: str, folder: Path) -> Path:
+    """Make the page for a picture."""
     if name == "diagnosis":
-        return diagnosed(folder)
+        return make_diagnosis(folder)
     file = folder / f"{name}.html"
     if name == "report":
-        page = compose_report([read(logged(folder))])
+        page = compose_report([read(make_log(folder))])
     else:
-        page = laws() if name == "laws" else reproduce_paper([name], 0).page
+        page = make_laws_page() if name == "laws" else reproduce_paper([name], 0).page
     file.write_text(page.html(), encoding="utf-8")
     return file
 
@@ -112,11 +112,11 @@ def main() -> None:
     PICTURES.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as temporary:
         for name in names:
-            page = page_of(name, Path(temporary))
+            page = make_page(name, Path(temporary))
             if name in BESIDE_A_PHONE:
-                photographed_beside(page, name, HEIGHTS[name])
+                take_picture_pair(page, name, HEIGHTS[name])
             else:
-                photographed(page, name, 920, HEIGHTS[name])
+                take_picture(page, name, 920, HEIGHTS[name])
 
 
 if __name__ == "__main__":

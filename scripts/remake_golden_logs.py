@@ -1,9 +1,9 @@
-"""Make the golden logs of tests/golden/ anew: real runs, each replayed before it is kept.
+"""Make the golden logs of tests/golden/ again: real runs, each replayed before it is kept.
 
     python scripts/remake_golden_logs.py [NAME...]
 
-To be run when a tick is meant to be another than before, or a log another format: what they
-say is what `pamctl replay` holds every later version to. The card's log needs gcc.
+Run it when the tick or the format of a log changes on purpose: `pamctl replay` holds every later
+version to these logs. The card's log needs gcc.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LARGEST_BYTES = 250_000
 
 
 class Recipe(NamedTuple):
-    """One run; `interrupt_at` is the tick at which it is stopped by Ctrl-C."""
+    """One run; Ctrl-C stops it at the tick `interrupt_at`."""
 
     arguments: tuple[str, ...]
     ends_with: ExitCode = ExitCode.OK
@@ -40,7 +40,7 @@ class Recipe(NamedTuple):
     on_card: bool = False
 
 
-def changed(**keys: object) -> tuple[str, ...]:
+def make_overrides(**keys: object) -> tuple[str, ...]:
     """Write `--set section.key=value` for `section__key=value`."""
     return tuple(
         word
@@ -53,8 +53,8 @@ TRACKING = ("--experiment", str(GOLDEN / "tracking.yaml"))
 SIMULATED = ("--rig", str(GOLDEN / "rig.yaml"))
 FAST = (*SIMULATED, "--fast")
 ON_CARD = ("--rig", str(GOLDEN / "card.yaml"), "--rt", "off")
-QSMC = ("--controller", "qsmc", *changed(controller__lpf1_hz=200))
-SHORTER = changed(
+QSMC = ("--controller", "qsmc", *make_overrides(controller__lpf1_hz=200))
+SHORTER = make_overrides(
     experiment__transition_s=0.25,
     experiment__approach_s=0.25,
     experiment__settle_s=0.05,
@@ -70,51 +70,61 @@ SLOW_READS = [fault("slow_read", at, 1, 0.005 + 1e-5 * at) for at in range(40, 9
 
 RECIPES: Mapping[str, Recipe] = {
     "qsmc": Recipe((*FAST, *TRACKING, *QSMC)),
-    # The sign of Eq. 15 alone, in counts that run the other way, until it chatters.
+    # Only the sign of Eq. 15, in counts of the other direction, until it chatters.
     "qsmc-chatter": Recipe(
         (
             *(*FAST, *TRACKING, *QSMC),
-            *changed(controller__reaching_law="eta", controller__eta=2e6, controller__phi=20),
-            *changed(rig__calibration__encoder_sign=-1),
+            *make_overrides(
+                controller__reaching_law="eta", controller__eta=2e6, controller__phi=20
+            ),
+            *make_overrides(rig__calibration__encoder_sign=-1),
         )
     ),
     "smc": Recipe(
-        (*FAST, *TRACKING, *SHORTER, "--controller", "smc", *changed(rig__loop__rate_hz=1000))
+        (
+            *FAST,
+            *TRACKING,
+            *SHORTER,
+            "--controller",
+            "smc",
+            *make_overrides(rig__loop__rate_hz=1000),
+        )
     ),
     "pid-delayed": Recipe(
         (
             *(*FAST, *TRACKING, "--controller", "pid", "--plant", "paper-valve109"),
-            *changed(controller__lpf1_hz=200, controller__lpf2_hz=200),
-            *changed(rig__sim__output_delay_ticks=1),
+            *make_overrides(controller__lpf1_hz=200, controller__lpf2_hz=200),
+            *make_overrides(rig__sim__output_delay_ticks=1),
         )
     ),
     "steps": Recipe((*FAST, "--experiment", str(GOLDEN / "steps.yaml"), *QSMC)),
     "readonly": Recipe((*FAST, *TRACKING, *QSMC, "--readonly", "--duration", "0.5")),
     "trip-wire": Recipe(
-        (*FAST, *TRACKING, *QSMC, *changed(rig__faults=f"[{fault('broken_wire', 500)}]")),
+        (*FAST, *TRACKING, *QSMC, *make_overrides(rig__faults=f"[{fault('broken_wire', 500)}]")),
         ends_with=ExitCode.SAFETY_TRIP,
     ),
     "trip-nan": Recipe(
-        (*FAST, *TRACKING, *QSMC, *changed(rig__faults=f"[{fault('pressure_nan', 450)}]")),
+        (*FAST, *TRACKING, *QSMC, *make_overrides(rig__faults=f"[{fault('pressure_nan', 450)}]")),
         ends_with=ExitCode.SAFETY_TRIP,
     ),
     "missed": Recipe(
         (
             *(*SIMULATED, *TRACKING, *QSMC),
-            *changed(experiment__cycles=50, rig__faults=f"[{', '.join(SLOW_READS)}]"),
+            *make_overrides(experiment__cycles=50, rig__faults=f"[{', '.join(SLOW_READS)}]"),
         ),
         ends_with=ExitCode.SIGINT,
         interrupt_at=900,
     ),
     "card": Recipe((*ON_CARD, *TRACKING, *QSMC), on_card=True),
     "card-clocked": Recipe(
-        (*ON_CARD, *TRACKING, *QSMC, *changed(rig__nidaq__timing="hardware_timed")), on_card=True
+        (*ON_CARD, *TRACKING, *QSMC, *make_overrides(rig__nidaq__timing="hardware_timed")),
+        on_card=True,
     ),
 }
 
 
 def environment_of(recipe: Recipe, directory: Path) -> dict[str, str]:
-    """Return what a run needs around it; for the card the stand-in's driver, and a card."""
+    """Return the environment of a run; for the card: the stand-in's driver, and a card."""
     if not recipe.on_card:
         return dict(os.environ)
     sys.path.insert(0, str(ROOT / "tests"))
@@ -147,7 +157,7 @@ def interrupt(process: subprocess.Popen[bytes], tick: int) -> None:
 
 
 def complaint(recipe: Recipe, code: int, log: Path) -> str:
-    """Say what is wrong with a fresh log; empty where it may be kept."""
+    """Return the problem of a fresh log; empty if it may be kept."""
     if code != recipe.ends_with:
         return f"ended with {code} instead of {int(recipe.ends_with)}"
     found = replay_log(read(log))
@@ -158,8 +168,8 @@ def complaint(recipe: Recipe, code: int, log: Path) -> str:
     return ""
 
 
-def remade(name: str) -> str:
-    """Make one log and keep it; return why not, empty where all is well."""
+def remake(name: str) -> str:
+    """Make one log and keep it; return the problem, empty if there is none."""
     with tempfile.TemporaryDirectory() as directory:
         fresh = Path(directory) / f"{name}.mcap"
         recipe = RECIPES[name]
@@ -177,7 +187,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*", default=list(RECIPES), metavar="NAME")
     failures = 0
     for name in parser.parse_args().names:
-        wrong = remade(name)
+        wrong = remake(name)
         failures += bool(wrong)
         kept = ROOT / GOLDEN / f"{name}.mcap"
         print(f"{name}: {wrong or f'{len(read(kept))} ticks, {kept.stat().st_size} bytes'}")

@@ -1,12 +1,12 @@
-"""Does a law that is tuned on the diagnosed plant track better on the rig that hid the effect?
+"""Does a law track better on a rig with a hidden effect if it is tuned on the diagnosed plant?
 
     python scripts/retune_after_diagnosis.py [--effect NAME:SIZE ...] [--law qsmc]
         [--generations 10] [--searches 2] [--json]
 
-The rigs are those of tests/hidden: written apart from the plant, and run here under the
-loop's own tick. Each is diagnosed from two runs of `diagnosis`; then gains are sought beside
-the shipped ones, with equal effort on the model as it stood and on the extended one, and
-tracked on the rig in experiment 2. Markdown on stdout, or one JSON document; progress on stderr.
+The rigs are those of tests/hidden: they share no code with the plant, and run here under the loop's
+own tick. Each is diagnosed from two runs of `diagnosis`. Then gains are searched near the shipped
+ones, with equal effort on the nominal model and on the extended one, and tracked on the rig in
+experiment 2. Markdown on stdout, or one JSON document; progress on stderr.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ from pamctl.tune import GainsSearch, Jury, make_fixed_members  # noqa: E402
 from pamctl.tune.search_space import SPACES  # noqa: E402
 
 HIDDEN = ("valve_deadband:5", "valve_hysteresis:5", "command_delay:10", "valve_spool:5")
-"""Effects that a loop can feel, at sizes between what matters at all and the worst."""
+"""Effects that a loop can feel, at sizes from just relevant to the worst."""
 SEED = 20
 MODEL, DIAGNOSED = "the model as it stood", "the diagnosed plant"
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """How gains did on the hidden rig, and what the search had promised on its own plant."""
+    """How gains tracked on the hidden rig, and what the search promised on its own plant."""
 
     plant: str
-    """What they were tuned on; empty for shipped ones."""
+    """The plant of the search; empty for shipped gains."""
     cost: float | None
     """Largest error over its bound of Table IV on that plant."""
     max_um: float | None
-    """None where the run did not end well; `outcome` says how."""
+    """None if the run did not end well; `outcome` says how it ended."""
     rms_um: float | None
     outcome: str
 
@@ -69,32 +69,32 @@ class Retuned:
     tracked: list[Tracked]
 
 
-def retuned(hidden: str, law: str, generations: int, searches: int) -> Retuned:
+def retune(hidden: str, law: str, generations: int, searches: int) -> Retuned:
     """Diagnose one rig, tune on both plants, and track on the rig."""
     name, size = hidden.split(":")
     rig = hidden_rig({name: float(size)}, seed=SEED)
-    found = diagnosed(rig)
+    found = diagnose_rig(rig)
     tell(f"{hidden}: {sentence(found)}")
-    rows = [tracked_on(rig, "", resolve(controller=law).controller, None)]
+    rows = [track_on(rig, "", resolve(controller=law).controller, None)]
     for label, plant in ((MODEL, PlantSettings()), (DIAGNOSED, found.plant)):
         for seed in range(searches):
-            gains, cost = tuned(law, plant, generations, seed)
-            rows.append(tracked_on(rig, label, gains, cost))
+            gains, cost = tune_law(law, plant, generations, seed)
+            rows.append(track_on(rig, label, gains, cost))
     named = [effect["name"] for effect in build_diagnosis_document(found)["effects"]]
     return Retuned(hidden, found.verdict.value, named, rows)
 
 
-def diagnosed(rig: HiddenRig) -> Diagnosis:
+def diagnose_rig(rig: HiddenRig) -> Diagnosis:
     """Diagnose a rig from two runs of the shipped experiment."""
-    train, held_out = (measured(own_run(rig, "diagnosis", seed)) for seed in (1, 2))
+    train, held_out = (to_record(own_run(rig, "diagnosis", seed)) for seed in (1, 2))
     return diagnose([train], [held_out], PlantSettings(), progress=tell)
 
 
-def measured(record: Record) -> Measured:
+def to_record(record: Record) -> Measured:
     return Measured(name=record.name, **record.columns())
 
 
-def tuned(law: str, plant: PlantSettings, generations: int, seed: int) -> tuple[Any, float]:
+def tune_law(law: str, plant: PlantSettings, generations: int, seed: int) -> tuple[Any, float]:
     """Search gains on a plant; return them and their cost there."""
     start = resolve(controller=law).controller.model_dump()
     jury = Jury((), 1.0, tuple(make_fixed_members([("plant", plant)])))
@@ -105,7 +105,7 @@ def tuned(law: str, plant: PlantSettings, generations: int, seed: int) -> tuple[
     return SPACES[law].controller(SPACES[law].point(best.gains)), best.cost
 
 
-def tracked_on(rig: HiddenRig, plant: str, controller: Any, cost: float | None) -> Tracked:
+def track_on(rig: HiddenRig, plant: str, controller: Any, cost: float | None) -> Tracked:
     """Run experiment 2 on the hidden rig; errors are of the measured displacement."""
     base = resolve(experiment="tracking-2", fast=True, seed=SEED)
     done = run(base.model_copy(update={"controller": controller}), plant=HiddenPlant(rig))
@@ -118,7 +118,7 @@ def tracked_on(rig: HiddenRig, plant: str, controller: Any, cost: float | None) 
     worst_um, rms_um = (found.max_m * 1e6, found.rms_m * 1e6) if found else (None, None)
     outcome = "complete" if whole else done.ending.reason
     tracked = Tracked(plant, cost, worst_um, rms_um, outcome)
-    tell(f"  gains of {plant or 'the package'}: {_told(tracked)} um")
+    tell(f"  gains of {plant or 'the package'}: {_format_tracked(tracked)} um")
     return tracked
 
 
@@ -129,13 +129,13 @@ def markdown(results: list[Retuned]) -> Iterator[str]:
     for result in results:
         named = f"{result.verdict}: {', '.join(f'`{n}`' for n in result.named) or '-'}"
         cells = [
-            "; ".join(_told(row) for row in result.tracked if row.plant == plant)
+            "; ".join(_format_tracked(row) for row in result.tracked if row.plant == plant)
             for plant in ("", MODEL, DIAGNOSED)
         ]
         yield f"| `{result.hidden.replace(':', '`, ')} | {named} | {' | '.join(cells)} |"
 
 
-def _told(row: Tracked) -> str:
+def _format_tracked(row: Tracked) -> str:
     if row.max_um is None:
         return row.outcome
     return f"{row.max_um:.0f} / {row.rms_um:.1f}"
@@ -154,7 +154,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     results = [
-        retuned(hidden, options.law, options.generations, options.searches)
+        retune(hidden, options.law, options.generations, options.searches)
         for hidden in options.effect or HIDDEN
     ]
     if options.json:

@@ -1,12 +1,12 @@
-"""A long day of the daemon in half an hour: random commands, faults and kills; then look for leaks.
+"""A long day of the daemon in half an hour: random commands, faults, kills; then leaks.
 
     python scripts/soak_daemon.py --minutes 30 > soak.json
 
-JSON on stdout, progress on stderr; exit code 3 if anything was not as it must be. For most of the
-time one daemon lives, while its loops, recorders and guardians are killed and frozen: its memory
-and file descriptors are compared between moments at which it was idle. Then it is itself killed
-and restarted again and again. At the end no process and nothing in shared memory may be left, and
-every log must pass `pamctl log check` and `pamctl replay`.
+JSON on stdout, progress on stderr; exit code 3 if anything went wrong. For most of the time one
+daemon lives, while its loops, recorders and guardians are killed and frozen: its memory and file
+descriptors are compared between idle moments. Then the daemon itself is killed and restarted many
+times. At the end no process and nothing in shared memory may be left, and every log must pass
+`pamctl log check` and `pamctl replay`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SHARE_OF_ONE_LIFE = 0.75
 SAMPLE_EVERY_S = 10.0
 WARM_UP_SHARE = 0.25
 MOST_GROWTH_BYTES = 4e6
-"""Once it is warm. The largest answer there is takes 2 MB while it is written."""
+"""After the warm-up. The largest answer takes 2 MB while it is written."""
 PATIENCE_S = 60.0
 AO_STEP_V = 20.0 / 65536.0
 SETTINGS = ["rig.homing.steady_s=0.05", "rig.homing.fills=1"]
@@ -56,19 +56,19 @@ CONTROLLERS = {
 
 
 class Amiss(Exception):
-    """Something was not as it must be."""
+    """Something went wrong."""
 
 
 class Rig:
-    """The daemon under test, and what is done to it."""
+    """The daemon under test, and the actions on it."""
 
     def __init__(self, folder: Path) -> None:
         self.device = f"soak{os.getpid()}"
         self.socket, self.logs = folder / "control.sock", folder / "logs"
         self._errors = (folder / "daemon.err").open("wb")
-        self.process = self._started()
+        self.process = self._start()
 
-    def _started(self) -> subprocess.Popen[bytes]:
+    def _start(self) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "pamctl", "daemon", "--socket", str(self.socket)]
         command += ["--logs", str(self.logs)]
         settings = [f"rig.sim.device={self.device}", *SETTINGS]
@@ -80,11 +80,11 @@ class Rig:
                 client.call("status")
                 return process
             if process.poll() is not None or time.monotonic() > deadline_s:
-                raise Amiss(f"the daemon does not come up, code {process.poll()}")
+                raise Amiss(f"the daemon does not start, exit code {process.poll()}")
             time.sleep(0.05)
 
     def ask(self, method: str, **params: Any) -> Any:
-        """Ask; a refusal is an answer like any other, an error of the daemon's is not."""
+        """Ask; a refusal is a valid answer, an internal error of the daemon is not."""
         try:
             with Client(self.socket) as client:
                 return client.call(method, params)
@@ -94,12 +94,12 @@ class Rig:
             return None
 
     def status(self) -> dict[str, Any]:
-        """Ask for it."""
+        """Ask for the status."""
         status: dict[str, Any] = self.ask("status")
         return status
 
     def kill(self, which: str, number: signal.Signals) -> None:
-        """Send a signal to one of the daemon's processes, if it is there."""
+        """Send a signal to one of the daemon's processes, if it exists."""
         for pid in children(self.process.pid):
             with suppress(OSError):
                 if which in Path(f"/proc/{pid}/cmdline").read_text():
@@ -114,10 +114,10 @@ class Rig:
             raise Amiss(f"the daemon left with {code} on SIGTERM")
         await_that(lambda: not any(map(lives, left)), f"processes left behind: {left}")
         self.require_safe()
-        self.process = self._started()
+        self.process = self._start()
 
     def to_idle(self) -> None:
-        """Acknowledge what is latched, end what goes on, and wait until nothing does."""
+        """Acknowledge a latched fault, end the current run, and wait until the daemon is idle."""
         deadline_s = time.monotonic() + PATIENCE_S
         while (status := self.status())["state"] != "idle":
             self.ask("ack" if status["state"] == "fault" else "disarm")
@@ -127,13 +127,13 @@ class Rig:
         self.require_safe()
 
     def require_safe(self) -> None:
-        """Look at the output, as with a voltmeter."""
+        """Require the safe voltage at the output."""
         volts = peek_v(ao_path(self.device))
         if volts is None or abs(volts) > AO_STEP_V:
-            raise Amiss(f"{volts} V where nothing runs")
+            raise Amiss(f"{volts} V at the output of an idle daemon")
 
     def sample(self) -> dict[str, float]:
-        """What an idle daemon holds."""
+        """The resources of an idle daemon."""
         self.to_idle()
         await_that(lambda: not children(self.process.pid), "processes left behind when idle")
         pid = self.process.pid
@@ -146,7 +146,7 @@ class Rig:
         }
 
     def shared_memory(self) -> list[str]:
-        """What lies in shared memory by our doing; output and lock of the device are meant to."""
+        """Our files in shared memory, without output and lock of the device, which stay."""
         rings = SHARED_MEMORY.glob(f"pamctl-{self.process.pid}-*")
         device = SHARED_MEMORY.glob(f"pamctl-{self.device}.*")
         return [p.name for p in (*rings, *device) if p.suffix not in (".ao", ".lock")]
@@ -161,7 +161,7 @@ class Rig:
 
 
 def children(pid: int) -> list[int]:
-    """All processes below one, whichever thread of it started them."""
+    """All descendants of a process, whichever of its threads started them."""
     found: list[int] = []
     for tasks in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(OSError):
@@ -170,14 +170,14 @@ def children(pid: int) -> list[int]:
 
 
 def lives(pid: int) -> bool:
-    """Tell whether a process is there, and no zombie."""
+    """Tell whether a process exists and is not a zombie."""
     with suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     return False
 
 
 def resident_bytes(pid: int) -> int:
-    """Memory that is its own: maps of files and of shared memory are not."""
+    """Private memory: without maps of files and of shared memory."""
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("RssAnon:"):
             return int(line.split()[1]) * 1024
@@ -193,7 +193,7 @@ def await_that(holds: Any, otherwise: str) -> None:
 
 
 def acts(rig: Rig, dice: random.Random) -> dict[str, tuple[int, Any]]:
-    """What may happen: how often, and how."""
+    """The actions, each with its weight."""
 
     def start() -> None:
         rig.ask("start", experiment=dice.choice(EXPERIMENTS), name="soak")
@@ -226,7 +226,7 @@ def acts(rig: Rig, dice: random.Random) -> dict[str, tuple[int, Any]]:
 
 
 def one_life(rig: Rig, dice: random.Random, seconds: float, done: Counter[str]) -> list[Any]:
-    """Random acts on one daemon; what it held at the moments when it was idle."""
+    """Do random actions on one daemon; return its resources at idle moments."""
     samples = [rig.sample()]
     choice = acts(rig, dice)
     weights = [weight for weight, _ in choice.values()]
@@ -244,7 +244,7 @@ def one_life(rig: Rig, dice: random.Random, seconds: float, done: Counter[str]) 
 
 
 def many_lives(rig: Rig, dice: random.Random, seconds: float, done: Counter[str]) -> None:
-    """The daemon itself is ended, while it does something or nothing, and restarted."""
+    """Kill and restart the daemon itself, busy or idle."""
     choice = acts(rig, dice)
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
@@ -258,8 +258,8 @@ def many_lives(rig: Rig, dice: random.Random, seconds: float, done: Counter[str]
         print(f"{sum(done.values())} acts, restarted after {number.name}", file=sys.stderr)
 
 
-def judged_logs(folder: Path) -> tuple[int, int, list[str]]:
-    """How many logs and ticks there are, and what is wrong with which."""
+def judge_logs(folder: Path) -> tuple[int, int, list[str]]:
+    """Return the number of logs and of ticks, and the problems of the logs."""
     logs, ticks, wrong = sorted(folder.glob("*.mcap")), 0, []
     left = [path.name for path in folder.iterdir() if path.suffix != ".mcap"]
     if left:
@@ -279,10 +279,10 @@ def judged_logs(folder: Path) -> tuple[int, int, list[str]]:
 
 
 def growth(samples: list[dict[str, float]]) -> dict[str, float]:
-    """Slope of memory over time, and the most of it, since the warm-up; change of all else.
+    """Slope and maximum of memory since the warm-up; change of everything else.
 
-    Of descriptors and threads the least counts, early and late: whoever asks has one of them for
-    a moment longer.
+    For descriptors and threads the minimum counts, early and late: a client holds one of them for a
+    moment.
     """
     settled = samples[int(len(samples) * WARM_UP_SHARE) :]
     third = len(settled) // 3
@@ -313,7 +313,7 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="a directory for logs and messages")
     options = parser.parse_args()
     if options.minutes < 2.0:
-        parser.error("less than two minutes show no leak")
+        parser.error("less than two minutes cannot show a leak")
     dice, done, wrong = random.Random(options.seed), Counter[str](), list[str]()
     seconds = options.minutes * 60.0
     report: dict[str, Any] = {"minutes": options.minutes, "seed": options.seed}
@@ -339,14 +339,14 @@ def main() -> int:
             rig.process.kill()
             for left in SHARED_MEMORY.glob(f"pamctl-{rig.device}.*"):
                 left.unlink()
-        report["logs"], report["ticks"], wrong_logs = judged_logs(rig.logs)
+        report["logs"], report["ticks"], wrong_logs = judge_logs(rig.logs)
         said = (folder / "daemon.err").read_text()
         if "Traceback" in said:
             wrong.append(said[said.index("Traceback") :][:2000])
     report |= {"acts": dict(done), "amiss": wrong + wrong_logs}
     print(json.dumps(report, indent=1))
     print(
-        f"{report['logs']} logs, {sum(done.values())} acts, amiss: {len(report['amiss'])}",
+        f"{report['logs']} logs, {sum(done.values())} actions, wrong: {len(report['amiss'])}",
         file=sys.stderr,
     )
     return 3 if report["amiss"] else 0

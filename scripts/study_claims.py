@@ -1,9 +1,9 @@
-"""The paper's claims as a study: tracking, sensors, cost, parameters, sensitivity, and what q does.
+"""The paper's claims as a study: tracking, sensors, cost, parameters, sensitivity, and q.
 
     python scripts/study_claims.py              # shows the tables
-    python scripts/study_claims.py --readme     # and puts them into the README
+    python scripts/study_claims.py --write      # and writes them into README or manual
     python scripts/study_claims.py --json
-    python scripts/study_claims.py --quick      # a few plants and rounds: does it run?
+    python scripts/study_claims.py --quick      # few plants and rounds: does it run?
 
 Everything but the cost is simulated by the compiled closed loop with the shipped gains.
 """
@@ -25,8 +25,8 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from bench_simulation import LAW_TICKS, ClosedLoop, interleaved, run_law, run_nothing
-from readme_table import table, write_between
+from bench_simulation import LAW_TICKS, ClosedLoop, run_law, run_nothing, time_interleaved
+from measured_table import format_table, write_measured
 
 from pamctl.control.smc import linearise_model
 from pamctl.plant.model import plant_parameters
@@ -47,11 +47,11 @@ SENSORS = {
     ],
 }
 FOR_SENSORS = 8
-"""Plants that are also tried without noise and with finer counts."""
+"""Number of plants that are also simulated without noise and with finer counts."""
 DEAD_BANDS_V = (0.1, 0.2, 0.3)
-"""Upper ends of the classes; of one side."""
+"""Upper ends of the classes of dead band, each side."""
 SEED = 2_000_003
-"""Of plants that neither a search nor its score has seen."""
+"""Seed of plants that no search has used."""
 SWEPT_Q = (1.0, 1.5, 1.75, 2.0, 2.5)
 BOUND = {
     experiment: Merit(
@@ -66,7 +66,7 @@ BOUND = {
 
 
 class Spread(NamedTuple):
-    """How a law did on an ensemble; errors in µm, median over the plants."""
+    """How a law tracked on an ensemble; errors in µm, median over the plants."""
 
     plants: int
     inside: int
@@ -79,7 +79,7 @@ class Spread(NamedTuple):
 
 
 def run_of(law: str, experiment: str, sensors: Sequence[str], member: Member | None) -> RunSettings:
-    """Return the settings of one run; no member is the paper's plant."""
+    """Return the settings of one run; no member means the paper's plant."""
     noise = [] if member is None else [f"rig.sim.sensor_noise_v={member.noise_v}"]
     settings = resolve(controller=law, experiment=experiment, overrides=[*noise, *sensors])
     if member is None:
@@ -92,7 +92,7 @@ def both(law: str, sensors: Sequence[str], member: Member | None) -> list[Merit 
 
 
 def is_inside(found: Sequence[Merit | None]) -> bool:
-    """Every error of both experiments within the strictest column of Table IV."""
+    """Tell whether every error of both experiments is within the strictest column of Table IV."""
     return all(
         one is not None
         and all(
@@ -134,7 +134,7 @@ def tracking(members: Sequence[Member], executor: Executor) -> dict[str, dict[st
 
 
 def by_dead_band(members: Sequence[Member], inside: Iterable[bool]) -> list[tuple[int, int]]:
-    """Return how many plants there are, and how many inside, by the valve's dead band."""
+    """Return the number of plants and of those inside, by the valve's dead band."""
     counts = [(0, 0)] * len(DEAD_BANDS_V)
     for member, is_in in zip(members, inside, strict=True):
         width_v = member.plant.effects.valve_deadband.fill_width_v
@@ -151,7 +151,7 @@ def costs(rounds: int) -> dict[str, float]:
     loops = {law: ClosedLoop(law) for law in LAWS}
     seen = {law: loop.estimates(LAW_TICKS) for law, loop in loops.items()}
     work = {law: partial(run_law, loops[law], seen[law]) for law in LAWS}
-    taken_s = interleaved({**work, "nothing": partial(run_nothing, seen["pid"])}, rounds)
+    taken_s = time_interleaved({**work, "nothing": partial(run_nothing, seen["pid"])}, rounds)
     own = {
         law: [t - idle for t, idle in zip(taken_s[law], taken_s["nothing"], strict=True)]
         for law in LAWS
@@ -198,7 +198,7 @@ def hard_plant() -> Member:
 
 
 def sensitivity(law: str) -> dict[str, list[float]]:
-    """Largest error over its bound with each gain halved, as it is, and doubled."""
+    """Largest error over its bound with each gain halved, unchanged and doubled."""
     controller, member = resolve(controller=law).controller, hard_plant()
     return {
         name: [
@@ -266,14 +266,14 @@ def study(plants: int, rounds: int, values: Sequence[float], jobs: int) -> dict[
     }
 
 
-def cell(found: Sequence[Merit | None]) -> str:
+def format_cell(found: Sequence[Merit | None]) -> str:
     if None in found:
         return "trips"
     first, second = (one for one in found if one is not None)
     return f"{first.rms_m * 1e6:.1f} / {first.steady_m * 1e6:.1f} / {second.rms_m * 1e6:.1f}"
 
 
-def laid_out(found: dict[str, Any]) -> str:
+def format_tables(found: dict[str, Any]) -> str:
     """All tables as Markdown."""
     shares, rows = [], []
     for law, of_law in found["tracking"].items():
@@ -286,9 +286,9 @@ def laid_out(found: dict[str, Any]) -> str:
             e = of_law[sensors]["ensemble"]
             median = f"{e.median_rms_1_um:.1f} / {e.median_steady_um:.1f} / {e.median_rms_2_um:.1f}"
             share = f"{e.inside} of {e.plants}"
-            rows.append([f"`{law}`", sensors, cell(of_law[sensors]["paper"]), median, share])
+            rows.append([f"`{law}`", sensors, format_cell(of_law[sensors]["paper"]), median, share])
     edges = [0.0, *DEAD_BANDS_V]
-    inside_table = table(
+    inside_table = format_table(
         [
             "fresh plants inside Table IV",
             "all",
@@ -296,7 +296,7 @@ def laid_out(found: dict[str, Any]) -> str:
         ],
         shares,
     )
-    tracked_table = table(
+    tracked_table = format_table(
         [
             "RMS 1 / steady / RMS 2, µm",
             "sensors",
@@ -310,14 +310,14 @@ def laid_out(found: dict[str, Any]) -> str:
         law: f"{count} and {found['model_numbers']} of the muscle" if law == "smc" else str(count)
         for law, count in found["gains"].items()
     }
-    cost_table = table(
+    cost_table = format_table(
         ["", *(f"`{law}`" for law in LAWS)],
         [
             ["one step of the law, times PID's", *(f"{found['cost'][law]:.2f}" for law in LAWS)],
             ["numbers to choose", *(counts[law] for law in LAWS)],
         ],
     )
-    sensitive = table(
+    sensitive = format_table(
         ["gain", "law", "x 0.5", "as shipped", "x 2"],
         [
             [f"`{name}`", f"`{law}`", *(f"{ratio:.2f}" for ratio in ratios)]
@@ -325,7 +325,7 @@ def laid_out(found: dict[str, Any]) -> str:
             for name, ratios in by_name.items()
         ],
     )
-    swept = table(
+    swept = format_table(
         ["q", "lambda as shipped", "lambda^q as shipped", "motion apart, µm"],
         [
             [
@@ -356,16 +356,18 @@ def plain(value: Any) -> Any:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--readme", action="store_true", help="write the tables into the README")
+    parser.add_argument(
+        "--write", "--readme", action="store_true", help="write the table into README or manual"
+    )
     parser.add_argument("--quick", action="store_true", help="2 plants, 2 rounds: does it run?")
     parser.add_argument("--plants", type=int, default=200, help="of the ensemble")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options = parser.parse_args()
     how = (2, 2, SWEPT_Q[:2]) if options.quick else (options.plants, 15, SWEPT_Q)
     found = study(*how, options.jobs)
-    print(json.dumps(plain(found), indent=1) if options.json else laid_out(found))
-    if options.readme:
-        write_between("study_claims", laid_out(found))
+    print(json.dumps(plain(found), indent=1) if options.json else format_tables(found))
+    if options.write:
+        write_measured("study_claims", format_tables(found))
 
 
 if __name__ == "__main__":

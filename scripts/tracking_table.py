@@ -1,7 +1,7 @@
-"""The README's tables of tracking errors: every shipped gains file on four plants.
+"""The measured tables of tracking errors: every shipped gains file on four plants.
 
     python scripts/tracking_table.py            # shows them
-    python scripts/tracking_table.py --readme   # and puts them into the README
+    python scripts/tracking_table.py --write    # and writes them into README or manual
     python scripts/tracking_table.py --json
 
 Runs the compiled closed loop: the loop's own tick on the plant of the simulated rig.
@@ -13,7 +13,7 @@ import argparse
 import json
 import math
 
-from readme_table import table, write_between
+from measured_table import format_table, write_measured
 
 from pamctl.settings.resolve import list_shipped, resolve
 from pamctl.simulate.batch import simulate_merit
@@ -31,41 +31,50 @@ EXPERIMENTS = {"experiment 1": "tracking-1", "experiment 2": "tracking-2"}
 Found = dict[str, dict[str, dict[str, Merit | None]]]
 
 
-def figures(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
-    """Simulate one cell of a table; None where safety ended it."""
+def simulate_cell(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
+    """Simulate one cell of a table; None if safety ended the run."""
     delay = f"rig.sim.output_delay_ticks={delay_ticks}"
     return simulate_merit(
         resolve(controller=controller, experiment=experiment, plant=plant, overrides=[delay])
     )
 
 
-def measured() -> Found:
-    """Every cell: by experiment, gains file and plant."""
+def simulate_all() -> Found:
+    """Simulate every cell: by experiment, gains file and plant."""
     return {
         experiment: {
-            controller: {p: figures(controller, experiment, *PLANTS[p]) for p in PLANTS}
+            controller: {p: simulate_cell(controller, experiment, *PLANTS[p]) for p in PLANTS}
             for controller in list_shipped("controller")
         }
         for experiment in EXPERIMENTS.values()
     }
 
 
-def cell(found: Merit | None) -> str:
+def format_cell(found: Merit | None) -> str:
     """Max / RMS / steady in um."""
     if found is None:
         return "trips"
     return " / ".join(f"{m * 1e6:.1f}" for m in found if not math.isnan(m))
 
 
-def laid_out(found: Found) -> str:
+def format_tables(found: Found) -> str:
     """Both tables as Markdown."""
     return "\n\n".join(
-        table(
+        format_table(
             [f"{title}: max / RMS{' / steady' if title.endswith('1') else ''}", *PLANTS],
             [
-                *([f"`{c}`", *map(cell, row.values())] for c, row in found[experiment].items()),
                 *(
-                    [f"paper's {row.law.upper()} on its rig, Table IV", cell(row.merit), "", "", ""]
+                    [f"`{c}`", *map(format_cell, row.values())]
+                    for c, row in found[experiment].items()
+                ),
+                *(
+                    [
+                        f"paper's {row.law.upper()} on its rig, Table IV",
+                        format_cell(row.merit),
+                        "",
+                        "",
+                        "",
+                    ]
                     for row in TABLE_IV
                     if row.experiment == experiment
                 ),
@@ -78,9 +87,11 @@ def laid_out(found: Found) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--readme", action="store_true", help="write the tables into the README")
+    parser.add_argument(
+        "--write", "--readme", action="store_true", help="write the table into README or manual"
+    )
     options = parser.parse_args()
-    found = measured()
+    found = simulate_all()
     if options.json:
         plain = {
             e: {c: {p: m and m._asdict() for p, m in row.items()} for c, row in rows.items()}
@@ -88,9 +99,9 @@ def main() -> None:
         }
         print(json.dumps(plain, indent=1))
     else:
-        print(laid_out(found))
-    if options.readme:
-        write_between("tracking_table", laid_out(found))
+        print(format_tables(found))
+    if options.write:
+        write_measured("tracking_table", format_tables(found))
 
 
 if __name__ == "__main__":

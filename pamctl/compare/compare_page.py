@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.compare.coupled_gap import Comparison
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 
 _TIME = PlotAxis("time", "s", tight=True)
 

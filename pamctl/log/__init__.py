@@ -1,24 +1,25 @@
-"""All that knows MCAP: the schema, the recorder, the reader, and what mends a broken log.
+"""The log file (MCAP): schema, writer and reader; checking, repair, import and export.
 
-The public way into a log, whoever wrote it:
+Read `schema.py` first, then `reader.py`.
+
+How to read any log, also an imported one:
 
     import pamctl.log
 
     log = pamctl.log.read("run.mcap")             # Log: arrays by field, events, configuration
     error_m = log["position_m"] - log["reference_m"]
-    log.is_imported                               # whether another system measured it
+    log.is_imported                               # True if another system measured it
 
-    measured = pamctl.log.signals(log)            # Signals: what the model is held against
+    measured = pamctl.log.signals(log)            # Signals: the data to compare a model with
     measured.t_s, measured.valve_v, measured.pressure_pa, measured.position_m
 
-    pamctl.log.read("long.mcap", fields=("t_s", "position_m"))  # of an hour, only what is needed
+    pamctl.log.read("long.mcap", fields=("t_s", "position_m"))  # saves memory
 
-The tools of the command line are functions too: `check.check_log.check_log`,
-`repair.recover.recover_file`,
-`export.export_ticks` and `importing.pipeline.import_log`.
+The command line's tools are functions too: `check.check_log.check_log`,
+`repair.recover.recover_file`, `export.export_ticks` and `importing.pipeline.import_log`.
 
-Names are loaded when first used: the loop's process imports parts of this package, and
-must not pay for numpy.
+Names are loaded when they are first used: the loop process imports parts of this package and
+must not load numpy.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
-"""An MCAP file in the making: chunks of messages, their indexes, and the summary.
+"""Write an MCAP file: chunks of messages, their indexes, and the summary. https://mcap.dev/spec
 
-The `mcap` package's own writer takes messages one by one, which is most of what it costs to log a
-tick, and describes a channel in the first chunk only: with that and the summary lost, nothing of
-the file could be understood. Here ticks go in by the hundred, and descriptions are repeated.
-https://mcap.dev/spec
+The writer of the `mcap` package takes messages one by one, which is most of the cost of logging a
+tick. It also describes a channel in the first chunk only: if that chunk and the summary are lost,
+the whole file is unreadable. Here ticks are added by the hundred, and descriptions are repeated.
 
-Measured with 100 000 ticks in chunks of 250: the package's writer as it is takes 3.6 times the
-processor time. Extended by a chunk builder of our own it is as fast (1.04), in a third of the
-lines; but only by way of its private parts (`_Writer__chunk_builder`, `_Writer__statistics`), which
-any release may change, and with no way for a chunk that is packed already: `recover` would pack
-each again, and take 2.4 times as long.
+Measured with 100 000 ticks in chunks of 250: the package's writer needs 3.6 times the processor
+time. With a chunk builder of our own it is as fast (1.04) in a third of the lines. But that needs
+its private parts (`_Writer__chunk_builder`, `_Writer__statistics`), which any release may change.
+It also cannot copy a compressed chunk: `recover` would compress each again and take 2.4 times as
+long.
 """
 
 from __future__ import annotations
@@ -47,10 +46,10 @@ from pamctl.log.framing import FRAME
 from pamctl.log.ticks import INDEX_ENTRY, MESSAGE_HEADER
 
 SEQUENCE = 0xFFFFFFFF
-"""MCAP's sequence has 32 bits: at 1 kHz the tick outgrows it after 49 days."""
+"""MCAP's sequence has 32 bits: at 1 kHz the tick exceeds it after 49 days."""
 
 DESCRIBED_EVERY = 16
-"""Chunks from one with all schemas and channels to the next; the second has them too."""
+"""Every 16th chunk repeats all schemas and channels; so does the second chunk."""
 
 _FOOTER_BODY_BYTES = 20
 
@@ -58,7 +57,7 @@ _FOOTER_BODY_BYTES = 20
 def make_message_records(
     data: NDArray[Any], times_ns: NDArray[Any], sequences: NDArray[Any]
 ) -> NDArray[Any]:
-    """Make n message records, for any channel, of n messages of one length."""
+    """Make n message records from n messages of equal length; the channel is filled in later."""
     records = np.empty(len(data), [*MESSAGE_HEADER, ("body", f"V{data.itemsize}")])
     records["opcode"] = Opcode.MESSAGE
     records["length"] = records.itemsize - FRAME.size
@@ -69,24 +68,24 @@ def make_message_records(
 
 
 def make_message_record(data: bytes, time_ns: int, sequence: int) -> NDArray[Any]:
-    """Make one, of a message that is not empty."""
+    """Make one message record; the message must not be empty."""
     one = np.frombuffer(data, f"V{len(data)}")
     return make_message_records(one, np.array([time_ns]), np.array([sequence]))
 
 
 class PackedChunk(NamedTuple):
-    """A chunk of another file, whole."""
+    """A whole chunk, copied from another file."""
 
     content: bytes
     compression: str
     data: bytes
-    """The same, compressed."""
+    """The content, compressed."""
     crc: int
-    """Of the content; 0 where it was not computed."""
+    """CRC of the content; 0 if it was not computed."""
 
 
 class Container:
-    """The file's bytes go to a stream that the caller opens, syncs and closes."""
+    """An MCAP file under construction. The caller opens, syncs and closes its stream."""
 
     def __init__(self, stream: BufferedWriter, library: str) -> None:
         """Write the file's header."""
@@ -94,9 +93,9 @@ class Container:
         self._at = 0
         self._crc = 0
         self._schemas: dict[int, bytes] = {0: b""}
-        """Records by number; 0 stands for none."""
+        """Schema records by number; 0 means no schema."""
         self._channels: dict[int, tuple[int, bytes]] = {}
-        """Number of the schema, and record."""
+        """Schema number and channel record, by channel number."""
         self._chunk = _Chunk()
         self._chunk_indexes: list[ChunkIndex] = []
         self._attachment_indexes: list[AttachmentIndex] = []
@@ -128,7 +127,7 @@ class Container:
         return number
 
     def messages(self, channel: int, records: NDArray[Any]) -> None:
-        """Add message records of one length, whatever channel they name, to this one."""
+        """Add message records of equal length to this channel; their own channel is overwritten."""
         if len(records):
             records["channel"] = channel
             self._chunk.messages(channel, records)
@@ -163,10 +162,10 @@ class Container:
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=name))
 
     def end_chunk(self, packed: PackedChunk | None = None) -> None:
-        """Write the messages added since the last one; hand all to the operating system.
+        """Write the messages added since the last chunk; hand them to the operating system.
 
-        Where they, and what describes them, are just what `packed` holds, it is not packed again:
-        that is most of what it costs to copy a log.
+        If they are exactly the content of `packed`, its compressed bytes are written again:
+        compression is most of the cost of copying a log.
         """
         if self._chunk.has_messages:
             self._put_chunk(self._chunk.record(packed))
@@ -214,7 +213,7 @@ class Container:
         self._stream.flush()
 
     def _summary(self) -> Iterable[tuple[Opcode, Iterable[bytes]]]:
-        """What stands once more, or is counted, behind the data, by kind."""
+        """Yield the records of the summary by kind: repeated descriptions, counts, indexes."""
         yield Opcode.SCHEMA, self._schemas.values()
         yield Opcode.CHANNEL, (record for _, record in self._channels.values())
         yield Opcode.STATISTICS, [_encode_record(self._statistics())]
@@ -236,7 +235,7 @@ class Container:
         )
 
     def _put(self, data: bytes) -> tuple[int, int]:
-        """Write; return where it begins, and its length."""
+        """Write; return the offset and the length."""
         offset = self._at
         self._crc = zlib.crc32(data, self._crc)
         self._stream.write(data)
@@ -275,7 +274,7 @@ class _Chunk:
             _, compression, data, crc = packed
         else:
             compression, data, crc = "zstd", zstandard.compress(self._inside), 0
-        # No checksum vouches for what else stands in a chunk's head: that is made anew.
+        # The other fields of the chunk's head have no checksum: compute them again.
         return Chunk(
             compression=compression,
             data=data,

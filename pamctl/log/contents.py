@@ -1,4 +1,4 @@
-"""What a log holds, as its records come by: nothing of files and damage is known here."""
+"""Collect the contents of a log from its records. Files and damage are handled elsewhere."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pamctl.log.wire import UnknownLayout
 
 
 class Contents:
-    """Ticks go to whom they are for, a batch at a time; the rest, which is little, is kept."""
+    """Passes ticks on in batches, and keeps everything else, which is little."""
 
     def __init__(
         self,
@@ -25,7 +25,7 @@ class Contents:
         take_ticks: Callable[[TickBatch], None] | None = None,
         fields: Collection[str] | None = None,
     ) -> None:
-        """Keep these topics, or all; of the ticks, decode these fields, or all."""
+        """Keep these topics and decode these fields of the ticks; by default all."""
         self._topics = topics
         self._take_ticks = take_ticks if self.wants(TICK_TOPIC) else None
         self._fields = fields
@@ -36,9 +36,9 @@ class Contents:
         self.values: dict[str, list[dict[str, Any]]] = {
             topic: [] for topic in (EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC)
         }
-        """Messages by topic, but the ticks."""
+        """Messages by topic, without the ticks."""
         self.counts: Counter[str] = Counter()
-        """Messages in the file by topic."""
+        """Number of messages in the file, by topic."""
         self.attachments: dict[str, bytes] = {}
         self.metadata: dict[str, dict[str, str]] = {}
 
@@ -48,20 +48,20 @@ class Contents:
         return any(c.metadata.get("origin") == IMPORTED for c in self.channels.values())
 
     def config(self) -> dict[str, Any]:
-        """Return the configuration, empty if there is none; raise LogError if it is no JSON."""
+        """Return the configuration, empty if there is none; raise LogError if it is not JSON."""
         try:
             return dict(from_json(self.attachments.get("config.json", b"{}")))
         except (ValueError, TypeError) as error:
             raise LogError(f"the attachment config.json makes no sense: {error}") from error
 
     def wants(self, topic: str) -> bool:
-        """Tell whether a topic is to be kept."""
+        """Tell whether to keep the messages of a topic."""
         return topic in (self._topics or (topic,))
 
     def take(self, data: memoryview, record: FileRecord) -> int:
-        """Take a record within `data`, with those alike behind it; return where they end.
+        """Take a record of `data` and the similar records after it; return where they end.
 
-        A chunk is not opened: its records are `inside`.
+        Chunks are not unpacked here: pass their records to `inside`.
         """
         match record.opcode:
             case Opcode.MESSAGE:

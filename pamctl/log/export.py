@@ -1,6 +1,6 @@
 """Write the ticks of a log for other tools: CSV, MAT, NPZ, Parquet.
 
-Names carry the units in every format; MAT, NPZ and Parquet say them once more apart.
+Field names end with the unit in every format; MAT, NPZ and Parquet also store units apart.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _CSV_ROWS = 4096
 
 
 class ExportError(NewFileError):
-    """A log cannot be exported as was asked. The message says why, and what to do."""
+    """The log cannot be exported in this way. The message says why, and what to do."""
 
 
 @dataclass(frozen=True)
 class ExportSummary:
-    """What was written."""
+    """What an export wrote."""
 
     source: str
     destination: str
@@ -49,9 +49,8 @@ def export_ticks(
 ) -> ExportSummary:
     """Write every `every`-th tick with from_s <= t_s <= to_s into a new file.
 
-    The suffix of the destination names the format; `fields` the columns, in this order, all
-    by default. Raise ExportError for what cannot be written, LogError for a log that cannot
-    be read.
+    The suffix of the destination is the format. `fields` are the columns in this order; default:
+    all. Raise ExportError if the destination cannot be written, LogError if the log cannot be read.
     """
     destination = Path(destination)
     write = _choose_writer(destination)
@@ -93,8 +92,8 @@ def _require_pyarrow() -> None:
     try:
         import pyarrow  # noqa: F401
     except ImportError:
-        told = "Parquet needs the package pyarrow; install it with pip install 'pamctl[parquet]'"
-        raise ExportError(told) from None
+        detail = "Parquet needs the package pyarrow; install it with pip install 'pamctl[parquet]'"
+        raise ExportError(detail) from None
 
 
 def _units(columns: Columns) -> dict[str, str]:
@@ -102,7 +101,7 @@ def _units(columns: Columns) -> dict[str, str]:
 
 
 def _write_csv(stream: BufferedWriter, columns: Columns, source: str) -> None:
-    """Write the shortest digits that read back to the same float; truth as 1 and 0."""
+    """Write the shortest digits that read back to the same float; booleans as 1 and 0."""
     stream.write((",".join(columns) + "\r\n").encode())
     plain = [c.astype(np.int8) if c.dtype == np.bool_ else c for c in columns.values()]
     for start in range(0, len(plain[0]), _CSV_ROWS):

@@ -1,4 +1,4 @@
-"""The flight record: what the last two seconds before a trip looked like, as a table."""
+"""The flight record: the last two seconds before a trip, as a table."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A log file as its records: framing and checksums, and nothing of what they mean.
+"""Split a log file into records and verify checksums; the meaning of a record is not known here.
 
-Records are views into the file, so that walking a log costs no copy. Every byte
-of a log that pamctl finished is under some checksum, and all of them are checked.
+Records are views into the file: nothing is copied. Checksums cover every byte of a log that
+pamctl finished, and all of them are verified.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from pamctl.regular_file import describe_irregular_file
 
 FRAME = struct.Struct("<BQ")
-"""Opcode, and bytes of the body behind it."""
+"""Opcode, and number of bytes in the body after it."""
 NO_CHECKSUM = bytes(4)
-"""How a writer says that it has not computed one."""
+"""A stored checksum of zero: the writer did not compute it."""
 
 
 class LogError(Exception):
@@ -34,16 +34,16 @@ class LogError(Exception):
 
 
 class Damage(Exception):
-    """The bytes at `offset` of the file are not what they should be."""
+    """The bytes at `offset` of the file are wrong."""
 
     def __init__(self, offset: int, what: str) -> None:
-        """`what` completes the sentence: at byte N, ..."""
+        """`what` completes the sentence "at byte N, ..."."""
         super().__init__(f"at byte {offset}, {what}")
         self.offset = offset
 
 
 class FileRecord(NamedTuple):
-    """One record: `body` is without its frame, `start` and `end` are with it."""
+    """One record. `body` excludes the frame; `start` and `end` include it."""
 
     opcode: int
     start: int
@@ -51,12 +51,12 @@ class FileRecord(NamedTuple):
     body: memoryview
 
     def stream(self) -> ReadDataStream:
-        """Return the body as what the parsers of the `mcap` package read from."""
+        """Return the body as a stream for the parsers of the `mcap` package."""
         return ReadDataStream(BytesIO(self.body))
 
 
 def map_log_file(path: Path) -> memoryview:
-    """Map a log file for reading; raise LogError if there is none."""
+    """Map a log file for reading; raise LogError if that is not possible."""
     if something := describe_irregular_file(path):
         raise LogError(f"cannot read {path}: it is {something}")
     try:
@@ -69,7 +69,7 @@ def map_log_file(path: Path) -> memoryview:
 
 
 def walk_records(file: memoryview) -> Iterator[FileRecord]:
-    """Go through a file's records, the footer last; raise Damage where there is no next one."""
+    """Yield a file's records, the footer last; raise Damage if no next record can be found."""
     if file[: len(MAGIC)] != MAGIC:
         raise Damage(0, "it does not begin as an MCAP file does")
     at, opcode, has_data_end = len(MAGIC), 0, False
@@ -79,15 +79,15 @@ def walk_records(file: memoryview) -> Iterator[FileRecord]:
         at, opcode = record.end, record.opcode
         has_data_end |= opcode == Opcode.DATA_END
     if not has_data_end:
-        raise Damage(at, "the record that ends the data, and holds their checksum, is not there")
+        raise Damage(at, "the record at the end of the data, with their checksum, is missing")
     if file[at:] != MAGIC:
         raise Damage(at, "it does not end as an MCAP file does")
 
 
 def verify_checksum(file: memoryview, record: FileRecord) -> None:
-    """Check a record of `walk_records` that holds a checksum; raise Damage if it is wrong.
+    """Verify the checksum of a record, if it holds one; raise Damage if it is wrong.
 
-    A chunk has its checksum within, and is checked by `unpack_chunk`.
+    A chunk's own checksum is verified by `unpack_chunk`.
     """
     if record.opcode == Opcode.ATTACHMENT:
         stored = int.from_bytes(record.body[-4:], "little")
@@ -103,7 +103,7 @@ def verify_checksum(file: memoryview, record: FileRecord) -> None:
 
 @contextmanager
 def translate_parse_errors(record: FileRecord) -> Iterator[None]:
-    """Take whatever a parser says of a record's bytes for damage to them."""
+    """Turn every error of a parser into Damage: the record's bytes are wrong."""
     try:
         yield
     except (Damage, LogError):
@@ -114,32 +114,32 @@ def translate_parse_errors(record: FileRecord) -> Iterator[None]:
 
 
 def unpack_chunk(chunk: FileRecord) -> memoryview:
-    """Return the records within a chunk as bytes; raise Damage if they are not what was put in."""
+    """Return a chunk's records as bytes; raise Damage if they are not as written."""
     with translate_parse_errors(chunk):
         return memoryview(read_chunk_content(Chunk.read(chunk.stream())))
 
 
 def read_chunk_content(chunk: Chunk) -> bytes:
-    """Return the records within a chunk; raise what parsers do if they are not what was put in."""
+    """Return a chunk's records as bytes; raise a parser's error if they are not as written."""
     stream, size = get_chunk_data_stream(chunk, validate_crc=True)
     return stream.read(size)
 
 
 def record_at(data: memoryview, at: int) -> FileRecord:
-    """Return the record at an offset; raise Damage if there is no whole one."""
+    """Return the record at an offset; raise Damage if it is not whole."""
     if at + FRAME.size > len(data):
         raise Damage(at, "the file is cut short")
     opcode, length = FRAME.unpack_from(data, at)
     start, end = at + FRAME.size, at + FRAME.size + length
     if opcode == 0:
-        raise Damage(at, "there is no record but zeros")
+        raise Damage(at, "there are only zeros")
     if end > len(data):
         raise Damage(at, f"a record of {length} bytes is cut short")
     return FileRecord(opcode, at, end, data[start:end])
 
 
 def records_in(data: memoryview, at: int = 0) -> Iterator[FileRecord]:
-    """Yield the records from an offset to the end; raise Damage where there is no next one."""
+    """Yield the records from an offset to the end; raise Damage if no next one can be found."""
     while at < len(data):
         record = record_at(data, at)
         yield record

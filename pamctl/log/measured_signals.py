@@ -1,7 +1,6 @@
-"""What every offline tool needs of a log: the valve's command, and what the muscle did.
+"""The measured signals of a log: the valve's command and the muscle's answer.
 
-A run of pamctl and a measurement that was imported look alike from here. Build on
-`signals`, and a tool serves both.
+Offline tools that use `signals` work on runs of pamctl and on imported measurements.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ from pamctl.log.framing import LogError
 from pamctl.log.reader import Log
 
 NO_PHASE = -1
-"""Phase of a tick of an imported log: nobody knows what its loop was doing."""
+"""Phase of the ticks of an imported log: what its loop was doing is unknown."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Signals:
-    """The measured signals of a log, each an array of shape (n,), None where not measured.
+    """The measured signals of a log: arrays of shape (n,), None if not measured.
 
     `valve_v[i]` is written at the end of tick i, after the samples of tick i, and holds
     until tick i + 1: it drives the muscle from `t_s[i]` (plus the tick's own microseconds)
@@ -33,23 +32,23 @@ class Signals:
     """
 
     t_s: Floats
-    """Time of the samples, rising strictly; it starts at zero in a whole log."""
+    """Time of the samples, strictly rising; a whole log starts at zero."""
     dt_s: Floats
-    """Time since the previous tick, by the clock; of the first one, the nominal period."""
+    """Time since the previous tick, by the clock; the nominal period for the first tick."""
     valve_v: Floats | None
-    """Valve command as really put out, -5..5 V, positive fills; NaN where the write failed."""
+    """Valve command as really applied, -5..5 V, positive fills; NaN if the write failed."""
     pressure_pa: Floats | None
     """Absolute pressure in the muscle."""
     position_m: Floats | None
-    """Displacement; contraction is positive."""
+    """Displacement, positive in contraction."""
     force_n: Floats | None
-    """Pull at the muscle's end; no rig of ours measures it, an imported log may."""
+    """Pulling force at the muscle's end; only imported logs may have it."""
     missed: NDArray[np.int64]
     """Periods skipped between the previous tick and this one."""
     phase: NDArray[np.int64]
-    """`pamctl.signals.Phase` of each tick, `NO_PHASE` throughout in an imported log.
+    """`pamctl.signals.Phase` of each tick; always `NO_PHASE` in an imported log.
 
-    While homing, position and pressure are by the nominal zeros, and jump at its end.
+    During homing, position and pressure refer to the nominal zeros; they jump at its end.
     """
 
     def __len__(self) -> int:
@@ -66,11 +65,11 @@ class Signals:
 
 
 def signals(log: Log) -> Signals:
-    """Return the measured signals of a log, whatever its origin.
+    """Return the measured signals of a log of pamctl or of an imported log.
 
-    Of a run of ours the valve command is what the converter applied, when it did: a tick later
-    where a sample clock paces it. It is turned back by the calibration in the log; raise LogError
-    if there is none.
+    In a log of pamctl the valve command is the output that the converter really applied, at the
+    time when it applied it: one tick later if a sample clock paces the card. The calibration in
+    the log turns it back into a command; raise LogError if there is none.
     """
     count = len(log)
     return Signals(
@@ -86,7 +85,7 @@ def signals(log: Log) -> Signals:
 
 
 def _compute_output_v(log: Log) -> Floats:
-    """Return the driver's voltage from each tick's samples to the next ones, shape (n,)."""
+    """Return the driver's voltage between each tick's samples and the next, shape (n,)."""
     applied_v: Floats = log["applied_v"]
     rig = log.metadata.get("rig", {})
     if rig.get("output_delay_ticks", "0") == "0" or not len(log):
@@ -107,7 +106,7 @@ def _compute_applied_valve_v(log: Log) -> Floats:
     except ValidationError as error:
         raise LogError(
             f"{log.path} carries no calibration of the valve's driver: "
-            f"what was applied to the valve cannot be told ({error.error_count()} problems)"
+            f"the voltage at the valve is unknown ({error.error_count()} problems)"
         ) from error
-    # Plain arithmetic, and so the same on an array as on a number.
+    # Plain arithmetic works on arrays as on numbers.
     return valve_v(calibration(settings), _compute_output_v(log))  # type: ignore[arg-type,return-value]

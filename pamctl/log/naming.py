@@ -1,4 +1,4 @@
-"""Names of logs: when, and what."""
+"""Names of log files: date, time and subject."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ def make_dated_path(directory: Path, what: str) -> Path:
 
 
 def flight_record_path(log: Path) -> Path:
-    """Return where the last seconds before a trip lie beside a log."""
+    """Return the path of the flight record beside a log."""
     return log.with_name(f"{log.stem}-trip.csv")
 
 
 def bare_name(name: str) -> str:
-    """Return the name that a shipped name or a path means: `square-0.25` is no file ending."""
+    """Return the bare name of a shipped name or a path; `.25` in `square-0.25` is no suffix."""
     last = Path(name).name
     return last.removesuffix(".yaml").removesuffix(".yml")
 
 
 def file_safe_name(name: str) -> str:
-    """Return the bare name of a file with nothing in it that another file's name cannot have."""
+    """Return the bare name of a file, with characters that are safe in any file name."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", bare_name(name)).strip("._-")[:60] or "unnamed"

@@ -1,4 +1,4 @@
-"""A file that did not exist before, and exists afterwards only if it is whole."""
+"""Create a new file that stays only if it was written completely."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from pamctl.log.framing import LogError
 
 
 class NewFileError(LogError):
-    """The file to be written cannot be: it exists, or its place does not."""
+    """The file cannot be created: it exists, or its folder does not."""
 
 
 @contextmanager
 def create_new_file(path: Path) -> Iterator[BufferedWriter]:
-    """Open a file that must not exist; on an error leave none behind.
+    """Open a file that must not exist; remove it if the block fails.
 
-    Raise NewFileError if there is one, or none can be made. When the block ends well, the file
-    is on the disk.
+    Raise NewFileError if the file exists or cannot be created. When the block ends well, the
+    file is on the disk.
     """
     try:
         stream = path.open("xb")
     except FileExistsError:
-        raise NewFileError(f"{path} exists, and is never overwritten; give another name") from None
+        raise NewFileError(f"{path} exists and is never overwritten; give another name") from None
     except OSError as error:
         raise NewFileError(f"cannot create {path}: {error.strerror}") from error
     try:

@@ -1,4 +1,4 @@
-"""Say what a log holds, in bounded memory however long it is."""
+"""Summarise a log of any length in bounded memory."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from pamctl.signals import Phase
 
 
 def info(path: str | Path) -> dict[str, Any]:
-    """Summarise a log as far as it is whole; raise LogError if nothing of it is."""
+    """Summarise the undamaged part of a log; raise LogError if there is none."""
     path = Path(path)
     ticks = _Tally()
     contents = Contents((), ticks.take, ("tick", "t_s", "phase"))
     damage = scan_log(path, contents)
     if damage is not None and not contents.metadata:
-        raise LogError(f"{path} is no log, or nothing of it is left: {damage}")
+        raise LogError(f"{path} is not a log, or nothing in it can be read: {damage}")
     run, origin = contents.metadata.get("run", {}), contents.metadata.get("pamctl", {})
     size = path.stat().st_size
     config: dict[str, Any] = {}
@@ -55,7 +55,7 @@ def info(path: str | Path) -> dict[str, Any]:
 
 
 class _Tally:
-    """What is told of the ticks, kept up batch by batch."""
+    """The summary of the ticks, updated batch by batch."""
 
     def __init__(self) -> None:
         self.count = self.gaps = self.missed = 0
@@ -80,6 +80,6 @@ class _Tally:
             self._phases.update(dict(zip(phases.tolist(), counts.tolist(), strict=True)))
 
     def phases(self) -> dict[str, int]:
-        """Return the ticks spent in each phase."""
+        """Return the number of ticks in each phase."""
         names = {phase.value: phase.name.lower() for phase in Phase}
         return {names.get(p, str(p)): count for p, count in sorted(self._phases.items())}

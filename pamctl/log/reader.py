@@ -1,7 +1,7 @@
-"""Read a log: every column of its ticks as an array, all else as plain values.
+"""Read a log: the ticks as arrays by column, everything else as plain values.
 
-A log that another version wrote is read by the descriptor it carries, or refused
-with the reason: never misread. Every checksum in the file is checked.
+A log of another version is read by the descriptor that it carries, or refused with the reason.
+Every checksum in the file is verified.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ __all__ = ["Log", "LogError", "NoSuchColumn", "read"]
 
 
 class NoSuchColumn(LogError):
-    """A log has no column of that name; the message gives the nearest."""
+    """A log has no column of that name; the message gives the nearest name."""
 
 
 @dataclass(frozen=True)
 class Log:
-    """A log in memory: `log["position_m"]` is a column of its ticks, of shape (n,)."""
+    """A log in memory: `log["position_m"]` is a column of its ticks, shape (n,)."""
 
     path: Path
     columns: Mapping[str, NDArray[Any]]
-    """Every column of a tick, in the order of the log's own schema."""
+    """The columns of the ticks, in the order of the log's own schema."""
     time_ns: NDArray[np.uint64]
     """Wall time of each tick."""
     units: Mapping[str, str]
@@ -56,18 +56,18 @@ class Log:
     events: list[dict[str, Any]]
     gains: list[dict[str, Any]]
     keyframes: list[dict[str, Any]]
-    """Frozen states: `tick`, and `state` by name."""
+    """Frozen states: `tick`, and the numbers of `state` by name."""
     config: dict[str, Any]
     """The resolved configuration of the run."""
     attachments: Mapping[str, bytes]
     metadata: Mapping[str, Mapping[str, str]]
     counts: Mapping[str, int]
-    """Messages in the file by topic."""
+    """Number of messages in the file, by topic."""
     is_imported: bool
-    """Whether another system measured it: there is then no controller in it to replay."""
+    """Whether another system measured it: then it holds no controller to replay."""
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return a column; raise LogError, with the nearest name, if there is none."""
+        """Return a column; raise LogError with the nearest name if there is none."""
         if name in self.columns:
             return self.columns[name]
         raise NoSuchColumn(f"{self.path} has no column {name}{suggest_nearest(name, self.columns)}")
@@ -83,23 +83,23 @@ class Log:
 
 
 def read(path: str | Path, *topics: str, fields: Collection[str] | None = None) -> Log:
-    """Read a log, or only these of its topics, or of its ticks only these fields.
+    """Read a log, or only these topics, or only these fields of the ticks.
 
-    Raise LogError if any of the file is damaged, whatever is asked for.
+    Raise LogError if any part of the file is damaged, also a part that is not asked for.
     """
     path = Path(path)
     ticks = TickColumns()
     contents = Contents(topics, ticks.take, fields)
     damage = scan_log(path, contents)
     if damage is not None and damage.offset == 0:
-        raise LogError(f"{path} is no log: {damage}")
+        raise LogError(f"{path} is not a log: {damage}")
     if damage is not None:
         raise LogError(
             f"{path} is damaged: {damage}; "
-            f"save what is whole with `pamctl log recover {path} DESTINATION`"
+            f"save the undamaged part with `pamctl log recover {path} DESTINATION`"
         )
     if contents.wants(TICK_TOPIC) and contents.ticks is None:
-        raise LogError(f"{path} is no log of pamctl: it has no channel {TICK_TOPIC}")
+        raise LogError(f"{path} is not a log of pamctl: it has no channel {TICK_TOPIC}")
     for name in fields or ():
         if contents.ticks is not None and name not in contents.ticks.none:
             near = suggest_nearest(name, contents.ticks.none)
@@ -108,14 +108,14 @@ def read(path: str | Path, *topics: str, fields: Collection[str] | None = None) 
 
 
 def scan_log(path: Path, contents: Contents) -> Damage | None:
-    """Fill `contents` up to the first damage to a file, and return that.
+    """Fill `contents` up to the first damage of a file; return that damage, None if there is none.
 
-    Raise LogError if there is no such file, or another version wrote it that we cannot read.
+    Raise LogError if the file does not exist, or is of a version that cannot be read.
     """
     try:
         return _fill_contents(contents, map_log_file(path))
     except UnknownLayout as error:
-        raise LogError(f"{path} was written by a version we cannot read: {error}") from error
+        raise LogError(f"{path} was written by a version that cannot be read: {error}") from error
 
 
 def _fill_contents(contents: Contents, file: memoryview) -> Damage | None:

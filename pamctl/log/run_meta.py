@@ -1,4 +1,4 @@
-"""What is known of a run before its first tick: it rides in the ring, and opens the log."""
+"""The description of a run, known before its first tick: stored in the ring and in the log."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _KINDS: dict[str, type] = {"int": int, "float": float, "bool": bool}
 
 @dataclass(frozen=True)
 class RunMeta:
-    """Everything the recorder, or whoever finishes its work, needs to write a whole log."""
+    """Everything that is needed beside the ring's rows to write a complete log."""
 
     log_path: str
-    """Where the log is written; it must not exist yet."""
+    """Path of the log; it must not exist yet."""
     start_wall_ns: int = 0
-    """Time since the epoch at `start_mono_ns`; zero where there is no clock."""
+    """Time since the epoch at `start_mono_ns`; zero if there is no clock."""
     start_mono_ns: int = 0
-    """The rig's monotonic clock at the start: a log's times are differences from it."""
+    """The rig's monotonic clock at the start; the times in a log are relative to it."""
     config: Mapping[str, Any] = field(default_factory=dict)
     """The resolved configuration; attached to the log as `config.json`."""
     attachments: Mapping[str, str] = field(default_factory=dict)
@@ -33,10 +33,10 @@ class RunMeta:
     tick_fields: Sequence[Field] = TICK_FIELDS
     """Columns of a tick row, in order."""
     origin: str = ""
-    """`pamctl.log.schema.IMPORTED` where another system measured it."""
+    """`pamctl.log.schema.IMPORTED` if another system measured the data, else empty."""
 
     def to_text(self) -> bytes:
-        """Write as JSON."""
+        """Return as JSON."""
         columns = [(name, kind.__name__, stage) for name, kind, stage in self.tick_fields]
         known = {part.name: getattr(self, part.name) for part in fields(self)}
         return to_json({**known, "tick_fields": columns})

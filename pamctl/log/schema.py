@@ -1,8 +1,8 @@
-"""The log's channels: a tick as protobuf, all else as JSON.
+"""The log's channels: ticks as protobuf, everything else as JSON.
 
-A tick is the message `pamctl.Tick`, proto3, one `optional` field of fixed width
-for each column; field numbers are the positions of the columns. Each log carries
-its own descriptor, so that a reader of another version finds values by name.
+A tick is the proto3 message `pamctl.Tick` with one `optional` field of fixed width for each
+column. Field numbers are the positions of the columns. Each log carries its own descriptor, so
+that a reader of another version finds values by name.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pamctl.json_text import to_json
 from pamctl.signals import Field
 
 SCHEMA_VERSION = 1
-"""Goes up whenever `TICK_FIELDS` changes."""
+"""Increased whenever `TICK_FIELDS` changes."""
 
 TICK_TOPIC = "/pam/tick"
 EVENT_TOPIC = "/pam/event"
@@ -30,20 +30,20 @@ KEYFRAME_TOPIC = "/pam/keyframe"
 TICK_MESSAGE = "pamctl.Tick"
 
 IMPORTED = "imported"
-"""Value of `origin` in the metadata of the tick channel of a log that another system measured.
+"""Value of `origin` in the tick channel's metadata if another system measured the data.
 
-Such a log has the columns of `imported_fields` and no others, an empty configuration, and
-the metadata record `import`: the source, how its columns were read, and what was wrong.
+Such a log has the columns of `imported_fields` and no others, an empty configuration, and the
+metadata record `import`: the source, how its columns were read, and what was wrong with them.
 """
 IMPORTED_QUANTITIES = ("valve_v", "pressure_pa", "position_m", "force_n")
-"""What an imported log may hold beside its time, in order of the columns."""
+"""The quantities that an imported log may hold beside time, in the order of the columns."""
 
 
 def imported_fields(quantities: Collection[str]) -> tuple[Field, ...]:
-    """Return the columns of an imported log that has these quantities.
+    """Return the columns of an imported log with these quantities.
 
-    `valve_v` is the command as it was really applied; `tick` counts nominal periods, so
-    that here too a gap in it is a run of `missed` ones.
+    `valve_v` is the command as really applied. `tick` counts nominal periods, so that a gap is
+    counted in `missed` as in a log of pamctl.
     """
     grid = (Field("tick", int, "timing"), Field("t_s", float, "timing"))
     steps = (Field("dt_s", float, "timing"), Field("missed", int, "timing"))
@@ -81,7 +81,7 @@ def tick_descriptor(fields: Sequence[Field]) -> bytes:
 
 
 def unit_of_column(name: str) -> str:
-    """Return the unit that a name's suffix states, `1` for a number without one."""
+    """Return the unit that the suffix of a name states; `1` for a number without a unit."""
     suffix = _UNIT.search(name)
     if suffix is None:
         return "1"

@@ -1,8 +1,7 @@
-"""The ticks of a log, a run of messages at a time.
+"""Decode the ticks of a log, many messages at a time.
 
-Within a chunk ticks follow one another, and all have one length: such a run is
-one numpy view, and there is no loop over messages. Ticks of any other form are
-decoded one by one, by the descriptor that the log carries.
+Ticks of equal length that follow one another in a chunk are one numpy view, without a loop over
+messages. Ticks of any other form are decoded one by one, by the descriptor that the log carries.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ _BODY_AT = np.dtype(MESSAGE_HEADER).itemsize
 def find_message_run(
     data: memoryview, first: FileRecord, body: np.dtype[Any] | None = None
 ) -> NDArray[Any]:
-    """Return the messages of one channel and length that begin with a record within `data`.
+    """Return the messages from `first` on that have its channel and its length.
 
-    Since the first begins a record and all are of its length, each begins one.
+    They follow one another in `data` without another record between them.
     """
     form = np.dtype([*MESSAGE_HEADER, ("body", body or f"V{_count_body_bytes(first)}")])
     count = (len(data) - first.start) // form.itemsize
@@ -51,16 +50,16 @@ def _count_body_bytes(message: FileRecord) -> int:
 
 
 class TickBatch(NamedTuple):
-    """Ticks that follow one another in the file, n of them."""
+    """n ticks that follow one another in the file."""
 
     log_time_ns: NDArray[np.uint64]
     sequence: NDArray[np.uint32]
     columns: Mapping[str, NDArray[Any]]
-    """Each of shape (n,), by name."""
+    """Columns by name, each of shape (n,)."""
 
 
 class TickDecoder:
-    """Makes columns of the messages of the tick channel."""
+    """Decodes messages of the tick channel into columns."""
 
     def __init__(
         self,
@@ -68,21 +67,21 @@ class TickDecoder:
         take: Callable[[TickBatch], None] | None,
         fields: Collection[str] | None = None,
     ) -> None:
-        """`take` gets each batch, with these fields or all; without it ticks are only counted.
+        """`take` gets each batch with these fields (default: all); without it ticks are counted.
 
-        Raise UnknownLayout if the schema describes no row of numbers.
+        Raise UnknownLayout if the schema does not describe a row of numbers.
         """
         self._layout = TickLayout.of_descriptor(schema.data, schema.name)
         self._decode = make_decoder(schema.data, schema.name)
         self._take = take
         self._fields = fields
         self.none = self._decode([])
-        """Every column of no tick at all, each of its type."""
+        """Empty columns, each of its type."""
 
     def run(self, data: memoryview, first: FileRecord) -> tuple[int, int]:
-        """Decode the run that begins with `first`, a record within `data`; return its ticks, end.
+        """Decode the ticks from the record `first` of `data` on; return their number and their end.
 
-        Raise UnknownLayout where a tick lacks an integer.
+        Raise UnknownLayout if a tick lacks an integer.
         """
         messages = find_message_run(data, first, self._body(_count_body_bytes(first)))
         if self._take is not None:
@@ -109,17 +108,17 @@ class TickDecoder:
 
 
 def suggest_nearest(name: str, columns: Collection[str]) -> str:
-    """Return the hint at the name that was probably meant, nothing if none is near."""
+    """Return a hint with the nearest name, an empty text if none is near."""
     near = difflib.get_close_matches(name, columns, 1)
     return f"; did you mean {near[0]}?" if near else ""
 
 
 _FOLD_TICKS = 1 << 16
-"""So many ticks of a column are half a megabyte: freed, they go back to the system."""
+"""Ticks per block: half a megabyte a column, which returns to the system when freed."""
 
 
 class TickColumns:
-    """Collects batches as whole columns."""
+    """Collects batches into whole columns."""
 
     def __init__(self) -> None:
         self._times: list[NDArray[np.uint64]] = [np.zeros(0, np.uint64)]
@@ -135,7 +134,7 @@ class TickColumns:
             self._fold()
 
     def _fold(self) -> None:
-        """Make blocks of the many small arrays, which would leave the memory in crumbs."""
+        """Join the many small arrays into blocks: small arrays would fragment the memory."""
         if not self._fresh:
             return
         self._times.append(np.concatenate([batch.log_time_ns for batch in self._fresh]))
@@ -150,9 +149,10 @@ class TickColumns:
         return np.concatenate(self._times)
 
     def columns(self, none: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Give the columns named in `none` away; as they are there, if there was no batch.
+        """Return the columns named in `none`, and forget them; `none` gives type and empty value.
 
-        A column's parts go as soon as it is whole: an hour's ticks are a gigabyte once, not twice.
+        The parts of a column are freed as soon as it is joined: an hour's ticks take a gigabyte
+        once, not twice.
         """
         self._fold()
         return {

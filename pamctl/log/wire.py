@@ -1,7 +1,7 @@
-"""The bytes of a tick: one numpy type that is both encoder and decoder.
+"""The bytes of a tick: one numpy type encodes and decodes them.
 
-A message whose fields all have a fixed width and are all present has a constant
-length, so that the wire format is a structured array: tag, value, tag, value.
+If all fields of a message are present and have a fixed width, its length is constant. Then its
+wire format is a structured array: tag, value, tag, value.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _FIXED_WIDTH: dict[int, tuple[int, str]] = {
     FieldDescriptorProto.TYPE_FLOAT: (5, "<f4"),
     FieldDescriptorProto.TYPE_FIXED32: (5, "<u4"),
     FieldDescriptorProto.TYPE_SFIXED32: (5, "<i4"),
-    # A varint by name, but a bool's is always one byte.
+    # A bool is a varint, but always one byte long.
     FieldDescriptorProto.TYPE_BOOL: (0, "u1"),
 }
 """Protobuf wire type and numpy type of the field types that have a fixed width."""
@@ -40,17 +40,17 @@ _TEXT = (FieldDescriptorProto.TYPE_STRING, FieldDescriptorProto.TYPE_BYTES)
 
 
 class UnknownLayout(LogError):
-    """The embedded descriptor describes no table of numbers. The message says what is wrong."""
+    """The embedded descriptor does not describe a row of numbers; the message says why."""
 
 
 @dataclass(frozen=True)
 class TickLayout:
-    """The wire format of a message of fixed length."""
+    """The wire format of messages of fixed length."""
 
     names: tuple[str, ...]
     bools: frozenset[str]
     blank: NDArray[Any]
-    """A message, shape (), with tags in place and values zero: `NAME.tag` before each `NAME`."""
+    """A message of shape () with its tags and zero values: `NAME.tag` before each `NAME`."""
 
     @classmethod
     def of_fields(cls, fields: Sequence[Field]) -> TickLayout:
@@ -61,7 +61,7 @@ class TickLayout:
 
     @classmethod
     def of_descriptor(cls, descriptor_set: bytes, message: str) -> TickLayout | None:
-        """Return the layout of an embedded message, None if its length is not fixed."""
+        """Return the layout of an embedded message; None if its length is not fixed."""
         fields = sorted(_find_fields(descriptor_set, message), key=lambda field: field.number)
         if any(field.type not in _FIXED_WIDTH for field in fields):
             return None
@@ -86,14 +86,14 @@ class TickLayout:
         return self.blank.dtype
 
     def encode(self, columns: NDArray[Any]) -> NDArray[Any]:
-        """Turn a structured array of shape (n,) with our columns into n messages."""
+        """Turn a structured array of shape (n,) into n messages."""
         messages = np.full(columns.shape, self.blank)
         for name in self.names:
             messages[name] = columns[name]
         return messages
 
     def fits(self, octets: NDArray[np.uint8]) -> bool:
-        """Tell whether messages as bytes, shape (n, size), have all tags where we expect them."""
+        """Tell whether messages, as bytes of shape (n, size), have the expected tags."""
         at, tags = self._tags
         return bool((octets[:, at] == tags).all()) and bool(
             (octets[:, self._bool_places] <= 1).all()
@@ -101,13 +101,13 @@ class TickLayout:
 
     @cached_property
     def _tags(self) -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
-        """Where in a message its tags are, and what they are."""
+        """Positions of the tags within a message, and their bytes."""
         at = self._find_bytes_of(f"{name}.tag" for name in self.names)
         return at, np.frombuffer(self.blank.tobytes(), np.uint8)[at]
 
     @cached_property
     def _bool_places(self) -> NDArray[np.intp]:
-        """Where in a message its bools are."""
+        """Positions of the bools within a message."""
         return self._find_bytes_of(self.bools)
 
     def _find_bytes_of(self, parts: Iterable[str]) -> NDArray[np.intp]:
@@ -119,7 +119,7 @@ class TickLayout:
     def decode(
         self, messages: NDArray[Any], fields: Collection[str] | None = None
     ) -> dict[str, NDArray[Any]]:
-        """Return the columns, or these of them, each of shape (n,), of messages that fit."""
+        """Return the columns of messages that fit, each of shape (n,); default: all of them."""
         return {
             name: messages[name].astype(bool) if name in self.bools else messages[name].copy()
             for name in self.names
@@ -133,8 +133,7 @@ Decoder = Callable[[Iterable[bytes]], dict[str, NDArray[Any]]]
 def make_decoder(descriptor_set: bytes, message: str) -> Decoder:
     """Return a decoder of messages of any length, by their own descriptor.
 
-    A float that a message lacks is NaN; the decoder raises UnknownLayout for a
-    message that lacks an integer, since no integer says so.
+    A missing float is NaN. No integer can mean "missing": the decoder raises UnknownLayout.
     """
     fields = _find_fields(descriptor_set, message)
     pool = DescriptorPool()
@@ -146,7 +145,7 @@ def make_decoder(descriptor_set: bytes, message: str) -> Decoder:
         try:
             messages = [parse(payload) for payload in payloads]
         except DecodeError as error:
-            raise UnknownLayout("a tick is not what its descriptor says") from error
+            raise UnknownLayout("a tick does not match its descriptor") from error
         return {
             field.name: np.array([_read_value(m, field) for m in messages], _kind_of_field(field))
             for field in fields

@@ -1,4 +1,4 @@
-"""Write a log: the channels, and what is said once about the run."""
+"""Write a log: its channels, and the description of the run."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NO_SCHEMA = ("", "", b"")
 
 
 class LogWriter:
-    """A log in the making, on a stream that the caller opens, syncs and closes."""
+    """A log under construction. The caller opens, syncs and closes its stream."""
 
     def __init__(self, stream: BufferedWriter) -> None:
         """Write the file's header."""
@@ -41,9 +41,9 @@ class LogWriter:
         self._attached: set[str] = set()
         self._said: set[tuple[str, bytes]] = set()
         self.chunks = 0
-        """How many chunks were ended."""
+        """Number of chunks written."""
         self.add = self._file.messages
-        """(channel, message records of one length, whatever channel they name)"""
+        """`add(channel, records)`: records of equal length; their channel is overwritten."""
 
     def channel(
         self,
@@ -52,9 +52,9 @@ class LogWriter:
         schema: tuple[str, str, bytes],
         metadata: Mapping[str, str] | None = None,
     ) -> int:
-        """Return the id of a channel, registered when first asked for.
+        """Return the id of a channel; register it at first use.
 
-        `schema` is its name, encoding and data, all empty for none.
+        `schema` is name, encoding and data, all empty for no schema.
         """
         if schema not in self._schemas:
             self._schemas[schema] = self._file.schema(*schema)
@@ -64,24 +64,24 @@ class LogWriter:
         return self._channels[key]
 
     def attachment(self, name: str, data: bytes, time_ns: int = 0, media_type: str = "") -> None:
-        """Attach a file, the first one of each name; its media type goes by its suffix."""
+        """Attach a file, unless one of this name is attached; the suffix gives the media type."""
         if name not in self._attached:
             self._attached.add(name)
             known = media_type or _MEDIA_TYPES.get(Path(name).suffix, "text/plain")
             self._file.attachment(name, data, time_ns, known)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record, unless the same was said before."""
+        """Add a metadata record, unless the same record was added before."""
         said = (name, to_json(values))
         if said not in self._said:
             self._said.add(said)
             self._file.metadata(name, values)
 
     def end_chunk(self, packed: PackedChunk | None = None) -> None:
-        """Hand all that was added to the operating system; `packed` may hold the same already.
+        """Write everything added so far as a chunk, and hand it to the operating system.
 
-        The caller says when: a writer that ended a chunk by its size would leave messages behind
-        that are in no chunk when the caller believes they are.
+        `packed` may hold the same content, compressed. Only the caller ends chunks: if the writer
+        did so by size, the caller would not know which messages are in the file.
         """
         self._file.end_chunk(packed)
         self.chunks += 1
@@ -92,8 +92,8 @@ class LogWriter:
 
 
 def begin_log(writer: LogWriter, meta: RunMeta) -> dict[str, int]:
-    """Write what is known before the first tick; return the channel of each topic."""
-    # Readers keep one record of each name, so that what the run adds must be in the same one.
+    """Write the description of the run; return the channel of each topic."""
+    # Readers keep one record of each name: the run's own values belong into the same record.
     said = {"pamctl": {}, **meta.metadata}
     for name, values in said.items():
         writer.metadata(name, {**_describe_origin(meta), **values} if name == "pamctl" else values)

@@ -1,5 +1,5 @@
-"""From the tick to the file: nothing that the loop has put is lost, whatever dies.
+"""From the tick to the file: no row that the loop has put is lost, whichever process dies.
 
-The loop puts rows into the ring, the recorder drains it into the log.
+The loop puts rows into the ring; the recorder drains the ring into the log.
 Read `ring.py` first, then `drain.py` and `finish_from_ring.py`.
 """

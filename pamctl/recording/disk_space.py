@@ -1,7 +1,7 @@
-"""Disk space taken before it is needed, so that a full disk costs no row of the log.
+"""Reserve disk space ahead, so that a full disk costs no row of the log.
 
-The blocks behind the end of the file are allocated ahead of it. When no more can
-be had there is still room for all that the ring holds, the index and the footer.
+Blocks after the end of the file are allocated before they are needed. When the disk is full,
+there is still room for all rows in the ring, the index and the footer.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import resource
 
 STEP_BYTES = 4 << 20
 
-# An index entry for each chunk, and its share of everything else in the summary.
+# The summary has an index entry for each chunk, and everything else.
 _SUMMARY_BYTES = 64 << 10
 _SUMMARY_BYTES_PER_CHUNK = 256
 _FALLOC_FL_KEEP_SIZE = 1
@@ -22,12 +22,12 @@ _UNSUPPORTED = (errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 
 
 def is_full(error: OSError) -> bool:
-    """Tell whether an error says that the disk, the quota or the file's limit is reached."""
+    """Tell whether an error means that the disk, the quota or the file size limit is reached."""
     return error.errno in _FULL
 
 
 class Reserve:
-    """Space behind the end of one file."""
+    """Reserved space after the end of one file."""
 
     def __init__(self, fd: int, backlog_bytes: int) -> None:
         """`backlog_bytes` is the most that may still have to be written at any time."""
@@ -35,16 +35,16 @@ class Reserve:
         self._backlog = backlog_bytes
         self._end = 0
         self.supported = True
-        """Whether this file system can reserve; if not, its free space is watched."""
+        """Whether this file system can reserve space; if not, its free space is watched."""
 
     def extend(self, position: int, chunks: int) -> None:
-        """Make sure of the reserve behind `position`; raise OSError when the disk is full."""
+        """Reserve space after `position`; raise OSError if the disk is full."""
         needed = position + self._backlog + _SUMMARY_BYTES + chunks * _SUMMARY_BYTES_PER_CHUNK
         if needed > self._end:
             self._allocate(self._end, needed + STEP_BYTES)
 
     def release(self, position: int) -> None:
-        """Give back what lies behind the end of the finished file."""
+        """Return the space after the end of the finished file."""
         os.ftruncate(self._fd, position)
 
     def _allocate(self, start: int, end: int) -> None:

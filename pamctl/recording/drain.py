@@ -1,7 +1,7 @@
-"""Bring the ring's rows into the log, until the run is over.
+"""Write the ring's rows into the log, until the run is over.
 
-The tail moves only when a chunk is in the file. Whatever happens to this process
-before that, the rows are still in the ring, and `pamctl.log.repair.recover` brings them in.
+The ring's tail moves only when a chunk is in the file. If this process dies before that, the rows
+are still in the ring, and `finish_from_ring.py` writes them.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ from pamctl.recording.rows import RowLogger
 
 ROUND_S = 0.05
 CHUNK_ROWS = 250
-"""Rows that make a chunk, or `CHUNK_S`, whichever comes first: small ones compress badly."""
+"""Rows of a chunk, unless `CHUNK_S` passes first; small chunks compress badly."""
 CHUNK_S = 0.5
 MAX_CHUNK_ROWS = 2048
 SYNC_S = 1.0
 STALLED_S = 1.0
-"""A loop that shows no sign of life for so long, and whose owner is gone, is dead."""
+"""A loop without a sign of life for this time, whose owner is gone, counts as dead."""
 
 _MESSAGE_BYTES = 31 + 16
-"""What a message takes beside its payload: its frame, and its place in the index."""
+"""Bytes of a message beside its payload: frame and index entry."""
 
 
 class Owner(Protocol):
-    """Whoever started the recorder."""
+    """The process that started the recorder."""
 
     def wait(self, seconds: float) -> None:
-        """Sleep, but wake when the owner goes."""
+        """Sleep, but wake up when the owner ends."""
 
     @property
     def gone(self) -> bool:
-        """Whether it has gone."""
+        """Whether the owner has ended."""
 
 
 def record_run(ring: Ring, owner: Owner) -> bool:
     """Write the whole log of a run; return False if the disk was too small for it.
 
-    Raise LogError if the log cannot be created, OSError if writing it fails: the
-    rows that are not in the file are then still in the ring.
+    Raise LogError if the log cannot be created, OSError if writing fails. In both cases the rows
+    that are not in the file are still in the ring.
     """
     path = Path(ring.meta.log_path)
     with _create_log(path) as file:
@@ -87,7 +87,8 @@ def _reserve_space(ring: Ring, file: BufferedWriter, path: Path) -> Reserve:
         if is_full(error):
             ring.raise_flag(RecorderFlag.DISK_FULL)
         raise LogError(
-            f"no room for a log at {path}: {error.strerror}; free some, or give --log another place"
+            f"no room for a log at {path}: {error.strerror}; "
+            "free some space, or give --log another place"
         ) from error
     if not reserve.supported:
         print(f"recorder: note: the file system of {path} cannot reserve space", file=sys.stderr)
@@ -95,10 +96,10 @@ def _reserve_space(ring: Ring, file: BufferedWriter, path: Path) -> Reserve:
 
 
 class _SignsOfLife:
-    """Watches the loop through the ring, with no clock in common.
+    """Watches the loop through the ring, without a common clock.
 
-    A machine that stood still for long is no loop that is dead: of the time between two looks no
-    more than two rounds count.
+    If the whole machine stood still, the loop is not dead: at most two rounds are counted between
+    two looks.
     """
 
     def __init__(self, ring: Ring) -> None:
@@ -117,7 +118,7 @@ class _SignsOfLife:
 
 
 class _Recording:
-    """The log being written, chunk by chunk."""
+    """Writes the log, chunk by chunk."""
 
     def __init__(self, ring: Ring, file: BufferedWriter, reserve: Reserve) -> None:
         self._ring = ring
@@ -127,21 +128,21 @@ class _Recording:
         self._rows = RowLogger(self._writer, ring.meta)
         self._file.flush()
         self._full = False
-        # A slow disk may take seconds; the ring must be emptied, and we seen to live, meanwhile.
+        # A slow disk may take seconds. Meanwhile the ring must be emptied and beats must go on.
         self._syncing = ThreadPoolExecutor(1)
         self._sync = self._syncing.submit(os.fdatasync, file.fileno())
         self._chunk_at = self._synced_at = monotonic()
-        # A small ring must be emptied long before it has as many rows as we would like.
+        # A small ring must be emptied before it holds the preferred number of rows.
         self._least = min(CHUNK_ROWS, ring.rows // 8)
         self._most = min(MAX_CHUNK_ROWS, ring.rows // 4)
 
     @property
     def is_behind(self) -> bool:
-        """Whether there is a full chunk to write at once."""
+        """Whether a full chunk is waiting."""
         return self._ring.pending >= self._most
 
     def round(self) -> None:
-        """Write a chunk if one is due, and show that we live."""
+        """Write a chunk if one is due, and beat."""
         self._ring.recorder_beats += 1
         now = monotonic()
         pending = self._ring.pending
@@ -154,12 +155,12 @@ class _Recording:
             self._synced_at = now
 
     def finish(self) -> None:
-        """Write what is left, the index and the footer; return when it is on the disk."""
+        """Write the remaining rows, the index and the footer; return when they are on the disk."""
         while self._ring.pending:
             self._ring.recorder_beats += 1
             self._write_chunk()
         self._syncing.shutdown()
-        # A failed write-back is reported once: to this, or else to the fsync below.
+        # A failed write-back is reported only once: here, or in the fsync below.
         self._sync.result()
         self._writer.finish()
         self._file.flush()
@@ -181,6 +182,6 @@ class _Recording:
         except OSError as error:
             if not is_full(error):
                 raise
-            # The loop stops on this flag; until it has, its rows go into the reserve.
+            # The loop stops on this flag; until then its rows go into the reserve.
             self._full = True
             self._ring.raise_flag(RecorderFlag.DISK_FULL)

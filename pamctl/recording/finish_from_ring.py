@@ -1,7 +1,7 @@
-"""Finish the log of a recorder that died: what the file has, and then what the ring still holds.
+"""Finish the log of a dead recorder: from the unfinished file, and the rows left in the ring.
 
-A log that was cut short lacks its index, and the chunk that was being written.
-That chunk's rows are still in the ring, unless the machine itself went down.
+An unfinished log lacks its index and the chunk that was being written. The rows of that chunk
+are still in the ring, unless the machine itself went down.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _LOOP_DEAD_NS = 2_000_000_000
 
 
 class Orphan(NamedTuple):
-    """A ring that nobody held: its log was finished, or `problem` says why not."""
+    """A ring that no process holds: its log was finished, or `problem` says why not."""
 
     ring: Path
     recovery: Recovery | None
@@ -34,23 +34,23 @@ class Orphan(NamedTuple):
 
 
 def finish_from_ring(ring_path: str | Path) -> Recovery:
-    """Finish the log of a recorder that died, in its place; then remove the ring.
+    """Finish the log of a dead recorder in its place, then remove the ring.
 
-    The recorder must be dead, and the loop must have put its last row. Raise
-    RingError if there is no such ring, LogError or OSError if the log cannot be
-    written: then the ring stays, and so does the part of the log that there is.
+    The recorder must be dead, and the loop must have put its last row. Raise RingError if there is
+    no such ring, LogError or OSError if the log cannot be written. Then the ring and the
+    unfinished log stay.
     """
     with Ring.attach(ring_path) as ring:
-        ring.hold()  # the next start must not take it for an orphan's
+        ring.hold()  # the next start must not take the ring for an orphan's
         recovery = _finish(ring)
         ring.unlink()
     return recovery
 
 
 def recover_orphans(directory: str | Path = "/dev/shm") -> list[Orphan]:
-    """Finish the logs of runs that died with all their processes; remove their rings.
+    """Finish the logs of runs whose processes all died; remove their rings.
 
-    Never raises for a ring that cannot be dealt with: its `Orphan` says why.
+    A ring that cannot be handled raises nothing: its `Orphan` has the problem.
     """
     found: list[Orphan] = []
     for path in sorted(Path(directory).glob("pamctl-*.ring")):
@@ -62,17 +62,17 @@ def recover_orphans(directory: str | Path = "/dev/shm") -> list[Orphan]:
                     _require_home(ring)
                     found.append(Orphan(path, _finish(ring), ""))
                     ring.unlink()
-        # One bad ring must not keep a rig from starting, nor another log from being saved.
+        # One bad ring must not stop a rig from starting, or another log from being saved.
         except Exception as error:
-            if path.exists():  # a run that ended meanwhile took its ring along
+            if path.exists():  # a run that ended meanwhile has removed its ring
                 found.append(Orphan(path, None, str(error)))
     return found
 
 
 def _is_my_file(path: Path) -> bool:
-    """Another user's ring is that user's to recover: it says which file to write.
+    """Tell whether this user owns the ring: it names the file to write.
 
-    Root, who may open it, must not be told by anyone which of its files to replace.
+    Root may open the rings of others, but nobody may tell root which file to replace.
     """
     return not path.is_symlink() and path.stat().st_uid == os.geteuid()
 
@@ -80,8 +80,8 @@ def _is_my_file(path: Path) -> bool:
 def _require_home(ring: Ring) -> None:
     folder = Path(ring.meta.log_path).parent
     if not folder.is_dir():
-        told = f"{folder} is gone; make it again for the next start to finish the log in"
-        raise LogError(f"{told}, or give the log up: rm {ring.path}")
+        detail = f"{folder} is gone; create it again and the next start finishes the log there"
+        raise LogError(f"{detail}, or remove the ring to give up the log: rm {ring.path}")
 
 
 def _finish(ring: Ring) -> Recovery:
@@ -90,8 +90,8 @@ def _finish(ring: Ring) -> Recovery:
         return Recovery(str(target), str(target), {}, (), lossless=True, bytes_lost=0)
     has_part = _is_ours(target, ring)
     if has_part:
-        # One who was here before may have put it there: the draft's inode is about to replace
-        # that one's in the ring, and until the draft stands in its place this file is still ours.
+        # An earlier attempt to finish may have made this file. Record its inode before the draft
+        # replaces the inode in the ring: until the draft is in place, this file is still ours.
         ring.log_inode = target.stat().st_ino
     else:
         target = _unused(target)
@@ -109,7 +109,7 @@ def _finish(ring: Ring) -> Recovery:
             destination=str(target),
             messages=dict(copy.saved + rows.written),
             damage=tuple(copy.damage),
-            # Where the file was cut the ring goes on.
+            # If the file was cut short, the ring holds the rest.
             lossless=not copy.lost,
             bytes_lost=copy.bytes_lost,
             unverified=copy.unverified,
@@ -121,7 +121,7 @@ def _finish(ring: Ring) -> Recovery:
 
 
 def _is_ours(path: Path, ring: Ring) -> bool:
-    """Tell whether the file is the one that the ring's recorder created."""
+    """Tell whether the ring's recorder created the file."""
     return path.exists() and path.stat().st_ino in (ring.log_inode, ring.mended_inode)
 
 
@@ -138,7 +138,7 @@ def _suffixes() -> Iterator[str]:
 
 @contextmanager
 def _replacing(target: Path, ring: Ring) -> Iterator[BufferedWriter]:
-    """Open a file beside the target that takes its place when the block ends well."""
+    """Open a draft beside the target; it replaces the target when the block ends well."""
     draft = target.with_name(f"{target.name}.recovering")
     draft.unlink(missing_ok=True)
     with create_new_file(draft) as stream:

@@ -1,4 +1,4 @@
-"""What a process puts into the log in the place of a loop that is dead."""
+"""Events that another process writes into the log for a dead loop."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def put_last_event(ring: Ring, event: Mapping[str, object]) -> None:
 
 
 def put_event_for_dead_loop(ring: Ring, event: Mapping[str, object]) -> None:
-    """Put an event in the place of a dead loop: a ring has one producer at a time."""
+    """Put an event for a dead loop; a ring must have only one producer at a time."""
     ring.take_over()
-    # A log without its last words is better than a front without its exit code.
+    # The exit code matters more than the last event of the log.
     with suppress(RingFull):
         put_last_event(ring, event)

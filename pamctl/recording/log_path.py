@@ -1,4 +1,4 @@
-"""Where the log of a run goes; refused before anything moves, if it cannot go there."""
+"""Choose the path of a run's log; refuse it before anything moves if it cannot be created."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LOG_DIRECTORY = Path("logs")
 
 
 class LogPathError(Exception):
-    """The log cannot be written where it was asked for."""
+    """The log cannot be written at the given path."""
 
 
 def choose_log_path(asked: Path | None, controller: str, experiment: str) -> Path:
@@ -42,5 +42,5 @@ def _propose_log_path(what: str) -> Path:
 
 def _explain_no_directory(path: Path, *, by_default: bool) -> str:
     if by_default:
-        return f"{path.parent}/ cannot be made here; give a place for the log with --log"
+        return f"{path.parent}/ cannot be created here; give another place with --log"
     return f"--log {path}: there is no directory {path.parent}"

@@ -1,7 +1,7 @@
-"""Finish the logs of runs that died with all their processes, and say so on standard error.
+"""Finish the logs of runs whose processes all died, and report it on standard error.
 
-`python -m pamctl.recording.orphans DIRECTORY` does it in a process of its own, for whoever goes on
-watching over a rig: what it takes in memory ends with that process.
+`python -m pamctl.recording.orphans DIRECTORY` does this in a separate process. A caller that goes
+on watching a rig gets the memory back when that process ends.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 def finish_orphans(directory: Path, *, quiet: bool) -> None:
-    """Finish the logs whose rings are still in `directory`."""
+    """Finish the logs whose rings are in `directory`."""
     if not _has_rings(directory):
         return
     from pamctl.recording.finish_from_ring import recover_orphans
@@ -20,12 +20,12 @@ def finish_orphans(directory: Path, *, quiet: bool) -> None:
     for orphan in recover_orphans(directory):
         if not quiet:
             done = orphan.recovery and f"finished {orphan.recovery.destination}"
-            what = done or f"could not finish its log: {orphan.problem}"
-            print(f"a run died before ({orphan.ring}): {what}", file=sys.stderr)
+            what = done or f"cannot finish its log: {orphan.problem}"
+            print(f"an earlier run died ({orphan.ring}): {what}", file=sys.stderr)
 
 
 def finish_orphans_in_own_process(directory: Path) -> None:
-    """Have a process of its own do it. What it leaves undone, the next start finds again."""
+    """Finish them in a separate process. The next start finds those that it could not finish."""
     if _has_rings(directory):
         command = [sys.executable, "-m", "pamctl.recording.orphans", str(directory)]
         subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)

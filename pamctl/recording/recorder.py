@@ -1,11 +1,10 @@
 """The recorder process: `python -m pamctl.recording.recorder RING`.
 
-It ends when the loop says that it is done, or when the loop is dead and whoever
-holds the other end of standard input is gone. Signals do not end it: those of a
-terminal or a service manager reach every process of a run, and the log is what
-has to be there after the others have gone.
+It ends when the loop is done, or when the loop is dead and the owner has closed standard input.
+Signals do not end it: a terminal or a service manager sends them to every process of a run, and
+the recorder must finish the log after the others have ended.
 
-Exit codes: 0 the log is whole, 3 it ends early for want of disk space, 1 failure.
+Exit codes: 0 the log is complete, 3 the disk was full and the log ends early, 1 failure.
 """
 
 from __future__ import annotations
@@ -25,22 +24,22 @@ _POLL_S = 0.005
 
 
 class RecorderError(Exception):
-    """The recorder did not start. The message is its own."""
+    """The recorder did not start; the message is the recorder's own."""
 
 
 def spawn_recorder(ring_path: str | Path) -> subprocess.Popen[bytes]:
-    """Start the recorder; it takes the closing of its `stdin` as the end of its owner."""
+    """Start the recorder. It treats a closed `stdin` as the end of its owner."""
     return subprocess.Popen(
         [sys.executable, "-m", "pamctl.recording.recorder", str(ring_path)],
         stdin=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        # Ctrl-C goes to the terminal's process group, and must not reach it while it starts.
+        # Ctrl-C reaches the terminal's process group; it must not reach the starting recorder.
         process_group=0,
     )
 
 
 def await_recorder(ring: Ring, process: subprocess.Popen[bytes], timeout_s: float = 10.0) -> None:
-    """Return once the log is open; raise RecorderError if it is not within the time."""
+    """Return when the log is open; raise RecorderError if that takes longer than `timeout_s`."""
     deadline = time.monotonic() + timeout_s
     while not ring.recorder_flags & RecorderFlag.READY:
         if process.poll() is not None:
@@ -52,7 +51,7 @@ def await_recorder(ring: Ring, process: subprocess.Popen[bytes], timeout_s: floa
 
 
 class _Pipe:
-    """The owner, as seen from the reading end of a pipe."""
+    """The owner, seen from the reading end of a pipe."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
@@ -66,7 +65,7 @@ class _Pipe:
 
 
 def main(arguments: list[str]) -> int:
-    """Record the ring named by the only argument; return the exit code."""
+    """Record the ring given as the only argument; return the exit code."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     try:
@@ -81,11 +80,11 @@ def main(arguments: list[str]) -> int:
 
 def _record(ring: Ring, owner: _Pipe) -> int:
     try:
-        # Slow imports, after the signals are dealt with and the ring is held.
+        # Slow imports: only after the signals are ignored and the ring is held.
         from pamctl.recording.drain import record_run
 
         whole = record_run(ring, owner)
-    # Whatever went wrong, the loop must learn of it, and the user in one line.
+    # After any failure the loop must know, and the user gets one line.
     except Exception as error:
         full = isinstance(error, OSError) and is_full(error)
         ring.raise_flag(RecorderFlag.FAILED | (RecorderFlag.DISK_FULL if full else 0))

@@ -1,14 +1,14 @@
-"""The ring between the loop and the recorder: a file in shared memory.
+"""The ring between loop and recorder: a file in shared memory.
 
     header, 4 KiB | run meta, JSON | rows of 512 bytes
 
-One process puts rows, one takes them; neither ever waits for the other. The head
-moves after a row is whole, the tail after it is in the log: whatever lies between
-the two survives the death of either process, or of both. Payloads longer than a
-row go on in the rows behind it, and appear with a single move of the head.
+One process puts rows, another takes them; neither waits for the other. The head moves after a
+row is complete, the tail after it is in the log. Rows between the two survive the death of either
+process, or of both. Payloads longer than a row continue in the following rows, and become visible
+with a single move of the head.
 
-The order of stores that this rests on is the one x86 keeps. Rows and header are
-little-endian; times are nanoseconds of the monotonic clock.
+This relies on the order of stores of x86. Rows and header are little-endian; times are
+nanoseconds of the monotonic clock.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pamctl.signals import TICK_FIELDS, Field, TickRecord
 ROW_BYTES = 512
 HEADER_BYTES = 4096
 ROW_HEADER = struct.Struct("<IIqq")
-"""Kind, bytes of payload (of all rows it spans), tick, monotonic ns."""
+"""Kind, payload bytes (of all rows that it spans), tick, monotonic time (ns)."""
 PAYLOAD_BYTES = ROW_BYTES - ROW_HEADER.size
 
 _MAGIC = b"PAMRING\n"
@@ -43,7 +43,7 @@ _MADV_POPULATE_WRITE = 23
 
 
 class RowKind:
-    """What a row holds."""
+    """The content of a row."""
 
     TICK = 1
     EVENT = 2
@@ -62,7 +62,7 @@ class RecorderFlag:
 
 
 class LoopStage:
-    """How long the loop may be silent: `Ring.loop_stage`, in this order."""
+    """How long the loop may be silent depends on `Ring.loop_stage`; stages in order."""
 
     SETTING_UP = 0
     TICKING = 1
@@ -71,7 +71,7 @@ class LoopStage:
 
 
 class RingError(Exception):
-    """The ring cannot be made, or what lies there is not a ring of this version."""
+    """The ring cannot be created, or the file is not a ring of this version."""
 
 
 class RingFull(RingError):
@@ -79,7 +79,7 @@ class RingFull(RingError):
 
 
 class Entry(NamedTuple):
-    """One thing that was put: `payload` is the tick row's packed columns, JSON, or doubles."""
+    """One entry: `payload` is a tick row's packed columns, JSON, or doubles."""
 
     row: int
     kind: int
@@ -90,20 +90,20 @@ class Entry(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RowBatch:
-    """Whole rows copied out of the ring, never cut within an entry."""
+    """Rows copied out of the ring; it never ends within an entry."""
 
     first_row: int
-    """Count of rows ever put before this one."""
+    """Number of rows put before this one."""
     data: bytes
 
     @property
     def rows(self) -> int:
-        """How many rows."""
+        """Number of rows."""
         return len(self.data) // ROW_BYTES
 
     @property
     def end_row(self) -> int:
-        """What to commit once these rows are safe."""
+        """The argument of `commit` once these rows are in the log."""
         return self.first_row + self.rows
 
     def entry(self, index: int) -> Entry:
@@ -114,7 +114,7 @@ class RowBatch:
         return Entry(self.first_row + index, kind, tick, t_ns, b"".join(pieces)[:size])
 
     def entries(self) -> Iterator[Entry]:
-        """Go through all that was put."""
+        """Yield all entries."""
         index = 0
         while index < self.rows:
             entry = self.entry(index)
@@ -127,7 +127,7 @@ def _explain_errors(what: str) -> Iterator[None]:
     try:
         yield
     except FileExistsError as error:
-        raise RingError(f"{what}: it is there already; a run goes on, or died there") from error
+        raise RingError(f"{what}: it exists; a run is using it, or died") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RingError(f"{what}: {error}") from error
 
@@ -142,10 +142,10 @@ def _close_on_error(fd: int) -> Iterator[None]:
 
 
 def _give_name(fd: int, path: Path) -> None:
-    """Let an unnamed file appear at `path`, if nothing is there."""
+    """Make an unnamed file appear at `path`, if nothing is there."""
     directory = os.open(path.parent, os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        # Only with a directory does Python follow the link, as it must here.
+        # Python follows the link only if it gets a directory.
         os.link(f"/proc/self/fd/{fd}", path.name, dst_dir_fd=directory, follow_symlinks=True)
     finally:
         os.close(directory)
@@ -161,7 +161,7 @@ def tick_struct(fields: Sequence[Field]) -> struct.Struct:
 
 
 class _Word:
-    """A 64-bit word of the header, at `index`. Each has one writing process."""
+    """A 64-bit word of the header, at `index`. Only one process writes each word."""
 
     def __init__(self, index: int) -> None:
         self._index = index
@@ -174,28 +174,28 @@ class _Word:
 
 
 class Ring:
-    """A ring attached to this process. Rows may be put by one process, committed by one."""
+    """A ring attached to this process. One process puts rows, one process commits them."""
 
-    # Words that different processes write stand on different cache lines (8 words each).
+    # Words that different processes write are on different cache lines (8 words each).
     # The magic is word 0.
     _version, _row_bytes, _row_count = _Word(1), _Word(2), _Word(3)
     _meta_bytes, _rows_start = _Word(4), _Word(5)
     head = _Word(_HEAD)
-    """Rows ever put. Written by the loop."""
+    """Number of rows put. Written by the loop."""
     tail = _Word(16)
-    """Rows known to be in the log. Written by the recorder."""
+    """Number of rows that are in the log. Written by the recorder."""
     recorder_beats = _Word(24)
-    """Goes up with every round of the recorder."""
+    """Increased in every round of the recorder."""
     recorder_flags = _Word(25)
     """Bits of `RecorderFlag`. Written by the recorder."""
     log_inode = _Word(26)
-    """The file the recorder created, so that nobody takes another for it; zero before."""
+    """Inode of the recorder's log file; zero before it exists."""
     mended_inode = _Word(27)
-    """The file that takes its place when another process finishes the log; zero before."""
+    """Inode of the draft that replaces the log when another process finishes it; else zero."""
     loop_beat_ns = _Word(32)
     """Monotonic time of the loop's last sign of life."""
     loop_done = _Word(33)
-    """Not zero once the last row is put."""
+    """Not zero after the last row."""
     worst_late_ns = _Word(34)
     """The loop's worst wake-up so far."""
     loop_stage = _Word(36)
@@ -205,9 +205,9 @@ class Ring:
     guardian_ready = _Word(40)
     """Not zero once the guardian watches the loop. Written by the guardian."""
     guardian_beats = _Word(41)
-    """Goes up whenever the guardian has looked at the loop."""
+    """Increased whenever the guardian has checked the loop."""
     loop_pid = _Word(48)
-    """The loop process; zero before it is started. Written by the front."""
+    """Process id of the loop; zero before it starts. Written by the front."""
     guardian_lost = _Word(49)
     """Not zero once the guardian is dead or frozen. Written by the front."""
 
@@ -226,16 +226,16 @@ class Ring:
         self._head = self.head
         self._full_at = self.tail + self.rows
         self._prepare_packing()
-        # A first write to a page that is only mapped would still fault, within a tick.
+        # Touch every page now: the first write to a mapped page would fault within a tick.
         with contextlib.suppress(OSError):
             self._map.madvise(_MADV_POPULATE_WRITE)
 
     @classmethod
     def create(cls, path: str | Path, meta: RunMeta, rows: int = 16384) -> Ring:
-        """Make a ring, hold it, and return it; raise RingError if one is there already.
+        """Create a ring, hold it, and return it; raise RingError if it exists.
 
-        It appears under its name whole or not at all, readable by this user only,
-        with all its memory taken now rather than when the disk of memory is full.
+        It appears complete or not at all, and only this user can read it. All its memory is
+        allocated now, not later when shared memory may be full.
         """
         path = Path(path)
         text = replace(meta, log_path=os.path.abspath(meta.log_path)).to_text()
@@ -255,7 +255,7 @@ class Ring:
 
     @classmethod
     def attach(cls, path: str | Path) -> Ring:
-        """Map an existing ring; raise RingError if there is none of this version."""
+        """Map an existing ring; raise RingError if it is not a ring of this version."""
         with _explain_errors(f"cannot attach to the ring {path}"):
             fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
             with _close_on_error(fd):
@@ -314,7 +314,7 @@ class Ring:
         self._put(RowKind.GAINS, tick, t_ns, to_json(gains))
 
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
-        """Put the frozen state, one double for each of the meta's `keyframe_fields`."""
+        """Put the frozen state: one double for each of the meta's `keyframe_fields`."""
         self._put(RowKind.KEYFRAME, tick, t_ns, self._keyframe.pack(*state))
 
     def _put(self, kind: int, tick: int, t_ns: int, payload: bytes) -> None:
@@ -332,7 +332,7 @@ class Ring:
         self._head = self.head = self._head + span
 
     def take_over(self) -> None:
-        """Put from here on in the place of a producer that is dead."""
+        """Continue here for a producer that is dead."""
         self._head = self.head
         self._full_at = self.tail + self.rows
 
@@ -345,11 +345,11 @@ class Ring:
 
     @property
     def pending(self) -> int:
-        """Rows put and not yet committed."""
+        """Number of rows put and not yet committed."""
         return self.head - self.tail
 
     def drain(self, max_rows: int) -> RowBatch:
-        """Copy out the oldest rows, about `max_rows` at most, without taking them."""
+        """Copy the oldest rows, at most about `max_rows`; they stay in the ring."""
         first, head = self.tail, self.head
         end = min(first + max_rows, head)
         while end < head and self._kind(end) == RowKind.CONTINUATION:
@@ -357,7 +357,7 @@ class Ring:
         return RowBatch(first, self._copy(first, end))
 
     def commit(self, end_row: int) -> None:
-        """Give the rows before `end_row` back to the loop."""
+        """Return the rows before `end_row` to the loop."""
         self.tail = end_row
 
     def raise_flag(self, flag: int) -> None:
@@ -379,10 +379,10 @@ class Ring:
     # The front's side.
 
     def latest_tick(self) -> dict[str, float] | None:
-        """Return the newest tick's columns by name, taken or not; None before the first."""
+        """Return the newest tick's columns by name, committed or not; None if there is none."""
         while True:
             head = self.head
-            # Rows up to half a ring back are never being overwritten, see `_put`.
+            # Rows up to half a ring back are not being overwritten, see `_put`.
             oldest = max(-1, head - 1 - self.rows // 4)
             newest = range(head - 1, oldest, -1)
             row = next((row for row in newest if self._kind(row) == RowKind.TICK), None)
@@ -391,10 +391,10 @@ class Ring:
                 return None if row is None else self._tick_columns(payload)
 
     def recent_ticks(self, after: int, every: int, most: int) -> list[dict[str, float]]:
-        """Return the ticks newer than tick `after` whose number `every` divides, oldest first.
+        """Return the ticks after tick `after` whose number is a multiple of `every`, oldest first.
 
-        The newest `most` of them, and of the newest quarter of the ring: those beyond may be
-        overwritten meanwhile.
+        At most the newest `most` of them, from the newest quarter of the ring: older rows may be
+        overwritten during the copy.
         """
         while True:
             head = self.head
@@ -421,11 +421,11 @@ class Ring:
     # Life and death.
 
     def hold(self) -> None:
-        """Say that this process uses the ring, until it closes it or dies."""
+        """Mark the ring as used by this process, until it closes the ring or dies."""
         fcntl.flock(self._fd, fcntl.LOCK_SH)
 
     def claim(self) -> bool:
-        """Take the ring for this process alone, if nobody holds it."""
+        """Take the ring for this process alone; return False if another process holds it."""
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -433,11 +433,11 @@ class Ring:
         return True
 
     def unlink(self) -> None:
-        """Remove the file, if it is still there; those who mapped it keep their memory."""
+        """Remove the file if it exists; processes that mapped it keep their memory."""
         self.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Unmap, and let go of the lock."""
+        """Unmap, and release the lock."""
         self._words.release()
         self._buffer.release()
         self._map.close()

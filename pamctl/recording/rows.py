@@ -1,4 +1,4 @@
-"""From the ring's rows to the log's messages, ticks by columns and never one by one."""
+"""Turn the ring's rows into the log's messages; ticks are converted by columns."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NUMPY_TYPES = {int: "<i8", float: "<f8", bool: "?"}
 
 
 class RowLogger:
-    """Writes batches of a run's rows into a log."""
+    """Writes batches of a run's rows into its log."""
 
     def __init__(self, writer: LogWriter, meta: RunMeta) -> None:
         """Begin the log."""
@@ -38,14 +38,14 @@ class RowLogger:
         self._row = _row_dtype(meta.tick_fields)
         self._channels = begin_log(writer, meta)
         self.last_tick = -(1 << 62)
-        """Ticks up to this one are in the log already, and are left out."""
+        """Ticks up to this one are already in the log, and are left out."""
         self.last_row = -1
-        """As `last_tick`, for everything else."""
+        """The same as `last_tick`, for all other rows."""
         self.written: Counter[str] = Counter()
-        """Messages by topic."""
+        """Number of messages, by topic."""
 
     def write(self, batch: RowBatch) -> None:
-        """Add a batch, in the order in which it was put, as one chunk."""
+        """Add a batch as one chunk, in the order in which it was put."""
         rows = np.frombuffer(batch.data, self._row)
         start = 0
         for index in np.flatnonzero(rows["kind"] != RowKind.TICK).tolist():
@@ -91,7 +91,7 @@ class RowLogger:
 
 
 _METADATA_EVENTS = ("timing_setup", "rig")
-"""What the loop finds out about itself at its start: of the whole run, not of a moment."""
+"""Events at the start of the loop that describe the whole run: they become metadata too."""
 
 
 def _values_to_text(value: Mapping[str, object]) -> dict[str, str]:

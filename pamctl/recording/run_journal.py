@@ -10,7 +10,7 @@ from pamctl.signals import TickRecord
 
 
 class RingJournal:
-    """Puts rows, and leaves the loop's heartbeat and worst lateness in the ring's header."""
+    """Puts rows, and writes the loop's heartbeat and worst lateness into the ring's header."""
 
     def __init__(self, ring: Ring, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
         """`now_ns` is the monotonic clock that others compare the heartbeat with."""
@@ -19,7 +19,7 @@ class RingJournal:
         self._worst_late_s = 0.0
 
     def put_tick(self, record: TickRecord) -> None:
-        """Keep a tick; raise `RingFull` if there is no room."""
+        """Put a tick; raise `RingFull` if there is no room."""
         self._ring.put_tick(record)
         self._ring.loop_beat_ns = self._now_ns()
         late_s = record.timing.late_s
@@ -28,26 +28,26 @@ class RingJournal:
             self._ring.worst_late_ns = round(late_s * 1e9)
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
-        """Keep an event. The first one, just before the first tick, starts the heartbeat."""
+        """Put an event. The first event, just before the first tick, starts the heartbeat."""
         self._ring.put_event(tick, t_ns, event)
         self._ring.loop_beat_ns = self._now_ns()
         self._ring.loop_stage = LoopStage.TICKING
 
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
-        """Keep the frozen state."""
+        """Put the frozen state."""
         self._ring.put_keyframe(tick, t_ns, state)
 
     def end_ticks(self) -> None:
-        """Ask the guardian for patience: to release a card takes longer than a tick."""
+        """Tell the guardian to wait longer: releasing a card takes longer than a tick."""
         self._ring.loop_beat_ns = self._now_ns()
         self._ring.loop_stage = LoopStage.LEAVING
 
 
 class PatientJournal(RingJournal):
-    """Without a clock nobody is in a hurry: a full ring waits for its recorder."""
+    """For runs without a clock: if the ring is full, it waits for the recorder."""
 
     def put_tick(self, record: TickRecord) -> None:
-        """Keep a tick, whenever there is room."""
+        """Put a tick as soon as there is room."""
         try:
             self._ring.put_tick(record)
         except RingFull:
@@ -56,15 +56,15 @@ class PatientJournal(RingJournal):
             self._ring.loop_beat_ns = self._now_ns()
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
-        """Keep an event, whenever there is room."""
+        """Put an event as soon as there is room."""
         self._put_patiently(lambda: self._ring.put_event(tick, t_ns, event))
 
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
-        """Keep the frozen state, whenever there is room."""
+        """Put the frozen state as soon as there is room."""
         self._put_patiently(lambda: self._ring.put_keyframe(tick, t_ns, state))
 
     def _put_patiently(self, put: Callable[[], None]) -> None:
-        """Try until it succeeds; give up on a recorder that has failed or fallen silent."""
+        """Try until it succeeds; give up if the recorder has failed or fallen silent."""
         beats, silent_since_s = self._ring.recorder_beats, time.monotonic()
         while True:
             try:
@@ -83,4 +83,4 @@ class PatientJournal(RingJournal):
 _BEAT_EVERY_TICKS = 256
 
 SILENT_RECORDER_S = 3.0
-"""A recorder without a sign of life for so long is taken for dead."""
+"""A recorder without a sign of life for this time counts as dead."""

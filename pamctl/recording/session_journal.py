@@ -1,7 +1,7 @@
-"""The journal of a loop that outlives its runs: each run has a ring, and so a log, of its own.
+"""The journal of a loop that outlives its runs: each run has its own ring, and so its own log.
 
-Between runs ticks go into a ring that nobody reads. Heartbeat and worst lateness always
-stand in that one, which the guardian watches as long as the loop lives.
+Between runs the ticks go into the session's ring, which nobody reads. Heartbeat and worst
+lateness are always in the session's ring, which the guardian watches while the loop lives.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from pamctl.recording.ring import LoopStage, Ring
 from pamctl.signals import TickRecord
 
 _FIRST_EVENTS = ("timing_setup", "rig", "zeroed")
-"""What the log of every run begins with, as it was said last."""
+"""Events that begin the log of every run, repeated from when they were last put."""
 
 
 class SessionJournal:
-    """Puts rows into the ring of the run that goes on, or else into the session's own."""
+    """Puts rows into the ring of the current run, or else into the session's own ring."""
 
     def __init__(self, session: Ring, recorded: Callable[[Ring | None], None]) -> None:
-        """Begin between runs; `recorded` learns which ring has a recorder, or that none has."""
+        """Begin between runs; `recorded` gets the ring that has a recorder, or None."""
         self._session = session
         self._recorded = recorded
         self._ring = session
@@ -31,7 +31,7 @@ class SessionJournal:
 
     @property
     def run(self) -> Ring | None:
-        """The ring of the run that goes on; None between runs."""
+        """The ring of the current run; None between runs."""
         return None if self._ring is self._session else self._ring
 
     def begin_run(
@@ -42,9 +42,9 @@ class SessionJournal:
         gains: Sequence[Mapping[str, object]],
         state: Sequence[float],
     ) -> None:
-        """Turn to the fresh ring at `path`, and put first what a replay of its log starts from.
+        """Switch to the new ring at `path`, and put first what a replay of its log needs.
 
-        That is the frozen state after `tick`, the last one that is not in this log.
+        This includes the frozen state after `tick`, the last tick before this log.
         """
         ring = Ring.attach(path)
         for event in self._standing.values():
@@ -57,7 +57,7 @@ class SessionJournal:
         self._recorded(ring)
 
     def end_run(self, tick: int, t_ns: int, ending: Ending) -> None:
-        """Say the run's last word, and turn to the session's own ring."""
+        """Put the run's outcome, and switch to the session's own ring."""
         ring = self._ring
         if ring is self._session:
             return
@@ -68,13 +68,13 @@ class SessionJournal:
         self._ring = self._session
 
     def end_last_run(self, ending: Ending) -> None:
-        """End a run that goes on, at its last tick: the session ends."""
+        """End the current run at its last tick, because the session ends."""
         if self.run is not None:
             last = self.run.latest_tick() or {"tick": 0, "encoder_t_ns": 0}
             self.end_run(int(last["tick"]), int(last["encoder_t_ns"]), ending)
 
     def put_tick(self, record: TickRecord) -> None:
-        """Keep a tick; raise `RingFull` if there is no room."""
+        """Put a tick; raise `RingFull` if there is no room."""
         ring, session = self._ring, self._session
         ring.put_tick(record)
         now_ns = time.monotonic_ns()
@@ -91,7 +91,7 @@ class SessionJournal:
             ring.missed_ticks += record.timing.missed
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
-        """Keep an event. The first one, just before the first tick, starts the heartbeat."""
+        """Put an event. The first event, just before the first tick, starts the heartbeat."""
         if event["event"] in _FIRST_EVENTS:
             self._standing[str(event["event"])] = event
         self._ring.put_event(tick, t_ns, event)
@@ -101,16 +101,16 @@ class SessionJournal:
         session.loop_stage = LoopStage.TICKING
 
     def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
-        """Keep gains that hold from the next tick on."""
+        """Put gains that apply from the next tick on."""
         self._ring.put_gains(tick, t_ns, gains)
         self._session.commit(self._session.head)
 
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
-        """Keep the frozen state, of a run."""
+        """Put the frozen state, during a run only."""
         if self._ring is not self._session:
             self._ring.put_keyframe(tick, t_ns, state)
 
     def end_ticks(self) -> None:
-        """Ask the guardian for patience: to release a card takes longer than a tick."""
+        """Tell the guardian to wait longer: releasing a card takes longer than a tick."""
         self._session.loop_beat_ns = time.monotonic_ns()
         self._session.loop_stage = LoopStage.LEAVING

@@ -1,12 +1,12 @@
-"""Replay: the tick over a log's raw samples, and where it says something else than the log.
+"""Replay a log: run the tick again on its raw samples, and compare every field to the bit.
 
     raw samples, measured timing -> tick -> measurement, estimate, command, decision, output
     settings, times              -> program -> reference, zeros
 
-What goes in is the log's; what comes out is compared with the log, field by field, to the
-bit. Nothing that comes from the wall clock is in it: lateness and durations are what the
-run met, and go in. The tick runs compiled; where it differs from the log, plain Python, in
-which the log was made, has the last word.
+Read `replay_source.py` first, then `tick_replay.py` and `program_replay.py`.
+
+The inputs are the logged ones, lateness and durations included: no clock is read. The tick runs
+compiled. If its results differ from the log, plain Python decides, because it made the log.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from hal.calibration import Zero
 from pamctl.control.experiment import Segment
 from pamctl.log import Log
 from pamctl.realtime.tick import first_state
+from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import Difference, Differences, StageField
-from pamctl.replay.recorded_run import BehindTheEnd, NotReplayable, ReplaySource
-from pamctl.replay.replayable import find_absent_fields, read_replay_source
-from pamctl.replay.rerun import TickReplay, list_compared_fields
-from pamctl.replay.retick import retick_stretch
-from pamctl.replay.retrace import retrace_course
+from pamctl.replay.read_source import find_absent_fields, read_replay_source
+from pamctl.replay.replay_source import BehindTheEnd, NotReplayable, ReplaySource
+from pamctl.replay.tick_kernel import replay_stretch
+from pamctl.replay.tick_replay import TickReplay, list_compared_fields
 from pamctl.replay.tolerance import EXACT, Tolerances
 
 __all__ = [
@@ -40,38 +40,38 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay found. Ticks are counted as they stand in the log, from 0."""
+    """The result of a replay. A tick's number is its place in the log, from 0."""
 
     recording: ReplaySource
     begin: int
-    """The first tick that was replayed."""
+    """The first replayed tick."""
     ticks: int
-    """How many were replayed."""
+    """Number of replayed ticks."""
     skipped: int
-    """Ticks behind a loss, up to the next frozen state: nobody knows the state they began with."""
+    """Ticks after a loss, up to the next frozen state: the state before them is unknown."""
     unasked: int
-    """Replayed ticks whose reference could not be asked for again, for the same reason."""
+    """Replayed ticks whose reference could not be computed again, for the same reason."""
     fields: tuple[StageField, ...]
-    """What was compared."""
+    """The compared fields."""
     absent: tuple[str, ...]
-    """What could not be, because the log, of another version, does not have it."""
+    """Fields that could not be compared, because the log of another version lacks them."""
     differences: tuple[Difference, ...]
-    """Fields that differ, in the order in which they begin to."""
+    """Fields that differ, in the order of their first difference."""
     took_s: float
 
     @property
     def is_equal(self) -> bool:
-        """Whether all that was replayed is as in the log."""
+        """Whether everything that was replayed equals the log."""
         return not self.differences
 
     @property
     def is_whole(self) -> bool:
-        """Whether every tick asked for could be replayed, reference included."""
+        """Whether every tick could be replayed, with its reference."""
         return not self.skipped and not self.unasked
 
     @property
     def speed(self) -> float:
-        """Replayed time over the time it took."""
+        """Replayed time divided by the time that the replay took."""
         t_s = self.recording.log.t
         return float(t_s[-1] - t_s[self.begin]) / self.took_s
 
@@ -79,10 +79,9 @@ class Replay:
 def replay_log(
     log: Log, *, from_s: float | None = None, plain: bool = False, tolerances: Tolerances = EXACT
 ) -> Replay:
-    """Replay a log from its first tick, or from the last frozen state up to `from_s` (s).
+    """Replay a log from its first tick, or from the last frozen state before `from_s` (s).
 
-    `plain` runs the tick as the loop process does, without compiling it. Raises
-    NotReplayable.
+    `plain` runs the tick as the loop process does, not compiled. Raises NotReplayable.
     """
     recording = read_replay_source(log)
     begin = 0 if from_s is None else recording.find_tick_before(from_s) + 1
@@ -94,8 +93,8 @@ def replay_log(
         run.take(*stretch)
     if run.skipped == len(recording) - begin:
         raise NotReplayable(
-            f"{log.path} has lost ticks before all that is left of it, and holds no frozen state "
-            "behind them: nobody knows the state it goes on from"
+            f"{log.path} has lost its first ticks and has no frozen state after them: "
+            "the state to start from is unknown"
         )
     return Replay(
         recording=recording,
@@ -111,7 +110,7 @@ def replay_log(
 
 
 def _load_kernels(recording: ReplaySource) -> None:
-    """Run over no tick at all: to compile, or load what was compiled, is no part of the speed."""
+    """Run on zero ticks: compiling, or loading compiled code, does not count for the speed."""
     nowhere = first_state(Zero(0.0, 0.0), 0.0)
-    retick_stretch(recording.setup_at(0), recording.output, nowhere, recording.inputs(0, 0))
-    retrace_course([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))
+    replay_stretch(recording.setup_at(0), recording.output, nowhere, recording.inputs(0, 0))
+    trace_course([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))

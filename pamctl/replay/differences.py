@@ -1,4 +1,4 @@
-"""Where a replay and its log differ: first, how often, and by how much, field by field."""
+"""The differences between a log and its replay, by field: the first, the number, the largest."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ STAGES = (
     "outcome",
     "keyframe",
 )
-"""In the order in which a tick goes through them: what differs in one may differ in those after.
+"""The stages in the order of a tick: a difference in one stage may cause differences in later ones.
 
-`zero` is what the sensors say of the vented muscle, `keyframe` the frozen state after a tick.
+`zero` is what the sensors read at the vented muscle, `keyframe` the frozen state after a tick.
 """
 
 _AROUND = 3
@@ -39,25 +39,25 @@ class StageField(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """A value of the log and of its replay."""
+    """A logged value and the replayed one."""
 
     tick: int
-    """As the ticks stand in the log, from 0."""
+    """Place of the tick in the log, from 0."""
     logged: float
     replayed: float
 
 
 class Difference(NamedTuple):
-    """What is known of a field that differs."""
+    """The summary of a field that differs."""
 
     place: StageField
     first: Pair
     around: tuple[Pair, ...]
-    """The ticks around the first difference, as far as they were compared."""
+    """The compared ticks around the first difference."""
     ticks: int
-    """How many ticks differ."""
+    """Number of ticks that differ."""
     largest: float
-    """The largest difference; infinite where only one of the two is a number."""
+    """The largest difference; infinite if only one of the two values is a number."""
 
 
 class Differences:
@@ -69,10 +69,10 @@ class Differences:
         self._found: dict[StageField, Difference] = {}
         self._last: dict[StageField, tuple[Pair, ...]] = {}
         self.compared: dict[StageField, None] = {}
-        """Every field that was compared, in the order of asking."""
+        """Every compared field, in the order of comparison."""
 
     def take(self, place: StageField, tick: int, logged: Floats, replayed: Floats) -> None:
-        """Compare a field over the ticks from `tick` on; both of shape (n,)."""
+        """Compare a field from tick `tick` on; both arrays have shape (n,)."""
         self.compared[place] = None
         wrong = find_differing(logged, replayed, self._tolerances.get(place.name, _EXACTLY))
         if wrong is not None:
@@ -105,7 +105,7 @@ class Differences:
         self._found[place] = Difference(place, first, around, ticks, largest)
 
     def all(self) -> tuple[Difference, ...]:
-        """Return the differences in the order in which they begin, within a tick by stage."""
+        """Return the differences in the order of their first tick, within a tick by stage."""
         asked = list(self.compared)
 
         def order(difference: Difference) -> tuple[int, int, int]:
@@ -118,7 +118,7 @@ class Differences:
 def find_differing(
     logged: Floats, replayed: Floats, tolerance: Tolerance = _EXACTLY
 ) -> NDArray[np.bool_] | None:
-    """Tell for each of n values whether the two lie too far apart; None where none do."""
+    """Tell for each of n values whether the two are too far apart; None if none are."""
     same_bits = logged.view(np.int64) == replayed.view(np.int64)
     if same_bits.all():
         return None
@@ -146,7 +146,7 @@ def _make_pairs(
 
 
 def are_within_tolerance(tolerances: Tolerances, differences: Iterable[Difference]) -> bool:
-    """Tell whether these absolute tolerances would have forgiven all of the differences."""
+    """Tell whether these absolute tolerances would accept all of the differences."""
     return all(
         difference.largest <= tolerances.get(difference.place.name, _EXACTLY).absolute
         for difference in differences

@@ -1,15 +1,15 @@
-"""How far a field of a replay may lie from the log's: not at all, unless told otherwise.
+"""How far a replayed field may differ from the log: not at all, unless the user allows it.
 
-On the machine that made a log every field must be equal to the bit. Another CPU, or another
-C library, rounds `tan`, `pow` and `acos` differently in the last bit (IEEE 754 binds the
-four operations and the square root only). These are where the tick takes them:
+On the machine that made a log, every field must be equal to the bit. Another CPU or C library
+may round `tan`, `pow` and `acos` differently in the last bit: IEEE 754 prescribes only the four
+operations and the square root. The tick uses these functions here:
 
-    tan   the filters' warped cut-offs: every estimate, and so all that a law makes of it
+    tan   cut-off frequencies of the filters: every estimate, and all results of a law
     pow   lambda^q of a gains file; Psi of the valve in safety's model of the pressure
-    acos  the braid's angle in the model within SMC
+    acos  angle of the braid in the model within SMC
 
-Zeros, measurements and references go through none of them and stay exact; so do phases,
-verdicts and flags.
+Zeros, measurements and references use none of them and stay exact; so do phases, verdicts and
+flags.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pamctl.settings.resolve import RawSettings, validate_settings
 
 
 class Tolerance(NamedTuple):
-    """A replayed value may lie `absolute + relative * |logged|` from the logged one."""
+    """A replayed value may differ by `absolute + relative * |logged|` from the logged one."""
 
     absolute: float
     relative: float = 0.0
@@ -39,7 +39,7 @@ EXACT: Tolerances = {}
 """Every field equal to the bit; NaN equals NaN."""
 
 OTHER_CPU_NAME = "default-for-other-cpu"
-"""What the command line calls `OTHER_CPU`."""
+"""The name of `OTHER_CPU` on the command line."""
 
 OTHER_CPU: Tolerances = {
     name: Tolerance(absolute)
@@ -53,7 +53,7 @@ OTHER_CPU: Tolerances = {
         "equivalent_v": 1e-9,
         "robust_v": 1e-9,
         "valve_v": 1e-9,
-        # A command on the edge between two codes of the output may go to either.
+        # A command between two codes of the output may be rounded to either.
         "applied_v": 20.0 / 65536.0,
         "filters.position.pole": 1e-14,
         "filters.position.pair_rate": 1e-14,
@@ -71,9 +71,10 @@ OTHER_CPU: Tolerances = {
         "safety.model_pressure_pa": 1e-6,
     }.items()
 }
-"""Some thousand times what one wrong last bit in each of these functions makes of runs of 40 s,
-under every law; a hundredth of a count of the encoder is 3e-8 m. `tests/replay/test_replay.py`
-holds the golden logs to it with such functions."""
+"""About a thousand times the effect of one wrong last bit in each of these functions, in runs of
+40 s under every law. For comparison: a hundredth of an encoder count is 3e-8 m.
+`tests/replay/test_replay.py` checks the golden logs with such functions.
+"""
 
 
 class ToleranceSettings(Configured):
@@ -105,4 +106,4 @@ def read_tolerances(path: Path, fields: Collection[str]) -> Tolerances:
 def _explain_not_compared(name: str, fields: Collection[str]) -> str:
     near = get_close_matches(name, fields, n=1)
     hint = f"; did you mean '{near[0]}'?" if near else ""
-    return f"no field of this name is compared{hint}"
+    return f"a replay compares no field of this name{hint}"

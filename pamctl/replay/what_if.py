@@ -1,7 +1,7 @@
-"""What another law, or other gains, would have commanded on the same samples: open loop.
+"""The commands of another law, or of other gains, on the samples of a log: open loop.
 
-The muscle did not follow these commands, so they say how the law answers to this very
-error, and nothing of how well it would have tracked: for that, run it.
+The muscle did not follow these commands. They show how the law answers to the logged error, but
+not how well it would have tracked: for that, run it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from pamctl.log import Log
 from pamctl.realtime.tick import TickState
-from pamctl.replay.recorded_run import NotReplayable
-from pamctl.replay.replayable import read_replay_source
-from pamctl.replay.retick import RETICK_FIELDS, retick_stretch
+from pamctl.replay.read_source import read_replay_source
+from pamctl.replay.replay_source import NotReplayable
+from pamctl.replay.tick_kernel import REPLAYED_FIELDS, replay_stretch
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
@@ -34,12 +34,12 @@ from pamctl.signals import Phase
 
 Floats = NDArray[np.float64]
 
-_COMMAND = [field.name for field in RETICK_FIELDS].index("command_v")
-_SATURATED = [field.name for field in RETICK_FIELDS].index("saturated")
+_COMMAND = [field.name for field in REPLAYED_FIELDS].index("command_v")
+_SATURATED = [field.name for field in REPLAYED_FIELDS].index("saturated")
 
 
 class PhaseFigures(NamedTuple):
-    """Two commands in one phase of a run, in V."""
+    """Figures of two commands in one phase of a run, in V."""
 
     phase: str
     ticks: int
@@ -48,16 +48,16 @@ class PhaseFigures(NamedTuple):
     difference_rms_v: float
     difference_max_v: float
     logged_saturated: float
-    """Share of the ticks in which the law met its own limit."""
+    """Share of the ticks in which the law reached its own limit."""
     other_saturated: float
 
 
 @dataclass(frozen=True)
 class WhatIf:
-    """The commands of a log and those of another law, over the ticks in which a law ran."""
+    """The commands of a log and of another law, in the ticks in which a law ran."""
 
     ticks: NDArray[np.int64]
-    """As they stand in the log, from 0; shape (n,), like all that follows."""
+    """Place of each tick in the log, from 0; shape (n,), as all arrays here."""
     t_s: Floats
     phase: NDArray[np.int64]
     logged_v: Floats
@@ -65,7 +65,7 @@ class WhatIf:
     phases: tuple[PhaseFigures, ...]
 
     def write_csv(self, path: Path) -> None:
-        """Write both commands, a row a tick."""
+        """Write both commands, one row a tick."""
         with path.open("w", newline="") as file:
             table = csv.writer(file)
             table.writerow(("tick", "t_s", "phase", "command_v", "what_if_command_v"))
@@ -76,7 +76,7 @@ class WhatIf:
 def replace_law(
     settings: RunSettings, controller: str | None, overrides: Sequence[str]
 ) -> RunSettings:
-    """Return a run's settings under another gains file, and `controller.*` overrides.
+    """Return a run's settings with another gains file and `controller.*` overrides.
 
     Raises ConfigError.
     """
@@ -85,16 +85,16 @@ def replace_law(
         raw.add_section("controller", controller)
     for override in overrides:
         if not override.strip().startswith("controller."):
-            message = "a what-if asks another law; only controller.* can be set"
+            message = "a what-if changes only the law; only controller.* can be set"
             raise ConfigError([Problem(f"--set {override}", "", message)])
         raw.override(override)
     return validate_settings(RUN, raw)
 
 
 def run_what_if(log: Log, settings: RunSettings, *, from_s: float | None = None) -> WhatIf:
-    """Run the law of `settings` over the samples of a log; raise NotReplayable.
+    """Run the law of `settings` on the samples of a log; raise NotReplayable.
 
-    It begins where `replay` would; gains that the run took over on its way are left out.
+    It begins where `replay` would begin. Changes of gains during the run are ignored.
     """
     recording = read_replay_source(log)
     begin = 0 if from_s is None else recording.find_tick_before(from_s) + 1
@@ -106,13 +106,15 @@ def run_what_if(log: Log, settings: RunSettings, *, from_s: float | None = None)
         if state is None:
             after = recording.keyframes.get(end - 1)
             continue
-        after, stretch = retick_stretch(
+        after, stretch = replay_stretch(
             setup, recording.output, state, recording.inputs(start, end)
         )
         rows[:, start:end] = stretch[[_COMMAND, _SATURATED]]
     by_law = np.flatnonzero(np.isfinite(rows[0]) & np.isnan(log["reference_valve_v"]))
     if not len(by_law):
-        raise NotReplayable(f"{log.path} has no tick in which a law ran: nothing to ask another")
+        raise NotReplayable(
+            f"{log.path} has no tick in which a law ran: there is nothing to compare"
+        )
     return _build_what_if(log, by_law, *rows[:, by_law])
 
 

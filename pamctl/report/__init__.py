@@ -1,5 +1,5 @@
-"""One self-contained HTML page of a log.
+"""`pamctl report`: one self-contained HTML page of one log or of several.
 
-`svg.py` draws, `html_page.py` lays out, one file a section.
+`drawing/` draws, `html_page.py` lays out, one file a section.
 Read `compose.py` first.
 """

@@ -21,7 +21,7 @@ from pamctl.report.timing_section import write_timing
 
 
 def compose_report(logs: Sequence[Log]) -> Page:
-    """Return the page of these logs, at least one: whatever they lack is left out, or said."""
+    """Return the page of at least one log; missing data are left out or mentioned."""
     runs = name_runs(logs)
     page = Page(_make_title(runs), ", ".join(str(run.log.path.name) for run in runs))
     write_summary(page, runs)
@@ -30,7 +30,9 @@ def compose_report(logs: Sequence[Log]) -> Page:
     measured = [run for run in runs if len(run)]
     for run in runs:
         if not len(run):
-            page.note(f"{run.name} holds no tick: the run ended before its first.", kind="bad")
+            page.note(
+                f"{run.name} holds no ticks: the run ended before its first tick.", kind="bad"
+            )
     if measured:
         for write in (write_motion, write_law, write_filtering, write_timing, write_safety):
             write(page, measured)

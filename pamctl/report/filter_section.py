@@ -1,4 +1,4 @@
-"""What the filters do: how far they move the displacement, and a close look where most."""
+"""The effect of the filters: how much they change the displacement, and a close-up."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.motion_section import MM, make_time_axis
 from pamctl.report.reported_run import ReportedRun
 from pamctl.report.summary_section import MICRO
-from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 
 CLOSE_S = 0.06
-"""How much time the close look shows, before and after."""
+"""Time before and after the place of the close-up."""
 
 
 def write_filtering(page: Page, runs: Sequence[ReportedRun]) -> None:
-    """Write the effect of LPF_1 and LPF_2 for each run that filtered."""
+    """Write the effect of LPF_1 and LPF_2 for each run that has a filtered displacement."""
     filtering = [run for run in runs if _compute_shift_um(run) is not None]
     if not filtering:
         return
@@ -32,7 +32,9 @@ def write_filtering(page: Page, runs: Sequence[ReportedRun]) -> None:
         moved = _compute_shift_um(run)
         label = run.name if len(filtering) > 1 else ""
         plot.line(run.t_s[run.shown], moved[run.shown], label, colour=colour)  # type: ignore[index]
-    page.figure(plot, caption="What the filter on the displacement takes away, lag included.")
+    page.figure(
+        plot, caption="The difference that the filter makes to the displacement, lag included."
+    )
     for run in filtering:
         if (close := _plot_close_look(run)) is not None:
             page.grid(*close, caption=_make_caption(run, alone=len(filtering) == 1))
@@ -51,7 +53,7 @@ def _make_caption(run: ReportedRun, *, alone: bool) -> str:
         if isinstance(controller.get(key), int | float)
     )
     whose = "" if alone else f"{run.name}. "
-    return f"{whose}A close look at where the filter moves the displacement most. {cutoffs}"
+    return f"{whose}Close-up of the place where the filter changes the displacement most. {cutoffs}"
 
 
 def _plot_close_look(run: ReportedRun) -> list[SvgPlot] | None:
@@ -64,7 +66,7 @@ def _plot_close_look(run: ReportedRun) -> list[SvgPlot] | None:
     middle_s = run.t_s[np.nanargmax(moved)]
     near = (np.abs(run.t_s - middle_s) <= CLOSE_S) & run.shown
     t_s, axis = run.t_s[near], PlotAxis("time", "s", tight=True)
-    # Minus the reference, or the motion itself would hide a difference of micrometres.
+    # Without the reference: the motion would hide a difference of micrometres.
     error_um = error_m[near] * MICRO
     close = SvgPlot("Error, close", axis, PlotAxis("x \N{MINUS SIGN} x_D", "µm"))
     close.line(t_s, error_um, "raw", colour=MUTED, step=True)
@@ -73,7 +75,7 @@ def _plot_close_look(run: ReportedRun) -> list[SvgPlot] | None:
     rate = run.column("error_rate_m_per_s", MM)
     if rate is not None and len(t_s) > 1:
         raw_rate = np.gradient(error_m[near] * MM, t_s)
-        derivative = SvgPlot("Rate of the error, close", axis, PlotAxis("e'", "mm/s"))
+        derivative = SvgPlot("Rate of the error, close-up", axis, PlotAxis("e'", "mm/s"))
         derivative.line(t_s, raw_rate, "raw difference", colour=MUTED)
         derivative.line(t_s, rate[near], "after LPF_2")
         plots.append(derivative)

@@ -1,4 +1,4 @@
-"""One HTML file that holds everything: no network, no script, light, dark and on paper.
+"""One HTML file that holds everything: no network, no script; light, dark and in print.
 
     page = Page("Run of qsmc", "tracking-2, 20 November")
     page.section("Tracking")
@@ -8,7 +8,7 @@
     page.fold("Configuration", text)
     Path("run.html").write_text(page.html(), encoding="utf-8")
 
-Every text that is passed in is escaped.
+Every text is escaped.
 """
 
 from __future__ import annotations
@@ -18,45 +18,45 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Protocol
 
+from pamctl.report.drawing.svg import SvgPlot, share_x_axis
 from pamctl.report.style import STYLE
-from pamctl.report.svg import SvgPlot, share_x_axis
 
 _NUMBER = re.compile(r"^[\s<>\N{MINUS SIGN}+-]*[\d.][\d\s.,e/:%x\N{MULTIPLICATION SIGN}+-]*$")
 _NO_NUMBER = ("", "-", "nan", "trips")
 _CODE = re.compile("`([^`]+)`")
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
-"""The browser itself refuses whatever would leave the file."""
+"""The browser itself refuses to load or send anything."""
 
 
 class Drawable(Protocol):
-    """What a figure may hold: a `SvgPlot`, or `Levels`."""
+    """An element of a figure: a `SvgPlot`, or `Levels`."""
 
     def html(self) -> str:
-        """Return it as a part of a page, escaped."""
+        """Return it as escaped HTML."""
         ...
 
 
 class Page:
-    """A page being written, from top to bottom."""
+    """A page, written from top to bottom."""
 
     def __init__(self, title: str, subtitle: str = "", *, numbered: bool = True) -> None:
-        """`numbered` counts the figures: not where they have numbers of their own."""
+        """`numbered` counts the figures; switch it off if they have numbers of their own."""
         self.title, self.subtitle = title, subtitle
         self._body: list[str] = []
         self._sections: list[str] = []
         self._numbered, self._figures = numbered, 0
 
     def section(self, heading: str) -> None:
-        """Begin a section; the table of contents at the top leads to it."""
+        """Begin a section, with an entry in the table of contents at the top."""
         self._sections.append(heading)
         self._body.append(f'<h2 id="s{len(self._sections)}">{escape(heading)}</h2>')
 
     def heading(self, heading: str) -> None:
-        """Begin a part of a section."""
+        """Begin a subsection."""
         self._body.append(f"<h3>{escape(heading)}</h3>")
 
     def text(self, *paragraphs: str) -> None:
-        """Write paragraphs; here and in points and notes `between backticks` is code."""
+        """Write paragraphs. Here, in points and in notes, text `between backticks` is code."""
         self._body += [f"<p>{_format_inline(paragraph)}</p>" for paragraph in paragraphs]
 
     def points(self, *items: str) -> None:
@@ -66,11 +66,11 @@ class Page:
         )
 
     def note(self, text: str, *, kind: str = "note") -> None:
-        """Write what must not be overlooked: kind `note`, `good` or `bad`."""
+        """Write a note of kind `note`, `good` or `bad`."""
         self._body.append(f'<p class="callout {escape(kind)}">{_format_inline(text)}</p>')
 
     def facts(self, facts: Mapping[str, object]) -> None:
-        """Write names and values beside each other."""
+        """Write names and values."""
         pairs = (
             f"<div><dt>{escape(str(name))}</dt><dd>{escape(str(value))}</dd></div>"
             for name, value in facts.items()
@@ -82,7 +82,7 @@ class Page:
     ) -> None:
         """Write a table; every row is as long as the header."""
         titled = f'<p class="caption">{escape(caption)}</p>' if caption else ""
-        # A column of numbers stands to the right, its heading and its dashes too.
+        # A column of numbers is right-aligned, with its heading and its dashes.
         columns = zip(*rows, strict=True) if rows else ([] for _ in header)
         classes = [' class="num"' if _are_numbers(column) else "" for column in columns]
         head = "".join(
@@ -103,18 +103,18 @@ class Page:
         )
 
     def figure(self, *plots: SvgPlot, caption: str = "", one_x: bool = True) -> None:
-        """Write a figure of plots above each other, on one x axis unless `one_x` is false."""
+        """Write a figure of plots in a column, with one x axis unless `one_x` is false."""
         if one_x:
             share_x_axis(plots)
         self._add_figure("".join(plot.html() for plot in plots), caption, "")
 
     def grid(self, *plots: Drawable, caption: str = "") -> None:
-        """Write a figure of plots beside each other; on a narrow screen above each other."""
+        """Write a figure of plots in a row; on a narrow screen in a column."""
         inside = "".join(plot.html() for plot in plots)
         self._add_figure(f'<div class="grid2">{inside}</div>', caption, "")
 
     def fold(self, heading: str, text: str) -> None:
-        """Write a text that is shown when it is asked for, and in print."""
+        """Write a folded text, which opens on demand and in print."""
         self._body.append(
             f"<details><summary>{escape(heading)}</summary><pre>{escape(text)}</pre></details>"
         )

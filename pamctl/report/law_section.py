@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.motion_section import MM, make_time_axis
 from pamctl.report.reported_run import ReportedRun
 from pamctl.report.summary_section import MICRO
-from pamctl.report.svg import PlotAxis, SvgPlot
 
 
 def write_law(page: Page, runs: Sequence[ReportedRun]) -> None:

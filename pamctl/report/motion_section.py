@@ -1,4 +1,4 @@
-"""What was asked of the muscle, what it did, and at what command: over time."""
+"""Reference, motion, pressure and command over time."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun, law_name, paper_rows
 from pamctl.report.summary_section import MICRO, rms_of_finite
-from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 
 KPA, MM = 1e-3, 1e3
 
@@ -35,7 +35,7 @@ def write_motion(page: Page, runs: Sequence[ReportedRun]) -> None:
 
 
 def group_by_experiment(runs: Sequence[ReportedRun]) -> list[list[ReportedRun]]:
-    """Return the runs in groups that share an experiment, and so a time axis."""
+    """Return the runs in groups of the same experiment, which share a time axis."""
     groups: list[list[ReportedRun]] = []
     for run in runs:
         asked = run.log.config.get("experiment")
@@ -49,11 +49,11 @@ def group_by_experiment(runs: Sequence[ReportedRun]) -> list[list[ReportedRun]]:
 
 
 def _make_caption(group: Sequence[ReportedRun]) -> str:
-    said = ["Each column of pixels keeps its extremes."]
+    said = ["Every extreme is shown."]
     if any(not run.shown.all() for run in group):
         said.append("Homing and the final stop are not shown.")
     if _find_error_range_um(group) != (None, None):
-        said.append("The error of a run that never came to tracking is cut at the axis.")
+        said.append("The axis cuts the error of a run that never reached tracking.")
     experiment = group[0].paper_experiment
     if experiment:
         figures = ", ".join(
@@ -104,7 +104,7 @@ def _plot_error(group: Sequence[ReportedRun]) -> SvgPlot | None:
 
 
 def _find_error_range_um(group: Sequence[ReportedRun]) -> tuple[float | None, float | None]:
-    """Return the ends of the error's axis where a run that never tracked would hide the others."""
+    """Return the ends of the error axis, if a run that never tracked would hide the others."""
     tracked = [r.error_m[r.tracked] for r in group if r.error_m is not None and r.tracked.any()]
     if not tracked or len(tracked) == len(group):
         return None, None
@@ -127,11 +127,11 @@ def _plot_force(group: Sequence[ReportedRun]) -> SvgPlot | None:
 
 
 def _plot_command(group: Sequence[ReportedRun]) -> SvgPlot | None:
-    """The law's command under what reached the valve; where either was cut, a dot."""
+    """Plot the law's command and the voltage at the valve, with a dot where either was limited."""
     plot = SvgPlot("Command", make_time_axis(group), PlotAxis("u", "V"), height_px=140)
     if len(group) == 1 and (asked := group[0].column("command_v")) is not None:
         shown = group[0].shown
-        plot.line(group[0].t_s[shown], asked[shown], "asked by the law", colour=MUTED, thick=True)
+        plot.line(group[0].t_s[shown], asked[shown], "command of the law", colour=MUTED, thick=True)
     drawn = _draw_column(plot, group, "valve_v", 1.0, "at the valve", step=True)
     for run in group:
         cut, valve = _find_cut_ticks(run) & run.shown, run.column("valve_v")
@@ -143,7 +143,7 @@ def _plot_command(group: Sequence[ReportedRun]) -> SvgPlot | None:
 
 
 def _find_cut_ticks(run: ReportedRun) -> np.ndarray:
-    """Return the ticks in which law or safety held the command back."""
+    """Return the ticks in which the law or safety limited the command."""
     saturated = run.log.columns.get("saturated", np.zeros(len(run), bool))
     verdicts = run.log.columns.get("verdicts", np.zeros(len(run), np.int64))
     held_back: np.ndarray = np.asarray(saturated, bool) | (np.asarray(verdicts) != 0)

@@ -1,4 +1,4 @@
-"""What happened and what was set: safety, events, versions, configuration."""
+"""Events and settings of the runs: safety, gains, versions, configuration."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _WHERE = ("event", "tick", "t_ns", "row")
 
 
 def write_safety(page: Page, runs: Sequence[ReportedRun]) -> None:
-    """Write every clip and trip with its reason, and when."""
+    """Write every clip and trip with its reason and time."""
     page.section("Safety")
     for run in runs:
         if len(runs) > 1:
             page.heading(run.name)
         verdicts = run.log.columns.get("verdicts")
         if verdicts is None:
-            page.text("The log was made without these safety rules: nothing is known of clips.")
+            page.text("The log was made without these safety rules: clips are unknown.")
             continue
         rows = [
             ["clip" if bit < 1 << 8 else "trip", meaning, str(len(at)), *_show_span(run, at)]
@@ -36,7 +36,7 @@ def write_safety(page: Page, runs: Sequence[ReportedRun]) -> None:
         if rows:
             page.table(["", "reason", "ticks", "first, s", "last, s"], rows)
         else:
-            page.text("Nothing was clipped, nothing tripped.")
+            page.text("Safety clipped no command and did not trip.")
 
 
 def _show_span(run: ReportedRun, at: np.ndarray) -> tuple[str, str]:
@@ -61,7 +61,7 @@ def write_events(page: Page, runs: Sequence[ReportedRun]) -> None:
 
 
 def _write_gain_changes(page: Page, run: ReportedRun) -> None:
-    """Write what was changed while the law ran: the first gains are in the configuration."""
+    """Write the gains that changed while the law ran; the first are in the configuration."""
     rows = [
         [_show_time(run, after), name, _show_short(before.get(name, "-")), _show_short(after[name])]
         for before, after in pairwise(run.log.gains)
@@ -91,7 +91,7 @@ def _show_short(value: object) -> str:
 
 
 def write_differences(page: Page, runs: Sequence[ReportedRun]) -> None:
-    """Write a table of the settings in which the runs differ."""
+    """Write a table of the settings that differ between the runs."""
     page.section("What differs")
     settings = [dict(_flatten_settings(run.log.config)) for run in runs]
     keys = dict.fromkeys(key for setting in settings for key in setting)
@@ -115,14 +115,14 @@ def _flatten_settings(settings: Mapping[str, Any], above: str = "") -> Iterator[
 
 
 def write_settings(page: Page, runs: Sequence[ReportedRun]) -> None:
-    """Write versions, rig and resolved configuration, folded away."""
+    """Write versions, rig and resolved configuration, folded."""
     page.section("Configuration")
     for run in runs:
         whose = f" of {run.name}" if len(runs) > 1 else ""
         for name, title in (
             ("pamctl", "Versions"),
             ("timing_setup", "Real-time measures"),
-            ("rig", "Rig, by its own description"),
+            ("rig", "The rig's own description"),
             ("import", "Import"),
         ):
             if name in run.log.metadata:

@@ -1,4 +1,4 @@
-"""A log as a report sees it: columns that may be missing, on a time axis that fits."""
+"""A log for a report: columns that may be missing, on a suitable time axis."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ReportedRun:
         return len(self.log)
 
     def column(self, name: str, scale: float = 1.0) -> Floats | None:
-        """Return a column times `scale`, shape (n,); None where nothing of it was measured."""
+        """Return a column times `scale`, shape (n,); None if it is missing or never finite."""
         values = self.log.columns.get(name)
         if values is None or not np.isfinite(values).any():
             return None
@@ -43,19 +43,19 @@ class ReportedRun:
 
     @cached_property
     def phase(self) -> NDArray[np.int64]:
-        """What the loop was doing; -1 throughout where nobody knows."""
+        """The phase of each tick; -1 where it is unknown."""
         known = self.log.columns.get("phase")
         return np.full(len(self), -1) if known is None else np.asarray(known, np.int64)
 
     @cached_property
     def shown(self) -> NDArray[np.bool_]:
-        """The ticks that plots show: not homing nor the final stop, unless there is no more."""
+        """The ticks that plots show: all but homing and the final stop, or all if none remain."""
         course: NDArray[np.bool_] = np.isin(self.phase, (Phase.HOMING, Phase.STOPPING), invert=True)
         return course if bool(course.any()) else np.ones(len(self), np.bool_)
 
     @property
     def has_homing(self) -> bool:
-        """Whether plots leave a homing out, and time counts from its end."""
+        """Whether plots leave out a homing; then time begins at its end."""
         return len(self) > 0 and not bool(self.shown[0])
 
     @cached_property
@@ -67,40 +67,40 @@ class ReportedRun:
 
     @cached_property
     def tracked(self) -> NDArray[np.bool_]:
-        """The ticks that the figures of merit count."""
+        """The ticks that count for the figures of merit."""
         counted: NDArray[np.bool_] = np.isin(self.phase, (Phase.TRACK, Phase.REST))
         return counted
 
     @property
     def law_at_work(self) -> NDArray[np.bool_]:
-        """The ticks that show the law at work: while tracking, or else in the approach."""
+        """The ticks that show the law at work: tracking, or else the approach."""
         return self.tracked if self.tracked.any() else self.shown
 
     @cached_property
     def error_m(self) -> Floats | None:
-        """Measured displacement minus reference; None where nothing was asked."""
+        """Measured displacement minus reference; None without a reference."""
         position, reference = self.column("position_m"), self.column("reference_m")
         return None if position is None or reference is None else position - reference
 
     @property
     def meta(self) -> dict[str, str]:
-        """What the log says about its run: law, controller, experiment, plant, rig, backend."""
+        """The log's metadata on its run: law, controller, experiment, plant, rig, backend."""
         return dict(self.log.metadata.get("run", {}))
 
     @property
     def fast(self) -> bool:
-        """Whether it was simulated without a clock."""
+        """Whether the run was simulated without a clock."""
         return bool(self.log.config.get("fast"))
 
     @property
     def outcome(self) -> dict[str, Any] | None:
-        """How the run ended; None where the log does not say."""
+        """The outcome of the run; None if the log does not state it."""
         ended = (e for e in reversed(self.log.events) if e.get("event") == "outcome")
         return next(ended, None)
 
     @property
     def paper_experiment(self) -> str | None:
-        """Which experiment of the paper it is, to the last setting; None if none."""
+        """The paper's experiment with exactly these settings; None if there is none."""
         experiment = self.log.config.get("experiment")
         return next(
             (name for name in PAPER_EXPERIMENTS if _read_settings(name) == experiment), None
@@ -108,7 +108,7 @@ class ReportedRun:
 
 
 def name_runs(logs: Sequence[Log]) -> list[ReportedRun]:
-    """Return the logs under names as short as they may be."""
+    """Return the logs under names that are as short as possible."""
     paths = [log.path for log in logs]
     if len({path.stem for path in paths}) == len(paths):
         return [ReportedRun(log, path.stem) for log, path in zip(logs, paths, strict=True)]
@@ -128,7 +128,7 @@ def law_name(law: str) -> str:
 
 
 def paper_rows(experiment: str | None) -> list[Any]:
-    """Return the columns of Table IV about an experiment."""
+    """Return the rows of Table IV for an experiment."""
     return [row for row in TABLE_IV if row.experiment == experiment]
 
 

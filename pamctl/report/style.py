@@ -1,7 +1,7 @@
-"""How pages look: on a wide and on a narrow screen, light and dark, and on paper.
+"""The style of pages: wide and narrow screens, light, dark and in print.
 
-The colours of data are Okabe and Ito's, which eyes without red or green tell apart; the
-darker ones change places with lighter ones on a dark screen.
+The data colours are those of Okabe and Ito, which colour-blind readers can tell apart. On a dark
+screen lighter colours replace the darker ones.
 """
 
 STYLE = """
@@ -78,4 +78,4 @@ h2,h3{break-after:avoid}.callout,tr{break-inside:avoid}
 details::details-content{content-visibility:visible;display:block;height:auto}
 pre{white-space:pre-wrap}.wide{overflow:visible}@page{margin:14mm}}
 """
-"""The one style sheet of all pages."""
+"""The style sheet of all pages."""

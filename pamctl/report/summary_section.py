@@ -1,4 +1,4 @@
-"""What a run came to: how it ended, how well it tracked, what it was."""
+"""The result of a run: how it ended, what it was, how well it tracked."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def write_summary(page: Page, runs: Sequence[ReportedRun]) -> None:
 def _write_ending(page: Page, run: ReportedRun) -> None:
     if run.log.is_imported:
         source = run.log.metadata.get("import", {}).get("source", "another system")
-        page.note(f"Measured by another system, and imported: {source}")
+        page.note(f"Imported measurement of another system: {source}")
         return
     ended = run.outcome
     if ended is None:
@@ -70,7 +70,7 @@ def _write_merits(page: Page, runs: Sequence[ReportedRun]) -> None:
     rows = [row for run in runs for row in make_merit_rows(run)]
     if not rows:
         if any(len(run) for run in runs):
-            page.text("Nothing was tracked: there is no error to hold against Table IV.")
+            page.text("Nothing was tracked: there is no error to compare with Table IV.")
         return
     experiments = {run.paper_experiment for run in runs if run.tracked.any()}
     for experiment in sorted(name for name in experiments if name):
@@ -81,14 +81,14 @@ def _write_merits(page: Page, runs: Sequence[ReportedRun]) -> None:
     page.table(
         _HEADER,
         rows,
-        caption="The approach is left out; steady is the largest error of the last 5 s of rests.",
+        caption="Without the approach; steady is the largest error in the last 5 s of rests.",
     )
     if None in experiments:
         page.text("Where settings differ from the paper's experiments, Table IV does not apply.")
 
 
 def make_merit_rows(run: ReportedRun) -> list[list[str]]:
-    """Return the table rows of a run: measured, and true where it was simulated."""
+    """Return the table rows of a run: measured, and true if it was simulated."""
     reference, rows = run.column("reference_m"), []
     if reference is None:
         return []
@@ -108,6 +108,6 @@ def format_merit(found: Merit) -> list[str]:
 
 
 def rms_of_finite(values: np.ndarray) -> float:
-    """Return the root mean square of what is finite; NaN where nothing is."""
+    """Return the root mean square of the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else math.nan

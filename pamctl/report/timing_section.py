@@ -1,4 +1,4 @@
-"""When the ticks happened: histograms, the worst ticks, and those that were missed."""
+"""The timing of the loop: histograms, the worst ticks, the missed ticks."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun
-from pamctl.report.svg import PlotAxis, SvgPlot
 from pamctl.simulate.merit import summarise_durations
 
 WORST = 10
@@ -24,7 +24,7 @@ _DURATIONS = (
 
 
 def write_timing(page: Page, runs: Sequence[ReportedRun]) -> None:
-    """Write how long things took, and which ticks were late or missed."""
+    """Write the durations of a tick's parts, and which ticks were late or missed."""
     page.section("Timing")
     for run in runs:
         if len(runs) > 1:
@@ -33,7 +33,7 @@ def write_timing(page: Page, runs: Sequence[ReportedRun]) -> None:
             page.text("Simulated without a clock: there is no timing to show.")
             continue
         if len(run) < 2:
-            page.text("Too few ticks to speak of timing.")
+            page.text("Too few ticks for timing figures.")
             continue
         _write_spreads(page, run)
         _plot_histograms(page, run)
@@ -62,7 +62,7 @@ def _plot_histograms(page: Page, run: ReportedRun) -> None:
         counts, _ = np.histogram(np.clip(values * MICRO, FASTEST_US, SLOWEST_US), edges)
         used = np.flatnonzero(counts)
         first, last = max(0, used[0] - 2), min(len(counts), used[-1] + 3)
-        duration = PlotAxis("duration, 0.1 and less at the left", "µs", log=True, tight=True)
+        duration = PlotAxis("duration (0.1 means 0.1 or less)", "µs", log=True, tight=True)
         plot = SvgPlot(
             label.capitalize(), duration, PlotAxis("ticks", low=0.5, log=True), height_px=150
         )
@@ -71,14 +71,14 @@ def _plot_histograms(page: Page, run: ReportedRun) -> None:
         page.grid(*plots, caption="Both axes are logarithmic: a single tick is still a bar.")
         return
     steps_ms = np.diff(run.log["t_s"]) * 1e3
-    # Steps that are equal but for rounding are one bar, not a wilderness of bars without width.
+    # Steps that differ only by rounding become one bar, not many bars without width.
     usual_ms = float(np.median(steps_ms))
     over = (min(float(steps_ms.min()), 0.9 * usual_ms), max(float(steps_ms.max()), 1.1 * usual_ms))
     counts, edges = np.histogram(steps_ms, 81, over)
     plot = SvgPlot(
         "Time between samples", PlotAxis("step", "ms"), PlotAxis("ticks", low=0.5, log=True)
     )
-    page.figure(plot.bars(edges, counts), caption="All that is known of this log's clock.")
+    page.figure(plot.bars(edges, counts), caption="This log has no other timing data.")
 
 
 def _compute_work_s(run: ReportedRun) -> np.ndarray | None:
@@ -117,6 +117,4 @@ def _write_missed(page: Page, run: ReportedRun) -> None:
         return
     largest = at[np.argsort(-missed[at], kind="stable")][:WORST]
     longest = ", ".join(f"{missed[i]} before {run.t_s[i]:.3f} s" for i in sorted(largest))
-    page.text(
-        f"{int(missed.sum())} ticks were missed, in {len(at)} places; the longest: {longest}."
-    )
+    page.text(f"{int(missed.sum())} ticks were missed in {len(at)} places; the most: {longest}.")

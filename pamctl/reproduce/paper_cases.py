@@ -1,7 +1,7 @@
-"""Which runs are held against the paper, and what is known of each.
+"""The runs that are compared with the paper, and a remark on each.
 
-`Part` is what a part of the reproduction gives: it writes its section of the page and
-returns its numbers, in SI.
+A `Part` is a function for a part of the reproduction: it writes a section of the page and returns
+its numbers in SI.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pamctl.settings.resolve import resolve
 from pamctl.simulate.batch import SimulatedRun, simulate_run
 
 PLANTS = {"paper": "of Tables I and II", "paper-valve109": "with the valve's 109 Hz"}
-"""Shipped plants that the reproduction runs on."""
+"""Shipped plants on which the reproduction runs."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ FITTED_SMC = Case(
     "SMC, K_p fitted",
     "paper-table3-smc",
     ("controller.kp=0.65",),
-    "as printed but K_p 0.65 for 0.00025: fitted to Table IV, so it confirms nothing",
+    "as printed, but K_p is 0.65 instead of 0.00025: fitted to Table IV, so it confirms nothing",
 )
 TUNED = (
     Case("qSMC tuned", "qsmc", remark="the default: one set for all plants"),

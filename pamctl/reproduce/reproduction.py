@@ -1,4 +1,4 @@
-"""`pamctl reproduce`: one page and one file of numbers for the parts that are asked for."""
+"""`pamctl reproduce`: one page and one file of numbers for the requested parts."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ PARTS: dict[str, Part] = {
     "fig5": lambda page, seed: write_tracking(page, "fig5", seed),
     "table4": write_table4,
 }
-"""What can be reproduced, in the order of the paper."""
+"""The parts that can be reproduced, in the order of the paper."""
 
 SCHEMA = 1
 
 
 class Reproduction(NamedTuple):
-    """What was made: `numbers` is in SI, and equal for equal seeds."""
+    """The result: `numbers` is in SI, and equal for equal seeds."""
 
     page: Page
     numbers: dict[str, Any]
@@ -34,15 +34,15 @@ class Reproduction(NamedTuple):
 def reproduce_paper(
     parts: Sequence[str], seed: int, progress: Callable[[str], None] = lambda name: None
 ) -> Reproduction:
-    """Simulate and lay out these of `PARTS`; `progress` hears the name of each as it begins."""
+    """Simulate and lay out these of `PARTS`; `progress` gets the name of each as it begins."""
     page = Page(
         "The paper, reproduced",
         "Modeling of Pneumatic Artificial Muscle with Kinetic Friction and Sliding Mode Control",
         numbered=False,
     )
     page.text(
-        f"Made by pamctl {__version__}, seed {seed}: the loop's own tick on the simulated rig, "
-        "with the encoder's 3.175 µm a count and 300 Pa of pressure noise. Errors are measured "
+        f"Made by pamctl {__version__}, seed {seed}: the tick of the loop on the simulated rig, "
+        "with an encoder of 3.175 µm per count and 300 Pa of pressure noise. Errors are measured "
         "displacement minus reference."
     )
     numbers: dict[str, Any] = {"schema": SCHEMA, "version": __version__, "seed": seed}

@@ -1,4 +1,4 @@
-"""Fig. 3: what the model does at square waves of the valve's command, open loop."""
+"""Fig. 3: the model's answer to square waves of the valve command, open loop."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import PlotAxis, SvgPlot
 from pamctl.reproduce.paper_cases import PLANTS, Case
 from pamctl.simulate.batch import SimulatedRun
 
 FREQUENCIES = ("0.25", "0.5", "1", "2")
 _ANY_LAW = Case("open loop", "paper-table3-qsmc")
-"""In open loop no law acts; a run still has one."""
+"""No law acts in open loop, but the settings of a run need one."""
 
 
 def write_fig3(page: Page, seed: int) -> dict[str, Any]:
-    """Write Fig. 3; return the last cycle's ranges and rise times by frequency and plant."""
+    """Write Fig. 3; return ranges and rise times of the last cycle, by frequency and plant."""
     page.section("Fig. 3: square waves, open loop")
     page.text(
         "Full-scale squares of the command, ±5 V about the closed valve, on the model of "
         "Tables I and II, and with the valve's 109 Hz, which the paper states but does "
-        "not simulate. The paper draws its measurement beside its model; the curves are not "
-        "published as numbers, so that the model is shown alone here, and the comparison is by "
+        "not simulate. The paper draws its measurement beside its model. Its curves are not "
+        "published as numbers: only the model is shown here, and the comparison is by "
         "eye."
     )
     numbers: dict[str, Any] = {}
@@ -46,10 +46,10 @@ def write_fig3(page: Page, seed: int) -> dict[str, Any]:
         caption="Displacement, absolute pressure, and the displacement's 10 to 90 % times.",
     )
     page.text(
-        "What decides it: pressure in Eq. 3 to 6 is read as gauge pressure. With absolute "
-        "pressure the vented muscle would rest at 11.6 mm, and could not reach the 6.4 mm that "
-        "experiments 1 and 2 ask for. Friction is a band, and holds the muscle where the net "
-        "force lies inside it."
+        "The main reading: pressure in Eq. 3 to 6 is gauge pressure. With absolute "
+        "pressure the vented muscle would rest at 11.6 mm, and could not reach the 6.4 mm of "
+        "experiments 1 and 2. Friction is a band: it holds the muscle while the net force "
+        "lies inside it."
     )
     return numbers
 
@@ -86,7 +86,7 @@ def _measure_last_cycle(run: SimulatedRun, frequency_hz: float) -> dict[str, flo
 
 
 def _measure_rise_time(t_s: np.ndarray, x: np.ndarray) -> float | None:
-    """Return the time from 10 to 90 % of a rise; None where there is none."""
+    """Return the time from 10 to 90 % of a rise; None if there is no rise."""
     low, high = float(x.min()), float(x.max())
     if high - low < 1e-6:
         return None

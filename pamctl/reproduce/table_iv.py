@@ -1,4 +1,4 @@
-"""Table IV: the paper's rig beside this software's simulation, and what follows."""
+"""Table IV: the paper's rig and this software's simulation side by side."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _collect_paper_numbers() -> dict[str, dict[str, dict[str, float | None]]]:
 
 
 def is_within_bound(found: dict[str, float | None], bound: dict[str, float | None]) -> bool:
-    """Tell whether every error that the paper gives a value for is at most that."""
+    """Tell whether no error is larger than the paper's, for every error that the paper states."""
     return all(
         limit is None or ((value := found[name]) is not None and value <= limit)
         for name, limit in bound.items()
@@ -95,21 +95,21 @@ def is_within_bound(found: dict[str, float | None], bound: dict[str, float | Non
 
 
 def _write_findings(page: Page, measured: Numbers, seed: int) -> None:
-    page.heading("What reproduces, and what does not")
+    page.heading("Which results reproduce, and which do not")
     for plant, title in PLANTS.items():
         _write_about_qsmc(page, measured[plant], title)
     _write_about_smc(page, measured["paper"]["tracking-2"][UNHINDERED_SMC.name]["max_m"], seed)
     page.text(
-        "Readings that decide it, each tried. The headings of Table III are crossed: q = 1 is the "
-        "traditional law, so that its column belongs to Eq. 18. The gains are in inches, where "
-        "25.4 mm/s³ is a round 1 inch/s³; the row in millimetres shows what becomes of them "
-        "otherwise. lambda is the printed number in 1/s, without 2 pi. LPF_2 is 0.5 Hz literally, "
-        "on the derivatives of the error. The friction at rest is a band.",
-        f"{FITTED_SMC.name}: with that one number changed by a factor of 2600 the maximum and RMS "
-        "errors of SMC come close to the table; the steady error does not. What the factor would "
-        "be is not known.",
-        "The tuned gains say nothing of the paper's rig: they show what these laws can do on this "
-        "model, with its quantisation and its sensor noise.",
+        "The important readings, each tried. The headings of Table III are crossed: q = 1 is the "
+        "traditional law, so its column belongs to Eq. 18. The gains are in inches, where "
+        "25.4 mm/s³ is a round 1 inch/s³; the row in millimetres shows the other reading. "
+        "lambda is the printed number in 1/s, without 2 pi. LPF_2 is 0.5 Hz literally, "
+        "on the derivatives of the error. Friction at rest is a band.",
+        f"{FITTED_SMC.name}: with this one number changed by a factor of 2600, the maximum and RMS "
+        "errors of SMC come close to the table; the steady error does not. The reason for such "
+        "a factor is not known.",
+        "The tuned gains say nothing about the paper's rig: they show what these laws can do on "
+        "this model, with its quantisation and its sensor noise.",
     )
 
 
@@ -153,7 +153,7 @@ def _write_about_smc(page: Page, unhindered_m: float | None, seed: int) -> None:
 
 
 def _compute_smc_reach(seed: int) -> tuple[float, float]:
-    """Return g-hat at mid-stroke at rest, m/s^3/V, and the printed SMC's largest command, V."""
+    """Return g-hat at mid-stroke at rest (m/s^3/V), and the printed SMC's largest command (V)."""
     run = PRINTED_SMC.run("tracking-2", "paper", seed)
     settings = run.settings.controller
     assert isinstance(settings, SmcSettings)

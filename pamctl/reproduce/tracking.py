@@ -1,4 +1,4 @@
-"""Fig. 4 and 5: experiments 1 and 2 with the printed gains and with tuned ones."""
+"""Fig. 4 and 5: experiments 1 and 2 with the printed and with tuned gains."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.reproduce.paper_cases import FITTED_SMC, PRINTED_QSMC, PRINTED_SMC, TUNED, Case
 from pamctl.signals import Phase
 from pamctl.simulate.batch import SimulatedRun
@@ -31,7 +31,7 @@ def write_tracking(page: Page, figure: str, seed: int) -> dict[str, Any]:
     page.heading("With the gains that the paper prints")
     page.figure(
         *_plot_stack((PRINTED_QSMC, FITTED_SMC), experiment, seed),
-        caption="qSMC as printed, and SMC as printed but for K_p, which was fitted to Table IV.",
+        caption="qSMC as printed, and SMC as printed except K_p, which was fitted to Table IV.",
     )
     _write_literal_smc(page, experiment, seed)
     page.heading("With tuned gains")
@@ -44,7 +44,7 @@ def write_tracking(page: Page, figure: str, seed: int) -> dict[str, Any]:
 
 
 def summarise_outcome(run: SimulatedRun) -> dict[str, float | None]:
-    """Return the figures of merit in m, None where there are none, and when it tripped."""
+    """Return the figures of merit in m, None if there are none, and the time of a trip."""
     found = run.merit()
     figures: dict[str, float | None] = dict.fromkeys(("max_m", "rms_m", "steady_m"))
     if found is not None:

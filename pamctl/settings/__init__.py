@@ -1,5 +1,5 @@
-"""From YAML files to validated settings, and from settings to what the tick needs.
+"""From YAML files to validated settings, and from settings to the parts that the tick needs.
 
 Errors name file, line, key, limit and fix.
-Read `rig_file.py` for a schema, `resolve.py` for the way there, `build.py` for what comes of it.
+Read `resolve.py` first, then `rig_file.py` for a schema and `build.py` for the results.
 """

@@ -1,8 +1,8 @@
-"""What is wrong with a configuration, in the words of the person who wrote it.
+"""Problems of a configuration, in the words of the person who wrote it.
 
-Pydantic finds the errors and names the place in its own terms; here both are
-translated: keys as they stand in the file, bounds as a sentence, the nearest name for a
-slip, the habit behind a wrong value.
+Pydantic finds the errors and names places in its own terms. This module translates both: keys as
+in the file, bounds as a sentence, the nearest name for a typing error, and a hint at the
+cause of a wrong value.
 """
 
 from __future__ import annotations
@@ -23,39 +23,39 @@ JsonSchema = dict[str, Any]
 
 
 class Problem(NamedTuple):
-    """One thing to mend."""
+    """One problem to fix."""
 
     where: str
-    """`file:line:column`, or the option of the command line that is at fault."""
+    """`file:line:column`, or the command-line option."""
     key: str
-    """Dotted, from the section on; empty where the trouble is a whole file."""
+    """Dotted path from the section on; empty if the problem is a whole file."""
     message: str
 
     def __str__(self) -> str:
-        """Return the one line a user reads."""
+        """Return the problem as one line for the user."""
         return ": ".join(part for part in self if part)
 
 
 class ConfigError(Exception):
-    """Settings that cannot be used, with everything that is wrong with them."""
+    """Settings that cannot be used; it carries all problems."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
-        """Keep the problems; they are the message, a line each."""
+        """Keep the problems; the message has one line each."""
         self.problems = tuple(problems)
         super().__init__("\n".join(map(str, self.problems)))
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where one of pydantic's error locations leads, followed through the JSON schema.
+    """The place of a pydantic error, followed through the JSON schema.
 
-    On the way pydantic names not only keys but also the members of unions it tried
-    (`controller.qsmc.lambda_per_s`); the schema tells the ones from the others.
+    Pydantic's locations name keys, but also the members of unions that it tried
+    (`controller.qsmc.lambda_per_s`); the schema tells them apart.
     """
 
     schema: JsonSchema
     nodes: tuple[JsonSchema, ...]
-    """What may stand here; several where a union's member is not known."""
+    """The schemas of this place; several if the member of a union is unknown."""
     at: KeyPath = ()
 
     def step(self, name: str | int) -> _Place:
@@ -69,16 +69,16 @@ class _Place:
         return _Place(self.schema, tuple(c for c in children if c is not None), (*self.at, name))
 
     def names(self) -> list[str]:
-        """Return the keys that may stand here."""
+        """Return the allowed keys of this place."""
         return list(dict.fromkeys(name for properties in self._properties() for name in properties))
 
     def description(self, name: str) -> str:
-        """Return what the model says of one of its keys."""
-        told = (p[name].get("description", "") for p in self._properties() if name in p)
-        return next(told, "")
+        """Return the model's description of one of its keys."""
+        descriptions = (p[name].get("description", "") for p in self._properties() if name in p)
+        return next(descriptions, "")
 
     def choices(self, tag: str) -> list[str]:
-        """Return the values of the key that tells a union's members apart."""
+        """Return the allowed values of the key that distinguishes a union's members."""
         tags = (properties.get(tag, {}) for properties in self._properties())
         return [value for tag in tags for value in tag.get("enum", [tag.get("const")])]
 
@@ -87,7 +87,7 @@ class _Place:
         return [member.get("properties", {}) for member in members]
 
     def _members(self, node: JsonSchema) -> list[JsonSchema]:
-        """Return the alternatives of a union, or the node itself; null is none of them."""
+        """Return the alternatives of a union without null, or else the node itself."""
         if "$ref" in node:
             return self._members(self.schema["$defs"][node["$ref"].rpartition("/")[2]])
         choices = node.get("oneOf", node.get("anyOf"))
@@ -115,27 +115,27 @@ _MISSING = "missing, and has no default"
 
 
 class _Complaint(NamedTuple):
-    """One of pydantic's errors: what the value must be, or else a whole message."""
+    """One pydantic error: what the value must be, or else a complete message."""
 
     at: KeyPath
     must: str = ""
     message: str = ""
     got: object = None
     meant: KeyPath | None = None
-    """The key that an unknown one seems to stand for."""
+    """The key that was probably meant instead of an unknown one."""
 
 
 def explain_errors(
     errors: Iterable[ErrorDetails], schema: JsonSchema, title: str
 ) -> dict[KeyPath, str]:
-    """Say of each place what is wrong there, in one message however many ways were tried."""
+    """Describe each place's problem in one message, however many alternatives were tried."""
     complaints = [_make_complaint(error, schema, title) for error in errors]
     meant = {complaint.meant for complaint in complaints}
     found: dict[KeyPath, list[_Complaint]] = {}
     for complaint in complaints:
         if not (
             complaint.message.startswith(_MISSING) and complaint.at in meant
-        ):  # one slip, one line
+        ):  # one mistake, one line
             found.setdefault(complaint.at, []).append(complaint)
     return {at: _join_complaints(at_one_place) for at, at_one_place in found.items()}
 
@@ -170,7 +170,7 @@ def _make_complaint(error: ErrorDetails, schema: JsonSchema, title: str) -> _Com
 
 
 def names_in(schema: JsonSchema) -> set[str]:
-    """Return the keys that a schema's mappings may hold."""
+    """Return the allowed keys of a schema's mappings."""
     return set(_follow_location(schema, ()).names())
 
 
@@ -233,7 +233,7 @@ _MUST = {
     "string_type": _TEXT,
     "tuple_type": _LIST,
 }
-"""Pydantic's error types, as the end of a sentence that begins with `must be`."""
+"""Pydantic's error types, as the rest of a sentence that begins with `must be`."""
 
 _UNIT = re.compile(
     r"per|length|(?:[muk]?m|inch|in|s)[23]?|[mun]s|min|k?hz|rad|deg|m?n|k?g|[km]?pa|bar|psi|atm"
@@ -242,7 +242,7 @@ _UNIT = re.compile(
 
 
 def _strip_unit(key: str) -> str:
-    """Return a key without the unit at its end: `lambda` of `lambda_per_s`."""
+    """Return a key without the unit at its end: `lambda` for `lambda_per_s`."""
     parts = key.lower().split("_")
     while len(parts) > 1 and _UNIT.fullmatch(parts[-1]):
         parts.pop()
@@ -250,7 +250,7 @@ def _strip_unit(key: str) -> str:
 
 
 def _guess_key(key: str, known: Sequence[str]) -> tuple[str, str]:
-    """Return the key that was probably meant ('' if none is near), and how to say so."""
+    """Return the key that was probably meant ('' if none is near), and a hint with it."""
     stems = {_strip_unit(name): name for name in reversed(known)}
     if _strip_unit(key) in stems and key not in known:
         name = stems[_strip_unit(key)]
@@ -264,13 +264,13 @@ def _guess_key(key: str, known: Sequence[str]) -> tuple[str, str]:
 
 
 def join_choices(values: Iterable[object]) -> str:
-    """Write a choice: `'a', 'b' or 'c'`."""
+    """Write alternatives: `'a', 'b' or 'c'`."""
     *first, last = (f"'{value}'" if isinstance(value, str) else str(value) for value in values)
     return f"{', '.join(first)} or {last}" if first else last
 
 
 def _show_value(value: object) -> str:
-    """Show a value as the user wrote it, or what kind of thing it is."""
+    """Show a value as the user wrote it, or its kind."""
     if value is None or isinstance(value, dict):
         return "nothing" if value is None else "a mapping"
     if isinstance(value, float) and not math.isfinite(value):
@@ -280,7 +280,7 @@ def _show_value(value: object) -> str:
 
 
 def _hint_at_habit(musts: Sequence[str], got: object) -> str:
-    """Name the habit behind a wrong value, where there is a common one."""
+    """Hint at a common cause of a wrong value."""
     if got is None and _MAPPING in musts:
         return "; leave the key out, or write {}"
     if not isinstance(got, str):

@@ -1,8 +1,7 @@
 """From names, files and overrides to one validated, immutable `RunSettings`.
 
-The models stand beside what they configure; this module finds the files, lays the
-overrides over them, and says what is wrong in the user's words: one line a problem,
-with the file and line, all problems at once.
+The models are beside the code that they configure. This module finds the files, applies the
+overrides, and reports all problems at once: one line a problem, with file and line.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ Settings = TypeVar("Settings")
 
 
 class RunSettings(Configured):
-    """All that a run depends on; embedded in its log, and rebuilt from there by replay."""
+    """All settings of a run. The log embeds them, and a replay rebuilds them from there."""
 
     controller: ControllerSettings
     experiment: ExperimentSettings
@@ -87,7 +86,7 @@ SECTIONS: Mapping[str, TypeAdapter[Any]] = {
 }
 """One folder of `config/` each."""
 KINDS: Mapping[str, TypeAdapter[Any]] = {**SECTIONS, "import-map": TypeAdapter(ImportMap)}
-"""Every file that a user writes: the sections of a run, and what `pamctl log import` reads."""
+"""Every kind of file that users write: the sections of a run, and the map of an import."""
 
 DEFAULT_NAMES: Mapping[str, str] = {
     "controller": "qsmc",
@@ -95,11 +94,11 @@ DEFAULT_NAMES: Mapping[str, str] = {
     "rig": "sim",
     "plant": "paper",
 }
-"""What `pamctl run` runs when it is told nothing."""
+"""The defaults of `pamctl run`."""
 
 
 _CHOSEN_BY_FILE = {"controller": "law", "rig": "backend", "experiment": "kind"}
-"""The key of a section that says which keys stand beside it."""
+"""The key of a section that decides which other keys it has."""
 
 
 # --- the whole way ---------------------------------------------------------------------
@@ -118,7 +117,7 @@ def resolve(
     readonly: bool | None = None,
     rt: str | None = None,
 ) -> RunSettings:
-    """Settle a run from the command line's words; what is None takes its default.
+    """Resolve a run from command-line values; None means the default.
 
     Sections are names of shipped files or paths; overrides read `controller.lambda_per_s=12`.
     Raises `ConfigError`.
@@ -144,7 +143,7 @@ def resolve(
 
 
 def check_config_file(path: Path) -> str:
-    """Validate one file by itself and return its kind: a section, or `run` for a resolved one.
+    """Validate a single file and return its kind: a section, or `run` for a resolved run.
 
     Raises `ConfigError`.
     """
@@ -158,7 +157,7 @@ def check_config_file(path: Path) -> str:
 
 
 def kind_of(path: Path, data: Mapping[str, object]) -> str:
-    """Tell a file's kind from its folder, or else from the keys it holds."""
+    """Tell a file's kind from its folder, or else from its keys."""
     if path.resolve().parent.name in SECTIONS:
         return path.resolve().parent.name
     known = {kind: names_in(adapter.json_schema()) & data.keys() for kind, adapter in KINDS.items()}
@@ -171,36 +170,36 @@ def kind_of(path: Path, data: Mapping[str, object]) -> str:
 
 
 def settings_to_data(settings: Configured) -> dict[str, Any]:
-    """Return settings as mappings, lists and scalars, every default spelled out.
+    """Return settings as mappings, lists and scalars, with all defaults.
 
-    What is None is left out: in every model here None is the default wherever it is allowed.
+    Values that are None are left out: in every model, None is the default where it is allowed.
     """
     return settings.model_dump(mode="json", round_trip=True, exclude_none=True)
 
 
 def settings_to_yaml(settings: Configured) -> str:
-    """Write settings as YAML; of a `RunSettings`, `from_resolved` returns the equal."""
+    """Write settings as YAML; `from_resolved` reads a `RunSettings` back unchanged."""
     return dump_yaml(settings_to_data(settings))
 
 
 def settings_to_json(settings: Configured) -> str:
-    """Write settings as one JSON document, which `from_resolved` reads as well."""
+    """Write settings as one JSON document, which `from_resolved` can read too."""
     return json.dumps(settings_to_data(settings), indent=2, allow_nan=False)
 
 
 def from_resolved(text: str, name: str = "resolved configuration") -> RunSettings:
     """Rebuild a run from the text of `settings_to_yaml` or `settings_to_json`.
 
-    Errors call the text by `name`.
+    Errors refer to the text by `name`.
     """
     return validate_settings(RUN, RawSettings.parse(text, Path(name)))
 
 
 def build_config_schema() -> JsonSchema:
-    """Return the one JSON schema for the files of all sections, whichever an editor opens.
+    """Return one JSON schema for the files of all sections.
 
-    The alternatives are the models themselves, not the sections: an editor then measures
-    a file against `qsmc` or `tracking`, and completes the keys of that one.
+    The alternatives are the models, not the sections: an editor then checks a file against `qsmc`
+    or `tracking`, and completes the keys of that model.
     """
     mode: Literal["validation"] = "validation"
     sections, shared = TypeAdapter.json_schemas(
@@ -224,14 +223,14 @@ def config_dir() -> Path:
 
 
 def list_shipped(section: str) -> list[str]:
-    """Return what is shipped for one section."""
+    """Return the names of the shipped files of one section."""
     return sorted(path.stem for path in (config_dir() / section).glob("*.yaml"))
 
 
 def find_config_file(section: str, name: str, option: str = "") -> Path:
-    """Return the file that a name or path on the command line means; raise `ConfigError`.
+    """Return the file for a name or path on the command line; raise `ConfigError`.
 
-    `option` is what the user wrote before the name, if that is not called as its section.
+    `option` is the text before the name in messages; default: `--` and the section.
     """
     if Path(name).suffix in {".yaml", ".yml"} or Path(name).name != name:
         return Path(name)
@@ -245,7 +244,7 @@ def find_config_file(section: str, name: str, option: str = "") -> Path:
 
 
 def shorten_path(path: Path) -> str:
-    """Return a path as short as a terminal opened here needs it."""
+    """Return a path as short as it can be from the working directory."""
     try:
         return str(path.resolve().relative_to(Path.cwd()))
     except (ValueError, OSError):
@@ -257,7 +256,7 @@ def shorten_path(path: Path) -> str:
 
 @dataclass
 class RawSettings:
-    """Values as written, and where each was written."""
+    """Unvalidated values, and the place where each was written."""
 
     data: dict[str, Any] = field(default_factory=dict)
     origins: dict[KeyPath, str] = field(default_factory=dict)
@@ -269,8 +268,8 @@ class RawSettings:
 
     @classmethod
     def parse(cls, text: str, path: Path) -> RawSettings:
-        """Read YAML or JSON text; `path` is what errors call it."""
-        try:  # JSON first: its escaped surrogate pairs are the one thing YAML reads otherwise
+        """Read YAML or JSON text; errors call it `path`."""
+        try:  # JSON first: only its escaped surrogate pairs mean something else in YAML.
             data = json.loads(text)
         except (ValueError, RecursionError):
             data = None
@@ -288,15 +287,15 @@ class RawSettings:
         return cls(document.data, {at: f"{document.path}:{m.line}:{m.column}" for at, m in places})
 
     def add_section(self, section: str, name: str) -> None:
-        """Take in the file of a section, given by name or path; raise `ConfigError`."""
+        """Read the file of a section, given by name or path; raise `ConfigError`."""
         file = RawSettings.read(find_config_file(section, name))
         self.data[section] = file.data
         self.origins |= {(section, *at): origin for at, origin in file.origins.items()}
 
     def put(self, keys: Sequence[str], value: object, origin: str) -> None:
-        """Set one value, making the mappings on the way to it.
+        """Set one value; create the mappings on the way to it.
 
-        Raises `LookupError` where the way leads through something that holds no keys.
+        Raises `LookupError` if the path leads through a value without keys.
         """
         container: Any = self.data
         at: KeyPath = ()
@@ -314,7 +313,7 @@ class RawSettings:
         self.origins[at] = origin
 
     def override(self, text: str) -> None:
-        """Lay one `section.key=value` over the files; raise `ConfigError` naming the option."""
+        """Apply one `section.key=value` override; raise `ConfigError` with the option's text."""
         origin = f"--set {text}"
         key, equals, value = (part.strip() for part in text.partition("="))
         keys = key.split(".")
@@ -331,7 +330,7 @@ class RawSettings:
             raise ConfigError([Problem(origin, key, str(error.args[0]))]) from None
 
     def _require_same_model(self, keys: Sequence[str], value: object, origin: str) -> None:
-        """Refuse to turn one file's keys into those of another law, backend or experiment."""
+        """Refuse an override that changes the law, backend or experiment of a file."""
         section, _, key = ".".join(keys).partition(".")
         if _CHOSEN_BY_FILE.get(section) != key:
             return
@@ -345,11 +344,11 @@ class RawSettings:
         raise ConfigError([Problem(origin, ".".join(keys), message)])
 
     def origin(self, at: KeyPath) -> str:
-        """Return where a value, or else the nearest mapping around it, was written."""
+        """Return the place where a value, or the nearest mapping around it, was written."""
         return next((self.origins[near] for near in _walk_outwards(at) if near in self.origins), "")
 
     def rank(self, at: KeyPath) -> int:
-        """Return the place of a value in the order of writing."""
+        """Return the position of a value in the order of writing."""
         order = list(self.origins)
         return next((order.index(near) for near in _walk_outwards(at) if near in self.origins), 0)
 
@@ -369,7 +368,7 @@ def _walk_outwards(at: KeyPath) -> Iterable[KeyPath]:
 
 
 def _run_together(steps: Iterable[Callable[[], None]]) -> None:
-    """Take every step, and only then raise the problems of them all."""
+    """Run all steps, then raise the problems of all of them."""
     problems: list[Problem] = []
     for step in steps:
         try:
@@ -383,10 +382,10 @@ def _run_together(steps: Iterable[Callable[[], None]]) -> None:
 def validate_settings(
     adapter: TypeAdapter[Settings], raw: RawSettings, title: str = ""
 ) -> Settings:
-    """Make settings of raw values; `title` is the section they are, if they are one by itself.
+    """Validate raw values; `title` names the section if the values are a single section.
 
-    Raises `ConfigError`. The values go in as JSON, because pydantic is then strict about
-    types (no text for a number, no 1 for true) and still takes a list for a tuple.
+    Raises `ConfigError`. Values are passed to pydantic as JSON: it is then strict about types (no
+    text for a number, no 1 for true) but accepts a list for a tuple.
     """
     try:
         return adapter.validate_json(json.dumps(raw.data), strict=True)

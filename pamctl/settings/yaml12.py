@@ -1,10 +1,9 @@
-"""YAML 1.2 in, YAML 1.2 out, and the line of every key.
+"""Read and write YAML 1.2, with the line of every key.
 
-PyYAML speaks YAML 1.1, in which `1e-4` is text, `on` is true, `010` is eight,
-`1:30` is ninety, and the last of two equal keys wins in silence. A gain lost in
-any of these ways moves a muscle. Here scalars follow the YAML 1.2 core schema
-(https://yaml.org/spec/1.2.2/, section 10.3), equal keys are an error, and
-whatever is wrong with a file ends in one `YamlError` that says where.
+PyYAML implements YAML 1.1: `1e-4` is text, `on` is true, `010` is eight, `1:30` is ninety, and of
+two equal keys the last one wins silently. A wrong gain moves a muscle. Here scalars follow the
+YAML 1.2 core schema (https://yaml.org/spec/1.2.2/, section 10.3), equal keys are an error, and
+every problem of a file becomes one `YamlError` with its place.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ import yaml
 from pamctl.regular_file import describe_irregular_file
 
 KeyPath = tuple[str | int, ...]
-"""The way to a value: keys of mappings, indices of lists."""
+"""The path to a value: keys of mappings, indices of lists."""
 
 MAX_BYTES = 256 * 1024
-"""Far above any settings file, far below what would stall the pure-Python scanner."""
+"""Far above any settings file, and far below a size that would stall the Python scanner."""
 MAX_VALUES = 20_000
-"""Counted with aliases written out, so that nine lines cannot become a billion values."""
+"""Counted with aliases expanded, so that nine lines cannot become a billion values."""
 MAX_DEPTH = 40
-"""Of nesting, likewise with aliases written out."""
+"""Levels of nesting, also with aliases expanded."""
 
 
 class FilePosition(NamedTuple):
@@ -40,34 +39,34 @@ class FilePosition(NamedTuple):
 
 @dataclass(frozen=True)
 class YamlDocument:
-    """The one mapping that a file holds."""
+    """The mapping that a file holds."""
 
     data: dict[str, object]
     path: Path
     marks: dict[KeyPath, FilePosition]
-    """Where each key (or list item) stands; `()` is the start of the mapping itself.
+    """The place of each key or list item; `()` is the start of the mapping itself.
 
-    Values below an alias carry the place where they are written out.
+    Values within an alias have their place at its anchor.
     """
 
 
 class YamlError(Exception):
-    """A file that cannot be read as one YAML mapping: one line, with the place."""
+    """A file that is not one valid YAML mapping: one line, with the place."""
 
     def __init__(self, message: str, path: Path, mark: FilePosition | None = None) -> None:
-        """`mark` is absent when the trouble is the file itself and not a line of it."""
+        """`mark` is missing if the problem is the file itself, not a line of it."""
         self.message = message
         self.where = f"{path}:{mark.line}:{mark.column}" if mark else str(path)
         super().__init__(f"{self.where}: {message}")
 
 
 def load_yaml(path: Path) -> YamlDocument:
-    """Read one file. Raises `YamlError`, and nothing else, whatever the file holds."""
+    """Read one file. Raises only `YamlError`, whatever the file holds."""
     return parse_yaml(_read_text(path), path)
 
 
 def parse_yaml(text: str, path: Path) -> YamlDocument:
-    """Read YAML text; `path` is what its errors call it."""
+    """Read YAML text; errors call it `path`."""
     builder = _Builder()
     with _translate_errors(path):
         root = _compose(text)
@@ -88,9 +87,9 @@ def parse_yaml_value(text: str) -> object:
 
 
 def dump_yaml(data: object) -> str:
-    """Write mappings, lists and scalars so that `parse_yaml` returns them equal, floats to the bit.
+    """Write mappings, lists and scalars; `parse_yaml` returns them equal, floats to the bit.
 
-    What YAML 1.1 would misread (`on`, `1e-4` as text) is quoted too, for the sake of other tools.
+    Texts that YAML 1.1 would misread (`on`, `1e-4`) are quoted for the sake of other tools.
     """
     text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
     return text
@@ -127,7 +126,7 @@ _RESOLVERS = [(tag, pattern) for tag, (pattern, _) in _CORE.items()]
 
 
 class _Loader(yaml.SafeLoader):
-    """PyYAML's scanner and composer, with the resolvers of YAML 1.2 and a bound on depth."""
+    """PyYAML's scanner and composer with the resolvers of YAML 1.2 and a limit of depth."""
 
     yaml_implicit_resolvers = {None: _RESOLVERS}  # noqa: RUF012  (PyYAML's own declaration)
     _depth = 0
@@ -151,7 +150,7 @@ class _Dumper(yaml.SafeDumper):
         return True
 
     def represent_text(self, text: str) -> yaml.ScalarNode:
-        # Other styles would fold line breaks, among them U+0085 and U+2028.
+        # Other styles would fold line breaks, also U+0085 and U+2028.
         style = None if text.isprintable() else '"'
         return self.represent_scalar(f"{_TAG}str", text, style)
 
@@ -163,7 +162,7 @@ _Dumper.add_representer(str, _Dumper.represent_text)
 
 
 class _Builder:
-    """Turns nodes into values, noting where each key stands."""
+    """Turns nodes into values, and notes the place of each key."""
 
     def __init__(self) -> None:
         self.marks: dict[KeyPath, FilePosition] = {}
@@ -215,7 +214,7 @@ def _read_scalar(node: yaml.Node) -> object:
         _refuse(f"{_shorten(node.value)} is not {kind}", node.start_mark)
     try:
         return convert(node.value)
-    except ValueError:  # Python's own bound on the digits of a whole number
+    except ValueError:  # Python's own limit on the digits of an integer
         _refuse(f"{_shorten(node.value)} has too many digits", node.start_mark)
 
 
@@ -244,7 +243,7 @@ _PLAINLY = (
     ("could not find expected ':'", "a key without ':'"),
     ("but found another document", "only one document may stand in a file"),
 )
-"""What PyYAML says, and what a person would."""
+"""PyYAML's message, and a message for people."""
 
 
 def _read_text(path: Path) -> str:
@@ -280,7 +279,7 @@ def _compose(text: str) -> yaml.Node | None:
 
 @contextmanager
 def _translate_errors(path: Path) -> Iterator[None]:
-    """Turn whatever PyYAML raises into the one error of this module."""
+    """Turn every error of PyYAML into `YamlError`."""
     try:
         yield
     except yaml.MarkedYAMLError as error:

@@ -1,5 +1,5 @@
-"""Whole runs by simulation, without processes: the tick and the plant, compiled.
+"""Simulate whole runs without processes: tick and plant, compiled.
 
-`merit.py` has the figures of merit that every page and table uses.
+`merit.py` has the figures of merit that all pages and tables use.
 Read `closed_loop.py` first.
 """

@@ -1,4 +1,4 @@
-"""A run as a batch: the settings of `pamctl run` on the compiled closed loop, and its figures."""
+"""Simulate a run of `pamctl run` on the compiled closed loop, and compute its figures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A simulated run from the vented muscle, without a homing before it."""
+    """A simulated run from the vented muscle, without homing."""
 
     settings: RunSettings
     run: BatchRun
@@ -35,7 +35,7 @@ class SimulatedRun:
 
     @property
     def tripped_s(self) -> float | None:
-        """When safety ended the run; None if it did not."""
+        """Time at which safety ended the run; None if it did not."""
         return None if self.run.tripped_tick < 0 else float(self.t_s[-1])
 
     @property
@@ -44,7 +44,7 @@ class SimulatedRun:
         return self.run["position_m"] - self.run["reference_m"]
 
     def merit(self) -> Merit | None:
-        """Return the figures of the run; None where safety ended it, or nothing was tracked."""
+        """Return the figures of merit; None if safety ended the run, or nothing was tracked."""
         if self.run.tripped_tick >= 0:
             return None
         return compute_merit(self.t_s, self.run["phase"].astype(np.int64), self.error_m)
@@ -70,11 +70,11 @@ def simulate_run(settings: RunSettings) -> SimulatedRun:
 
 
 def simulate_merit(settings: RunSettings) -> Merit | None:
-    """Simulate a run from the vented muscle; return its figures, or None where safety ended it."""
+    """Simulate a run from the vented muscle; return its figures, None if safety ended it."""
     return simulate_run(settings).merit()
 
 
-# Tabulated in plain Python, these two would cost more than the run: many runs share them.
+# Both are computed in plain Python and take longer than a run; many runs share them.
 @lru_cache(maxsize=8)
 def _tabulate(course: tuple[Segment, ...], period_s: float, duration_s: float | None) -> Floats:
     return tabulate_references(course, period_s, duration_s)

@@ -1,7 +1,7 @@
 """The closed loop in one compiled batch: plant, sensors, tick, valve.
 
-It calls the very kernels that the loop process and the simulated rig call, in the same
-order; a test holds the two equal tick by tick. Tuning and diagnosis run on it.
+It calls the same kernels as the loop process and the simulated rig, in the same order; a test
+compares the two tick by tick. Tuning and diagnosis run on it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class BatchRow(NamedTuple):
-    """What the batch keeps of each tick."""
+    """The values that the batch keeps of each tick."""
 
     true_position_m: float
     true_pressure_pa: float
@@ -48,7 +48,7 @@ class BatchRow(NamedTuple):
 
 @dataclass(frozen=True)
 class BatchRun:
-    """One batch simulation: columns of `BatchRow`, each of the same length as `reference`."""
+    """One batch simulation: columns of `BatchRow`, each as long as `reference`."""
 
     reference: NDArray[np.float64]
     rows: NDArray[np.float64]
@@ -65,7 +65,7 @@ class BatchRun:
 def tabulate_references(
     segments: Sequence[Segment], period_s: float, duration_s: float | None = None
 ) -> NDArray[np.float64]:
-    """Tabulate an experiment at the ticks: one row a tick, columns of `Reference`."""
+    """Tabulate an experiment: one row a tick, columns of `Reference`."""
     course = Course(segments, duration_s)
     period_ns = round(period_s * 1e9)  # the loop's clock counts whole nanoseconds
     rows: list[Reference] = []
@@ -75,7 +75,7 @@ def tabulate_references(
 
 
 def draw_sensor_noise(ticks: int, seed: int) -> NDArray[np.float64]:
-    """Draw the noise that a simulated rig with this seed draws."""
+    """Draw the same noise as a simulated rig with this seed."""
     gauss = random.Random(seed).gauss
     return np.array([gauss(0.0, 1.0) for _ in range(ticks)])
 
@@ -91,9 +91,9 @@ def simulate(
     output_delay_ticks: int = 0,
     longest_step_s: float = LONGEST_STEP_S,
 ) -> BatchRun:
-    """Run the closed loop over a table of references from the vented muscle at rest.
+    """Run the closed loop on a table of references, from the vented muscle at rest.
 
-    `reference` and `noise` have one row a tick. Ends early where safety trips.
+    `reference` and `noise` have one row a tick. The run ends early if safety trips.
     """
     rows = np.full((len(reference), len(BatchRow._fields)), math.nan)
     start = vented_state(plant)

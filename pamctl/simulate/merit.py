@@ -1,7 +1,7 @@
-"""Figures of merit of a tracking run, and the paper's Table IV to hold them against.
+"""Figures of merit of a tracking run, and the paper's Table IV for comparison.
 
-The error is measured displacement minus reference, the approach left out. Steady state
-is the last 5 s of each rest. A simulated run also has the true displacement.
+The error is measured displacement minus reference, without the approach. Steady state is the last
+5 s of each rest. A simulated run also has the true displacement.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 class Merit(NamedTuple):
-    """Errors in m; `steady_m` is NaN where nothing rested long enough."""
+    """Errors in m; `steady_m` is NaN if no rest was long enough."""
 
     max_m: float
     rms_m: float
@@ -44,7 +44,7 @@ TABLE_IV = (
 
 
 def compute_merit(t_s: Floats, phase: NDArray[np.int64], error_m: Floats) -> Merit | None:
-    """Return the figures of an error signal, all arrays of shape (n,); None if nothing tracked."""
+    """Return the figures of an error signal, arrays of shape (n,); None if nothing was tracked."""
     counted = (phase == Phase.TRACK) | (phase == Phase.REST)
     errors = np.abs(error_m[counted])
     if not len(errors):
@@ -58,13 +58,13 @@ def compute_merit(t_s: Floats, phase: NDArray[np.int64], error_m: Floats) -> Mer
 
 
 def _find_steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
-    """Return the last 5 s of each rest that lasts at least that long."""
+    """Return the last 5 s of each rest that lasts at least 5 s."""
     resting = np.concatenate(([False], phase == Phase.REST, [False]))
     begins = np.flatnonzero(~resting[:-1] & resting[1:])
     ends = np.flatnonzero(resting[:-1] & ~resting[1:])
     parts = []
     for begin, end in zip(begins, ends, strict=True):
-        # A tick stands for the time until the next; half a tick forgives their rounding.
+        # A tick lasts until the next one; half a tick allows for rounding.
         tick_s = (t_s[end - 1] - t_s[begin]) / max(1, end - 1 - begin)
         first = int(np.searchsorted(t_s[:end], t_s[end - 1] + 0.5 * tick_s - STEADY_S))
         if first > begin or t_s[end - 1] - t_s[begin] + 1.5 * tick_s >= STEADY_S:
@@ -73,7 +73,7 @@ def _find_steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
 
 
 def compute_log_merits(log: Log) -> dict[str, Merit | None]:
-    """Return the figures of a log: `measured`, and `true` where the rig was simulated."""
+    """Return the figures of a log: `measured`, and `true` if the rig was simulated."""
     t_s, phase, reference = log["t_s"], log["phase"], log["reference_m"]
     figures = {"measured": compute_merit(t_s, phase, log["position_m"] - reference)}
     if np.isfinite(log["true_position_m"]).any():
@@ -82,7 +82,7 @@ def compute_log_merits(log: Log) -> dict[str, Merit | None]:
 
 
 class DurationSpread(NamedTuple):
-    """Distribution of a duration, in s."""
+    """The distribution of durations, in s."""
 
     p50_s: float
     p99_s: float
@@ -96,7 +96,7 @@ def summarise_durations(durations_s: Floats) -> DurationSpread:
 
 
 def summarise_timing(log: Log) -> dict[str, DurationSpread]:
-    """Return how late the loop woke up, how long the tick took, and the rig's reads and writes."""
+    """Return the distributions of wake-up lateness, tick duration, rig reads and rig writes."""
     return {
         "wake_up": summarise_durations(log["late_s"]),
         "tick": summarise_durations(log["compute_s"]),

@@ -327,7 +327,7 @@ def test_when_all_are_killed_at_once_the_next_run_finishes_the_log(tmp_path: Pat
     assert ring
     time.sleep(2.1)  # a ring younger than that might belong to a run that is just starting
     done = pamctl("run", "--fast", "--duration", "0.1", "--log", "next.mcap", cwd=tmp_path)
-    assert f"a run died before ({ring}): finished {tmp_path / 'run.mcap'}" in done.stderr
+    assert f"an earlier run died ({ring}): finished {tmp_path / 'run.mcap'}" in done.stderr
     assert done.returncode == 0
     assert not ring.exists()
     log = read(tmp_path / "run.mcap")

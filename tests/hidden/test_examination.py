@@ -48,21 +48,23 @@ def test_an_effect_whose_derivatives_promise_nothing_is_found_by_its_fit() -> No
     assert [effect["name"] for effect in document["effects"]] == ["encoder_scale"]
 
 
-def test_an_examination_that_was_cut_short_is_taken_up(tmp_path: Path) -> None:
+def test_an_examination_that_was_cut_short_is_resumed(tmp_path: Path) -> None:
     suite = runpy.run_path(str(ROOT / "scripts" / "hidden_suite.py"))
     results = tmp_path / "results.jsonl"
     first, second = REFUSED[:2]
 
-    def examined(*cases: Case) -> dict[str, Any]:
+    def run_suite(*cases: Case) -> dict[str, Any]:
         tasks = {suite["key"](case): case for case in cases}
-        found: dict[str, Any] = suite["taken_up"](tasks, suite["examined"], results, workers=1)
+        found: dict[str, Any] = suite["run_resumable"](
+            tasks, suite["examine_case"], results, workers=1
+        )
         return found
 
-    examined(first)
+    run_suite(first)
     done = results.read_text()
     with results.open("a") as file:
         file.write(done[: len(done) // 2] + "\n")  # what a kill leaves of a line
-    found = examined(first, second)
+    found = run_suite(first, second)
     assert {value["document"]["verdict"] for value in found.values()} == {"bad_data"}
     assert results.read_text().startswith(done)
     assert len(results.read_text().splitlines()) == 3, "the first case was not run again"

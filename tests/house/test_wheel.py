@@ -1,4 +1,4 @@
-"""What is installed elsewhere: the wheel holds all that the code looks for."""
+"""The installed package: the wheel holds all files that the code needs."""
 
 from __future__ import annotations
 

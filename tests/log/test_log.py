@@ -1,4 +1,4 @@
-"""The log: what was put is what is read, here and by readers that others wrote."""
+"""The log: every value is read as it was written, by us and by foreign readers."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def log_path(tmp_path_factory) -> Path:
     return log_run(directory / "pamctl-log.ring", directory / "run.mcap", TICKS, rows=1024)
 
 
-# What was put is what is read.
+# Every value is read as it was written.
 
 
 def test_every_column_of_every_tick_is_read_as_it_was_put(log_path):
@@ -205,7 +205,7 @@ def test_a_unit_is_what_the_suffix_of_the_name_says(name, unit):
     assert unit_of_column(name) == unit
 
 
-# Readers that others wrote.
+# Foreign readers.
 
 
 def test_the_stock_protobuf_decoder_reads_every_tick_as_it_was_put(log_path):
@@ -232,13 +232,13 @@ def test_the_stock_reader_finds_units_and_schema_version_beside_the_channel(log_
 
 
 def missing(why: str) -> None:
-    """Skip, except where everything is meant to be there."""
+    """Skip, unless the environment promises that everything is installed."""
     (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(why)
 
 
 @pytest.fixture(scope="module")
 def foreign_reader(request) -> Callable[[Path], dict[str, Any]]:
-    """Return a reader in another language, by another author: @mcap/core, protobufjs."""
+    """Return a foreign reader in another language: @mcap/core, protobufjs."""
     if shutil.which("npm") is None:
         missing("npm is not installed")
     home = request.config.cache.mkdir("foreign")
@@ -321,11 +321,11 @@ def test_a_foreign_reader_reads_every_golden_log_as_we_do(path, foreign_reader):
             assert found == pytest.approx(float(column[ours]), nan_ok=True, abs=0), name
 
 
-# Logs that another version wrote.
+# Logs of another version.
 
 
 def write_ticks(path: Path, descriptor: bytes, payloads: list[bytes], encoding: str = "protobuf"):
-    """Write a log of ticks by another hand."""
+    """Write a log of ticks with a foreign writer."""
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.LZ4)
         writer.start()
@@ -387,7 +387,7 @@ def test_fields_in_another_order_on_the_wire_are_not_taken_for_each_other(tmp_pa
 def test_a_tick_without_an_integer_is_refused_since_no_integer_means_missing(tmp_path):
     descriptor = tick_descriptor(TICK_FIELDS)
     write_ticks(tmp_path / "a.mcap", descriptor, [proto_class(descriptor)().SerializeToString()])
-    with pytest.raises(LogError, match="version we cannot read: a tick lacks its tick"):
+    with pytest.raises(LogError, match="version that cannot be read: a tick lacks its tick"):
         read(tmp_path / "a.mcap")
 
 

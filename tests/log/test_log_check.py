@@ -1,4 +1,4 @@
-"""`pamctl log check` and `recover`: what is wrong with a file is named, and nothing else is."""
+"""`pamctl log check` and `recover`: they name what is wrong with a file, and nothing else."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def kinds(report: LogCheckReport, severity: Severity = Severity.ERROR) -> set[st
     return {finding.kind for finding in report.findings if finding.severity == severity}
 
 
-# What is as it should be.
+# Valid logs.
 
 
 def test_the_log_of_a_run_passes_without_a_word(run):
@@ -95,7 +95,7 @@ def test_ticks_that_were_missed_and_counted_are_a_note_and_no_error(tmp_path):
     assert kinds(report, Severity.NOTE) == {"missed"}
 
 
-# What is not.
+# Invalid logs.
 
 
 def with_one(values: Any, index: int, value: Any) -> Any:

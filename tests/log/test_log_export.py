@@ -1,4 +1,4 @@
-"""What is exported is what was logged, to the bit, in every format, with its units."""
+"""An export equals the log to the bit, in every format, with its units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever happens to a file: no traceback, and no wrong value that is passed off as good."""
+"""However a file is damaged: no traceback, and no wrong value that looks right."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _thousands_of_files_need_not_reach_the_disk(monkeypatch):
 
 
 def written(path: Path, content: bytes) -> Path:
-    """Write a file anew: one that is emptied first makes some file systems wait for the disk."""
+    """Write a new file: emptying an existing one makes some file systems wait for the disk."""
     path.unlink(missing_ok=True)
     path.write_bytes(content)
     return path
@@ -51,7 +51,7 @@ def rows(log: Log) -> dict[int, dict[str, Any]]:
 def assert_nothing_wrong_is_passed_as_good(
     original: Log, damaged: Path, *, by_all: bool = True
 ) -> Recovery | None:
-    """Put a damaged file to `read` and `recover`, or to all tools; return what `recover` says."""
+    """Give a damaged file to `read` and `recover`, or to all tools; return the recovery."""
     with pytest.raises(LogError):
         read(damaged)
     if by_all:
@@ -73,7 +73,7 @@ def assert_nothing_wrong_is_passed_as_good(
 
 
 def assert_true_of(original: Log, saved: Log, recovery: Recovery) -> None:
-    """Everything that was saved is what it was."""
+    """Check that everything that was saved equals the original."""
     truth = rows(original)
     assert all(row == truth[tick] for tick, row in rows(saved).items())
     assert all(event in original.events for event in saved.events)
@@ -94,7 +94,7 @@ def test_a_log_cut_anywhere_is_refused_and_what_is_saved_of_it_is_true(whole, tm
         cut = written(tmp_path / "a.mcap", content[:end])
         recovery = assert_nothing_wrong_is_passed_as_good(original, cut, by_all=end % 7 == 0)
         ticks = recovery.messages.get("/pam/tick", 0) if recovery else 0
-        assert ticks >= saved  # a byte more is never worth less
+        assert ticks >= saved  # a longer prefix never saves less
         saved = ticks
     assert saved == len(original)
 
@@ -109,7 +109,7 @@ def test_a_flipped_bit_is_refused_and_what_is_saved_is_true(whole, tmp_path):
         hurt = written(tmp_path / "a.mcap", flipped)
         recovery = assert_nothing_wrong_is_passed_as_good(original, hurt, by_all=count % 4 == 0)
         fewest = min(fewest, recovery.messages.get("/pam/tick", 0) if recovery else 0)
-    # One bit costs one chunk: the rest is found behind it, wherever the bit was.
+    # One bit costs one chunk: the rest is found after it, wherever the bit was.
     assert fewest == len(original) - CHUNK_TICKS
 
 

@@ -1,4 +1,4 @@
-"""Importing what other systems measured: into SI exactly, and nothing doubtful in silence."""
+"""Imports of foreign measurements: exact in SI, and every doubt is reported."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def write_csv(path: Path, columns: dict[str, Any], delimiter: str = ",") -> Path
 
 
 class Outcome:
-    """What the command said and left behind."""
+    """The output of the command, and the files it left."""
 
     def __init__(self, source: Path, *options: str) -> None:
         self.path = source.with_suffix(".mcap")
@@ -68,7 +68,7 @@ def with_one(values: Any, index: int, value: float) -> Any:
     return copy
 
 
-# What is understood.
+# Accepted files.
 
 
 def test_the_standard_header_needs_no_map_and_every_number_survives_to_the_bit(tmp_path):
@@ -235,7 +235,7 @@ def test_a_file_that_is_not_there_is_named_with_its_path(tmp_path, name):
     assert f"cannot read {tmp_path / name}: No such file or directory" in done.stderr
 
 
-# What stops an import.
+# Errors that stop an import.
 
 
 @pytest.mark.parametrize(
@@ -250,7 +250,7 @@ def test_a_file_that_is_not_there_is_named_with_its_path(tmp_path, name):
         (changed(pressure_pa=GAUGE_PA / 1e5), "unit", "bar"),
         (changed(position_m=POSITION_M * 1e3), "unit", "position_mm"),
         (changed(valve_v=VALVE_V + 5.0), "unit", "0..10 V"),
-        (changed(position_m=np.full_like(T_S, np.nan)), "not-finite", "no value at all"),
+        (changed(position_m=np.full_like(T_S, np.nan)), "not-finite", "has no values"),
         ({"t_s": T_S, "valve_v": VALVE_V}, "columns", "nothing was measured"),
         ({name: column[:1] for name, column in GOOD.items()}, "rows", "there is 1 row"),
         ({name: column[:0] for name, column in GOOD.items()}, "rows", "there are 0 rows"),
@@ -359,7 +359,7 @@ def test_an_import_never_overwrites(tmp_path):
     assert (tmp_path / "a.mcap").read_bytes() == b"precious"
 
 
-# What is worth a warning.
+# Warnings.
 
 
 @pytest.mark.parametrize(

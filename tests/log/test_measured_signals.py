@@ -1,4 +1,4 @@
-"""What offline tools see of a log is the same, whether we ran the rig or another system did."""
+"""Offline tools see the same signals in a log of ours and in an imported one."""
 
 from __future__ import annotations
 

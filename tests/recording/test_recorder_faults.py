@@ -1,4 +1,4 @@
-"""Whatever dies, fills up or is in the way: no row that was put is lost, no file overwritten."""
+"""Whichever process dies, and when the disk is full: no row is lost, no file overwritten."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def put_with_events(ring: Ring, ticks: range) -> None:
 
 
 def assert_complete(log: Path, ticks: int) -> None:
-    """Check that each tick and each event of `put_with_events` is there, once, as it was put."""
+    """Check that each tick and each event of `put_with_events` is in the log once, unchanged."""
     seen = read(log)
     assert seen["tick"].tolist() == list(range(ticks))
     for index in range(0, ticks, 97):
@@ -167,7 +167,7 @@ def test_dying_on_either_side_of_the_exchange_of_the_files_leaves_one_log(log, d
     assert list(log.parent.iterdir()) == [log]
 
 
-# Others die, or say that it is time.
+# Other processes die, or signals arrive.
 
 
 def test_the_recorder_goes_on_without_its_owner_as_long_as_the_loop_does(log):
@@ -293,13 +293,13 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def put_until_told_to_stop(ring: Ring) -> int:
-    """Put ticks as a loop does that stops safe on a full disk; return how many."""
+    """Put ticks like a loop that stops safe on a full disk; return how many."""
     ticks = 0
     while not ring.recorder_flags & RecorderFlag.DISK_FULL:
         put(ring, range(ticks, ticks + 100))
         ticks += 100
         assert ticks < 100_000
-    # It takes a while to stop.
+    # Stopping takes a while.
     put(ring, range(ticks, ticks + 1000))
     ring.loop_done = 1
     return ticks + 1000
@@ -352,11 +352,11 @@ def test_when_even_the_reserve_is_lost_the_rows_stay_in_the_ring(log):
     assert_complete(log, 5000)
 
 
-# All at once.
+# All processes die at once.
 
 
 def orphan(directory: Path, name: str, log: Path, ticks: int) -> Path:
-    """Leave a ring behind as a run does that was killed as a whole."""
+    """Leave a ring behind, as a run whose processes were all killed."""
     path = directory / f"pamctl-{name}.ring"
     with Ring.create(path, meta(log), 4096) as ring, recording(ring) as process:
         put_with_events(ring, range(ticks))
@@ -415,8 +415,8 @@ def test_a_log_that_cannot_be_finished_stays_where_it_is_with_its_ring(tmp_path)
     path = orphan(tmp_path, "a", tmp_path / "logs" / "a.mcap", 300)
     (tmp_path / "logs").rename(tmp_path / "moved")
     (found,) = recover_orphans(tmp_path)
-    assert f"{tmp_path / 'logs'} is gone; make it again" in found.problem
-    assert found.problem.endswith(f"or give the log up: rm {path}")
+    assert f"{tmp_path / 'logs'} is gone; create it again" in found.problem
+    assert found.problem.endswith(f"or remove the ring to give up the log: rm {path}")
     assert path.exists()
     (tmp_path / "moved").rename(tmp_path / "logs")
     (found,) = recover_orphans(tmp_path)

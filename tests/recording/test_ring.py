@@ -1,4 +1,4 @@
-"""The ring: what is put is what is taken, whole, once, and after any death."""
+"""The ring: rows come out as they were put, complete, once, and after any death."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_an_event_with_numbers_that_json_does_not_have_is_valid_json(ring):
 
 
 def test_a_ring_is_made_once_and_for_this_user_only(ring):
-    with pytest.raises(RingError, match="it is there already"):
+    with pytest.raises(RingError, match="it exists"):
         Ring.create(ring.path, ring.meta)
     assert stat.S_IMODE(ring.path.stat().st_mode) == 0o600
 

@@ -39,9 +39,9 @@ from pamctl.plant.paper import muscle, valve
 from pamctl.realtime import tick
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.replay import NotReplayable, list_compared_fields, read_replay_source, replay_log
+from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import find_differing
-from pamctl.replay.retick import RETICK_FIELDS, retick_stretch
-from pamctl.replay.retrace import retrace_course
+from pamctl.replay.tick_kernel import REPLAYED_FIELDS, replay_stretch
 from pamctl.replay.tolerance import OTHER_CPU, Tolerance, read_tolerances
 from pamctl.safety import PINNED, SENSOR_RANGE, admit
 from pamctl.settings.resolve import from_resolved
@@ -54,7 +54,7 @@ CLOSED_LOOP = [name for name in NAMES if name not in ("steps", "readonly")]
 
 @pytest.fixture(scope="session")
 def golden() -> Callable[[str], Log]:
-    """Return a golden log by its name; nobody changes it."""
+    """Return a golden log by its name; no test changes it."""
     logs = {name: read(GOLDEN / f"{name}.mcap") for name in NAMES}
     return logs.__getitem__
 
@@ -100,9 +100,9 @@ def test_the_compiled_tick_and_the_plain_one_agree_to_the_bit(
     for begin, end in recording.cut_stretches(0):
         state = recording.state_at(begin, after)
         given = (recording.setup_at(begin), recording.output, state, recording.inputs(begin, end))
-        after, plain = retick_stretch(*given, plain=True)
-        after_compiled, compiled = retick_stretch(*given)
-        for field, here, there in zip(RETICK_FIELDS, plain, compiled, strict=True):
+        after, plain = replay_stretch(*given, plain=True)
+        after_compiled, compiled = replay_stretch(*given)
+        for field, here, there in zip(REPLAYED_FIELDS, plain, compiled, strict=True):
             assert find_differing(here, there) is None, field.name
         assert (
             find_differing(np.array(freeze_state(after)), np.array(freeze_state(after_compiled)))
@@ -136,12 +136,12 @@ def test_a_course_in_one_go_is_the_course_tick_by_tick(
     t_s = begin_s + np.arange(round(1.2e3 * duration_s)) * 1e-3
     asked = [walked.at(t) for t in (t_s - begin_s).tolist()]
     last = next((i for i, reference in enumerate(asked) if reference is None), len(asked))
-    rows = retrace_course(course, walked.duration_s, begin_s, t_s[:last])
+    rows = trace_course(course, walked.duration_s, begin_s, t_s[:last])
     assert rows is not None
     expected = np.array(asked[:last], float).reshape(-1, 6).T
     assert all(find_differing(np.array(a), b) is None for a, b in zip(expected, rows, strict=True))
     if last < len(asked):
-        assert retrace_course(course, walked.duration_s, begin_s, t_s) is None
+        assert trace_course(course, walked.duration_s, begin_s, t_s) is None
 
 
 def test_nothing_that_comes_from_the_wall_clock_is_compared() -> None:
@@ -160,7 +160,7 @@ def test_nothing_that_comes_from_the_wall_clock_is_compared() -> None:
 
 
 def with_config(log: Log, key: str, value: object) -> Log:
-    """Return the log as if its run had been configured otherwise."""
+    """Return the log as if its run had had other settings."""
     config = copy.deepcopy(log.config)
     *way, last = key.split(".")
     section = config
@@ -261,7 +261,7 @@ def test_another_source_is_caught_and_its_stage_named_first(
 
 @pytest.fixture(params=["up", "down", "random"])
 def other_libm(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every function of libm that the tick calls be wrong in its last bit."""
+    """Make every libm function that the tick calls wrong in its last bit."""
     chance = random.Random(1)
 
     def off(function: Callable[..., float]) -> Callable[..., float]:
@@ -397,7 +397,7 @@ def test_a_log_that_begins_with_a_loss_and_has_no_frozen_state_is_refused(tmp_pa
     log = recovered_without_a_chunk(tmp_path, "missed", 0)
     assert len(log) > 100
     assert log["tick"][0] > 0
-    with pytest.raises(NotReplayable, match="nobody knows the state"):
+    with pytest.raises(NotReplayable, match="the state to start from is unknown"):
         replay_log(log)
 
 
@@ -428,7 +428,7 @@ def test_in_an_imported_log_there_is_nothing_to_replay(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["replay", str(tmp_path / "lab.mcap"), "--json"])
     assert done.exit_code == 65
     assert "imported" in json.loads(done.stdout)["reason"]
-    assert "nothing to replay" in done.stderr
+    assert "no tick of pamctl to replay" in done.stderr
 
 
 def test_a_log_that_lacks_what_the_tick_needs_names_the_version_to_replay_it_with(
@@ -466,7 +466,7 @@ def test_a_frozen_state_of_another_version_is_not_taken_for_ours(
     del keyframes[0]["state"]["law.absement_m_s"]
     older = replace(log, keyframes=keyframes)
     assert replay_log(older, tolerances=OTHER_CPU).is_equal
-    with pytest.raises(NotReplayable, match="no frozen state that this version knows"):
+    with pytest.raises(NotReplayable, match="no frozen state that this version can read"):
         replay_log(older, from_s=1.2)
 
 

@@ -1,4 +1,4 @@
-"""Reports: one page for any log, which a browser shows without a word of complaint."""
+"""Reports: one page for any log, which a browser shows without errors."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.report.compose import compose_report
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import name_runs
-from pamctl.report.svg import PlotAxis, SvgPlot
 
 HOSTILE = "<script>alert('x')</script>"
 
 
 def run_to(path: Path, *options: str) -> Path:
-    """A real run in simulation, in a process of its own as always."""
+    """A real simulated run in a separate process."""
     command = ["run", "--fast", "--quiet", "--log", str(path), *options]
     result = CliRunner().invoke(app, command)
     assert path.exists(), result.output
@@ -109,7 +109,7 @@ def test_an_imported_log_shows_what_it_has_and_its_source_stays_a_text(imported)
     assert "&lt;script&gt;" in html
     _, after = html.split("Time between samples", 1)
     (left, right), *others = re.findall(r"M(\d+) [^VH]*V\d+H(\d+)V\d+z", after)
-    assert int(right) - int(left) >= 50  # equal steps are a bar that can be seen, and the only one
+    assert int(right) - int(left) >= 50  # equal steps are one visible bar
     assert not others
 
 
@@ -142,8 +142,8 @@ def test_a_run_that_never_tracked_does_not_hide_one_that_did(tripped, folder):
     good = run_to(folder / "good.mcap", "--duration", "9")
     assert read(tripped).config["experiment"] == read(good).config["experiment"]
     html = page_of(good, tripped)
-    assert "is cut at the axis" in html
-    assert "is cut at the axis" not in page_of(tripped)
+    assert "axis cuts the error" in html
+    assert "axis cuts the error" not in page_of(tripped)
 
 
 def test_logs_of_the_same_name_are_told_apart_by_their_folders(folder, square):
@@ -184,7 +184,7 @@ def test_a_phone_shows_the_page_without_complaint_and_without_scrolling_sideways
     assert found["outside"] == []
     assert found["needed"] <= found["width"] <= 390
     assert found["plots"] > 0
-    assert found["smallest"] >= 11.0  # px: a plot's words do not shrink with it
+    assert found["smallest"] >= 11.0  # px: a plot's words keep their size
 
 
 def test_the_look_sees_what_is_wrong_with_a_page(tmp_path):

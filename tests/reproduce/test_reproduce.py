@@ -1,4 +1,4 @@
-"""The paper reproduced: its numbers are those of a run, and its page is one that can be read."""
+"""The reproduced paper: its numbers are those of a real run, and its page is readable."""
 
 from __future__ import annotations
 

@@ -560,7 +560,9 @@ def test_a_law_a_backend_and_a_kind_of_experiment_belong_to_their_files(
     assert says in problem.message
     key, _, value = override.partition("=")
     chosen = {"controller.law": "qsmc", "rig.backend": "sim", "experiment.kind": "tracking"}
-    resolve(overrides=[f"{key}={chosen[key]}"])  # what the file says already may be said again
+    resolve(
+        overrides=[f"{key}={chosen[key]}"]
+    )  # a value that the file states already may be repeated
     assert value not in chosen.values()
 
 

@@ -1,4 +1,4 @@
-"""The YAML reader: 1.2 scalars, places, and one clear error for whatever is wrong."""
+"""The YAML reader: 1.2 scalars, places, and one clear error for every problem."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def written(folder: Path, content: str | bytes) -> Path:
 
 
 def complaint(content: str | bytes, folder: Path) -> str:
-    """The error of loading `content`, without the folder it was in."""
+    """Return the error of loading `content`, without its folder."""
     with pytest.raises(YamlError) as caught:
         load_yaml(written(folder, content))
     return str(caught.value).replace(f"{folder}/", "")

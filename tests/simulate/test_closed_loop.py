@@ -46,7 +46,7 @@ SQUARE = """
     frequency_hz: 2
     cycles: 2
 """
-# The batch begins with the experiment; homing's zero of the sensor is the true one here.
+# The batch begins with the experiment; the sensor's zero from homing is the true one here.
 BEGIN_AT_ONCE = ("rig.homing.enabled=false", "rig.calibration.sensor_zero_v=0.215")
 
 
@@ -54,7 +54,7 @@ class Run(NamedTuple):
     settings: RunSettings
     ending: Ending
     ticks: list[TickRecord]
-    """Those of the experiment; the smooth stop behind it is not the batch's."""
+    """The ticks of the experiment; the batch has no smooth stop after it."""
 
     def column(self, name: str) -> NDArray[np.float64]:
         stages = [stage for stage in TickRecord._fields if hasattr(self.ticks[0], stage)]
@@ -139,7 +139,7 @@ def test_the_batch_is_the_loop_to_the_bit(folder: Path, law: str, delay_ticks: i
     assert real.ending.code is ExitCode.OK
     assert compiled.tripped_tick == -1
     assert len(compiled["position_m"]) == 3600
-    # The law did work: the muscle went to both set points, with noise in its eyes.
+    # The law worked: the muscle reached both set points, despite the noise.
     assert compiled["true_position_m"].max() == pytest.approx(17.2e-3, abs=0.3e-3)
     assert np.ptp(compiled["command_v"]) > 1.0
     noise_pa = compiled["pressure_pa"] - compiled["true_pressure_pa"]

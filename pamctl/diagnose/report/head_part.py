@@ -6,8 +6,8 @@ from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS, ModelStage, list_model_stages
 from pamctl.diagnose.report.verdict_words import advise_next_steps, choose_words
 from pamctl.diagnose.show import HeldOutGap
+from pamctl.report.drawing.levels import Levels
 from pamctl.report.html_page import Page
-from pamctl.report.levels import Levels
 
 
 def write_head(page: Page, diagnosis: Diagnosis) -> None:

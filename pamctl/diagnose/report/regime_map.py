@@ -13,8 +13,8 @@ from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.locate import RATE, RegimeMisfit
 from pamctl.diagnose.measured.record import Array
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import PlotAxis, SvgPlot
 
 _FEWEST = 15
 """A cell of a map with fewer samples is left empty."""

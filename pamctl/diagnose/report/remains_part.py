@@ -16,8 +16,8 @@ from pamctl.diagnose.report.phrases import (
     spell_names,
 )
 from pamctl.diagnose.report.regime_map import write_shape
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import PlotAxis, SvgPlot
 
 
 def write_remainder(page: Page, diagnosis: Diagnosis) -> None:

@@ -17,8 +17,8 @@ from pamctl.diagnose.report.compared_models import (
     list_model_stages,
     simulate_held_out,
 )
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.svg import MUTED, PlotAxis, SvgPlot
 
 STRETCH_S = 3.0
 _TIME = PlotAxis("time", "s", tight=True)

@@ -1,7 +1,7 @@
-"""Check a log: the file as MCAP, every checksum, and whether what it says can be.
+"""Check a log: the MCAP file, every checksum, and whether its values are plausible.
 
-In bounded memory, however long the log is. An imported log is checked like one of ours,
-but for the configuration and the outcome that it cannot have.
+Memory use is bounded, however long the log is. An imported log is checked in the same way, but
+it needs no configuration and no outcome.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
 from pamctl.log.wire import UnknownLayout
 
 ConfigCheck = Callable[[str], Sequence[str]]
-"""Returns what is wrong with a resolved configuration, a sentence each."""
+"""Returns the problems of a resolved configuration, one sentence each."""
 
 
 @dataclass(frozen=True)
 class LogCheckReport:
-    """What was found of one log."""
+    """The findings in one log."""
 
     path: str
     ticks: int
@@ -43,14 +43,14 @@ class LogCheckReport:
 
     @property
     def ok(self) -> bool:
-        """Whether there is no error."""
+        """Whether there are no errors."""
         return all(finding.severity != Severity.ERROR for finding in self.findings)
 
 
 def check_log(
     path: str | Path, problems_of_config: ConfigCheck = lambda text: ()
 ) -> LogCheckReport:
-    """Check a log; raise LogError if the file is none at all."""
+    """Check a log; raise LogError if the file is not a log at all."""
     path = Path(path)
     findings = LogFindings()
     order = TickOrderCheck(findings)
@@ -60,21 +60,21 @@ def check_log(
         _check_records(file, contents, Conformance(findings), findings)
     except Damage as damage:
         if damage.offset == 0:
-            raise LogError(f"{path} is no log: {damage}") from damage
+            raise LogError(f"{path} is not a log: {damage}") from damage
         findings.error("damage", str(damage))
     except UnknownLayout as error:
-        findings.error("version", f"written by a version that we cannot read: {error}")
+        findings.error("version", f"written by a version that cannot be read: {error}")
     if contents.ticks is None and not findings.any(Severity.ERROR):
-        raise LogError(f"{path} is no log of pamctl: it has no channel {TICK_TOPIC}")
+        raise LogError(f"{path} is not a log of pamctl: it has no channel {TICK_TOPIC}")
     order.end()
     _check_story(contents, findings, problems_of_config)
-    return LogCheckReport(str(path), order.count, tuple(findings.told()))
+    return LogCheckReport(str(path), order.count, tuple(findings.summarise()))
 
 
 def _check_records(
     file: memoryview, contents: Contents, conformance: Conformance, findings: LogFindings
 ) -> None:
-    """Take every record that is whole; raise Damage where no next one can be found."""
+    """Take every undamaged record; raise Damage if no next record can be found."""
     for record in walk_records(file):
         try:
             with translate_parse_errors(record):
@@ -101,21 +101,21 @@ def _check_record(
 def _check_story(
     contents: Contents, findings: LogFindings, problems_of_config: ConfigCheck
 ) -> None:
-    """Check what a log tells beside its ticks: columns, configuration, outcome, origin."""
+    """Check everything beside the ticks: columns, configuration, outcome, origin."""
     recovery = contents.metadata.get("recovery")
     check_columns(contents, findings)
     if recovery is not None:
         lost = recovery.get("lossless") == "false"
-        told = f"the log was recovered: {recovery.get('damage') or 'nothing was lost'}"
-        (findings.warning if lost else findings.note)("recovered", told)
+        detail = f"the log was recovered: {recovery.get('damage') or 'nothing was lost'}"
+        (findings.warning if lost else findings.note)("recovered", detail)
         if lost:
             findings.soften("gap")
         if recovery.get("unverified"):
-            told = f"no checksum vouches for the metadata {recovery['unverified']}"
-            findings.warning("unverified", told)
+            detail = f"no checksum covers the metadata {recovery['unverified']}"
+            findings.warning("unverified", detail)
     if contents.is_imported:
         source = contents.metadata.get("import", {}).get("source", "an unknown source")
-        findings.note("imported", f"imported from {source}: it has no configuration, no outcome")
+        findings.note("imported", f"imported from {source}: it has no configuration and no outcome")
         return
     _check_config(contents, findings, problems_of_config, lost=recovery is not None)
     if not any(event.get("event") == "outcome" for event in contents.values[EVENT_TOPIC]):

@@ -1,8 +1,8 @@
-"""Whether a file is MCAP as its specification has it: order, references, indexes.
+"""Check that a file conforms to the MCAP specification: order, references, indexes.
 
-Checksums are checked where records are read (`pamctl.log.framing`). Here the index
-that the file should have is made of the records that it has, and the two are compared;
-the summary in `pamctl.log.check.summary_check`. https://mcap.dev/spec
+Checksums are verified where records are read (`pamctl.log.framing`). Here the expected index is
+built from the records, and compared with the index in the file. `summary_check.py` compares the
+summary. https://mcap.dev/spec
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _INDEX_ENTRY = np.dtype(INDEX_ENTRY)
 
 
 class Conformance:
-    """Goes along with the records of a file, and says at its end what does not agree."""
+    """Follows the records of a file, and reports at the end what does not agree."""
 
     def __init__(self, findings: LogFindings) -> None:
         self._findings = findings
@@ -53,10 +53,10 @@ class Conformance:
         self._summary = SummaryCheck(findings)
 
     def take(self, file: memoryview, record: FileRecord, chunk: memoryview | None) -> None:
-        """Take the next record of the file; `chunk` is what is in it, if it is one."""
+        """Take the next record of the file; `chunk` holds the records of a chunk."""
         if self._last == 0 and record.opcode != Opcode.HEADER:
             self._add_error(
-                "order", f"the file begins with a record {record.opcode}, not its header"
+                "order", f"the file begins with a record {record.opcode} instead of its header"
             )
         if self._in_summary:
             self._summary.take(record)
@@ -71,7 +71,7 @@ class Conformance:
         self._last = record.opcode
 
     def lost(self, record: FileRecord) -> None:
-        """Take a record that is damaged: what it held is neither known nor missed."""
+        """Take a damaged record: its content is unknown, and is not reported as missing."""
         self._last = record.opcode
         self._in_summary = self._in_summary or record.opcode == Opcode.DATA_END
 
@@ -108,7 +108,7 @@ class Conformance:
                 pass
             case _:
                 self._add_error(
-                    "order", f"at byte {record.start}, a record {record.opcode} among data"
+                    "order", f"at byte {record.start}, a record {record.opcode} among the data"
                 )
 
     def _take_schema(self, record: FileRecord) -> None:
@@ -123,7 +123,8 @@ class Conformance:
         channel = Channel.read(record.stream())
         if channel.schema_id and channel.schema_id not in self._schemas:
             self._add_error(
-                "channel", f"channel {channel.topic} has schema {channel.schema_id}: none"
+                "channel",
+                f"channel {channel.topic} has schema {channel.schema_id}, which does not exist",
             )
         if self._channels.setdefault(channel.id, bytes(record.body)) != record.body:
             self._add_error("channel", f"channel {channel.id} is described in two ways")
@@ -148,12 +149,13 @@ class Conformance:
     def _take_messages(
         self, data: memoryview, first: FileRecord, start: int, end: int
     ) -> tuple[NDArray[Any], int]:
-        """Take the run of messages that begins with the first; return them, and their bytes."""
+        """Take the messages of equal length from `first` on; return them and their bytes."""
         messages = find_message_run(data[:end], first)
         channel = int(messages["channel"][0])
         if channel not in self._channels:
             self._add_error(
-                "channel", f"at byte {start}, messages of channel {channel}, unknown yet"
+                "channel",
+                f"at byte {start}, messages of channel {channel}, which is not yet described",
             )
         self._counts[channel] += len(messages)
         self._times += [int(messages["log_time"].min()), int(messages["log_time"].max())]
@@ -171,11 +173,11 @@ class Conformance:
         times = [messages["log_time"] for messages, _ in found]
         start, end = (min(map(np.min, times)), max(map(np.max, times))) if times else (0, 0)
         if (chunk.message_start_time, chunk.message_end_time) != (start, end):
-            self._add_error("chunk", f"{where} gives other times than its messages have")
+            self._add_error("chunk", f"{where} states times that differ from those of its messages")
         if chunk.uncompressed_size != len(inside):
             self._add_error(
                 "chunk",
-                f"{where} says that it holds {chunk.uncompressed_size} bytes, not {len(inside)}",
+                f"{where} states that it holds {chunk.uncompressed_size} bytes, not {len(inside)}",
             )
         if chunk.uncompressed_crc == 0:
             self._warn_unchecked(where)
@@ -197,20 +199,22 @@ class Conformance:
     def _check_message_index(self, record: FileRecord) -> None:
         channel = int.from_bytes(record.body[:2], "little")
         if self._last not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
-            self._add_error("order", f"at byte {record.start}, a message index is behind no chunk")
+            self._add_error(
+                "order", f"at byte {record.start}, a message index does not follow a chunk"
+            )
         stored = np.frombuffer(record.body[6:], _INDEX_ENTRY)
         expected = self._expected_index.get(channel, stored[:0])
         size = int.from_bytes(record.body[2:6], "little")
         if size != stored.nbytes or not np.array_equal(np.sort(stored), np.sort(expected)):
             what = f"the message index of channel {channel} at byte {record.start}"
-            self._add_error("index", f"{what} is not that of its chunk")
+            self._add_error("index", f"{what} does not match its chunk")
         if self._chunks:
             index = self._chunks[-1]
             index.message_index_offsets[channel] = record.start
             index.message_index_length += record.end - record.start
 
     def end(self) -> None:
-        """Compare the summary with what was there; call it for a file that is not damaged."""
+        """Compare the summary with the data. Call it only if the file is not damaged."""
         self._summary.compare(
             {
                 Opcode.SCHEMA: sorted(self._schemas.values()),
@@ -240,13 +244,13 @@ class Conformance:
         self._findings.error(kind, message)
 
     def _warn_unchecked(self, what: str) -> None:
-        self._findings.warning("checksum", f"{what} has no checksum: damage to it would not show")
+        self._findings.warning("checksum", f"{what} has no checksum: damage would not be noticed")
 
 
 def _build_index(
     inside: memoryview, found: list[tuple[NDArray[Any], int]]
 ) -> dict[int, NDArray[Any]]:
-    """Return the message index that a chunk should have, by channel."""
+    """Return the expected message index of a chunk, by channel."""
     base = np.frombuffer(inside, np.uint8).ctypes.data
     index: dict[int, list[NDArray[Any]]] = {}
     for messages, _ in found:

@@ -1,4 +1,4 @@
-"""What a tool has to say of a file: each finding with its weight and its place."""
+"""The findings of a check: each with its severity, kind and place."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from enum import StrEnum
 from typing import NamedTuple
 
 MOST_OF_A_KIND = 20
-"""A file that is wrong throughout is not told so a million times."""
+"""Findings of one kind that are listed one by one; the rest is only counted."""
 
 
 class Severity(StrEnum):
-    """How much a finding weighs."""
+    """The severity of a finding."""
 
     ERROR = "error"
-    """The file is not what it should be, or says what cannot be."""
+    """The file is wrong, or holds impossible values."""
     WARNING = "warning"
-    """Something that a user of the file should know, and may live with."""
+    """A user of the file should know this, but the file is usable."""
     NOTE = "note"
-    """As it should be, and worth saying."""
+    """Nothing is wrong, but it is worth mentioning."""
 
 
 class LogFinding(NamedTuple):
-    """One thing that was found."""
+    """One finding."""
 
     severity: Severity
     kind: str
-    """A word that stays the same between versions, for scripts."""
+    """A name that stays the same between versions, for scripts."""
     message: str
 
 
 @dataclass
 class LogFindings:
-    """All that was found, in the order in which it was."""
+    """All findings, in the order in which they were made."""
 
     all: list[LogFinding] = field(default_factory=list)
     kinds: Counter[str] = field(default_factory=Counter)
-    """How often each kind was found, told or not."""
+    """Number of findings of each kind, listed or not."""
 
     def error(self, kind: str, message: str) -> None:
         """Add an error."""
@@ -51,8 +51,8 @@ class LogFindings:
         """Add a note."""
         self._add(LogFinding(Severity.NOTE, kind, message))
 
-    def told(self) -> list[LogFinding]:
-        """Return the findings, and of each kind that went on how often it did."""
+    def summarise(self) -> list[LogFinding]:
+        """Return the findings, and for each kind with too many the number of the rest."""
         more = {kind: n - MOST_OF_A_KIND for kind, n in self.kinds.items() if n > MOST_OF_A_KIND}
         weights = {finding.kind: finding.severity for finding in self.all}
         rest = (
@@ -61,11 +61,11 @@ class LogFindings:
         return [*self.all, *rest]
 
     def any(self, severity: Severity) -> bool:
-        """Tell whether there is a finding of this weight."""
+        """Tell whether there is a finding of this severity."""
         return any(finding.severity == severity for finding in self.all)
 
     def soften(self, kind: str) -> None:
-        """Make warnings of the errors of a kind: something explains them."""
+        """Turn errors of a kind into warnings: something else explains them."""
         self.all = [
             finding._replace(severity=Severity.WARNING) if finding.kind == kind else finding
             for finding in self.all

@@ -1,4 +1,4 @@
-"""Whether what a log says of its ticks can be: numbers in order, times that agree, units."""
+"""Check the values of the ticks: numbers in order, clocks that agree, units."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pamctl.log.ticks import TickBatch
 from pamctl.signals import TICK_FIELDS
 
 CLOCK_TOLERANCE_S = 1e-6
-"""Two clocks of one log differ by their rounding: nanoseconds, and doubles of hours."""
+"""Two clocks of one log differ by rounding: nanoseconds, and doubles over hours."""
 _NEEDED = ("tick", "t_s", "dt_s", "missed")
 
 
 class TickOrderCheck:
-    """Goes along with the batches of ticks, and says where number and time do not go on."""
+    """Follows the ticks batch by batch, and reports where number or time is not continuous."""
 
     def __init__(self, findings: LogFindings) -> None:
         self._findings = findings
@@ -45,7 +45,9 @@ class TickOrderCheck:
         self._times(ticks)
         if (now["tick"] & SEQUENCE != batch.sequence).any():
             at = int(now["tick"][(now["tick"] & SEQUENCE != batch.sequence).argmax()])
-            self._findings.error("sequence", f"tick {at} is not the sequence of its message")
+            self._findings.error(
+                "sequence", f"tick {at} differs from the sequence number of its message"
+            )
         self.count += len(batch.sequence)
         self._before = {name: column[-1:] for name, column in now.items()}
 
@@ -57,38 +59,38 @@ class TickOrderCheck:
         for i in np.flatnonzero(step <= 0):
             self._findings.error("tick-order", f"tick {tick[i + 1]} follows tick {tick[i]}")
         for i in np.flatnonzero((step > 0) & (step - 1 != missed)):
-            gone = f"{step[i] - 1} ticks are not there between {tick[i]} and {tick[i + 1]}"
-            self._findings.error("gap", f"{gone}, and {missed[i]} were missed by the loop")
+            gone = f"{step[i] - 1} ticks are missing between {tick[i]} and {tick[i + 1]}"
+            self._findings.error("gap", f"{gone}, but the loop missed {missed[i]}")
 
     def _times(self, ticks: dict[str, NDArray[Any]]) -> None:
         tick, t_s, dt_s = ticks["tick"], ticks["t_s"], ticks["dt_s"]
         step = np.diff(t_s)
         for i in np.flatnonzero(~(step > 0)):
             self._clock(f"t_s goes from {t_s[i]} to {t_s[i + 1]}", tick[i + 1])
-        # Across a gap that nobody counted the time since the last tick in the file says nothing.
+        # After an uncounted gap, the time since the last tick in the file means nothing.
         whole = (np.diff(tick) - 1 == ticks["missed"][1:]) & (step > 0)
         for i in np.flatnonzero(whole & ~(np.abs(dt_s[1:] - step) <= CLOCK_TOLERANCE_S)):
-            self._clock(f"dt_s is {dt_s[i + 1]}, t_s went on by {step[i]}", tick[i + 1])
+            self._clock(f"dt_s is {dt_s[i + 1]}, but t_s advanced by {step[i]}", tick[i + 1])
         wall = np.diff(ticks["time_ns"]) * 1e-9
         for i in np.flatnonzero(~(np.abs(wall - step) <= CLOCK_TOLERANCE_S)):
-            self._clock(f"log_time went on by {wall[i]} s, t_s by {step[i]}", tick[i + 1])
+            self._clock(f"log_time advanced by {wall[i]} s, but t_s by {step[i]}", tick[i + 1])
         periods = dt_s[1:] / self._period_s - (1 + ticks["missed"][1:])
         for i in np.flatnonzero(whole & ~(np.abs(periods) <= 1.0)):
-            told = f"dt_s is {dt_s[i + 1]}, with {ticks['missed'][i + 1]} missed"
-            self._findings.warning("period", f"at tick {tick[i + 1]}, {told}")
+            detail = f"dt_s is {dt_s[i + 1]}, with {ticks['missed'][i + 1]} missed ticks"
+            self._findings.warning("period", f"at tick {tick[i + 1]}, {detail}")
 
     def _clock(self, what: str, tick: int) -> None:
         self._findings.error("clock", f"at tick {tick}, {what}")
 
     def end(self) -> None:
-        """Say what was missed in all."""
+        """Report the number of missed ticks."""
         if self.missed:
-            counted = f"{self.missed} ticks in {self.gaps} gaps were missed, and are counted"
+            counted = f"{self.missed} ticks in {self.gaps} gaps were missed; the log counts them"
             self._findings.note("missed", counted)
 
 
 def check_columns(contents: Contents, findings: LogFindings) -> None:
-    """Check that a tick has the columns it should, each with its unit."""
+    """Check that the ticks have the expected columns, each with its unit."""
     if contents.ticks is None:
         return
     channel = next(c for c in contents.channels.values() if c.topic == TICK_TOPIC)
@@ -103,7 +105,9 @@ def check_columns(contents: Contents, findings: LogFindings) -> None:
         if column.dtype.kind == "f" and unit == "1":
             findings.error("units", f"the name of {name} states no unit")
         elif stated.get(name) != unit:
-            findings.error("units", f"{name} is said to be in {stated.get(name)}, its name {unit}")
+            findings.error(
+                "units", f"{name} is stated in {stated.get(name)}, but its name says {unit}"
+            )
     if version > SCHEMA_VERSION:
         findings.warning("version", f"schema {version} is newer than this pamctl's")
     known = [field.name for field in TICK_FIELDS] if version == SCHEMA_VERSION else _NEEDED

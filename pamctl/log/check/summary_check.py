@@ -1,4 +1,4 @@
-"""Whether the summary at a file's end is that of the data before it, and its offsets lead there."""
+"""Check that the summary at the end of a file matches the data, and that its offsets are right."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _REPEATED = (Opcode.SCHEMA, Opcode.CHANNEL)
 
 
 class SummaryCheck:
-    """Goes along with the records behind the data."""
+    """Follows the records after the data."""
 
     def __init__(self, findings: LogFindings) -> None:
         self._findings = findings
@@ -51,7 +51,7 @@ class SummaryCheck:
             self._add_to_group(record)
 
     def compare(self, expected: Mapping[int, Sequence[Any]]) -> None:
-        """Compare with what the records of the data would have, by opcode."""
+        """Compare with the values expected from the data, by opcode."""
         for opcode, those in expected.items():
             what = Opcode(opcode).name.lower().replace("_", " ")
             if opcode in self._stored:
@@ -69,16 +69,16 @@ class SummaryCheck:
             self._stored.setdefault(record.opcode, []).append(self._parse_record(record))
         else:
             at = f"at byte {record.start}"
-            self._findings.error("order", f"{at}, a record {record.opcode} behind the data")
+            self._findings.error("order", f"{at}, a record {record.opcode} after the data")
 
     def _parse_record(self, record: FileRecord) -> McapRecord:
         value: McapRecord = _PARSERS[record.opcode].read(record.stream())  # type: ignore[attr-defined]
-        # The parsers are lenient: what they made of the bytes must be all that there is.
+        # The parsers are lenient: encode the result again and compare it with the bytes.
         again = RecordBuilder()
         value.write(again)
         if again.end()[FRAME.size :] != record.body:  # type: ignore[no-untyped-call]
             at = f"the record at byte {record.start}"
-            self._findings.error("summary", f"{at} has lengths that are wrong")
+            self._findings.error("summary", f"{at} has wrong lengths")
         return value
 
     def _add_to_group(self, record: FileRecord) -> None:
@@ -90,31 +90,33 @@ class SummaryCheck:
 
     def _check_footer(self, footer: Footer, record: FileRecord) -> None:
         if footer.summary_start == 0:
-            self._findings.warning("index", "the file has no summary: viewers must scan all of it")
+            self._findings.warning(
+                "index", "the file has no summary: viewers must scan the whole file"
+            )
             return
         if footer.summary_crc == 0:
-            told = "the summary has no checksum: damage to it would not show"
-            self._findings.warning("checksum", told)
+            detail = "the summary has no checksum: damage would not be noticed"
+            self._findings.warning("checksum", detail)
         begins = self._groups[0].group_start if self._groups else record.start
         if footer.summary_start != begins:
-            told = f"the footer has the summary begin at {footer.summary_start}"
-            self._findings.error("summary", told)
+            detail = f"the footer states a wrong start of the summary, {footer.summary_start}"
+            self._findings.error("summary", detail)
         if self._stored_groups and self._stored_groups != self._groups:
-            self._findings.error("summary", "the summary offsets are not those of the summary")
+            self._findings.error("summary", "the summary offsets do not match the summary")
 
     def _compare_records(self, what: str, stored: Sequence[Any], expected: Sequence[Any]) -> None:
         if len(stored) != len(expected):
-            there = f"{len(stored)} records of kind {what}, of the data there are {len(expected)}"
+            there = f"{len(stored)} records of kind {what}, the data have {len(expected)}"
             self._findings.error("summary", f"the summary has {there}")
             return
         for number, (one, other) in enumerate(zip(stored, expected, strict=True)):
             if one != other:
-                told = f"{what} {number} is not that of the data: {_name_differences(one, other)}"
-                self._findings.error("summary", told)
+                detail = f"{what} {number} does not match the data: {_name_differences(one, other)}"
+                self._findings.error("summary", detail)
 
 
 def _name_differences(one: Any, other: Any) -> str:
     if not is_dataclass(one):
         return "another description"
     names = [f.name for f in fields(one) if getattr(one, f.name) != getattr(other, f.name)]
-    return ", ".join(f"{n} {getattr(one, n)} for {getattr(other, n)}" for n in names)
+    return ", ".join(f"{n} {getattr(one, n)} instead of {getattr(other, n)}" for n in names)

@@ -1,6 +1,6 @@
-"""Make logs of what other systems measured: CSV and MAT files, column by column into SI.
+"""Import measurements of other systems (CSV, MAT): each column is converted to SI.
 
-    table (csv_table, mat_table) - readings (quantities, mapping) - judge - resample - log
+    csv_table, mat_table -> quantities, column_map -> judge -> resample -> imported_log
 
-`pipeline.import_log` is the way from one end to the other.
+Read `pipeline.py` first.
 """

@@ -1,6 +1,6 @@
-"""The map of an import, for files whose column names do not say what they hold.
+"""The map of an import, for files whose column names do not state quantity and unit.
 
-    time: {column: Time, unit: ms}           # or {rate_hz: 1000} where there is no such column
+    time: {column: Time, unit: ms}           # or {rate_hz: 1000} if there is no time column
     valve: {column: u, offset: -5.0}         # driver volts 0..10 to the command -5..5
     pressure: {column: P1, unit: kPa, gauge: true}
     position: {column: enc, unit: mm, gain: -1.0}
@@ -18,30 +18,31 @@ from hal.configured import Configured
 from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, ColumnReading
 
 Column = Annotated[
-    str, Field(min_length=1, description="name in the file; in a matrix of a MAT file, yout(:,2)")
+    str,
+    Field(min_length=1, description="name in the file; for a column of a MAT matrix: yout(:,2)"),
 ]
 Gain = Annotated[float, Field(description="multiplies the column")]
 Offset = Annotated[float, Field(description="added to column x gain, in the unit given here")]
 
 
 class TimeMap(Configured):
-    """Where the time of a row comes from."""
+    """The time of a row."""
 
     column: Column | None = None
     unit: Literal["s", "ms", "us", "ns", "min"] = "s"
     rate_hz: Annotated[
-        float | None, Field(gt=0, description="of the rows, where the file has no time column")
+        float | None, Field(gt=0, description="of the rows, if the file has no time column")
     ] = None
 
     @model_validator(mode="after")
     def _check_one_source(self) -> TimeMap:
         if (self.column is None) == (self.rate_hz is None):
-            raise ValueError("give either a column or, where there is none, rate_hz")
+            raise ValueError("give either a column or, if there is none, rate_hz")
         return self
 
 
 class ValveMap(Configured):
-    """The valve command as it was really applied, -5..5 V, positive fills."""
+    """The valve command as really applied, -5..5 V, positive fills."""
 
     column: Column
     unit: Literal["V", "mV"] = "V"
@@ -54,13 +55,13 @@ class PressureMap(Configured):
 
     column: Column
     unit: Literal["Pa", "kPa", "MPa", "bar", "mbar", "psi"]
-    gauge: Annotated[bool, Field(description="above the atmosphere's; else absolute")]
+    gauge: Annotated[bool, Field(description="relative to the atmosphere; else absolute")]
     gain: Gain = 1.0
     offset: Offset = 0.0
 
 
 class PositionMap(Configured):
-    """The displacement; contraction is positive."""
+    """The displacement, positive in contraction."""
 
     column: Column
     unit: Literal["m", "mm", "cm", "um", "in"]
@@ -69,7 +70,7 @@ class PositionMap(Configured):
 
 
 class ForceMap(Configured):
-    """The pull at the muscle's end."""
+    """The pulling force at the muscle's end."""
 
     column: Column
     unit: Literal["N", "kN"] = "N"
@@ -78,7 +79,7 @@ class ForceMap(Configured):
 
 
 class ImportMap(Configured):
-    """What the columns of a measured file hold; what is not measured is left out."""
+    """The columns of a measured file; quantities that were not measured are left out."""
 
     time: TimeMap
     valve: ValveMap | None = None
@@ -86,11 +87,14 @@ class ImportMap(Configured):
     position: PositionMap | None = None
     force: ForceMap | None = None
     atmospheric_pressure_pa: Annotated[
-        float, Field(gt=5e4, lt=1.2e5, description="what a gauge pressure is counted from")
+        float,
+        Field(
+            gt=5e4, lt=1.2e5, description="pressure of the atmosphere, the zero of a gauge pressure"
+        ),
     ] = ATMOSPHERIC_PRESSURE_PA
 
     def readings(self) -> list[ColumnReading]:
-        """Return how each column is read, time first if there is a column of it."""
+        """Return how to read each column; time comes first if there is a time column."""
         found = []
         if self.time.column is not None:
             found.append(ColumnReading(TIME, self.time.column, self.time.unit))

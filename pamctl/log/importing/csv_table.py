@@ -1,4 +1,4 @@
-"""Read a CSV file of numbers: comma, semicolon or tab, one line of names above them."""
+"""Read a CSV file of numbers: comma, semicolon or tab, with one line of names above them."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _SEPARATOR = re.compile(r"sep=.\s*", re.IGNORECASE)
 
 
 def read_csv(path: Path) -> MeasuredTable:
-    """Read a file; an empty cell is NaN. Raise ImportRefused, with the line, where it is no table.
+    """Read a file; an empty cell is NaN. Raise ImportRefused with the line that is not a table row.
 
-    With semicolons between cells, a comma within one is a decimal comma.
+    If semicolons separate the cells, a comma within a cell is a decimal comma.
     """
     try:
         with path.open(encoding="utf-8-sig") as file:
@@ -30,8 +30,8 @@ def read_csv(path: Path) -> MeasuredTable:
     except OSError as error:
         raise ImportRefused(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        told = "is no text in UTF-8; save it as such (Excel: CSV UTF-8)"
-        raise ImportRefused(f"{path} {told}") from error
+        detail = "is not UTF-8 text; save it as such (Excel: CSV UTF-8)"
+        raise ImportRefused(f"{path} {detail}") from error
 
 
 def _parse_table(path: Path, lines: Iterator[tuple[int, str]]) -> MeasuredTable:
@@ -47,9 +47,9 @@ def _parse_table(path: Path, lines: Iterator[tuple[int, str]]) -> MeasuredTable:
 
 
 def _number_lines(lines: Iterable[str]) -> Iterator[tuple[int, str]]:
-    """Return the lines that say something, each with its number.
+    """Return the lines that are not empty, each with its number.
 
-    Excel leaves lines of empty cells below a table, and may put `sep=;` above it.
+    Excel leaves lines of empty cells below a table, and may write `sep=;` above it.
     """
     for number, line in enumerate((line.rstrip("\n") for line in lines), 1):
         says_nothing = not line.strip(_EMPTY) or (number == 1 and _SEPARATOR.fullmatch(line))
@@ -78,19 +78,19 @@ def _is_number(text: str) -> bool:
 def _parse_numbers(
     path: Path, lines: Iterator[tuple[int, str]], names: Sequence[str], delimiter: str
 ) -> tuple[array[float], array[int]]:
-    """Return all numbers, row behind row, and the line of each row."""
+    """Return all numbers row by row, and the line number of each row."""
     numbers, rows = array("d"), array("q")
     for number, line in lines:
         cells = next(csv.reader([line], delimiter=delimiter))
         if len(cells) != len(names):
-            told = f"has {len(cells)} cells, its line of names {len(names)}"
-            raise ImportRefused(f"{path}:{number}: the line {told}")
+            detail = f"has {len(cells)} cells, but the line of names has {len(names)}"
+            raise ImportRefused(f"{path}:{number}: the line {detail}")
         decimal = [cell.replace(",", ".") if delimiter == ";" else cell for cell in cells]
         try:
             numbers.extend([float(cell) if cell.strip() else math.nan for cell in decimal])
         except ValueError:
             index = next(i for i, c in enumerate(decimal) if c.strip() and not _is_number(c))
-            told = f"{names[index]} is {cells[index]!r}, and must be a number"
-            raise ImportRefused(f"{path}:{number}: {told}") from None
+            detail = f"{names[index]} is {cells[index]!r}, but must be a number"
+            raise ImportRefused(f"{path}:{number}: {detail}") from None
         rows.append(number)
     return numbers, rows

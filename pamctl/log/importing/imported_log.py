@@ -1,7 +1,7 @@
-"""Write what another system measured as a log: the same message, with fewer columns.
+"""Write a measurement of another system as a log: the same message with fewer columns.
 
-Nothing is known of that system's clock or controller: the log's wall time starts at
-zero, its configuration is empty, and its metadata says where it comes from.
+That system's clock and controller are unknown. The log's wall time starts at zero, its
+configuration is empty, and its metadata states the source.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def write_imported(
 ) -> None:
     """Write a measurement into a new file.
 
-    `t_s`, of shape (n,) with n > 1, rises strictly from zero; `quantities` holds arrays of
-    shape (n,) by their name in `IMPORTED_QUANTITIES`; `story` becomes the metadata record
-    `import`. Raise LogError if the file exists.
+    `t_s`, shape (n,) with n > 1, rises strictly from zero. `quantities` holds arrays of shape (n,)
+    by their names in `IMPORTED_QUANTITIES`. `story` becomes the metadata record `import`.
+    Raise LogError if the file exists.
     """
     fields = imported_fields(quantities)
     layout = TickLayout.of_fields(fields)
@@ -55,7 +55,7 @@ def write_imported(
 
 
 def nominal_period_s(t_s: Floats) -> float:
-    """Return the period that the samples seem to be taken with: the median of their distances."""
+    """Return the sampling period, estimated as the median time step."""
     return float(np.median(np.diff(t_s)))
 
 

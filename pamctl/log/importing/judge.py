@@ -1,7 +1,7 @@
-"""Look a measurement over before it is believed: times, holes, and units that cannot be.
+"""Check a measurement before its import: times, gaps, and implausible units.
 
-Errors stop an import. What looks like a wrong unit is one of them, of the kind `unit`,
-and the user may overrule it; a warning goes into the log.
+Errors stop an import. An implausible unit is an error of the kind `unit`, which the user may
+overrule. Warnings go into the log.
 """
 
 from __future__ import annotations
@@ -20,54 +20,59 @@ Rows = NDArray[np.int64]
 
 GAP_PERIODS = 1.5
 JITTER = 0.05
-"""Share of the period by which rows may be off the grid before it is worth a word."""
+"""Deviation from the even grid that is reported, as a share of the period."""
 LONGEST_S = 2.0**62 * 1e-9
-"""146 years, half of what a log's clock of signed nanoseconds holds: a double of more of them
-is off by more than the microsecond that two clocks of one log may differ by."""
+"""146 years: half the range of a log's clock in signed nanoseconds. Beyond it a double is off by
+more than the microsecond by which two clocks of one log may differ.
+"""
 SHORTEST_PERIOD_S = 1e-9
-"""What a log's clock counts in."""
+"""Resolution of a log's clock."""
 _SHOWN_ROWS = 5
 
 
 def judge_time(t_s: Floats, rows: Rows, findings: LogFindings, column: str = TIME) -> None:
-    """Check times of shape (n,): what is not an error here rises strictly, and a log holds it.
+    """Check times of shape (n,). Without errors, they rise strictly and fit into a log's clock.
 
-    `column` is what the source calls them.
+    `column` is the name of the time column in the source.
     """
     if len(t_s) < 2:
         there = "is 1 row" if len(t_s) else "are 0 rows"
-        findings.error("rows", f"there {there}; a measurement needs two at least")
+        findings.error("rows", f"there {there}; a measurement needs at least two")
         return
     if not np.isfinite(t_s).all():
         where = _name_rows(rows, ~np.isfinite(t_s))
         findings.error("time", f"the time ({column}) is missing or not finite in {where}")
         return
-    beyond = np.abs(t_s / LONGEST_S - t_s[0] / LONGEST_S) > 1.0  # their difference may overflow
+    beyond = np.abs(t_s / LONGEST_S - t_s[0] / LONGEST_S) > 1.0  # the difference may overflow
     if beyond.any():
-        told = f"is more than {LONGEST_S:.3g} s from the first at {_name_rows(rows, beyond)}"
-        findings.error("time", f"the time ({column}) {told}; a log's clock of ns holds no more")
+        detail = f"is more than {LONGEST_S:.3g} s from the first at {_name_rows(rows, beyond)}"
+        findings.error(
+            "time", f"the time ({column}) {detail}; a log's clock in ns cannot hold more"
+        )
         return
     step = np.diff(t_s)
     if (step < 0).any():
         findings.error("time", f"the time goes backwards at {_name_rows(rows[1:], step < 0)}")
     if (step == 0).any():
-        told = f"the time of the row before is repeated at {_name_rows(rows[1:], step == 0)}"
-        findings.error("time", f"{told}; drop those rows, or export more digits of the time")
+        detail = f"the previous row's time is repeated at {_name_rows(rows[1:], step == 0)}"
+        findings.error("time", f"{detail}; drop those rows, or export more digits of the time")
     if findings.kinds["time"]:
         return
     period_s = nominal_period_s(t_s)
     if period_s < SHORTEST_PERIOD_S:
-        told = f"rows are {period_s:.6g} s apart; a log's clock counts ns"
-        findings.error("time", f"the time ({column}) has another unit: {told}")
+        detail = f"rows are {period_s:.6g} s apart; a log's clock counts ns"
+        findings.error("time", f"the time ({column}) has another unit: {detail}")
         return
     gap = step > GAP_PERIODS * period_s
     if gap.any():
-        told = f"of up to {step.max():.6g} s before {_name_rows(rows[1:], gap)}"
-        findings.warning("gap", f"{np.count_nonzero(gap)} gaps {told}; they count as missed ticks")
+        detail = f"of up to {step.max():.6g} s before {_name_rows(rows[1:], gap)}"
+        findings.warning(
+            "gap", f"{np.count_nonzero(gap)} gaps {detail}; they count as missed ticks"
+        )
     off = np.abs(step[~gap] - period_s).max() / period_s
     if off > JITTER:
-        told = f"the steps of time differ from {period_s:.6g} s by up to {off:.0%}"
-        findings.warning("jitter", f"{told}; --resample puts them on a grid")
+        detail = f"the time steps differ from {period_s:.6g} s by up to {off:.0%}"
+        findings.warning("jitter", f"{detail}; --resample puts the rows on an even grid")
     if period_s >= 0.1:
         findings.error("unit", f"a row every {period_s:.6g} s: is the time in ms?")
 
@@ -77,7 +82,7 @@ def judge_values(quantities: Mapping[str, Floats], rows: Rows, findings: LogFind
     for name, values in quantities.items():
         good = np.isfinite(values)
         if not good.any():
-            findings.error("not-finite", f"{name} has no value at all")
+            findings.error("not-finite", f"{name} has no values")
             continue
         if not good.all():
             where = _name_rows(rows, ~good)
@@ -89,7 +94,7 @@ def judge_values(quantities: Mapping[str, Floats], rows: Rows, findings: LogFind
 
 
 def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
-    """Check that the muscle contracts with pressure, where both were measured."""
+    """Check that the muscle contracts with pressure, if both were measured."""
     if not {"pressure_pa", "position_m"} <= quantities.keys():
         return
     pressure, position = quantities["pressure_pa"], quantities["position_m"]
@@ -97,8 +102,8 @@ def judge_sign(quantities: Mapping[str, Floats], findings: LogFindings) -> None:
     if np.count_nonzero(good) < 2 or min(np.ptp(pressure[good]), np.ptp(position[good])) == 0.0:
         return
     if np.corrcoef(pressure[good], position[good])[0, 1] < -0.5:
-        told = "position_m falls as pressure_pa rises; contraction must be positive"
-        findings.warning("sign", f"{told}: map it with gain: -1")
+        detail = "position_m falls as pressure_pa rises; contraction must be positive"
+        findings.warning("sign", f"{detail}: map it with gain: -1")
 
 
 def _doubt_valve(values: Floats) -> str:
@@ -111,7 +116,7 @@ def _doubt_valve(values: Floats) -> str:
 def _doubt_pressure(values: Floats) -> str:
     low, high = values.min(), values.max()
     if low >= 80e3:
-        return "more than any such muscle bears" if high > 2e6 else ""
+        return "more than such a muscle can bear" if high > 2e6 else ""
     if low > 0.0 and high < 20.0:
         return "is this bar? Then call it pressure_bar, or pressure_gauge_bar"
     if high < 2e3:
@@ -135,7 +140,7 @@ def _show_range(values: Floats) -> str:
 
 
 def _name_rows(rows: Rows, where: NDArray[np.bool_]) -> str:
-    """Name the rows where something is, the first of them if they are many."""
+    """Name the rows with True in `where`: the first few, and the number of the others."""
     found = rows[where]
     listed = ", ".join(str(row) for row in found[:_SHOWN_ROWS].tolist())
     more = f" and {len(found) - _SHOWN_ROWS} more" if len(found) > _SHOWN_ROWS else ""

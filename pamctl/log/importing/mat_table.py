@@ -1,11 +1,11 @@
-"""Read a MAT file: arrays, matrices, structs, and what Simulink calls structure with time.
+"""Read a MAT file: arrays, matrices, structs, and Simulink's "structure with time".
 
     position_m            an array, 1 x n or n x 1
     yout(:,2)             a column of a matrix
     run.position_m        a field of a struct
     scope.time, scope     a structure with time, and its one signal; scope(2) is its second
 
-A Simulink signal's label serves as its name where it says a quantity and a unit.
+The label of a Simulink signal serves as its name if it states a quantity and a unit.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from scipy.io.matlab import MatlabOpaque
 from pamctl.log.importing.measured_table import Floats, ImportRefused, MeasuredTable
 
 _SIMULINK_TIME = "time_s"
-"""Simulink's own time is in seconds: `tout`, and the time of its structures."""
+"""Simulink's own time (`tout`, and the time of its structures) is in seconds."""
 
 
 class _Column(NamedTuple):
@@ -31,30 +31,30 @@ class _Column(NamedTuple):
 
 
 def read_mat(path: Path) -> MeasuredTable:
-    """Read a file of version 4, 6 or 7; raise ImportRefused where it cannot be, with what to do."""
+    """Read a file of version 4, 6 or 7; raise ImportRefused with the fix if that is impossible."""
     from scipy.io import loadmat
 
     try:
-        with path.open("rb") as file:  # given a path, loadmat hides why it cannot be opened
+        with path.open("rb") as file:  # given a path, loadmat hides why it cannot open the file
             content = loadmat(file, struct_as_record=True, squeeze_me=False)
     except NotImplementedError:
-        told = "is a MAT file of version 7.3; save it again with save(name, ..., '-v7')"
-        raise ImportRefused(f"{path} {told}") from None
+        detail = "is a MAT file of version 7.3; save it again with save(name, ..., '-v7')"
+        raise ImportRefused(f"{path} {detail}") from None
     except OSError as error:
         raise ImportRefused(f"cannot read {path}: {error.strerror or error}") from error
-    # Whatever a parser says of a file that is none.
+    # A parser may raise anything for a file that is not a MAT file.
     except Exception as error:
-        raise ImportRefused(f"{path} is no whole MAT file: {error}") from error
+        raise ImportRefused(f"{path} is not a complete MAT file: {error}") from error
     columns = []
     for name, value in content.items():
         try:
             columns += [] if name.startswith("__") else list(_read_columns(name, value))
         except (ValueError, TypeError, IndexError) as error:
-            told = f"the variable {name} has a form that is not understood ({error})"
-            raise ImportRefused(f"{path}: {told}; save arrays, or structure with time") from error
+            detail = f"the variable {name} has a form that is not understood ({error})"
+            raise ImportRefused(f"{path}: {detail}; save arrays, or structure with time") from error
     if not columns:
-        told = "no arrays of numbers: save timeseries objects as structure with time"
-        raise ImportRefused(f"{path} holds {told}")
+        detail = "no arrays of numbers: save timeseries objects as structure with time"
+        raise ImportRefused(f"{path} holds {detail}")
     longest = max(len(column.values) for column in columns)
     return MeasuredTable(
         {column.name: column.values for column in columns},
@@ -64,7 +64,7 @@ def read_mat(path: Path) -> MeasuredTable:
 
 
 def _read_columns(name: str, value: Any) -> Iterator[_Column]:
-    """Yield what is in a variable, or in a field; objects and texts hold nothing for us."""
+    """Yield the columns of a variable or of a field; objects and texts have none."""
     if not isinstance(value, np.ndarray) or isinstance(value, MatlabOpaque):
         return
     if value.dtype.names is not None:
@@ -85,7 +85,7 @@ def _read_array(name: str, value: NDArray[Any]) -> Iterator[_Column]:
 
 
 def _leaf_name(name: str) -> str:
-    """Return the last part of a field's name, nothing if it is a variable's."""
+    """Return the last part of a field's name, an empty text for a variable."""
     outer, _, leaf = name.rpartition(".")
     return leaf if outer else ""
 

@@ -1,4 +1,4 @@
-"""A measured file as columns of numbers, each found by its name."""
+"""A measured file as columns of numbers by name."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ class ImportRefused(LogError):
 
 @dataclass(frozen=True)
 class MeasuredTable:
-    """Columns, and what the file calls a row."""
+    """Columns by name, and the numbers of the rows in the file."""
 
     columns: Mapping[str, Floats]
-    """Arrays of shape (n,); of a MAT file they may differ in length."""
+    """Arrays of shape (n,); in a MAT file their lengths may differ."""
     rows: NDArray[np.int64]
-    """Number of each row as the file's reader counts them: lines of a CSV, indices from 1."""
+    """Number of each row in the file: the line of a CSV file, the index from 1 in a MAT file."""
     called: Mapping[str, str] = field(default_factory=dict)
-    """What a column is called, where that is not its name: the label of a Simulink signal."""
+    """The labels of Simulink signals, by column."""
 
     def __getitem__(self, name: str) -> Floats:
-        """Return a column; raise LogError, with what there is, if there is none of the name."""
+        """Return a column; raise ImportRefused with the existing names if there is none."""
         if name in self.columns:
             return self.columns[name]
         listed = ", ".join(list(self.columns)[:20]) or "none"

@@ -1,4 +1,4 @@
-"""Import a measured file: read it, understand its columns, judge them, write the log."""
+"""Import a measured file: read it, identify its columns, check them, write the log."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from pamctl.regular_file import describe_irregular_file
 Floats = NDArray[np.float64]
 
 MOST_TICKS = 50_000_000
-"""Half a day at 1 kHz; far more than a mistyped rate should be allowed to make."""
+"""Half a day at 1 kHz: protects against a mistyped rate."""
 
 
 @dataclass(frozen=True)
 class ImportSummary:
-    """What became of a measured file."""
+    """The result of an import."""
 
     source: str
     destination: str
     written: bool
-    """False where an error stopped it: then there is no log."""
+    """False if an error stopped the import: then no log was written."""
     ticks: int
     period_s: float | None
-    """The nominal one, by the median of the steps."""
+    """The nominal period: the median time step."""
     readings: tuple[ColumnReading, ...]
     findings: tuple[LogFinding, ...]
 
@@ -50,10 +50,10 @@ def import_log(
     resample_hz: float | None = None,
     accept_units: bool = False,
 ) -> ImportSummary:
-    """Make a log of a CSV or MAT file, unless something in it stops that: see `findings`.
+    """Make a log from a CSV or MAT file, unless `findings` has an error.
 
-    `accept_units` makes warnings of units that look wrong. Raise ImportRefused where the
-    file cannot be read or its columns cannot be found, LogError if the log exists.
+    `accept_units` turns errors about implausible units into warnings. Raise ImportRefused if the
+    file cannot be read or its columns cannot be identified, LogError if the log exists.
     """
     source, destination = Path(source), Path(destination)
     table = _read_table(source)
@@ -84,7 +84,7 @@ def import_log(
         ticks=0 if stopped else len(t_s),
         period_s=None if stopped else nominal_period_s(t_s),
         readings=tuple(readings),
-        findings=tuple(findings.told()),
+        findings=tuple(findings.summarise()),
     )
 
 
@@ -93,14 +93,14 @@ def _read_table(source: Path) -> MeasuredTable:
         raise ImportRefused(f"cannot read {source}: it is {something}")
     if source.suffix.lower() != ".mat":
         return read_csv(source)
-    # SciPy is slow to load, and nobody with a CSV file should wait for it.
+    # SciPy is slow to load, and a CSV file does not need it.
     from pamctl.log.importing.mat_table import read_mat
 
     return read_mat(source)
 
 
 def _match_names(table: MeasuredTable, findings: LogFindings) -> list[ColumnReading]:
-    """Return the columns whose names say what they hold."""
+    """Return the columns whose names state quantity and unit."""
     found: dict[str, ColumnReading] = {}
     ignored = []
     for column in table.columns:
@@ -116,10 +116,13 @@ def _match_names(table: MeasuredTable, findings: LogFindings) -> list[ColumnRead
             raise ImportRefused(f"both {both} give {reading.quantity}; choose one with --map")
     if TIME not in found:
         listed = ", ".join(list(table.columns)[:20])
-        told = "no column is called t_s, time_s, time_ms or the like, with the unit in its name"
-        raise ImportRefused(f"{told}; there are {listed}; say with --map which is the time")
+        detail = "no column is called t_s, time_s, time_ms or the like, with the unit in its name"
+        raise ImportRefused(f"{detail}; there are {listed}; name the time column with --map")
     if ignored:
-        findings.note("ignored", f"not understood, and left out: {', '.join(ignored[:20])}")
+        findings.note(
+            "ignored",
+            f"left out, no known quantity and unit in the name: {', '.join(ignored[:20])}",
+        )
     return list(found.values())
 
 
@@ -129,7 +132,7 @@ def _is_same_time(table: MeasuredTable, one: ColumnReading, other: ColumnReading
 
 
 def _convert_to_si(table: MeasuredTable, readings: Sequence[ColumnReading]) -> dict[str, Floats]:
-    """Return the quantities in SI, all of one length."""
+    """Return the quantities in SI; all have the same length."""
     columns = {reading.quantity: _convert_one_to_si(table, reading) for reading in readings}
     lengths = {reading.column: len(table[reading.column]) for reading in readings}
     if len(set(lengths.values())) > 1:
@@ -144,8 +147,8 @@ def _convert_one_to_si(table: MeasuredTable, reading: ColumnReading) -> Floats:
         values = reading.to_si(raw)
     lost = np.flatnonzero(np.isfinite(raw) & ~np.isfinite(values))
     if len(lost):
-        told = f"{reading.column} is {raw[lost[0]]:g} {reading.unit} at row {table.rows[lost[0]]}"
-        raise ImportRefused(f"{told}: more than a number in SI can hold")
+        detail = f"{reading.column} is {raw[lost[0]]:g} {reading.unit} at row {table.rows[lost[0]]}"
+        raise ImportRefused(f"{detail}: too large for a number in SI")
     return values
 
 
@@ -162,23 +165,23 @@ def _find_time_column(readings: Sequence[ColumnReading]) -> str:
 
 def _judge_whole(quantities: dict[str, Floats], findings: LogFindings) -> None:
     if not {"pressure_pa", "position_m"} & quantities.keys():
-        findings.error("columns", "neither pressure nor position: nothing was measured")
+        findings.error("columns", "there is neither pressure nor position: nothing was measured")
     elif not quantities.keys() >= {"valve_v", "pressure_pa", "position_m"}:
         missing = {"valve_v", "pressure_pa", "position_m"} - quantities.keys()
-        told = f"no {', '.join(sorted(missing))}: it serves only for what can be driven without"
-        findings.warning("columns", told)
+        detail = f"no {', '.join(sorted(missing))}: only analyses that do not need it are possible"
+        findings.warning("columns", detail)
 
 
 def _resample_to_grid(
     t_s: Floats, quantities: dict[str, Floats], rate_hz: float
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Return the measurement at `rate_hz`; raise ImportRefused where next to nothing is left."""
+    """Return the measurement at `rate_hz`; raise ImportRefused if fewer than two ticks remain."""
     grid_s, there = resample_columns(t_s, quantities, rate_hz)
     if len(grid_s) < 2:
         lasts_s, was_hz = t_s[-1] - t_s[0], 1.0 / nominal_period_s(t_s)
-        told = f"--resample {rate_hz:g} leaves 1 tick of {lasts_s:.6g} s"
+        detail = f"--resample {rate_hz:g} leaves 1 tick of {lasts_s:.6g} s"
         way_out = f"give a rate in Hz nearer to the measurement's own {was_hz:.6g}"
-        raise ImportRefused(f"{told}; a measurement needs two at least: {way_out}")
+        raise ImportRefused(f"{detail}; a measurement needs at least two: {way_out}")
     return grid_s, there
 
 
@@ -187,10 +190,13 @@ def _note_resampling(t_s: Floats, rate_hz: float, findings: LogFindings) -> None
     if ticks > MOST_TICKS:
         raise ImportRefused(f"--resample {rate_hz:g} would make {ticks:.3g} ticks: is it in Hz?")
     was_hz = 1.0 / nominal_period_s(t_s)
-    findings.note("resampled", f"from {was_hz:.6g} to {rate_hz:.6g} Hz, linear, the command held")
+    findings.note(
+        "resampled",
+        f"from {was_hz:.6g} to {rate_hz:.6g} Hz; measured values interpolated, the command held",
+    )
     if rate_hz < 0.9 * was_hz:
-        told = f"what is faster than {rate_hz / 2:.6g} Hz is folded down: nothing filters it out"
-        findings.warning("aliasing", told)
+        detail = f"signals faster than {rate_hz / 2:.6g} Hz are aliased: there is no filter"
+        findings.warning("aliasing", detail)
 
 
 def _describe_import(
@@ -201,7 +207,7 @@ def _describe_import(
     first_t_s: float,
     resample_hz: float | None,
 ) -> dict[str, str]:
-    """Return the metadata record `import`: where the log comes from and how it was made."""
+    """Return the metadata record `import`: the source, and how the log was made from it."""
     return {
         "source": source.name,
         "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
@@ -209,5 +215,5 @@ def _describe_import(
         "first_t_s": repr(first_t_s),
         "map": to_json([asdict(reading) for reading in readings]).decode(),
         "resampled_hz": "" if resample_hz is None else repr(resample_hz),
-        "report": to_json([finding._asdict() for finding in findings.told()]).decode(),
+        "report": to_json([finding._asdict() for finding in findings.summarise()]).decode(),
     }

@@ -1,4 +1,4 @@
-"""What a column may hold, and in which units: the suffix of a name says both."""
+"""The quantities and units of columns: the suffix of a name states both."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from hal.calibration import CalibrationSettings
 
-if TYPE_CHECKING:  # settings know the map, and the loop's process must not pay for numpy
+if TYPE_CHECKING:  # settings import the map, and the loop process must not load numpy
     import numpy as np
     from numpy.typing import NDArray
 
@@ -32,7 +32,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "position_m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 25.4e-3},
     "force_n": {"N": 1.0, "kN": 1e3},
 }
-"""SI value of each unit that a quantity may come in."""
+"""SI value of each unit of a quantity."""
 
 _WORDS = {
     "t": TIME,
@@ -57,9 +57,9 @@ class ColumnReading:
     unit: str
     gain: float = 1.0
     offset: float = 0.0
-    """In `unit`, added to what the gain makes of the column."""
+    """Added to column x gain, in `unit`."""
     gauge: bool = False
-    """Pressure above the atmosphere's."""
+    """Whether the pressure is relative to the atmosphere."""
     atmospheric_pressure_pa: float = ATMOSPHERIC_PRESSURE_PA
 
     def to_si(self, raw: Floats) -> Floats:
@@ -69,9 +69,9 @@ class ColumnReading:
 
 
 def parse_column_name(column: str, name: str = "") -> ColumnReading | None:
-    """Return what a column holds by its name, None if that does not say it.
+    """Return how to read a column, from its name; None if the name does not state it.
 
-    `name` is where the column is called otherwise than it is found.
+    `name` replaces the column's own name, if given.
     """
     match = _NAME.fullmatch((name or column).strip().lower())
     if match is None:

@@ -1,4 +1,4 @@
-"""Put a measurement on an even grid of time, where the user asks for it."""
+"""Put a measurement on an even time grid, if the user asks for it."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Floats = NDArray[np.float64]
 def resample_columns(
     t_s: Floats, quantities: Mapping[str, Floats], rate_hz: float
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Return times at `rate_hz` from the first on, and the quantities there.
+    """Return times at `rate_hz` from the first time on, and the quantities at these times.
 
-    Between two rows what was measured is a straight line, and the valve's command holds.
-    Within a gap nothing is made up: those grid points are left out, and count as missed.
+    Measured values are interpolated linearly, the valve command is held. Grid points within a gap
+    are left out and count as missed.
     """
-    # The last row is on the grid if rounding alone keeps it off.
+    # Include the last row if only rounding keeps it off the grid.
     count = int(np.floor((t_s[-1] - t_s[0]) * rate_hz * (1 + 1e-12) + 1e-9)) + 1
     grid = t_s[0] + np.arange(count) / rate_hz
     before = np.clip(np.searchsorted(t_s, grid, side="right") - 1, 0, len(t_s) - 2)

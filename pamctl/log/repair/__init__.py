@@ -1,5 +1,5 @@
-"""Save what is whole of a damaged log.
+"""Repair a damaged log: save its undamaged parts.
 
-`salvage.py` finds the whole parts, `recover.py` copies them into a new file.
+`salvage.py` finds the undamaged parts, `recover.py` copies them into a new file.
 Read `recover.py` first.
 """

@@ -1,4 +1,4 @@
-"""Repair a damaged log: copy all that is whole into a new file."""
+"""Repair a damaged log: copy its undamaged parts into a new file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pamctl.log.framing import (
     verify_checksum,
 )
 from pamctl.log.new_file import create_new_file
-from pamctl.log.repair.salvage import Hole, is_data_vouched, read_summary, salvage_records
+from pamctl.log.repair.salvage import Hole, is_data_verified, read_summary, salvage_records
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
 from pamctl.log.ticks import find_message_run
 from pamctl.log.writer import NO_SCHEMA, LogWriter
@@ -34,27 +34,27 @@ from pamctl.log.writer import NO_SCHEMA, LogWriter
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was saved, and what was not."""
+    """What was saved, and what was lost."""
 
     source: str
     destination: str
     messages: dict[str, int]
-    """Saved messages by topic."""
+    """Number of saved messages, by topic."""
     damage: tuple[str, ...]
-    """What was wrong with the source, one clause each."""
+    """The damage of the source, one clause each."""
     lossless: bool
-    """Whether all that was ever logged is saved."""
+    """Whether everything that was logged is saved."""
     bytes_lost: int
-    """Bytes of the source that nothing could be made of."""
+    """Bytes of the source that could not be used."""
     unverified: tuple[str, ...] = ()
-    """Names of saved metadata that no whole checksum vouches for: they have none of their own."""
+    """Names of saved metadata that no valid checksum covers; they have none of their own."""
 
 
 def recover_file(source: str | Path, destination: str | Path) -> Recovery:
-    """Save all that is whole of a log into a new file; raise LogError if nothing is.
+    """Save the undamaged parts of a log into a new file; raise LogError if there are none.
 
-    Works on any MCAP file. A damaged chunk is left out and the next one saved, which is
-    found by its checksum where lengths lead nowhere. The source is not touched.
+    Works on any MCAP file. A damaged chunk is left out. If lengths are damaged, the next chunk is
+    found by its checksum. The source is not changed.
     """
     source, destination = Path(source), Path(destination)
     file = map_log_file(source)
@@ -78,7 +78,7 @@ def recover_file(source: str | Path, destination: str | Path) -> Recovery:
 
 
 def sign_recovery(writer: LogWriter, recovery: Recovery) -> None:
-    """Say in the log itself that it was mended, and end it."""
+    """Write into the log that it was repaired, and finish it."""
     writer.metadata(
         "recovery",
         {
@@ -96,7 +96,7 @@ def _is_description(record: FileRecord) -> bool:
 
 
 class LogCopy:
-    """Copies what is whole of one log into another."""
+    """Copies the undamaged parts of a log into another log."""
 
     def __init__(self, writer: LogWriter) -> None:
         self._writer = writer
@@ -105,26 +105,26 @@ class LogCopy:
         self.saved: Counter[str] = Counter()
         self.damage: list[str] = []
         self.lost = False
-        """Something within the file was damaged."""
+        """Whether something within the file was damaged."""
         self.cut = True
-        """The file has no end."""
+        """Whether the end of the file is missing."""
         self.bytes_lost = 0
-        self._vouched = False
-        """Whether a checksum of the whole file says that there is no damage in the data."""
+        self._verified = False
+        """Whether a checksum of the whole file shows that its data are undamaged."""
         self._metadata: dict[str, None] = {}
         self._looked_ahead = False
         self.last_tick = -(1 << 62)
         self.last_row = -1
 
     def file(self, file: memoryview) -> None:
-        """Copy a file's data section as far as it is whole; the summary is made anew."""
-        self._vouched = is_data_vouched(file)
+        """Copy the undamaged part of a file's data; the summary is computed again."""
+        self._verified = is_data_verified(file)
         self._learn_channels(file)
         for part in salvage_records(file):
             if isinstance(part, Hole):
                 self.damage.append(str(part.damage))
                 self.bytes_lost += part.bytes_lost
-                # Where the file was cut something else may go on: the ring.
+                # A cut at the end loses nothing if the ring holds the rest.
                 self.lost = self.lost or (self.cut and not part.at_end)
             else:
                 if part.opcode == Opcode.CHUNK and not self._looked_ahead:
@@ -135,22 +135,22 @@ class LogCopy:
 
     @property
     def lossless(self) -> bool:
-        """Whether all that was ever in the file is saved."""
+        """Whether everything that was in the file is saved."""
         return not (self.lost or self.cut)
 
     @property
     def unverified(self) -> tuple[str, ...]:
-        """Names of metadata that were copied without any checksum's word for them."""
-        return () if self._vouched else tuple(self._metadata)
+        """Names of copied metadata that no checksum covers."""
+        return () if self._verified else tuple(self._metadata)
 
     def _learn_channels(self, file: memoryview) -> None:
-        """Learn from a whole summary what a damaged first chunk would not tell."""
+        """Learn the channels from an undamaged summary, in case the first chunk is damaged."""
         for record in read_summary(file):
             if _is_description(record):
                 self._copy(file, record)
 
     def _learn_ahead(self, file: memoryview, first: FileRecord) -> None:
-        """Learn from the first chunk, or from the next one that tells it, which channels are."""
+        """Learn the channels from the first chunk that describes them."""
         for part in salvage_records(file):
             if isinstance(part, Hole) or part.opcode != Opcode.CHUNK or part.start < first.start:
                 continue
@@ -172,9 +172,9 @@ class LogCopy:
     def _try_copy(self, file: memoryview, record: FileRecord) -> None:
         try:
             with translate_parse_errors(record):
-                if not (self._vouched and record.opcode == Opcode.DATA_END):  # done once
+                if not (self._verified and record.opcode == Opcode.DATA_END):  # verified before
                     verify_checksum(file, record)
-                if self.cut:  # what stands behind the data is made anew
+                if self.cut:  # the summary is computed again
                     self._copy(file[: record.end], record)
         except Damage as damage:
             self.damage.append(str(damage))
@@ -183,7 +183,7 @@ class LogCopy:
                 self.bytes_lost += record.end - record.start
 
     def _copy(self, data: memoryview, record: FileRecord) -> int:
-        """Copy a record within `data`, a message with those alike behind it; return their end."""
+        """Copy a record of `data`, and the similar messages after it; return where they end."""
         match record.opcode:
             case Opcode.CHUNK:
                 packed, at = self._unpack_chunk(record), 0
@@ -209,9 +209,9 @@ class LogCopy:
         return record.end
 
     def _refuse_unchecked(self, record: FileRecord, checked: bool) -> None:
-        """Raise Damage for what has no checksum: where a block was zeroed, it looks like that."""
-        if not (checked or self._vouched):
-            raise Damage(record.start, "nothing says whether it is whole: it has no checksum")
+        """Raise Damage for parts without a checksum: a block of zeros would look like that."""
+        if not (checked or self._verified):
+            raise Damage(record.start, "it has no checksum: damage would not be noticed")
 
     def _copy_channel(self, channel: Channel) -> None:
         schema = self._schemas.get(channel.schema_id)
@@ -225,7 +225,7 @@ class LogCopy:
         run = find_message_run(data, first)
         channel = int(run["channel"][0])
         if channel not in self._channels:
-            raise Damage(first.start, f"channel {channel} was described in a part that is lost")
+            raise Damage(first.start, f"channel {channel} was described in a lost part")
         topic, copied = self._channels[channel]
         if topic in JSON_SCHEMAS:
             rows = (from_json(bytes(body)).get("row", -1) for body in run["body"])

@@ -1,6 +1,6 @@
-"""Go through a damaged file: its records, and behind a hole the next chunk that is whole.
+"""Walk through a damaged file: its records, and after a hole the next undamaged chunk.
 
-A chunk is found again by its own checksum, so that nothing is taken for one by chance.
+A chunk is recognised by its own checksum, so that nothing is taken for a chunk by chance.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ _DATA_END_BYTES = FRAME.size + 4
 
 
 class Hole(NamedTuple):
-    """Where no record is to be found."""
+    """A place where no record can be found."""
 
     damage: Damage
     bytes_lost: int
     at_end: bool
-    """Whether nothing is found behind it."""
+    """Whether nothing is found after it."""
 
 
 def salvage_records(file: memoryview) -> Iterator[FileRecord | Hole]:
-    """Yield what is there, in order, to the footer or the end of the file."""
+    """Yield records and holes in order, to the footer or the end of the file."""
     if file[: len(MAGIC)] != MAGIC:
         yield Hole(Damage(0, "it does not begin as an MCAP file does"), 0, at_end=False)
     at = last = len(MAGIC)
@@ -50,7 +50,7 @@ def salvage_records(file: memoryview) -> Iterator[FileRecord | Hole]:
         try:
             record = _known_record_at(file, at)
         except Damage as damage:
-            # What came last may have had a wrong length, and have hidden a chunk in itself.
+            # The previous record may have had a wrong length, and may hide a chunk.
             found = _find_next_chunk(file, last + 1) if in_data else None
             if found is None:
                 yield Hole(damage, len(file) - at if in_data else 0, at_end=True)
@@ -67,17 +67,17 @@ def salvage_records(file: memoryview) -> Iterator[FileRecord | Hole]:
 
 
 def read_summary(file: memoryview) -> list[FileRecord]:
-    """Return the records of the summary, none if it has no checksum that is right."""
-    footer = _find_vouched_footer(file)
+    """Return the records of the summary; none without a valid checksum."""
+    footer = _find_verified_footer(file)
     if footer is None:
         return []
     start = Footer.read(footer.stream()).summary_start
     return list(records_in(file[: footer.start], start))
 
 
-def is_data_vouched(file: memoryview) -> bool:
-    """Tell whether the file's end holds a checksum of all its data, and it is right."""
-    footer = _find_vouched_footer(file)
+def is_data_verified(file: memoryview) -> bool:
+    """Tell whether the end of the file holds a valid checksum of all its data."""
+    footer = _find_verified_footer(file)
     if footer is None:
         return False
     with suppress(Damage):
@@ -89,13 +89,13 @@ def is_data_vouched(file: memoryview) -> bool:
     return False
 
 
-def _find_vouched_footer(file: memoryview) -> FileRecord | None:
-    """Return the footer if it is there, and with it a summary that is whole."""
+def _find_verified_footer(file: memoryview) -> FileRecord | None:
+    """Return the footer if it and its summary are undamaged."""
     with suppress(Damage):
         footer = record_at(file, max(0, len(file) - len(MAGIC) - _FOOTER_BYTES))
         with translate_parse_errors(footer):
-            told = Footer.read(footer.stream())
-            if footer.opcode == Opcode.FOOTER and told.summary_start and told.summary_crc:
+            stored = Footer.read(footer.stream())
+            if footer.opcode == Opcode.FOOTER and stored.summary_start and stored.summary_crc:
                 verify_checksum(file, footer)
                 return footer
     return None
@@ -103,7 +103,7 @@ def _find_vouched_footer(file: memoryview) -> FileRecord | None:
 
 def _known_record_at(file: memoryview, at: int) -> FileRecord:
     record = record_at(file, at)
-    # From 128 on opcodes are free for everyone's own use.
+    # Opcodes from 128 on are free for private use.
     if Opcode.DATA_END < record.opcode < 128:
         raise Damage(at, f"there is no record of kind {record.opcode}")
     return record
@@ -111,7 +111,7 @@ def _known_record_at(file: memoryview, at: int) -> FileRecord:
 
 def _find_next_chunk(file: memoryview, at: int) -> FileRecord | None:
     for match in _CHUNK_FRAME.finditer(file, at):
-        with suppress(Exception):  # whatever a parser says of bytes that are no chunk
+        with suppress(Exception):  # a parser may raise anything for bytes that are not a chunk
             record = record_at(file, match.start())
             if Chunk.read(record.stream()).uncompressed_crc and len(unpack_chunk(record)):
                 return record

@@ -1,9 +1,9 @@
-"""A few numbers as bars beside each other, named and written out: before and after.
+"""A few numbers as named bars beside each other, such as before and after.
 
 levels = Levels("Displacement", "µm")
 levels.bar("recalibrated", 1310.0, colour=1)
 levels.bar("with valve_deadband", 4.8)
-levels.mark(0.9)                          # what the sensor itself adds
+levels.mark(0.9)                          # the noise of the sensor
 page.grid(levels)                         # pamctl.report.html_page
 """
 
@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from html import escape
 
-from pamctl.report.svg import css_of
+from pamctl.report.drawing.svg import css_of
 
 _WIDTH = 1000
 
 
 class Levels:
-    """Bars from zero, all in one unit and on one linear scale; none is below zero."""
+    """Bars from zero, in one unit and on one linear scale; no value is negative."""
 
     def __init__(self, title: str, unit: str) -> None:
         self.title, self.unit = title, unit
@@ -30,12 +30,12 @@ class Levels:
         return self
 
     def mark(self, value: float) -> Levels:
-        """Draw a line at a value across all bars; the caption says what it is."""
+        """Draw a line at a value across all bars; the caption explains it."""
         self._mark = value
         return self
 
     def html(self) -> str:
-        """Return the bars: escaped, without any style of their own."""
+        """Return the bars as escaped HTML, without their own style."""
         rows = "".join(
             f'<span>{escape(label)}</span><svg class="data" role="img" '
             f'aria-label="{escape(f"{label}: {value:.4g} {self.unit}")}" '
@@ -52,7 +52,7 @@ class Levels:
 
     def _place_of(self, value: float) -> int:
         largest = max((v for _, v, _ in self._bars), default=0.0) or 1.0
-        return max(round(value / largest * _WIDTH), 3)  # a bar of nothing can still be seen
+        return max(round(value / largest * _WIDTH), 3)  # a bar of zero length stays visible
 
     def _draw_mark(self) -> str:
         if self._mark is None or not self._bars:

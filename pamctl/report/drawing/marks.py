@@ -1,8 +1,8 @@
-"""What a figure is made of: lines, bands, points, bars, cells, marked places.
+"""The elements of a plot: lines, bands, points, bars, maps, marked values.
 
-Each function turns data into SVG within a frame of `FRAME_WIDTH` by the
-frame's height, in tenths of a pixel. The frame is stretched to the reader's screen, so
-strokes are kept from scaling by the page's style.
+Each function turns data into SVG in a frame of `FRAME_WIDTH` by the frame's height, in tenths of
+a pixel. The frame is stretched to the reader's screen; the page's style keeps strokes at their
+width.
 """
 
 from __future__ import annotations
@@ -14,37 +14,37 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.report.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
-from pamctl.report.scale import Scale
+from pamctl.report.drawing.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
+from pamctl.report.drawing.scale import Scale
 
 Floats = NDArray[np.float64]
 
 FRAME_WIDTH = 7200
 PIXEL = 10.0
-"""A frame is drawn in tenths of a pixel."""
+"""Tenths of a pixel per pixel."""
 CURVE_CELL = 2.0 * PIXEL
 CLOUD_CELL = 3.0 * PIXEL
 
 
 class Frame(NamedTuple):
-    """Where a mark is drawn."""
+    """The frame in which an element is drawn."""
 
     x: Scale
     y: Scale
     height: float
 
     def across(self, values: Floats) -> Floats:
-        """Return horizontal places; what lies far outside is drawn just outside."""
+        """Return horizontal places; values far outside are drawn just outside."""
         return np.clip(self.x.places(values), -1.0, 2.0) * FRAME_WIDTH
 
     def down(self, values: Floats) -> Floats:
-        """Return vertical places, counted from the top."""
+        """Return vertical places, from the top."""
         return (1.0 - np.clip(self.y.places(values), -1.0, 2.0)) * self.height
 
 
 @dataclass(frozen=True)
 class PlotMark:
-    """Data in a plot: what the axes must show of it, what the legend says, how it is drawn."""
+    """Data in a plot: the range for the axes, the text for the legend, and how to draw it."""
 
     xs: Sequence[Floats]
     ys: Sequence[Floats]
@@ -54,7 +54,7 @@ class PlotMark:
 
 
 def draw_line(frame: Frame, x: Floats, y: Floats, css: str, *, step: bool = False) -> str:
-    """Draw a line; x never falls. With `step` each value holds until the next point."""
+    """Draw a line; x must not fall. With `step` each value holds until the next point."""
     across, down = frame.across(x), frame.down(y)
     if step and len(across):
         across, down = np.repeat(across, 2)[1:], np.repeat(down, 2)[:-1]
@@ -76,7 +76,7 @@ def draw_curve(frame: Frame, x: Floats, y: Floats, css: str) -> str:
 
 
 def draw_band(frame: Frame, x: Floats, low: Floats, high: Floats, css: str) -> str:
-    """Fill the area between two lines over the same x, which never falls."""
+    """Fill the area between two lines with the same x, which must not fall."""
     across, top, bottom = frame.across(x), frame.down(high), frame.down(low)
     parts = []
     for part in find_unbroken(across, top + bottom):
@@ -96,7 +96,7 @@ def draw_points(frame: Frame, x: Floats, y: Floats, css: str) -> str:
     kept = thin_cloud(across, down, CLOUD_CELL)
     columns, rows = np.rint(across[kept]).astype(int), np.rint(down[kept]).astype(int)
     places = zip(columns.tolist(), rows.tolist(), strict=True)
-    # A line of no length with round ends is a dot, and stays round in a stretched frame.
+    # A line of zero length with round ends is a dot that stays round in a stretched frame.
     return f'<path class="{css}" d="{"".join(f"M{x} {y}h0" for x, y in places)}"/>'
 
 
@@ -112,7 +112,7 @@ def draw_bars(frame: Frame, edges: Floats, counts: Floats, css: str) -> str:
 
 
 class HeatRange(NamedTuple):
-    """The values that the ends of the colours stand for."""
+    """The values at the two ends of the colour scale."""
 
     low: float
     high: float
@@ -121,7 +121,7 @@ class HeatRange(NamedTuple):
 def draw_cells(
     frame: Frame, x_edges: Floats, y_edges: Floats, values: Floats, shown: HeatRange
 ) -> str:
-    """Draw a map: `values` of shape (rows, columns) over cell edges; NaN stays empty."""
+    """Draw a map of `values`, shape (rows, columns), over cell edges; NaN stays empty."""
     across, down = frame.across(x_edges), frame.down(y_edges)
     span = (shown.high - shown.low) or 1.0
     return "".join(
@@ -135,11 +135,11 @@ def draw_cells(
 
 
 HEAT = ((0, 34, 78), (65, 77, 107), (124, 123, 120), (188, 175, 111), (255, 234, 70))
-"""From low to high, even to eyes that see no red or no green: five stops of cividis."""
+"""Five stops of the colour map cividis, which is monotonic also for colour-blind readers."""
 
 
 def heat_colour(share: float) -> str:
-    """Return the colour of a share of the way from the lowest to the highest value."""
+    """Return the colour at a fraction of the way from the lowest to the highest value."""
     at = min(1.0, max(0.0, share)) * (len(HEAT) - 1)
     index = min(int(at), len(HEAT) - 2)
     mixed = (
@@ -149,7 +149,7 @@ def heat_colour(share: float) -> str:
 
 
 def draw_polyline(x: Floats, y: Floats) -> str:
-    """Return a polyline through points of shape (n,), n > 0, as short as SVG lets it be."""
+    """Return a polyline through points of shape (n,), n > 0, as short as SVG allows."""
     columns, rows = np.rint(x).astype(int), np.rint(y).astype(int)
     start = f"M{columns[0]} {rows[0]}"
     if len(columns) == 1:
@@ -159,6 +159,6 @@ def draw_polyline(x: Floats, y: Floats) -> str:
 
 
 def _write_pair(right: int, down: int) -> str:
-    """Write two numbers; a minus sign parts them as well as a space does."""
+    """Write two numbers; a minus sign separates them as well as a space does."""
     first = str(right) if right < 0 else f" {right}"
     return first + (str(down) if down < 0 else f" {down}")

@@ -1,4 +1,4 @@
-"""The tick once more, over a stretch of a log: the very function that the loop process calls."""
+"""Run the tick over a stretch of a log: the same function that the loop process calls."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-RETICK_FIELDS: tuple[Field, ...] = tuple(
+REPLAYED_FIELDS: tuple[Field, ...] = tuple(
     field
     for field in TICK_FIELDS
     if field.stage in ("measurement", "estimate", "command", "decision")
     or field.name == "applied_v"
 )
-"""What `retick` computes, in the order of its rows."""
+"""The fields that `replay_ticks` computes, in the order of its rows."""
 
 
 class TickInputs(NamedTuple):
-    """All that a tick is fed, as columns of shape (n,): timing, raw sample, reference."""
+    """The inputs of n ticks, as columns of shape (n,): timing, raw sample, reference."""
 
     tick: NDArray[np.int64]
     t_s: NDArray[np.float64]
@@ -53,17 +53,17 @@ def slice_inputs(columns: Mapping[str, NDArray[Any]], begin: int, end: int) -> T
     return TickInputs._make(columns[name][begin:end] for name in TickInputs._fields)
 
 
-def retick(
+def replay_ticks(
     setup: TickSetup,
     output: Output,
     state: TickState,
     inputs: TickInputs,
     rows: NDArray[np.float64],
 ) -> TickState:
-    """Kernel: fill `rows`, of shape (fields of RETICKED, n); return the state after the last tick.
+    """Kernel: run n ticks; return the state after the last one.
 
-    It is fed the reference of the log: a program that asks for something else is a finding
-    of its own, and must not hide what the tick makes of the same reference.
+    Fills `rows`, shape (len(REPLAYED_FIELDS), n). The reference is the logged one: if the program
+    asks for another reference, that is a difference of its own, and must not hide the others.
     """
     for i in range(len(inputs.tick)):
         raw = RawSample(
@@ -92,21 +92,21 @@ def retick(
     return state
 
 
-def retick_stretch(
+def replay_stretch(
     setup: TickSetup, output: Output, state: TickState, inputs: TickInputs, *, plain: bool = False
 ) -> tuple[TickState, NDArray[np.float64]]:
     """Run the ticks of a stretch, compiled or, as the loop process does, in plain Python.
 
-    Returns the state after the last one, and the rows, of shape (fields of RETICKED, n).
+    Returns the state after the last tick, and the rows, shape (len(REPLAYED_FIELDS), n).
     """
-    rows = np.empty((len(RETICK_FIELDS), len(inputs.tick)))
+    rows = np.empty((len(REPLAYED_FIELDS), len(inputs.tick)))
     if plain:
-        # As Python's own numbers: numpy's would take its powers by another library.
+        # The loop computes with Python's numbers: numpy's scalars use another library for powers.
         inputs = TickInputs._make(column.tolist() for column in inputs)
-        return retick(setup, output, state, inputs, rows), rows
-    return _compile_retick()(setup, output, state, inputs, rows), rows
+        return replay_ticks(setup, output, state, inputs, rows), rows
+    return _compile_replay_ticks()(setup, output, state, inputs, rows), rows
 
 
 @cache
-def _compile_retick() -> Callable[..., TickState]:
-    return compile_kernel(retick)
+def _compile_replay_ticks() -> Callable[..., TickState]:
+    return compile_kernel(replay_ticks)

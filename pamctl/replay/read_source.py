@@ -1,4 +1,4 @@
-"""What a replay needs, taken from a log; or the reason why there is nothing to replay in it."""
+"""Read from a log what a replay needs, or say why it cannot be replayed."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pamctl.json_text import to_json
 from pamctl.log import Log
 from pamctl.realtime.keyframe import keyframe_fields, thaw_state
 from pamctl.realtime.tick import TickState, first_state
-from pamctl.replay.recorded_run import GainChange, NotReplayable, ReplaySource
-from pamctl.replay.retick import RETICK_FIELDS, TickInputs
+from pamctl.replay.replay_source import GainChange, NotReplayable, ReplaySource
+from pamctl.replay.tick_kernel import REPLAYED_FIELDS, TickInputs
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
     SECTIONS,
@@ -26,10 +26,10 @@ from pamctl.settings.resolve import (
 
 
 def read_replay_source(log: Log) -> ReplaySource:
-    """Take from a log what a replay needs; raise NotReplayable."""
+    """Read from a log what a replay needs; raise NotReplayable."""
     _refuse_imported(log)
     if not len(log):
-        raise NotReplayable(f"{log.path} holds no tick")
+        raise NotReplayable(f"{log.path} holds no ticks")
     _require_columns(log)
     ticks = log["tick"]
     if np.any(np.diff(ticks) <= 0):
@@ -42,7 +42,7 @@ def read_replay_source(log: Log) -> ReplaySource:
         log=log,
         settings=settings,
         zeros=_read_zeros(log),
-        # A single run begins with what is configured; one that was ordered, with what was set.
+        # A single run begins with the configured gains, an ordered run with those that were set.
         gains=_read_controller(log, log.gains[0]) if orders else settings.controller,
         changes=_read_gain_changes(log),
         orders=orders,
@@ -55,8 +55,8 @@ def read_replay_source(log: Log) -> ReplaySource:
 def _refuse_imported(log: Log) -> None:
     if log.is_imported:
         raise NotReplayable(
-            f"{log.path} is an imported measurement: no tick of pamctl made it, and there is "
-            "nothing to replay in it; `pamctl compare` and `pamctl diagnose` work on it"
+            f"{log.path} is an imported measurement: there is no tick of pamctl to "
+            "replay in it; `pamctl compare` and `pamctl diagnose` work on it"
         )
 
 
@@ -95,9 +95,9 @@ def _read_zeros(log: Log) -> dict[int, Zero]:
 
 
 def _index_by_tick(log: Log, messages: Iterable[dict[str, Any]]) -> dict[int, dict[str, Any]]:
-    """Return messages by their tick as it stands in the log; without those whose tick is lost.
+    """Return messages by the place of their tick in the log, without those whose tick is lost.
 
-    A run in a loop that went on before begins with the frozen state of the tick before: -1.
+    The frozen state at the begin of an ordered run belongs to the tick before the log: place -1.
     """
     ticks = log["tick"]
     before = int(ticks[0]) - 1 - int(log["missed"][0])
@@ -112,7 +112,7 @@ def _index_by_tick(log: Log, messages: Iterable[dict[str, Any]]) -> dict[int, di
 
 
 def _read_gain_changes(log: Log) -> tuple[GainChange, ...]:
-    """Return the gains behind the first, which are those that the run began with."""
+    """Return all gains but the first, which are those at the beginning of the run."""
     return tuple(
         GainChange(
             _find_tick_after(log, m),
@@ -130,7 +130,7 @@ def _read_orders(log: Log) -> dict[int, Mapping[str, Any]]:
 
 
 def _find_tick_after(log: Log, message: Mapping[str, Any]) -> int:
-    """Return the first tick behind the one after which something was said."""
+    """Return the first tick after the tick of a message."""
     return int(np.searchsorted(log["tick"], message["tick"], side="right"))
 
 
@@ -150,11 +150,11 @@ def _read_controller(log: Log, message: Mapping[str, Any]) -> ControllerSettings
 
 
 _WHERE = ("tick", "t_ns", "row", "from_t_s", "ramp_s")
-"""What a message says beside its content."""
+"""Keys of a message beside its gains."""
 
 
 def _read_keyframes(log: Log) -> dict[int, TickState]:
-    """Thaw the keyframes; those of another version, whose state has other parts, are left out."""
+    """Thaw the keyframes; leave out those of another version, whose state has other parts."""
     like = first_state(Zero(0.0, 0.0), 0.0)
     names = keyframe_fields(like)
     return {
@@ -171,5 +171,5 @@ def _find_losses(log: Log, *, begins_known: bool) -> frozenset[int]:
 
 
 def find_absent_fields(log: Log) -> list[str]:
-    """Return the fields that this version computes and the log, of another version, lacks."""
-    return [field.name for field in RETICK_FIELDS if field.name not in log.columns]
+    """Return the fields that this version computes and a log of another version lacks."""
+    return [field.name for field in REPLAYED_FIELDS if field.name not in log.columns]

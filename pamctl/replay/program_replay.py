@@ -1,7 +1,7 @@
-"""The program of a run once more: what it asks for at the log's times, and the zeros it finds.
+"""Run the program of a run again: its references at the logged times, and the zeros it finds.
 
-Homing is fed the log's raw samples, and a stop begins in the tick in which it began: what
-remains is decided by the settings alone.
+Homing gets the logged raw samples, and a stop begins in the same tick as in the log. Everything
+else follows from the settings.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ from hal.rig import RawSample
 from pamctl.control.experiment import make_valve_reference
 from pamctl.control.homing import HomingError
 from pamctl.realtime.program import Program
+from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import find_differing
-from pamctl.replay.recorded_run import ReplaySource
-from pamctl.replay.retrace import retrace_course
+from pamctl.replay.replay_source import ReplaySource
 from pamctl.settings.build import build_ordered_program, build_program, nominal_zero_of
 from pamctl.signals import Phase, Reference
 
 _NOTHING = (-1.0, math.nan, math.nan, math.nan, math.nan, math.nan)
-"""What a program that is over, or refuses to home, asks for; -1 is no phase."""
+"""Reference of a program that is over or refuses to home; -1 is not a phase."""
 
 _BY_HISTORY = (Phase.HOMING, Phase.STOPPING)
-"""Phases that depend on the ticks before; all others go by time alone."""
+"""Phases that depend on earlier ticks; all others depend on time only."""
 
 
 class ProgramAnswer(NamedTuple):
-    """What the program said in a stretch of ticks."""
+    """The program's references and zeros in a stretch of ticks."""
 
     references: NDArray[np.float64]
-    """Shape (fields of Reference, n)."""
+    """Shape (len(Reference._fields), n)."""
     zeros: dict[int, Zero]
-    """Zeros that it found, by the tick that they hold from."""
+    """Zeros that it found, by the first tick that uses them."""
 
 
 class ProgramReplay:
-    """Walks through the ticks of a recording in order, from any tick on."""
+    """Runs the program through the ticks of a log in order, from any tick on."""
 
     def __init__(self, recording: ReplaySource, begin: int, *, plain: bool = False) -> None:
-        """The program of a run whose homing lies before `begin` is taken up after it.
+        """If the homing lies before `begin`, the program continues after it.
 
-        `plain` asks tick by tick, as the loop does.
+        `plain` runs it tick by tick, as the loop does.
         """
         self._recording = recording
         self._plain = plain
@@ -59,43 +59,43 @@ class ProgramReplay:
         )
 
     def ask(self, begin: int, end: int) -> ProgramAnswer | None:
-        """Return what is asked from `begin` to before `end`; None where nobody can tell.
+        """Return the references from `begin` to before `end`; None if the log does not tell.
 
-        Stretches come in order, without one left out.
+        Call it for all stretches in order.
         """
         if begin in self._recording.orders:
-            self._program = self._ordered(begin)
+            self._program = self._resume_order(begin)
         if begin in self._recording.losses and begin > 0 and self._depends_on_history(begin):
             self._program = None
         if self._program is None:
             self._program = self._resume_program(begin)
         if self._program is None:
             return None
-        asked = None if self._plain else self._retrace_course(self._program, begin, end)
+        asked = None if self._plain else self._trace_course(self._program, begin, end)
         return asked or self._ask_tick_by_tick(self._program, begin, end)
 
-    def _retrace_course(self, program: Program, begin: int, end: int) -> ProgramAnswer | None:
-        """Return what a course asks for in one go, where that is what the log says."""
+    def _trace_course(self, program: Program, begin: int, end: int) -> ProgramAnswer | None:
+        """Return the references of a course in one compiled go, if they equal the log."""
         if program.running is None or self._recording.stops & set(range(begin, end)):
             return None
         course, course_begin_s = program.running
         t_s = self._recording.log.t[begin:end]
-        rows = retrace_course(course.segments, course.duration_s, course_begin_s, t_s)
+        rows = trace_course(course.segments, course.duration_s, course_begin_s, t_s)
         if rows is None or any(
             find_differing(self._recording.log[name][begin:end].astype(np.float64), row) is not None
             for name, row in zip(Reference._fields, rows, strict=True)
         ):
-            return None  # plain Python, in which the log was made, has the last word
+            return None  # plain Python decides, because it made the log
         return ProgramAnswer(rows, {})
 
     def _depends_on_history(self, tick: int) -> bool:
         return self._phase[tick - 1] in _BY_HISTORY or self._phase[tick] in _BY_HISTORY
 
     def _resume_program(self, begin: int) -> Program | None:
-        """Return a program that has come as far as `begin`, None if the log does not say how."""
+        """Return a program that has run up to `begin`; None if the log does not tell how."""
         recording, times_s = self._recording, self._recording.log.t
         if recording.orders:
-            return self._ordered(begin)
+            return self._resume_order(begin)
         if not recording.settings.rig.homing.enabled:
             course_begin_s = 0.0
         elif homed := [tick for tick in recording.zeros if 0 < tick <= begin]:
@@ -104,7 +104,7 @@ class ProgramReplay:
             return None
         program = build_program(recording.settings, course_begin_s=course_begin_s)
         for stop in (tick for tick in recording.stops if tick < begin):
-            # Asked for in the tick before, or, where the course was over, in this very tick.
+            # The stop came in the tick before or, at the end of a course, in this tick.
             at_once = self._phase[stop] == Phase.STOPPING
             last_v = self._valve_v_before(stop) if at_once else float(self._valve_v[stop])
             self._begin_stop(program, float(times_s[stop]), last_v)
@@ -112,8 +112,8 @@ class ProgramReplay:
             return program if program.is_stopping else None
         return program
 
-    def _ordered(self, begin: int) -> Program | None:
-        """Ask the program that was ordered last all that it was asked up to `begin`."""
+    def _resume_order(self, begin: int) -> Program | None:
+        """Run the last ordered program up to `begin`; None if the log lost ticks of it."""
         ordered_at = max((tick for tick in self._recording.orders if tick <= begin), default=None)
         if ordered_at is None or self._recording.losses & set(range(ordered_at, begin + 1)):
             return None
@@ -143,9 +143,9 @@ class ProgramReplay:
             if self._is_first:
                 zeros[tick] = nominal_zero_of(self._recording.settings)(sample)
                 self._is_first = False
-            reference, zero = self._asked(program, t_s, sample, last_v)
+            reference, zero = self._ask_once(program, t_s, sample, last_v)
             if reference is None and self._recording.orders and program.is_stopping:
-                reference = self._parked  # the loop goes on when a run is over
+                reference = self._parked  # the loop goes on after the end of a run
             rows.append(_NOTHING if reference is None else reference)
             if zero is not None:
                 zeros[tick] = zero
@@ -156,10 +156,10 @@ class ProgramReplay:
             np.array(rows, dtype=np.float64).reshape(-1, len(Reference._fields)).T, zeros
         )
 
-    def _asked(
+    def _ask_once(
         self, program: Program, t_s: float, sample: RawSample, last_v: float
     ) -> tuple[Reference | None, Zero | None]:
-        """Ask as the loop does: a course that is over begins its stop at once."""
+        """Ask for one reference as the loop does: at its end, a course begins its stop at once."""
         try:
             reference, zero = program.next_reference(t_s, sample)
         except HomingError:

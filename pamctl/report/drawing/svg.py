@@ -1,13 +1,13 @@
-"""A plot: two axes, what is drawn between them, and its legend.
+"""A plot: two axes, the data between them, and a legend.
 
-    plot = Plot("Displacement", Axis("time", "s", tight=True), Axis("displacement", "mm"))
+    plot = SvgPlot("Displacement", PlotAxis("time", "s", tight=True), PlotAxis("position", "mm"))
     plot.line(t_s, reference_mm, "reference", colour=MUTED)
     plot.line(t_s, position_mm, "measured")
     page.figure(plot, caption="...")          # pamctl.report.html_page
 
-The frame of the data is stretched to the width of the screen or the paper while strokes,
-numbers and words keep their size: the same figure is readable on a phone and in print.
-Colours are names that the page's style fills in, for light and for dark.
+The data's frame is stretched to the width of screen or paper, while strokes, numbers and words
+keep their size: the same figure is readable on a phone and in print. Colours are names; the
+page's style defines them for light and dark screens.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pamctl.report import marks
-from pamctl.report.marks import FRAME_WIDTH, HEAT, PIXEL, Frame, HeatRange, PlotMark
-from pamctl.report.scale import PlotAxis, Scale, fit_scale
+from pamctl.report.drawing import marks
+from pamctl.report.drawing.marks import FRAME_WIDTH, HEAT, PIXEL, Frame, HeatRange, PlotMark
+from pamctl.report.drawing.scale import PlotAxis, Scale, fit_scale
 
 __all__ = ["MUTED", "PlotAxis", "SvgPlot", "css_of", "share_x_axis"]
 
@@ -30,9 +30,9 @@ Floats = NDArray[np.float64]
 Draw = Callable[[Frame, Floats, Floats, str], str]
 
 COLOURS = 7
-"""How many colours there are; a further one begins anew."""
+"""The number of colours; further ones begin again with the first."""
 MUTED = -1
-"""The colour of what is there for comparison: a reference, a limit."""
+"""The colour of data for comparison: a reference, a limit."""
 
 _ROOM_ABOVE, _ROOM_BELOW, _ROOM_BELOW_UNNAMED = 8, 42, 24
 
@@ -40,8 +40,8 @@ _ROOM_ABOVE, _ROOM_BELOW, _ROOM_BELOW_UNNAMED = 8, 42, 24
 class SvgPlot:
     """One pair of axes. Data are array-likes of shape (n,) in the unit of their axis.
 
-    `colour` counts from 0 in the Okabe-Ito colours, or is `MUTED`. Points that are not
-    finite, and on a log axis not above zero, are left out: a line breaks there.
+    `colour` is an index into the Okabe-Ito colours, or `MUTED`. Points that are not finite, or not
+    positive on a log axis, are left out; a line breaks there.
     """
 
     def __init__(self, title: str, x: PlotAxis, y: PlotAxis, *, height_px: int = 180) -> None:
@@ -80,7 +80,7 @@ class SvgPlot:
     def band(
         self, x: ArrayLike, low: ArrayLike, high: ArrayLike, label: str = "", *, colour: int = 0
     ) -> SvgPlot:
-        """Fill the area between two lines; `low` and `high` may each be one number."""
+        """Fill the area between two lines; `low` and `high` may also be numbers."""
         across = _to_floats(x)
         lower = np.broadcast_to(_to_floats(low), across.shape)
         upper = np.broadcast_to(_to_floats(high), across.shape)
@@ -97,7 +97,7 @@ class SvgPlot:
         """Draw a histogram: n counts between n + 1 rising edges."""
         sides, heights, css = _to_floats(edges), _to_floats(counts), f"b solid {css_of(colour)}"
         if len(sides) != len(heights) + 1:
-            raise ValueError(f"{self.title}: a histogram has one edge more than counts")
+            raise ValueError(f"{self.title}: a histogram needs one edge more than counts")
 
         def draw(frame: Frame) -> str:
             return marks.draw_bars(frame, sides, heights, css)
@@ -117,7 +117,9 @@ class SvgPlot:
         """Draw a map: `values` of shape (m, n) between m + 1 y edges and n + 1 x edges."""
         across, up, grid = _to_floats(x_edges), _to_floats(y_edges), _to_floats(values)
         if grid.shape != (len(up) - 1, len(across) - 1):
-            raise ValueError(f"{self.title}: a map has one edge more than cells, both ways")
+            raise ValueError(
+                f"{self.title}: a map needs one edge more than cells in both directions"
+            )
         finite = grid[np.isfinite(grid)]
         shown = HeatRange(
             low if low is not None else float(min(finite, default=0.0)),
@@ -131,27 +133,27 @@ class SvgPlot:
         return self._put(PlotMark([across], [up], "", "", draw))
 
     def level(self, y: float, label: str = "", *, colour: int = MUTED) -> SvgPlot:
-        """Mark a height with a horizontal line, which does not widen the axis."""
+        """Mark a height with a horizontal line; the axis does not grow for it."""
         self._lines.append(("y", y, label, colour))
         return self
 
     def place(self, x: float, label: str = "", *, colour: int = MUTED) -> SvgPlot:
-        """Mark a place with a vertical line, which does not widen the axis."""
+        """Mark a place with a vertical line; the axis does not grow for it."""
         self._lines.append(("x", x, label, colour))
         return self
 
     @property
     def x_data(self) -> list[Floats]:
-        """All that the x axis must show."""
+        """All data that the x axis must show."""
         return [values for mark in self._marks for values in mark.xs]
 
     def share_x(self, scale: Scale, *, names_x: bool = True) -> None:
-        """Take over an x scale, and leave its name to the plot below: figures then agree."""
+        """Use a common x scale, and leave its name to the plot below."""
         self._x_scale, self._names_x = scale, names_x
 
     def html(self) -> str:
-        """Return the plot with its legend: escaped, without any style of its own."""
-        whole = self._heat is not None  # a map ends where its cells end
+        """Return the plot with its legend as escaped HTML, without its own style."""
+        whole = self._heat is not None  # a map ends at the edges of its cells
         x = self._x_scale or fit_scale(replace(self.x, tight=self.x.tight or whole), self.x_data)
         y = fit_scale(
             replace(self.y, tight=self.y.tight or whole),
@@ -176,12 +178,12 @@ class SvgPlot:
         )
 
     def _y_name(self) -> str:
-        """Return what the title does not say already."""
+        """Return the parts of the axis label that the title does not state."""
         same = self.title.casefold() == self.y.label.casefold()
         return self.y.unit if same else self.y.title
 
     def _grid(self, x: Scale, y: Scale) -> str:
-        """Return grid lines and numbers; every second number across may be left out."""
+        """Return grid lines and numbers; a narrow x axis may omit every second number."""
         bottom = self.height_px
         parts = [f'<rect class="paper" width="100%" height="{bottom}"/>']
         for place, text, _ in y.ticks(max(4, bottom // 32)):
@@ -265,7 +267,7 @@ class SvgPlot:
 
 
 def share_x_axis(plots: Sequence[SvgPlot]) -> Sequence[SvgPlot]:
-    """Give plots one x axis that shows the data of all: the first one's `PlotAxis` rules."""
+    """Give plots one x axis for the data of all, with the settings of the first one's axis."""
     if plots:
         scale = fit_scale(plots[0].x, [values for plot in plots for values in plot.x_data])
         for plot in plots:

@@ -1,4 +1,4 @@
-"""The drawing of plots: nothing that matters is left out, and nothing gets out of its place."""
+"""Plots: all extremes are drawn, and everything is in its place."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pamctl.report.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
+from pamctl.report.drawing.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
+from pamctl.report.drawing.scale import PlotAxis, Scale, choose_step, fit_scale, format_tick
+from pamctl.report.drawing.svg import SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.scale import PlotAxis, Scale, choose_step, fit_scale, format_tick
-from pamctl.report.svg import SvgPlot
 
 HEIGHTS = st.floats(-1e6, 1e6, allow_nan=False)
 HOSTILE = '</title><script>alert("1")</script><img src=x onerror=alert(1)>&"\''
@@ -175,7 +175,7 @@ def test_a_plot_without_data_says_so():
 def test_data_of_unequal_length_are_refused_by_the_plots_name():
     with pytest.raises(ValueError, match="spiral: x has shape"):
         SvgPlot("spiral", T, Y).line([0.0, 1.0], [0.0])
-    with pytest.raises(ValueError, match="spiral: a histogram has one edge more"):
+    with pytest.raises(ValueError, match="spiral: a histogram needs one edge more"):
         SvgPlot("spiral", T, Y).bars([0.0, 1.0], [1.0, 2.0])
 
 

@@ -1,8 +1,8 @@
-"""Fewer points for the same picture: no extreme is lost, no gap is bridged.
+"""Fewer points for the same picture: extremes stay, and gaps stay gaps.
 
-A line keeps, of every column of pixels, its lowest and its highest point; a cloud or a
-curve through a plane keeps one point of every cell that it visits. All lengths are in
-the units of the drawing.
+A line keeps the lowest and the highest point of every column of pixels. A cloud of points or a
+curve through a plane keeps one point of every cell that it visits. All lengths are in the units
+of the drawing.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Indices = NDArray[np.intp]
 
 
 def find_unbroken(x: Floats, y: Floats) -> list[slice]:
-    """Return the stretches, longest possible, in which both are finite; shape (n,) each."""
+    """Return the longest stretches in which both arrays, shape (n,), are finite."""
     finite = np.concatenate(([False], np.isfinite(x) & np.isfinite(y), [False]))
     begins = np.flatnonzero(~finite[:-1] & finite[1:])
     ends = np.flatnonzero(finite[:-1] & ~finite[1:])
@@ -25,24 +25,24 @@ def find_unbroken(x: Floats, y: Floats) -> list[slice]:
 def keep_extremes(x: Floats, y: Floats, column: float) -> Indices:
     """Return, in order, the points that draw the line through (x, y); x must not fall.
 
-    Of each column the lowest and the highest point stay, and of the whole the first and the
-    last. Shape (n,) of finite numbers in; at most two indices a column and two more out.
+    Input: finite numbers of shape (n,). The lowest and highest point of each column stay, and the
+    first and last point: at most two indices a column, and two more.
     """
     count = len(x)
     columns = np.floor(x / column)
     starts = np.flatnonzero(np.concatenate(([True], columns[1:] != columns[:-1])))
     if count <= 2 * len(starts) + 2:
         return np.arange(count)
-    # Sorted by column, then by height: each column's lowest comes first and its highest last.
+    # Sorted by column, then by height: each column begins with its lowest point.
     order = np.lexsort((y, columns))
     ends = np.concatenate((starts[1:], [count])) - 1
     return np.unique(np.concatenate(([0], order[starts], order[ends], [count - 1])))
 
 
 def drop_repeats(x: Floats, y: Floats, cell: float) -> Indices:
-    """Return the points of a curve through a plane, without those that stay in their cell.
+    """Return the points of a curve through a plane, without those that stay in a cell.
 
-    Shape (n,) of finite numbers in. The extremes of x and y and the last point stay.
+    Input: finite numbers of shape (n,). The extremes of x and y and the last point stay.
     """
     if not len(x):
         return np.zeros(0, np.intp)
@@ -52,7 +52,7 @@ def drop_repeats(x: Floats, y: Floats, cell: float) -> Indices:
 
 
 def thin_cloud(x: Floats, y: Floats, cell: float) -> Indices:
-    """Return one point of every cell that a cloud touches, and the extremes of x and y."""
+    """Return one point of every cell that a cloud of points visits, and the extremes of x and y."""
     if not len(x):
         return np.zeros(0, np.intp)
     cells = np.floor(x / cell) + 1j * np.floor(y / cell)

@@ -1,4 +1,4 @@
-"""A log as a replay sees it: the state, the set-up and the inputs of every tick."""
+"""The parts of a log that a replay needs: the state, the setup and the inputs of every tick."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from pamctl.control.law import ControllerSettings
 from pamctl.log import Log
 from pamctl.realtime.gain_ramp import GainRamp
 from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state
-from pamctl.replay.retick import TickInputs, slice_inputs
+from pamctl.replay.tick_kernel import TickInputs, slice_inputs
 from pamctl.settings.build import build_tick_setup, output_of
 from pamctl.settings.resolve import RunSettings
 
 
 class NotReplayable(Exception):
-    """There is nothing to replay, or not by this version. The message says why, and what to do."""
+    """The log cannot be replayed, or not by this version. The message says why, and what to do."""
 
 
 class BehindTheEnd(NotReplayable):
-    """The log is fine, and ends before the time that was asked for."""
+    """The log ends before the requested time."""
 
 
 class GainChange(NamedTuple):
-    """Gains that were taken over on a ramp."""
+    """Gains that were changed on a ramp while the law ran."""
 
     tick: int
-    """The first one with them, as it stands in the log."""
+    """The first tick with the new gains, as its place in the log."""
     controller: ControllerSettings
     from_t_s: float
     ramp_s: float
@@ -41,44 +41,44 @@ class GainChange(NamedTuple):
 
 @dataclass(frozen=True)
 class ReplaySource:
-    """A log as a replay sees it. Ticks are counted as they stand in the log, from 0."""
+    """A log, prepared for a replay. A tick's number is its place in the log, from 0."""
 
     log: Log
     settings: RunSettings
     zeros: Mapping[int, Zero]
-    """The sensors' zeros, by the tick that they hold from."""
+    """The sensors' zeros, by the first tick that uses them."""
     gains: ControllerSettings
-    """Those that the run began with."""
+    """The gains at the beginning of the run."""
     changes: tuple[GainChange, ...]
-    """Those that it took over while it ran, in order."""
+    """The changes of the gains during the run, in order."""
     orders: Mapping[int, Mapping[str, Any]]
-    """Runs that were ordered of a daemon's loop, by the tick that they hold from."""
+    """Runs that were ordered from a daemon's loop, by their first tick."""
     stops: frozenset[int]
     """Ticks in which the run began to stop."""
     keyframes: Mapping[int, TickState]
-    """The frozen state after a tick."""
+    """The frozen state after a tick, by tick."""
     losses: frozenset[int]
-    """Ticks before which others are missing that the run did not miss: the log lost them."""
+    """Ticks with a loss before them: the run did not miss those ticks, but the log lost them."""
 
     def __len__(self) -> int:
         """Return the number of ticks."""
         return len(self.log)
 
     def inputs(self, begin: int, end: int) -> TickInputs:
-        """Return what the ticks from `begin` to before `end` were fed."""
+        """Return the inputs of the ticks from `begin` to before `end`."""
         return slice_inputs(self.log.columns, begin, end)
 
     def cut_stretches(self, begin: int) -> list[tuple[int, int]]:
-        """Cut the ticks from `begin` on where state or gains change, or are known."""
+        """Cut the ticks from `begin` on wherever state or gains change, or a state is known."""
         after_keyframes = {tick + 1 for tick in self.keyframes}
         cuts = {*self.zeros, *self.losses, *after_keyframes, *self.orders, begin, len(self)}
         cuts.update(*(self._find_ramp(change) for change in self.changes))
         return list(pairwise(sorted(cut for cut in cuts if begin <= cut <= len(self))))
 
     def state_at(self, tick: int, after_last: TickState | None) -> TickState | None:
-        """Return the state that a tick begins with; None where a loss lies before it.
+        """Return the state before a tick; None if ticks before it are lost.
 
-        `after_last` is the state after the tick before; None where that is not known.
+        `after_last` is the state after the previous tick; None if it is unknown.
         """
         lost = tick in self.losses
         zero = self.zeros.get(tick)
@@ -89,13 +89,13 @@ class ReplaySource:
         return rezero_state(after_last, zero)
 
     def _find_ramp(self, change: GainChange) -> range:
-        """Return the ticks in which gains move, and the first one with the new ones."""
+        """Return the ticks of a ramp, and the first tick with the final gains."""
         times_s = self.log.t
         end = int(np.searchsorted(times_s, change.from_t_s + change.ramp_s))
         return range(change.tick, min(end + 1, len(self)))
 
     def setup_at(self, tick: int) -> TickSetup:
-        """Return the tick's setup: on a ramp it holds for this tick alone."""
+        """Return the setup of a tick; on a ramp it applies to this tick only."""
         tuning = GainRamp(self._first_setup)
         for change in self.changes:
             if change.tick <= tick:
@@ -108,11 +108,11 @@ class ReplaySource:
 
     @cached_property
     def output(self) -> Output:
-        """The valve's output."""
+        """The converter of the valve's output."""
         return output_of(self.settings)
 
     def find_tick_before(self, t_s: float) -> int:
-        """Return the last tick with a keyframe that is not later than `t_s`, or -1."""
+        """Return the last tick with a keyframe at or before `t_s`, or -1."""
         times_s = self.log.t
         if not t_s <= times_s[-1]:
             raise BehindTheEnd(
@@ -120,7 +120,7 @@ class ReplaySource:
             )
         if not self.keyframes and t_s > times_s[0]:
             raise NotReplayable(
-                f"{self.log.path} has no frozen state that this version knows; "
-                "replay it from its beginning"
+                f"{self.log.path} has no frozen state that this version can read; "
+                "replay it from the beginning"
             )
         return max((tick for tick in self.keyframes if times_s[tick] <= t_s), default=-1)

@@ -1,4 +1,4 @@
-"""A course at many times in one compiled go: what `Course.at` says of each."""
+"""Evaluate `Course.at` at many times in one compiled call."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-def retrace_course(
+def trace_course(
     course: Sequence[Segment], duration_s: float, begin_s: float, t_s: Floats
 ) -> Floats | None:
-    """Return the references of a course that began at `begin_s`; None if it is over by the last.
+    """Return the references of a course from `begin_s` on; None if it ends before the last time.
 
-    `t_s`, of shape (n,), rises; the result has the shape (fields of Reference, n).
+    `t_s`, shape (n,), rises; the result has shape (len(Reference._fields), n).
     """
     rows = np.empty((len(Reference._fields), len(t_s)))
-    done = _compile_retrace()(_tabulate_segments(tuple(course)), duration_s, t_s - begin_s, rows)
+    done = _compile_trace()(_tabulate_segments(tuple(course)), duration_s, t_s - begin_s, rows)
     return rows if done == len(t_s) else None
 
 
 @cache
 def _tabulate_segments(course: tuple[Segment, ...]) -> Floats:
-    """Return the segments as rows, each with its begin: summed up as a course does it."""
+    """Return the segments as rows, each with its begin, summed in the same order as in a course."""
     begin_s, rows = 0.0, []
     for segment in course:
         rows.append((*segment, begin_s))
@@ -44,12 +44,12 @@ def _tabulate_segments(course: tuple[Segment, ...]) -> Floats:
 
 
 @cache
-def _compile_retrace() -> Callable[..., int]:
-    return compile_kernel(retrace)
+def _compile_trace() -> Callable[..., int]:
+    return compile_kernel(trace_segments)
 
 
-def retrace(segments: Floats, duration_s: float, t_s: Floats, rows: Floats) -> int:
-    """Kernel: fill a column of `rows` for each time; return how many there were until the end."""
+def trace_segments(segments: Floats, duration_s: float, t_s: Floats, rows: Floats) -> int:
+    """Kernel: fill a column of `rows` for each time; return the number of times before the end."""
     index = 0
     for i in range(len(t_s)):
         if t_s[i] >= duration_s - 5e-10:

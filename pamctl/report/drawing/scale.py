@@ -1,4 +1,4 @@
-"""From values to places on an axis, and the round numbers that stand beside it."""
+"""Scales: from values to places on an axis, and round numbers beside it."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _MARGIN = 0.04
-"""Share of the range that stays free on either side of the data."""
+"""Free share of the range on either side of the data."""
 
 
 @dataclass(frozen=True)
 class PlotAxis:
-    """What an axis says: `PlotAxis("pressure", "kPa")`; `low` and `high` fix its ends."""
+    """An axis: `PlotAxis("pressure", "kPa")`; `low` and `high` fix its ends."""
 
     label: str
     unit: str = ""
@@ -26,7 +26,7 @@ class PlotAxis:
     high: float | None = None
     log: bool = False
     tight: bool = False
-    """End where the data ends, without a margin: right for time."""
+    """End at the data, without a margin; right for time."""
 
     @property
     def title(self) -> str:
@@ -35,24 +35,24 @@ class PlotAxis:
 
 
 class AxisTick(NamedTuple):
-    """A round number on an axis; `place` runs from 0 to 1."""
+    """A round number beside an axis; `place` runs from 0 to 1."""
 
     place: float
     text: str
     spare: bool
-    """Every second number; zero is none of them. A narrow axis may leave them out."""
+    """True for every second number, never for zero: a narrow axis may omit it."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """An axis with both ends known, `low < high`, both above zero on a log axis."""
+    """An axis with both ends known, `low < high`; both positive on a log axis."""
 
     low: float
     high: float
     log: bool = False
 
     def places(self, values: Floats) -> Floats:
-        """Return where values lie, 0 at `low` and 1 at `high`; NaN where they have no place."""
+        """Return the places of values: 0 at `low`, 1 at `high`, NaN where a value has no place."""
         with np.errstate(all="ignore"):
             if self.log:
                 shown = np.where(values > 0.0, values, np.nan)
@@ -62,11 +62,11 @@ class Scale:
         return np.where(np.isfinite(places), places, np.nan)
 
     def place(self, value: float) -> float:
-        """Return where one value lies."""
+        """Return the place of one value."""
         return float(self.places(np.array([value], dtype=np.float64))[0])
 
     def ticks(self, about: int = 6) -> list[AxisTick]:
-        """Return round numbers within the axis, at most one and a half times `about` of them."""
+        """Return round numbers within the axis, at most 1.5 times `about` of them."""
         decades = self._list_decades(about) if self.log else []
         if len(decades) > 1:
             return [
@@ -90,7 +90,7 @@ class Scale:
 
 
 def fit_scale(axis: PlotAxis, data: Iterable[Floats]) -> Scale:
-    """Return the scale that shows all of the data, shape (n,) each; 0 to 1 where there is none."""
+    """Return a scale that shows all of the data, shape (n,) each; 0 to 1 if there are none."""
     low, high = math.inf, -math.inf
     for values in data:
         shown = values[np.isfinite(values) & ((values > 0.0) | (not axis.log))]
@@ -120,13 +120,13 @@ def _widen(low: float, high: float, *, log: bool, tight: bool) -> tuple[float, f
 
 
 def choose_step(rough: float) -> float:
-    """Return the nearest of 1, 2, 5 times a power of ten that is at least `rough`."""
+    """Return 1, 2 or 5 times a power of ten, the smallest that is at least `rough`."""
     power = 10.0 ** math.floor(math.log10(rough))
     return next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= rough * 0.999)
 
 
 def format_tick(value: float, step: float, largest: float) -> str:
-    """Write a tick with as many digits as tell it from its neighbours; step 0 is a log axis."""
+    """Write a tick with enough digits to tell it from its neighbours; step 0 means a log axis."""
     if step == 0.0:
         text = f"{value:g}" if 1e-3 <= value < 1e5 else f"{value:.0e}".replace("e-0", "e-")
         return text.replace("e+0", "e").replace("-", "\N{MINUS SIGN}")

@@ -1,4 +1,4 @@
-"""A replay under way: stretch by stretch, what the log says beside what comes out now."""
+"""The replay of a log, stretch by stretch: run the tick and compare it with the log."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from hal.calibration import Zero
 from pamctl.realtime.keyframe import freeze_state, keyframe_fields
 from pamctl.realtime.tick import TickState, first_state
 from pamctl.replay.differences import Differences, Floats, StageField, find_differing
-from pamctl.replay.reask import ProgramAnswer, ProgramReplay
-from pamctl.replay.recorded_run import ReplaySource
-from pamctl.replay.retick import RETICK_FIELDS, retick_stretch
+from pamctl.replay.program_replay import ProgramAnswer, ProgramReplay
+from pamctl.replay.replay_source import ReplaySource
+from pamctl.replay.tick_kernel import REPLAYED_FIELDS, replay_stretch
 from pamctl.signals import TICK_FIELDS
 
 
 def list_compared_fields() -> list[str]:
-    """Name every field that a replay compares: of the zeros, of a tick, and of a keyframe."""
+    """Name every field that a replay compares: zeros, reference, tick and keyframe."""
     return [
         *Zero._fields,
         *_REFERENCE,
-        *(field.name for field in RETICK_FIELDS),
+        *(field.name for field in REPLAYED_FIELDS),
         *(name for _, name in _REMEMBERED),
     ]
 
@@ -30,31 +30,31 @@ _REMEMBERED = tuple(
     for index, name in enumerate(keyframe_fields(first_state(Zero(0.0, 0.0), 0.0)))
     if name.startswith(("filters.", "law.", "safety."))
 )
-"""What a keyframe has beside the tick: the memory of filters, law and safety."""
+"""The fields of a keyframe that are not in the tick: the memory of filters, law and safety."""
 
 
 class TickReplay:
-    """A replay under way: the state, and what was found so far."""
+    """A replay in progress: its state, and the differences so far."""
 
     def __init__(
         self, recording: ReplaySource, begin: int, differences: Differences, *, plain: bool
     ) -> None:
-        """Begin before the tick `begin`; stretches come in order from there."""
+        """Begin before the tick `begin`; take all stretches in order from there."""
         self.differences = differences
         self.skipped = 0
-        """Ticks so far whose state nobody knows."""
+        """Number of ticks so far whose state is unknown."""
         self.unasked = 0
-        """Ticks so far whose reference nobody knows."""
+        """Number of ticks so far whose reference is unknown."""
         self._recording = recording
-        self._reasking = ProgramReplay(recording, begin, plain=plain)
+        self._program = ProgramReplay(recording, begin, plain=plain)
         self._state = recording.keyframes.get(begin - 1)
         self._plain = plain
         self._parted = False
 
     def take(self, begin: int, end: int) -> None:
-        """Replay a stretch and compare it."""
+        """Replay a stretch and compare it with the log."""
         self._state = self._recording.state_at(begin, self._state)
-        asked = self._reasking.ask(begin, end)
+        asked = self._program.ask(begin, end)
         if self._state is None:
             self.skipped += end - begin
             self._state = self._recording.keyframes.get(end - 1)
@@ -63,28 +63,28 @@ class TickReplay:
             self.unasked += end - begin
         else:
             self._compare_answer(asked, begin, end)
-        self._state, rows = self._retick_stretch(self._state, begin, end)
-        for field, row in zip(RETICK_FIELDS, rows, strict=True):
+        self._state, rows = self._replay_stretch(self._state, begin, end)
+        for field, row in zip(REPLAYED_FIELDS, rows, strict=True):
             if field.name in self._recording.log.columns:
                 logged = self._read_logged(field.name, begin, end)
                 self.differences.take(StageField(field.stage, field.name), begin, logged, row)
         self._compare_keyframe(self._state, end - 1)
 
-    def _retick_stretch(self, state: TickState, begin: int, end: int) -> tuple[TickState, Floats]:
+    def _replay_stretch(self, state: TickState, begin: int, end: int) -> tuple[TickState, Floats]:
         recording = self._recording
         setup = recording.setup_at(begin)
         inputs = recording.inputs(begin, end)
-        after, rows = retick_stretch(setup, recording.output, state, inputs, plain=self._plain)
+        after, rows = replay_stretch(setup, recording.output, state, inputs, plain=self._plain)
         self._forget_failed_writes(rows, begin, end)
         if not self._plain and not self._parted and self._differs(after, rows, begin, end):
-            after, rows = retick_stretch(setup, recording.output, state, inputs, plain=True)
+            after, rows = replay_stretch(setup, recording.output, state, inputs, plain=True)
             self._forget_failed_writes(rows, begin, end)
-            # From its first real difference on a replay only has to be told apart, not judged.
+            # After the first real difference, the compiled tick is exact enough.
             self._parted = self._differs(after, rows, begin, end)
         return after, rows
 
     def _forget_failed_writes(self, rows: Floats, begin: int, end: int) -> None:
-        """A write that failed is on record as NaN: nobody knows what it did."""
+        """Set the output of failed writes to NaN, as in the log: what was applied is unknown."""
         failed = np.isnan(self._read_logged("applied_v", begin, end))
         rows[-1, failed] = np.nan
 
@@ -92,7 +92,7 @@ class TickReplay:
         keyframe = self._recording.keyframes.get(end - 1)
         return any(
             find_differing(self._read_logged(field.name, begin, end), row) is not None
-            for field, row in zip(RETICK_FIELDS, rows, strict=True)
+            for field, row in zip(REPLAYED_FIELDS, rows, strict=True)
             if field.name in self._recording.log.columns
         ) or (
             keyframe is not None

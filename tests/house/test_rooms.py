@@ -1,0 +1,87 @@
+"""The house stays one that strangers can read: small rooms, unique names, verbs for functions."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = sorted(path for room in ("pamctl", "hal") for path in (ROOT / room).rglob("*.py"))
+PACKAGES = [path for path in MODULES if path.name == "__init__.py"]
+MOST_MODULES_IN_A_FOLDER = 16
+PARTICIPLES = {
+    "asked", "begun", "built", "chosen", "composed", "concluded", "corrected", "described",
+    "done", "drawn", "driven", "examined", "extended", "fed", "fitted", "forgotten", "found",
+    "given", "handed", "heard", "held", "kept", "known", "laid", "logged", "looked", "made",
+    "measured", "named", "noted", "opened", "ordered", "paired", "parsed", "picked", "planned",
+    "ranked", "recorded", "refused", "rounded", "said", "seen", "sent", "settled", "shown",
+    "simulated", "stored", "taken", "told", "tried", "turned", "unpacked", "walked", "weighed",
+    "written",
+}  # fmt: skip
+"""What a function returned was once its name; a function is named by what it does."""
+
+
+def _name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def _trees() -> Iterator[tuple[Path, ast.Module]]:
+    for path in MODULES:
+        yield path, ast.parse(path.read_text(encoding="utf-8"))
+
+
+def _require_unique(places: dict[str, list[str]]) -> None:
+    doubled = {name: where for name, where in places.items() if len(where) > 1}
+    assert not doubled
+
+
+def test_no_folder_holds_more_modules_than_a_reader_can_overlook() -> None:
+    folders: dict[str, int] = defaultdict(int)
+    for path in MODULES:
+        folders[_name_of(path.parent)] += path.name != "__init__.py"
+    crowded = {name: count for name, count in folders.items() if count > MOST_MODULES_IN_A_FOLDER}
+    assert not crowded
+
+
+def test_no_two_modules_share_a_name() -> None:
+    """A verb of the command line may be called as the room that does its work."""
+    places: dict[str, list[str]] = defaultdict(list)
+    for path in MODULES:
+        if path.name != "__init__.py" and (ROOT / "pamctl" / "cli") not in path.parents:
+            places[path.stem].append(_name_of(path))
+    _require_unique(places)
+
+
+def test_no_two_public_types_share_a_name() -> None:
+    places: dict[str, list[str]] = defaultdict(list)
+    for path, tree in _trees():
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].append(_name_of(path))
+    _require_unique(places)
+
+
+@pytest.mark.parametrize("path", PACKAGES, ids=_name_of)
+def test_each_room_says_what_it_is_and_where_to_begin(path: Path) -> None:
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    advice = re.search(r"Read `([^`]+)`", text)
+    assert advice, "add the line: Read `FILE` first."
+    assert (path.parent / advice[1]).exists(), f"there is no {advice[1]}"
+
+
+def test_public_functions_are_verbs() -> None:
+    wrong = [
+        f"{_name_of(path)}: {node.name}"
+        for path, tree in _trees()
+        for room in (tree, *(node for node in tree.body if isinstance(node, ast.ClassDef)))
+        for node in room.body
+        if isinstance(node, ast.FunctionDef)
+        and not any(isinstance(d, ast.Name) and "property" in d.id for d in node.decorator_list)
+        and node.name in PARTICIPLES
+    ]
+    assert not wrong

@@ -13,6 +13,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from pamctl.commissioning.doctor.card import (
+    check_device_nodes,
+    examine_card,
+    examine_card_clock,
+    judge_reservations,
+)
 from standin.standin import PERMIT, Card, here
 from support.patience import PATIENCE_S
 from support.runs import AO_STEP_V, MS, parts, run_settings
@@ -21,12 +27,6 @@ from hal.faulty import FaultSettings
 from hal.rig import RigError
 from hal.sim.register import peek_v
 from pamctl.commissioning.doctor.actuate import examine_actuation
-from pamctl.commissioning.doctor.card import (
-    check_device_nodes,
-    examine_card,
-    examine_card_clock,
-    judge_reservations,
-)
 from pamctl.commissioning.doctor.findings import DoctorFinding, format_findings, worst_level
 from pamctl.commissioning.doctor.latency import (
     WakeUps,
@@ -166,7 +166,7 @@ def test_a_sensor_that_breaks_during_a_pulse_stops_it_by_the_limits() -> None:
 def test_a_bench_keeps_the_limits_of_pressure_and_travel() -> None:
     for override, complaint in [
         ("rig.limits.pressure_pa=150e3", "above limits.pressure_pa"),
-        ("rig.limits.stroke_high_mm=3", "has gone"),
+        ("rig.limits.stroke_high_mm=3", "has moved"),
     ]:
         settings = run_settings(override)
         made = parts(settings)

@@ -53,13 +53,11 @@ def calibrate_encoder_by_hand(
         operator.wait("put the carriage against its stop, with the muscle extended", stay)
         before = summarise_samples(bench.hold(bench.safe_valve_v, _AVERAGED_S)).counts
         block = "a gauge block" if known_mm is None else f"the gauge block of {known_mm:g} mm"
-        operator.wait(
-            f"move the carriage by {block} in the direction in which the muscle contracts", stay
-        )
+        operator.wait(f"move the carriage by {block} in the direction of contraction", stay)
         after = summarise_samples(bench.hold(bench.safe_valve_v, _AVERAGED_S)).counts
-        moved_mm = (
-            operator.number("how far did it move, in mm?", stay) if known_mm is None else known_mm
-        )
+        moved_mm = known_mm
+        if moved_mm is None:
+            moved_mm = operator.number("how far did it move, in mm?", stay)
         moves.append(_Move(after - before, _require_length_m(moved_mm)))
     return _evaluate_moves(bench, moves, "gauge blocks of")
 
@@ -90,8 +88,8 @@ def calibrate_encoder_by_muscle(
 def _require_length_m(displacement_mm: float) -> float:
     if not (math.isfinite(displacement_mm) and displacement_mm > 0.0):
         raise CalibrationError(
-            f"a displacement of {displacement_mm:g} mm cannot give the scale; it must be positive, in "
-            "the direction of contraction (the sign is found from the counts)"
+            f"a displacement of {displacement_mm:g} mm cannot give the scale; it must be "
+            "positive, in the direction of contraction (the sign is found from the counts)"
         )
     return displacement_mm * 1e-3
 

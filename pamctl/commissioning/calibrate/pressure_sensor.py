@@ -46,7 +46,7 @@ def calibrate_pressure(
             bench,
             operator,
             point_kpa,
-            "what does the reference gauge read, in kPa above the atmosphere?",
+            "what does the reference gauge read, in kPa (gauge)?",
         )
         if not (math.isfinite(reading_kpa) and reading_kpa > 0.0):
             raise CalibrationError(f"a gauge under pressure cannot read {reading_kpa:g} kPa")

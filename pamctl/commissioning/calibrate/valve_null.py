@@ -39,8 +39,8 @@ class _NullEdge(NamedTuple):
 
     command_v: float
     blur_v: float
-    """How far beyond the valve's own edge a change becomes visible: the smallest visible change over
-    its growth with the command."""
+    """How far beyond the valve's own edge a change becomes visible: the smallest visible change
+    over its growth with the command."""
 
 
 def calibrate_valve(bench: Bench, span_v: float = 1.0) -> CalibrationOutcome:

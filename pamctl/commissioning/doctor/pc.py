@@ -99,8 +99,8 @@ def check_shared_memory(directory: Path) -> DoctorFinding:
         "ok" if free >= _RING_BYTES else "fault",
         f"{directory}: {free // _MB} MB free",
         wanted,
-        f"remove what fills {directory} (ls -l {directory}); the next `pamctl run` recovers the ring "
-        "of a run that died",
+        f"remove what fills {directory} (ls -l {directory}); the next `pamctl run` recovers "
+        "the ring of a run that died",
         {"free_bytes": free},
     )
 

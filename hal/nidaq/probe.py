@@ -16,15 +16,13 @@ from nidaqmx.constants import TaskMode
 from nidaqmx.system import Device, System
 
 from hal.nidaq.card_settings import NidaqSettings
+from hal.nidaq.driver import find_loaded_library, raise_rig_errors, require_card
 from hal.nidaq.hardware_timed import HardwareTimedRig
-from hal.nidaq.on_demand import (
-    find_loaded_library,
+from hal.nidaq.tasks import (
     make_encoder_task,
     make_pressure_task,
     make_valve_task,
     make_volt_reader,
-    raise_rig_errors,
-    require_card,
 )
 from hal.rig import RigError, open_rig
 

@@ -270,7 +270,7 @@ def lazy_rig(delay: int) -> tuple[SimRig, Lazy, list[int]]:
     return rig, plant, now_ns
 
 
-def played(delay: int) -> list[tuple[float, float]]:
+def play(delay: int) -> list[tuple[float, float]]:
     """Two ticks and a stop; each read at a whole ms, each write 0.25 ms later."""
     rig, plant, now_ns = lazy_rig(delay)
     for volts in (10.0, 7.0):
@@ -287,7 +287,7 @@ def played(delay: int) -> list[tuple[float, float]]:
 
 
 def test_a_write_reaches_the_simulated_valve_when_it_is_made() -> None:
-    assert played(delay=0) == [
+    assert play(delay=0) == [
         (-5.0, 0.25),
         (5.0, 0.75),
         (5.0, 0.25),
@@ -298,4 +298,4 @@ def test_a_write_reaches_the_simulated_valve_when_it_is_made() -> None:
 
 
 def test_with_output_delay_a_write_waits_for_the_next_read_but_the_safe_voltage_does_not() -> None:
-    assert played(delay=1) == [(-5.0, 1.0), (5.0, 1.0), (2.0, 0.5), (-5.0, 0.5)]
+    assert play(delay=1) == [(-5.0, 1.0), (5.0, 1.0), (2.0, 0.5), (-5.0, 0.5)]

@@ -6,13 +6,15 @@ The cases are in `hal/rig_contract.py`. To test another backend, add a factory t
 from __future__ import annotations
 
 import time
+import tomllib
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from standin.standin import PERMIT, here
 
-from hal.backend import BuiltRig, RigRequest
+from hal.backend import _SHIPPED, GROUP, BuiltRig, RigRequest
 from hal.calibration import CalibrationSettings
 from hal.configured import Configured
 from hal.faulty import FaultSettings, FaultyRig
@@ -144,6 +146,12 @@ def test_a_hardware_timed_card_is_paced_by_the_computer_where_the_caller_wants_i
     built = NIDAQ.build(RigRequest(**{**vars(asked), "by_computer": True}))
     assert built.await_edge is None
     assert not built.rig.describe().sample_clock
+
+
+def test_the_shipped_entry_points_are_those_that_a_stale_install_falls_back_on() -> None:
+    pyproject = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    declared = pyproject["project"]["entry-points"][GROUP]
+    assert declared == {point.name: point.value for point in _SHIPPED}
 
 
 # --- the cases find what is wrong ----------------------------------------------------------

@@ -1,238 +1,54 @@
-"""The NI card, through NI-DAQmx: this file and `nidaq_timed.py` alone import nidaqmx.
+"""The NI card through NI-DAQmx, paced by the computer.
 
 On-demand timing: the loop's clock decides when, and each read or write is one driver call of
-some microseconds. That holds only for tasks that run already, through the stream readers and
-writers; `Task.read` and `Task.write` cost ten times as much, and a task that does not run is
-started and stopped for every call, which sets an encoder back to zero each time.
+some microseconds (`tasks.py`).
 
-An M Series card has no watchdog and holds its last output voltage when a task stops, a
-process dies, or the driver unloads. So the safe voltage is what `open` writes first and what
-every way out writes last.
+An M Series card has no watchdog and holds its last output voltage when a task stops, a process
+dies, or the driver unloads. So `open` writes the safe voltage first, and every way out writes
+it last.
 """
 
 from __future__ import annotations
 
-import ctypes
 import math
-import os
 import time
-import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from itertools import count
-from pathlib import Path
-from typing import Any, NamedTuple
-
-from nidaqmx import Task
-from nidaqmx.constants import BusType, EncoderType, LengthUnits, TerminalConfiguration
-from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError, DaqWarning
-from nidaqmx.errors import Error as DriverError
-from nidaqmx.stream_readers import AnalogSingleChannelReader, CounterReader
-from nidaqmx.stream_writers import AnalogSingleChannelWriter
-from nidaqmx.system import Device, System
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 
 from hal.converter import nearest_output_v
 from hal.nidaq.card_settings import NidaqSettings, card_output
-from hal.nidaq.driver_errors import INSTALL, ON_DEMAND, fix_of
-from hal.rig import RawSample, RigError
-
-STAND_IN_SERIAL = 0xDECAF
-"""Serial number of the driver that stands in for a card in this project's tests."""
-STAND_IN_PERMIT = "PAMCTL_PERMIT_STAND_IN"
-"""Environment variable that lets it: set by tests, and by nobody else."""
+from hal.nidaq.driver import (
+    FAILURES,
+    NO_DRIVER,
+    divert_warnings,
+    make_rig_error,
+    raise_rig_errors,
+    require_card,
+)
+from hal.nidaq.tasks import (
+    TaskCalls,
+    make_count_reader,
+    make_encoder_task,
+    make_pressure_task,
+    make_valve_task,
+    make_valve_writer,
+    make_volt_reader,
+)
+from hal.rig import RawSample, RigError, RigIdentity
 
 _COUNTER_SPAN = 1 << 32
-_TIMED_BUSES = (BusType.PCI, BusType.PCIE, BusType.PXI, BusType.PXIE)
 
-_NO_DRIVER = (DaqNotFoundError, DaqNotSupportedError)
-# ctypes refuses arguments in its own words, the loader a broken library in the system's;
-# ValueError is a count that is no number.
-_FAILURES = (DriverError, ctypes.ArgumentError, OSError, ValueError)
-
-# Within the heartbeat: a loop that tries for longer is killed, and its reason lost. The guardian
-# goes on trying.
+# Shorter than the heartbeat: a loop that tries for longer is killed, and its reason is lost. The
+# guardian goes on trying.
 _SAFE_TRIES = 6
 _SAFE_TRIES_AS_OPEN = 2
 _SAFE_RETRY_S = 5e-3
-
-_task_number = count()
-
-
-# --- what is there -----------------------------------------------------------------------
-
-
-def require_card(settings: NidaqSettings) -> Mapping[str, object]:
-    """Load the driver and find the card; return who they are, as `describe` tells it.
-
-    Raises `RigError` where one is missing, or where the card is the tests' stand-in.
-    """
-    with raise_rig_errors(f"looking for {settings.device}"):
-        version = System.local().driver_version
-        device = Device(settings.device)
-        serial = int(device.serial_num)
-        bus = device.bus_type
-        identity = {
-            "library": _find_loaded_library(),
-            "driver_version": ".".join(map(str, version)),
-            "product_type": str(device.product_type),
-            "serial_number": f"{serial:X}",
-        }
-    if settings.timing == "hardware_timed" and bus not in _TIMED_BUSES:
-        raise RigError(
-            f"{settings.device} is a {identity['product_type']} on {bus.name}: "
-            "no hardware-timed single points there",
-            fix=ON_DEMAND,
-        )
-    if serial == STAND_IN_SERIAL and STAND_IN_PERMIT not in os.environ:
-        raise RigError(
-            f"{settings.device} is no card but the stand-in of pamctl's tests, "
-            f"in {identity['library']}",
-            fix="take its directory out of LD_LIBRARY_PATH",
-        )
-    return identity
-
-
-def _find_loaded_library() -> str:
-    """Return the path of the driver library that this process has really loaded."""
-    for mapping in Path("/proc/self/maps").read_text().splitlines():
-        if "/libnidaqmx.so" in mapping:
-            return mapping.split(maxsplit=5)[5]
-    return ""
-
-
-# --- the driver's troubles ---------------------------------------------------------------
-
-
-def _make_rig_error(doing: str, error: Exception) -> RigError:
-    """Say what the driver said, with its number and with what to do about it."""
-    if isinstance(error, _NO_DRIVER):
-        return RigError("no NI-DAQmx driver on this computer", fix=INSTALL)
-    said = str(error).strip().partition("\n")[0]
-    if isinstance(error, DaqError):
-        code = error.error_code
-        return RigError(f"{doing}: {said}", fix=fix_of(code), code=code)
-    return RigError(f"{doing}: {said or type(error).__name__}", fix="is NI-DAQmx installed whole?")
-
-
-@contextmanager
-def raise_rig_errors(doing: str) -> Iterator[None]:
-    """Turn every failure of driver and package into a `RigError`."""
-    try:
-        yield
-    except _FAILURES as error:
-        raise _make_rig_error(doing, error) from error
-
-
-@contextmanager
-def _divert_warnings(note: Callable[[int], None]) -> Iterator[None]:
-    """Hand the driver's warnings over instead of printing one in every tick."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", DaqWarning)
-        show = warnings.showwarning
-
-        def divert(message: Any, category: type[Warning], *where: Any, **options: Any) -> None:
-            if isinstance(message, DaqWarning):
-                note(message.error_code)
-            else:
-                show(message, category, *where, **options)
-
-        warnings.showwarning = divert
-        yield
-
-
-# --- tasks -------------------------------------------------------------------------------
-
-
-def _make_task(purpose: str) -> Task:
-    """Make a task. Its name is ASCII whatever the locale, and unique in this process."""
-    return Task(f"pamctl_{purpose}_{os.getpid()}_{next(_task_number)}")
-
-
-@contextmanager
-def make_valve_task(settings: NidaqSettings) -> Iterator[Task]:
-    """Make the output's task, not yet started."""
-    with _make_task("valve") as task:
-        task.ao_channels.add_ao_voltage_chan(
-            f"{settings.device}/{settings.valve_channel}",
-            # A second guard of the range, in the driver.
-            min_val=settings.output_low_v,
-            max_val=settings.output_high_v,
-        )
-        yield task
-
-
-@contextmanager
-def make_pressure_task(settings: NidaqSettings) -> Iterator[Task]:
-    """Make the analog input's task, not yet started."""
-    with _make_task("pressure") as task:
-        task.ai_channels.add_ai_voltage_chan(
-            f"{settings.device}/{settings.pressure_channel}",
-            # Never the default: that is differential, and half of the sensor would hang loose.
-            terminal_config=TerminalConfiguration[settings.terminal.upper()],
-            min_val=settings.input_low_v,
-            max_val=settings.input_high_v,
-        )
-        yield task
-
-
-@contextmanager
-def make_encoder_task(settings: NidaqSettings) -> Iterator[Task]:
-    """Make the counter's task, not yet started."""
-    with _make_task("encoder") as task:
-        channel = task.ci_channels.add_ci_lin_encoder_chan(
-            f"{settings.device}/{settings.encoder_counter}",
-            decoding_type=EncoderType.X_4,
-            # The index would set the count back in the middle of a motion.
-            zidx_enable=False,
-            # The scale lies in the calibration, and nowhere else.
-            units=LengthUnits.TICKS,
-            initial_pos=0.0,
-        )
-        if settings.encoder_filter_ns:
-            shortest_pulse_s = settings.encoder_filter_ns / 1e9
-            channel.ci_encoder_a_input_dig_fltr_min_pulse_width = shortest_pulse_s
-            channel.ci_encoder_a_input_dig_fltr_enable = True
-            channel.ci_encoder_b_input_dig_fltr_min_pulse_width = shortest_pulse_s
-            channel.ci_encoder_b_input_dig_fltr_enable = True
-        yield task
-
-
-def make_valve_writer(task: Task) -> Callable[[float, float], None]:
-    """Return what writes volts within a timeout (s); the task must run."""
-    write: Callable[[float, float], None] = AnalogSingleChannelWriter(
-        task.out_stream, auto_start=False
-    ).write_one_sample
-    return write
-
-
-def make_count_reader(task: Task) -> Callable[[float], float]:
-    """Return what reads the counter within a timeout (s)."""
-    read: Callable[[float], float] = CounterReader(task.in_stream).read_one_sample_double
-    return read
-
-
-def make_volt_reader(task: Task) -> Callable[[float], float]:
-    """Return what reads the input's volts within a timeout (s)."""
-    read: Callable[[float], float] = AnalogSingleChannelReader(task.in_stream).read_one_sample
-    return read
-
-
-class TaskCalls(NamedTuple):
-    """What the running tasks do; each is called with its timeout (s) last."""
-
-    write_v: Callable[[float, float], None]
-    read_count: Callable[[float], float]
-    read_v: Callable[[float], float]
-
-
-# --- the rig -----------------------------------------------------------------------------
 
 
 def unwrap_count(last: int, reading: int) -> int:
     """Return the count nearest to `last` that a 32-bit counter shows as `reading`.
 
-    Whether the counter shows what lies below zero as negative or from 2^32 down makes no
-    difference.
+    It makes no difference whether the counter shows -1 as -1 or as 2^32 - 1.
     """
     half = _COUNTER_SPAN // 2
     return last + (reading - last + half) % _COUNTER_SPAN - half
@@ -267,13 +83,13 @@ class NidaqRig:
             raise RigError("the rig is open already", fix="call close() first")
         self._warnings.clear()
         with raise_rig_errors(f"opening {self._settings.device}"), ExitStack() as acquired:
-            acquired.enter_context(_divert_warnings(self._note_warning))
+            acquired.enter_context(divert_warnings(self._note_warning))
             wired = self._wire(acquired)
             self._counts = 0
             self._wired, self._tasks = wired, acquired.pop_all()
 
     def read(self) -> RawSample:
-        """Read the encoder, then the pressure; each time is that of the asking."""
+        """Read the encoder, then the pressure; each time is taken just before its call."""
         wired = self._require_open()
         timeout_s, doing = self._settings.timeout_s, "reading the encoder"
         try:
@@ -282,8 +98,8 @@ class NidaqRig:
             doing = "reading the pressure sensor"
             pressure_t_ns = self._now_ns()
             pressure_v = wired.read_v(timeout_s)
-        except _FAILURES as error:
-            raise _make_rig_error(doing, error) from error
+        except FAILURES as error:
+            raise make_rig_error(doing, error) from error
         return RawSample(pressure_v, self._unwrap(reading), pressure_t_ns, encoder_t_ns)
 
     def write(self, ao_v: float) -> float:
@@ -294,24 +110,24 @@ class NidaqRig:
         admitted_v = nearest_output_v(self._output, ao_v)
         try:
             wired.write_v(admitted_v, self._settings.timeout_s)
-        except _FAILURES as error:
-            raise _make_rig_error("writing to the valve", error) from error
+        except FAILURES as error:
+            raise make_rig_error("writing to the valve", error) from error
         return admitted_v
 
     def make_safe(self) -> None:
         """Drive the safe voltage, over the running task or over one of its own.
 
-        Tried several times: a process that was killed may hold the output for a moment
-        longer. Where even that fails `safe_failure` says why. An output whose task fails
-        twice is released and taken anew; the rig must then be opened again to go on.
+        It tries several times, because a killed process may hold the output a moment longer.
+        If every try fails, `safe_failure` says why. An output whose task fails twice is
+        released and reserved again; to go on, the rig must then be opened again.
         """
         for attempt in range(_SAFE_TRIES):
             try:
                 self._drive_safe(as_open=attempt < _SAFE_TRIES_AS_OPEN)
-            # Whatever it is: the next try is worth more than the reason.
+            # Any exception at all: the next try is worth more than the reason.
             except Exception as error:
                 self._safe_failure = error
-                if isinstance(error, _NO_DRIVER):
+                if isinstance(error, NO_DRIVER):
                     return
                 time.sleep(_SAFE_RETRY_S)
             else:
@@ -323,17 +139,12 @@ class NidaqRig:
         self.make_safe()
         self._release()
 
-    def describe(self) -> Mapping[str, object]:
+    def describe(self) -> RigIdentity:
         """Name terminals and ranges; once opened, also card, driver and its warnings so far."""
-        described = {
-            "backend": "nidaq",
-            "safe_output_v": self._safe_output_v,
-            **self._settings.model_dump(),
-            "output_delay_ticks": 0,
-        }
+        extra = self._settings.model_dump()
         if self._identity:
-            described |= {**self._identity, "driver_warnings": self.warnings}
-        return described
+            extra |= {**self._identity, "driver_warnings": self.warnings}
+        return RigIdentity("nidaq", self._safe_output_v, extra=extra)
 
     @property
     def warnings(self) -> Mapping[str, int]:
@@ -344,7 +155,7 @@ class NidaqRig:
     def safe_failure(self) -> RigError | None:
         """Why the last `make_safe` could not drive the safe voltage; None where it did."""
         failure = self._safe_failure
-        return None if failure is None else _make_rig_error("driving the safe voltage", failure)
+        return None if failure is None else make_rig_error("driving the safe voltage", failure)
 
     def _wire(self, acquired: ExitStack) -> TaskCalls:
         """Write the safe voltage, and only then take the inputs."""
@@ -375,14 +186,14 @@ class NidaqRig:
         wired.write_v(self._safe_v, self._settings.timeout_s)
 
     def _write_on_demand(self, volts: float) -> None:
-        """Write over a task made for this alone; the output holds what it is left at."""
+        """Write through a task made for this write; the output then holds the voltage."""
         with make_valve_task(self._settings) as valve:
             valve.start()
             make_valve_writer(valve)(volts, self._settings.timeout_s)
 
     def _release(self) -> None:
         self._wired = None
-        # Nothing is left to be done about a task that cannot be cleared.
+        # Nothing can be done about a task that cannot be cleared.
         with suppress(Exception):
             self._tasks.close()
 

@@ -33,7 +33,7 @@ _LEAVE_PATIENCE_S = 2.0
 
 
 class Guardianship:
-    """A guardian and its front. Without a `command` there is none, and nothing to guard."""
+    """The guardian of one run. Without a `command` there is none, as in a run without a clock."""
 
     def __init__(
         self, ring: Ring, command: Sequence[str] | None, rig: Rig, pace: LoopSettings
@@ -90,7 +90,7 @@ class Guardianship:
         return _ending_of_takeover(Takeover(**words), ending) if words else ending
 
     def dismiss(self) -> None:
-        """See the guardian off, once the loop's last words are in the ring."""
+        """Wait for the guardian to leave, once the loop's last event is in the ring."""
         if self._process:
             try:
                 self._process.wait(_LEAVE_PATIENCE_S)
@@ -154,7 +154,7 @@ def _ending_of_takeover(takeover: Takeover, ending: Ending, who: str = "the guar
 
 
 def _worse_code(ending: Ending) -> ExitCode:
-    """An output that is not safe is no success, whatever else was."""
+    """An output that is not safe is never a success."""
     return ending.code or ExitCode.UNEXPECTED
 
 

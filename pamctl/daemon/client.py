@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pamctl.exit_codes import ExitCode
+
 _PATIENCE_S = 60.0
 """Starting a session may take a driver several seconds."""
 
@@ -16,9 +18,13 @@ _PATIENCE_S = 60.0
 class DaemonUnreachableError(Exception):
     """There is no daemon to talk to. The message says what to do."""
 
+    exit_code = ExitCode.UNAVAILABLE
+
 
 class DaemonDeclinedError(Exception):
     """The daemon said no; the message is its own, the code that of the protocol."""
+
+    exit_code = ExitCode.CHECK_FAILED
 
     def __init__(self, message: str, code: int) -> None:
         """`code` is one of `pamctl.daemon.protocol`."""

@@ -32,6 +32,7 @@ from pamctl.daemon.protocol import (
 )
 from pamctl.daemon.refusal import RequestRefusedError
 from pamctl.daemon.turns import Turns
+from pamctl.exit_codes import ExitCode
 
 MOST_CLIENTS = 64
 _READS_WITHIN_S = 2.0
@@ -45,6 +46,8 @@ Methods = dict[str, Method]
 
 class SocketError(Exception):
     """The control socket cannot be made. The message says why, and the way out."""
+
+    exit_code = ExitCode.UNAVAILABLE
 
 
 class Server:

@@ -1,7 +1,4 @@
-"""What `pamctl daemon` is while it is up: the server, the watch over session and run.
-
-Apart from the verb, so that no other verb has to wait for it.
-"""
+"""The daemon while it is up: the server, and the watch over session and run."""
 
 from __future__ import annotations
 
@@ -11,29 +8,26 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
 
-from hal.rig import Rig, RigError
+from hal.rig import Rig
 from pamctl import __version__
-from pamctl.cli.failure import fail
-from pamctl.cli.live import serve_live_view
 from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.methods import methods_of
 from pamctl.daemon.notify import notify, watchdog_period_s
-from pamctl.daemon.server import Server, SocketError
+from pamctl.daemon.server import Server
 from pamctl.daemon.service import DaemonState, Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend
-from pamctl.processes.run_once import make_run_meta, new_ring_path, secure_device
+from pamctl.processes.run_once import LiveView, make_run_meta, new_ring_path, secure_device
 from pamctl.recording.orphans import finish_orphans_in_own_process
-from pamctl.recording.ring import RingError
 from pamctl.settings.resolve import RunSettings
 
 _LOOK_EVERY_S = 5e-3
@@ -48,12 +42,14 @@ class ServiceOptions(NamedTuple):
 
     socket: Path
     group: str | None
+    """Group that may steer, beside this user."""
     logs: Path
     keep: int | None
+    """Number of the daemon's logs to keep; None keeps all."""
     idle_after_s: float
-    live_port: int | None
-    live_origins: Sequence[str]
+    live_view: LiveView
     announce: bool
+    """Print each event as a line of JSON."""
 
 
 def serve_daemon(
@@ -61,18 +57,16 @@ def serve_daemon(
 ) -> ExitCode:
     """Hold the device and do what clients ask until a signal comes; return how it ended.
 
-    Leaves with 69 where device or socket cannot be had, with 2 where logs cannot be written.
+    Raises `ShelfError` where logs cannot be written, `RigError`, `RingError` or `SocketError`
+    where the device or the socket cannot be had.
     """
-    try:
-        shelf = Shelf(options.logs, options.keep)
-    except OSError as error:
-        fail(ExitCode.USAGE, f"--logs {options.logs}: {error.strerror or error}")
+    shelf = Shelf(options.logs, options.keep)
     announcements = Announcements(sys.stdout.fileno()) if options.announce else None
     tell: Tell = _announce_nothing if announcements is None else announcements.put
     try:
         require_backend(settings)
         with secure_device(settings) as device:
-            finish_orphans_in_own_process(SHARED_MEMORY)  # to stay as small as it is
+            finish_orphans_in_own_process(SHARED_MEMORY)  # its memory would stay with the daemon
             service = Service(
                 settings,
                 names,
@@ -82,16 +76,11 @@ def serve_daemon(
                 idle_after_s=options.idle_after_s,
                 tell=tell,
             )
-            live = serve_live_view(
-                options.live_port, options.live_origins, "--socket", str(options.socket)
-            )
-            with live:
+            with options.live_view("--socket", str(options.socket)):
                 ending = asyncio.run(_serve(service, options.socket, options.group, tell))
                 _ignore_signals()
         tell(_make_event("ended", exit_code=int(ending.code), reason=ending.reason))
         return ending.code
-    except (SocketError, RingError, RigError) as error:
-        fail(ExitCode.UNAVAILABLE, str(error))
     finally:
         if announcements is not None:
             announcements.end()

@@ -1,4 +1,4 @@
-"""The terminal's `pamctl watch`: ten pictures a second, or lines where it is none."""
+"""`pamctl watch` in a terminal: ten pictures a second, or lines for a file or a pipe."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pamctl.live import line
 from pamctl.live.feed import DaemonFeed, Glimpse
 from pamctl.live.history import History
 from pamctl.live.screen import COLUMNS, HISTORY_S, add_error, draw_screen
+from pamctl.live.status_text import format_glimpse
 
 _PICTURES_PER_S = 10.0
 _LINES_PER_S = 1.0
@@ -22,19 +23,17 @@ _EVERY = 10
 """Ticks, of those that are plotted."""
 
 
-def watch_in_terminal(
-    socket: Path, line_of: Callable[[Glimpse], str], count: int | None = None
-) -> bool:
-    """Show what the daemon does, `count` times or until Ctrl-C; tell whether it was ever there.
+def watch_in_terminal(socket: Path, count: int | None = None) -> bool:
+    """Show what the daemon does, `count` times or until Ctrl-C; return whether it ever answered.
 
-    `line_of` writes the line for a file, a pipe, or a terminal that cannot draw.
+    A file, a pipe, or a terminal that cannot draw gets lines.
     """
     console, seen = Console(), _DaemonSighting()
     with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, _EVERY, COLUMNS)) as feed:
         if console.is_terminal and not console.is_dumb_terminal:
             _draw_screens(console, seen.of(_look_repeatedly(feed, _PICTURES_PER_S, count)))
         else:
-            _print_lines(seen.of(_look_repeatedly(feed, _LINES_PER_S, count)), line_of)
+            _print_lines(seen.of(_look_repeatedly(feed, _LINES_PER_S, count)), format_glimpse)
     return seen.daemon
 
 

@@ -8,11 +8,14 @@ from contextlib import contextmanager
 from io import BufferedWriter
 from pathlib import Path
 
+from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError
 
 
 class NewFileError(LogError):
     """The file to be written cannot be: it exists, or its place does not."""
+
+    exit_code = ExitCode.USAGE
 
 
 @contextmanager

@@ -14,8 +14,8 @@ from support.patience import PATIENCE_S
 from typer.main import get_command
 
 from pamctl.__main__ import main
-from pamctl.cli import steer
 from pamctl.cli.app import app
+from pamctl.cli.daemon import status
 
 
 def verbs(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -154,7 +154,7 @@ def test_ctrl_c_is_a_document(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(steer, "ask", interrupted)
+    monkeypatch.setattr(status, "ask", interrupted)
     ended = Ended(capsys, "status", "--json")
     assert ended.document == {"exit_code": 130, "reason": "interrupted"}
 
@@ -188,7 +188,7 @@ def test_an_error_of_ours_is_a_document_and_a_traceback(
     def broken(*_: object) -> None:
         raise RuntimeError("ours")
 
-    monkeypatch.setattr(steer, "ask", broken)
+    monkeypatch.setattr(status, "ask", broken)
     monkeypatch.setattr(sys, "argv", ["pamctl", "status", "--json"])
     with pytest.raises(RuntimeError):
         main()

@@ -174,7 +174,7 @@ def test_the_verbs_that_drive_nothing_need_nothing_that_only_linux_has(log):
 )
 def test_a_verb_that_drives_a_rig_says_elsewhere_that_it_needs_linux(verb, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("pamctl.cli.linux.sys", SimpleNamespace(platform="elsewhere"))
+    monkeypatch.setattr("pamctl.cli.options.sys", SimpleNamespace(platform="elsewhere"))
     done = CliRunner().invoke(app, verb.split())
     assert done.exit_code == 69, done.output
     assert done.stderr.startswith("error: this verb needs Linux")

@@ -55,6 +55,8 @@ class Verbs(TyperGroup):
         """Run the verb; turn the errors that a user can cause into `Failed`."""
         try:
             return super().invoke(ctx)
+        except typer.Exit:
+            raise
         except ConfigError as error:
             problems = [problem._asdict() for problem in error.problems]
             raise Failed(
@@ -91,7 +93,8 @@ def _report_failure(failed: Failed, *, as_json: bool) -> None:
 
 
 def _print_document(exit_code: object, reason: str, **details: object) -> None:
-    print(json.dumps({"exit_code": exit_code, "reason": reason, **details}, indent=2))
+    # One line: it may end a stream of lines, as of `pamctl watch --json`.
+    print(json.dumps({"exit_code": exit_code, "reason": reason, **details}))
 
 
 def _choose_config_code(problems: Iterable[Problem]) -> ExitCode:

@@ -58,8 +58,12 @@ class Request:
     params: Params
 
 
+class RequestRefusedError(Exception):
+    """A request that cannot be met in this state, or is wrong. It changed nothing."""
+
+
 class RequestError(Exception):
-    """A request that is not carried out."""
+    """A request that is not carried out, with the code of its answer."""
 
     def __init__(self, code: int, message: str, request_id: int | str | None = None) -> None:
         """`message` is for people."""

@@ -24,7 +24,7 @@ from pamctl import __version__
 from pamctl.control.experiment import ExperimentSettings, HoldSettings, build_segments
 from pamctl.control.law import law_gains
 from pamctl.daemon.latch import Latch
-from pamctl.daemon.refusal import RequestRefusedError
+from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending

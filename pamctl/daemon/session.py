@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from hal.rig import Rig
-from pamctl.daemon.refusal import RequestRefusedError
+from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.front import FrontReport, block_signals, close_log, read_ending

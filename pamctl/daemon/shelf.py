@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from pamctl.daemon.refusal import RequestRefusedError
+from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import ExitCode
 from pamctl.log.naming import flight_record_path, make_dated_path
 

@@ -25,8 +25,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from pamctl.daemon.allowance import Allowance
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
+from pamctl.daemon.server import Allowance
 from pamctl.live.broadcast import Broadcast
 
 LARGEST_BODY = 4096

@@ -6,7 +6,6 @@ import socket
 import stat
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -153,9 +152,9 @@ def test_gains_change_while_it_holds_without_a_jump_and_replay_honours_them(up: 
     up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
     before = up.ask("status")["controller"]["lambda_per_s"]
     up.ask("set", changes=["controller.lambda_per_s=25"], ramp_s=0.2)
-    time.sleep(0.5)
+    up.wait_ticks(1000)
     up.ask("set", changes=[f"controller.lambda_per_s={before}"], ramp_s=0.2)
-    time.sleep(0.5)
+    up.wait_ticks(500)
     up.ask("stop")
     parked(up)
     ran = read(log)
@@ -176,7 +175,7 @@ def test_a_replay_with_the_gains_left_as_they_were_would_differ(up: Daemon) -> N
     log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
     up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
     up.ask("set", changes=["controller.kp_v_s3_per_length=5e-8"], ramp_s=0.1)
-    time.sleep(0.3)
+    up.wait_ticks(300)
     up.ask("set", changes=["controller.kp_v_s3_per_length=9.95e-08"], ramp_s=0.1)
     up.ask("stop")
     parked(up)

@@ -29,7 +29,7 @@ from support.patience import PATIENCE_S
 from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.client import DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.latch import Latch
-from pamctl.daemon.refusal import RequestRefusedError
+from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.daemon.service import Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf

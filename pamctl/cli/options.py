@@ -118,7 +118,11 @@ LiveOption = Annotated[
 LivePortOption = Annotated[
     int,
     typer.Option(
-        "--live-port", metavar="PORT", min=0, max=65535, help="Port that --live serves; 0: any free"
+        "--live-port",
+        metavar="PORT",
+        min=0,
+        max=65535,
+        help="Port that --live serves, 0 for any",
     ),
 ]
 LiveOriginOption = Annotated[

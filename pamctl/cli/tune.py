@@ -47,7 +47,7 @@ def tune(
             metavar="N",
             min=2,
             max=1000,
-            help="Number of drawn plants to tune for",
+            help="Number of drawn plants in the ensemble",
             show_default="16, with --plant none",
         ),
     ] = None,
@@ -65,7 +65,9 @@ def tune(
     ] = None,
     generations: Annotated[
         int,
-        typer.Option("--generations", metavar="N", min=1, max=100_000, help="Length of the search"),
+        typer.Option(
+            "--generations", metavar="N", min=1, max=100_000, help="Number of search generations"
+        ),
     ] = 40,
     quantile: Annotated[
         float,

@@ -32,7 +32,7 @@ from pamctl.settings.resolve import RunSettings
 
 _LOOK_EVERY_S = 5e-3
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_ERROR_OF_OURS = Ending(ExitCode.UNEXPECTED, "an error of the daemon's own")
+_OWN_ERROR = Ending(ExitCode.UNEXPECTED, "an error of the daemon's own")
 
 Tell = Callable[[Mapping[str, object]], object]
 
@@ -87,7 +87,7 @@ def serve_daemon(
 
 
 def _announce_nothing(event: Mapping[str, object]) -> None:
-    """Announce nothing."""
+    """Drop the event: nobody asked for events."""
 
 
 def _make_event(event: str, **details: object) -> dict[str, object]:
@@ -107,14 +107,14 @@ def _make_workshop(settings: RunSettings, rig: Rig) -> Workshop:
 
 
 async def _serve(service: Service, path: Path, group: str | None, tell: Tell) -> Ending:
-    """Answer until a signal comes; then leave the valve safe. A second signal hurries it."""
+    """Answer until a signal comes; then leave the valve safe. A second signal ends it at once."""
     events = asyncio.get_running_loop()
     stop: asyncio.Future[Ending] = events.create_future()
     _listen_for_signals(lambda number: _stop(stop, service, _ending_by_signal(number)))
     server = Server(methods_of(service))
     await server.listen(path, group)
     watch = _Watch(
-        service, tell, partial(events.call_soon_threadsafe, _stop, stop, service, _ERROR_OF_OURS)
+        service, tell, partial(events.call_soon_threadsafe, _stop, stop, service, _OWN_ERROR)
     )
     tell(_make_event("listening", socket=str(path), version=__version__))
     watch.start()
@@ -127,28 +127,28 @@ async def _serve(service: Service, path: Path, group: str | None, tell: Tell) ->
         await asyncio.to_thread(service.close)
     finally:
         watch.end()
-    return _ERROR_OF_OURS if watch.has_failed else ending
+    return _OWN_ERROR if watch.has_failed else ending
 
 
-def _listen_for_signals(heard: Callable[[signal.Signals], object]) -> None:
-    """Call `heard` in the running event loop with each signal that asks for an end.
+def _listen_for_signals(on_end: Callable[[signal.Signals], object]) -> None:
+    """Call `on_end` in the running event loop with each signal that asks for an end.
 
-    Not through the event loop's own handlers: it takes those away as it closes, and a signal
-    that comes then would kill a daemon that is about to end well.
+    The event loop's own handlers will not do: it removes them when it closes, and a signal that
+    comes then would kill a daemon that is about to end well.
     """
     events = asyncio.get_running_loop()
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
         if not events.is_closed():
-            events.call_soon_threadsafe(heard, signal.Signals(number))
+            events.call_soon_threadsafe(on_end, signal.Signals(number))
 
     for number in _ENDING:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup asks for
+        if signal.getsignal(number) is not signal.SIG_IGN:  # ignored under nohup
             signal.signal(number, on_signal)
 
 
 def _ignore_signals() -> None:
-    """The daemon has ended and the valve is safe; Python's own end is not to be cut short."""
+    """Let Python end undisturbed: the daemon has ended and the valve is safe."""
     for number in _ENDING:
         signal.signal(number, signal.SIG_IGN)
 
@@ -161,12 +161,12 @@ def _stop(stop: asyncio.Future[Ending], service: Service, ending: Ending) -> Non
 
 
 def _ending_by_signal(number: signal.Signals) -> Ending:
-    """To be ended by a signal is how a daemon ends: all is well."""
+    """Return the ending by a signal, which is the normal one: exit code 0."""
     return Ending(ExitCode.OK, f"stopped by {number.name}")
 
 
 class _Watch(threading.Thread):
-    """Looks after session and run, and tells the service manager that there is progress."""
+    """Looks after session and run, and feeds the watchdog of the service manager."""
 
     def __init__(self, service: Service, tell: Tell, give_up: Callable[[], object]) -> None:
         super().__init__(name="watch", daemon=True)
@@ -185,7 +185,7 @@ class _Watch(threading.Thread):
                 self._service.look()
                 self._report()
         except Exception:
-            # An error of ours. Nobody looks after the loop any more: it must not go on.
+            # Our own fault. Nothing looks after the loop any more: it must not go on.
             traceback.print_exc()
             self.has_failed = True
             self._service.estop()
@@ -204,6 +204,6 @@ class _Watch(threading.Thread):
             notify("WATCHDOG=1")
 
     def end(self) -> None:
-        """Look no more."""
+        """Stop looking; return when the thread has ended."""
         self._ended.set()
         self.join()

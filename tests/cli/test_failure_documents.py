@@ -98,6 +98,44 @@ def test_what_makes_no_sense_is_a_document_with_a_reason(
 
 
 @pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("replay", "none.mcap"), 65),
+        (("replay", "none.mcap", "--controller", "pid"), 65),
+        (("compare", "none.mcap"), 65),
+        (("report", "none.mcap"), 65),
+        (("audit", "none.mcap"), 65),
+        (("diagnose", "none.mcap", "--out", "out"), 65),
+        (("log", "info", "none.mcap"), 65),
+        (("log", "recover", "none.mcap", "new.mcap"), 65),
+        (("log", "export", "none.mcap", "new.csv"), 65),
+        (("log", "import", "none.csv", "new.mcap"), 65),
+        (("log", "import", "none.csv", "new.mcap", "--map", "none.yaml"), 78),
+        (("reproduce", "fig9", "--out", "out"), 2),
+        (("tune", "--law", "qsmc"), 2),
+        (("run", "--fast", "--log", "no/such/place.mcap"), 2),
+        (("safe", "--backend", "nidaq"), 69),
+        (("calibrate", "valve", "--backend", "nidaq", "--out", "x.yaml", "--yes"), 69),
+        (("daemon", "--logs", "/proc/none"), 2),
+        (("watch", "--web", "--port", "1"), 2),
+    ],
+    ids=lambda part: " ".join(part[:2]) if isinstance(part, tuple) else str(part),
+)
+def test_an_error_of_a_room_is_one_document_and_one_line(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    arguments: tuple[str, ...],
+    code: int,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ended = Ended(capsys, *arguments, "--json")
+    assert ended.code == ended.document["exit_code"] == code
+    assert ended.document["reason"]
+    assert "Traceback" not in ended.err
+
+
+@pytest.mark.parametrize(
     ("arguments", "typed"),
     [
         (("audit", "nope"), "'nope': there is no such experiment"),
@@ -107,7 +145,7 @@ def test_what_makes_no_sense_is_a_document_with_a_reason(
     ],
     ids=str,
 )
-def test_a_name_that_is_none_is_blamed_as_it_was_typed(
+def test_an_unknown_name_is_reported_as_it_was_typed(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], typed: str
 ) -> None:
     ended = Ended(capsys, *arguments, "--json")

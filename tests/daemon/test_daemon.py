@@ -331,5 +331,5 @@ def test_who_may_not_steer_is_told_who_may() -> None:
         listening.bind(str(path))
         listening.listen()
         path.chmod(0o600)
-        with nobody(), pytest.raises(DaemonUnreachableError, match="not permitted; its group may"):
+        with nobody(), pytest.raises(DaemonUnreachableError, match="not permitted; join the group"):
             Client(path)

@@ -18,7 +18,11 @@ def watch(
     port: Annotated[
         int,
         typer.Option(
-            "--port", metavar="PORT", min=0, max=65535, help="Port that --web serves; 0: any free"
+            "--port",
+            metavar="PORT",
+            min=0,
+            max=65535,
+            help="Port that --web serves, 0 for any",
         ),
     ] = 8642,
     allow_control: Annotated[

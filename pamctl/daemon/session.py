@@ -128,7 +128,7 @@ class Session:
             return next((tick for tick in newest if tick is not None), None)
 
     def recent_ticks(self, after: int, every: int, most: int) -> list[dict[str, float]]:
-        """Return the ticks after `after` whose number `every` divides: the newest `most`, in order."""
+        """Return the newest `most` ticks after `after` whose number `every` divides, in order."""
         with self._reading:
             rings = self._open_rings
             ticks = [tick for ring in rings for tick in ring.recent_ticks(after, every, most)]

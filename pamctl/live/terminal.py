@@ -20,7 +20,7 @@ from pamctl.live.status_text import format_glimpse
 _PICTURES_PER_S = 10.0
 _LINES_PER_S = 1.0
 _EVERY = 10
-"""Ticks, of those that are plotted."""
+"""Every tenth tick is plotted."""
 
 
 def watch_in_terminal(socket: Path, count: int | None = None) -> bool:
@@ -40,7 +40,7 @@ def watch_in_terminal(socket: Path, count: int | None = None) -> bool:
 def watch_as_json(socket: Path, count: int | None = None) -> bool:
     """Print what the page of `watch --web` is sent, `count` lines or until Ctrl-C.
 
-    Tells whether the daemon was ever there.
+    Returns whether the daemon ever answered.
     """
     seen = _DaemonSighting()
     with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, line.EVERY, line.COLUMNS)) as feed:
@@ -50,12 +50,12 @@ def watch_as_json(socket: Path, count: int | None = None) -> bool:
 
 
 class _DaemonSighting:
-    """Notes in passing whether the daemon has answered."""
+    """Notes whether the daemon has answered."""
 
     daemon = False
 
     def of(self, looks: Iterator[Glimpse]) -> Iterator[Glimpse]:
-        """Hand the glimpses on."""
+        """Pass the glimpses on."""
         for glimpse in looks:
             self.daemon = self.daemon or glimpse.status is not None
             yield glimpse

@@ -16,7 +16,7 @@ from pamctl.settings.resolve import DEFAULT_NAMES
 
 NO_CHANGES = "no changes"
 
-# --- what is run ------------------------------------------------------------------------------
+# --- what to run ------------------------------------------------------------------------------
 
 BackendOption = Annotated[
     str | None,

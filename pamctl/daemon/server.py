@@ -86,7 +86,7 @@ class Turns:
 
 
 class SocketError(Exception):
-    """The control socket cannot be made. The message says why, and the way out."""
+    """The control socket cannot be made. The message says why, and what to do."""
 
     exit_code = ExitCode.UNAVAILABLE
 
@@ -101,7 +101,7 @@ class Server:
         self._clients: dict[asyncio.Task[None], float] = {}
         """Each with the time of its last request."""
         self._turns = Turns()
-        # One after the other, and in one thread: each thread would keep memory of its own.
+        # One after the other in one thread: each further thread would keep memory of its own.
         self._worker = ThreadPoolExecutor(1, "orders")
 
     async def listen(self, path: Path, group: str | None = None) -> None:

@@ -91,7 +91,7 @@ class Service:
         self._tell = tell
         self.events: deque[dict[str, Any]] = deque(maxlen=_RECENT_EVENTS)
 
-    # --- what is going on ------------------------------------------------------------------------
+    # --- status ------------------------------------------------------------------------
 
     @property
     def fault(self) -> str:

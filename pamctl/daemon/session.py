@@ -108,7 +108,7 @@ class Session:
                 raise RequestRefusedError(f"the loop did not start: {self.close().reason}")
             time.sleep(2e-3)
 
-    # --- what is going on ---------------------------------------------------------------
+    # --- status ---------------------------------------------------------------
 
     @property
     def is_alive(self) -> bool:

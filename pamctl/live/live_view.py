@@ -1,4 +1,4 @@
-"""`--live`: a process of its own serves the values of a run or a daemon to Foxglove."""
+"""`--live`: a separate process serves the values of a run or a daemon to Foxglove."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def require_foxglove() -> None:
 
 @contextmanager
 def serve_live_view(port: int | None, origins: Sequence[str], *source: str) -> Iterator[None]:
-    """Let `pamctl.live.live_main` serve `source` on `port` meanwhile; nothing with None.
+    """Let `pamctl.live.live_main` serve `source` on `port` inside the block; None serves nothing.
 
     Pages of the sites in `origins` may watch, beside programs and applications.
     """

@@ -41,11 +41,11 @@ from pamctl.settings.resolve import (
 )
 
 LiveView = Callable[..., AbstractContextManager[None]]
-"""Serves live values meanwhile; told where they are, as in `live_view("--ring", path)`."""
+"""Serves live values inside a `with` block; `live_view("--ring", path)` names their source."""
 
 
 class FinishedRun(NamedTuple):
-    """What is known of a run when its log is on disk."""
+    """A run whose log is on disk."""
 
     code: int
     """Exit code of the command."""

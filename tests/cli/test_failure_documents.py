@@ -19,7 +19,7 @@ from pamctl.cli.daemon import status
 
 
 def verbs(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """All that have `--json`, with the words that call them."""
+    """Every verb that has `--json`, with the words that call it."""
     for name, inner in getattr(command, "commands", {}).items():
         yield from verbs(inner, (*words, name))
     if any("--json" in parameter.opts for parameter in command.params):
@@ -35,7 +35,7 @@ STEERED = [
 
 
 class Ended:
-    """How a verb ended: its code, the document, and what stood on standard error."""
+    """How a verb ended: its code, the document, and what was on standard error."""
 
     def __init__(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> None:
         with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as left:
@@ -51,7 +51,7 @@ def test_every_verb_that_steers_the_daemon_has_it() -> None:
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=" ".join)
-def test_an_option_that_there_is_not_is_a_document(
+def test_an_unknown_option_is_one_document(
     capsys: pytest.CaptureFixture[str], verb: tuple[str, ...]
 ) -> None:
     ended = Ended(capsys, *verb, "--json", "--no-such-option")
@@ -65,7 +65,7 @@ def test_an_option_that_there_is_not_is_a_document(
 
 
 @pytest.mark.parametrize("verb", STEERED, ids=" ".join)
-def test_no_daemon_is_a_document(
+def test_a_missing_daemon_is_one_document(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, verb: tuple[str, ...]
 ) -> None:
     ended = Ended(capsys, *verb, "--json", "--socket", str(tmp_path / "none.sock"))
@@ -89,7 +89,7 @@ def test_no_daemon_is_a_document(
     ],
     ids=str,
 )
-def test_what_makes_no_sense_is_a_document_with_a_reason(
+def test_a_wrong_value_is_one_document_with_a_reason(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], code: int
 ) -> None:
     ended = Ended(capsys, *arguments, "--json")
@@ -202,7 +202,7 @@ import os, signal, sys
 
 class Typer:
     def find_spec(self, name, *_):
-        if name == "typer":  # Ctrl-C here: of what is raised Python makes an error of its own
+        if name == "typer":  # Ctrl-C here: Python turns it into another error
             class Key:
                 def __set_name__(self, owner, name):
                     os.kill(os.getpid(), signal.SIGINT)
@@ -214,13 +214,13 @@ main()
 """
 
 
-def test_ctrl_c_while_it_starts_is_an_exit_code_and_no_traceback() -> None:
+def test_ctrl_c_during_the_start_is_an_exit_code_and_no_traceback() -> None:
     command = [sys.executable, "-c", IMPATIENT, "status"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
-def test_an_error_of_ours_is_a_document_and_a_traceback(
+def test_an_unexpected_error_is_a_document_and_a_traceback(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: object) -> None:
@@ -233,7 +233,7 @@ def test_an_error_of_ours_is_a_document_and_a_traceback(
     assert json.loads(capsys.readouterr().out) == {"exit_code": 1, "reason": "RuntimeError: ours"}
 
 
-def test_without_json_a_failure_prints_nothing_to_be_parsed(
+def test_without_json_a_failure_prints_nothing_on_standard_output(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["pamctl", "status", "--socket", str(tmp_path / "none")])

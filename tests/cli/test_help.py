@@ -16,7 +16,7 @@ PANELS = ("Run", "Rig", "Analyse", "Tune", "Daemon", "Logs", "Other")
 FRAGMENT = re.compile(
     r"(^(Of|For|As|Else|And|Or|With|Without|Where|By)\b)|([;:,(]|\.\.\.| of| the)$|repeats"
 )
-"""How a help text begins or ends that is no phrase of its own."""
+"""Beginnings and ends of help texts that are not full phrases."""
 
 
 def commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:

@@ -1,4 +1,4 @@
-"""Clients of the daemon that hang, flood, lie or vanish: nobody else notices."""
+"""Clients of the daemon that hang, flood, lie or vanish disturb nobody else."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def request(method: str, **params: Any) -> bytes:
     return json.dumps(document).encode() + b"\n"
 
 
-def test_one_that_says_nothing_and_one_that_says_half_a_message(held: Daemon) -> None:
+def test_a_silent_client_and_one_with_half_a_message_disturb_nobody(held: Daemon) -> None:
     with unaffected(held) as answered, connected(held) as silent, connected(held) as half:
         half.sendall(request("status")[:-5])
         answered()
@@ -159,7 +159,7 @@ def test_one_that_says_nothing_and_one_that_says_half_a_message(held: Daemon) ->
             assert b"result" in client.makefile("rb").readline()
 
 
-def test_one_that_vanishes_in_the_middle_of_a_message_and_one_before_its_answer(
+def test_a_client_may_vanish_within_a_message_or_before_its_answer(
     held: Daemon,
 ) -> None:
     with unaffected(held) as answered:
@@ -170,7 +170,7 @@ def test_one_that_vanishes_in_the_middle_of_a_message_and_one_before_its_answer(
             answered()
 
 
-def test_one_that_sends_garbage_is_answered_and_may_go_on(held: Daemon) -> None:
+def test_a_client_that_sends_garbage_is_answered_and_may_go_on(held: Daemon) -> None:
     with unaffected(held), connected(held) as client:
         answers = client.makefile("rb")
         for garbage in (b"\x00\xff\n", b"{}\n", b"[1,2]\n", b'"stop"\n', b"\n"):
@@ -180,7 +180,7 @@ def test_one_that_sends_garbage_is_answered_and_may_go_on(held: Daemon) -> None:
         assert json.loads(answers.readline())["result"]["state"] == "ready"
 
 
-def test_one_that_sends_a_hundred_megabytes_is_cut_off_early(held: Daemon) -> None:
+def test_a_client_that_sends_a_hundred_megabytes_is_disconnected_early(held: Daemon) -> None:
     sent = 0
     with unaffected(held), connected(held) as client, suppress(OSError):
         while sent < 100e6:
@@ -188,7 +188,7 @@ def test_one_that_sends_a_hundred_megabytes_is_cut_off_early(held: Daemon) -> No
     assert sent < 100 * LARGEST_REQUEST
 
 
-def test_one_that_floods_gets_its_answers_and_nobody_else_waits_for_them(held: Daemon) -> None:
+def test_a_client_that_floods_is_answered_and_delays_nobody(held: Daemon) -> None:
     with unaffected(held) as answered, connected(held) as client:
         answers = client.makefile("rb")
         client.sendall(request("status") * 400)
@@ -198,7 +198,7 @@ def test_one_that_floods_gets_its_answers_and_nobody_else_waits_for_them(held: D
     assert {answer["error"]["code"] for answer in told if "error" in answer} <= {2}
 
 
-def test_one_that_floods_is_told_to_slow_down_but_may_always_stop(tmp_path: Path) -> None:
+def test_a_client_that_floods_is_refused_but_may_always_stop(tmp_path: Path) -> None:
     stops: list[object] = []
     methods = {"status": METHODS["status"], "estop": Method(NoParams, stops.append, changes=False)}
 
@@ -220,7 +220,7 @@ def test_one_that_floods_is_told_to_slow_down_but_may_always_stop(tmp_path: Path
     assert len(stops) == 1
 
 
-def test_one_that_never_reads_its_answers_is_let_go(held: Daemon) -> None:
+def test_a_client_that_never_reads_is_disconnected(held: Daemon) -> None:
     with unaffected(held) as answered, connected(held) as client:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         client.settimeout(0.5)
@@ -230,7 +230,7 @@ def test_one_that_never_reads_its_answers_is_let_go(held: Daemon) -> None:
         answered()
 
 
-def test_of_too_many_clients_the_longest_silent_makes_room(held: Daemon) -> None:
+def test_with_too_many_clients_the_longest_silent_one_is_disconnected(held: Daemon) -> None:
     with ExitStack() as stack:
         crowd = [stack.enter_context(connected(held)) for _ in range(MOST_CLIENTS)]
         for client in crowd[::-1]:
@@ -243,7 +243,7 @@ def test_of_too_many_clients_the_longest_silent_makes_room(held: Daemon) -> None
         assert b"result" in crowd[0].makefile("rb").readline()
 
 
-def test_whoever_wants_the_emergency_stop_waits_for_no_crowd(tmp_path: Path) -> None:
+def test_the_emergency_stop_does_not_wait_for_other_clients(tmp_path: Path) -> None:
     looked_up, when_stopped = 0, []
 
     def look_up(_: object) -> None:
@@ -283,7 +283,7 @@ def test_whoever_wants_the_emergency_stop_waits_for_no_crowd(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("turns", range(6))
-def test_who_comes_just_as_the_socket_closes_is_answered_and_not_left_hanging(
+def test_a_client_that_connects_as_the_socket_closes_is_answered(
     tmp_path: Path, turns: int
 ) -> None:
     async def late() -> bytes:

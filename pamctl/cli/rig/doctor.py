@@ -1,4 +1,4 @@
-"""`pamctl doctor`: is this PC fit for a run, and this rig? With the fix for what is not."""
+"""`pamctl doctor`: are this PC and this rig fit for a run? Each fault comes with its fix."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def doctor(
     ] = 2.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Check whether this PC and this rig are fit for a run, and show how to fix what is not."""
+    """Check whether this PC and this rig are fit for a run, with a fix for each fault."""
     settings, _ = resolve_options(backend, rig, overrides, fast=False)
     require_linux()
     from pamctl.commissioning.doctor.examination import examine_all

@@ -122,7 +122,7 @@ LivePortOption = Annotated[
         metavar="PORT",
         min=0,
         max=65535,
-        help="Port that --live serves, 0 for any",
+        help="Port of the live values; 0 picks a free one",
     ),
 ]
 LiveOriginOption = Annotated[

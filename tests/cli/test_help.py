@@ -11,6 +11,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
+from pamctl.commissioning.calibrate import encoder_sign_and_scale, pressure_sensor
 
 PANELS = ("Run", "Rig", "Analyse", "Tune", "Daemon", "Logs", "Other")
 FRAGMENT = re.compile(
@@ -77,6 +78,18 @@ def test_every_verb_says_what_it_does_in_a_sentence(words: str) -> None:
 
 def test_the_verbs_are_grouped() -> None:
     assert {command.rich_help_panel for command in COMMANDS[""].commands.values()} == set(PANELS)
+
+
+@pytest.mark.parametrize(
+    ("what", "points_kpa"),
+    [
+        ("pressure", pressure_sensor.DEFAULT_POINTS_KPA),
+        ("encoder", encoder_sign_and_scale.DEFAULT_POINTS_KPA),
+    ],
+)
+def test_the_pressures_of_a_calibration_are_shown(what: str, points_kpa: tuple[float]) -> None:
+    (point,) = (p for p in COMMANDS[f"calibrate {what}"].params if p.opts == ["--point"])
+    assert point.show_default == ", ".join(f"{value:g}" for value in points_kpa)
 
 
 @pytest.mark.parametrize(

@@ -57,8 +57,9 @@ def diagnose(
 ) -> None:
     """Find where model and measurement disagree, name the missing effect, add it to the model.
 
-    DIR gets diagnosis.json, plant.yaml (for --plant of run, tune, compare and a next
-    diagnose) and report.html. Exit code 0 whatever the verdict, 65 if the data are no good.
+    DIR gets diagnosis.json, report.html and plant.yaml.
+    plant.yaml is for --plant of run, tune, compare and a next diagnose.
+    The exit code is 0 for every verdict, and 65 if the data cannot be used.
     """
     require_empty_folder(out, "--out")
     start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))

@@ -71,8 +71,8 @@ def replay(
 ) -> None:
     """Run the tick over a log's raw samples, and compare every stage with the log.
 
-    With --controller or --set it shows what another law or other gains would have
-    commanded, open loop: the muscle did not follow them.
+    With --controller or --set it shows what other gains would have commanded.
+    That is open loop: the muscle did not follow them.
     """
     is_what_if = controller is not None or bool(overrides)
     if csv is not None and not is_what_if:

@@ -22,7 +22,7 @@ def watch(
             metavar="PORT",
             min=0,
             max=65535,
-            help="Port that --web serves, 0 for any",
+            help="Port of the page; 0 picks a free one",
         ),
     ] = 8642,
     allow_control: Annotated[

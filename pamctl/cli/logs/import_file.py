@@ -48,8 +48,8 @@ def import_file(
 ) -> None:
     """Import a measurement: t_s, valve_v, pressure_pa, position_m, force_n, or other units.
 
-    A name says quantity and unit: time_ms, pressure_gauge_kpa, position_mm. Errors stop the
-    import (65); warnings go into the log.
+    A name says quantity and unit: time_ms, pressure_gauge_kpa, position_mm.
+    Errors stop the import (65); warnings go into the log.
     """
     from pamctl.log.importing.pipeline import import_log
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -33,16 +33,17 @@ OutOption = Annotated[
 YesOption = Annotated[
     bool, typer.Option("--yes", help="Do not ask whether the rig may be pressurised and move")
 ]
-PointOption = Annotated[
-    list[float] | None,
-    typer.Option(
+
+
+def _point_option(default: str) -> Any:
+    """Return the option for pressures to hold; the defaults are those of the calibrations."""
+    return typer.Option(
         "--point",
         metavar="KPA",
         min=1.0,
         help="Pressure to hold, kPa gauge; can be repeated",
-        show_default="several over the range",
-    ),
-]
+        show_default=default,
+    )
 
 
 @calibrate_app.command("pressure")
@@ -51,7 +52,7 @@ def pressure(
     backend: BackendOption = None,
     rig: RigOption = None,
     overrides: SetOption = None,
-    points_kpa: PointOption = None,
+    points_kpa: Annotated[list[float] | None, _point_option("100, 200, 300")] = None,
     readings_kpa: Annotated[
         list[float] | None,
         typer.Option(
@@ -109,7 +110,7 @@ def encoder(
             show_default="asked at the terminal",
         ),
     ] = None,
-    points_kpa: PointOption = None,
+    points_kpa: Annotated[list[float] | None, _point_option("250")] = None,
     yes: YesOption = False,
     as_json: JsonOption = False,
 ) -> None:

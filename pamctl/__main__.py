@@ -17,27 +17,25 @@ def main() -> None:
     try:
         _import_all()
         from pamctl.cli.app import app
-        from pamctl.cli.failure import document_failures
         from pamctl.realtime.scheduling import keep_single_threaded
 
-        # The algebra here is small: threads wait for each other more than they work, and would
-        # take from a loop, or from other workers, a second CPU for nothing. In all processes that
-        # are started from here, too; the start alone of each takes 0.1 s of CPU less.
+        # The algebra here is small: threads of numpy would mostly wait for each other, and take
+        # a CPU from a loop or another worker. This also holds for all processes started from
+        # here; each starts with 0.1 s of CPU less.
         keep_single_threaded()
-        with document_failures(sys.argv[1:]):
-            app()
+        app()
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:
-        # The reader has gone, as `head` does; what is left to flush has no reader either.
+        # The reader has gone, as `head` does. Python flushes at its end: to nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
 
 
 def _import_all() -> None:
-    """Import the command line: half of the start-up, into which an impatient Ctrl-C falls.
+    """Import the command line: half of the start-up, so an early Ctrl-C is likely to come here.
 
-    Python makes other errors of a `KeyboardInterrupt` that comes while a class is built.
+    A `KeyboardInterrupt` while a class is built would become another error.
     """
     may_interrupt = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if may_interrupt:
@@ -49,7 +47,7 @@ def _import_all() -> None:
 
 
 def _leave_at_once(number: int, frame: FrameType | None) -> None:
-    """Nothing has begun that would have to be ended."""
+    """Leave: nothing has begun yet."""
     os._exit(130)
 
 

@@ -1,59 +1,76 @@
-"""The command line: `pamctl VERB`."""
+"""The command line: `pamctl VERB`, with its verbs in groups."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
 from pamctl import __version__
-from pamctl.cli import steer
-from pamctl.cli.audit import audit
-from pamctl.cli.calibrate import calibrate_app
-from pamctl.cli.compare import compare
+from pamctl.cli.analyse.audit import audit
+from pamctl.cli.analyse.compare import compare
+from pamctl.cli.analyse.diagnose import diagnose
+from pamctl.cli.analyse.replay import replay
+from pamctl.cli.analyse.report import report
 from pamctl.cli.config import config_app
-from pamctl.cli.daemon import daemon
-from pamctl.cli.diagnose import diagnose
-from pamctl.cli.doctor import doctor
-from pamctl.cli.log import log_app
-from pamctl.cli.log_export import export_log
-from pamctl.cli.log_import import import_file
-from pamctl.cli.replay import replay
-from pamctl.cli.report import report
+from pamctl.cli.daemon.ack import ack
+from pamctl.cli.daemon.daemon import daemon
+from pamctl.cli.daemon.disarm import disarm
+from pamctl.cli.daemon.estop import estop
+from pamctl.cli.daemon.gains import gains_app
+from pamctl.cli.daemon.goto import goto
+from pamctl.cli.daemon.mark import mark
+from pamctl.cli.daemon.set_keys import set_keys
+from pamctl.cli.daemon.start import start
+from pamctl.cli.daemon.status import status
+from pamctl.cli.daemon.stop import stop
+from pamctl.cli.daemon.watch import watch
+from pamctl.cli.failure import Verbs
+from pamctl.cli.logs.check import check_logs
+from pamctl.cli.logs.export import export_log
+from pamctl.cli.logs.import_file import import_file
+from pamctl.cli.logs.info import show_info
+from pamctl.cli.logs.recover import recover_log
+from pamctl.cli.manual import manual
 from pamctl.cli.reproduce import reproduce
-from pamctl.cli.run import run
-from pamctl.cli.safe import safe
+from pamctl.cli.rig.calibrate import calibrate_app
+from pamctl.cli.rig.doctor import doctor
+from pamctl.cli.rig.run import run
+from pamctl.cli.rig.safe import safe
 from pamctl.cli.tune import tune
-from pamctl.cli.watch import watch
 
 app = typer.Typer(
     name="pamctl",
+    cls=Verbs,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_show_locals=False,
     help="Controller daemon of a pneumatic artificial muscle rig.",
 )
-app.command()(run)
-app.command()(safe)
-app.command()(doctor)
-app.command()(replay)
-app.command()(audit)
-app.command()(diagnose)
-app.command()(compare)
-app.command()(report)
-app.command()(reproduce)
-app.command()(tune)
-app.command()(daemon)
-for client in (steer.status, steer.start, steer.stop, steer.estop, steer.ack, steer.disarm):
-    app.command()(client)
-app.command()(watch)
-app.command(context_settings={"ignore_unknown_options": True})(steer.goto)  # goto -1mm
-app.command()(steer.mark)
-app.command("set")(steer.set_keys)
-app.add_typer(steer.gains_app, name="gains")
-app.add_typer(calibrate_app, name="calibrate")
-app.add_typer(config_app, name="config")
-app.add_typer(log_app, name="log")
+log_app = typer.Typer(no_args_is_help=True, help="Look into logs, mend, export and import them.")
+
+_GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
+    "Run": (run,),
+    "Rig": (safe, doctor),
+    "Analyse": (report, replay, compare, audit, diagnose),
+    "Tune": (tune,),
+    "Daemon": (daemon, status, start, stop, estop, ack, disarm, mark, watch),
+    "Other": (reproduce, manual),
+}
+for panel, verbs in _GROUPS.items():
+    for verb in verbs:
+        app.command(rich_help_panel=panel)(verb)
+# A negative position is an argument, not an option: goto -1mm.
+app.command(rich_help_panel="Daemon", context_settings={"ignore_unknown_options": True})(goto)
+app.command("set", rich_help_panel="Daemon")(set_keys)
+app.add_typer(gains_app, name="gains", rich_help_panel="Daemon")
+app.add_typer(calibrate_app, name="calibrate", rich_help_panel="Rig")
+app.add_typer(log_app, name="log", rich_help_panel="Logs")
+app.add_typer(config_app, name="config", rich_help_panel="Other")
+log_app.command("info")(show_info)
+log_app.command("check")(check_logs)
+log_app.command("recover")(recover_log)
 log_app.command("export")(export_log)
 log_app.command("import")(import_file)
 
@@ -67,7 +84,10 @@ def _show_version(wanted: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True)
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Print the version and exit"
+        ),
     ] = False,
 ) -> None:
     """Controller daemon of a pneumatic artificial muscle rig."""

@@ -1,52 +1,74 @@
-"""How a verb says that it failed: one line for people, and with `--json` one document.
+"""How a verb fails: one line for people, and one document with `--json`. Written here only.
 
-A verb that has more to tell than a reason prints its own document, and leaves with a bare
-`typer.Exit`.
+Rooms raise their own errors. An error that a user can cause carries its `exit_code`; a verb
+raises `Failed` where there is no such error.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import NoReturn, Protocol, runtime_checkable
+from collections.abc import Iterable, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import typer
+from typer.core import TyperGroup
 
+from hal.rig import RigError
 from pamctl.exit_codes import ExitCode
+from pamctl.settings.problems import ConfigError, Problem
 
 
-class VerbFailure(typer.Exit):
-    """The end of a verb, with its reason."""
+class Failed(typer.Exit):
+    """The end of a verb that failed, with its reason."""
 
-    def __init__(self, code: ExitCode, reason: str) -> None:
-        """`reason` is for people, without a full stop."""
+    def __init__(self, code: int, reason: str, **details: object) -> None:
+        """`reason` is for people, without a full stop; `details` go into the document too."""
         super().__init__(int(code))
         self.reason = reason
+        self.details = details
 
 
-def fail(code: ExitCode, reason: str) -> NoReturn:
-    """Say why, and leave with `code`."""
-    print(f"error: {reason}", file=sys.stderr)
-    raise VerbFailure(code, reason)
+class Verbs(TyperGroup):
+    """All verbs. Whatever one of them raises is reported here."""
 
+    def main(self, args: Sequence[str] | None = None, *rest: Any, **extra: Any) -> Any:
+        """Run the verb that the arguments name; report its failure."""
+        as_json = "--json" in (sys.argv[1:] if args is None else args)
+        try:
+            return super().main(args, *rest, **extra)
+        except SystemExit as leaving:
+            match leaving.__context__:
+                case Failed() as failed:
+                    _report_failure(failed, as_json=as_json)
+                case _WrongUsage() as wrong if as_json:  # typer has printed it for people
+                    _print_document(leaving.code, wrong.format_message())
+                case typer.Exit(__cause__=KeyboardInterrupt()) if as_json:
+                    _print_document(leaving.code, "interrupted")
+            raise
+        except Exception as error:
+            if as_json:
+                _print_document(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
+            raise
 
-@contextmanager
-def document_failures(arguments: Sequence[str]) -> Iterator[None]:
-    """Where `--json` is among the arguments, a failure is a document: wrong usage too."""
-    try:
-        yield
-    except SystemExit as leaving:
-        reason = _reason_of(leaving.__context__)
-        if reason is not None and "--json" in arguments:
-            print(json.dumps({"exit_code": leaving.code, "reason": reason}))
-        raise
-    except Exception as error:
-        if "--json" in arguments:
-            reason = f"{type(error).__name__}: {error}"
-            print(json.dumps({"exit_code": int(ExitCode.UNEXPECTED), "reason": reason}))
-        raise
+    def invoke(self, ctx: Any) -> Any:
+        """Run the verb; turn the errors that a user can cause into `Failed`."""
+        try:
+            return super().invoke(ctx)
+        except typer.Exit:
+            raise
+        except ConfigError as error:
+            problems = [problem._asdict() for problem in error.problems]
+            raise Failed(
+                _choose_config_code(error.problems), str(error), problems=problems
+            ) from error
+        except RigError as error:
+            raise Failed(ExitCode.UNAVAILABLE, str(error)) from error
+        except Exception as error:
+            code = getattr(error, "exit_code", None)
+            if not isinstance(code, ExitCode):
+                raise
+            raise Failed(code, str(error)) from error
 
 
 @runtime_checkable
@@ -56,12 +78,27 @@ class _WrongUsage(Protocol):
     def format_message(self) -> str: ...
 
 
-def _reason_of(why: BaseException | None) -> str | None:
-    match why:
-        case VerbFailure():
-            return why.reason
-        case _WrongUsage():
-            return why.format_message()
-        case typer.Exit() if isinstance(why.__cause__, KeyboardInterrupt):
-            return "interrupted"
-    return None
+def print_error(reason: str) -> None:
+    """Print the line for people, on standard error."""
+    print(f"error: {reason}", file=sys.stderr)
+
+
+def _report_failure(failed: Failed, *, as_json: bool) -> None:
+    if as_json:
+        _print_document(failed.exit_code, failed.reason, **failed.details)
+    if "problems" in failed.details:
+        print(failed.reason, file=sys.stderr)  # each line begins with its place
+    else:
+        print_error(failed.reason)
+
+
+def _print_document(exit_code: object, reason: str, **details: object) -> None:
+    # One line: it may end a stream of lines, as of `pamctl watch --json`.
+    print(json.dumps({"exit_code": exit_code, "reason": reason, **details}))
+
+
+def _choose_config_code(problems: Iterable[Problem]) -> ExitCode:
+    """Return 2 where only options are wrong, 78 where a file or a setting is."""
+    places = (problem.where for problem in problems)
+    options_only = all(where.startswith("--") and not where.startswith("--set") for where in places)
+    return ExitCode.USAGE if options_only else ExitCode.BAD_CONFIG

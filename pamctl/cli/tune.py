@@ -5,72 +5,166 @@ from __future__ import annotations
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.config import JsonOption, exit_on_config_errors
+from pamctl.cli.options import JsonOption
+from pamctl.cli.output import print_json
+from pamctl.exit_codes import ExitCode
+from pamctl.settings.resolve import settings_to_data
+
+if TYPE_CHECKING:
+    from pamctl.tune.gains_search import BestGains
+    from pamctl.tune.tune_gains import FoundGains
+    from pamctl.tune.tuning_task import TuningTask
 
 
 def tune(
     law: Annotated[
-        str | None, typer.Option("--law", metavar="qsmc|smc|pid", help="Whose gains are sought.")
+        str | None,
+        typer.Option(
+            "--law",
+            metavar="qsmc|smc|pid",
+            help="Control law to tune",
+            show_default="with --check: that of the gains",
+        ),
     ] = None,
     plants: Annotated[
         list[str] | None,
         typer.Option(
             "--plant",
             metavar="NAME|FILE",
-            help="Tune for this one; repeats. With --ensemble: these weigh as much as all drawn.",
+            help="Plant to tune for; can be repeated. With --ensemble, the named plants count as "
+            "much as all drawn ones",
+            show_default="drawn plants only",
         ),
     ] = None,
     size: Annotated[
         int | None,
-        typer.Option("--ensemble", metavar="N", min=2, max=1000, help="Tune for N drawn plants."),
+        typer.Option(
+            "--ensemble",
+            metavar="N",
+            min=2,
+            max=1000,
+            help="Number of drawn plants in the ensemble",
+            show_default="16, with --plant none",
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of plants and search.")] = 0,
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed of drawn plants and search")
+    ] = 0,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="GAINS.yaml", help="Where the gains go.")
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="GAINS.yaml",
+            help="New file for the gains",
+            show_default="required, except with --check",
+        ),
     ] = None,
     generations: Annotated[
-        int, typer.Option("--generations", min=1, max=100_000, help="Stop after so many.")
+        int,
+        typer.Option(
+            "--generations", metavar="N", min=1, max=100_000, help="Number of search generations"
+        ),
     ] = 40,
     quantile: Annotated[
         float,
         typer.Option(
-            "--quantile", min=0.5, max=1.0, help="Of the drawn plants; 1: the worst one counts."
+            "--quantile",
+            metavar="SHARE",
+            min=0.5,
+            max=1.0,
+            help="Quantile of the drawn plants that counts; 1: the worst plant counts",
         ),
     ] = 1.0,
     held_out: Annotated[
-        int, typer.Option("--held-out", min=1, max=10_000, help="Fresh plants for the score.")
+        int,
+        typer.Option(
+            "--held-out",
+            metavar="N",
+            min=1,
+            max=10_000,
+            help="Number of fresh plants to score on",
+        ),
     ] = 200,
     check: Annotated[
         str | None,
-        typer.Option("--check", metavar="GAINS", help="Only score these gains, on fresh plants."),
+        typer.Option(
+            "--check",
+            metavar="GAINS",
+            help="Score these gains on fresh plants, and search nothing",
+            show_default="search",
+        ),
     ] = None,
     start: Annotated[
-        str | None, typer.Option("--start", metavar="GAINS", help="Begin beside these gains.")
+        str | None,
+        typer.Option(
+            "--start",
+            metavar="GAINS",
+            help="Gains to begin the search beside",
+            show_default="the usual ones",
+        ),
     ] = None,
     jobs: Annotated[
-        int | None, typer.Option("--jobs", min=1, help="Processes; as many as CPUs.")
+        int | None,
+        typer.Option(
+            "--jobs", metavar="N", min=1, help="Number of worker processes", show_default="all CPUs"
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Seek gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
-    from pamctl.tune.tune_gains import (  # slow imports, for this verb
-        TuningTask,
-        check_gains,
-        seek_gains,
-    )
+    """Search gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
+    from pamctl.tune.tune_gains import check_gains, seek_gains
+    from pamctl.tune.tune_text import format_scores, make_scores_document
+    from pamctl.tune.tuning_task import TuningTask
 
     if check is not None and out is not None:
         message = "belongs to a search: with --check nothing is written"
         raise typer.BadParameter(message, param_hint="--out")
-    with exit_on_config_errors(as_json=as_json):
-        asked = TuningTask.of(law, plants or [], size, seed, quantile, held_out, out, check, start)
-    if asked.checked is not None:
-        code = check_gains(asked, jobs, as_json=as_json)
+    task = TuningTask.of(law, plants or [], size, seed, quantile, held_out, out, check, start)
+    if task.checked is not None:
+        scores = check_gains(task, jobs)
+        if as_json:
+            document = make_scores_document(scores)
+            gains = settings_to_data(task.checked)
+            print_json({"law": task.law, "gains": gains, "scores": document})
+        else:
+            typer.echo(format_scores(task.law, scores))
+        return
+    command = f"pamctl {shlex.join(sys.argv[1:])}"
+
+    def show_progress(best: BestGains, took_s: float) -> None:
+        line = f"generation {best.generation} of {generations}: {best.cost:.3f}, {took_s:.0f} s"
+        start, end = ("\r", "   ") if sys.stderr.isatty() else ("", "\n")
+        print(start + line, end=end, file=sys.stderr, flush=True)
+
+    found = seek_gains(task, jobs, generations, command, show_progress)
+    _print_found(task, found, as_json=as_json)
+    raise typer.Exit(ExitCode.SIGINT if found.interrupted else ExitCode.OK)
+
+
+def _print_found(task: TuningTask, found: FoundGains, *, as_json: bool) -> None:
+    from pamctl.tune.tune_text import format_scores, make_scores_document
+
+    if as_json:
+        print_json(
+            {
+                "law": task.law,
+                "gains": found.best.gains,
+                "cost": found.best.cost,
+                "generations": found.best.generation,
+                "runs": found.best.evaluations,
+                "took_s": found.took_s,
+                "interrupted": found.interrupted,
+                "scores": make_scores_document(found.scores),
+                "out": str(task.out),
+            }
+        )
     else:
-        command = f"pamctl {shlex.join(sys.argv[1:])}"
-        code = seek_gains(asked, jobs, generations, command, as_json=as_json)
-    raise typer.Exit(int(code))
+        typer.echo(format_scores(task.law, found.scores) if found.scores else "not scored")
+        typer.echo(f"gains: {task.out}")
+    if found.interrupted:
+        again = f"without {task.out} the same command goes on from {found.state}"
+        print(f"interrupted; {again}", file=sys.stderr)

@@ -16,6 +16,7 @@ from hal.backend import NO_KEYS, RigKeys
 from hal.calibration import CalibrationSettings, Zero, calibration, output_v, pressure_pa, valve_v
 from hal.rig import RawSample, Rig
 from pamctl.control.homing import HomingSettings
+from pamctl.exit_codes import ExitCode
 from pamctl.realtime.clock import Clock
 from pamctl.safety import LimitSettings
 
@@ -28,6 +29,8 @@ NEAR_PA = 10e3
 
 class LimitError(Exception):
     """The rig left a limit of its file; the message says which, and what to check."""
+
+    exit_code = ExitCode.SAFETY_TRIP
 
 
 class SensorStatistics(NamedTuple):

@@ -12,9 +12,13 @@ import select
 import sys
 from collections.abc import Callable
 
+from pamctl.exit_codes import ExitCode
+
 
 class NoAnswer(Exception):
     """Standard input has ended, or the person said no."""
+
+    exit_code = ExitCode.USAGE
 
 
 class Terminal:

@@ -1,4 +1,4 @@
-"""Hold the model against a log: the plant driven by the logged command.
+"""Compare a model with a log: the plant is driven by the logged command.
 
 Each block alone, and both coupled, with the gap that is left.
 Read `coupled_gap.py` first.

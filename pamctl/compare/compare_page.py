@@ -15,14 +15,12 @@ _TIME = PlotAxis("time", "s", tight=True)
 
 
 def draw_comparison_page(log: str, found: Mapping[str, Comparison]) -> Page:
-    """Draw every model beside the measurement, and what lies between them."""
+    """Draw every model beside the measurement, and the gap between them."""
     page = Page(f"Model against {log}", ", ".join(found))
     first = next(iter(found.values()))
     t_s, measured = first.measured.t_s, first.measured
     page.section("The coupled model, driven by the logged command")
-    page.figure(
-        *_plot_coupled(t_s, found), caption="The simulation, had it been given this command."
-    )
+    page.figure(*_plot_coupled(t_s, found), caption="The simulation with the logged command.")
     page.section("Each block alone")
     page.figure(
         *_plot_blocks(t_s, found),

@@ -1,12 +1,12 @@
-"""Compare: the model driven by what a log says was applied, against what was measured.
+"""The model driven by the logged command, against the measurement.
 
     coupled         command            -> position, pressure
     pressure block  command, position  -> pressure
     mechanics       pressure           -> position
 
-The coupled model is how far a simulation would have been from this run. Each block is driven
-by the other's measured signal, so that a fault of the one does not look like one of the other:
-that is where a diagnosis begins. Works on imported logs as well, with what they hold.
+The coupled model shows how far a simulation is from this run. Each block alone is driven by the
+other's measured signal, so that an error of one block does not look like one of the other: a
+diagnosis begins there. Imported logs are compared in the signals that they hold.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NEAR_NULL_V = 0.1
-"""A valve that is open by less is near its null, where dead bands and leaks show."""
+"""Below this opening the valve is near its null, where dead bands and leaks show."""
 AT_REST_M_PER_S = 1e-4
 _MOTION_S = 0.02
-"""Over how long the measured speed is taken: some counts of the encoder."""
+"""Time over which the speed is measured (s): some counts of the encoder."""
 _SHORTEST = 20
-"""Stretches with fewer ticks say nothing."""
+"""Shorter stretches (ticks) are left out."""
 _START_TICKS = 20
 
 
@@ -45,7 +45,7 @@ class ComparisonGap(NamedTuple):
 
 
 class ModelOutput(NamedTuple):
-    """What the model says, shape (n,) each; NaN where it was not driven, None where it cannot."""
+    """The model's signals, shape (n,) each; NaN where it was not driven, None if it cannot be."""
 
     way: str
     position_m: Floats | None
@@ -78,7 +78,7 @@ class Comparison:
     def gap(
         self, modelled: ModelOutput, signal: str, where: Mask | slice = slice(None)
     ) -> ComparisonGap:
-        """Return how far one way is from the measurement in `position_m` or `pressure_pa`."""
+        """Return the gap of one way of driving in `position_m` or `pressure_pa`."""
         return measure_gap(getattr(modelled, signal), getattr(self.measured, signal), where)
 
     def regimes(self) -> list[Regime]:
@@ -96,7 +96,7 @@ class Comparison:
 
 
 def compare_model(log: Log, plant: PlantParameters) -> Comparison:
-    """Drive a model by a log; raise LogError where the log has nothing to drive it with."""
+    """Drive a model by a log; raise `LogError` if the log has nothing to drive it with."""
     measured = select_comparable(log)
     stretches = list(_find_stretches(measured))
     if not stretches:
@@ -129,9 +129,9 @@ def compare_model(log: Log, plant: PlantParameters) -> Comparison:
 
 
 def select_comparable(log: Log) -> Signals:
-    """Return the signals of a log from the end of homing on: before it the zeros are others.
+    """Return the signals of a log from the end of homing on: before it the zeros differ.
 
-    Raises LogError where the model cannot be driven or held against anything.
+    Raises `LogError` if the model cannot be driven or compared.
     """
     measured = signals(log)
     here = [
@@ -142,7 +142,7 @@ def select_comparable(log: Log) -> Signals:
     if len(here) < 2:
         raise LogError(
             f"{log.path} holds {' and '.join(here) or 'no signal'} only: a model needs one signal "
-            "of valve_v, pressure_pa, position_m to be driven by, and another to be held against"
+            "of valve_v, pressure_pa, position_m to drive it, and another to compare it with"
         )
     homing = np.flatnonzero(measured.phase == Phase.HOMING)
     return measured[int(homing[-1]) + 1 if len(homing) else 0 :]
@@ -162,12 +162,12 @@ def measure_gap(
 
 
 def split_regimes(measured: Signals) -> Iterator[tuple[str, Mask]]:
-    """Name the parts of a run, each with the ticks that belong to it; they overlap."""
+    """Yield the parts of a run by name, with their ticks; parts overlap."""
     for phase in np.unique(measured.phase).tolist():
         if phase != NO_PHASE:
             yield Phase(phase).name.lower().replace("_", " "), measured.phase == phase
     if measured.valve_v is not None:
-        # What a sample shows is what the command of the tick before it has done.
+        # A sample shows the effect of the command of the tick before.
         held_v = np.concatenate((measured.valve_v[:1], measured.valve_v[:-1]))
         yield "valve fills", held_v > NEAR_NULL_V
         yield "valve exhausts", held_v < -NEAR_NULL_V
@@ -180,20 +180,20 @@ def split_regimes(measured: Signals) -> Iterator[tuple[str, Mask]]:
 
 
 def _speed_m_per_s(t_s: Floats, position_m: Floats) -> Floats:
-    """Return the measured speed, over a time in which a slow motion still passes some counts."""
+    """Return the speed (m/s), over a time in which a slow motion still passes some counts."""
     before = np.interp(t_s - 0.5 * _MOTION_S, t_s, position_m)
     after = np.interp(t_s + 0.5 * _MOTION_S, t_s, position_m)
     return np.asarray((after - before) / _MOTION_S)
 
 
 def _find_stretches(measured: Signals) -> Iterator[slice]:
-    """Yield the longest runs of ticks that are all there, with every signal a number."""
+    """Yield stretches without a lost tick, in which every signal is a number."""
     whole = np.ones(len(measured), bool)
     for name in ("valve_v", "pressure_pa", "position_m"):
         signal = getattr(measured, name)
         if signal is not None:
             whole &= np.isfinite(signal)
-    # Ticks that the log lost: what was applied meanwhile is not known.
+    # Ticks that the log lost: the command in between is unknown.
     lost = np.abs(np.diff(measured.t_s) - measured.dt_s[1:]) > 0.5 * np.median(measured.dt_s)
     breaks = {0, len(measured), *(np.flatnonzero(lost) + 1).tolist()}
     breaks |= set((np.flatnonzero(np.diff(whole.astype(np.int8))) + 1).tolist())
@@ -207,7 +207,7 @@ def _was_homed(log: Log) -> bool:
 
 
 def _find_start(plant: PlantParameters, part: Signals, *, follows_homing: bool) -> PlantState:
-    """Return the state at the first sample: vented after homing, else as measured, at rest."""
+    """Return the state at the first sample: vented after homing, else at rest as measured."""
     if follows_homing:
         return rest_state(plant, 0.0, plant.atmospheric_pressure_pa)
     quiet = part.valve_v is not None and bool(

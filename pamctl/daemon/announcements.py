@@ -1,7 +1,7 @@
-"""What happens, a line of JSON each, for whoever reads the daemon's standard output.
+"""Events on the daemon's standard output, one line of JSON each.
 
-A reader that is slow, stuck or gone holds up nobody: lines wait in a queue, and a thread of
-their own writes them. Where the queue is full, lines are left out.
+A reader that is slow, stuck or gone delays nobody: the lines wait in a queue, and a thread
+writes them. When the queue is full, lines are dropped.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ _LAST_PATIENCE_S = 1.0
 
 
 class Announcements:
-    """Lines for a reader."""
+    """A queue of lines, and the thread that writes them."""
 
     def __init__(self, fd: int) -> None:
-        """Write to `fd`, past Python's buffer: at the end nobody waits for what is stuck there."""
+        """Write to `fd` without Python's buffer: a stuck line cannot delay the exit."""
         self._fd = fd
         self._waiting: queue.Queue[bytes] = queue.Queue(_MOST_WAITING)
         self._thread = threading.Thread(target=self._write, name="announcements", daemon=True)
         self._thread.start()
 
     def put(self, event: Mapping[str, object]) -> None:
-        """Announce; never wait."""
+        """Put an event into the queue; never wait."""
         with suppress(queue.Full):
             self._waiting.put_nowait(json.dumps(event).encode() + b"\n")
 

@@ -9,16 +9,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pamctl.exit_codes import ExitCode
+
 _PATIENCE_S = 60.0
 """Starting a session may take a driver several seconds."""
 
 
 class DaemonUnreachableError(Exception):
-    """There is no daemon to talk to. The message says what to do."""
+    """No daemon can be reached. The message says what to do."""
+
+    exit_code = ExitCode.UNAVAILABLE
 
 
 class DaemonDeclinedError(Exception):
-    """The daemon said no; the message is its own, the code that of the protocol."""
+    """The daemon refused; the message is its own, the code is that of the protocol."""
+
+    exit_code = ExitCode.CHECK_FAILED
 
     def __init__(self, message: str, code: int) -> None:
         """`code` is one of `pamctl.daemon.protocol`."""
@@ -61,7 +67,7 @@ class Client:
         self._last_id = 0
 
     def call(self, method: str, params: Mapping[str, object] | None = None) -> Any:
-        """Ask, and return the answer.
+        """Send a request and return the answer.
 
         Raises `DaemonDeclinedError`, or `DaemonUnreachableError` if the connection is lost.
         """
@@ -95,7 +101,7 @@ class Client:
 
 def _advice(path: Path, error: OSError) -> str:
     if isinstance(error, PermissionError):
-        return f"{path}: not permitted; its group may: add yourself to it"
+        return f"{path}: not permitted; join the group of the socket"
     if isinstance(error, FileNotFoundError | ConnectionRefusedError):
         return f"{path}: no daemon listens there; start one with `pamctl daemon`, or give --socket"
     return f"{path}: {error.strerror or error}"

@@ -1,6 +1,6 @@
-"""The fault that is not acknowledged yet: it outlives the daemon.
+"""The fault that is not acknowledged yet. It outlives the daemon.
 
-A service manager that restarts a daemon must not make it forget why the muscle stands still.
+A service manager may restart the daemon: the new one must still know why the muscle stands still.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hal.rig import RigError
 
 
 class Latch:
-    """A reason, kept in shared memory until it is taken away: gone with the next boot."""
+    """The reason of a fault, kept in shared memory until it is released, or until the next boot."""
 
     def __init__(self, path: Path) -> None:
         """Read what was left there."""
@@ -23,25 +23,25 @@ class Latch:
 
     @property
     def reason(self) -> str:
-        """Why; empty where there is nothing."""
+        """The reason; empty where nothing is latched."""
         return self._reason
 
     def engage(self, reason: str) -> None:
-        """Latch; the first reason stays."""
+        """Latch the reason; the first one stays."""
         if not self._reason:
             self._reason = reason or "unknown"
             self._remember(self._reason)
 
     def release(self) -> str:
-        """Take the reason away; return it."""
+        """Release the latch; return the reason."""
         reason, self._reason = self._reason, ""
-        self._remember("")  # of another user's file this is all that may be done
+        self._remember("")  # a file of another user can be emptied, not removed
         with suppress(OSError):
             self._path.unlink()
         return reason
 
     def _remember(self, reason: str) -> None:
-        # Where that cannot be done, no room for instance, this process still knows.
+        # If writing fails, on a full disk for instance, this process still knows the reason.
         with suppress(OSError, RigError):
             fd = open_shared(self._path, 0)
             try:

@@ -59,7 +59,7 @@ class RecentParams(Params):
 
 
 def methods_of(service: Service) -> dict[str, Method]:
-    """Return all that can be asked of a service."""
+    """Return every method of a service by its name."""
     return {
         "status": Method(NoParams, lambda _: service.status(), changes=False),
         "recent": Method(

@@ -1,4 +1,4 @@
-"""Talk to a service manager: READY, STATUS, WATCHDOG, STOPPING (sd_notify)."""
+"""Messages to a service manager: READY, STATUS, WATCHDOG, STOPPING (sd_notify)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ def notify(*assignments: str) -> None:
         return
     if address.startswith("@"):
         address = "\0" + address[1:]
-    # A manager that has gone is no reason to stop driving the valve.
+    # The daemon goes on if the manager has gone.
     with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.connect(address)
         manager.sendall("\n".join(assignments).encode())
 
 
 def watchdog_period_s() -> float | None:
-    """Return how often the manager wants a sign of life at least; None where it does not."""
+    """Return the longest time between two signs of life; None where none are wanted."""
     if os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         return None
     micros = os.environ.get("WATCHDOG_USEC", "")

@@ -1,6 +1,6 @@
-"""JSON-RPC 2.0, one document a line: what a request is, and every answer there is.
+"""JSON-RPC 2.0, one document a line: requests and answers.
 
-Nothing here opens a socket or knows a rig; whatever bytes come in, an answer comes out.
+Nothing here opens a socket or knows a rig. Any bytes get an answer.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 LARGEST_REQUEST = 1 << 18
-"""Bytes of a line. The largest honest request is an experiment of a few thousand steps."""
+"""Bytes of a line. The largest sensible request is an experiment of a few thousand steps."""
 
 LONGEST_MOTION_S = 3600
 LONGEST_REMARK = 2000
-"""Characters."""
+"""Characters of a remark."""
 
 PARSE_ERROR = -32700
 INVALID_REQUEST = -32600
@@ -35,22 +35,22 @@ class Params(BaseModel):
 
 
 class NoParams(Params):
-    """A method that needs to know nothing."""
+    """A method without parameters."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """What can be asked."""
+    """A method: its parameters, and what it calls."""
 
     params: type[Params]
     call: Callable[[Any], Any]
     changes: bool = True
-    """It may block for a while, and is carried out after those before it."""
+    """It may block for a while; such methods are carried out one after the other."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """One request that is understood."""
+    """One valid request."""
 
     id: int | str | None
     name: str
@@ -58,8 +58,12 @@ class Request:
     params: Params
 
 
+class RequestRefusedError(Exception):
+    """A request that cannot be met in this state, or is wrong. It changed nothing."""
+
+
 class RequestError(Exception):
-    """A request that is not carried out."""
+    """A request that is not carried out, with the code of its answer."""
 
     def __init__(self, code: int, message: str, request_id: int | str | None = None) -> None:
         """`message` is for people."""
@@ -93,12 +97,12 @@ def parse_request(line: bytes, methods: Mapping[str, Method]) -> Request:
 
 
 def encode_result(request_id: int | str | None, value: object) -> bytes:
-    """Write the answer to a request that was carried out."""
+    """Return the answer to a request that was carried out."""
     return _encode_line({"jsonrpc": "2.0", "id": request_id, "result": value})
 
 
 def encode_failure(error: RequestError) -> bytes:
-    """Write the answer to one that was not."""
+    """Return the answer to a request that was not carried out."""
     said = {"code": error.code, "message": str(error)}
     return _encode_line({"jsonrpc": "2.0", "id": error.request_id, "error": said})
 

@@ -1,8 +1,8 @@
-"""The control socket: many clients, none of whom can disturb the others, or the loop.
+"""The control socket: many clients, none of which can disturb the others or the loop.
 
-The socket is of mode 0660: its group is who may steer. What a client sends is limited in
-size and rate; one that does not read its answers is let go; they wait for each other, but
-whoever wants the emergency stop waits for nobody.
+The socket has mode 0660: its group may steer. What a client sends is limited in size and
+rate. A client that does not read its answers is disconnected. Clients wait for each other;
+a request for the emergency stop waits for nobody.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import grp
 import os
 import socket
 import time
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext, suppress
+from contextlib import asynccontextmanager, nullcontext, suppress
 from pathlib import Path
 
-from pamctl.daemon.allowance import REQUESTS_PER_S, Allowance
 from pamctl.daemon.protocol import (
     INTERNAL_ERROR,
     INVALID_REQUEST,
@@ -26,37 +26,82 @@ from pamctl.daemon.protocol import (
     Method,
     Request,
     RequestError,
+    RequestRefusedError,
     encode_failure,
     encode_result,
     parse_request,
 )
-from pamctl.daemon.refusal import RequestRefusedError
-from pamctl.daemon.turns import Turns
+from pamctl.exit_codes import ExitCode
 
 MOST_CLIENTS = 64
 _READS_WITHIN_S = 2.0
 _MOST_UNREAD_BYTES = 1 << 20
 _EMERGENCY = b"estop"
 _STEPS_OF_A_WELCOME = 4
-"""Turns of the event loop from a client's connection to its first line: see, accept, attach."""
+"""Rounds of the event loop from a client's connection to its first line: see, accept, attach."""
+
+REQUESTS_PER_S = 100.0
+BURST = 200.0
 
 Methods = dict[str, Method]
 
 
+class Allowance:
+    """The requests that a client may still make: a bucket that fills with time."""
+
+    def __init__(self, now_s: float) -> None:
+        """Begin with a full bucket."""
+        self._tokens, self._last_s = BURST, now_s
+
+    def spend(self, now_s: float) -> bool:
+        """Take one token; return whether there was one."""
+        self._tokens = min(BURST, self._tokens + (now_s - self._last_s) * REQUESTS_PER_S)
+        self._last_s = now_s
+        if self._tokens < 1.0:
+            return False
+        self._tokens -= 1.0
+        return True
+
+
+class Turns:
+    """Clients wait here for each other, and together take at most half of the time.
+
+    The watch over the loop shares the interpreter: however much is asked, it finds every other
+    moment free.
+    """
+
+    def __init__(self) -> None:
+        """Begin with nobody waiting."""
+        self._lock = asyncio.Lock()  # first come, first served
+
+    @asynccontextmanager
+    async def take_turn(self) -> AsyncIterator[None]:
+        """Wait for a turn; after it, nobody has one for as long as it took."""
+        async with self._lock:
+            began_s = time.monotonic()
+            try:
+                yield
+            finally:
+                await asyncio.sleep(time.monotonic() - began_s)
+
+
 class SocketError(Exception):
-    """The control socket cannot be made. The message says why, and the way out."""
+    """The control socket cannot be made. The message says why, and what to do."""
+
+    exit_code = ExitCode.UNAVAILABLE
 
 
 class Server:
     """Answers requests on a Unix socket."""
 
-    def __init__(self, methods: Methods) -> None:
-        """`methods` are what can be asked; none may end the process."""
+    def __init__(self, methods: Methods, now_s: Callable[[], float] = time.monotonic) -> None:
+        """`methods` are what can be asked; none may end the process. `now_s` is the clock."""
         self._methods = methods
+        self._now_s = now_s
         self._clients: dict[asyncio.Task[None], float] = {}
         """Each with the time of its last request."""
         self._turns = Turns()
-        # One after the other, and in one thread: each thread would keep memory of its own.
+        # One after the other in one thread: each further thread would keep memory of its own.
         self._worker = ThreadPoolExecutor(1, "orders")
 
     async def listen(self, path: Path, group: str | None = None) -> None:
@@ -68,10 +113,10 @@ class Server:
         )
 
     async def close(self) -> None:
-        """Take no more clients, and take the socket away; whoever is there is still answered."""
+        """Take no more clients and remove the socket; those connected are still answered."""
         self._path.unlink(missing_ok=True)
-        # Nobody new can come, but somebody may have been accepted, and not be ours yet. asyncio
-        # forgets those when it closes, and they would wait for an answer as long as we live.
+        # A client may be accepted and not yet served. asyncio forgets such clients when it
+        # closes, and they would wait for an answer as long as this process lives.
         for _ in range(_STEPS_OF_A_WELCOME):
             await asyncio.sleep(0)
         self._listening.close()
@@ -80,15 +125,15 @@ class Server:
         task = asyncio.current_task()
         assert task is not None
         if len(self._clients) >= MOST_CLIENTS:
-            # Not the newcomer: it may want the emergency stop.
+            # The new client stays: it may want the emergency stop.
             min(self._clients, key=self._clients.__getitem__).cancel()
-        self._clients[task] = time.monotonic()
+        self._clients[task] = self._now_s()
         try:
             await self._serve(task, reader, writer)
         except (ConnectionError, TimeoutError):
             pass  # it went, or does not read
         except asyncio.CancelledError:
-            pass  # the daemon ends, or the longest silent one made room
+            pass  # the daemon ends, or this client was silent longest and made room
         finally:
             self._clients.pop(task, None)
             writer.transport.abort()
@@ -99,7 +144,7 @@ class Server:
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
     ) -> None:
-        allowance = Allowance(time.monotonic())
+        allowance = Allowance(self._now_s())
         writer.transport.set_write_buffer_limits(high=_MOST_UNREAD_BYTES)
         while True:
             try:
@@ -111,7 +156,7 @@ class Server:
                 writer.write(encode_failure(RequestError(INVALID_REQUEST, message)))
                 await _drain_writer(writer)
                 return
-            self._clients[task] = time.monotonic()
+            self._clients[task] = self._now_s()
             writer.write(await self._answer(line, allowance))
             await _drain_writer(writer)
 
@@ -129,8 +174,8 @@ class Server:
 
     def _admit_request(self, line: bytes, allowance: Allowance) -> Request:
         request = parse_request(line, self._methods)
-        # Whoever wants the emergency stop has it, however much they asked before.
-        if request.name != "estop" and not allowance.spend(time.monotonic()):
+        # The emergency stop is granted however much the client asked before.
+        if request.name != "estop" and not allowance.spend(self._now_s()):
             message = f"more than {REQUESTS_PER_S:g} requests a second"
             raise RequestError(TOO_MANY, message, request.id)
         return request
@@ -141,7 +186,7 @@ def _carry_out(request: Request) -> object:
         return request.method.call(request.params)
     except RequestRefusedError as error:
         raise RequestError(REFUSED, str(error), request.id) from error
-    except Exception as error:  # ours: the client learns of it, the daemon goes on
+    except Exception as error:  # our own fault: the client is told, the daemon goes on
         message = f"{type(error).__name__}: {error}"
         raise RequestError(INTERNAL_ERROR, message, request.id) from error
 
@@ -152,7 +197,7 @@ async def _drain_writer(writer: asyncio.StreamWriter) -> None:
 
 
 def _bind_socket(path: Path, group: str | None) -> socket.socket:
-    """Make the socket, in the place of one that nobody answers any more."""
+    """Make the socket; replace an old one that nobody answers any more."""
     try:
         owners = -1 if group is None else grp.getgrnam(group).gr_gid
     except KeyError:
@@ -171,7 +216,7 @@ def _bind_socket(path: Path, group: str | None) -> socket.socket:
 
 
 def _make_socket(path: Path, owners: int) -> socket.socket:
-    """Bind a socket for this user and the group `owners`, from its first moment on."""
+    """Bind a socket that only this user and the group `owners` can use, from the start."""
     listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     before = os.umask(0o117)
     try:
@@ -187,7 +232,7 @@ def _make_socket(path: Path, owners: int) -> socket.socket:
 
 
 def _require_stale(path: Path) -> None:
-    if not path.is_socket():  # somebody's file, which is not to be lost
+    if not path.is_socket():  # a file of somebody: it must not be lost
         raise SocketError(f"{path}: there is something else; give another place with --socket")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)

@@ -1,12 +1,12 @@
-"""What the daemon can be asked, and the plain life cycle behind it.
+"""What clients can ask of the daemon, and the life cycle behind it.
 
     idle -> homing -> running -> stopping -> ready -> running ... -> idle
     any of them -> fault, until acknowledged
 
 Idle: nothing runs, the valve is safe. Ready: homed, and parked at the safe voltage or
 holding a position. Every method either does what it says, or raises
-`RequestRefusedError` and changes nothing. They are called from one thread at a time,
-but for `estop` and `status`.
+`RequestRefusedError` and changes nothing. One thread at a time calls them; `estop` and
+`status` may be called from any thread.
 """
 
 from __future__ import annotations
@@ -21,34 +21,30 @@ from pathlib import Path
 from typing import Any
 
 from pamctl import __version__
-from pamctl.control.experiment import ExperimentSettings, HoldSettings, build_segments
-from pamctl.control.law import law_gains
+from pamctl.control.experiment import HoldSettings, build_segments
 from pamctl.daemon.latch import Latch
-from pamctl.daemon.refusal import RequestRefusedError
+from pamctl.daemon.protocol import RequestRefusedError
+from pamctl.daemon.recent_columns import read_recent_columns, replace_nan
+from pamctl.daemon.requested_settings import (
+    change_gains,
+    load_controller,
+    load_experiment,
+    require_tunable,
+)
 from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending
 from pamctl.log.naming import bare_name
-from pamctl.realtime.gain_ramp import GainRampError, require_same_structure
-from pamctl.settings.problems import ConfigError
-from pamctl.settings.resolve import (
-    SECTIONS,
-    RawSettings,
-    RunSettings,
-    settings_to_data,
-    validate_settings,
-)
-from pamctl.signals import TICK_FIELDS, Phase
+from pamctl.settings.resolve import RunSettings, settings_to_data
+from pamctl.signals import Phase
 
 _RECENT_EVENTS = 50
-_MOST_VALUES = 5000
-"""Of an answer: to write down more would keep the next client waiting."""
 _LEISURELY_M_PER_S = 4e-3
 _SHORTEST_MOTION_S = 0.5
 
 
 class DaemonState(StrEnum):
-    """Where in its life the daemon is."""
+    """States of the daemon's life cycle."""
 
     IDLE = "idle"
     HOMING = "homing"
@@ -75,8 +71,8 @@ class Service:
         """`settings` says rig, plant and the first gains; its experiment is not run.
 
         A session that is parked for `idle_after_s` ends. `tell` is called with every event, from
-        any thread, and must not wait for anything. A fault that `latch` still knows, from
-        before this daemon was started, has to be acknowledged first.
+        any thread, and must not wait for anything. A fault that `latch` kept from before this
+        daemon was started must be acknowledged first.
         """
         self._settings = settings
         self._names = dict(names)
@@ -95,16 +91,16 @@ class Service:
         self._tell = tell
         self.events: deque[dict[str, Any]] = deque(maxlen=_RECENT_EVENTS)
 
-    # --- what is going on ------------------------------------------------------------------------
+    # --- status ------------------------------------------------------------------------
 
     @property
     def fault(self) -> str:
-        """Why it is latched; empty where there is none."""
+        """Reason of the latched fault; empty where there is none."""
         return self._latch.reason
 
     @property
     def state(self) -> DaemonState:
-        """The state of the moment."""
+        """The present state."""
         session = self._session
         if self._latch.reason:
             return DaemonState.FAULT
@@ -128,7 +124,7 @@ class Service:
         return DaemonState.RUNNING
 
     def status(self) -> dict[str, Any]:
-        """Say all that a client may want to know, in SI."""
+        """Return all that a client may want to know, in SI."""
         session = self._session
         run = None if session is None else session.run
         tick = None if session is None else session.latest_tick()
@@ -137,7 +133,7 @@ class Service:
             "fault": self._latch.reason,
             "run": None if run is None else run.name,
             "log": None if run is None else str(run.log),
-            "tick": None if tick is None else _replace_nan(tick),
+            "tick": None if tick is None else replace_nan(tick),
             "worst_late_s": None if session is None else session.worst_late_s,
             "missed_ticks": None if session is None else session.missed_ticks,
             "controller": settings_to_data(self._settings.controller),
@@ -153,21 +149,8 @@ class Service:
         }
 
     def recent(self, after_tick: int, every: int, fields: Sequence[str] | None) -> dict[str, Any]:
-        """Return the columns of every so-manieth tick since `after_tick`, oldest first.
-
-        The newest of them, five thousand values at most: 1.3 s of all columns at 100 Hz. Numbers
-        that are not finite are null.
-        """
-        session = self._session
-        names = [field.name for field in TICK_FIELDS]
-        unknown = set(fields or ()) - set(names)
-        if unknown:
-            raise RequestRefusedError(f"no column {', '.join(sorted(unknown))}")
-        wanted = list(fields or names)
-        most = _MOST_VALUES // len(wanted)
-        ticks = [] if session is None else session.recent_ticks(after_tick, every, most)
-        rows = [[_nan_to_none(tick[name]) for name in wanted] for tick in ticks]
-        return {"fields": wanted, "ticks": rows}
+        """Return columns of the newest ticks, as `read_recent_columns` does."""
+        return read_recent_columns(self._session, after_tick, every, fields)
 
     def _say(self, event: str, **details: object) -> None:
         told = {"event": event, "time_s": time.time(), **details}
@@ -177,13 +160,13 @@ class Service:
     # --- orders ----------------------------------------------------------------------------------
 
     def start(self, experiment: Mapping[str, Any], name: str, duration_s: float | None) -> Path:
-        """Run an experiment, home first if need be; return its log's path."""
+        """Run an experiment; home first where needed. Return the path of its log."""
         with self._busy:
             self._require(DaemonState.IDLE, DaemonState.READY)
             return self._begin(experiment, bare_name(name), duration_s)
 
     def goto(self, position_m: float, within_s: float | None) -> Path:
-        """Go to a position and hold it; home first if need be. Return the log's path."""
+        """Go to a position and hold it; home first where needed. Return the path of the log."""
         with self._busy:
             self._require(DaemonState.IDLE, DaemonState.READY, DaemonState.RUNNING)
             self._require_within_stroke(position_m)
@@ -198,7 +181,7 @@ class Service:
                 return self._begin(hold, "goto", None)
             if not self._holds:
                 raise RequestRefusedError(f"{session.run.name} is running; stop it first")
-            # One log for all the positions that are held one after the other.
+            # Positions that are held one after the other share one log.
             session.order({"do": "run", "ring": None, "experiment": hold, "duration_s": None})
             return session.run.log
 
@@ -211,7 +194,7 @@ class Service:
             )
 
     def stop(self, reason: str = "stopped by request") -> None:
-        """End what goes on, smoothly; the muscle stays homed and parked."""
+        """End the current run, smoothly; the muscle stays homed and parked."""
         with self._busy:
             session = self._session
             if session is None or session.run is None:
@@ -220,12 +203,12 @@ class Service:
             self._say("stopping", reason=reason)
 
     def disarm(self) -> None:
-        """End the session: the next run homes anew. Smooth where something goes on."""
+        """End the session, smoothly; the next run homes again."""
         with self._busy:
             self._end_session()
 
     def estop(self) -> None:
-        """Drive the safe voltage within a tick, and latch the fault. Waits for nobody."""
+        """Drive the safe voltage within a tick, and latch the fault. Waits for no order."""
         session = self._session
         if session is not None:
             session.stop_now()
@@ -240,7 +223,7 @@ class Service:
             if not self._latch.reason:
                 raise RequestRefusedError("there is no fault to acknowledge")
             if self._session is not None:
-                raise RequestRefusedError("the loop is still ending; once more in a moment")
+                raise RequestRefusedError("the loop is still ending; try again in a moment")
             fault = self._latch.release()
             self._say("acknowledged", fault=fault)
             return fault
@@ -248,49 +231,39 @@ class Service:
     def set_gains(self, changes: Sequence[str], ramp_s: float) -> dict[str, Any]:
         """Change keys of the controller, `controller.lambda_per_s=12`; return all its keys."""
         with self._busy:
-            raw = RawSettings({"controller": settings_to_data(self._settings.controller)})
-            for change in changes:
-                if not change.strip().startswith("controller."):
-                    raise RequestRefusedError(
-                        f"{change}: only keys of the controller change while it runs"
-                    )
-                try:
-                    raw.override(change)
-                except ConfigError as error:
-                    raise _make_refusal(error) from error
-            return self._tune(RawSettings(raw.data["controller"], _strip_section(raw)), ramp_s)
+            return self._tune(change_gains(self._settings, changes), ramp_s)
 
     def load_gains(self, controller: Mapping[str, Any], name: str, ramp_s: float) -> dict[str, Any]:
         """Take the gains of a whole controller file; return all its keys."""
         with self._busy:
-            gains = self._tune(RawSettings(dict(controller), {(): name}), ramp_s)
+            gains = self._tune(load_controller(self._settings, controller, name), ramp_s)
             self._names["controller"] = name
             return gains
 
     def mark(self, text: str) -> None:
-        """Put a remark into the log of the run that goes on."""
+        """Put a remark into the log of the current run."""
         with self._busy:
             if self._session is None or self._session.run is None:
-                raise RequestRefusedError("nothing is being logged that could be marked")
+                raise RequestRefusedError("nothing is being logged")
             self._session.order({"do": "mark", "text": text})
             self._say("mark", text=text)
 
     # --- the life of sessions --------------------------------------------------------------------
 
     def look(self) -> None:
-        """See how session and run are doing, and draw the consequences. Call it often."""
+        """Check session and run, and finish what has ended. Call it every few milliseconds."""
         session = self._session
         if session is not None:
             session.look()
         if not self._busy.acquire(blocking=False):
-            return  # an order is being carried out, which looks itself
+            return  # an order is being carried out; it looks after the session itself
         try:
             self._look_after(session)
         finally:
             self._busy.release()
 
     def makes_progress(self) -> bool:
-        """Tell whether the loop has ticked since this was asked last, where there is one."""
+        """Return whether the loop has ticked since the last call; True without a loop."""
         session = self._session
         tick = None if session is None else session.latest_tick()
         before, self._seen_tick = self._seen_tick, -1 if tick is None else int(tick["tick"])
@@ -321,13 +294,13 @@ class Service:
         self._shelf.tidy()
 
     def close(self) -> None:
-        """End everything, and begin nothing any more: the valve is safe when this returns."""
+        """End everything and begin nothing more; the valve is safe when this returns."""
         self._is_leaving = True
         with self._busy:
             self._end_session()
 
     def hurry(self) -> None:
-        """Let what is ending end at once, at the safe voltage. No fault: nothing is left to ack."""
+        """End at once, at the safe voltage. This is no fault: nothing is left to acknowledge."""
         session = self._session
         if session is not None:
             session.stop_now()
@@ -344,18 +317,17 @@ class Service:
         return ending
 
     def _conclude_session(self, ending: Ending) -> None:
-        """A loop that ends by itself has had a reason."""
+        """Latch the reason of a loop that ended by itself."""
         self._latch.engage(ending.reason)
         self._say("fault", reason=ending.reason, code=int(ending.code))
 
     def _begin(self, experiment: Mapping[str, Any], name: str, duration_s: float | None) -> Path:
-        settings = self._resolve_experiment(experiment, name, duration_s)
+        settings = load_experiment(self._settings, experiment, name, duration_s)
         length_s = sum(segment.duration_s for segment in build_segments(settings.experiment))
         self._shelf.require_room(min(length_s, duration_s or math.inf), self._rate_hz)
         session = self._session or self._begin_session()
-        self._require(
-            DaemonState.READY, DaemonState.RUNNING
-        )  # an emergency stop may have come meanwhile
+        # An emergency stop may have come meanwhile.
+        self._require(DaemonState.READY, DaemonState.RUNNING)
         path = self._shelf.new_path(f"{bare_name(self._names['controller'])}-{name}")
         meta = self._workshop.meta(settings, {**self._names, "experiment": name}, path)
         order = {
@@ -379,42 +351,16 @@ class Service:
 
     # --- small questions -------------------------------------------------------------------------
 
-    def _tune(self, raw: RawSettings, ramp_s: float) -> dict[str, Any]:
-        try:
-            controller = validate_settings(SECTIONS["controller"], raw, title="controller")
-            settings = self._settings.model_copy(update={"controller": controller})
-            RunSettings.model_validate(settings.model_dump())
-        except ConfigError as error:
-            raise _make_refusal(error) from error
-        except ValueError as error:
-            raise RequestRefusedError(str(error)) from error
+    def _tune(self, changed: RunSettings, ramp_s: float) -> dict[str, Any]:
         session = self._session
+        controller = settings_to_data(changed.controller)
         if session is not None:
             if session.run is not None:
-                self._require_tunable(controller)
-            data = settings_to_data(controller)
-            session.order({"do": "gains", "controller": data, "ramp_s": ramp_s})
-        self._settings = settings
+                require_tunable(self._settings, changed)
+            session.order({"do": "gains", "controller": controller, "ramp_s": ramp_s})
+        self._settings = changed
         self._say("gains", ramp_s=ramp_s)
-        return settings_to_data(controller)
-
-    def _require_tunable(self, controller: Any) -> None:
-        try:
-            require_same_structure(law_gains(self._settings.controller), law_gains(controller))
-        except GainRampError as error:
-            raise RequestRefusedError(f"{error}; stop the run first") from error
-
-    def _resolve_experiment(
-        self, experiment: Mapping[str, Any], name: str, duration_s: float | None
-    ) -> RunSettings:
-        try:
-            raw = RawSettings(dict(experiment), {(): name})
-            checked: ExperimentSettings = validate_settings(
-                SECTIONS["experiment"], raw, title="experiment"
-            )
-        except ConfigError as error:
-            raise RequestRefusedError(str(error)) from error
-        return self._settings.model_copy(update={"experiment": checked, "duration_s": duration_s})
+        return controller
 
     def _require(self, *allowed: DaemonState) -> None:
         state = self.state
@@ -439,23 +385,3 @@ class Service:
     @property
     def _rate_hz(self) -> float:
         return self._settings.rig.loop.rate_hz
-
-
-def _make_refusal(error: ConfigError) -> RequestRefusedError:
-    """Name what was asked for as it was; the options of a start are not how it was asked."""
-    return RequestRefusedError(
-        str(error).replace("--set ", "").replace("with --controller", "by gains load")
-    )
-
-
-def _strip_section(raw: RawSettings) -> dict[Any, str]:
-    return {at[1:]: origin for at, origin in raw.origins.items()}
-
-
-def _replace_nan(tick: Mapping[str, float]) -> dict[str, float | None]:
-    """JSON has no NaN: what is unknown is null."""
-    return {name: _nan_to_none(value) for name, value in tick.items()}
-
-
-def _nan_to_none(value: float) -> float | None:
-    return value if math.isfinite(value) else None

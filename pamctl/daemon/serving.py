@@ -1,7 +1,4 @@
-"""What `pamctl daemon` is while it is up: the server, the watch over session and run.
-
-Apart from the verb, so that no other verb has to wait for it.
-"""
+"""The daemon while it is up: the server, and the watch over session and run."""
 
 from __future__ import annotations
 
@@ -11,34 +8,31 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
 
-from hal.rig import Rig, RigError
+from hal.rig import Rig
 from pamctl import __version__
-from pamctl.cli.failure import fail
-from pamctl.cli.live import serve_live_view
 from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.methods import methods_of
 from pamctl.daemon.notify import notify, watchdog_period_s
-from pamctl.daemon.server import Server, SocketError
+from pamctl.daemon.server import Server
 from pamctl.daemon.service import DaemonState, Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend
-from pamctl.processes.run_once import make_run_meta, new_ring_path, secure_device
+from pamctl.processes.run_once import LiveView, make_run_meta, new_ring_path, secure_device
 from pamctl.recording.orphans import finish_orphans_in_own_process
-from pamctl.recording.ring import RingError
 from pamctl.settings.resolve import RunSettings
 
 _LOOK_EVERY_S = 5e-3
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_ERROR_OF_OURS = Ending(ExitCode.UNEXPECTED, "an error of the daemon's own")
+_OWN_ERROR = Ending(ExitCode.UNEXPECTED, "an error of the daemon's own")
 
 Tell = Callable[[Mapping[str, object]], object]
 
@@ -48,12 +42,14 @@ class ServiceOptions(NamedTuple):
 
     socket: Path
     group: str | None
+    """Group that may steer, beside this user."""
     logs: Path
     keep: int | None
+    """Number of the daemon's logs to keep; None keeps all."""
     idle_after_s: float
-    live_port: int | None
-    live_origins: Sequence[str]
+    live_view: LiveView
     announce: bool
+    """Print each event as a line of JSON."""
 
 
 def serve_daemon(
@@ -61,18 +57,16 @@ def serve_daemon(
 ) -> ExitCode:
     """Hold the device and do what clients ask until a signal comes; return how it ended.
 
-    Leaves with 69 where device or socket cannot be had, with 2 where logs cannot be written.
+    Raises `ShelfError` where logs cannot be written, `RigError`, `RingError` or `SocketError`
+    where the device or the socket cannot be had.
     """
-    try:
-        shelf = Shelf(options.logs, options.keep)
-    except OSError as error:
-        fail(ExitCode.USAGE, f"--logs {options.logs}: {error.strerror or error}")
+    shelf = Shelf(options.logs, options.keep)
     announcements = Announcements(sys.stdout.fileno()) if options.announce else None
     tell: Tell = _announce_nothing if announcements is None else announcements.put
     try:
         require_backend(settings)
         with secure_device(settings) as device:
-            finish_orphans_in_own_process(SHARED_MEMORY)  # to stay as small as it is
+            finish_orphans_in_own_process(SHARED_MEMORY)  # its memory would stay with the daemon
             service = Service(
                 settings,
                 names,
@@ -82,23 +76,18 @@ def serve_daemon(
                 idle_after_s=options.idle_after_s,
                 tell=tell,
             )
-            live = serve_live_view(
-                options.live_port, options.live_origins, "--socket", str(options.socket)
-            )
-            with live:
+            with options.live_view("--socket", str(options.socket)):
                 ending = asyncio.run(_serve(service, options.socket, options.group, tell))
                 _ignore_signals()
         tell(_make_event("ended", exit_code=int(ending.code), reason=ending.reason))
         return ending.code
-    except (SocketError, RingError, RigError) as error:
-        fail(ExitCode.UNAVAILABLE, str(error))
     finally:
         if announcements is not None:
             announcements.end()
 
 
 def _announce_nothing(event: Mapping[str, object]) -> None:
-    """Announce nothing."""
+    """Drop the event: nobody asked for events."""
 
 
 def _make_event(event: str, **details: object) -> dict[str, object]:
@@ -118,14 +107,14 @@ def _make_workshop(settings: RunSettings, rig: Rig) -> Workshop:
 
 
 async def _serve(service: Service, path: Path, group: str | None, tell: Tell) -> Ending:
-    """Answer until a signal comes; then leave the valve safe. A second signal hurries it."""
+    """Answer until a signal comes; then leave the valve safe. A second signal ends it at once."""
     events = asyncio.get_running_loop()
     stop: asyncio.Future[Ending] = events.create_future()
     _listen_for_signals(lambda number: _stop(stop, service, _ending_by_signal(number)))
     server = Server(methods_of(service))
     await server.listen(path, group)
     watch = _Watch(
-        service, tell, partial(events.call_soon_threadsafe, _stop, stop, service, _ERROR_OF_OURS)
+        service, tell, partial(events.call_soon_threadsafe, _stop, stop, service, _OWN_ERROR)
     )
     tell(_make_event("listening", socket=str(path), version=__version__))
     watch.start()
@@ -138,28 +127,28 @@ async def _serve(service: Service, path: Path, group: str | None, tell: Tell) ->
         await asyncio.to_thread(service.close)
     finally:
         watch.end()
-    return _ERROR_OF_OURS if watch.has_failed else ending
+    return _OWN_ERROR if watch.has_failed else ending
 
 
-def _listen_for_signals(heard: Callable[[signal.Signals], object]) -> None:
-    """Call `heard` in the running event loop with each signal that asks for an end.
+def _listen_for_signals(on_end: Callable[[signal.Signals], object]) -> None:
+    """Call `on_end` in the running event loop with each signal that asks for an end.
 
-    Not through the event loop's own handlers: it takes those away as it closes, and a signal
-    that comes then would kill a daemon that is about to end well.
+    The event loop's own handlers will not do: it removes them when it closes, and a signal that
+    comes then would kill a daemon that is about to end well.
     """
     events = asyncio.get_running_loop()
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
         if not events.is_closed():
-            events.call_soon_threadsafe(heard, signal.Signals(number))
+            events.call_soon_threadsafe(on_end, signal.Signals(number))
 
     for number in _ENDING:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup asks for
+        if signal.getsignal(number) is not signal.SIG_IGN:  # ignored under nohup
             signal.signal(number, on_signal)
 
 
 def _ignore_signals() -> None:
-    """The daemon has ended and the valve is safe; Python's own end is not to be cut short."""
+    """Let Python end undisturbed: the daemon has ended and the valve is safe."""
     for number in _ENDING:
         signal.signal(number, signal.SIG_IGN)
 
@@ -172,12 +161,12 @@ def _stop(stop: asyncio.Future[Ending], service: Service, ending: Ending) -> Non
 
 
 def _ending_by_signal(number: signal.Signals) -> Ending:
-    """To be ended by a signal is how a daemon ends: all is well."""
+    """Return the ending by a signal, which is the normal one: exit code 0."""
     return Ending(ExitCode.OK, f"stopped by {number.name}")
 
 
 class _Watch(threading.Thread):
-    """Looks after session and run, and tells the service manager that there is progress."""
+    """Looks after session and run, and feeds the watchdog of the service manager."""
 
     def __init__(self, service: Service, tell: Tell, give_up: Callable[[], object]) -> None:
         super().__init__(name="watch", daemon=True)
@@ -196,7 +185,7 @@ class _Watch(threading.Thread):
                 self._service.look()
                 self._report()
         except Exception:
-            # An error of ours. Nobody looks after the loop any more: it must not go on.
+            # Our own fault. Nothing looks after the loop any more: it must not go on.
             traceback.print_exc()
             self.has_failed = True
             self._service.estop()
@@ -215,6 +204,6 @@ class _Watch(threading.Thread):
             notify("WATCHDOG=1")
 
     def end(self) -> None:
-        """Look no more."""
+        """Stop looking; return when the thread has ended."""
         self._ended.set()
         self.join()

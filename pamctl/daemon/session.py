@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from hal.rig import Rig
-from pamctl.daemon.refusal import RequestRefusedError
+from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.front import FrontReport, block_signals, close_log, read_ending
@@ -35,29 +35,29 @@ from pamctl.signals import Phase
 _ORDER_PATIENCE_S = 2.0
 _START_PATIENCE_S = 20.0
 _SESSION_ROWS = 4096
-"""Ticks between runs are read by nobody but who asks for the newest."""
+"""Ticks between runs go to no log; clients ask for the newest only."""
 
 
 @dataclass(frozen=True)
 class Workshop:
-    """What the composition root brings: how the processes of a rig are made."""
+    """How the processes of a rig are started; made by the composition root."""
 
     loop: Sequence[str]
     """The command of the loop; the ring's path and the orders' descriptor are appended."""
     guardian: Sequence[str]
     """The command of the guardian; the ring's path is appended."""
     rig: Rig
-    """Not opened here: made safe where neither loop nor guardian is left to do it."""
+    """Not opened here: made safe when neither loop nor guardian is left to do it."""
     meta: Callable[[RunSettings, Mapping[str, str], Path], RunMeta]
     device: str
     """The name of the device."""
     ring_path: Callable[[], Path]
-    """A new name in shared memory; one that is left behind is recovered at the next start."""
+    """Returns a new name in shared memory; the next start recovers a ring that is left behind."""
 
 
 @dataclass(frozen=True)
 class DaemonRun:
-    """One run: its log, and who writes it."""
+    """One run: its log, and the recorder that writes it."""
 
     name: str
     log: Path
@@ -67,16 +67,16 @@ class DaemonRun:
     @property
     def is_over(self) -> bool:
         """The loop has put its last row."""
-        with suppress(ValueError):  # closed just now
+        with suppress(ValueError):  # just closed
             return bool(self.ring.loop_done)
         return True
 
 
 class Session:
-    """A loop that lives, and the run that goes on in it."""
+    """A living loop, and the current run in it."""
 
     def __init__(self, workshop: Workshop, settings: RunSettings, names: Mapping[str, str]) -> None:
-        """Start loop and guardian; raise `RequestRefusedError` where they do not come up."""
+        """Start loop and guardian; raise `RequestRefusedError` if they do not start."""
         self._workshop = workshop
         self.run: DaemonRun | None = None
         self.runs_begun = 0
@@ -99,7 +99,7 @@ class Session:
             )
             self._ring.loop_pid = self._loop.pid
         self._await_ticks()
-        self._ring.unlink()  # those who hold it keep it, and nothing is left behind
+        self._ring.unlink()  # processes that hold it keep it; nothing is left behind
 
     def _await_ticks(self) -> None:
         deadline_s = time.monotonic() + _START_PATIENCE_S
@@ -110,7 +110,7 @@ class Session:
                 raise RequestRefusedError(f"the loop did not start: {self.close().reason}")
             time.sleep(2e-3)
 
-    # --- what is going on ---------------------------------------------------------------
+    # --- status ---------------------------------------------------------------
 
     @property
     def is_alive(self) -> bool:
@@ -130,21 +130,21 @@ class Session:
             return next((tick for tick in newest if tick is not None), None)
 
     def recent_ticks(self, after: int, every: int, most: int) -> list[dict[str, float]]:
-        """Return every so-manieth tick since tick `after`, the newest `most`, oldest first."""
+        """Return the newest `most` ticks after `after` whose number `every` divides, in order."""
         with self._reading:
             rings = self._open_rings
             ticks = [tick for ring in rings for tick in ring.recent_ticks(after, every, most)]
         return sorted(ticks, key=lambda tick: tick["tick"])[-most:]
 
     def _close_ring(self, ring: Ring) -> None:
-        """Unmap a ring that nobody is reading just now."""
+        """Unmap a ring while no thread reads it."""
         with self._reading:
             self._open_rings.remove(ring)
             ring.close()
 
     @property
     def phase(self) -> Phase | None:
-        """What the run that goes on is doing; None before its first tick, and between runs."""
+        """Phase of the current run; None before its first tick, and between runs."""
         with self._reading:
             run = self.run
             is_open = run is not None and run.ring in self._open_rings
@@ -153,7 +153,7 @@ class Session:
 
     @property
     def worst_late_s(self) -> float:
-        """The worst wake-up of the run, or of the session where none goes on."""
+        """The worst wake-up of the current run, or between runs of the session (s)."""
         run = self.run
         with suppress(ValueError):
             return (self._ring if run is None else run.ring).worst_late_ns * 1e-9
@@ -161,7 +161,7 @@ class Session:
 
     @property
     def missed_ticks(self) -> int:
-        """Ticks missed in the run, or between the runs where none goes on."""
+        """Ticks missed in the current run, or between runs."""
         run = self.run
         with suppress(ValueError):
             return (self._ring if run is None else run.ring).missed_ticks
@@ -169,14 +169,14 @@ class Session:
 
     @property
     def pids(self) -> dict[str, int]:
-        """The processes, by what they are."""
+        """Process ids, by role."""
         run = {} if self.run is None else {"recorder": self.run.recorder.pid}
         return {"loop": self._loop.pid, **run}
 
     # --- orders ---------------------------------------------------------------------------
 
     def order(self, order: Mapping[str, Any]) -> None:
-        """Give an order, and return when the loop has taken it.
+        """Send an order, and return when the loop has taken it.
 
         Raises `RequestRefusedError` if the loop does not take it.
         """
@@ -206,7 +206,7 @@ class Session:
             ring.loop_done = 1
             close_log(ring, run.recorder, Ending(ExitCode.UNEXPECTED, str(error)))
             if not ring.head:
-                run.log.unlink(missing_ok=True)  # nothing happened: leave nothing behind
+                run.log.unlink(missing_ok=True)  # it holds no tick
             self._close_ring(ring)
             raise RequestRefusedError(str(error)) from error
         if before is not None:
@@ -214,24 +214,24 @@ class Session:
 
     def stop_now(self) -> None:
         """Demand the emergency stop; the loop ends."""
-        with suppress(ValueError):  # it has ended just now
+        with suppress(ValueError):  # the loop has just ended
             self._orders.stop_now()
 
     # --- ends -------------------------------------------------------------------------------
 
     def finish_run(self) -> FrontReport | None:
-        """Return what became of the log of a run that is over; wait for its recorder."""
+        """Finish the log of a run that is over; wait for its recorder."""
         return None if self.run is None else self._finish(self.run, Ending(ExitCode.OK, ""))
 
     def _finish(self, run: DaemonRun, ending: Ending) -> FrontReport:
         report = close_log(run.ring, run.recorder, ending)
         if self.run is run:
-            self.run = None  # not before its log is whole
+            self.run = None  # only now: its log is whole
         self._close_ring(run.ring)
         return report
 
     def close(self) -> Ending:
-        """End the loop smoothly if it lives; return how it ended. The valve is safe then."""
+        """End the loop smoothly if it lives; return how it ended. The valve is safe afterwards."""
         if self.is_alive:
             self._loop.send_signal(signal.SIGTERM)
         while self.is_alive:

@@ -1,43 +1,53 @@
-"""Where the daemon's logs stand: a name for each, room for the next, and how many are kept."""
+"""The daemon's logs: their names, the room they need on the disk, and how many are kept."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-from pamctl.daemon.refusal import RequestRefusedError
+from pamctl.daemon.protocol import RequestRefusedError
+from pamctl.exit_codes import ExitCode
 from pamctl.log.naming import flight_record_path, make_dated_path
 
 _DAEMON_PREFIX = "daemon"
 _BYTES_PER_TICK = 300
-"""Some 200 are usual."""
+"""Some 200 are usual; this leaves a margin."""
 _SPARE_BYTES = 100 << 20
 _UNBOUNDED_S = 600.0
-"""A position that is held has no end; room for so long must be there when it begins."""
+"""A held position has no end: this is the time for which there must be room at its start (s)."""
+
+
+class ShelfError(Exception):
+    """Logs cannot be written there. The message says why."""
+
+    exit_code = ExitCode.USAGE
 
 
 class Shelf:
     """A directory of logs."""
 
     def __init__(self, directory: Path, keep: int | None = None) -> None:
-        """Make the directory if need be; with `keep` only the newest logs of daemons stay.
+        """Make the directory if there is none; with `keep` only the newest logs of daemons stay.
 
-        Raises `OSError` where nothing can be written there.
+        Raises `ShelfError` where nothing can be written there.
         """
-        directory.mkdir(parents=True, exist_ok=True)
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ShelfError(f"--logs {directory}: {error.strerror or error}") from error
         if not os.access(directory, os.W_OK | os.X_OK):
-            raise PermissionError(f"cannot write into {directory}")
+            raise ShelfError(f"--logs {directory}: cannot write into {directory}")
         self._directory = directory.resolve()
         self._keep = keep
 
     @property
     def free_bytes(self) -> int:
-        """Room left on the disk."""
+        """Free space of the disk."""
         disk = os.statvfs(self._directory)
         return disk.f_bavail * disk.f_frsize
 
     def new_path(self, what: str) -> Path:
-        """Return the name of the next log, by which it is known for the daemon's."""
+        """Return the path of the next log; its name says that it is the daemon's."""
         return make_dated_path(self._directory, f"{_DAEMON_PREFIX}-{what}")
 
     def require_room(self, duration_s: float, rate_hz: float) -> None:
@@ -51,15 +61,14 @@ class Shelf:
             )
 
     def tidy(self) -> None:
-        """Remove the daemon's oldest logs beyond those to keep, with what lies beside them.
+        """Remove the daemon's oldest logs beyond those to keep, with their flight records.
 
-        Logs of others are in the same directory where nobody says otherwise.
+        Logs of other runs may lie in the same directory; they stay.
         """
         if self._keep is None:
             return
         logs = sorted(self._directory.glob(f"[0-9]*-[0-9]*-{_DAEMON_PREFIX}-*.mcap"))
         for log in logs[: -self._keep]:
-            flight_record_path(log).unlink(
-                missing_ok=True
-            )  # first: without its log nobody finds it
+            # First what lies beside the log: without the log nothing would name it any more.
+            flight_record_path(log).unlink(missing_ok=True)
             log.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Look on while it runs: terminal, browser, Foxglove. Nothing here can slow the loop.
+"""Watch a run or the daemon: terminal, browser, Foxglove. Nothing here can slow the loop.
 
 Read `feed.py` first.
 """

@@ -1,4 +1,4 @@
-"""One client of the daemon on behalf of all viewers of the page."""
+"""One client of the daemon that serves all viewers of the page."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _KEPT_LOOKS = round(60 * LOOKS_PER_S)
 
 
 class Broadcast:
-    """Looks at the daemon ten times a second, and keeps the last minute for who comes later."""
+    """Looks at the daemon ten times a second, and keeps the last minute for new viewers."""
 
     def __init__(self, socket: Path) -> None:
-        """Begin to look at once."""
+        """Begin to look now."""
         self._feed = DaemonFeed(socket, EVERY, COLUMNS)
         self._news = threading.Condition()
         self._kept: deque[Glimpse] = deque(maxlen=_KEPT_LOOKS)
@@ -43,6 +43,6 @@ class Broadcast:
             return self._count, encode_glimpses(fresh)
 
     def end(self) -> None:
-        """Look no more."""
+        """Stop looking."""
         self._ended.set()
         self._thread.join()

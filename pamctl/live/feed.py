@@ -18,18 +18,18 @@ class Glimpse(NamedTuple):
     """What is new since the last look."""
 
     status: dict[str, Any] | None
-    """As the daemon tells it; None where there is none."""
+    """Status as the daemon sends it; None without a daemon."""
     ticks: list[dict[str, float]]
     """Columns by name, oldest first; NaN where a value is unknown."""
     problem: str = ""
-    """Why nothing can be seen; empty where all is well."""
+    """Why nothing can be seen; empty if all is well."""
 
 
 class Feed(Protocol):
-    """Asked over and over."""
+    """A source of values that a viewer asks again and again."""
 
     def look(self) -> Glimpse:
-        """Return what is new. Never raises for a daemon that is gone: it may come back."""
+        """Return what is new. A daemon that is gone is no error: it may come back."""
 
 
 class DaemonFeed:
@@ -50,7 +50,7 @@ class DaemonFeed:
             return self._ask()
         except (DaemonUnreachableError, DaemonDeclinedError) as error:
             self.close()
-            # It may have been restarted, and be there again.
+            # It may have been restarted in the meantime.
             return self.look() if was_connected else Glimpse(None, [], str(error))
 
     def _ask(self) -> Glimpse:
@@ -82,7 +82,7 @@ class DaemonFeed:
 
 
 class RingFeed:
-    """Reads the ring of a run beside its front: nobody is asked, and nobody notices."""
+    """Reads the ring of a run directly; the run does not notice."""
 
     def __init__(self, ring: Ring, every: int) -> None:
         """Look at the tick whose number `every` divides."""

@@ -1,7 +1,7 @@
 """Values for Foxglove and Lichtblick over the Foxglove WebSocket, as the log has them.
 
 Topic, schema and bytes of `/pam/tick` are the log's: one layout shows both. Loopback only, through
-a gate, and nothing can be changed from there. Needs the package foxglove-sdk: `pamctl[live]`.
+a gate, and read-only. Needs the package foxglove-sdk, which the extra `live` installs.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from pamctl.signals import TICK_FIELDS
 STATUS_TOPIC = "/pam/status"
 LOOKS_PER_S = 20.0
 EVERY = 10
-"""Ticks, of those that are sent: 100 a second."""
+"""Every tenth tick is sent: 100 a second."""
 
 
 class Telemetry:
-    """The channels, and how a glimpse goes into them."""
+    """The channels, and what is sent on them."""
 
     def __init__(self) -> None:
-        """Announce them."""
+        """Open the channels."""
         descriptor = tick_descriptor(TICK_FIELDS)
         self._layout = TickLayout.of_fields(TICK_FIELDS)
         self._columns = np.zeros(1, [(field.name, field.kind) for field in TICK_FIELDS])
@@ -46,7 +46,7 @@ class Telemetry:
 
     def send(self, glimpse: Glimpse) -> None:
         """Send what is new."""
-        # The loop's times are those of the monotonic clock; viewers want the calendar's.
+        # The loop's times are monotonic; viewers want the time of day.
         offset_ns = time.time_ns() - time.monotonic_ns()
         for tick in glimpse.ticks:
             self._ticks.log(self._pack_tick(tick), log_time=int(tick["encoder_t_ns"]) + offset_ns)
@@ -63,9 +63,9 @@ class Telemetry:
 def serve_foxglove(
     feed: Feed, port: int, origins: Collection[str], goes_on: Callable[[float], bool]
 ) -> None:
-    """Send what the feed sees for as long as `goes_on`, which sleeps so many seconds, says so.
+    """Send what the feed sees while `goes_on(seconds)`, which sleeps that long, returns True.
 
-    `origins` are the sites whose pages may look on. Raises `OSError` where the port cannot be had.
+    `origins` are the sites whose pages may watch. Raises `OSError` where the port is taken.
     """
     hidden = hidden_address()
     server = foxglove.start_server(name="pamctl", host=hidden, port=0)

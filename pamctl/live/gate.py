@@ -1,9 +1,9 @@
-"""Who may look on over the WebSocket: what foxglove-sdk's server does not ask.
+"""Who may watch over the WebSocket: a check that foxglove-sdk's server does not make.
 
-A page of any site may open a WebSocket to this PC, and its browser says in `Origin` whose page it
-is. The public port is therefore this gate's, which reads the head of the request and passes the
-connection on, or does not. The server behind it listens on a loopback address drawn by lot, of
-some 2^37 with its port: a page can try them for years.
+A page of any site may open a WebSocket to this PC; its browser says in `Origin` whose page it is.
+The public port therefore belongs to this gate. It reads the head of the request, and passes the
+connection on or refuses it. The server behind it listens on a random loopback address and port,
+one of some 2^37: a page could try them for years.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class GateRefusal(NamedTuple):
 
 
 def hidden_address() -> str:
-    """Return a loopback address that nobody else uses, nor can guess."""
+    """Return a loopback address that nobody else uses or can guess."""
     return "127." + ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
 
 
 def judge_request_head(head: bytes, port: int, origins: Collection[str]) -> GateRefusal | None:
-    """Judge the head of an HTTP request to `port`; `origins` are the sites that may look on.
+    """Judge the head of an HTTP request to `port`; `origins` are the sites that may watch.
 
     A program sends no origin, and an application its own scheme (`file://`): both may. A page
     has its site's, or `null` where it hides it.
@@ -54,8 +54,8 @@ def judge_request_head(head: bytes, port: int, origins: Collection[str]) -> Gate
         return None
     is_page = any(one == "null" or one.lower().startswith(("http:", "https:")) for one in told)
     if is_page or len(told) > 1:
-        way_out = "name this site with --live-origin if it may look on"
-        return GateRefusal("403 Forbidden", f"pages of other sites may not look on; {way_out}")
+        fix = "name this site with --live-origin if it may watch"
+        return GateRefusal("403 Forbidden", f"pages of other sites may not watch; {fix}")
     return None
 
 
@@ -80,7 +80,7 @@ class Gate:
         self._events.run_forever()
 
     def close(self) -> None:
-        """Let nobody in any more."""
+        """Accept no more connections."""
         self._events.call_soon_threadsafe(self._events.stop)
         self._thread.join()
         self._socket.close()
@@ -92,7 +92,7 @@ class Gate:
         self._connections += 1
         try:
             await self._serve(reader, writer)
-        # It vanished, said nothing, or too much; or the server behind is not there any more.
+        # The client vanished, sent nothing or too much, or the server behind has ended.
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             pass
         finally:
@@ -116,7 +116,7 @@ class Gate:
 
 
 async def _pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
-    """Copy to the end. Who reads slowly is felt by who writes, which then leaves some out."""
+    """Copy to the end. A slow reader slows the writer, which then skips values."""
     with suppress(ConnectionError):
         while piece := await source.read(_PIECE):
             sink.write(piece)

@@ -1,4 +1,4 @@
-"""The last half minute of a few columns: what terminal plots are drawn from."""
+"""The last half minute of a few columns, for the plots in the terminal."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ BLOCKS = "▁▂▃▄▅▆▇█"
 
 
 class History:
-    """Values by column, each with its time; older ones go."""
+    """Values by column, each with its time; old ones are dropped."""
 
     def __init__(self, seconds: float) -> None:
-        """Keep `seconds` of what is put in."""
+        """Keep the last `seconds`."""
         self._seconds = seconds
         self._ticks: deque[Mapping[str, float]] = deque()
 
     def extend(self, ticks: Iterable[Mapping[str, float]]) -> None:
-        """Put in what is new. A time that goes back is another session: the old one goes."""
+        """Add new ticks. A time that goes back begins another session and drops the old values."""
         for tick in ticks:
             if self._ticks and tick["t_s"] < self._ticks[-1]["t_s"]:
                 self._ticks.clear()
@@ -27,7 +27,7 @@ class History:
             self._ticks.popleft()
 
     def bin_column(self, column: str, bins: int) -> list[float]:
-        """Return the value of largest size in each of `bins` equal times; NaN where none is.
+        """Return the value of largest size in each of `bins` equal times; NaN where there is none.
 
         Not the mean: a peak that lasts a tick is what one looks for.
         """
@@ -44,7 +44,7 @@ class History:
 
 
 def draw_sparkline(values: list[float]) -> tuple[str, float, float]:
-    """Draw values as a line of blocks; return it with the least and the largest of them.
+    """Draw values as a line of blocks; return it with the smallest and the largest value.
 
     NaN is a blank; both bounds are NaN where there is nothing else.
     """

@@ -1,4 +1,4 @@
-"""What the page and `pamctl watch --json` are sent: state and newest ticks, one line of JSON."""
+"""State and newest ticks as one line of JSON, for the page and for `pamctl watch --json`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pamctl.live.feed import Glimpse
 
 LOOKS_PER_S = 10.0
 EVERY = 20
-"""Ticks, of those that are plotted: 50 points a second."""
+"""Every twentieth tick is plotted: 50 points a second."""
 COLUMNS = ("tick", "t_s", "phase", "position_m", "reference_m", "pressure_pa", "valve_v")
 _STATUS_FIELDS = (
     "state", "fault", "run", "log", "worst_late_s", "missed_ticks", "backend", "device",
@@ -20,7 +20,7 @@ _STATUS_FIELDS = (
 
 
 def encode_glimpses(glimpses: Sequence[Glimpse]) -> str:
-    """Write what was seen in several looks: the last state, and all ticks."""
+    """Return what was seen in several looks: the last state, and all ticks."""
     newest = glimpses[-1] if glimpses else Glimpse(None, [])
     status: dict[str, Any] | None = None
     if newest.status is not None:

@@ -1,7 +1,7 @@
 """What `--live` starts: `python -m pamctl.live.live_main PORT --socket|--ring PATH ORIGIN...`.
 
-Its standard input is a pipe whose end is the end of the process that started it. Whatever goes
-wrong here is one line on standard error: the run goes on.
+Its standard input is a pipe that ends with the process that started it. Any error is one line on
+standard error: the run goes on.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pamctl.live.feed import DaemonFeed, Feed, RingFeed
 from pamctl.recording.ring import Ring
 
 _NICE = 10
-"""Whoever looks on gives way to whoever works."""
+"""A viewer gives way to the loop."""
 
 
 def main() -> NoReturn:
@@ -40,7 +40,7 @@ def main() -> NoReturn:
 
 
 def _sleep_while_open(seconds: float) -> bool:
-    """Sleep; tell whether standard input is still open."""
+    """Sleep; return whether standard input is still open."""
     return not select.select([sys.stdin.fileno()], [], [], seconds)[0]
 
 

@@ -17,12 +17,12 @@ from pamctl.signals import Phase
 COLUMNS = (
     "tick", "t_s", "phase", "position_m", "reference_m", "pressure_pa", "valve_v",
 )  # fmt: skip
-"""What is asked of the daemon."""
+"""Columns that the screen asks of the daemon."""
 HISTORY_S = 30.0
 
 _LINES_BESIDE_EVENTS = 15
 _FRAME = 27
-"""Characters of a plot's line that are not plot: name, bounds, unit."""
+"""Characters of a plot's line beside the plot itself: name, bounds, unit."""
 
 _STATE_STYLE = {
     "idle": "dim", "ready": "green", "homing": "yellow", "running": "bold green",

@@ -1,4 +1,4 @@
-"""The terminal's `pamctl watch`: ten pictures a second, or lines where it is none."""
+"""`pamctl watch` in a terminal: ten pictures a second, or lines for a file or a pipe."""
 
 from __future__ import annotations
 
@@ -15,33 +15,32 @@ from pamctl.live import line
 from pamctl.live.feed import DaemonFeed, Glimpse
 from pamctl.live.history import History
 from pamctl.live.screen import COLUMNS, HISTORY_S, add_error, draw_screen
+from pamctl.live.status_text import format_glimpse
 
 _PICTURES_PER_S = 10.0
 _LINES_PER_S = 1.0
 _EVERY = 10
-"""Ticks, of those that are plotted."""
+"""Every tenth tick is plotted."""
 
 
-def watch_in_terminal(
-    socket: Path, line_of: Callable[[Glimpse], str], count: int | None = None
-) -> bool:
-    """Show what the daemon does, `count` times or until Ctrl-C; tell whether it was ever there.
+def watch_in_terminal(socket: Path, count: int | None = None) -> bool:
+    """Show what the daemon does, `count` times or until Ctrl-C; return whether it ever answered.
 
-    `line_of` writes the line for a file, a pipe, or a terminal that cannot draw.
+    A file, a pipe, or a terminal that cannot draw gets lines.
     """
     console, seen = Console(), _DaemonSighting()
     with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, _EVERY, COLUMNS)) as feed:
         if console.is_terminal and not console.is_dumb_terminal:
             _draw_screens(console, seen.of(_look_repeatedly(feed, _PICTURES_PER_S, count)))
         else:
-            _print_lines(seen.of(_look_repeatedly(feed, _LINES_PER_S, count)), line_of)
+            _print_lines(seen.of(_look_repeatedly(feed, _LINES_PER_S, count)), format_glimpse)
     return seen.daemon
 
 
 def watch_as_json(socket: Path, count: int | None = None) -> bool:
     """Print what the page of `watch --web` is sent, `count` lines or until Ctrl-C.
 
-    Tells whether the daemon was ever there.
+    Returns whether the daemon ever answered.
     """
     seen = _DaemonSighting()
     with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, line.EVERY, line.COLUMNS)) as feed:
@@ -51,12 +50,12 @@ def watch_as_json(socket: Path, count: int | None = None) -> bool:
 
 
 class _DaemonSighting:
-    """Notes in passing whether the daemon has answered."""
+    """Notes whether the daemon has answered."""
 
     daemon = False
 
     def of(self, looks: Iterator[Glimpse]) -> Iterator[Glimpse]:
-        """Hand the glimpses on."""
+        """Pass the glimpses on."""
         for glimpse in looks:
             self.daemon = self.daemon or glimpse.status is not None
             yield glimpse

@@ -1,13 +1,13 @@
-"""`pamctl watch --web`: a page for the browsers of this PC, and of no other.
+"""`pamctl watch --web`: a page for the browsers of this PC only.
 
     GET /            the page, its script, its style, uPlot
     GET /stream      what is new, ten times a second (server-sent events)
     POST /do         stop, goto, estop; only with --allow-control and its token
 
-A process of its own and a client of the control socket like any other: neither it nor what
-browsers do to it touches the loop. Loopback alone is no protection from the pages of other
-sites in the same browser: Host and Origin are checked, and the token travels in the part of
-the address that is never sent.
+It is a process of its own and an ordinary client of the control socket: neither it nor any
+browser can touch the loop. Loopback alone does not protect from pages of other sites in the same
+browser: Host and Origin are checked, and the token is in the part of the address that a browser
+never sends.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from pamctl.daemon.allowance import Allowance
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
+from pamctl.daemon.server import Allowance
 from pamctl.live.broadcast import Broadcast
 
 LARGEST_BODY = 4096
@@ -60,7 +60,7 @@ def serve_page(socket: Path, port: int, *, allow_control: bool) -> None:
     token = secrets.token_urlsafe(24) if allow_control else ""
     server = PageServer(socket, port, token)
     print(f"http://127.0.0.1:{server.server_port}/{'#' + token if token else ''}", flush=True)
-    how = "who has this address may stop and move the muscle" if token else "read-only"
+    how = "this address lets you stop and move the muscle" if token else "read-only"
     print(f"pamctl watch: {how}; Ctrl-C ends it", file=sys.stderr, flush=True)
     try:
         server.serve_forever()
@@ -77,8 +77,8 @@ class PageServer(ThreadingHTTPServer):
     request_queue_size = MOST_CONNECTIONS
 
     def __init__(self, socket: Path, port: int, token: str) -> None:
-        """Begin to look at the daemon behind `socket`; without a `token` nothing can be done."""
-        self.broadcast = Broadcast(socket)  # first: it is ended where the port cannot be had
+        """Begin to look at the daemon behind `socket`; without a `token` the page is read-only."""
+        self.broadcast = Broadcast(socket)  # first: `server_close` ends it if the port is taken
         super().__init__(("127.0.0.1", port), _Handler)
         self.token = token
         self.control_socket = socket
@@ -89,7 +89,7 @@ class PageServer(ThreadingHTTPServer):
         self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
 
     def may_ask(self) -> bool:
-        """Spend one of the requests that browsers together may make."""
+        """Take one request from the allowance that all browsers share."""
         with self._asking:
             return self._allowance.spend(time.monotonic())
 
@@ -108,18 +108,18 @@ class PageServer(ThreadingHTTPServer):
             self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Stay silent of browsers that went away, and of nothing else."""
+        """Report errors, except those of browsers that went away."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
 
     def server_close(self) -> None:
-        """Look no more."""
+        """Stop looking at the daemon."""
         super().server_close()
         self.broadcast.end()
 
 
 class _RequestRefusal(Exception):
-    """A request that is not answered with what it asks for."""
+    """A request is refused, with this status and message."""
 
     def __init__(self, status: HTTPStatus, message: str) -> None:
         super().__init__(message)
@@ -159,7 +159,7 @@ class _Handler(BaseHTTPRequestHandler):
     # --- who may ask what ------------------------------------------------------------------
 
     def _require_own_page(self) -> None:
-        """Keep out other sites: those that borrow our address, and those that ask across."""
+        """Refuse other sites: those that use our address as theirs, and cross-site requests."""
         if self.headers.get("Host") not in self.server.hosts:
             raise _RequestRefusal(
                 HTTPStatus.MISDIRECTED_REQUEST, "this is not the host you asked for"
@@ -171,12 +171,12 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RequestRefusal(HTTPStatus.FORBIDDEN, "other sites may not ask here")
 
     def _read_order(self) -> dict[str, Any]:
-        """Read an order; raise `_RequestRefusal` if it is not permitted or makes no sense."""
+        """Read an order; raise `_RequestRefusal` if it is not permitted or not understood."""
         body = self._read_body()
         told = self.headers.get("Authorization", "").removeprefix("Bearer ")
         is_known = hmac.compare_digest(told.encode(), self.server.token.encode())
         order = _parse_order(body)
-        # Whoever may demand the emergency stop has it, however much was asked before.
+        # The emergency stop is granted however much was asked before.
         is_estop = bool(self.server.token) and is_known and order.get("do") == "estop"
         if not is_estop and not self.server.may_ask():
             raise _RequestRefusal(HTTPStatus.TOO_MANY_REQUESTS, "too many requests")
@@ -213,7 +213,7 @@ class _Handler(BaseHTTPRequestHandler):
     # --- answers -----------------------------------------------------------------------------
 
     def _stream(self) -> None:
-        """Send what is new for as long as the browser listens."""
+        """Send new values while the browser listens."""
         self._begin(HTTPStatus.OK, "text/event-stream", None)
         may_control = json.dumps({"control": bool(self.server.token)})
         self.wfile.write(f"event: hello\ndata: {may_control}\n\n".encode())
@@ -227,7 +227,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def _refuse(self, refusal: _RequestRefusal) -> None:
-        self.close_connection = True  # its body may not have been read
+        self.close_connection = True  # the body may not have been read
         body = json.dumps({"error": str(refusal)}).encode()
         with suppress(ConnectionError, TimeoutError):
             self._answer(refusal.status, body, "application/json")
@@ -264,7 +264,7 @@ def _parse_order(body: bytes) -> dict[str, Any]:
 
 
 def _translate_order(order: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Return method and parameters; what they may be is the daemon's business."""
+    """Return method and parameters; the daemon checks their values."""
     match order:
         case {"do": "estop" | "stop" as do}:
             return do, {}

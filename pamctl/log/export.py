@@ -92,7 +92,7 @@ def _require_pyarrow() -> None:
     try:
         import pyarrow  # noqa: F401
     except ImportError:
-        detail = "Parquet needs the package pyarrow; install it with pip install 'pamctl[parquet]'"
+        detail = "Parquet needs the package pyarrow; install it with pip install '.[parquet]'"
         raise ExportError(detail) from None
 
 

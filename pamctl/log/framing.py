@@ -21,6 +21,7 @@ from mcap.records import Chunk, DataEnd, Footer
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
+from pamctl.exit_codes import ExitCode
 from pamctl.regular_file import describe_irregular_file
 
 FRAME = struct.Struct("<BQ")
@@ -31,6 +32,8 @@ NO_CHECKSUM = bytes(4)
 
 class LogError(Exception):
     """A log cannot be read or written. The message says what, where, and what to do."""
+
+    exit_code = ExitCode.BAD_DATA
 
 
 class Damage(Exception):

@@ -8,11 +8,14 @@ from contextlib import contextmanager
 from io import BufferedWriter
 from pathlib import Path
 
+from pamctl.exit_codes import ExitCode
 from pamctl.log.framing import LogError
 
 
 class NewFileError(LogError):
     """The file cannot be created: it exists, or its folder does not."""
+
+    exit_code = ExitCode.USAGE
 
 
 @contextmanager

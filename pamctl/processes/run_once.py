@@ -6,18 +6,14 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any
-
-import typer
+from typing import Any, NamedTuple
 
 from hal.backend import find_backends
 from hal.calibration import Zero, calibration
-from hal.rig import Rig, RigError
-from pamctl.cli.live import serve_live_view
-from pamctl.cli.progress import ProgressLine
+from hal.rig import Rig
 from pamctl.control.filters import warp_cutoff
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.naming import bare_name
@@ -30,55 +26,76 @@ from pamctl.processes.backends import (
     require_backend,
 )
 from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
-from pamctl.processes.loop_supervisor import STOP_SIGNALS
 from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.tick import first_state
-from pamctl.recording.log_path import LogPathError, choose_log_path
+from pamctl.recording.log_path import choose_log_path
 from pamctl.recording.orphans import finish_orphans
-from pamctl.recording.ring import Ring, RingError
-from pamctl.settings.resolve import RunSettings, resolve, settings_to_json, settings_to_yaml
-from pamctl.settings.resolve import list_shipped as experiment_names
+from pamctl.recording.ring import Ring
+from pamctl.report.progress_line import ProgressLine
+from pamctl.settings.resolve import (
+    RunSettings,
+    list_shipped,
+    resolve,
+    settings_to_json,
+    settings_to_yaml,
+)
+
+LiveView = Callable[..., AbstractContextManager[None]]
+"""Serves live values inside a `with` block; `live_view("--ring", path)` names their source."""
 
 
-def run_and_report(
+class FinishedRun(NamedTuple):
+    """A run whose log is on disk."""
+
+    code: int
+    """Exit code of the command."""
+    reason: str
+    """Why the run ended with an error or by a signal; empty where it did not."""
+    note: str
+    """What the user must know of the log; empty where all is well."""
+    document: dict[str, Any]
+    """All figures, for `--json`."""
+    text: str
+    """The figures for people."""
+
+
+def run_once(
     settings: RunSettings,
     names: dict[str, str],
     log: Path | None,
-    live_port: int | None,
-    live_origins: Sequence[str],
+    progress: ProgressLine,
+    live_view: LiveView,
     *,
-    as_json: bool,
     quiet: bool,
-) -> int:
-    """Run, print the figures, return the exit code; `list_shipped` are those of the files."""
-    try:
-        # What the user got wrong is no reason to touch the valve.
-        require_backend(settings)
-        path = choose_log_path(log, names["controller"], names["experiment"])
-        with secure_device(settings) as rig:
-            finish_orphans(SHARED_MEMORY, quiet=quiet)
-            meta = make_run_meta(settings, names, path)
-            with Ring.create(new_ring_path(), meta, settings.rig.loop.ring_rows) as ring:
-                progress = ProgressLine(quiet=quiet or as_json)
-                with serve_live_view(live_port, live_origins, "--ring", str(ring.path)):
-                    report = _conduct_run(ring, rig, progress, settings)
-    except LogPathError as error:
-        return _fail(ExitCode.USAGE, str(error), as_json=as_json)
-    except (RigError, RingError) as error:
-        return _fail(ExitCode.UNAVAILABLE, str(error), as_json=as_json)
+) -> FinishedRun:
+    """Run once; `names` are those of the configuration files, by section.
+
+    Raises `LogPathError`, and `RigError` or `RingError` where the device cannot be had.
+    """
+    # Wrong input is found before the valve is touched.
+    require_backend(settings)
+    path = choose_log_path(log, names["controller"], names["experiment"])
+    with secure_device(settings) as rig:
+        finish_orphans(SHARED_MEMORY, quiet=quiet)
+        meta = make_run_meta(settings, names, path)
+        with (
+            Ring.create(new_ring_path(), meta, settings.rig.loop.ring_rows) as ring,
+            live_view("--ring", str(ring.path)),
+        ):
+            report = _conduct_run(ring, rig, progress, settings)
     progress.done()
-    return _conclude(settings, names, path, report, as_json=as_json)
+    return _conclude_run(settings, names, path, report)
 
 
 @contextmanager
 def secure_device(settings: RunSettings) -> Iterator[Rig]:
     """Hold the device for this run alone, and make it safe before anything else is done.
 
-    Whatever ran before may have died with the valve open. Raises `RigError` where the device
-    cannot be had.
+    The run before may have died with the valve open. Raises `RigError` where the device cannot
+    be had.
     """
     rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
-    if settings.fast:  # simulated within the loop's process, and nobody's business
+    if settings.fast:  # simulated inside the loop's process: there is no shared device
         yield rig
         return
     with hold_device(settings):
@@ -95,7 +112,7 @@ def _conduct_run(
     guardian = None if settings.fast else [*start, "pamctl.processes.guardian_main"]
     commands = ProcessCommands([*start, "pamctl.processes.loop_main"], guardian)
     try:
-        # Without a clock nothing is at stake in the front's death.
+        # Without a clock no valve depends on the front: it needs no priority.
         mode = "off" if settings.fast else settings.rt
         return conduct_run(ring, commands, rig, progress, mode, settings.rig.loop)
     except BaseException:
@@ -105,12 +122,12 @@ def _conduct_run(
 
 
 def new_ring_path() -> Path:
-    """Return a new name in shared memory, where the next start looks for what died."""
+    """Return a new name in shared memory; the next start looks there for runs that died."""
     return SHARED_MEMORY / f"pamctl-{os.getpid()}-{time.time_ns()}.ring"
 
 
 def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -> RunMeta:
-    """Return what the log of a run that begins now opens with."""
+    """Return the head of the log of a run that begins now."""
     clock = build_clock(settings, may_spin=False)
     mono_ns = 0 if settings.fast else time.monotonic_ns()
     cal = calibration(settings.rig.calibration)
@@ -143,18 +160,10 @@ def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -
     )
 
 
-def _conclude(
-    settings: RunSettings,
-    names: dict[str, str],
-    path: Path,
-    report: FrontReport,
-    *,
-    as_json: bool,
-) -> int:
-    """Print the figures; return the exit code."""
+def _conclude_run(
+    settings: RunSettings, names: dict[str, str], path: Path, report: FrontReport
+) -> FinishedRun:
     ending = report.ending
-    if report.note:
-        print(f"warning: {report.note}", file=sys.stderr)
     document: dict[str, Any] = {
         "exit_code": int(ending.code),
         "reason": ending.reason,
@@ -164,32 +173,24 @@ def _conclude(
         "law": settings.controller.law,
         "backend": settings.rig.backend,
     }
-    text = ""
+    lines = []
     if path.exists():
         figures, text = _compute_figures(settings, names, path, ending)
         document |= figures
+        lines = [text] if text else []
         if ending.code and figures.get("ticks") == 0:
             path.unlink()  # nothing happened: leave nothing behind
-    if as_json:
-        typer.echo(json.dumps(document, indent=2))
-    else:
-        if text:
-            typer.echo(text)
-        if path.exists():
-            typer.echo(f"log: {path}")
-    if ending.code in STOP_SIGNALS.values():
-        print(ending.reason, file=sys.stderr)
-    elif ending.code:
-        print(f"error: {ending.reason}", file=sys.stderr)
-    if ending.code:
-        return int(ending.code)
-    return int(ExitCode.OK if report.log_is_whole else ExitCode.CHECK_FAILED)
+        else:
+            lines.append(f"log: {path}")
+    code = int(ending.code or (ExitCode.OK if report.log_is_whole else ExitCode.CHECK_FAILED))
+    reason = ending.reason if ending.code else ""
+    return FinishedRun(code, reason, report.note, document, "\n".join(lines))
 
 
 def _compute_figures(
     settings: RunSettings, names: dict[str, str], path: Path, ending: Ending
 ) -> tuple[dict[str, Any], str]:
-    # Slow imports, that a run must not wait for before its first tick.
+    # Slow imports: a run does not wait for them before its first tick.
     from pamctl.log.reader import LogError, read
     from pamctl.report.run_figures import format_run_summary, summarise_run
 
@@ -210,16 +211,8 @@ def _compute_figures(
 
 
 def _find_shipped_experiment(settings: RunSettings, name: str) -> str | None:
-    """Return the experiment's name if it is a shipped one as it stands: Table IV is about those."""
+    """Return the experiment's name if it is a shipped one, unchanged: Table IV is about those."""
     shipped = bare_name(name)
-    if shipped not in experiment_names("experiment"):
+    if shipped not in list_shipped("experiment"):
         return None
     return shipped if resolve(experiment=shipped).experiment == settings.experiment else None
-
-
-def _fail(code: ExitCode, reason: str, *, as_json: bool) -> int:
-    """Say why there was no run."""
-    if as_json:
-        typer.echo(json.dumps({"exit_code": int(code), "reason": reason}, indent=2))
-    print(f"error: {reason}", file=sys.stderr)
-    return int(code)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
+from pamctl.exit_codes import ExitCode
 from pamctl.log.naming import bare_name, make_dated_path
 
 _LOG_DIRECTORY = Path("logs")
@@ -12,6 +13,8 @@ _LOG_DIRECTORY = Path("logs")
 
 class LogPathError(Exception):
     """The log cannot be written at the given path."""
+
+    exit_code = ExitCode.USAGE
 
 
 def choose_log_path(asked: Path | None, controller: str, experiment: str) -> Path:

@@ -25,6 +25,7 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import NamedTuple
 
+from pamctl.exit_codes import ExitCode
 from pamctl.json_text import to_json
 from pamctl.log.run_meta import RunMeta
 from pamctl.signals import TICK_FIELDS, Field, TickRecord
@@ -72,6 +73,8 @@ class LoopStage:
 
 class RingError(Exception):
     """The ring cannot be created, or the file is not a ring of this version."""
+
+    exit_code = ExitCode.UNAVAILABLE
 
 
 class RingFull(RingError):

@@ -13,6 +13,7 @@ import numpy as np
 from hal.calibration import Zero
 from hal.converter import Output
 from pamctl.control.law import ControllerSettings
+from pamctl.exit_codes import ExitCode
 from pamctl.log import Log
 from pamctl.realtime.gain_ramp import GainRamp
 from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state
@@ -24,9 +25,13 @@ from pamctl.settings.resolve import RunSettings
 class NotReplayable(Exception):
     """The log cannot be replayed, or not by this version. The message says why, and what to do."""
 
+    exit_code = ExitCode.BAD_DATA
+
 
 class BehindTheEnd(NotReplayable):
     """The log ends before the requested time."""
+
+    exit_code = ExitCode.USAGE
 
 
 class GainChange(NamedTuple):

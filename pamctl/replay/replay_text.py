@@ -1,4 +1,4 @@
-"""What a replay found, as one line, as a few, or as a document."""
+"""The result of a replay, as lines for people or as one document."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pamctl.signals import TICK_FIELDS, Phase
 
 
 def make_replay_document(found: Replay, tolerance: str | None) -> dict[str, Any]:
-    """Return the findings as one JSON document; ticks are those of the loop's grid."""
+    """Return the result as one JSON document; ticks are those of the loop's grid."""
     first = found.differences[0] if found.differences else None
     return {
         "schema": 1,
@@ -98,7 +98,7 @@ def _describe_first(found: Replay, difference: Difference) -> dict[str, Any]:
 
 
 def format_replay(found: Replay) -> str:
-    """Return one line where all is equal; else what differs, first and after that."""
+    """Return one line if all is equal; else the first difference, then the others."""
     log = found.recording.log
     lines = _format_differences(found)
     if not lines:
@@ -107,16 +107,17 @@ def format_replay(found: Replay) -> str:
             f"{found.speed:.0f} x real time"
         ]
     if found.begin:
-        lines.append(f"from tick {_tick(found, found.begin)}, by the frozen state before it")
+        lines.append(f"from tick {_tick(found, found.begin)}, with the frozen state before it")
     if found.absent:
         lines.append(f"not in this log, and not compared: {', '.join(found.absent)}")
     if found.skipped:
         lines.append(
-            f"not replayed: {found.skipped} ticks behind ticks that the log has lost, "
-            "up to the next frozen state"
+            f"not replayed: {found.skipped} ticks after lost ticks, up to the next frozen state"
         )
     if found.unasked:
-        lines.append(f"reference not compared in {found.unasked} ticks, for ticks lost before them")
+        lines.append(
+            f"reference not compared in {found.unasked} ticks, because ticks before them are lost"
+        )
     return "\n".join(lines)
 
 
@@ -146,7 +147,7 @@ def _format_differences(found: Replay) -> list[str]:
 
 
 def _format_value(name: str, value: float) -> str:
-    """Spell a value out to its last bit, a code by its meaning."""
+    """Write a value to its last bit, a code by its meaning."""
     if name == "verdicts":
         return "; ".join(explain_verdicts(int(value))) or "no verdict"
     if name == "phase" and value >= 0:
@@ -166,7 +167,7 @@ def _unit(name: str) -> str:
 
 
 def _format_stages(found: Replay) -> list[str]:
-    """Say stage by stage what differs, in the order in which they begin to."""
+    """Return a line for each stage that differs, in the order of the first difference."""
     lines = []
     for stage in dict.fromkeys(difference.place.stage for difference in found.differences):
         fields = [d for d in found.differences if d.place.stage == stage]
@@ -189,7 +190,7 @@ def _format_magnitude(difference: Difference) -> str:
     if name in _CODES:
         return name
     if math.isinf(difference.largest):
-        return f"{name} (is no number in one of the two)"
+        return f"{name} (not a number in one of the two)"
     return f"{name} (by up to {f'{difference.largest:.2g} {_unit(name)}'.rstrip()})"
 
 
@@ -200,7 +201,7 @@ def _advise(found: Replay) -> list[str]:
     ]
     if are_within_tolerance(OTHER_CPU, found.differences):
         lines.append(
-            "no more than another CPU's or C library's rounding: "
+            "no more than the rounding of another CPU or C library: "
             f"compare with --tolerance {OTHER_CPU_NAME}"
         )
     return lines

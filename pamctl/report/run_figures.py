@@ -1,4 +1,4 @@
-"""What a user reads after a run: tracking beside Table IV, timing, where the log is."""
+"""The figures of a run: tracking beside Table IV, and timing."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pamctl.simulate.merit import TABLE_IV, Merit, compute_log_merits, summarise
 def summarise_run(log: Log, experiment: str | None) -> dict[str, Any]:
     """Return the figures of a run as one JSON document: SI, None for what is not known.
 
-    `experiment` is the shipped one that was run, to be held against Table IV; None if it was
-    another, or changed.
+    `experiment` is the shipped experiment to compare with Table IV; None if it was another one,
+    or changed.
     """
     return {
         "ticks": len(log),
@@ -33,19 +33,19 @@ def summarise_run(log: Log, experiment: str | None) -> dict[str, Any]:
 
 
 def refused_steps(log: Log) -> dict[str, str]:
-    """Return the real-time measures that were not permitted, each with what would allow it."""
+    """Return the real-time measures that were refused, each with what would permit it."""
     setup = log.metadata.get("timing_setup", {})
     refused = "not done: "
     return {k: v.removeprefix(refused) for k, v in setup.items() if v.startswith(refused)}
 
 
 def is_fast(log: Log) -> bool:
-    """Tell whether the run had no clock."""
+    """Return whether the run had no clock."""
     return bool(log.config.get("fast"))
 
 
 def is_readonly(log: Log) -> bool:
-    """Tell whether the run looked on, its output at the safe voltage."""
+    """Return whether the run was read-only, with its output at the safe voltage."""
     return bool(log.config.get("readonly"))
 
 
@@ -62,14 +62,14 @@ def format_run_summary(figures: dict[str, Any], law: str) -> str:
 
 def _format_tracking(figures: dict[str, Any], law: str) -> list[str]:
     if figures["readonly"]:
-        return ["Read only: the output stayed at the safe voltage, and nothing was tracked."]
+        return ["Read only: the output stayed at the safe voltage; nothing was tracked."]
     rows = [
         (f"{law}, {name} displacement", merit)
         for name, merit in figures["tracking"].items()
         if merit["max_m"] is not None
     ]
     if not rows:
-        return ["No tracking in this run: nothing to hold against Table IV."]
+        return ["No tracking in this run: nothing to compare with Table IV."]
     rows += [(f"paper, {row['law']} on its rig", row) for row in figures["paper"]]
     head = f"{'tracking error':<30}{'max um':>10}{'RMS um':>10}{'steady um':>11}"
     return [head, *(f"{name:<30}{_format_micrometres(m)}" for name, m in rows)]

@@ -243,6 +243,11 @@ def find_config_file(section: str, name: str, option: str = "") -> Path:
     raise ConfigError([Problem(f"{option or f'--{section}'} {name}", "", message)])
 
 
+def read_section_file(section: str, path: Path) -> Any:
+    """Read and check one file by itself, as settings of its section; raise `ConfigError`."""
+    return validate_settings(SECTIONS[section], RawSettings.read(path), title=section)
+
+
 def shorten_path(path: Path) -> str:
     """Return a path as short as it can be from the working directory."""
     try:

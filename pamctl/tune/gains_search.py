@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.exit_codes import ExitCode
 from pamctl.tune.gains_trial import GainsTrial
 from pamctl.tune.plant_ensemble import Member
 from pamctl.tune.search_space import SPACES
@@ -40,6 +41,8 @@ _NO_GAINS = 1e3
 
 class SearchError(Exception):
     """A search cannot be begun or gone on with. The message says why."""
+
+    exit_code = ExitCode.USAGE
 
 
 class BestGains(NamedTuple):

@@ -14,12 +14,12 @@ from support.patience import PATIENCE_S
 from typer.main import get_command
 
 from pamctl.__main__ import main
-from pamctl.cli import steer
 from pamctl.cli.app import app
+from pamctl.cli.daemon import status
 
 
 def verbs(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """All that have `--json`, with the words that call them."""
+    """Every verb that has `--json`, with the words that call it."""
     for name, inner in getattr(command, "commands", {}).items():
         yield from verbs(inner, (*words, name))
     if any("--json" in parameter.opts for parameter in command.params):
@@ -35,7 +35,7 @@ STEERED = [
 
 
 class Ended:
-    """How a verb ended: its code, the document, and what stood on standard error."""
+    """How a verb ended: its code, the document, and what was on standard error."""
 
     def __init__(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> None:
         with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as left:
@@ -51,7 +51,7 @@ def test_every_verb_that_steers_the_daemon_has_it() -> None:
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=" ".join)
-def test_an_option_that_there_is_not_is_a_document(
+def test_an_unknown_option_is_one_document(
     capsys: pytest.CaptureFixture[str], verb: tuple[str, ...]
 ) -> None:
     ended = Ended(capsys, *verb, "--json", "--no-such-option")
@@ -65,7 +65,7 @@ def test_an_option_that_there_is_not_is_a_document(
 
 
 @pytest.mark.parametrize("verb", STEERED, ids=" ".join)
-def test_no_daemon_is_a_document(
+def test_a_missing_daemon_is_one_document(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, verb: tuple[str, ...]
 ) -> None:
     ended = Ended(capsys, *verb, "--json", "--socket", str(tmp_path / "none.sock"))
@@ -89,12 +89,50 @@ def test_no_daemon_is_a_document(
     ],
     ids=str,
 )
-def test_what_makes_no_sense_is_a_document_with_a_reason(
+def test_a_wrong_value_is_one_document_with_a_reason(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], code: int
 ) -> None:
     ended = Ended(capsys, *arguments, "--json")
     assert ended.code == ended.document["exit_code"] == code
     assert ended.document["reason"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("replay", "none.mcap"), 65),
+        (("replay", "none.mcap", "--controller", "pid"), 65),
+        (("compare", "none.mcap"), 65),
+        (("report", "none.mcap"), 65),
+        (("audit", "none.mcap"), 65),
+        (("diagnose", "none.mcap", "--out", "out"), 65),
+        (("log", "info", "none.mcap"), 65),
+        (("log", "recover", "none.mcap", "new.mcap"), 65),
+        (("log", "export", "none.mcap", "new.csv"), 65),
+        (("log", "import", "none.csv", "new.mcap"), 65),
+        (("log", "import", "none.csv", "new.mcap", "--map", "none.yaml"), 78),
+        (("reproduce", "fig9", "--out", "out"), 2),
+        (("tune", "--law", "qsmc"), 2),
+        (("run", "--fast", "--log", "no/such/place.mcap"), 2),
+        (("safe", "--backend", "nidaq"), 69),
+        (("calibrate", "valve", "--backend", "nidaq", "--out", "x.yaml", "--yes"), 69),
+        (("daemon", "--logs", "/proc/none"), 2),
+        (("watch", "--web", "--port", "1"), 2),
+    ],
+    ids=lambda part: " ".join(part[:2]) if isinstance(part, tuple) else str(part),
+)
+def test_an_error_of_a_room_is_one_document_and_one_line(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    arguments: tuple[str, ...],
+    code: int,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ended = Ended(capsys, *arguments, "--json")
+    assert ended.code == ended.document["exit_code"] == code
+    assert ended.document["reason"]
+    assert "Traceback" not in ended.err
 
 
 @pytest.mark.parametrize(
@@ -107,7 +145,7 @@ def test_what_makes_no_sense_is_a_document_with_a_reason(
     ],
     ids=str,
 )
-def test_a_name_that_is_none_is_blamed_as_it_was_typed(
+def test_an_unknown_name_is_reported_as_it_was_typed(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], typed: str
 ) -> None:
     ended = Ended(capsys, *arguments, "--json")
@@ -154,7 +192,7 @@ def test_ctrl_c_is_a_document(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(steer, "ask", interrupted)
+    monkeypatch.setattr(status, "ask", interrupted)
     ended = Ended(capsys, "status", "--json")
     assert ended.document == {"exit_code": 130, "reason": "interrupted"}
 
@@ -164,7 +202,7 @@ import os, signal, sys
 
 class Typer:
     def find_spec(self, name, *_):
-        if name == "typer":  # Ctrl-C here: of what is raised Python makes an error of its own
+        if name == "typer":  # Ctrl-C here: Python turns it into another error
             class Key:
                 def __set_name__(self, owner, name):
                     os.kill(os.getpid(), signal.SIGINT)
@@ -176,26 +214,26 @@ main()
 """
 
 
-def test_ctrl_c_while_it_starts_is_an_exit_code_and_no_traceback() -> None:
+def test_ctrl_c_during_the_start_is_an_exit_code_and_no_traceback() -> None:
     command = [sys.executable, "-c", IMPATIENT, "status"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
-def test_an_error_of_ours_is_a_document_and_a_traceback(
+def test_an_unexpected_error_is_a_document_and_a_traceback(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: object) -> None:
         raise RuntimeError("ours")
 
-    monkeypatch.setattr(steer, "ask", broken)
+    monkeypatch.setattr(status, "ask", broken)
     monkeypatch.setattr(sys, "argv", ["pamctl", "status", "--json"])
     with pytest.raises(RuntimeError):
         main()
     assert json.loads(capsys.readouterr().out) == {"exit_code": 1, "reason": "RuntimeError: ours"}
 
 
-def test_without_json_a_failure_prints_nothing_to_be_parsed(
+def test_without_json_a_failure_prints_nothing_on_standard_output(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["pamctl", "status", "--socket", str(tmp_path / "none")])

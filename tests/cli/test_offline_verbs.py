@@ -1,4 +1,4 @@
-"""The verbs that read logs write what they were asked to, and never over what is not theirs."""
+"""Verbs that read logs write only what they were asked to, and overwrite no other file."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_page_replaces_an_older_page_and_nothing_else(verb, log):
     assert "an older one" not in page.read_text()
 
 
-def test_a_page_where_no_file_can_be_is_refused(log):
+def test_a_page_that_cannot_be_written_is_refused(log):
     assert "is a directory" in refused("compare", log, "--plot", log.parent)
     assert "there is no directory" in refused("compare", log, "--plot", log.parent / "a" / "b.html")
     assert "there is no directory" in refused("report", log, "--out", log.parent / "a" / "b.html")
@@ -62,18 +62,18 @@ def test_the_table_of_a_what_if_is_never_written_over_a_file(log):
 
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "-1"])
-def test_a_replay_starts_at_a_time_that_can_be(seconds, log):
+def test_a_replay_refuses_a_start_time_that_is_not_possible(seconds, log):
     assert "must be seconds, 0 or more" in refused("replay", log, "--from", seconds)
 
 
 @pytest.mark.parametrize("options", [(), ("--set", "controller.eta=0")])
-def test_a_replay_from_behind_the_end_is_a_wrong_option_and_no_bad_log(options, log):
+def test_a_replay_from_after_the_end_is_a_wrong_option_not_a_bad_log(options, log):
     assert "there is nothing from 1e+09 s on" in refused("replay", log, "--from", "1e9", *options)
 
 
 @pytest.fixture
 def impatient():
-    """An alarm for what would wait, or read, for ever."""
+    """An alarm that ends a test which waits or reads for ever."""
     before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it hangs"))
     signal.alarm(20)
     yield
@@ -93,7 +93,9 @@ def impatient():
         ("run --dry-run --rig {}", 78), ("config check {}", 78),
     ],
 )  # fmt: skip
-def test_what_is_no_file_is_refused_and_never_waited_for(verb, code, kind, tmp_path, monkeypatch):
+def test_anything_but_a_regular_file_is_refused_without_waiting(
+    verb, code, kind, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "input"
     match kind:
@@ -110,7 +112,7 @@ def test_what_is_no_file_is_refused_and_never_waited_for(verb, code, kind, tmp_p
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)])
-def test_what_is_told_of_a_damaged_log_ends_with_3_and_the_way_out(log, options):
+def test_info_of_a_damaged_log_exits_with_3_and_names_the_fix(log, options):
     whole = CliRunner().invoke(app, ["log", "info", str(log), *options])
     assert (whole.exit_code, whole.stderr) == (0, "")
     log.write_bytes(log.read_bytes()[:-1000])
@@ -120,7 +122,7 @@ def test_what_is_told_of_a_damaged_log_ends_with_3_and_the_way_out(log, options)
     assert "qsmc" in cut.stdout, "what is whole is told nevertheless"
 
 
-def test_the_command_line_starts_without_what_only_some_verbs_need():
+def test_the_command_line_starts_without_imports_that_only_some_verbs_need():
     heavy = "numpy scipy numba matplotlib pyarrow nidaqmx asyncio"
     script = f"import sys, pamctl.cli.app; print(set('{heavy}'.split()) & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
@@ -151,10 +153,10 @@ for verb in sys.argv[1:]:
     except SystemExit as end:
         assert not end.code, (verb, end.code)
 """
-"""Several calls of `pamctl` where there is nothing that only Linux has."""
+"""Several calls of `pamctl` without the modules and names that only Linux has."""
 
 
-def test_the_verbs_that_drive_nothing_need_nothing_that_only_linux_has(log):
+def test_verbs_that_drive_no_rig_run_without_linux(log):
     verbs = [
         "replay {}", "replay {} --tolerance default-for-other-cpu", "compare {}",
         "report {} --out page.html", "log info {}", "log check {}",
@@ -172,9 +174,9 @@ def test_the_verbs_that_drive_nothing_need_nothing_that_only_linux_has(log):
     "verb",
     ["run", "safe", "doctor", "daemon", "watch", "status", "calibrate pressure --out a.yaml"],
 )
-def test_a_verb_that_drives_a_rig_says_elsewhere_that_it_needs_linux(verb, tmp_path, monkeypatch):
+def test_a_verb_that_drives_a_rig_says_that_it_needs_linux(verb, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("pamctl.cli.linux.sys", SimpleNamespace(platform="elsewhere"))
+    monkeypatch.setattr("pamctl.cli.options.sys", SimpleNamespace(platform="elsewhere"))
     done = CliRunner().invoke(app, verb.split())
     assert done.exit_code == 69, done.output
     assert done.stderr.startswith("error: this verb needs Linux")

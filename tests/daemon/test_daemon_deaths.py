@@ -1,4 +1,4 @@
-"""What becomes of the daemon and its runs when something is stopped, dies or freezes."""
+"""The daemon and its runs when something is stopped, dies or freezes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from support.patience import PATIENCE_S
 from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.client import DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.latch import Latch
-from pamctl.daemon.refusal import RequestRefusedError
+from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.daemon.service import Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
@@ -49,7 +49,7 @@ def shared_hurt(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 
 @pytest.fixture
 def hurt(shared_hurt: Daemon) -> Iterator[Daemon]:
-    """A daemon whose processes are hurt, and which has to recover from that."""
+    """A daemon whose processes are killed or frozen, and which must recover."""
     yield shared_hurt
     if shared_hurt.state() == "fault":
         shared_hurt.wait_until(lambda status: not status["pids"])
@@ -178,7 +178,7 @@ def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_log_whole(own: Da
     assert "commanding process" in ran.events[-1]["reason"]
 
 
-def test_what_was_killed_as_a_whole_is_finished_by_the_next_start_which_stays_small(
+def test_after_all_were_killed_the_next_start_finishes_the_log_and_stays_small(
     own: Daemon, tmp_path: Path
 ) -> None:
     log = holding(own)
@@ -206,7 +206,7 @@ def test_a_signal_stops_it_smoothly_and_it_exits_with_0(
     assert not own.socket.exists()
 
 
-def test_a_stop_may_be_slower_than_the_ticks_that_are_kept_between_runs(tmp_path: Path) -> None:
+def test_a_stop_may_last_longer_than_the_ticks_kept_between_runs(tmp_path: Path) -> None:
     # How far behind a recorder may be is a matter of its run's ring.
     with daemon(tmp_path, "slow", NOT_HOMED, "rig.loop.stop_ramp_s=5") as made:
         log = holding(made)
@@ -230,7 +230,7 @@ def test_a_second_signal_ends_it_at_once_and_leaves_no_fault(tmp_path: Path) -> 
         assert not ao_path(made.device).with_suffix(".fault").exists()
 
 
-def test_no_number_of_signals_cuts_short_how_it_ends(tmp_path: Path) -> None:
+def test_many_signals_do_not_cut_its_end_short(tmp_path: Path) -> None:
     with daemon(tmp_path, "impatient", NOT_HOMED) as made:
         log = holding(made)
         deadline_s = time.monotonic() + PATIENCE_S
@@ -244,7 +244,7 @@ def test_no_number_of_signals_cuts_short_how_it_ends(tmp_path: Path) -> None:
         assert not made.socket.exists()
 
 
-def test_nothing_begins_any_more_in_a_daemon_that_is_being_ended(tmp_path: Path) -> None:
+def test_a_daemon_that_is_ending_begins_nothing(tmp_path: Path) -> None:
     settings = resolve()
     workshop = Workshop(
         [], [], build_rig(settings, VirtualClock(1)).rig, make_run_meta, "none", new_ring_path
@@ -257,7 +257,7 @@ def test_nothing_begins_any_more_in_a_daemon_that_is_being_ended(tmp_path: Path)
             ask()
 
 
-def test_with_json_its_life_stands_on_standard_output_a_line_for_whatever_happens(
+def test_with_json_each_event_is_a_line_on_standard_output(
     tmp_path: Path,
 ) -> None:
     with daemon(tmp_path, "json", NOT_HOMED, options=["--json"]) as made:
@@ -283,7 +283,7 @@ def test_with_json_its_life_stands_on_standard_output_a_line_for_whatever_happen
     assert ("fault", "emergency stop") in states
 
 
-def test_who_reads_its_announcements_slowly_not_at_all_or_no_longer_holds_up_nobody() -> None:
+def test_a_slow_stuck_or_gone_reader_of_events_delays_nobody() -> None:
     ours, its = os.pipe()
     stuck = Announcements(its)
     for number in range(20_000):
@@ -298,13 +298,13 @@ def test_who_reads_its_announcements_slowly_not_at_all_or_no_longer_holds_up_nob
     os.close(its)
 
 
-def test_a_session_that_is_parked_for_long_ends(tmp_path: Path) -> None:
+def test_a_session_that_is_idle_for_long_ends(tmp_path: Path) -> None:
     with daemon(tmp_path, "idle", NOT_HOMED, options=["--idle-after", "1"]) as made:
         run_to_its_end(made, SQUARE)
         assert made.wait_for("idle")["pids"] == {}
 
 
-def test_only_the_newest_of_its_own_logs_are_kept_where_that_was_asked_for(tmp_path: Path) -> None:
+def test_with_keep_only_the_newest_of_its_own_logs_stay(tmp_path: Path) -> None:
     with daemon(tmp_path, "keep", NOT_HOMED, options=["--keep", "2"]) as made:
         others = [made.logs / "20250101-000000-qsmc-tracking-1.mcap", made.logs / "mine.csv"]
         for path in others:
@@ -330,7 +330,7 @@ def _lives(pid: int) -> bool:
         return False
 
 
-def test_sockets_of_the_dead_are_replaced(tmp_path: Path) -> None:
+def test_the_socket_of_a_dead_daemon_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "control.sock"
     dead = socket.socket(socket.AF_UNIX)
     dead.bind(str(path))

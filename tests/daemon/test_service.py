@@ -49,7 +49,7 @@ def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
 
-def test_nothing_is_restarted_that_would_move_after_a_trip_or_fail_again() -> None:
+def test_the_unit_does_not_restart_after_a_trip_or_a_wrong_setting() -> None:
     never = {int(code) for code in unit()["RestartPreventExitStatus"].split()}
     assert never == {ExitCode.USAGE, ExitCode.SAFETY_TRIP, ExitCode.BAD_CONFIG}
     assert unit()["Restart"] == "on-failure"
@@ -103,7 +103,7 @@ class Manager:
         self._socket.close()
 
 
-def test_it_is_ready_once_it_answers_and_the_watchdog_is_fed_by_the_loops_progress(
+def test_it_is_ready_when_it_answers_and_the_loops_progress_feeds_the_watchdog(
     tmp_path: Path,
 ) -> None:
     manager, device = Manager(tmp_path / "notify"), f"test-unit-{os.getpid()}"

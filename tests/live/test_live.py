@@ -72,7 +72,7 @@ def port_told(errors: Path) -> int:
 
 
 def messages(connection: ClientConnection, ticks: int) -> list[tuple[int, int, bytes]]:
-    """Subscription, time, payload of all that arrives, until there are so many ticks in it."""
+    """Return subscription, time and payload of each message until `ticks` ticks are among them."""
     got: list[tuple[int, int, bytes]] = []
     while sum(subscription == TICK_SUBSCRIPTION for subscription, *_ in got) < ticks:
         frame = connection.recv(PATIENCE_S)
@@ -93,7 +93,7 @@ def assert_equal_to_the_log(path: Path, schema: bytes, payloads: list[bytes]) ->
     return len(rows)
 
 
-def test_a_run_is_seen_as_its_log_has_it(tmp_path: Path) -> None:
+def test_a_viewer_of_a_run_receives_what_the_log_holds(tmp_path: Path) -> None:
     device, log, errors = f"test-live-{time.time_ns()}", tmp_path / "run.mcap", tmp_path / "err"
     # Longer than the busiest PC needs to serve it: it is ended when enough was seen.
     settings = [f"rig.sim.device={device}", NOT_HOMED, *QUICK, *BUSY_PC, "experiment.cycles=50"]
@@ -117,7 +117,7 @@ def test_a_run_is_seen_as_its_log_has_it(tmp_path: Path) -> None:
     assert np.all(times_s > 0)
 
 
-def test_a_daemon_is_seen_in_all_its_states_and_its_runs_as_their_logs_have_them(
+def test_a_viewer_of_the_daemon_receives_its_states_and_what_the_logs_hold(
     tmp_path: Path,
 ) -> None:
     live = ["--live", "--live-port", "0"]
@@ -161,7 +161,7 @@ def head(*lines: str) -> bytes:
     ],
     ids=str,
 )
-def test_programs_applications_and_named_sites_may_look_on_and_nobody_else(
+def test_only_programs_applications_and_named_sites_may_watch(
     lines: list[str], status: str | None
 ) -> None:
     refusal = judge_request_head(head(*lines), 8765, {SITE})
@@ -169,11 +169,11 @@ def test_programs_applications_and_named_sites_may_look_on_and_nobody_else(
 
 
 @given(st.binary(max_size=200))
-def test_whatever_bytes_a_request_begins_with_they_are_judged(garbage: bytes) -> None:
+def test_any_first_bytes_of_a_request_are_judged(garbage: bytes) -> None:
     assert judge_request_head(garbage + b"\r\n\r\n", 8765, ()) is not None
 
 
-def test_pages_of_other_sites_cannot_look_on(
+def test_pages_of_other_sites_cannot_watch(
     tmp_path: Path,
 ) -> None:
     live = ["--live", "--live-port", "0", "--live-origin", SITE]
@@ -195,7 +195,7 @@ def _connected(port: int, origin: Any) -> ClientConnection:
     return connect(f"ws://localhost:{port}", subprotocols=[protocol], origin=origin)
 
 
-def test_a_port_that_is_taken_is_said_and_the_run_goes_on(tmp_path: Path) -> None:
+def test_a_taken_port_is_reported_and_the_run_goes_on(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -211,7 +211,7 @@ def test_a_port_that_is_taken_is_said_and_the_run_goes_on(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("verb", ["run", "daemon"])
-def test_a_site_that_may_look_on_where_nothing_is_shown_is_refused(verb: str) -> None:
+def test_live_origin_without_live_is_refused(verb: str) -> None:
     command = [sys.executable, "-m", "pamctl", verb, "--live-origin", SITE]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 2
@@ -220,10 +220,10 @@ def test_a_site_that_may_look_on_where_nothing_is_shown_is_refused(verb: str) ->
 
 @pytest.mark.parametrize("verb", ["run", "daemon"])
 def test_the_help_says_which_extra_is_needed(verb: str) -> None:
-    assert "pamctl[live]" in CliRunner().invoke(app, [verb, "--help"]).stdout
+    assert "extra 'live'" in CliRunner().invoke(app, [verb, "--help"]).stdout
 
 
-def test_without_a_clock_there_is_nothing_live_and_without_the_extra_one_is_told() -> None:
+def test_live_needs_a_clock_and_the_extra() -> None:
     command = [sys.executable, "-m", "pamctl", "run", "--fast", "--live"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 2
@@ -232,4 +232,4 @@ def test_without_a_clock_there_is_nothing_live_and_without_the_extra_one_is_told
     command = [sys.executable, "-c", hidden, "run", "--live"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 69
-    assert re.search(r"foxglove-sdk.*pip install 'pamctl\[live\]'", done.stderr)
+    assert re.search(r"foxglove-sdk.*pip install '.\[live\]'", done.stderr)

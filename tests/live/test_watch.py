@@ -70,7 +70,7 @@ def test_a_peak_of_one_tick_is_not_averaged_away() -> None:
     assert max(history.bin_column("error_m", 40)) == 5.0
 
 
-def test_a_history_begins_anew_with_a_session_whose_time_goes_back() -> None:
+def test_a_history_begins_again_with_a_session_whose_time_goes_back() -> None:
     history = History(10.0)
     history.extend({"t_s": t_s, "error_m": 9.0} for t_s in (50.0, 50.5))
     history.extend([{"t_s": 0.1, "error_m": 1.0}])
@@ -93,7 +93,7 @@ def test_every_state_fits_into_80_columns_and_24_lines(status: dict[str, Any] | 
     assert max(len(line.rstrip()) for line in lines) <= 80
 
 
-def test_figures_stand_in_the_units_of_the_users_edge() -> None:
+def test_figures_are_in_millimetres_and_kilopascals() -> None:
     text = drawn(STATUS, TICK, size=(80, 24))
     for figure in ("11.800 mm", "11.801 mm", "+1.0 um", "301.3 kPa", "-0.250 V", "123.4 us", "7"):
         assert figure in text
@@ -170,7 +170,7 @@ def _json_lines(socket: Path, code: int = 0) -> list[dict[str, Any]]:
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def test_a_terminal_gets_its_cursor_and_its_lines_back_whatever_ends_it(tmp_path: Path) -> None:
+def test_a_terminal_gets_its_cursor_and_its_lines_back_however_it_ends(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(tmp_path / "none")]
     for number, code in ((signal.SIGINT, 0), (signal.SIGTERM, 143)):
         seen = _seen_in_a_terminal(command, until="away", number=number, code=code)

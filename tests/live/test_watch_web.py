@@ -27,7 +27,7 @@ OUTSIDE = """[...document.querySelectorAll("body *")].filter(
 
 
 class Served(NamedTuple):
-    """A page that is served, and by whom it is fed."""
+    """A served page, and the daemon behind it."""
 
     daemon: Daemon
     address: str
@@ -148,7 +148,7 @@ def test_a_page_that_is_open_survives_the_restart_of_the_daemon(tmp_path: Path) 
 # --- who may ask what --------------------------------------------------------------------------
 
 
-def test_every_answer_carries_a_policy_that_lets_nothing_foreign_in(controlled: Served) -> None:
+def test_every_answer_has_a_policy_that_admits_nothing_from_elsewhere(controlled: Served) -> None:
     for path in ("/", "/page.js", "/page.css", "/uplot.js", "/uplot.css", "/icon.svg", "/nothing"):
         status, body, headers = controlled.ask("GET", path)
         assert status == (404 if path == "/nothing" else 200)
@@ -163,7 +163,7 @@ def test_every_answer_carries_a_policy_that_lets_nothing_foreign_in(controlled: 
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1", "", "[::1]:1"])
-def test_a_name_that_was_bound_to_this_address_is_not_served(controlled: Served, host: str) -> None:
+def test_a_foreign_host_name_for_this_address_is_refused(controlled: Served, host: str) -> None:
     for method, path in (("GET", "/"), ("GET", "/stream"), ("POST", "/do")):
         assert controlled.ask(method, path, Host=host)[0] == 421
 
@@ -179,7 +179,7 @@ def test_a_name_that_was_bound_to_this_address_is_not_served(controlled: Served,
         {"Sec_Fetch_Site": "same-site"},
     ],
 )
-def test_another_site_may_neither_read_nor_order_even_with_the_token(
+def test_another_site_can_neither_read_nor_order_even_with_the_token(
     controlled: Served, headers: dict[str, str]
 ) -> None:
     given = {name: value.format(port=controlled.port) for name, value in headers.items()}
@@ -212,7 +212,9 @@ def test_without_allow_control_nothing_can_be_ordered_by_anybody(up: Daemon) -> 
         ({"do": "goto", "position_mm": 500}, 409), ({"do": "stop"}, 409),
     ],
 )  # fmt: skip
-def test_what_makes_no_sense_is_refused(controlled: Served, what: object, status: int) -> None:
+def test_an_order_that_makes_no_sense_is_refused(
+    controlled: Served, what: object, status: int
+) -> None:
     controlled.daemon.wait_for("idle", "ready")
     assert controlled.order(what)[0] == status
 
@@ -236,11 +238,11 @@ def test_a_flood_is_told_to_wait_but_the_emergency_stop_gets_through(controlled:
         f"Content-Type: application/json\r\nAuthorization: Bearer {controlled.token}\r\n\r\n"
     ).encode() + body
     refused, deadline_s = b"", time.monotonic() + PATIENCE_S
-    while b" 429 " not in refused:  # several at once: faster than the busiest PC refills
+    while b" 429 " not in refused:  # many at once: faster than the allowance refills
         assert time.monotonic() < deadline_s, refused
         with ExitStack() as stack:
             at = ("127.0.0.1", controlled.port)
-            crowd = [stack.enter_context(socket.create_connection(at)) for _ in range(4)]
+            crowd = [stack.enter_context(socket.create_connection(at)) for _ in range(16)]
             for one in crowd:
                 one.sendall(request)
             refused = b"".join(one.makefile("rb").readline() for one in crowd)
@@ -256,7 +258,7 @@ def test_it_listens_to_this_pc_only(controlled: Served) -> None:
     assert f"00000000:{controlled.port:04X}" not in ours
 
 
-def test_a_port_that_is_taken_is_one_clear_line(up: Daemon) -> None:
+def test_a_taken_port_is_one_clear_line(up: Daemon) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

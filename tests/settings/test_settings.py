@@ -18,7 +18,7 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError, model_valid
 from typer.testing import CliRunner
 
 from hal.configured import Configured
-from pamctl.cli.config import config_app
+from pamctl.cli.app import app
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
     DEFAULT_NAMES,
@@ -490,7 +490,7 @@ def test_settings_load_without_the_heavy_packages() -> None:
 
 
 def config(*arguments: str) -> tuple[int, str, str]:
-    done = CliRunner().invoke(config_app, list(arguments))
+    done = CliRunner().invoke(app, ["config", *arguments])
     return done.exit_code, done.stdout, done.stderr
 
 

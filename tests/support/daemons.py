@@ -82,6 +82,11 @@ class Daemon:
             assert time.monotonic() < deadline_s, status
             time.sleep(0.02)
 
+    def wait_ticks(self, count: int) -> None:
+        """Return when the loop is this many ticks further."""
+        tick = self.ask("status")["tick"]["tick"]
+        self.wait_until(lambda status: status["tick"]["tick"] >= tick + count)
+
     def is_safe(self) -> bool:
         """Tell whether the output, as the simulated card holds it, is at the safe voltage."""
         volts = peek_v(ao_path(self.device))

@@ -1,31 +1,19 @@
-"""A calibration from the command line to the new rig file."""
+"""A calibration with a person at the rig, from the settings to the new rig file."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import typer
-
-from hal.rig import RigError
-from pamctl.cli.config import exit_on_config_errors, resolve_options
-from pamctl.commissioning.calibrate.outcome import (
-    CalibrationError,
-    CalibrationOutcome,
-    Operator,
-    PreparedAnswers,
-)
+from pamctl.commissioning.calibrate.outcome import CalibrationOutcome, Operator, PreparedAnswers
 from pamctl.commissioning.calibrate.rig_file_text import insert_values
-from pamctl.commissioning.hands_on import Bench, LimitError
+from pamctl.commissioning.hands_on import Bench
 from pamctl.commissioning.open_bench import open_workplace
-from pamctl.commissioning.terminal_operator import NoAnswer, Terminal
-from pamctl.exit_codes import ExitCode
+from pamctl.commissioning.terminal_operator import Terminal
 from pamctl.processes.backends import require_backend
-from pamctl.processes.interrupts import SignalInterrupt
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
     SECTIONS,
@@ -41,82 +29,67 @@ from pamctl.settings.resolve import (
 def check_answers(
     option: str, values: Sequence[float] | None, points: Sequence[float]
 ) -> Sequence[float] | None:
-    """Return the answers given by options, if any; leave where they do not fit the questions.
+    """Return the answers given by an option, if any; raise `ConfigError` where they do not fit.
 
-    Before anything moves: a rig is not pressurised for a number that no instrument shows.
+    Called before anything moves: a rig is not pressurised for a number that no instrument shows.
     """
     if values is None:
         return None
     if len(values) != len(points):
         message = f"{len(values)} values for {len(points)} points; give --point as often"
-        raise typer.BadParameter(message, param_hint=option)
+        raise ConfigError([Problem(option, "", message)])
     for value in values:
         if not (math.isfinite(value) and value > 0.0):
-            raise typer.BadParameter(f"must be above 0 (got {value:g})", param_hint=option)
+            raise ConfigError([Problem(option, "", f"must be above 0 (got {value:g})")])
     return values
 
 
-class CalibrationOptions(NamedTuple):
-    """What every calibration is told on the command line."""
+class CalibrationTask(NamedTuple):
+    """What is calibrated, and where the result goes."""
 
-    backend: str | None
-    rig: str | None
-    overrides: Sequence[str]
+    what: str
+    """Verb: pressure, encoder, valve."""
+    settings: RunSettings
+    rig: str
+    """Name or path of the rig file that is copied."""
     out: Path
-    yes: bool
-    as_json: bool
-    points_kpa: Sequence[float] = ()
-    """Pressures to hold."""
+    points_kpa: Sequence[float]
+    """Pressures to hold, kPa gauge; empty where none is held."""
+    work: Callable[[Bench, Operator], CalibrationOutcome]
+
+
+class CalibratedRig(NamedTuple):
+    """What a calibration found, and what became of it."""
+
+    settings: RunSettings
+    """Before the calibration."""
+    outcome: CalibrationOutcome
+    out: Path
+    failure: str
+    """Why the file could not be written; empty where it was."""
 
 
 def calibrate_rig(
-    what: str,
-    work: Callable[[Bench, Operator], CalibrationOutcome],
-    order: CalibrationOptions,
-    answers: Sequence[float] | None = None,
-) -> None:
-    """Do the work over the rig and write what was found; nothing is written on any other path."""
-    backend, rig, overrides, out, yes, as_json, points_kpa = order
-    settings, names = resolve_options(backend, rig, overrides, as_json=as_json, fast=False)
-    with exit_on_config_errors(as_json=as_json):
-        source = find_config_file("rig", names["rig"])
-        _require_new(out)
-    _require_within_limit(points_kpa, settings)
+    task: CalibrationTask, answers: Sequence[float] | None, *, may_move: bool
+) -> CalibratedRig:
+    """Calibrate, and write the new rig file; an error leaves no file behind.
+
+    The person is asked where `answers` are missing, and whether the rig may move unless
+    `may_move`. Raises `ConfigError`, `NoAnswer`, `CalibrationError`, `LimitError`, `RigError`
+    and `SignalInterrupt`.
+    """
+    settings = task.settings
+    source = find_config_file("rig", task.rig)
+    _require_new(task.out)
+    _require_within_limit(task.points_kpa, settings)
     terminal = Terminal()
-    try:
-        if not yes:
-            terminal.require_yes(
-                "the rig will be pressurised and may move; is everything clear of it?"
-            )
-        require_backend(settings)
-        with open_workplace(settings) as bench:
-            outcome = work(bench, terminal if answers is None else PreparedAnswers(answers))
-        with exit_on_config_errors(as_json=as_json):
-            text = _make_rig_file(out, source, outcome, what)
-    except (NoAnswer, CalibrationError, LimitError, RigError, SignalInterrupt) as error:
-        code = _code_of(error)
-        if as_json:
-            typer.echo(json.dumps({"exit_code": code, "reason": str(error)}, indent=2))
-        typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(code) from None
-    failure = _write_file(out, text)
-    _print_outcome(settings, outcome, out, failure, as_json=as_json)
-    if failure:
-        typer.echo(f"error: {failure}", err=True)
-        raise typer.Exit(ExitCode.UNEXPECTED)
-
-
-def _code_of(error: Exception) -> int:
-    match error:
-        case SignalInterrupt():
-            return error.code
-        case RigError():
-            return int(ExitCode.UNAVAILABLE)
-        case LimitError():
-            return int(ExitCode.SAFETY_TRIP)
-        case NoAnswer():
-            return int(ExitCode.USAGE)
-    return int(ExitCode.CHECK_FAILED)
+    if not may_move:
+        terminal.require_yes("the rig will be pressurised and may move; is everything clear of it?")
+    require_backend(settings)
+    with open_workplace(settings) as bench:
+        outcome = task.work(bench, terminal if answers is None else PreparedAnswers(answers))
+    text = _make_rig_file(task.out, source, outcome, task.what)
+    return CalibratedRig(settings, outcome, task.out, _write_file(task.out, text))
 
 
 def _require_new(out: Path) -> None:
@@ -137,11 +110,11 @@ def _require_within_limit(points_kpa: Sequence[float], settings: RunSettings) ->
     for point_kpa in points_kpa:
         if not point_kpa < most_kpa:
             message = f"must be below {most_kpa:g}, limits.pressure_pa as gauge (got {point_kpa:g})"
-            raise typer.BadParameter(message, param_hint="--point")
+            raise ConfigError([Problem("--point", "", message)])
 
 
 def _make_rig_file(out: Path, source: Path, outcome: CalibrationOutcome, what: str) -> str:
-    """Return the source's text with the values; raise `ConfigError` where that is no rig file."""
+    """Return the source's text with the values; raise `ConfigError` if that is no rig file."""
     now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     heading = f"{now}: pamctl calibrate {what}, from {source.name}"
     text = insert_values(source.read_text(encoding="utf-8"), outcome, heading)
@@ -150,7 +123,7 @@ def _make_rig_file(out: Path, source: Path, outcome: CalibrationOutcome, what: s
 
 
 def _write_file(out: Path, text: str) -> str:
-    """Write the new file; return why that failed, for the values must not be lost with it."""
+    """Write the new file; return why that failed: the values must not be lost with it."""
     try:
         with out.open("x", encoding="utf-8") as file:
             file.write(text)
@@ -159,25 +132,28 @@ def _write_file(out: Path, text: str) -> str:
     return ""
 
 
-def _print_outcome(
-    settings: RunSettings, outcome: CalibrationOutcome, out: Path, failure: str, *, as_json: bool
-) -> None:
-    before = settings_to_data(settings.rig)
-    if as_json:
-        values = [{**v._asdict(), "keys": ".".join(v.keys)} for v in outcome.values]
-        code = int(ExitCode.UNEXPECTED if failure else ExitCode.OK)
-        told: dict[str, Any] = {"exit_code": code, "reason": failure, "values": values}
-        told["rig_file"] = None if failure else str(out)
-        told |= {"notes": list(outcome.notes), "figures": dict(outcome.figures)}
-        typer.echo(json.dumps(told, indent=2))
-        return
-    for value in outcome.values:
+def make_calibration_document(made: CalibratedRig) -> dict[str, Any]:
+    """Return what was found as one document; SI, keys as in the rig file."""
+    outcome = made.outcome
+    return {
+        "values": [{**v._asdict(), "keys": ".".join(v.keys)} for v in outcome.values],
+        "rig_file": None if made.failure else str(made.out),
+        "notes": list(outcome.notes),
+        "figures": dict(outcome.figures),
+    }
+
+
+def format_calibration(made: CalibratedRig) -> str:
+    """Return what was found for people: each value beside the one before."""
+    before = settings_to_data(made.settings.rig)
+    lines = []
+    for value in made.outcome.values:
         section, key = value.keys
         within = f" +- {value.uncertainty:.2g}" if value.uncertainty else ""
         was = before.get(section, {}).get(key)
-        typer.echo(f"{section}.{key}: {value.value:.7g}{within} {value.unit} (was {was:.7g})")
-        typer.echo(f"    {value.how}")
-    for note in outcome.notes:
-        typer.echo(note)
-    if not failure:
-        typer.echo(f"rig file: {shorten_path(out)}")
+        lines.append(f"{section}.{key}: {value.value:.7g}{within} {value.unit} (was {was:.7g})")
+        lines.append(f"    {value.how}")
+    lines += made.outcome.notes
+    if not made.failure:
+        lines.append(f"rig file: {shorten_path(made.out)}")
+    return "\n".join(lines)

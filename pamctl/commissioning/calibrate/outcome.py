@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
+from pamctl.exit_codes import ExitCode
+
 
 class CalibrationValue(NamedTuple):
     """One value for the rig file, with its uncertainty."""
@@ -30,6 +32,8 @@ class CalibrationOutcome(NamedTuple):
 
 class CalibrationError(Exception):
     """A measurement or an answer makes no sense; the message says why and what to check."""
+
+    exit_code = ExitCode.CHECK_FAILED
 
 
 class Operator(Protocol):

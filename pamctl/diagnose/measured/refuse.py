@@ -9,6 +9,7 @@ import numpy as np
 from pamctl.diagnose.measured.column_shift import check_time_shifts
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
 from pamctl.diagnose.measured.sensor_noise import Noise
+from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
 
 LONGEST_GAP_S = 0.05
@@ -18,6 +19,8 @@ SHORTEST_S = 2.0
 
 class BadData(Exception):
     """The measurement cannot be diagnosed; the message says why and what to do."""
+
+    exit_code = ExitCode.BAD_DATA
 
 
 def check_measured_runs(records: Sequence[Record], plant: PlantSettings) -> None:

@@ -1,0 +1,84 @@
+"""`pamctl audit`: what can an excitation not see, and not tell apart?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pamctl.cli.options import JsonOption, PlantOption
+from pamctl.cli.output import print_json
+from pamctl.cli.settings_from_options import find_argument_file
+from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_section_file, resolve
+
+if TYPE_CHECKING:
+    from pamctl.diagnose import Record
+    from pamctl.diagnose.audit import Audit
+
+
+def audit(
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="EXPERIMENT|LOG",
+            help="Name of an experiment, experiment file (.yaml) or log (.mcap)",
+        ),
+    ],
+    plant: PlantOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show which effects an experiment or a log cannot show, before anything is fitted.
+
+    An experiment is simulated with the default controller and the simulated rig's sensors.
+    """
+    start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
+    from pamctl.diagnose.audit import audit_run
+
+    found = audit_run(_make_record(what, plant), start)
+    if as_json:
+        print_json(found.as_dict())
+    else:
+        typer.echo("\n".join(_format_audit(found)))
+
+
+def _make_record(what: str, plant: str | None) -> Record:
+    if Path(what).suffix == ".mcap":
+        from pamctl.diagnose.measured.from_log import record_of
+
+        return record_of(what)
+    find_argument_file("experiment", what)  # its error names what the user typed
+    from pamctl.diagnose import Record
+    from pamctl.simulate.batch import simulate_run
+
+    run = simulate_run(resolve(experiment=what, plant=plant))
+    return Record(
+        Path(what).stem,
+        run.t_s,
+        valve_v=run["valve_v"],
+        pressure_pa=run["pressure_pa"],
+        position_m=run["position_m"],
+    )
+
+
+def _format_audit(found: Audit) -> list[str]:
+    lines = [f"shows {len(found.sees)} effects: {', '.join(found.sees) or 'none'}", ""]
+    if found.blind_spots:
+        lines.append("cannot show, at the smallest size of interest:")
+        lines += [
+            f"  {s.name:<24}{s.why}; {_format_advice(s.visibility, s.experiment)}"
+            for s in found.blind_spots
+        ]
+    else:
+        lines.append("no blind spots")
+    if found.inseparable:
+        lines += ["", "cannot tell apart, at that size:"]
+        lines += [
+            f"  {' and '.join(pair.names):<44}{pair.experiment}: {pair.why}"
+            for pair in found.inseparable
+        ]
+    return lines
+
+
+def _format_advice(visible: str, experiment: str) -> str:
+    return f"{visible}; add: {experiment}" if experiment else visible

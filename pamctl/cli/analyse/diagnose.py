@@ -1,0 +1,116 @@
+"""`pamctl diagnose`: which effect does the model lack?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pamctl.cli.options import JsonOption, PlantOption
+from pamctl.cli.output import print_json, require_empty_folder
+from pamctl.exit_codes import ExitCode
+from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_section_file
+
+
+def diagnose(
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Logs that the model is fitted to")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for the results, new or empty")
+    ],
+    holdout: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--holdout",
+            metavar="LOG",
+            help="Log that judges the result and is not fitted; can be repeated",
+            show_default="parts of the logs",
+        ),
+    ] = None,
+    plant: PlantOption = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--without",
+            metavar="EFFECT",
+            help="Effect to leave out of the catalogue; can be repeated",
+            show_default="none",
+        ),
+    ] = None,
+    correction: Annotated[
+        bool,
+        typer.Option(
+            "--correction",
+            help="Add to the model what no effect explains, as a table without a name",
+        ),
+    ] = False,
+    jobs: Annotated[
+        int, typer.Option("--jobs", metavar="N", min=1, help="Number of worker processes")
+    ] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Find where model and measurement disagree, name the missing effect, add it to the model.
+
+    DIR gets diagnosis.json, report.html and plant.yaml.
+    plant.yaml is for --plant of run, tune, compare and a next diagnose.
+    The exit code is 0 for every verdict, and 65 if the data cannot be used.
+    """
+    require_empty_folder(out, "--out")
+    start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
+    _require_known(without or [])
+    from pamctl.diagnose import diagnose as find_missing_effects
+    from pamctl.diagnose import summary
+    from pamctl.diagnose.measured.from_log import record_of
+    from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+    from pamctl.diagnose.report.diagnosis_folder import write_diagnosis
+
+    train = [record_of(path) for path in logs]
+    held = [record_of(path) for path in holdout or []]
+    if not held:
+        how = "the runs are split" if len(train) > 1 else "long stretches of it are held out"
+        typer.echo(f"no --holdout: {how}", err=True)
+    with _start_workers(jobs) as executor:
+        diagnosis = find_missing_effects(
+            train,
+            held,
+            start,
+            without=without or (),
+            correction=correction,
+            executor=executor,
+            progress=lambda line: typer.echo(line, err=True),
+        )
+    names = [path.name for path in (*logs, *(holdout or []))]
+    write_diagnosis(diagnosis, out, names, [*train, *held])
+    if as_json:
+        print_json(build_diagnosis_document(diagnosis))
+    else:
+        typer.echo(summary(diagnosis))
+        typer.echo(f"\n{out}: {', '.join(sorted(p.name for p in out.iterdir()))}")
+    raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
+
+
+def _require_known(names: Sequence[str]) -> None:
+    from pamctl.plant.effects import CATALOGUE
+
+    for name in names:
+        if name not in CATALOGUE:
+            near = get_close_matches(name, CATALOGUE, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise typer.BadParameter(
+                f"there is no effect {name} in the catalogue{hint}", param_hint="--without"
+            )
+
+
+@contextmanager
+def _start_workers(jobs: int) -> Iterator[Executor | None]:
+    if jobs == 1:
+        yield None
+        return
+    with ProcessPoolExecutor(jobs) as executor:
+        yield executor

@@ -1,0 +1,95 @@
+"""`pamctl daemon`: stay up, and do what clients ask."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pamctl.cli.options import (
+    DEFAULT_LIVE_PORT,
+    BackendOption,
+    ControllerOption,
+    LiveOption,
+    LiveOriginOption,
+    LivePortOption,
+    PlantOption,
+    RigOption,
+    RtOption,
+    SeedOption,
+    SetOption,
+    SocketOption,
+    choose_live_port,
+    require_linux,
+    seconds_option,
+)
+from pamctl.cli.settings_from_options import resolve_options
+
+
+def daemon(
+    backend: BackendOption = None,
+    controller: ControllerOption = None,
+    rig: RigOption = None,
+    plant: PlantOption = None,
+    seed: SeedOption = None,
+    overrides: SetOption = None,
+    rt: RtOption = None,
+    socket: SocketOption = None,
+    group: Annotated[
+        str | None,
+        typer.Option(
+            "--group",
+            metavar="GROUP",
+            help="Group that may steer the rig, beside this user",
+            show_default="this user's group",
+        ),
+    ] = None,
+    logs: Annotated[
+        Path, typer.Option("--logs", metavar="DIRECTORY", help="Directory for the log of each run")
+    ] = Path("logs"),
+    keep: Annotated[
+        int | None,
+        typer.Option(
+            "--keep",
+            metavar="N",
+            min=1,
+            help="Number of the daemon's logs to keep; older ones are removed",
+            show_default="all",
+        ),
+    ] = None,
+    idle_after_s: Annotated[
+        float,
+        seconds_option("--idle-after", "Idle time before the session ends", at_least=1.0),
+    ] = 600.0,
+    live: LiveOption = False,
+    live_port: LivePortOption = DEFAULT_LIVE_PORT,
+    live_origins: LiveOriginOption = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print each event as one line of JSON")
+    ] = False,
+) -> None:
+    """Stay up: home, run experiments and hold positions as clients ask (pamctl start, goto ...)."""
+    settings, names = resolve_options(
+        backend, rig, overrides, controller=controller, plant=plant, seed=seed, rt=rt
+    )
+    del names["experiment"]  # each start names its own
+    port = choose_live_port(live, live_port, live_origins)
+    require_linux()
+    from pamctl.daemon.client import own_socket
+    from pamctl.daemon.serving import ServiceOptions, serve_daemon  # no other verb waits for it
+    from pamctl.live.live_view import require_foxglove, serve_live_view
+
+    if live:
+        require_foxglove()
+    options = ServiceOptions(
+        socket or own_socket(),
+        group,
+        logs,
+        keep,
+        idle_after_s,
+        partial(serve_live_view, port, live_origins or ()),
+        announce=as_json,
+    )
+    raise typer.Exit(int(serve_daemon(settings, names, options)))

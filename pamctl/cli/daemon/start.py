@@ -1,0 +1,33 @@
+"""`pamctl start`: run an experiment."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from pamctl.cli.daemon.ask import ask, print_answer, read_section
+from pamctl.cli.options import JsonOption, SocketOption, seconds_option
+from pamctl.log.naming import file_safe_name
+
+
+def start(
+    experiment: Annotated[
+        str, typer.Argument(metavar="NAME|FILE", help="Experiment to run, as for pamctl run")
+    ],
+    duration_s: Annotated[
+        float | None,
+        seconds_option(
+            "--duration",
+            "End the run this long after homing",
+            more_than=0.0,
+            show_default="length of the experiment",
+        ),
+    ] = None,
+    socket: SocketOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run an experiment; home first if the muscle is not homed."""
+    data = read_section("experiment", experiment)
+    params = {"experiment": data, "name": file_safe_name(experiment), "duration_s": duration_s}
+    print_answer(ask(socket, "start", params), "log: {log}", as_json=as_json)

@@ -1,0 +1,68 @@
+"""`pamctl log check`: whether logs are whole and make sense."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pamctl.cli.options import JsonOption
+from pamctl.cli.output import print_json
+from pamctl.exit_codes import ExitCode
+from pamctl.settings.problems import ConfigError
+from pamctl.settings.resolve import from_resolved
+
+if TYPE_CHECKING:
+    from pamctl.log.check.check_log import LogCheckReport
+
+
+def check_logs(
+    paths: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs to check")],
+    as_json: JsonOption = False,
+) -> None:
+    """Check files, checksums, indexes, tick numbers, times, units and configuration.
+
+    Exits with 3 if there is an error in any of them, 65 if a file is no log at all.
+    """
+    reports = [_check_log(path) for path in paths]
+    if as_json:
+        print_json([report for _, report in reports])
+    else:
+        typer.echo("\n".join(line for _, report in reports for line in _format_report(report)))
+    raise typer.Exit(max(code for code, _ in reports))
+
+
+def _check_log(path: Path) -> tuple[ExitCode, dict[str, Any]]:
+    from pamctl.log import LogError
+    from pamctl.log.check.check_log import check_log
+
+    try:
+        report = check_log(path, _find_config_problems)
+    except LogError as error:
+        return ExitCode.BAD_DATA, {"path": str(path), "ok": False, "reason": str(error)}
+    return ExitCode.OK if report.ok else ExitCode.CHECK_FAILED, _make_report(report)
+
+
+def _make_report(report: LogCheckReport) -> dict[str, Any]:
+    findings = [finding._asdict() for finding in report.findings]
+    return {"path": report.path, "ok": report.ok, "ticks": report.ticks, "findings": findings}
+
+
+def _find_config_problems(text: str) -> list[str]:
+    """Return why this version cannot use the configuration in a log; empty if it can."""
+    try:
+        from_resolved(text, "config.json")
+    except ConfigError as error:
+        return [str(problem) for problem in error.problems]
+    return []
+
+
+def _format_report(report: dict[str, Any]) -> list[str]:
+    if "reason" in report:
+        return [f"{report['path']}: no log", f"  error    {report['reason']}"]
+    verdict = f"{'ok' if report['ok'] else 'not ok'}, {report['ticks']} ticks"
+    return [
+        f"{report['path']}: {verdict}",
+        *(f"  {f['severity']:<9}{f['kind']:<12}{f['message']}" for f in report["findings"]),
+    ]

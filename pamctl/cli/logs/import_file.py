@@ -1,0 +1,102 @@
+"""`pamctl log import`: a log of what another system measured."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pamctl.cli.options import JsonOption
+from pamctl.cli.output import print_json
+from pamctl.exit_codes import ExitCode
+
+if TYPE_CHECKING:
+    from pamctl.log.importing.column_map import ImportMap
+    from pamctl.log.importing.pipeline import ImportSummary
+
+
+def import_file(
+    source: Annotated[
+        Path, typer.Argument(metavar="IN", help="Measurement as a CSV file or a MAT file")
+    ],
+    destination: Annotated[Path, typer.Argument(metavar="OUT", help="New log")],
+    map_path: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="FILE",
+            help="File that says what the columns hold",
+            show_default="by their names",
+        ),
+    ] = None,
+    resample_hz: Annotated[
+        float | None,
+        typer.Option(
+            "--resample",
+            metavar="HZ",
+            min=1e-3,
+            help="Rate of an even time grid to resample to, Hz",
+            show_default="not resampled",
+        ),
+    ] = None,
+    accept_units: Annotated[
+        bool, typer.Option("--accept-units", help="Import even if a unit looks wrong")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Import a measurement: t_s, valve_v, pressure_pa, position_m, force_n, or other units.
+
+    A name says quantity and unit: time_ms, pressure_gauge_kpa, position_mm.
+    Errors stop the import (65); warnings go into the log.
+    """
+    from pamctl.log.importing.pipeline import import_log
+
+    done = import_log(
+        source,
+        destination,
+        _read_map(map_path) if map_path else None,
+        resample_hz=resample_hz,
+        accept_units=accept_units,
+    )
+    if as_json:
+        print_json(_make_document(done))
+    else:
+        typer.echo("\n".join(_format_lines(done)))
+    raise typer.Exit(ExitCode.OK if done.written else ExitCode.BAD_DATA)
+
+
+def _read_map(path: Path) -> ImportMap:
+    from pydantic import TypeAdapter
+
+    from pamctl.log.importing.column_map import ImportMap
+    from pamctl.settings.resolve import RawSettings, validate_settings
+
+    return validate_settings(TypeAdapter(ImportMap), RawSettings.read(path))
+
+
+def _make_document(done: ImportSummary) -> dict[str, Any]:
+    return {**asdict(done), "findings": [finding._asdict() for finding in done.findings]}
+
+
+def _format_lines(done: ImportSummary) -> list[str]:
+    if done.written:
+        head = f"{done.destination}: {done.ticks} ticks, one every {done.period_s:.6g} s"
+    else:
+        head = f"{done.source}: not imported"
+    return [
+        head,
+        *(
+            f"  {reading.quantity:<12}from {_format_reading(asdict(reading))}"
+            for reading in done.readings
+        ),
+        *(f"  {f.severity:<9}{f.kind:<12}{f.message}" for f in done.findings),
+    ]
+
+
+def _format_reading(reading: dict[str, Any]) -> str:
+    scaled = f" x {reading['gain']:g}" if reading["gain"] != 1.0 else ""
+    moved = f" {reading['offset']:+g}" if reading["offset"] else ""
+    gauge = ", gauge" if reading["gauge"] else ""
+    return f"{reading['column']}{scaled}{moved} in {reading['unit']}{gauge}"

@@ -1,0 +1,202 @@
+"""The options that several verbs share, each with its help, its default and its range."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hal.backend import find_backends
+from pamctl.cli.failure import Failed
+from pamctl.exit_codes import ExitCode
+from pamctl.settings.resolve import DEFAULT_NAMES
+
+NO_CHANGES = "no changes"
+
+# --- what to run ------------------------------------------------------------------------------
+
+BackendOption = Annotated[
+    str | None,
+    typer.Option(
+        "--backend",
+        metavar="|".join(find_backends().found),
+        help="Backend to drive",
+        show_default="that of --rig, sim",
+    ),
+]
+ControllerOption = Annotated[
+    str | None,
+    typer.Option(
+        "--controller",
+        metavar="NAME|FILE",
+        help="Control law and its gains",
+        show_default=DEFAULT_NAMES["controller"],
+    ),
+]
+ExperimentOption = Annotated[
+    str | None,
+    typer.Option(
+        "--experiment",
+        metavar="NAME|FILE",
+        help="Experiment to run",
+        show_default=DEFAULT_NAMES["experiment"],
+    ),
+]
+RigOption = Annotated[
+    str | None,
+    typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        help="Rig file with calibration and limits",
+        show_default="that of --backend, sim",
+    ),
+]
+PlantOption = Annotated[
+    str | None,
+    typer.Option(
+        "--plant",
+        metavar="NAME|FILE",
+        help="Plant file with the model of the muscle",
+        show_default=DEFAULT_NAMES["plant"],
+    ),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Setting to change, such as controller.lambda_per_s=12; can be repeated",
+        show_default=NO_CHANGES,
+    ),
+]
+SeedOption = Annotated[
+    int | None,
+    typer.Option(
+        "--seed", metavar="N", help="Seed of the simulated noise, 0 or more", show_default="0"
+    ),
+]
+DurationOption = Annotated[
+    float | None,
+    typer.Option(
+        "--duration",
+        metavar="SECONDS",
+        help="End the run this long after homing, more than 0 s",
+        show_default="length of the experiment",
+    ),
+]
+FastOption = Annotated[
+    bool, typer.Option("--fast", help="Simulate without a clock, as fast as possible")
+]
+RtOption = Annotated[
+    str | None,
+    typer.Option(
+        "--rt",
+        metavar="auto|require|off",
+        help="Use of real-time scheduling; 'require' fails where it is not permitted",
+        show_default="auto",
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document as the result")]
+SocketOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--socket",
+        metavar="PATH",
+        help="Control socket of the daemon",
+        show_default="this user's, else the system's",
+    ),
+]
+
+# --- live values for Foxglove -----------------------------------------------------------------
+
+LiveOption = Annotated[
+    bool,
+    typer.Option(
+        "--live", help="Serve live values to Foxglove and Lichtblick; needs the extra 'live'"
+    ),
+]
+LivePortOption = Annotated[
+    int,
+    typer.Option(
+        "--live-port",
+        metavar="PORT",
+        min=0,
+        max=65535,
+        help="Port of the live values; 0 picks a free one",
+    ),
+]
+LiveOriginOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--live-origin",
+        metavar="ORIGIN",
+        help="Web site whose pages may watch, such as https://app.foxglove.dev; can be repeated",
+        show_default="no web site",
+    ),
+]
+DEFAULT_LIVE_PORT = 8765
+"""Foxglove's own."""
+
+
+def choose_live_port(live: bool, port: int, origins: Sequence[str] | None) -> int | None:
+    """Return the port to serve, None without `--live`; leave with 2 where it is not asked for."""
+    if origins and not live:
+        raise typer.BadParameter("belongs to --live, which is off", param_hint="--live-origin")
+    return port if live else None
+
+
+# --- times ------------------------------------------------------------------------------------
+
+
+def seconds_option(
+    name: str,
+    help_text: str,
+    *,
+    at_least: float | None = None,
+    more_than: float | None = None,
+    at_most: float = math.inf,
+    show_default: bool | str = True,
+) -> Any:
+    """Return an option in seconds that leaves with 2 outside its range; the help shows the range.
+
+    Give one of `at_least` and `more_than`. typer's own ranges call nan too small.
+    """
+    low = f"at least {at_least:g}" if at_least is not None else f"more than {more_than:g}"
+    limits = f"{low} and at most {at_most:g} s" if math.isfinite(at_most) else f"{low} s"
+    return typer.Option(
+        name,
+        metavar="SECONDS",
+        help=f"{help_text}, {limits}",
+        show_default=show_default,
+        callback=_check_seconds(limits, at_least, more_than, at_most),
+    )
+
+
+def _check_seconds(
+    limits: str, at_least: float | None, more_than: float | None, at_most: float
+) -> Callable[[float | None], float | None]:
+    def check(seconds: float | None) -> float | None:
+        if seconds is None:
+            return None
+        if not math.isfinite(seconds):
+            raise typer.BadParameter(f"must be finite (got {seconds:g})")
+        is_low = seconds < at_least if at_least is not None else seconds <= (more_than or 0.0)
+        if is_low or seconds > at_most:
+            raise typer.BadParameter(f"must be {limits} (got {seconds:g})")
+        return seconds
+
+    return check
+
+
+# --- where a verb works -----------------------------------------------------------------------
+
+
+def require_linux() -> None:
+    """Leave with 69 on other systems, before anything is imported that only Linux has."""
+    if sys.platform != "linux":
+        others = "the verbs that read logs, and config, reproduce and tune, work here too"
+        raise Failed(ExitCode.UNAVAILABLE, f"this verb needs Linux; {others}")

@@ -1,0 +1,110 @@
+"""`pamctl run`: one run from configuration to figures."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pamctl.cli.failure import print_error
+from pamctl.cli.options import (
+    DEFAULT_LIVE_PORT,
+    BackendOption,
+    ControllerOption,
+    DurationOption,
+    ExperimentOption,
+    FastOption,
+    JsonOption,
+    LiveOption,
+    LiveOriginOption,
+    LivePortOption,
+    PlantOption,
+    RigOption,
+    RtOption,
+    SeedOption,
+    SetOption,
+    choose_live_port,
+    require_linux,
+)
+from pamctl.cli.output import print_json
+from pamctl.cli.settings_from_options import resolve_options
+from pamctl.exit_codes import ExitCode
+from pamctl.settings.resolve import settings_to_json, settings_to_yaml
+
+
+def run(
+    backend: BackendOption = None,
+    controller: ControllerOption = None,
+    experiment: ExperimentOption = None,
+    rig: RigOption = None,
+    plant: PlantOption = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            "--log",
+            metavar="FILE",
+            help="New log of the run",
+            show_default="logs/DATE-CONTROLLER-EXPERIMENT.mcap",
+        ),
+    ] = None,
+    duration_s: DurationOption = None,
+    fast: FastOption = False,
+    readonly: Annotated[
+        bool,
+        typer.Option("--readonly", help="Read, compute and log; the output stays safe"),
+    ] = False,
+    seed: SeedOption = None,
+    overrides: SetOption = None,
+    rt: RtOption = None,
+    as_json: JsonOption = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the resolved configuration and stop")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print no progress line")] = False,
+    live: LiveOption = False,
+    live_port: LivePortOption = DEFAULT_LIVE_PORT,
+    live_origins: LiveOriginOption = None,
+) -> None:
+    """Move the muscle, log every tick, and show how well it tracked."""
+    settings, names = resolve_options(
+        backend,
+        rig,
+        overrides,
+        controller=controller,
+        experiment=experiment,
+        plant=plant,
+        seed=seed,
+        duration_s=duration_s,
+        fast=fast or None,
+        readonly=readonly or None,
+        rt=rt,
+    )
+    if dry_run:
+        typer.echo(settings_to_json(settings) if as_json else settings_to_yaml(settings).rstrip())
+        return
+    if live and settings.fast:
+        raise typer.BadParameter("without a clock there is nothing live", param_hint="--live")
+    port = choose_live_port(live, live_port, live_origins)
+    require_linux()
+    from pamctl.live.live_view import require_foxglove, serve_live_view
+    from pamctl.processes.run_once import run_once
+    from pamctl.report.progress_line import ProgressLine
+
+    if live:
+        require_foxglove()
+    view = partial(serve_live_view, port, live_origins or ())
+    done = run_once(settings, names, log, ProgressLine(quiet=quiet or as_json), view, quiet=quiet)
+    if done.note:
+        print(f"warning: {done.note}", file=sys.stderr)
+    if as_json:
+        print_json(done.document)
+    elif done.text:
+        typer.echo(done.text)
+    if done.code in (ExitCode.SIGINT, ExitCode.SIGTERM):
+        print(done.reason, file=sys.stderr)
+    elif done.reason:
+        print_error(done.reason)
+    raise typer.Exit(done.code)

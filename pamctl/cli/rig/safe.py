@@ -1,0 +1,49 @@
+"""`pamctl safe`: the safe voltage, whatever has happened before."""
+
+from __future__ import annotations
+
+import typer
+
+from hal.rig import RigError
+from pamctl.cli.failure import Failed
+from pamctl.cli.options import BackendOption, JsonOption, RigOption, SetOption, require_linux
+from pamctl.cli.output import print_json
+from pamctl.cli.settings_from_options import resolve_options
+from pamctl.exit_codes import ExitCode
+from pamctl.settings.resolve import RunSettings
+
+_PATIENCE_S = 0.5
+"""Time for a process that holds the device and is dying; a living one must be stopped first."""
+
+
+def safe(
+    backend: BackendOption = None,
+    rig: RigOption = None,
+    overrides: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Drive the rig to its safe voltage, whatever has happened before."""
+    settings, _ = resolve_options(backend, rig, overrides, fast=False)
+    require_linux()
+    from pamctl.processes.backends import device_of
+
+    device, volts = device_of(settings), settings.rig.safe_volts
+    failure = _make_safe(settings)
+    if failure is not None:
+        reason = f"NOT safe, {device}: {volts:g} V could not be driven: {failure}"
+        raise Failed(ExitCode.UNAVAILABLE, reason, device=device, safe_volts=volts)
+    if as_json:
+        print_json({"exit_code": 0, "device": device, "safe_volts": volts, "reason": ""})
+    else:
+        typer.echo(f"{device}: {volts:g} V on the output: safe")
+
+
+def _make_safe(settings: RunSettings) -> RigError | None:
+    from pamctl.processes.backends import build_clock, build_rig, require_backend
+    from pamctl.processes.guardian import drive_safe
+
+    try:
+        require_backend(settings)
+    except RigError as error:
+        return error
+    return drive_safe(build_rig(settings, build_clock(settings, may_spin=False)).rig, _PATIENCE_S)

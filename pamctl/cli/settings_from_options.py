@@ -1,0 +1,87 @@
+"""What the options of a verb mean together: resolved settings, or a clear error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple, TypedDict, Unpack
+
+import typer
+
+from hal.backend import find_backends, hint_at_missing
+from pamctl.settings.problems import ConfigError, Problem
+from pamctl.settings.resolve import (
+    DEFAULT_NAMES,
+    SECTIONS,
+    RunSettings,
+    find_config_file,
+    resolve,
+)
+
+
+class ResolvedOptions(NamedTuple):
+    """What the options of a verb come to."""
+
+    settings: RunSettings
+    names: dict[str, str]
+    """Names of the files, by section."""
+
+
+class VerbOptions(TypedDict, total=False):
+    """Options of a verb beside its rig; a verb leaves out those that it does not have."""
+
+    controller: str | None
+    experiment: str | None
+    plant: str | None
+    seed: int | None
+    duration_s: float | None
+    fast: bool | None
+    readonly: bool | None
+    rt: str | None
+
+
+def resolve_options(
+    backend: str | None,
+    rig: str | None,
+    overrides: Sequence[str] | None,
+    **options: Unpack[VerbOptions],
+) -> ResolvedOptions:
+    """Resolve the options together; raise `ConfigError` where they contradict each other."""
+    named_rig = _choose_rig(backend, rig)
+    settings = resolve(rig=named_rig, overrides=overrides or (), **options)
+    _check_backend(settings, backend, rig)
+    named = {"rig": named_rig, **options}
+    names = {section: str(named.get(section) or DEFAULT_NAMES[section]) for section in SECTIONS}
+    return ResolvedOptions(settings, names)
+
+
+def _choose_rig(backend: str | None, rig: str | None) -> str | None:
+    """Return the rig file that `--backend` and `--rig` mean together."""
+    backends = find_backends().found
+    if backend is not None and backend not in backends:
+        message = f"unknown; there are {', '.join(backends)}; {hint_at_missing(backend)}"
+        raise ConfigError([Problem(f"--backend {backend}", "", message)])
+    return rig if rig is not None or backend is None else backends[backend].rig_file
+
+
+def _check_backend(settings: RunSettings, backend: str | None, rig: str | None) -> None:
+    """Refuse options that contradict the rig file."""
+    found = settings.rig.backend
+    if backend is not None and backend != found:
+        message = f"the rig file {rig} is for the backend {found}"
+        raise ConfigError([Problem(f"--backend {backend}", "", message)])
+    if settings.fast and not settings.rig.record.is_simulated:
+        message = "only a simulation can do without a clock"
+        raise ConfigError([Problem("--fast", "", message)])
+
+
+def find_argument_file(section: str, name: str) -> Path:
+    """Return the file that an argument names; leave with 2 where there is none.
+
+    `resolve` would name an option that the user did not give.
+    """
+    try:
+        return find_config_file(section, name)
+    except ConfigError as error:
+        told = "; ".join(problem.message for problem in error.problems)
+        raise typer.BadParameter(f"{name!r}: {told}") from None

@@ -1,0 +1,37 @@
+"""Several plants against one log, by the names of their files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pamctl.compare.coupled_gap import Comparison, compare_model
+from pamctl.log import Log
+from pamctl.plant.model import plant_parameters
+from pamctl.settings.resolve import (
+    DEFAULT_NAMES,
+    SECTIONS,
+    RawSettings,
+    find_config_file,
+    read_section_file,
+    validate_settings,
+)
+
+OWN_PLANT = "the log's own"
+
+
+def compare_plants(log: Log, names: Sequence[str]) -> dict[str, Comparison]:
+    """Compare a log with each plant; without names with the log's own, or with the default.
+
+    Raises `ConfigError` and `LogError`.
+    """
+    if not names and "plant" in log.config:
+        raw = RawSettings(log.config["plant"], {(): f"{log.path}:config.json"})
+        plants = {OWN_PLANT: validate_settings(SECTIONS["plant"], raw, title="plant")}
+    else:
+        plants = {
+            name: read_section_file("plant", find_config_file("plant", name))
+            for name in names or [DEFAULT_NAMES["plant"]]
+        }
+    return {
+        name: compare_model(log, plant_parameters(settings)) for name, settings in plants.items()
+    }

@@ -1,0 +1,82 @@
+"""Gains and experiments that clients ask for, checked before anything changes.
+
+Each function raises `RequestRefusedError`, with the place and the reason, for what cannot be used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pamctl.control.experiment import ExperimentSettings
+from pamctl.control.law import law_gains
+from pamctl.daemon.protocol import RequestRefusedError
+from pamctl.realtime.gain_ramp import GainRampError, require_same_structure
+from pamctl.settings.problems import ConfigError
+from pamctl.settings.resolve import (
+    SECTIONS,
+    RawSettings,
+    RunSettings,
+    settings_to_data,
+    validate_settings,
+)
+
+
+def change_gains(settings: RunSettings, changes: Sequence[str]) -> RunSettings:
+    """Return the settings with keys of the controller changed: `controller.lambda_per_s=12`."""
+    raw = RawSettings({"controller": settings_to_data(settings.controller)})
+    for change in changes:
+        if not change.strip().startswith("controller."):
+            raise RequestRefusedError(f"{change}: only keys of the controller change while it runs")
+        try:
+            raw.override(change)
+        except ConfigError as error:
+            raise _make_refusal(error) from error
+    origins = {at[1:]: origin for at, origin in raw.origins.items()}
+    return _use_controller(settings, RawSettings(raw.data["controller"], origins))
+
+
+def load_controller(settings: RunSettings, controller: Mapping[str, Any], name: str) -> RunSettings:
+    """Return the settings with the controller of a whole file."""
+    return _use_controller(settings, RawSettings(dict(controller), {(): name}))
+
+
+def load_experiment(
+    settings: RunSettings, experiment: Mapping[str, Any], name: str, duration_s: float | None
+) -> RunSettings:
+    """Return the settings with the experiment of a whole file."""
+    try:
+        raw = RawSettings(dict(experiment), {(): name})
+        checked: ExperimentSettings = validate_settings(
+            SECTIONS["experiment"], raw, title="experiment"
+        )
+    except ConfigError as error:
+        raise RequestRefusedError(str(error)) from error
+    return settings.model_copy(update={"experiment": checked, "duration_s": duration_s})
+
+
+def require_tunable(settings: RunSettings, changed: RunSettings) -> None:
+    """Refuse gains between which the loop cannot blend while it runs."""
+    try:
+        require_same_structure(law_gains(settings.controller), law_gains(changed.controller))
+    except GainRampError as error:
+        raise RequestRefusedError(f"{error}; stop the run first") from error
+
+
+def _use_controller(settings: RunSettings, raw: RawSettings) -> RunSettings:
+    try:
+        controller = validate_settings(SECTIONS["controller"], raw, title="controller")
+        changed = settings.model_copy(update={"controller": controller})
+        RunSettings.model_validate(changed.model_dump())
+    except ConfigError as error:
+        raise _make_refusal(error) from error
+    except ValueError as error:
+        raise RequestRefusedError(str(error)) from error
+    return changed
+
+
+def _make_refusal(error: ConfigError) -> RequestRefusedError:
+    """Name what was asked for: a client does not give the options of a start."""
+    return RequestRefusedError(
+        str(error).replace("--set ", "").replace("with --controller", "by gains load")
+    )

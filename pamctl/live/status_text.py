@@ -1,0 +1,31 @@
+"""The daemon's status as a few lines for people, or as one line for a file or a pipe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from pamctl.report.progress_line import format_progress
+
+if TYPE_CHECKING:  # `pamctl status` does not wait for it
+    from pamctl.live.feed import Glimpse
+
+
+def format_status(told: Mapping[str, Any]) -> str:
+    """Write a status, as the daemon sends it, as a few lines."""
+    what = f": {told['fault']}" if told["fault"] else f" ({told['run']})" if told["run"] else ""
+    lines = [f"{told['state']}{what}, {told['backend']} {told['device']}"]
+    if told["tick"] is not None:
+        tick = {k: float("nan") if v is None else v for k, v in told["tick"].items()}
+        lines.append(format_progress(tick, told["worst_late_s"]).strip())
+    if told["log"]:
+        lines.append(f"log: {told['log']}")
+    lines.append(f"disk: {told['disk_free_bytes'] / 1e9:.1f} GB free")
+    return "\n".join(lines)
+
+
+def format_glimpse(glimpse: Glimpse) -> str:
+    """Write what was seen in one look as one line."""
+    if glimpse.status is None:
+        return f"away: {glimpse.problem}"
+    return "  ".join(format_status(glimpse.status).splitlines()[:2])

@@ -1,0 +1,59 @@
+"""The progress of a run: one line with its newest figures, on standard error."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+
+from pamctl.signals import Phase
+
+
+class ProgressLine:
+    """Rewrites itself on a terminal; elsewhere it prints a line every few seconds."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        """Print nothing if `quiet`."""
+        self._quiet = quiet or sys.stderr is None
+        self._terminal = sys.stderr is not None and sys.stderr.isatty()
+        self._every_s = 0.1 if self._terminal else 5.0
+        self._last_s = 0.0
+        self._width = 0
+
+    def __call__(self, tick: Mapping[str, float], worst_late_s: float) -> None:
+        """Show the newest tick."""
+        now_s = time.monotonic()
+        if self._quiet or now_s - self._last_s < self._every_s:
+            return
+        self._last_s = now_s
+        try:
+            self._show(format_progress(tick, worst_late_s))
+        except (OSError, ValueError):
+            # Standard error is closed: the experiment goes on without it.
+            self._quiet = True
+
+    def done(self) -> None:
+        """Put the terminal's cursor on a new line."""
+        if self._width and not self._quiet:
+            print(file=sys.stderr)
+
+    def _show(self, text: str) -> None:
+        if self._terminal:
+            print("\r" + text.ljust(self._width), end="", file=sys.stderr, flush=True)
+            self._width = len(text)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+
+def format_progress(tick: Mapping[str, float], worst_late_s: float) -> str:
+    """Write one tick as a line in millimetres, micrometres and kilopascals."""
+    phase = Phase(int(tick["phase"])).name.lower().replace("_", " ")
+    motion = f"x {tick['position_m'] * 1e3:7.3f} mm"
+    if tick["reference_m"] == tick["reference_m"]:
+        error_um = (tick["position_m"] - tick["reference_m"]) * 1e6
+        motion = f"ref {tick['reference_m'] * 1e3:7.3f} mm  {motion}  error {error_um:+8.1f} um"
+    return (
+        f"{tick['t_s']:7.1f} s  {phase:<9} {motion}  "
+        f"P {tick['pressure_pa'] * 1e-3:6.1f} kPa  u {tick['valve_v']:+6.3f} V  "
+        f"worst wake-up {worst_late_s * 1e6:6.1f} us"
+    )

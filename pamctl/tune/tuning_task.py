@@ -1,0 +1,98 @@
+"""A tuning task: the law, the plants to tune for, and the plants that score the gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pamctl.log.naming import bare_name
+from pamctl.settings.problems import ConfigError, Problem
+from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
+from pamctl.tune.gains_search import Jury
+from pamctl.tune.gains_trial import GainsTrial
+from pamctl.tune.plant_ensemble import Member, draw_ensemble, make_fixed_members
+from pamctl.tune.search_space import SPACES
+
+_DEFAULT_SIZE = 16
+_FRESH_SEED_OFFSET = 1_000_003
+"""Added to the seed for plants that the search has not seen."""
+
+
+@dataclass(frozen=True)
+class TuningTask:
+    """What is tuned, for which plants, and what judges the result."""
+
+    law: str
+    drawn: list[Member]
+    """Plants of which a quantile counts."""
+    named: list[Member]
+    """Plants of which each counts."""
+    fresh: list[Member]
+    """Drawn plants for the score, none of which the search sees."""
+    seed: int
+    quantile: float
+    out: Path | None
+    checked: Any
+    """Controller to score; None to seek one."""
+    start: dict[str, Any] | None
+
+    @property
+    def trial(self) -> GainsTrial:
+        """How gains are judged in a search: on a few named plants by the whole experiments."""
+        return GainsTrial("short" if self.drawn else "whole")
+
+    @property
+    def jury(self) -> Jury:
+        """The plants that judge in a search."""
+        return Jury(tuple(self.drawn), self.quantile, tuple(self.named))
+
+    @classmethod
+    def of(
+        cls,
+        law: str | None,
+        plants: Sequence[str],
+        size: int | None,
+        seed: int,
+        quantile: float,
+        held_out: int,
+        out: Path | None,
+        check: str | None,
+        start: str | None,
+    ) -> TuningTask:
+        """Make a task of the options of `pamctl tune`; raise `ConfigError`."""
+        checked = None if check is None else _read("controller", check, "--check")
+        law = checked.law if checked is not None else law
+        if law not in SPACES:
+            raise _option_error(f"--law {law or ''}".strip(), f"must be one of {', '.join(SPACES)}")
+        if checked is None:
+            _require_new(out)
+        began = None if start is None else _read("controller", start, "--start")
+        if began is not None and began.law != law:
+            raise _option_error(f"--start {start}", f"holds gains of {began.law}, not of {law}")
+        if began is not None and began.length_unit != "mm":
+            raise _option_error(f"--start {start}", "gains are sought in mm, these are in inches")
+        named = make_fixed_members([(bare_name(name), _read("plant", name)) for name in plants])
+        draws = size is not None or not plants
+        drawn = draw_ensemble(size or _DEFAULT_SIZE, seed) if draws else []
+        fresh = draw_ensemble(held_out, seed + _FRESH_SEED_OFFSET) if draws else []
+        begun = None if began is None else settings_to_data(began)
+        return cls(law, drawn, named, fresh, seed, quantile, out, checked, begun)
+
+
+def _option_error(where: str, message: str) -> ConfigError:
+    return ConfigError([Problem(where, "", message)])
+
+
+def _require_new(out: Path | None) -> None:
+    if out is None:
+        raise _option_error("--out", "is missing: name a new file for the gains")
+    if out.exists():
+        raise _option_error(f"--out {out}", "exists, and gains are never overwritten")
+    if not out.parent.is_dir():
+        raise _option_error(f"--out {out}", f"there is no directory {out.parent}")
+
+
+def _read(section: str, name: str, option: str = "") -> Any:
+    return read_section_file(section, find_config_file(section, name, option))

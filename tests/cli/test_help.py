@@ -1,0 +1,108 @@
+"""The help of every verb: each option and argument says what it is, its default, its range."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+from pamctl.commissioning.calibrate import encoder_sign_and_scale, pressure_sensor
+
+PANELS = ("Run", "Rig", "Analyse", "Tune", "Daemon", "Logs", "Other")
+FRAGMENT = re.compile(
+    r"(^(Of|For|As|Else|And|Or|With|Without|Where|By)\b)|([;:,(]|\.\.\.| of| the)$|repeats"
+)
+"""Beginnings and ends of help texts that are not full phrases."""
+
+
+def commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
+    """Every verb and group with the words that call it."""
+    yield " ".join(words), command
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from commands(inner, (*words, name))
+
+
+COMMANDS = dict(commands(get_command(app)))
+PARAMETERS = [
+    pytest.param(parameter, id=f"{words} {parameter.opts[0]}")
+    for words, command in COMMANDS.items()
+    for parameter in command.params
+]
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS)
+def test_every_parameter_says_what_it_is_in_a_phrase(parameter: Any) -> None:
+    told = parameter.help or ""
+    # An argument may be one noun beside its name: "New log".
+    least = 3 if parameter.param_type_name == "option" else 2
+    assert len(told.split()) >= least, told
+    assert told[0].isupper(), told
+    assert not told.endswith("."), told
+    assert not FRAGMENT.search(told), told
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS)
+def test_every_optional_parameter_shows_its_default(parameter: Any) -> None:
+    if parameter.required or getattr(parameter, "is_flag", False):
+        return
+    if parameter.default is None:  # the verb chooses: the help says what
+        assert isinstance(parameter.show_default, str)
+        assert parameter.show_default
+    else:
+        assert parameter.show_default is True
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS)
+def test_every_time_shows_its_range(parameter: Any) -> None:
+    if parameter.metavar != "SECONDS" or parameter.opts[0] in ("--from", "--to"):
+        return
+    is_told = re.search(r"(at least|more than) [\d.]+( and at most [\d.]+)? s", parameter.help)
+    assert is_told or parameter.min is not None
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_every_verb_says_what_it_does_in_a_sentence(words: str) -> None:
+    told = COMMANDS[words].help
+    assert len(told.split()) >= 4, told
+    assert told[0].isupper()
+    assert told.rstrip().endswith(".")
+    done = CliRunner().invoke(app, [*words.split(), "--help"])
+    assert done.exit_code == 0
+    assert told.split()[0] in done.output
+
+
+def test_the_verbs_are_grouped() -> None:
+    assert {command.rich_help_panel for command in COMMANDS[""].commands.values()} == set(PANELS)
+
+
+@pytest.mark.parametrize(
+    ("what", "points_kpa"),
+    [
+        ("pressure", pressure_sensor.DEFAULT_POINTS_KPA),
+        ("encoder", encoder_sign_and_scale.DEFAULT_POINTS_KPA),
+    ],
+)
+def test_the_pressures_of_a_calibration_are_shown(what: str, points_kpa: tuple[float]) -> None:
+    (point,) = (p for p in COMMANDS[f"calibrate {what}"].params if p.opts == ["--point"])
+    assert point.show_default == ", ".join(f"{value:g}" for value in points_kpa)
+
+
+@pytest.mark.parametrize(
+    ("verb", "shown"),
+    [
+        ("run", "[default: (tracking-2)]"),
+        ("set", "at least 0 and at most 60 s"),
+        ("goto", "more than 0 and at most 3600 s"),
+        ("daemon", "[default: 600.0]"),
+        ("doctor", "0.1<=x<=600.0"),
+        ("tune", "2<=x<=1000"),
+    ],
+)
+def test_what_is_shown_reaches_the_terminal(verb: str, shown: str) -> None:
+    done = CliRunner().invoke(app, [verb, "--help"], terminal_width=200, env={"COLUMNS": "200"})
+    assert shown in " ".join(done.output.replace("│", " ").split())

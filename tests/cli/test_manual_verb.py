@@ -1,0 +1,32 @@
+"""`pamctl manual` lists the pages and prints one; what stands in them is tested with the manual."""
+
+from __future__ import annotations
+
+from pamctl.manual import list_pages, read_page
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+
+
+def test_without_a_page_it_lists_every_page_below_its_kind() -> None:
+    done = CliRunner().invoke(app, ["manual"])
+    assert done.exit_code == 0
+    lines = done.stdout.splitlines()
+    for page in list_pages():
+        assert f"{page.kind}:" in lines
+        assert any(line.split() == [page.name, *page.title.split()] for line in lines)
+
+
+def test_in_a_pipe_a_page_is_plain_markdown() -> None:
+    name = list_pages()[0].name
+    done = CliRunner().invoke(app, ["manual", name])
+    assert done.exit_code == 0
+    assert done.stdout.rstrip() == read_page(name).rstrip()
+
+
+def test_an_unknown_page_exits_with_2_and_the_nearest_name() -> None:
+    name = list_pages()[0].name
+    done = CliRunner().invoke(app, ["manual", name + "x"])
+    assert done.exit_code == 2
+    assert name in done.stderr
+    assert not done.stdout

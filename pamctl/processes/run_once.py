@@ -83,7 +83,7 @@ def run_once(
             live_view("--ring", str(ring.path)),
         ):
             report = _conduct_run(ring, rig, progress, settings)
-    progress.done()
+    progress.end_line()
     return _conclude_run(settings, names, path, report)
 
 

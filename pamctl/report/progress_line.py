@@ -32,7 +32,7 @@ class ProgressLine:
             # Standard error is closed: the experiment goes on without it.
             self._quiet = True
 
-    def done(self) -> None:
+    def end_line(self) -> None:
         """Put the terminal's cursor on a new line."""
         if self._width and not self._quiet:
             print(file=sys.stderr)

@@ -35,6 +35,14 @@ config_app = typer.Typer(
 ControllerOption = Annotated[
     str | None, typer.Option("--controller", metavar="NAME|FILE", help="Law and its gains; qsmc.")
 ]
+ControllerFromOption = Annotated[
+    str | None,
+    typer.Option(
+        "--controller-from",
+        metavar="FILE.py[:NAME]",
+        help="Use the law that this Python file defines. Its gains: --controller, or defaults.",
+    ),
+]
 ExperimentOption = Annotated[
     str | None, typer.Option("--experiment", metavar="NAME|FILE", help="What to do; tracking-2.")
 ]
@@ -101,6 +109,7 @@ class VerbOptions(TypedDict, total=False):
     """Options of a verb beside its rig; those that it has not got are left out."""
 
     controller: str | None
+    controller_from: str | None
     experiment: str | None
     plant: str | None
     seed: int | None
@@ -124,6 +133,8 @@ def resolve_options(
         settings = resolve(rig=named_rig, overrides=overrides or (), **words)
         check_backend(settings, backend, rig)
     named = {"rig": named_rig, **words}
+    if words.get("controller_from") and not words.get("controller"):
+        named["controller"] = settings.controller.law
     names = {section: str(named.get(section) or DEFAULT_NAMES[section]) for section in SECTIONS}
     return ResolvedOptions(settings, names)
 
@@ -151,6 +162,7 @@ def check_files(
 def show(
     backend: BackendOption = None,
     controller: ControllerOption = None,
+    controller_from: ControllerFromOption = None,
     experiment: ExperimentOption = None,
     rig: RigOption = None,
     plant: PlantOption = None,
@@ -168,6 +180,7 @@ def show(
         overrides,
         as_json=as_json,
         controller=controller,
+        controller_from=controller_from,
         experiment=experiment,
         plant=plant,
         seed=seed,

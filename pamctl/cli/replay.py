@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.config import JsonOption, exit_on_config_errors
+from pamctl.cli.config import ControllerFromOption, JsonOption, exit_on_config_errors
 from pamctl.cli.offline import exit_on_bad_data, print_json, require_new_file
 from pamctl.exit_codes import ExitCode
 
@@ -38,6 +38,7 @@ def replay(
         str | None,
         typer.Option("--controller", metavar="NAME|FILE", help="What-if: ask another law."),
     ] = None,
+    controller_from: ControllerFromOption = None,
     overrides: Annotated[
         list[str] | None,
         typer.Option(
@@ -67,7 +68,10 @@ def replay(
         raise typer.BadParameter("must be seconds, 0 or more", param_hint="--from")
     with exit_on_bad_data(as_json=as_json), exit_on_config_errors(as_json=as_json):
         from pamctl.log import read
+        from pamctl.settings.resolve import use_law_file
 
+        if controller_from is not None:
+            use_law_file(controller_from)
         log = read(path)
         if is_what_if:
             code = _run_what_if(log, controller, overrides or [], from_s, csv, as_json=as_json)

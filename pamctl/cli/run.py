@@ -10,6 +10,7 @@ import typer
 
 from pamctl.cli.backend import BackendOption
 from pamctl.cli.config import (
+    ControllerFromOption,
     ControllerOption,
     DurationOption,
     ExperimentOption,
@@ -36,6 +37,7 @@ from pamctl.settings.resolve import settings_to_json, settings_to_yaml
 def run(
     backend: BackendOption = None,
     controller: ControllerOption = None,
+    controller_from: ControllerFromOption = None,
     experiment: ExperimentOption = None,
     rig: RigOption = None,
     plant: PlantOption = None,
@@ -67,6 +69,7 @@ def run(
         overrides,
         as_json=as_json,
         controller=controller,
+        controller_from=controller_from,
         experiment=experiment,
         plant=plant,
         seed=seed,

@@ -9,13 +9,14 @@ from typing import Annotated
 
 import typer
 
-from pamctl.cli.config import JsonOption, exit_on_config_errors
+from pamctl.cli.config import ControllerFromOption, JsonOption, exit_on_config_errors
 
 
 def tune(
     law: Annotated[
-        str | None, typer.Option("--law", metavar="qsmc|smc|pid", help="Whose gains are sought.")
+        str | None, typer.Option("--law", metavar="NAME", help="Law whose gains are sought.")
     ] = None,
+    controller_from: ControllerFromOption = None,
     plants: Annotated[
         list[str] | None,
         typer.Option(
@@ -57,6 +58,7 @@ def tune(
     as_json: JsonOption = False,
 ) -> None:
     """Seek gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
+    from pamctl.settings.resolve import use_law_file
     from pamctl.tune.tune_gains import (  # slow imports, for this verb
         TuningTask,
         check_gains,
@@ -67,6 +69,9 @@ def tune(
         message = "belongs to a search: with --check nothing is written"
         raise typer.BadParameter(message, param_hint="--out")
     with exit_on_config_errors(as_json=as_json):
+        if controller_from is not None:
+            file_law = use_law_file(controller_from)
+            law = file_law if law is None and check is None else law
         asked = TuningTask.of(law, plants or [], size, seed, quantile, held_out, out, check, start)
     if asked.checked is not None:
         code = check_gains(asked, jobs, as_json=as_json)

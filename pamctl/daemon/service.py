@@ -22,14 +22,13 @@ from typing import Any
 
 from pamctl import __version__
 from pamctl.control.experiment import ExperimentSettings, HoldSettings, build_segments
-from pamctl.control.law import law_gains
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.refusal import RequestRefusedError
 from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending
 from pamctl.log.naming import bare_name
-from pamctl.realtime.gain_ramp import GainRampError, require_same_structure
+from pamctl.realtime.gain_ramp import GainRampError, require_blendable
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
     SECTIONS,
@@ -400,7 +399,7 @@ class Service:
 
     def _require_tunable(self, controller: Any) -> None:
         try:
-            require_same_structure(law_gains(self._settings.controller), law_gains(controller))
+            require_blendable(self._settings.controller, controller)
         except GainRampError as error:
             raise RequestRefusedError(f"{error}; stop the run first") from error
 

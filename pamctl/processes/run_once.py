@@ -19,6 +19,7 @@ from hal.rig import Rig, RigError
 from pamctl.cli.live import serve_live_view
 from pamctl.cli.progress import ProgressLine
 from pamctl.control.filters import warp_cutoff
+from pamctl.control.law_registry import describe_law, law_of
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.naming import bare_name
 from pamctl.log.run_meta import RunMeta
@@ -36,6 +37,7 @@ from pamctl.realtime.tick import first_state
 from pamctl.recording.log_path import LogPathError, choose_log_path
 from pamctl.recording.orphans import finish_orphans
 from pamctl.recording.ring import Ring, RingError
+from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings, resolve, settings_to_json, settings_to_yaml
 from pamctl.settings.resolve import list_shipped as experiment_names
 
@@ -134,8 +136,8 @@ def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -
                 }
             ),
         },
-        metadata={"run": run},
-        keyframe_fields=keyframe_fields(first_state(Zero(0.0, 0.0), 0.0)),
+        metadata={"run": run, "law": describe_law(law_of(controller))},
+        keyframe_fields=keyframe_fields(first_state(build_tick_setup(settings), Zero(0.0, 0.0))),
     )
 
 

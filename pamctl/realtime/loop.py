@@ -154,7 +154,7 @@ class _Loop:
         """Tick until the program ends."""
         wake = self.clock.wait()
         raw = self.rig.read()
-        state = first_state(self.nominal_zero(raw), self.setup.limits.safe_valve_v)
+        state = first_state(self.setup, self.nominal_zero(raw))
         self._record_zero(wake.tick, raw, state.zero)
         times = _Times(raw.encoder_t_ns, raw.encoder_t_ns - self.clock.period_ns)
         while True:
@@ -163,7 +163,7 @@ class _Loop:
             times = times._replace(last_t_ns=raw.encoder_t_ns)
             reference, zero = self._ask(timing, raw, state)
             if zero is not None:
-                state = rezero_state(state, zero)
+                state = rezero_state(self.helm.setup(timing.t_s), state, zero)
                 self._record_zero(timing.tick, raw, zero)
             if reference is None:
                 return self.ending

@@ -10,12 +10,10 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from pydantic import TypeAdapter
-
 from hal.calibration import Zero
 from hal.rig import RawSample
 from pamctl.control.experiment import make_valve_reference
-from pamctl.control.law import ControllerSettings
+from pamctl.control.law_registry import read_controller
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp
 from pamctl.realtime.keyframe import freeze_state
@@ -23,8 +21,6 @@ from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup, TickState
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.signals import Phase, Reference, Timing
-
-_CONTROLLER: TypeAdapter[Any] = TypeAdapter(ControllerSettings)
 
 _COMPLETE = Ending(ExitCode.OK, "the experiment is complete")
 
@@ -54,7 +50,7 @@ class SteeredProgram:
         """
         self._orders = orders
         self._journal = journal
-        self._tuning = GainRamp(setup)
+        self._tuning = GainRamp(setup, read_controller(controller))
         self._gains_said: list[Mapping[str, object]] = [controller]
         self._program_of = program_of
         self._safe_valve_v = setup.limits.safe_valve_v
@@ -161,7 +157,7 @@ class SteeredProgram:
         self._is_homed = True  # a homing that fails ends the loop
 
     def _change_gains(self, order: Mapping[str, Any], timing: Timing, raw: RawSample) -> None:
-        settings = _CONTROLLER.validate_python(order["controller"])
+        settings = read_controller(order["controller"])
         if self._run is None:
             self._tuning.replace(settings)
             self._gains_said = [order["controller"]]

@@ -112,6 +112,7 @@ def replay_log(
 
 def _load_kernels(recording: ReplaySource) -> None:
     """Run over no tick at all: to compile, or load what was compiled, is no part of the speed."""
-    nowhere = first_state(Zero(0.0, 0.0), 0.0)
-    retick_stretch(recording.setup_at(0), recording.output, nowhere, recording.inputs(0, 0))
+    setup = recording.setup_at(0)
+    nowhere = first_state(setup, Zero(0.0, 0.0))
+    retick_stretch(setup, recording.output, nowhere, recording.inputs(0, 0))
     retrace_course([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))

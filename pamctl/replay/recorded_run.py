@@ -12,7 +12,7 @@ import numpy as np
 
 from hal.calibration import Zero
 from hal.converter import Output
-from pamctl.control.law import ControllerSettings
+from pamctl.control.law import LawSettings
 from pamctl.log import Log
 from pamctl.realtime.gain_ramp import GainRamp
 from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state
@@ -34,7 +34,7 @@ class GainChange(NamedTuple):
 
     tick: int
     """The first one with them, as it stands in the log."""
-    controller: ControllerSettings
+    controller: LawSettings
     from_t_s: float
     ramp_s: float
 
@@ -47,7 +47,7 @@ class ReplaySource:
     settings: RunSettings
     zeros: Mapping[int, Zero]
     """The sensors' zeros, by the tick that they hold from."""
-    gains: ControllerSettings
+    gains: LawSettings
     """Those that the run began with."""
     changes: tuple[GainChange, ...]
     """Those that it took over while it ran, in order."""
@@ -57,6 +57,10 @@ class ReplaySource:
     """Ticks in which the run began to stop."""
     keyframes: Mapping[int, TickState]
     """The frozen state after a tick."""
+    keyframe_names: frozenset[str]
+    """The numbers that every keyframe of the log holds."""
+    law_change: str
+    """How the law's source differs from the one that made the log; empty where it does not."""
     losses: frozenset[int]
     """Ticks before which others are missing that the run did not miss: the log lost them."""
 
@@ -83,10 +87,10 @@ class ReplaySource:
         lost = tick in self.losses
         zero = self.zeros.get(tick)
         if zero is not None and tick == 0 and not lost:
-            return first_state(zero, self.setup_at(0).limits.safe_valve_v)
+            return first_state(self.setup_at(0), zero)
         if lost or after_last is None or zero is None:
             return None if lost else after_last
-        return rezero_state(after_last, zero)
+        return rezero_state(self.setup_at(tick), after_last, zero)
 
     def _find_ramp(self, change: GainChange) -> range:
         """Return the ticks in which gains move, and the first one with the new ones."""
@@ -96,7 +100,7 @@ class ReplaySource:
 
     def setup_at(self, tick: int) -> TickSetup:
         """Return the tick's setup: on a ramp it holds for this tick alone."""
-        tuning = GainRamp(self._first_setup)
+        tuning = GainRamp(self._first_setup, self.gains)
         for change in self.changes:
             if change.tick <= tick:
                 tuning.change(change.controller, change.from_t_s, change.ramp_s)

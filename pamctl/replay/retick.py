@@ -11,6 +11,7 @@ from hal.calibration import output_v
 from hal.converter import Output, nearest_output_v
 from hal.rig import RawSample
 from pamctl.compiled import compile_kernel
+from pamctl.control.law import KERNELS, LawKernel, answer
 from pamctl.realtime.tick import TickSetup, TickState, step
 from pamctl.signals import TICK_FIELDS, Field, Reference, Timing
 
@@ -104,9 +105,9 @@ def retick_stretch(
         # As Python's own numbers: numpy's would take its powers by another library.
         inputs = TickInputs._make(column.tolist() for column in inputs)
         return retick(setup, output, state, inputs, rows), rows
-    return _compile_retick()(setup, output, state, inputs, rows), rows
+    return _compile_retick(KERNELS[type(setup.gains)])(setup, output, state, inputs, rows), rows
 
 
 @cache
-def _compile_retick() -> Callable[..., TickState]:
-    return compile_kernel(retick)
+def _compile_retick(law: LawKernel) -> Callable[..., TickState]:
+    return compile_kernel(retick, (answer, law))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from pamctl.tune.gains_trial import GainsTrial
 from pamctl.tune.plant_ensemble import Member
-from pamctl.tune.search_space import SPACES
+from pamctl.tune.search_space import find_space
 
 Floats = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ class GainsSearch:
 
     def __post_init__(self) -> None:
         """Begin, or take up what `state` holds; raise `SearchError` if that is another search."""
-        self._space = SPACES[self.law]
+        self._space = find_space(self.law)
         self._order = list(range(len(self.jury.drawn)))
         self._generation = 0
         self._runs = 0
@@ -220,7 +220,7 @@ class GainsSearch:
     def _digest(self) -> str:
         """Tell plants and spaces apart that changed and kept their names."""
         plants = (*self.jury.drawn, *self.jury.named)
-        text = [repr(self._space[:2]), *(repr(plant.__reduce__()[1]) for plant in plants)]
+        text = [repr(self._space.space[:2]), *(repr(plant.__reduce__()[1]) for plant in plants)]
         return hashlib.sha256("\n".join(text).encode()).hexdigest()[:16]
 
     def _save_state(self) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 
 import typer
 
+from pamctl.control.law_registry import installed_laws
 from pamctl.exit_codes import ExitCode
 from pamctl.log.naming import bare_name
 from pamctl.settings.problems import ConfigError, Problem
@@ -33,7 +34,7 @@ from pamctl.tune.gains_file import Scores, format_gains_file, summarise_verdicts
 from pamctl.tune.gains_search import BestGains, GainsSearch, Jury, SearchError
 from pamctl.tune.gains_trial import GainsTrial, GainsVerdict
 from pamctl.tune.plant_ensemble import Member, draw_ensemble, make_fixed_members
-from pamctl.tune.search_space import SPACES
+from pamctl.tune.search_space import find_space
 
 _DEFAULT_SIZE = 16
 _FRESH_SEED_OFFSET = 1_000_003
@@ -85,10 +86,12 @@ class TuningTask:
     ) -> TuningTask:
         """Make sense of the options; raise `ConfigError`."""
         checked = None if check is None else _read_controller(check, "--check")
-        law = checked.law if checked is not None else law
-        if law not in SPACES:
-            raise _option_error(f"--law {law or ''}".strip(), f"must be one of {', '.join(SPACES)}")
+        law = checked.law if checked is not None else law or ""
+        if law not in installed_laws():
+            known = ", ".join(installed_laws())
+            raise _option_error(f"--law {law}".strip(), f"must be one of {known}")
         if checked is None:
+            _require_space(law)
             _require_new(out)
         began = None if start is None else _read_controller(start, "--start")
         if began is not None and began.law != law:
@@ -105,6 +108,13 @@ class TuningTask:
 
 def _option_error(where: str, message: str) -> ConfigError:
     return ConfigError([Problem(where, "", message)])
+
+
+def _require_space(law: str) -> None:
+    try:
+        find_space(law)
+    except ValueError as error:
+        raise _option_error(f"--law {law}", str(error)) from None
 
 
 def _require_new(out: Path | None) -> None:

@@ -458,16 +458,19 @@ def test_a_field_that_an_older_log_lacks_is_not_compared_and_named(
     assert found.absent == ("robust_v",)
 
 
-def test_a_frozen_state_of_another_version_is_not_taken_for_ours(
+def test_a_frozen_state_of_another_version_is_thawed_by_its_names(
     golden: Callable[[str], Log],
 ) -> None:
     log = golden("smc")
     keyframes = copy.deepcopy(log.keyframes)
-    del keyframes[0]["state"]["law.absement_m_s"]
-    older = replace(log, keyframes=keyframes)
-    assert replay_log(older, tolerances=OTHER_CPU).is_equal
-    with pytest.raises(NotReplayable, match="no frozen state that this version knows"):
-        replay_log(older, from_s=1.2)
+    for keyframe in keyframes:
+        keyframe["state"]["law.of_a_later_version"] = 7.0
+        del keyframe["state"]["safety.missed_ticks"]
+    other = replace(log, keyframes=keyframes)
+    for from_s in (None, 1.2):
+        found = replay_log(other, from_s=from_s, tolerances=OTHER_CPU)
+        assert found.is_equal
+        assert "safety.missed_ticks" not in {field.name for field in found.fields}
 
 
 def test_a_log_without_configuration_is_refused(golden: Callable[[str], Log]) -> None:

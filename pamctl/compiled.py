@@ -138,7 +138,8 @@ def _hash_sources(modules: tuple[str, ...]) -> str:
         waiting += new
     digest = hashlib.sha256()
     for name in sorted(found):
-        digest.update(_source_of(name).read_bytes())
+        # The name too: numba keeps types by the module that they are from.
+        digest.update(name.encode() + b"\0" + _source_of(name).read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -242,12 +242,11 @@ def compare_law_source(record: Mapping[str, str], name: str) -> str:
         return ""
     if record["sha256"] == origin.sha256:
         return ""
-    made_with = f"{record['package']} {record['version']}" if "package" in record else "a file"
-    now = f"{origin.package} {origin.version}" if origin.package else "a file"
+    then = f"{record['package']} {record['version']}" if "package" in record else record["file"]
+    now = str(origin.source) if origin.is_file else f"{origin.package} {origin.version}"
     return (
-        f"the source of the law {name!r} has changed since the log was made: it was "
-        f"{record['file']} of {made_with} (sha256 {record['sha256'][:12]}...), now it is "
-        f"{origin.source} of {now} (sha256 {origin.sha256[:12]}...)"
+        f"the source of the law {name!r} is not the one that made the log: then {then} "
+        f"(sha256 {record['sha256'][:12]}...), now {now} (sha256 {origin.sha256[:12]}...)"
     )
 
 

@@ -228,8 +228,22 @@ def test_the_first_difference_is_the_first_one(golden: Callable[[str], Log]) -> 
 
 MUTATIONS: dict[str, tuple[str, str, Any, Any, str, str]] = {
     "filter": ("qsmc", "estimate", filters, low_pass, "(1.0 + g))", "(1.001 + g))"),
-    "law qsmc": ("qsmc", "command", qsmc.QsmcGains, qsmc.qsmc, "3.0 * acceleration", "2.9 * acceleration"),
-    "law smc": ("smc", "command", smc.SmcGains, smc.smc, "else model.exhaust_gain", "else model.fill_gain"),
+    "law qsmc": (
+        "qsmc",
+        "command",
+        qsmc.QsmcGains,
+        qsmc.qsmc,
+        "3.0 * acceleration",
+        "2.9 * acceleration",
+    ),
+    "law smc": (
+        "smc",
+        "command",
+        smc.SmcGains,
+        smc.smc,
+        "else model.exhaust_gain",
+        "else model.fill_gain",
+    ),
     "law pid": ("pid-delayed", "command", pid.PidGains, pid.pid, "+ gains.kd", "- gains.kd"),
     "safety rule": ("trip-wire", "decision", tick, admit, "|= SENSOR_RANGE", "|= STALE_SAMPLE"),
     "calibration": ("steps", "measurement", tick, position_m, "(counts -", "(counts + 0.5 -"),

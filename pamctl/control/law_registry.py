@@ -284,13 +284,16 @@ def _split_spec(spec: str) -> tuple[Path, str]:
 
 
 def _load_module(path: Path) -> ModuleType:
-    stem = re.sub(r"\W", "_", path.stem)
-    module_name = f"law_file_{stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
+    if not path.is_file():
+        raise LawError(f"{path}: there is no Python file of this name")
+    # The same text is the same module wherever it lies: compiled kernels are kept by its name.
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    module_name = f"law_file_{re.sub(r'[^A-Za-z0-9]', '_', path.stem)}_{digest[:8]}"
     if module_name in sys.modules:
         return sys.modules[module_name]
     module_spec = importlib.util.spec_from_file_location(module_name, path)
-    if not path.is_file() or module_spec is None or module_spec.loader is None:
-        raise LawError(f"{path}: there is no Python file of this name")
+    if module_spec is None or module_spec.loader is None:
+        raise LawError(f"{path}: its name does not end with .py")
     module = importlib.util.module_from_spec(module_spec)
     # Its models and pickled settings look themselves up here.
     sys.modules[module_name] = module

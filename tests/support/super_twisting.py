@@ -1,4 +1,4 @@
-"""A law as another package brings it: super-twisting on s = e' + l e, with two numbers of memory."""
+"""A law as another package brings it: super-twisting, with two numbers of memory."""
 
 from __future__ import annotations
 

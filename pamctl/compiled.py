@@ -63,7 +63,7 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
     twin.__qualname__ = kernel.__qualname__ + ("" if for_python else "_for_kernels")
     twin.__module__ = kernel.__module__
     modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
-    return _import_numba(tuple(modules)).njit(
+    return _import_numba(*modules).njit(
         twin,
         cache=_may_cache(),
         error_model="python",  # division by zero raises, as in the plain function
@@ -103,14 +103,14 @@ def _reaches(kernel: FunctionType, target: FunctionType) -> bool:
     )
 
 
-def _import_numba(modules: tuple[str, ...]) -> ModuleType:
+def _import_numba(*modules: str) -> ModuleType:
     """Return numba, told to keep the code of these modules' kernels by all they depend on."""
     import numba
 
     # numba looks only at a kernel's own file to see whether its cached code is stale;
     # ours call each other, and use each other's types, across files.
     settings: Any = numba.config
-    settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_hash_sources(modules)}")
+    settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_hash_sources(*modules)}")
     return numba
 
 
@@ -129,7 +129,7 @@ def _may_cache() -> bool:
 
 
 @cache
-def _hash_sources(modules: tuple[str, ...]) -> str:
+def _hash_sources(*modules: str) -> str:
     """Hash the sources of modules, and of all that they import of pamctl or their own package."""
     waiting, found = [*modules], {*modules}
     while waiting:

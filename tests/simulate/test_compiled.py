@@ -95,7 +95,7 @@ def checkout(tmp_path: Path) -> Path:
 
 
 def digest(checkout: Path) -> str:
-    """What a copy's own `compiled.py` says of the sources of the closed loop."""
+    """What a copy's own `compiled.py` says of the sources of the closed loop with qSMC."""
     spec = importlib.util.spec_from_file_location(
         "compiled_of_a_copy", checkout / "pamctl" / "compiled.py"
     )
@@ -103,7 +103,7 @@ def digest(checkout: Path) -> str:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return str(module._sources_digest("pamctl.simulate.closed_loop"))
+    return str(module._hash_sources("pamctl.simulate.closed_loop", "pamctl.control.qsmc"))
 
 
 def test_the_cache_is_keyed_by_every_source_that_a_kernel_can_depend_on(checkout: Path) -> None:
@@ -137,12 +137,12 @@ class Compiled(NamedTuple):
 
 
 ONE_STEP = """
-from pamctl.compiled import compiled
+from pamctl.compiled import compile_kernel
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper.pressure import pressure_step
 
 p = plant_parameters(PlantSettings()).paper
-twin = compiled(pressure_step)
+twin = compile_kernel(pressure_step)
 pressure_pa = begin_pa = p.atmospheric_pressure_pa
 for _ in range(50):
     pressure_pa = twin(p, pressure_pa, pressure_pa, 1.0, 0.0, 0.0, 0.5e-3)

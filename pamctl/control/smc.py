@@ -17,8 +17,8 @@ is g; the rest is the drift, and f-hat of the paper is minus the drift:
 
     x''' = -f + g u,  so that  u = (x''' + f) / g.
 
-g depends on the side the valve opens to, so the sign of the wanted x''' + f decides
-which Psi is used. P is measured; x' and x'' are those of the reference plus the
+g depends on the side that the valve opens to: the sign of the wanted x''' + f decides which
+Psi is used. P is measured; x' and x'' are those of the reference plus the
 filtered derivatives of the error. With M = 0.05 kg g is about 4e4 m/s^3/V
 where the vented muscle is filled, and a quarter of it where a filled one exhausts.
 
@@ -101,7 +101,7 @@ def linearise_model(
     p: PaperParameters, x: float, velocity: float, acceleration: float, pressure_pa: float
 ) -> Linearisation:
     """x''' of the model at (x, x', x'', P), split as the module's docstring derives it."""
-    # Beyond these the braid has no length: an encoder gone astray, for safety to trip on.
+    # Beyond these the braid has no length. The encoder is wrong then, and safety trips.
     lowest_m = p.rest_length_m - _LONGEST * p.braid_length_m
     highest_m = p.rest_length_m - _SHORTEST * p.braid_length_m
     if x < lowest_m:
@@ -137,11 +137,11 @@ def linearise_model(
     )
 
 
-# In shares of the braid's length: it is stretched at 1, and without force at 0.577 (Eq. 3).
+# As shares of the braid's length: at 1 it is stretched, at 0.577 it has no force (Eq. 3).
 _LONGEST, _SHORTEST = 0.99, 0.6
 
-# At balanced pressures the valve moves no air and g-hat would vanish: no flow is taken
-# to be less than at this ratio.
+# At balanced pressures the valve moves no air, and g-hat would be 0. The flow is therefore never
+# taken to be less than at this ratio of pressures.
 _MOST_BALANCED = 0.98
 
 

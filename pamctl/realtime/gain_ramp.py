@@ -1,7 +1,7 @@
-"""Gains that change while the loop runs: on a ramp, so that the command does not jump.
+"""Gains that change while the loop runs, on a ramp, so that the command does not jump.
 
-The loop and the replay of its log compute the same gains of the same tick: all that the
-ramp depends on is in the log.
+The loop and the replay of its log compute the same gains for the same tick: all that the ramp
+depends on is in the log.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from pamctl.control.law_registry import law_of
 from pamctl.realtime.tick import TickSetup
 
 SHORTEST_RAMP_S = 0.05
-"""A gain that jumps makes the command jump; over 50 ticks it is a change among others."""
+"""A gain that jumps makes the command jump. Spread over 50 ticks the change is smooth."""
 DEFAULT_RAMP_S = 0.5
 
 Numbers = TypeVar("Numbers")
 
 
 class GainRampError(ValueError):
-    """Gains that cannot take the place of those in use while the muscle moves."""
+    """Gains that cannot replace those in use while the muscle moves."""
 
 
 class GainRamp:
-    """What the tick needs to know, with the gains of the moment."""
+    """The set-up of the tick, with the gains of the moment."""
 
     def __init__(self, setup: TickSetup, controller: LawSettings) -> None:
         """Begin with the gains of `setup`; `controller` is what they were made of."""
@@ -54,7 +54,7 @@ class GainRamp:
 
     @property
     def is_settled(self) -> bool:
-        """No gains are on their way."""
+        """No ramp is under way."""
         return self._setup is self._to
 
     def at(self, t_s: float) -> TickSetup:

@@ -2,8 +2,8 @@
 
     RawSample -> Measurement -> Estimate -> Command -> Decision
 
-Pure: no clock, no rig, no log. The loop around it reads the rig, calls it, writes, and
-records what was really written. The batch simulation compiles this very function.
+The tick is pure: it has no clock, no rig, no log. The loop around it reads the rig, calls it,
+writes, and records what was really written. The batch simulation compiles this very function.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class TickSetup(NamedTuple):
 
 
 class TickState(NamedTuple):
-    """What the stages said last, and all that the next tick needs of this one.
+    """The results of the last tick, and all that the next tick needs of it.
 
-    Frozen into the log once a second, so that a replay can start there.
+    The state is frozen into the log once a second, so that a replay can start there.
     """
 
     zero: Zero

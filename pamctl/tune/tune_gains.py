@@ -45,30 +45,30 @@ _PLANT_SET_NAMES = {"fresh": "fresh plants", "named": "named plants"}
 
 @dataclass(frozen=True)
 class TuningTask:
-    """What the options mean."""
+    """What is to be tuned, as the options say."""
 
     law: str
     drawn: list[Member]
-    """Plants of which a quantile counts."""
+    """Plants of which the quantile counts."""
     named: list[Member]
-    """Plants of which each counts."""
+    """Plants that all count."""
     fresh: list[Member]
-    """Drawn plants for the score, none of which the search sees."""
+    """Drawn plants for the score. The search does not use them."""
     seed: int
     quantile: float
     out: Path | None
     checked: Any
-    """Controller to score; None to seek one."""
+    """Controller to score; None to search for one."""
     start: dict[str, Any] | None
 
     @property
     def trial(self) -> GainsTrial:
-        """How they are judged in a search: a few named plants by the whole experiments."""
+        """How a search judges gains; a few named plants run the whole experiments."""
         return GainsTrial("short" if self.drawn else "whole")
 
     @property
     def jury(self) -> Jury:
-        """Who judges in a search."""
+        """The plants of the search."""
         return Jury(tuple(self.drawn), self.quantile, tuple(self.named))
 
     @classmethod
@@ -119,9 +119,7 @@ def _require_space(law: str) -> None:
 
 def _require_new(out: Path | None) -> None:
     if out is None:
-        raise _option_error(
-            "--out", "where shall the gains go? Name a file that does not exist yet"
-        )
+        raise _option_error("--out", "name a file for the gains that does not exist yet")
     if out.exists():
         raise _option_error(f"--out {out}", "exists, and gains are never overwritten")
     if not out.parent.is_dir():
@@ -175,7 +173,7 @@ def seek_gains(
         controller = SECTIONS["controller"].validate_python(best.gains)
         try:
             found = _score_gains(executor, controller, asked)
-        except KeyboardInterrupt:  # in no mood to wait: the gains all the same
+        except KeyboardInterrupt:  # the gains are kept, without a score
             interrupted, found = True, {}
     text = format_gains_file(
         best.gains, command, _describe_effort(asked, best), _report_scores(found)
@@ -223,9 +221,9 @@ def _start_processes(jobs: int | None) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin_work() -> None:
-    """Leave Ctrl-C to the one who shares the work out, and end when that one is gone."""
+    """Ignore Ctrl-C, which the parent handles, and end when the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # A worker waits on a pipe of which it holds both ends: it would wait there for ever.
+    # A worker waits on a pipe whose both ends it holds: without this it would wait for ever.
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

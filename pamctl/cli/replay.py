@@ -55,6 +55,8 @@ def replay(
 
     With --controller or --set it shows what another law or other gains would have
     commanded, open loop: the muscle did not follow them.
+
+    A log whose law is not installed ends with exit code 65, and names the package or the file.
     """
     is_what_if = controller is not None or bool(overrides)
     if csv is not None and not is_what_if:

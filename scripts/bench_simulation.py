@@ -268,7 +268,9 @@ def seconds(work: Callable[[], object]) -> float:
     return time.process_time() - begin_s
 
 
-def interleaved(variants: dict[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
+def time_interleaved(
+    variants: dict[str, Callable[[], object]], rounds: int
+) -> dict[str, list[float]]:
     """Seconds of each; every round runs each once, beginning with another one."""
     taken: dict[str, list[float]] = {name: [] for name in variants}
     for work in variants.values():
@@ -307,7 +309,7 @@ def measure(rounds: int) -> dict[str, Any]:
     gc.collect()
     gc.freeze()
     gc.disable()  # as in the loop process
-    taken = interleaved(variants, rounds)
+    taken = time_interleaved(variants, rounds)
     gc.enable()
 
     errors = plant_errors_um()

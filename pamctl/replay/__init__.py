@@ -20,12 +20,12 @@ from hal.calibration import Zero
 from pamctl.control.experiment import Segment
 from pamctl.log import Log
 from pamctl.realtime.tick import first_state
+from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import Difference, Differences, StageField
-from pamctl.replay.recorded_run import BehindTheEnd, NotReplayable, ReplaySource
-from pamctl.replay.replayable import find_absent_fields, read_replay_source
-from pamctl.replay.rerun import TickReplay, list_compared_fields
-from pamctl.replay.retick import retick_stretch
-from pamctl.replay.retrace import retrace_course
+from pamctl.replay.read_source import find_absent_fields, read_replay_source
+from pamctl.replay.replay_source import BehindTheEnd, NotReplayable, ReplaySource
+from pamctl.replay.tick_kernel import replay_stretch
+from pamctl.replay.tick_replay import TickReplay, list_compared_fields
 from pamctl.replay.tolerance import EXACT, Tolerances
 
 __all__ = [
@@ -114,5 +114,5 @@ def _load_kernels(recording: ReplaySource) -> None:
     """Run over no tick at all: to compile, or load what was compiled, is no part of the speed."""
     setup = recording.setup_at(0)
     nowhere = first_state(setup, Zero(0.0, 0.0))
-    retick_stretch(setup, recording.output, nowhere, recording.inputs(0, 0))
-    retrace_course([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))
+    replay_stretch(setup, recording.output, nowhere, recording.inputs(0, 0))
+    trace_course([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from pamctl.log import Log
 from pamctl.realtime.tick import TickState
-from pamctl.replay.recorded_run import NotReplayable
-from pamctl.replay.replayable import read_replay_source
-from pamctl.replay.retick import RETICK_FIELDS, retick_stretch
+from pamctl.replay.read_source import read_replay_source
+from pamctl.replay.replay_source import NotReplayable
+from pamctl.replay.tick_kernel import REPLAYED_FIELDS, replay_stretch
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
@@ -34,8 +34,8 @@ from pamctl.signals import Phase
 
 Floats = NDArray[np.float64]
 
-_COMMAND = [field.name for field in RETICK_FIELDS].index("command_v")
-_SATURATED = [field.name for field in RETICK_FIELDS].index("saturated")
+_COMMAND = [field.name for field in REPLAYED_FIELDS].index("command_v")
+_SATURATED = [field.name for field in REPLAYED_FIELDS].index("saturated")
 
 
 class PhaseFigures(NamedTuple):
@@ -108,7 +108,7 @@ def run_what_if(log: Log, settings: RunSettings, *, from_s: float | None = None)
             continue
         if type(state.law) is not type(setup.armed):
             state = state._replace(law=setup.armed)  # it remembers what another law is about
-        after, stretch = retick_stretch(
+        after, stretch = replay_stretch(
             setup, recording.output, state, recording.inputs(start, end)
         )
         rows[:, start:end] = stretch[[_COMMAND, _SATURATED]]

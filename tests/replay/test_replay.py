@@ -40,9 +40,9 @@ from pamctl.plant.paper import muscle, valve
 from pamctl.realtime import tick
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.replay import NotReplayable, list_compared_fields, read_replay_source, replay_log
+from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import find_differing
-from pamctl.replay.retick import RETICK_FIELDS, retick_stretch
-from pamctl.replay.retrace import retrace_course
+from pamctl.replay.tick_kernel import REPLAYED_FIELDS, replay_stretch
 from pamctl.replay.tolerance import OTHER_CPU, Tolerance, read_tolerances
 from pamctl.safety import PINNED, SENSOR_RANGE, admit
 from pamctl.settings.resolve import from_resolved
@@ -101,9 +101,9 @@ def test_the_compiled_tick_and_the_plain_one_agree_to_the_bit(
     for begin, end in recording.cut_stretches(0):
         state = recording.state_at(begin, after)
         given = (recording.setup_at(begin), recording.output, state, recording.inputs(begin, end))
-        after, plain = retick_stretch(*given, plain=True)
-        after_compiled, compiled = retick_stretch(*given)
-        for field, here, there in zip(RETICK_FIELDS, plain, compiled, strict=True):
+        after, plain = replay_stretch(*given, plain=True)
+        after_compiled, compiled = replay_stretch(*given)
+        for field, here, there in zip(REPLAYED_FIELDS, plain, compiled, strict=True):
             assert find_differing(here, there) is None, field.name
         assert (
             find_differing(np.array(freeze_state(after)), np.array(freeze_state(after_compiled)))
@@ -137,12 +137,12 @@ def test_a_course_in_one_go_is_the_course_tick_by_tick(
     t_s = begin_s + np.arange(round(1.2e3 * duration_s)) * 1e-3
     asked = [walked.at(t) for t in (t_s - begin_s).tolist()]
     last = next((i for i, reference in enumerate(asked) if reference is None), len(asked))
-    rows = retrace_course(course, walked.duration_s, begin_s, t_s[:last])
+    rows = trace_course(course, walked.duration_s, begin_s, t_s[:last])
     assert rows is not None
     expected = np.array(asked[:last], float).reshape(-1, 6).T
     assert all(find_differing(np.array(a), b) is None for a, b in zip(expected, rows, strict=True))
     if last < len(asked):
-        assert retrace_course(course, walked.duration_s, begin_s, t_s) is None
+        assert trace_course(course, walked.duration_s, begin_s, t_s) is None
 
 
 def test_nothing_that_comes_from_the_wall_clock_is_compared() -> None:

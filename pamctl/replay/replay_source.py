@@ -16,7 +16,7 @@ from pamctl.control.law import LawSettings
 from pamctl.log import Log
 from pamctl.realtime.gain_ramp import GainRamp
 from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state
-from pamctl.replay.retick import TickInputs, slice_inputs
+from pamctl.replay.tick_kernel import TickInputs, slice_inputs
 from pamctl.settings.build import build_tick_setup, output_of
 from pamctl.settings.resolve import RunSettings
 

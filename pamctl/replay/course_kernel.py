@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-def retrace_course(
+def trace_course(
     course: Sequence[Segment], duration_s: float, begin_s: float, t_s: Floats
 ) -> Floats | None:
     """Return the references of a course that began at `begin_s`; None if it is over by the last.

@@ -10,9 +10,9 @@ from pamctl.control.law_registry import installed_laws
 from pamctl.realtime.keyframe import freeze_state, keyframe_fields
 from pamctl.realtime.tick import TickState
 from pamctl.replay.differences import Differences, Floats, StageField, find_differing
-from pamctl.replay.reask import ProgramAnswer, ProgramReplay
-from pamctl.replay.recorded_run import ReplaySource
-from pamctl.replay.retick import RETICK_FIELDS, retick_stretch
+from pamctl.replay.program_replay import ProgramAnswer, ProgramReplay
+from pamctl.replay.replay_source import ReplaySource
+from pamctl.replay.tick_kernel import REPLAYED_FIELDS, replay_stretch
 from pamctl.safety import INITIAL_SAFETY_STATE
 from pamctl.signals import TICK_FIELDS
 
@@ -26,7 +26,7 @@ def list_compared_fields() -> list[str]:
     return [
         *Zero._fields,
         *_REFERENCE,
-        *(field.name for field in RETICK_FIELDS),
+        *(field.name for field in REPLAYED_FIELDS),
         *keyframe_fields(UNPRIMED, "filters"),
         *dict.fromkeys(name for one in memories for name in keyframe_fields(one, "law")),
         *keyframe_fields(INITIAL_SAFETY_STATE, "safety"),
@@ -67,21 +67,21 @@ class TickReplay:
             self.unasked += end - begin
         else:
             self._compare_answer(asked, begin, end)
-        self._state, rows = self._retick_stretch(self._state, begin, end)
-        for field, row in zip(RETICK_FIELDS, rows, strict=True):
+        self._state, rows = self._replay_stretch(self._state, begin, end)
+        for field, row in zip(REPLAYED_FIELDS, rows, strict=True):
             if field.name in self._recording.log.columns:
                 logged = self._read_logged(field.name, begin, end)
                 self.differences.take(StageField(field.stage, field.name), begin, logged, row)
         self._compare_keyframe(self._state, end - 1)
 
-    def _retick_stretch(self, state: TickState, begin: int, end: int) -> tuple[TickState, Floats]:
+    def _replay_stretch(self, state: TickState, begin: int, end: int) -> tuple[TickState, Floats]:
         recording = self._recording
         setup = recording.setup_at(begin)
         inputs = recording.inputs(begin, end)
-        after, rows = retick_stretch(setup, recording.output, state, inputs, plain=self._plain)
+        after, rows = replay_stretch(setup, recording.output, state, inputs, plain=self._plain)
         self._forget_failed_writes(rows, begin, end)
         if not self._plain and not self._parted and self._differs(after, rows, begin, end):
-            after, rows = retick_stretch(setup, recording.output, state, inputs, plain=True)
+            after, rows = replay_stretch(setup, recording.output, state, inputs, plain=True)
             self._forget_failed_writes(rows, begin, end)
             # From its first real difference on a replay only has to be told apart, not judged.
             self._parted = self._differs(after, rows, begin, end)
@@ -96,7 +96,7 @@ class TickReplay:
         keyframe = self._recording.keyframes.get(end - 1)
         return any(
             find_differing(self._read_logged(field.name, begin, end), row) is not None
-            for field, row in zip(RETICK_FIELDS, rows, strict=True)
+            for field, row in zip(REPLAYED_FIELDS, rows, strict=True)
             if field.name in self._recording.log.columns
         ) or (
             keyframe is not None

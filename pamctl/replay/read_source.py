@@ -14,8 +14,8 @@ from pamctl.json_text import to_json
 from pamctl.log import Log
 from pamctl.realtime.keyframe import thaw_state
 from pamctl.realtime.tick import TickState, first_state
-from pamctl.replay.recorded_run import GainChange, NotReplayable, ReplaySource
-from pamctl.replay.retick import RETICK_FIELDS, TickInputs
+from pamctl.replay.replay_source import GainChange, NotReplayable, ReplaySource
+from pamctl.replay.tick_kernel import REPLAYED_FIELDS, TickInputs
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
@@ -188,4 +188,4 @@ def _find_losses(log: Log, *, begins_known: bool) -> frozenset[int]:
 
 def find_absent_fields(log: Log) -> list[str]:
     """Return the fields that this version computes and the log, of another version, lacks."""
-    return [field.name for field in RETICK_FIELDS if field.name not in log.columns]
+    return [field.name for field in REPLAYED_FIELDS if field.name not in log.columns]

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-RETICK_FIELDS: tuple[Field, ...] = tuple(
+REPLAYED_FIELDS: tuple[Field, ...] = tuple(
     field
     for field in TICK_FIELDS
     if field.stage in ("measurement", "estimate", "command", "decision")
     or field.name == "applied_v"
 )
-"""What `retick` computes, in the order of its rows."""
+"""What `replay_ticks` computes, in the order of its rows."""
 
 
 class TickInputs(NamedTuple):
@@ -54,7 +54,7 @@ def slice_inputs(columns: Mapping[str, NDArray[Any]], begin: int, end: int) -> T
     return TickInputs._make(columns[name][begin:end] for name in TickInputs._fields)
 
 
-def retick(
+def replay_ticks(
     setup: TickSetup,
     output: Output,
     state: TickState,
@@ -93,21 +93,23 @@ def retick(
     return state
 
 
-def retick_stretch(
+def replay_stretch(
     setup: TickSetup, output: Output, state: TickState, inputs: TickInputs, *, plain: bool = False
 ) -> tuple[TickState, NDArray[np.float64]]:
     """Run the ticks of a stretch, compiled or, as the loop process does, in plain Python.
 
     Returns the state after the last one, and the rows, of shape (fields of RETICKED, n).
     """
-    rows = np.empty((len(RETICK_FIELDS), len(inputs.tick)))
+    rows = np.empty((len(REPLAYED_FIELDS), len(inputs.tick)))
     if plain:
         # As Python's own numbers: numpy's would take its powers by another library.
         inputs = TickInputs._make(column.tolist() for column in inputs)
-        return retick(setup, output, state, inputs, rows), rows
-    return _compile_retick(KERNELS[type(setup.gains)])(setup, output, state, inputs, rows), rows
+        return replay_ticks(setup, output, state, inputs, rows), rows
+    return _compile_replay_ticks(KERNELS[type(setup.gains)])(
+        setup, output, state, inputs, rows
+    ), rows
 
 
 @cache
-def _compile_retick(law: LawKernel) -> Callable[..., TickState]:
-    return compile_kernel(retick, (answer, law))
+def _compile_replay_ticks(law: LawKernel) -> Callable[..., TickState]:
+    return compile_kernel(replay_ticks, (answer, law))

@@ -17,9 +17,9 @@ from hal.rig import RawSample
 from pamctl.control.experiment import make_valve_reference
 from pamctl.control.homing import HomingError
 from pamctl.realtime.program import Program
+from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import find_differing
-from pamctl.replay.recorded_run import ReplaySource
-from pamctl.replay.retrace import retrace_course
+from pamctl.replay.replay_source import ReplaySource
 from pamctl.settings.build import build_ordered_program, build_program, nominal_zero_of
 from pamctl.signals import Phase, Reference
 
@@ -71,16 +71,16 @@ class ProgramReplay:
             self._program = self._resume_program(begin)
         if self._program is None:
             return None
-        asked = None if self._plain else self._retrace_course(self._program, begin, end)
+        asked = None if self._plain else self._trace_course(self._program, begin, end)
         return asked or self._ask_tick_by_tick(self._program, begin, end)
 
-    def _retrace_course(self, program: Program, begin: int, end: int) -> ProgramAnswer | None:
+    def _trace_course(self, program: Program, begin: int, end: int) -> ProgramAnswer | None:
         """Return what a course asks for in one go, where that is what the log says."""
         if program.running is None or self._recording.stops & set(range(begin, end)):
             return None
         course, course_begin_s = program.running
         t_s = self._recording.log.t[begin:end]
-        rows = retrace_course(course.segments, course.duration_s, course_begin_s, t_s)
+        rows = trace_course(course.segments, course.duration_s, course_begin_s, t_s)
         if rows is None or any(
             find_differing(self._recording.log[name][begin:end].astype(np.float64), row) is not None
             for name, row in zip(Reference._fields, rows, strict=True)

@@ -1,9 +1,9 @@
 """Kernels: plain scalar functions that Python runs as they stand and numba compiles.
 
-A kernel takes and returns floats, ints, bools and NamedTuples of them, and calls
-only `math` and other kernels of this house. `compile_kernel(kernel)` gives its machine-code
-twin, built from the same source: every kernel it names is replaced by that one's
-twin. The loop process runs the plain functions and never imports numba.
+A kernel takes and returns floats, ints, bools and NamedTuples of them. It calls only `math` and
+other kernels: of pamctl, or of the outside package that it is from. `compile_kernel(kernel)` gives
+its machine-code twin, built from the same source: every kernel that it names is replaced by that
+kernel's twin. The loop process runs the plain functions and never imports numba.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import os
 import sys
 from collections.abc import Callable
 from functools import cache
+from importlib.util import resolve_name
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar, cast
@@ -23,28 +24,37 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 _HOUSE = ("pamctl", "hal")
 
 
-def compile_kernel(kernel: Kernel) -> Kernel:
+Substitution = tuple[Callable[..., Any], Callable[..., Any]]
+"""A function, and the kernel that compiled code calls instead of it."""
+
+
+def compile_kernel(kernel: Kernel, substitution: Substitution | None = None) -> Kernel:
     """Return the numba twin of a kernel: same arguments, same values, at machine speed.
 
-    The first call compiles (seconds); the machine code is kept in the user's cache
-    for the next process, under a key made of every source that the kernel can depend on.
+    `substitution` settles what plain Python looks up in every call: numba cannot choose a function
+    by the type of an argument. The first call compiles (seconds). The machine code is kept in the
+    user's cache for the next process, under a key made of every source that the kernel can depend
+    on.
     """
-    return cast(Kernel, _make_twin(kernel, for_python=True))
+    return cast(Kernel, _make_twin(kernel, substitution, for_python=True))
 
 
 @cache
-def _make_twin(kernel: FunctionType, *, for_python: bool) -> Any:
+def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_python: bool) -> Any:
     """Return a twin that Python can call, or one that only other twins call.
 
     What takes Python's tuples apart, and C's, is longer than most kernels: without it the
     closed loop compiles in less than half the time.
     """
-    used = {*kernel.__code__.co_names, "__builtins__", "__name__"}
+    if substitution is not None and kernel is substitution[0]:
+        return _make_twin(substitution[1], None, for_python=for_python)
     twin = FunctionType(
         kernel.__code__,
         {
-            name: _make_twin_if_kernel(kernel.__globals__[name])
-            for name in used & {*kernel.__globals__}
+            name: _make_twin(value, _pass_on(value, substitution), for_python=False)
+            if _is_kernel(value, kernel)
+            else value
+            for name, value in _used_globals(kernel).items()
         },
         kernel.__name__,
         kernel.__defaults__,
@@ -52,7 +62,8 @@ def _make_twin(kernel: FunctionType, *, for_python: bool) -> Any:
     # numba's cache knows a function by its name: a kernel may be called both ways.
     twin.__qualname__ = kernel.__qualname__ + ("" if for_python else "_for_kernels")
     twin.__module__ = kernel.__module__
-    return _import_numba(kernel.__module__).njit(
+    modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
+    return _import_numba(*modules).njit(
         twin,
         cache=_may_cache(),
         error_model="python",  # division by zero raises, as in the plain function
@@ -61,19 +72,45 @@ def _make_twin(kernel: FunctionType, *, for_python: bool) -> Any:
     )
 
 
-def _make_twin_if_kernel(value: object) -> object:
-    is_kernel = isinstance(value, FunctionType) and value.__module__.split(".")[0] in _HOUSE
-    return _make_twin(value, for_python=False) if is_kernel else value
+def _used_globals(kernel: FunctionType) -> dict[str, Any]:
+    used = {*kernel.__code__.co_names, "__builtins__", "__name__"}
+    return {name: kernel.__globals__[name] for name in used & {*kernel.__globals__}}
 
 
-def _import_numba(module: str) -> ModuleType:
-    """Return numba, told to keep the code of this module's kernels by all they depend on."""
+def _is_kernel(value: object, caller: FunctionType) -> bool:
+    return isinstance(value, FunctionType) and _root(value.__module__) in {
+        *_HOUSE,
+        _root(caller.__module__),
+    }
+
+
+def _root(module: str) -> str:
+    return module.partition(".")[0]
+
+
+def _pass_on(kernel: FunctionType, substitution: Substitution | None) -> Substitution | None:
+    """Return the substitution where it concerns a kernel: all others keep one common twin."""
+    concerned = substitution is not None and _reaches(kernel, substitution[0])
+    return substitution if concerned else None
+
+
+@cache
+def _reaches(kernel: FunctionType, target: FunctionType) -> bool:
+    return kernel is target or any(
+        _reaches(value, target)
+        for value in _used_globals(kernel).values()
+        if _is_kernel(value, kernel)
+    )
+
+
+def _import_numba(*modules: str) -> ModuleType:
+    """Return numba, told to keep the code of these modules' kernels by all they depend on."""
     import numba
 
     # numba looks only at a kernel's own file to see whether its cached code is stale;
     # ours call each other, and use each other's types, across files.
     settings: Any = numba.config
-    settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_hash_sources(module)}")
+    settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_hash_sources(*modules)}")
     return numba
 
 
@@ -92,36 +129,49 @@ def _may_cache() -> bool:
 
 
 @cache
-def _hash_sources(module: str) -> str:
-    """Hash the sources of a module and of all in this house that it imports, on any way."""
-    waiting, found = [module], {module}
+def _hash_sources(*modules: str) -> str:
+    """Hash the sources of modules, and of all that they import of pamctl or their own package."""
+    waiting, found = [*modules], {*modules}
     while waiting:
         new = _find_imports(waiting.pop()) - found
         found |= new
         waiting += new
     digest = hashlib.sha256()
     for name in sorted(found):
-        digest.update(_source_of(name).read_bytes())
+        # The name too: numba keeps types by the module that they are from.
+        digest.update(name.encode() + b"\0" + _source_of(name).read_bytes())
     return digest.hexdigest()[:16]
 
 
 @cache
 def _find_imports(module: str) -> set[str]:
-    """Find the modules of this house that a module's source names, those for types included."""
+    """Find the modules that a module's source names, those for types included.
+
+    Only those of pamctl and of the module's own package count.
+    """
     found: set[str] = set()
+    house = {*_HOUSE, _root(module)}
     for node in ast.walk(ast.parse(_source_of(module).read_bytes())):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.ImportFrom):
+            source = _name_source(node, module)
+            names = [source, *(f"{source}.{alias.name}" for alias in node.names)]
         else:
             continue
-        found |= {n for n in names if n.split(".")[0] in _HOUSE and _source_of(n).exists()}
+        found |= {n for n in names if _root(n) in house and _source_of(n).is_file()}
     return found
 
 
+def _name_source(node: ast.ImportFrom, module: str) -> str:
+    name = node.module or ""
+    if not node.level:
+        return name
+    return resolve_name("." * node.level + name, sys.modules[module].__package__)
+
+
 def _source_of(module: str) -> Path:
-    if module == "__main__":  # a script with a kernel of its own
-        return Path(str(sys.modules[module].__file__))
+    if _root(module) not in _HOUSE:  # an outside package, or a script with a kernel of its own
+        return Path(str(getattr(sys.modules.get(module), "__file__", None)))
     path = Path(__file__).parent.parent.joinpath(*module.split("."))
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")

@@ -1,16 +1,16 @@
 """What may reach the valve, and why not more.
 
-Every rule is a comparison with a limit that a user can set, and leaves its bit in
-`Decision.verdicts`. A clip changes the command; a trip ends the run at the safe
-voltage, latched. `admit` is a kernel: it reads no clock and keeps all it remembers in
-its `SafetyState`.
+Every rule compares a number with a limit that a user can set, and leaves its bit in
+`Decision.verdicts`. A clip changes the command. A trip ends the run at the safe voltage, and
+stays. `admit` is a kernel: it reads no clock, and its memory is its `SafetyState`.
 """
 
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from math import isfinite, isnan
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from pydantic import Field, model_validator
 
@@ -63,7 +63,7 @@ def explain_verdicts(verdicts: int) -> list[str]:
 
 
 class LimitSettings(Configured):
-    """Limits of the rig and its muscle. Where one is met says `pamctl.safety.VERDICTS`."""
+    """Limits of the rig and its muscle. `pamctl.safety.VERDICTS` names the rules that use them."""
 
     command_v: Annotated[float, Field(gt=0, le=10, description="valve command, either side")] = 5.0
     slew_v_per_s: Annotated[
@@ -75,13 +75,13 @@ class LimitSettings(Configured):
     sensor_low_v: Annotated[float, Field(ge=-10, le=10)] = 0.1
     sensor_high_v: Annotated[float, Field(ge=-10, le=10)] = 4.8
     speed_mm_per_s: Annotated[
-        float, Field(gt=0, description="faster is not the muscle but the encoder")
+        float, Field(gt=0, description="a faster motion is an error of the encoder")
     ] = 2000.0
     tracking_error_mm: Annotated[float, Field(gt=0)] = 4.0
     sample_age_s: Annotated[float, Field(gt=0, description="between samples")] = 0.05
-    missed_ticks: Annotated[
-        float, Field(gt=0, description="more than so many within about a second")
-    ] = 100.0
+    missed_ticks: Annotated[float, Field(gt=0, description="the most within about a second")] = (
+        100.0
+    )
     pressure_model_pa: Annotated[
         float, Field(gt=0, description="measured against the model driven by the command")
     ] = 80e3
@@ -89,7 +89,7 @@ class LimitSettings(Configured):
         float, Field(gt=0, description="how fast the model forgets a difference")
     ] = 0.1
     patience_s: Annotated[
-        float, Field(ge=0, description="how long a sensor, error or model limit must be broken")
+        float, Field(ge=0, description="how long a sensor, error or model limit may be broken")
     ] = 0.02
 
     @model_validator(mode="after")
@@ -99,28 +99,38 @@ class LimitSettings(Configured):
         return self
 
 
-class Limits(NamedTuple):
-    """The same numbers in SI for the kernel, with the model that pressure is held against."""
+def _name_in_si(name: str) -> str:
+    return name.replace("_mm", "_m")
 
-    safe_valve_v: float
-    pinned: bool
-    """Nothing but the safe command may reach the valve: the run only looks on."""
-    command_v: float
-    slew_v_per_s: float
-    pressure_pa: float
-    stroke_low_m: float
-    stroke_high_m: float
-    sensor_low_v: float
-    sensor_high_v: float
-    speed_m_per_s: float
-    count_m: float
-    tracking_error_m: float
-    sample_age_s: float
-    missed_ticks: float
-    pressure_model_pa: float
-    pressure_model_memory_s: float
-    patience_s: float
-    model: PaperParameters
+
+if TYPE_CHECKING:
+
+    class Limits(LimitSettings):
+        """The limits in SI for the kernel, with the model that the pressure is held against."""
+
+        stroke_low_m: float
+        stroke_high_m: float
+        speed_m_per_s: float
+        tracking_error_m: float
+        safe_valve_v: float
+        pinned: bool
+        """Only the safe command may reach the valve: the run moves nothing."""
+        count_m: float
+        """One count of the encoder."""
+        model: PaperParameters
+
+else:
+    # Kernels take tuples. The names of the settings are written once, in their model.
+    Limits = namedtuple(
+        "Limits",
+        (
+            *map(_name_in_si, LimitSettings.model_fields),
+            "safe_valve_v",
+            "pinned",
+            "count_m",
+            "model",
+        ),
+    )
 
 
 class SafetyState(NamedTuple):
@@ -148,27 +158,12 @@ def convert_limits(
     model: PaperParameters,
     pinned: bool = False,
 ) -> Limits:
-    """Turn settings into the numbers that the kernel uses; `count_m` is one encoder count."""
-    return Limits(
-        safe_valve_v=safe_valve_v,
-        pinned=pinned,
-        command_v=settings.command_v,
-        slew_v_per_s=settings.slew_v_per_s,
-        pressure_pa=settings.pressure_pa,
-        stroke_low_m=settings.stroke_low_mm * 1e-3,
-        stroke_high_m=settings.stroke_high_mm * 1e-3,
-        sensor_low_v=settings.sensor_low_v,
-        sensor_high_v=settings.sensor_high_v,
-        speed_m_per_s=settings.speed_mm_per_s * 1e-3,
-        count_m=count_m,
-        tracking_error_m=settings.tracking_error_mm * 1e-3,
-        sample_age_s=settings.sample_age_s,
-        missed_ticks=settings.missed_ticks,
-        pressure_model_pa=settings.pressure_model_pa,
-        pressure_model_memory_s=settings.pressure_model_memory_s,
-        patience_s=settings.patience_s,
-        model=model,
-    )
+    """Return the limits for the kernel; `count_m` is one encoder count."""
+    numbers = {
+        _name_in_si(name): value * 1e-3 if "_mm" in name else value
+        for name, value in settings.model_dump().items()
+    }
+    return Limits(**numbers, safe_valve_v=safe_valve_v, pinned=pinned, count_m=count_m, model=model)
 
 
 _HOMING = int(Phase.HOMING)
@@ -188,13 +183,13 @@ def admit(
     dt_s = timing.dt_s
     trips = _check_instant_trips(limits, state, measurement, reference, command, dt_s)
 
-    # Sensor, error and model limits may be broken for a moment; each has its stop watch.
+    # Sensor, error and model limits may be broken for `patience_s`; each has its own time.
     sensor_bad_s = error_bad_s = model_bad_s = 0.0
     if not limits.sensor_low_v <= raw.pressure_v <= limits.sensor_high_v:
         sensor_bad_s = state.sensor_bad_s + dt_s
         if sensor_bad_s > limits.patience_s:
             trips |= SENSOR_RANGE
-    # A pinned valve tracks nothing, and nobody asked it to.
+    # A pinned valve cannot track.
     if not limits.pinned and abs(estimate.error_m) > limits.tracking_error_m:
         error_bad_s = state.error_bad_s + dt_s
         if error_bad_s > limits.patience_s:
@@ -240,7 +235,7 @@ def _check_instant_trips(
     command: Command,
     dt_s: float,
 ) -> int:
-    """Check what no patience is due to."""
+    """Check the rules that trip at once."""
     trips = 0
     x, pressure = measurement
     if not isfinite(command.command_v):
@@ -282,8 +277,8 @@ def _follow_pressure(
 ) -> tuple[float, float]:
     """Let the model's pressure follow the last command, and forget differences slowly.
 
-    Returns the model's pressure and the measured one minus it, in Pa. A stuck valve
-    makes the two part company in one direction or the other, whichever it is stuck in.
+    Returns the model's pressure, and the measured pressure minus it, in Pa. A stuck valve makes
+    the two differ; the sign says whether it is stuck open to the tank or to the atmosphere.
     """
     x, measured_pa = measurement
     model_pa = state.model_pressure_pa
@@ -296,7 +291,7 @@ def _follow_pressure(
     filled = energy + dt_s * p.specific_energy_j_per_kg * inflow
     volume = volume_m3(p, x)
     if not volume > 0.0:
-        # The encoder says that there is no muscle: its own rules see to that.
+        # The displacement is impossible: the rules for the encoder trip.
         return measured_pa, 0.0
     followed_pa = filled / volume
     if followed_pa > p.tank_pressure_pa:

@@ -50,9 +50,9 @@ class Measurement(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """What is asked of the muscle: a motion, or, open loop, a valve command.
+    """The wanted motion, or, in open loop, the wanted valve command.
 
-    The one that is not asked for is NaN.
+    The other one of the two is NaN.
     """
 
     phase: int
@@ -65,29 +65,29 @@ class Reference(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What the laws go by. `error = position - reference`, the signs of Eq. 17."""
+    """The input of the laws. `error = position - reference`, the signs of Eq. 17."""
 
     position_filtered_m: float
     pressure_estimate_pa: float
-    """As measured: 300 Pa of noise are nothing to the one law that uses it."""
+    """As measured: its noise of 300 Pa does not matter to the one law that uses it."""
     error_m: float
     error_rate_m_per_s: float
     error_acceleration_m_per_s2: float
 
 
 class Command(NamedTuple):
-    """What the law asks for, and the terms it is made of."""
+    """The command of the law, and its terms. `pamctl.control.law.LawTerms` says what they mean."""
 
     command_v: float
     """Valve command u, -5..5 V: positive fills the muscle, negative exhausts it."""
     surface_m_per_s2: float
-    """Sliding surface s of Eq. 11; NaN for laws without one."""
+    """Sliding surface, s of Eq. 11 for the paper's laws; NaN for laws without one."""
     equivalent_v: float
-    """Share of u from the equivalent control (PID: proportional and derivative)."""
+    """First share of u: for the paper's laws the equivalent control."""
     robust_v: float
-    """Share of u from the robust term u_rb (PID: the integral)."""
+    """Second share of u: for the paper's laws the robust term u_rb."""
     saturated: bool
-    """The law met its own command limit, and froze its integral."""
+    """The law reached its own command limit."""
 
 
 class Decision(NamedTuple):
@@ -121,7 +121,7 @@ class Truth(NamedTuple):
 
 
 class TickRecord(NamedTuple):
-    """All that is known of one tick: one row of the ring, one message of the log."""
+    """All that is known of one tick: a row of the ring, and a message of the log."""
 
     timing: Timing
     raw: RawSample

@@ -37,8 +37,7 @@ from hal.rig import RawSample
 from hal.sim.sim_rig import sensed_counts, sensed_pressure_v, sensor_chain
 from pamctl.compiled import compile_kernel
 from pamctl.control.experiment import build_segments
-from pamctl.control.law import respond
-from pamctl.control.surface import ARMED, LawState
+from pamctl.control.law import Memory, respond
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper.friction import axial_forces
 from pamctl.plant.paper.muscle import force_area_m2, volume_m3
@@ -220,7 +219,7 @@ class ClosedLoop:
 
     def start(self) -> TickState:
         """Return the state before the first tick, homed."""
-        return first_state(self.chain.zero._replace(encoder_zero_counts=1000.0), -5.0)
+        return first_state(self.setup, self.chain.zero._replace(encoder_zero_counts=1000.0))
 
     def estimates(self, count: int) -> list[tuple[Reference, Estimate]]:
         """The inputs of the law."""
@@ -231,16 +230,17 @@ class ClosedLoop:
         return seen
 
 
-def run_law(loop: ClosedLoop, seen: Sequence[tuple[Reference, Estimate]]) -> LawState:
-    gains, state = loop.setup.gains, ARMED
+def run_law(loop: ClosedLoop, seen: Sequence[tuple[Reference, Estimate]]) -> Memory:
+    gains, armed = loop.setup.gains, loop.setup.armed
+    state = armed
     for reference, estimate in seen:
-        _, state = respond(gains, state, reference, estimate, TICK_S)
+        _, state = respond(gains, armed, state, reference, estimate, TICK_S)
     return state
 
 
 def run_nothing(seen: Sequence[tuple[Reference, Estimate]]) -> None:
     """Run the same loop without the call."""
-    gains, state = None, ARMED
+    gains, state = None, None
     for _reference, _estimate in seen:
         _, state = gains, state
 

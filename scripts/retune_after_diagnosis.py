@@ -29,6 +29,7 @@ from hidden.plant import HiddenPlant  # noqa: E402
 from hidden.rig import HiddenRig, Record, hidden_rig  # noqa: E402
 from support.runs import run  # noqa: E402
 
+from pamctl.control.law_registry import installed_laws  # noqa: E402
 from pamctl.diagnose import Diagnosis, diagnose, sentence  # noqa: E402
 from pamctl.diagnose import Record as Measured  # noqa: E402
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document  # noqa: E402
@@ -37,7 +38,7 @@ from pamctl.plant.model import PlantSettings  # noqa: E402
 from pamctl.settings.resolve import resolve  # noqa: E402
 from pamctl.simulate.merit import compute_merit  # noqa: E402
 from pamctl.tune import GainsSearch, Jury, make_fixed_members  # noqa: E402
-from pamctl.tune.search_space import SPACES  # noqa: E402
+from pamctl.tune.search_space import find_space  # noqa: E402
 
 HIDDEN = ("valve_deadband:5", "valve_hysteresis:5", "command_delay:10", "valve_spool:5")
 """Effects that a loop can feel, at sizes from just relevant to the worst."""
@@ -102,7 +103,7 @@ def tune_law(law: str, plant: PlantSettings, generations: int, seed: int) -> tup
     for _ in range(generations):
         best = search.advance()
     tell(f"  {generations} generations, seed {seed}: {best.cost:.3f} of Table IV")
-    return SPACES[law].controller(SPACES[law].point(best.gains)), best.cost
+    return find_space(law).controller(find_space(law).point(best.gains)), best.cost
 
 
 def track_on(rig: HiddenRig, plant: str, controller: Any, cost: float | None) -> Tracked:
@@ -148,7 +149,7 @@ def tell(line: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--effect", action="append", metavar="NAME:SIZE")
-    parser.add_argument("--law", default="qsmc", choices=sorted(SPACES))
+    parser.add_argument("--law", default="qsmc", choices=sorted(installed_laws()))
     parser.add_argument("--generations", type=int, default=10)
     parser.add_argument("--searches", type=int, default=2, help="with different seeds")
     parser.add_argument("--json", action="store_true")

@@ -10,6 +10,7 @@ import typer
 
 from pamctl.cli.options import (
     BackendOption,
+    ControllerFromOption,
     ControllerOption,
     DurationOption,
     ExperimentOption,
@@ -65,6 +66,7 @@ def check_files(
 def show(
     backend: BackendOption = None,
     controller: ControllerOption = None,
+    controller_from: ControllerFromOption = None,
     experiment: ExperimentOption = None,
     rig: RigOption = None,
     plant: PlantOption = None,
@@ -81,6 +83,7 @@ def show(
         rig,
         overrides,
         controller=controller,
+        controller_from=controller_from,
         experiment=experiment,
         plant=plant,
         seed=seed,

@@ -37,6 +37,15 @@ ControllerOption = Annotated[
         show_default=DEFAULT_NAMES["controller"],
     ),
 ]
+ControllerFromOption = Annotated[
+    str | None,
+    typer.Option(
+        "--controller-from",
+        metavar="FILE.py[:NAME]",
+        help="Python file that defines the control law; its gains come from --controller",
+        show_default="none",
+    ),
+]
 ExperimentOption = Annotated[
     str | None,
     typer.Option(

@@ -31,6 +31,7 @@ class VerbOptions(TypedDict, total=False):
     """Options of a verb beside its rig; a verb leaves out those that it does not have."""
 
     controller: str | None
+    controller_from: str | None
     experiment: str | None
     plant: str | None
     seed: int | None
@@ -51,6 +52,8 @@ def resolve_options(
     settings = resolve(rig=named_rig, overrides=overrides or (), **options)
     _check_backend(settings, backend, rig)
     named = {"rig": named_rig, **options}
+    if options.get("controller_from") and not options.get("controller"):
+        named["controller"] = settings.controller.law
     names = {section: str(named.get(section) or DEFAULT_NAMES[section]) for section in SECTIONS}
     return ResolvedOptions(settings, names)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.options import JsonOption
+from pamctl.cli.options import ControllerFromOption, JsonOption
 from pamctl.cli.output import print_json
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.resolve import settings_to_data
@@ -25,11 +25,12 @@ def tune(
         str | None,
         typer.Option(
             "--law",
-            metavar="qsmc|smc|pid",
+            metavar="NAME",
             help="Control law to tune",
             show_default="with --check: that of the gains",
         ),
     ] = None,
+    controller_from: ControllerFromOption = None,
     plants: Annotated[
         list[str] | None,
         typer.Option(
@@ -116,6 +117,7 @@ def tune(
     as_json: JsonOption = False,
 ) -> None:
     """Search gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
+    from pamctl.settings.resolve import use_law_file
     from pamctl.tune.tune_gains import check_gains, seek_gains
     from pamctl.tune.tune_text import format_scores, make_scores_document
     from pamctl.tune.tuning_task import TuningTask
@@ -123,6 +125,9 @@ def tune(
     if check is not None and out is not None:
         message = "belongs to a search: with --check nothing is written"
         raise typer.BadParameter(message, param_hint="--out")
+    if controller_from is not None:
+        file_law = use_law_file(controller_from)
+        law = file_law if law is None and check is None else law
     task = TuningTask.of(law, plants or [], size, seed, quantile, held_out, out, check, start)
     if task.checked is not None:
         scores = check_gains(task, jobs)

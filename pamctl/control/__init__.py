@@ -1,5 +1,5 @@
-"""Laws, filters and references: what the muscle is to do, and the command for it.
+"""Laws, filters and references: what the muscle shall do, and the command for it.
 
 `qsmc.py` and `smc.py` are the paper's laws. A law never reads a clock and never sees the rig.
-Read `law.py` first, then `qsmc.py`.
+Read `law.py` first, which is the contract of a law, then `pid.py` and `qsmc.py`.
 """

@@ -1,8 +1,8 @@
-"""Excitation for diagnosis: valve commands that make what a model lacks visible.
+"""Excitation for diagnosis: valve commands that show what a model lacks.
 
-Each part shows something that the others do not: squares the flow and the spool, a
-staircase about null a dead band, multisines everything that depends on amplitude, a chirp
-delay against lag, fill-and-hold the leaks, long holds the creep.
+Each part shows something that the others do not. Squares show the flow and the spool. A
+staircase about null shows a dead band. Multisines show all that depends on amplitude. A chirp
+tells a delay from a lag. Fill-and-hold shows the leaks, and long holds show the creep.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Seconds = Annotated[float, Field(gt=0, le=86_400)]
 Hertz = Annotated[float, Field(gt=0, le=250)]
 
 SAMPLE_S = 1e-3
-"""Waves are held for so long: a tick of the usual loop."""
+"""Waves are sampled at this interval: one tick of the usual loop."""
 
 
 Wave = TypeVar("Wave")
 
 
 class HeldCommand(NamedTuple):
-    """A valve command and how long it stands."""
+    """A valve command, and how long it is held."""
 
     valve_v: float
     duration_s: float
@@ -44,7 +44,7 @@ class Hold(Configured):
 
 
 class Square(Configured):
-    """Full strokes; it begins by filling."""
+    """Full strokes; the first one fills."""
 
     wave: Literal["square"]
     frequency_hz: Hertz
@@ -53,7 +53,7 @@ class Square(Configured):
 
 
 class Staircase(Configured):
-    """Small pulses to both sides of null, each followed by a closed valve."""
+    """Small pulses to both sides of null; after each the valve is closed."""
 
     wave: Literal["staircase"]
     levels_v: Annotated[tuple[Amplitude, ...], Field(min_length=1)]
@@ -66,7 +66,7 @@ class Multisine(Configured):
     wave: Literal["multisine"]
     low_hz: Hertz
     high_hz: Hertz
-    amplitude_v: Annotated[float, Field(gt=0, le=5, description="of the highest peak")]
+    amplitude_v: Annotated[float, Field(gt=0, le=5, description="V, of the highest peak")]
     duration_s: Seconds
     tones: Annotated[int, Field(ge=1, le=200)] = 30
     bias_v: Volts = 0.0
@@ -94,10 +94,10 @@ Part = Annotated[Hold | Square | Staircase | Multisine | Chirp, Field(discrimina
 
 
 class ProgramSettings(Configured):
-    """Parts of an excitation one after the other, open loop."""
+    """Parts of an excitation, one after the other, in open loop."""
 
     kind: Literal["program"]
-    seed: Annotated[int, Field(ge=0, description="of the multisines' phases")] = 1
+    seed: Annotated[int, Field(ge=0, description="seed of the multisines' phases")] = 1
     parts: Annotated[tuple[Part, ...], Field(min_length=1)]
 
 

@@ -1,4 +1,4 @@
-"""Experiments: what is asked of the muscle over time, closed loop or open loop.
+"""Experiments: the motion or the valve commands over time, closed loop or open loop.
 
 An experiment file becomes a list of segments. Time runs from the end of homing.
 """
@@ -24,8 +24,8 @@ ValveVolts = Annotated[float, Field(ge=-5, le=5, description="V; positive fills"
 class TrackingSettings(Configured):
     """Square-like motion between two set points (Sec. VI-B), closed loop.
 
-    It begins with a smooth approach from the vented muscle and a settling time, which
-    the figures of merit leave out.
+    It begins with a smooth approach from the vented muscle and a settling time. The figures of
+    merit leave both out.
     """
 
     kind: Literal["tracking"]
@@ -48,7 +48,7 @@ class TrackingSettings(Configured):
 
 
 class SquareSettings(Configured):
-    """Square wave of the valve command (Sec. VI-A), open loop; it begins by filling."""
+    """Square wave of the valve command (Sec. VI-A), open loop; it fills first."""
 
     kind: Literal["square"]
     frequency_hz: Annotated[float, Field(gt=0, le=250)]
@@ -77,7 +77,7 @@ class HoldSettings(Configured):
     kind: Literal["hold"]
     position_mm: Annotated[float, Field(ge=-100, le=100)]
     transition_s: Duration = 3.0
-    hold_s: Annotated[Duration | None, Field(description="until it is stopped, if absent")] = None
+    hold_s: Annotated[Duration | None, Field(description="if absent, until it is stopped")] = None
 
 
 ExperimentSettings = Annotated[
@@ -109,7 +109,7 @@ def reference_at(segment: Segment, t_s: float) -> Reference:
 
 
 def make_valve_reference(phase: int, valve_v: float) -> Reference:
-    """Return the reference that is a valve command."""
+    """Return a reference that is a valve command, for open loop."""
     return Reference(phase, math.nan, math.nan, math.nan, math.nan, valve_v)
 
 
@@ -156,7 +156,7 @@ def _hold_segments(settings: HoldSettings) -> Iterator[Segment]:
 
 
 def start_at_position(course: Sequence[Segment], position_m: float) -> tuple[Segment, ...]:
-    """Let a closed-loop course begin where the muscle is, instead of at the vented one."""
+    """Let a closed-loop course begin at the muscle's position, instead of at the vented one."""
     first, *others = course
     if math.isnan(first.start_m):
         return tuple(course)
@@ -168,10 +168,10 @@ def _command_segment(valve_v: float, duration_s: float) -> Segment:
 
 
 class Course:
-    """Walks through segments as time goes on; asks for time in order."""
+    """Walks through segments as time goes on: times must not go back."""
 
     def __init__(self, course: Sequence[Segment], duration_s: float | None = None) -> None:
-        """`duration_s` cuts the course short."""
+        """`duration_s` ends the course early."""
         self.segments = tuple(course)
         whole_s = sum(segment.duration_s for segment in course)
         self.duration_s = whole_s if duration_s is None else min(duration_s, whole_s)
@@ -180,7 +180,7 @@ class Course:
 
     def at(self, t_s: float) -> Reference | None:
         """Return the reference at `t_s`, or None when the course is over."""
-        # Half a nanosecond: a tick's time is a sum of floats, an end is not.
+        # Half a nanosecond: the time of a tick is a rounded sum of floats.
         if t_s >= self.duration_s - 5e-10:
             return None
         segment = self.segments[self._index]

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from pamctl.signals import Estimate, Measurement, Reference
 
-# Above this share of the sampling rate the prewarped cut-off would run to infinity.
-# Settings beyond it are refused, so a filter gets there only after missed ticks; it then lets
-# the sample through nearly as it is, as a filter that much faster than the tick should.
+# Towards half the sampling rate the prewarped cut-off goes to infinity. Settings above this share
+# are refused, so a filter gets there only after missed ticks. It then passes the sample nearly
+# unchanged, as a filter that is fast beside the tick should.
 HIGHEST_PER_RATE = 0.45
 
 
@@ -27,12 +27,12 @@ class LowPass(NamedTuple):
 
 
 def prime_filter(value: float) -> LowPass:
-    """Return the state of a filter that has seen `value` forever."""
+    """Return the state of a filter whose input has always been `value`."""
     return LowPass(value, 0.0, value)
 
 
 def warp_cutoff(cutoff_hz: float, dt_s: float) -> float:
-    """tan(pi f dt): the cut-off as the trapezoidal rule needs it."""
+    """Return tan(pi f dt), the cut-off for the trapezoidal rule."""
     per_rate = cutoff_hz * dt_s
     return tan(pi * (per_rate if per_rate < HIGHEST_PER_RATE else HIGHEST_PER_RATE))
 
@@ -40,7 +40,7 @@ def warp_cutoff(cutoff_hz: float, dt_s: float) -> float:
 def low_pass(state: LowPass, g: float, value: float) -> tuple[float, LowPass]:
     """Filter one sample with the warped cut-off `g`.
 
-    A pole at -w in series with a pair of quality 1: together the Butterworth cubic.
+    A pole at -w in series with a pair of poles of quality 1 is the third-order Butterworth.
     """
     pole, pair_rate, pair_level = state
     rise = (value - pole) * g / (1.0 + g)
@@ -88,11 +88,11 @@ def estimate(
 
     LPF_2 works on the derivatives of e = x - x_D. Filtering those of x and subtracting
     the exact derivatives of x_D instead doubles the RMS error at the paper's 0.5 Hz.
-    Open loop the reference is NaN, and so are the error and the states of its filters:
-    that primes them afresh at the tick in which a law takes over.
+    In open loop the reference is NaN, and so are the error and the states of its filters. They
+    are primed anew in the tick in which a law takes over.
     """
     if not dt_s > 0.0:
-        # Such a sample is stale and safety's to refuse; until then it changes nothing.
+        # The sample is stale: it changes nothing here, and safety trips on it.
         dt_s = inf
     g = warp_cutoff(gains.displacement_hz, dt_s)
     position = state.position

@@ -1,8 +1,8 @@
-"""Homing: find what the sensors say of the vented muscle.
+"""Homing: find the zeros of both sensors on the vented muscle.
 
-The encoder is incremental, and the pressure sensor's zero is good to 17 kPa only. So
-the muscle is vented until both are steady, filled and vented again to settle the
-braid, and what they then say becomes the zero of both.
+The encoder is incremental, and the pressure sensor's zero is good to 17 kPa only. So the muscle
+is vented until both sensors are steady. It is filled and vented again to settle the braid. The
+readings after that are the zeros.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pamctl.signals import Phase, Reference
 
 
 class HomingSettings(Configured):
-    """How to home, and when to give up."""
+    """How the muscle is homed, and when homing fails."""
 
     enabled: Annotated[bool, Field(description="false: the first sample is the encoder's zero")] = (
         True
@@ -29,10 +29,10 @@ class HomingSettings(Configured):
     fill_v: Annotated[float, Field(gt=0, le=5)] = 2.0
     fill_s: Annotated[float, Field(gt=0, le=10)] = 0.15
     fill_rise_v: Annotated[
-        float, Field(ge=0, le=5, description="sensor V that each fill must add; 0: do not look")
+        float, Field(ge=0, le=5, description="sensor V that each fill must add; 0: no check")
     ] = 0.02
     fill_counts: Annotated[
-        int, Field(ge=0, description="encoder counts that each fill must add; 0: do not look")
+        int, Field(ge=0, description="encoder counts that each fill must add; 0: no check")
     ] = 30
     vent_v: Annotated[float, Field(ge=-5, lt=0)] = -5.0
     steady_s: Annotated[float, Field(gt=0, le=10)] = 0.25
@@ -46,7 +46,7 @@ class HomingError(Exception):
 
 
 class _Block:
-    """Half of the steady time: what the sensors said in it, in running figures."""
+    """Half of the steady time, with the sensors' mean and range in it."""
 
     def __init__(self, begin_s: float) -> None:
         self.begin_s = begin_s
@@ -81,10 +81,10 @@ class Homing:
         self.zero: Zero | None = None
 
     def next_reference(self, t_s: float, sample: RawSample) -> Reference | None:
-        """Return what to do at `t_s` having seen `sample`, or None when homed.
+        """Return the reference at `t_s` after `sample`, or None when homed.
 
-        Raises `HomingError` where the rig does not come to rest, does not answer to a
-        fill, or rests at a sensor voltage that no vented sensor gives.
+        Raises `HomingError` where the rig does not come to rest, does not react to a fill, or
+        rests at a sensor voltage that no vented sensor gives.
         """
         settings = self._settings
         if self._filling:
@@ -106,7 +106,7 @@ class Homing:
         return None
 
     def _require_motion(self, sample: RawSample) -> None:
-        """See that filling raised the pressure, and contracted the muscle: both by the sensors."""
+        """Check by the sensors that filling raised the pressure and contracted the muscle."""
         before, settings = self._before_fill, self._settings
         assert before is not None
         rise_v = sample.pressure_v - before.pressure_v
@@ -123,7 +123,7 @@ class Homing:
             )
 
     def _is_steady(self, t_s: float, sample: RawSample) -> bool:
-        """Compare the last two half steady times, each time one is complete."""
+        """Compare the last two halves of the steady time, whenever one is complete."""
         blocks = self._blocks
         if not blocks:
             blocks.append(_Block(t_s))
@@ -166,7 +166,7 @@ class Homing:
 
 
 def _drift(first: _Block, second: _Block) -> tuple[float, float]:
-    """Return by how much the sensor's mean changed (V), and over how many counts x went."""
+    """Return the change of the sensor's mean (V), and the range of the encoder (counts)."""
     lowest = min(first.lowest_counts, second.lowest_counts)
     highest = max(first.highest_counts, second.highest_counts)
     return abs(second.mean_v - first.mean_v), highest - lowest

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from pamctl.control.surface import (
+from pamctl.control.law import (
     UNITS_PER_METRE,
+    GainAxis,
+    Law,
     LawSettings,
-    LawState,
-    clamp_value,
-    prevent_windup,
-    reaching_term,
+    LawTerms,
+    SearchSpace,
+    Term,
+    read_numbers,
 )
+from pamctl.control.sliding_search import (
+    FIXED_SLIDING,
+    LPF1_BOUNDS,
+    LPF2_BOUNDS,
+    REACHING_AXES,
+    STIFFNESS_BOUNDS,
+    sliding_gains_at,
+    sliding_numbers_of,
+)
+from pamctl.control.surface import Absement, clamp_value, prevent_windup, reaching_term
 from pamctl.signals import Command, Estimate, Reference
 
 
@@ -76,15 +88,15 @@ def qsmc_gains(settings: QsmcSettings) -> QsmcGains:
 
 
 def qsmc(
-    gains: QsmcGains, state: LawState, reference: Reference, estimate: Estimate, dt_s: float
-) -> tuple[Command, LawState]:
+    gains: QsmcGains, memory: Absement, reference: Reference, estimate: Estimate, dt_s: float
+) -> tuple[Command, Absement]:
     """u = K_p (x_D''' - 3 l e'' - 3 l^2 e' - l^3 e - u_rb), l = lambda^q (Eq. 17)."""
     g = gains.sliding
     scale, pole = g.units_per_m, g.pole_per_s
     e = estimate.error_m * scale
     rate = estimate.error_rate_m_per_s * scale
     acceleration = estimate.error_acceleration_m_per_s2 * scale
-    absement_m_s = state.absement_m_s + estimate.error_m * dt_s
+    absement_m_s = memory.absement_m_s + estimate.error_m * dt_s
 
     # s of Eq. 11, and the part of its derivative (Eq. 12) that e''' does not carry.
     s = acceleration + pole * (3.0 * rate + pole * (3.0 * e + pole * scale * absement_m_s))
@@ -96,5 +108,50 @@ def qsmc(
     command_v = clamp_value(wanted_v, g.limit_v)
     return (
         Command(command_v, s / scale, equivalent_v, robust_v, command_v != wanted_v),
-        prevent_windup(state, absement_m_s, estimate.error_m, wanted_v - command_v),
+        prevent_windup(memory, absement_m_s, estimate.error_m, wanted_v - command_v),
     )
+
+
+SLIDING_BLENDED = frozenset({"lambda_per_s", "q", "eta", "phi"})
+"""Not `length_unit` and `reaching_law`: between two of those there is no law."""
+SLIDING_TERMS = LawTerms(
+    surface=Term("s", "m/s²", "sliding surface of Eq. 11"),
+    equivalent=Term("u_eq", "V", "equivalent control"),
+    robust=Term("u_rb", "V", "robust term of Eq. 15"),
+)
+
+_SOUGHT_AS = (1.75, "kp_v_s3_per_length", 1.0)
+
+
+def _to_gains(sought: dict[str, float]) -> dict[str, Any]:
+    return sliding_gains_at(sought, *_SOUGHT_AS)
+
+
+def _from_gains(gains: dict[str, Any]) -> dict[str, float]:
+    return sliding_numbers_of(read_numbers(gains), *_SOUGHT_AS)
+
+
+LAW = Law(
+    name="qsmc",
+    title="qSMC",
+    equation="u = K_p (x_D''' - 3 l e'' - 3 l^2 e' - l^3 e - u_rb), l = lambda^q (Eq. 17)",
+    settings=QsmcSettings,
+    gains=QsmcGains,
+    to_gains=qsmc_gains,
+    kernel=qsmc,
+    armed=Absement(0.0),
+    terms=SLIDING_TERMS,
+    blended=SLIDING_BLENDED | {"kp_v_s3_per_length"},
+    search=SearchSpace(
+        fixed={"law": "qsmc", **FIXED_SLIDING, "q": _SOUGHT_AS[0]},
+        axes=(
+            GainAxis("lambda_per_s", 5.0, 80.0, 30.0),
+            GainAxis("stiffness_v_per_mm", *STIFFNESS_BOUNDS, 25.0),
+            *REACHING_AXES,
+            GainAxis("lpf1_hz", *LPF1_BOUNDS, 200.0),
+            GainAxis("lpf2_hz", *LPF2_BOUNDS, 430.0),
+        ),
+        to_gains=_to_gains,
+        from_gains=_from_gains,
+    ),
+)

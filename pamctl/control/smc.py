@@ -17,21 +17,48 @@ is g; the rest is the drift, and f-hat of the paper is minus the drift:
 
     x''' = -f + g u,  so that  u = (x''' + f) / g.
 
-g depends on the side the valve opens to, so the sign of the wanted x''' + f decides
-which Psi is used. P is measured; x' and x'' are those of the reference plus the
+g depends on the side that the valve opens to: the sign of the wanted x''' + f decides which
+Psi is used. P is measured; x' and x'' are those of the reference plus the
 filtered derivatives of the error. With M = 0.05 kg g is about 4e4 m/s^3/V
 where the vented muscle is filled, and a quarter of it where a filled one exhausts.
+
+The mass is a gain
+------------------
+At rest the law amounts to
+
+    u = -K_p / g ((3 l - c / M) e'' + (3 l^2 - d / M) e' + l^3 e),    c = 570 N s/m, d = 1.6e4 N/m,
+
+because f-hat cancels the muscle's own damping and stiffness. With the 0.05 kg of Table I c / M is
+1e4 1/s: any lambda below 3800 1/s feeds the acceleration back with the wrong sign, any below
+320 1/s the velocity too, and a late valve makes that an oscillation. The moved mass acts within
+0.1 ms, so no rig can ever measure it. For the law it is a gain, and `pamctl tune` seeks it as one.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from pamctl.control.qsmc import SlidingGains, SlidingSettings, sliding_gains
-from pamctl.control.surface import LawState, clamp_value, prevent_windup, reaching_term
+from pamctl.control.law import GainAxis, Law, SearchSpace, read_numbers
+from pamctl.control.qsmc import (
+    SLIDING_BLENDED,
+    SLIDING_TERMS,
+    SlidingGains,
+    SlidingSettings,
+    sliding_gains,
+)
+from pamctl.control.sliding_search import (
+    FIXED_SLIDING,
+    LPF1_BOUNDS,
+    LPF2_BOUNDS,
+    REACHING_AXES,
+    STIFFNESS_BOUNDS,
+    sliding_gains_at,
+    sliding_numbers_of,
+)
+from pamctl.control.surface import Absement, clamp_value, prevent_windup, reaching_term
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
 from pamctl.plant.paper.valve import orifice_flow
@@ -74,7 +101,7 @@ def linearise_model(
     p: PaperParameters, x: float, velocity: float, acceleration: float, pressure_pa: float
 ) -> Linearisation:
     """x''' of the model at (x, x', x'', P), split as the module's docstring derives it."""
-    # Beyond these the braid has no length: an encoder gone astray, for safety to trip on.
+    # Beyond these the braid has no length. The encoder is wrong then, and safety trips.
     lowest_m = p.rest_length_m - _LONGEST * p.braid_length_m
     highest_m = p.rest_length_m - _SHORTEST * p.braid_length_m
     if x < lowest_m:
@@ -110,24 +137,24 @@ def linearise_model(
     )
 
 
-# In shares of the braid's length: it is stretched at 1, and without force at 0.577 (Eq. 3).
+# As shares of the braid's length: at 1 it is stretched, at 0.577 it has no force (Eq. 3).
 _LONGEST, _SHORTEST = 0.99, 0.6
 
-# At balanced pressures the valve moves no air and g-hat would vanish: no flow is taken
-# to be less than at this ratio.
+# At balanced pressures the valve moves no air, and g-hat would be 0. The flow is therefore never
+# taken to be less than at this ratio of pressures.
 _MOST_BALANCED = 0.98
 
 
 def smc(
-    gains: SmcGains, state: LawState, reference: Reference, estimate: Estimate, dt_s: float
-) -> tuple[Command, LawState]:
+    gains: SmcGains, memory: Absement, reference: Reference, estimate: Estimate, dt_s: float
+) -> tuple[Command, Absement]:
     """u = K_p / g (x_D''' + f - 3 l e'' - 3 l^2 e' - l^3 e - u_rb), l = lambda^q (Eq. 16)."""
     g = gains.sliding
     scale, pole = g.units_per_m, g.pole_per_s
     e = estimate.error_m
     rate = estimate.error_rate_m_per_s
     acceleration = estimate.error_acceleration_m_per_s2
-    absement_m_s = state.absement_m_s + e * dt_s
+    absement_m_s = memory.absement_m_s + e * dt_s
 
     s = acceleration + pole * (3.0 * rate + pole * (3.0 * e + pole * absement_m_s))
     error_drift = pole * (3.0 * acceleration + pole * (3.0 * rate + pole * e))
@@ -147,5 +174,55 @@ def smc(
     robust_v = -gains.kp / gain * reach
     return (
         Command(command_v, s, wanted_v - robust_v, robust_v, command_v != wanted_v),
-        prevent_windup(state, absement_m_s, e, wanted_v - command_v),
+        prevent_windup(memory, absement_m_s, e, wanted_v - command_v),
     )
+
+
+def _sought_as(mass_kg: float) -> tuple[float, str, float]:
+    """Return q, K_p's name, and g-hat with this mass: resting, half filled, at mid-stroke."""
+    p = plant_parameters(PlantSettings()).paper._replace(mass_kg=mass_kg)
+    half_filled_pa = 0.5 * (p.tank_pressure_pa + p.atmospheric_pressure_pa)
+    return 1.0, "kp", 1e3 * linearise_model(p, 11.8e-3, 0.0, 0.0, half_filled_pa).fill_gain
+
+
+def _to_gains(sought: dict[str, float]) -> dict[str, Any]:
+    mass_kg = sought["model_mass_kg"]
+    model = {"parameters": {"mass_kg": mass_kg}}
+    return {**sliding_gains_at(sought, *_sought_as(mass_kg)), "model": model}
+
+
+def _from_gains(gains: dict[str, Any]) -> dict[str, float]:
+    parameters = gains["model"].get("parameters", {})
+    mass_kg = float(parameters.get("mass_kg", PlantSettings().parameters.mass_kg))
+    return {
+        **sliding_numbers_of(read_numbers(gains), *_sought_as(mass_kg)),
+        "model_mass_kg": mass_kg,
+    }
+
+
+LAW = Law(
+    name="smc",
+    title="SMC",
+    equation="u = K_p / g (x_D''' + f - 3 l e'' - 3 l^2 e' - l^3 e - u_rb), l = lambda^q "
+    "(Eq. 16; with q = 1 Eq. 18)",
+    settings=SmcSettings,
+    gains=SmcGains,
+    to_gains=smc_gains,
+    kernel=smc,
+    armed=Absement(0.0),
+    terms=SLIDING_TERMS,
+    blended=SLIDING_BLENDED | {"kp", "model"},
+    search=SearchSpace(
+        fixed={"law": "smc", **FIXED_SLIDING, "q": 1.0},
+        axes=(
+            GainAxis("lambda_per_s", 20.0, 3000.0, 250.0),
+            GainAxis("stiffness_v_per_mm", *STIFFNESS_BOUNDS, 15.0),
+            GainAxis("model_mass_kg", 0.05, 20.0, 1.5),
+            *REACHING_AXES,
+            GainAxis("lpf1_hz", *LPF1_BOUNDS, 300.0),
+            GainAxis("lpf2_hz", *LPF2_BOUNDS, 430.0),
+        ),
+        to_gains=_to_gains,
+        from_gains=_from_gains,
+    ),
+)

@@ -17,9 +17,9 @@ class Motion(NamedTuple):
 def rest_to_rest(start_m: float, end_m: float, duration_s: float, t_s: float) -> Motion:
     """Move from rest to rest within `duration_s`.
 
-    Of the polynomials that leave and arrive with zero velocity, acceleration and jerk it
-    is the shortest: 35 r^4 - 84 r^5 + 70 r^6 - 20 r^7, r = t / duration. The derivatives
-    are exact. Before and after the motion it stands still.
+    This is the polynomial of lowest order with zero velocity, acceleration and jerk at both ends:
+    35 r^4 - 84 r^5 + 70 r^6 - 20 r^7, r = t / duration. The derivatives are exact. Before and
+    after the motion the position is constant.
     """
     if t_s <= 0.0:
         return Motion(start_m, 0.0, 0.0, 0.0)

@@ -9,9 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pamctl.control.experiment import ExperimentSettings
-from pamctl.control.law import law_gains
 from pamctl.daemon.protocol import RequestRefusedError
-from pamctl.realtime.gain_ramp import GainRampError, require_same_structure
+from pamctl.realtime.gain_ramp import GainRampError, require_blendable
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
     SECTIONS,
@@ -58,7 +57,7 @@ def load_experiment(
 def require_tunable(settings: RunSettings, changed: RunSettings) -> None:
     """Refuse gains between which the loop cannot blend while it runs."""
     try:
-        require_same_structure(law_gains(settings.controller), law_gains(changed.controller))
+        require_blendable(settings.controller, changed.controller)
     except GainRampError as error:
         raise RequestRefusedError(f"{error}; stop the run first") from error
 

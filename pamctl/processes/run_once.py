@@ -15,6 +15,7 @@ from hal.backend import find_backends
 from hal.calibration import Zero, calibration
 from hal.rig import Rig
 from pamctl.control.filters import warp_cutoff
+from pamctl.control.law_registry import describe_law, law_of
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.naming import bare_name
 from pamctl.log.run_meta import RunMeta
@@ -32,6 +33,7 @@ from pamctl.recording.log_path import choose_log_path
 from pamctl.recording.orphans import finish_orphans
 from pamctl.recording.ring import Ring
 from pamctl.report.progress_line import ProgressLine
+from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import (
     RunSettings,
     list_shipped,
@@ -155,8 +157,8 @@ def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -
                 }
             ),
         },
-        metadata={"run": run},
-        keyframe_fields=keyframe_fields(first_state(Zero(0.0, 0.0), 0.0)),
+        metadata={"run": run, "law": describe_law(law_of(controller))},
+        keyframe_fields=keyframe_fields(first_state(build_tick_setup(settings), Zero(0.0, 0.0))),
     )
 
 

@@ -1,4 +1,4 @@
-"""When the tick runs: the only clock that a tick ever sees.
+"""When the tick runs: the only source of time in the loop.
 
 `GridClock` wakes on an absolute grid of CLOCK_MONOTONIC, so that the lateness of one tick never
 delays the next one and the rate cannot drift. `SampleClock` is paced by hardware that samples on a
@@ -63,8 +63,8 @@ class GridClock:
     """Absolute deadlines: sleep until shortly before each, then spin onto it.
 
     The grid is laid when `wait` is called for the first time. Grid points that pass unused,
-    because the tick took too long or the kernel woke us too late, are skipped and counted, never
-    caught up: ticks in a burst would hand the differentiating filters a dt of next to nothing.
+    because the tick took too long or the kernel woke us too late, are skipped and counted. They are
+    never made up for: ticks in a burst would give the differentiating filters a dt near 0.
 
     Signals do not bring a tick forward. Their Python handlers run at once, within the wait; the
     wait then goes on to its deadline, and the loop meets the handler's flag there, at most one
@@ -103,7 +103,7 @@ class GridClock:
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep_until: Callable[[int], None] | None = None,
     ) -> None:
-        """See the class."""
+        """Check the arguments; the class describes them."""
         if period_ns <= 0:
             raise ValueError(f"period_ns must be positive, got {period_ns}")
         if phase_ns is None:
@@ -189,7 +189,7 @@ class SampleClock:
     __slots__ = ("_await_edge", "_host", "_tick")
 
     def __init__(self, host: Clock, await_edge: Callable[[], Edge]) -> None:
-        """See the class."""
+        """Check the arguments; the class describes them."""
         self._host = host
         self._await_edge = await_edge
         self._tick = -1
@@ -226,7 +226,7 @@ class VirtualClock:
     __slots__ = ("_missed", "_now_ns", "_period_ns", "_tick")
 
     def __init__(self, period_ns: int, missed: Mapping[int, int] | None = None) -> None:
-        """See the class."""
+        """Check the arguments; the class describes them."""
         if period_ns <= 0:
             raise ValueError(f"period_ns must be positive, got {period_ns}")
         self._period_ns = period_ns

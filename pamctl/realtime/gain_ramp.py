@@ -1,59 +1,60 @@
-"""Gains that change while the loop runs: on a ramp, so that the command does not jump.
+"""Gains that change while the loop runs, on a ramp, so that the command does not jump.
 
-The loop and the replay of its log compute the same gains of the same tick: all that the
-ramp depends on is in the log.
+The loop and the replay of its log compute the same gains for the same tick: all that the ramp
+depends on is in the log.
 """
 
 from __future__ import annotations
 
 from typing import Any, TypeVar
 
-from pamctl.control.law import ControllerSettings, Gains, filter_gains, law_gains
+from pamctl.control.law import LawSettings, filter_gains
+from pamctl.control.law_registry import law_of
 from pamctl.realtime.tick import TickSetup
 
 SHORTEST_RAMP_S = 0.05
-"""A gain that jumps makes the command jump; over 50 ticks it is a change among others."""
+"""A gain that jumps makes the command jump. Spread over 50 ticks the change is smooth."""
 DEFAULT_RAMP_S = 0.5
 
 Numbers = TypeVar("Numbers")
 
 
 class GainRampError(ValueError):
-    """Gains that cannot take the place of those in use while the muscle moves."""
+    """Gains that cannot replace those in use while the muscle moves."""
 
 
 class GainRamp:
-    """What the tick needs to know, with the gains of the moment."""
+    """The set-up of the tick, with the gains of the moment."""
 
-    def __init__(self, setup: TickSetup) -> None:
-        """Begin with the gains of `setup`."""
+    def __init__(self, setup: TickSetup, controller: LawSettings) -> None:
+        """Begin with the gains of `setup`; `controller` is what they were made of."""
+        self._controller = controller
         self._setup = setup
         self._from = self._to = setup
         self._begin_s = 0.0
         self._ramp_s = 0.0
 
-    def change(self, controller: ControllerSettings, t_s: float, ramp_s: float) -> None:
+    def change(self, controller: LawSettings, t_s: float, ramp_s: float) -> None:
         """Go from the gains of the moment to others within `ramp_s` (s), from `t_s` on.
 
-        Raises `GainRampError` for another law or structure.
+        Raises `GainRampError` for another law, and for settings that change only between runs.
         """
-        gains = law_gains(controller)
-        require_same_structure(self._to.gains, gains)
+        require_blendable(self._controller, controller)
+        self._controller = controller
         self._from = self.at(t_s)
-        self._to = self._setup._replace(gains=gains, filters=filter_gains(controller))
+        self._to = fit_law(self._setup, controller)
         self._begin_s = t_s
         self._ramp_s = max(ramp_s, SHORTEST_RAMP_S)
         self._setup = self._from
 
-    def replace(self, controller: ControllerSettings) -> None:
+    def replace(self, controller: LawSettings) -> None:
         """Take other gains, or another law, at once: while no law moves the muscle."""
-        self._setup = self._from = self._to = self._setup._replace(
-            gains=law_gains(controller), filters=filter_gains(controller)
-        )
+        self._controller = controller
+        self._setup = self._from = self._to = fit_law(self._setup, controller)
 
     @property
     def is_settled(self) -> bool:
-        """No gains are on their way."""
+        """No ramp is under way."""
         return self._setup is self._to
 
     def at(self, t_s: float) -> TickSetup:
@@ -65,17 +66,26 @@ class GainRamp:
         return self._setup
 
 
-def require_same_structure(old: Gains, new: Gains) -> None:
+def fit_law(setup: TickSetup, controller: LawSettings) -> TickSetup:
+    """Return a set-up with the law, the gains and the filters of a gains file."""
+    law = law_of(controller)
+    return setup._replace(
+        filters=filter_gains(controller), gains=law.to_gains(controller), armed=law.armed
+    )
+
+
+def require_blendable(old: LawSettings, new: LawSettings) -> None:
     """Raise `GainRampError` where there is nothing between the two that would still be a law."""
     if old.law != new.law:
         raise GainRampError("another law takes effect with the next run, not while the loop runs")
-    for here, there in ((old.qsmc.sliding, new.qsmc.sliding), (old.smc.sliding, new.smc.sliding)):
-        if here.literal_reaching != there.literal_reaching:
-            raise GainRampError("another reaching_law takes effect with the next run")
-        if here.units_per_m != there.units_per_m:
-            raise GainRampError(
-                "another length_unit takes effect with the next run: it is another law"
-            )
+    law = law_of(new)
+    names = [name for name in law.settings.model_fields if not law.may_blend(name)]
+    fixed = [name for name in names if getattr(old, name) != getattr(new, name)]
+    if fixed:
+        raise GainRampError(
+            f"another {' or '.join(fixed)} takes effect with the next run: {law.title} with it is "
+            "another law"
+        )
 
 
 def blend_gains(old: Numbers, new: Numbers, share: float) -> Numbers:

@@ -1,11 +1,11 @@
-"""The tick's state as the flat doubles of a keyframe, and back.
+"""The tick's state as the flat doubles of a keyframe, and back by their names.
 
-Frozen into the log once a second, so that a replay can start there.
+The state is frozen into the log once a second, so that a replay can start there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 State = TypeVar("State")
@@ -20,31 +20,34 @@ def freeze_state(state: object) -> list[float]:
 
 def keyframe_fields(state: object, path: str = "") -> list[str]:
     """Name the doubles that `freeze_state` makes: `filters.rate.pole` and the like."""
-    if isinstance(state, tuple):
-        names = getattr(state, "_fields", None) or map(str, range(len(state)))
-        prefix = f"{path}." if path else ""
-        return [
-            field
-            for name, part in zip(names, state, strict=True)
-            for field in keyframe_fields(part, prefix + name)
-        ]
-    return [path]
+    if not isinstance(state, tuple):
+        return [path]
+    return [
+        field
+        for name, part in zip(_name_parts(state, path), state, strict=True)
+        for field in keyframe_fields(part, name)
+    ]
 
 
-def thaw_state(like: State, numbers: Sequence[float]) -> State:
-    """Undo `freeze_state`: the doubles in the shape of another state, and with its types.
+def thaw_state(like: State, numbers: Mapping[str, float]) -> State:
+    """Return the doubles of a keyframe, by name, in the shape of another state.
 
-    Raises ValueError where there are more or fewer of them than `like` is made of.
+    A number of `like` that the keyframe lacks keeps its value: the keyframe is older. Names that
+    `like` does not have are left out.
     """
-    if len(numbers) != len(freeze_state(like)):
-        raise ValueError(
-            f"{len(numbers)} numbers, but the state is made of {len(freeze_state(like))}"
-        )
-    shaped: State = _shape_numbers(like, iter(numbers))
+    shaped: State = _shape_numbers(like, numbers, "")
     return shaped
 
 
-def _shape_numbers(like: Any, numbers: Iterator[float]) -> Any:
-    if isinstance(like, tuple):
-        return type(like)._make(_shape_numbers(part, numbers) for part in like)  # type: ignore[attr-defined]
-    return type(like)(next(numbers))
+def _shape_numbers(like: Any, numbers: Mapping[str, float], path: str) -> Any:
+    if not isinstance(like, tuple):
+        return type(like)(numbers.get(path, like))
+    names = _name_parts(like, path)
+    parts = (_shape_numbers(p, numbers, name) for p, name in zip(like, names, strict=True))
+    return type(like)._make(parts)  # type: ignore[attr-defined]
+
+
+def _name_parts(state: tuple[Any, ...], path: str) -> list[str]:
+    names = getattr(state, "_fields", None) or map(str, range(len(state)))
+    prefix = f"{path}." if path else ""
+    return [prefix + name for name in names]

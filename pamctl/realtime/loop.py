@@ -1,9 +1,9 @@
-"""The loop: what happens within a period, every period.
+"""The loop: what happens in every period.
 
     wake - read - ask - step - write - record
 
-One thread, no allocation worth collecting, no lock, no log file: rows go into a ring in
-shared memory, and another process writes them down.
+There is one thread, no lock, no log file, and nothing for the garbage collector. Rows go into a
+ring in shared memory, and another process writes them to the log.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ KEYFRAME_TICKS = 1000
 
 
 class Journal(Protocol):
-    """Where the loop puts what must not be lost. Raises `RingFull` where it cannot."""
+    """Takes what must not be lost. Its methods raise `RingFull` where there is no room."""
 
     def put_tick(self, record: TickRecord) -> None:
         """Keep a tick."""
@@ -39,36 +39,36 @@ class Journal(Protocol):
         """Keep the frozen state after a tick."""
 
     def end_ticks(self) -> None:
-        """Learn that the valve is safe and will not be moved again."""
+        """Take note that the valve is safe and will not be moved again."""
 
 
 class Helm(Protocol):
-    """Who may change what the tick needs to know, and what is asked next, between two ticks."""
+    """May change the set-up of the tick, and the program, between two ticks."""
 
     def setup(self, t_s: float) -> TickSetup:
-        """Return what holds for the tick at `t_s`."""
+        """Return the set-up of the tick at `t_s`."""
 
     def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
-        """Learn that a tick is done; what changes now holds from the next one on."""
+        """Take note that a tick is done; changes hold from the next tick on."""
 
 
 class FixedHelm:
     """The helm of a single run: nothing changes."""
 
     def __init__(self, setup: TickSetup) -> None:
-        """`setup` holds for every tick."""
+        """Use `setup` in every tick."""
         self._setup = setup
 
     def setup(self, t_s: float) -> TickSetup:
-        """Return it."""
+        """Return the one set-up."""
         return self._setup
 
     def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
-        """Let nobody interfere."""
+        """Do nothing."""
 
 
 class ReferenceSource(Protocol):
-    """What is asked of the muscle: `Program`, or a program that takes orders."""
+    """Gives the reference of each tick: `Program`, or a program that takes orders."""
 
     @property
     def is_stopping(self) -> bool:
@@ -82,10 +82,10 @@ class ReferenceSource(Protocol):
 
 
 class Supervisor(Protocol):
-    """Who may end the run from outside."""
+    """May end the run from outside."""
 
     def find_stop(self, tick: int) -> Ending | None:
-        """Return how the run should end, once it should; the loop then stops smoothly."""
+        """Return the ending when the run shall end, else None; the loop then stops smoothly."""
 
     def wants_abort(self) -> bool:
         """Tell whether to skip the smooth stop."""
@@ -113,7 +113,7 @@ def run_loop(
 
     `nominal_zero` gives the sensors' zeros until homing finds better ones; `truth` is what
     a simulated plant knows. Without a `helm` the set-up stays as it is. `RigError`, a safety
-    trip and a failed homing become the ending; anything else is an error of ours and is raised.
+    trip and a failed homing become the ending. Anything else is an error in pamctl and is raised.
     """
     try:
         with open_rig(rig):
@@ -123,7 +123,7 @@ def run_loop(
             try:
                 return loop.run()
             finally:
-                # In this order: until the valve is safe, whoever watches counts milliseconds.
+                # In this order: until the valve is safe, the guardian counts milliseconds.
                 rig.make_safe()
                 journal.end_ticks()
     except RigError as error:
@@ -137,7 +137,7 @@ _COMPLETE = Ending(ExitCode.OK, "the experiment is complete")
 
 @dataclass
 class _Loop:
-    """What the loop is made of, and how it will have ended."""
+    """The parts of the loop, and its ending."""
 
     rig: Rig
     clock: Clock
@@ -154,7 +154,7 @@ class _Loop:
         """Tick until the program ends."""
         wake = self.clock.wait()
         raw = self.rig.read()
-        state = first_state(self.nominal_zero(raw), self.setup.limits.safe_valve_v)
+        state = first_state(self.setup, self.nominal_zero(raw))
         self._record_zero(wake.tick, raw, state.zero)
         times = _Times(raw.encoder_t_ns, raw.encoder_t_ns - self.clock.period_ns)
         while True:
@@ -163,7 +163,7 @@ class _Loop:
             times = times._replace(last_t_ns=raw.encoder_t_ns)
             reference, zero = self._ask(timing, raw, state)
             if zero is not None:
-                state = rezero_state(state, zero)
+                state = rezero_state(self.helm.setup(timing.t_s), state, zero)
                 self._record_zero(timing.tick, raw, zero)
             if reference is None:
                 return self.ending
@@ -172,10 +172,10 @@ class _Loop:
             self._act(wake, sampled_ns, timing, raw, reference, state, decision)
             if decision.tripped:
                 return self._end_tripped(timing, raw, decision)
-            # Asked first: two signals that come between the two questions are then a stop
-            # in this tick and an abort in the next, and never an end without its reason.
+            # The abort is read first. Two signals between the two reads are then a stop in this
+            # tick and an abort in the next one, and the run never ends without its reason.
             abort = self.supervisor.wants_abort()
-            self._heed_supervisor(timing, raw, decision)
+            self._obey_supervisor(timing, raw, decision)
             self.helm.finish_tick(timing, raw, state)
             if abort:
                 return self.ending
@@ -185,15 +185,15 @@ class _Loop:
     def _ask(
         self, timing: Timing, raw: RawSample, state: TickState
     ) -> tuple[Reference | None, Zero | None]:
-        """Return what the program asks for; when the experiment is over it stops smoothly."""
+        """Return the program's reference; when the experiment is over, begin the smooth stop."""
         reference, zero = self.program.next_reference(timing.t_s, raw)
         if reference is None and not self.program.is_stopping:
             self._begin_stop(timing, raw, state.safety.valve_v)
             reference, _ = self.program.next_reference(timing.t_s, raw)
         return reference, zero
 
-    def _heed_supervisor(self, timing: Timing, raw: RawSample, decision: Decision) -> None:
-        """See, in the slack after the tick, whether somebody wants the run to end."""
+    def _obey_supervisor(self, timing: Timing, raw: RawSample, decision: Decision) -> None:
+        """Check, in the slack after the tick, whether the run shall end."""
         if not self.program.is_stopping:
             wanted = self.supervisor.find_stop(timing.tick)
             if wanted is not None:
@@ -216,7 +216,7 @@ class _Loop:
         state: TickState,
         decision: Decision,
     ) -> None:
-        """Write to the valve and put everything on record, the failed write too."""
+        """Write to the valve and record the tick, even if the write fails."""
         now_ns = self.clock.now_ns
         decided_ns = now_ns()
         applied_v = math.nan
@@ -242,12 +242,12 @@ class _Loop:
                     self.truth(),
                 )
             )
-        # The tick that ends a thousand, or the first after it where that one was missed.
+        # The last tick of each thousand, or the first one after it if that was missed.
         if (timing.tick + 1) % KEYFRAME_TICKS <= timing.missed:
             self.journal.put_keyframe(timing.tick, raw.encoder_t_ns, freeze_state(state))
 
     def _record_zero(self, tick: int, raw: RawSample, zero: Zero) -> None:
-        """Say in the log from which tick on the sensors have other zeros: replay needs it."""
+        """Record from which tick on the sensors have other zeros: replay needs it."""
         self.journal.put_event(tick, raw.encoder_t_ns, {"event": "zeroed", **zero._asdict()})
 
     def _end_tripped(self, timing: Timing, raw: RawSample, decision: Decision) -> Ending:

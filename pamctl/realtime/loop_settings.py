@@ -1,4 +1,4 @@
-"""How the loop is paced, as a rig file says it."""
+"""The section `loop` of a rig file: pace and stop."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
-"""Orders to a loop that goes on: one slot in shared memory, and no lock.
+"""Orders to a running loop: one slot in shared memory, without a lock.
 
     sequence, emergency, size | taken | JSON
 
-One process writes orders, the loop takes them in the slack of its ticks. A new order is
-written only after the one before was taken, so that neither ever waits for the other. An
-emergency stop needs no slot: it is a word of its own, and seen within a tick.
+One process writes orders. The loop takes them in the slack of its ticks. A new order is written
+only after the last one was taken, so neither process ever waits for the other. An emergency stop
+needs no slot: it has a word of its own, which the loop reads in every tick.
 
-The memory has no name: it goes with the last process that holds it, however that dies. The
-order of stores that this rests on is the one x86 keeps.
+The memory has no name: it is freed with the last process that holds it, however that process
+ends. The protocol needs stores to become visible in order, as they do on x86.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _POLL_S = 5e-4
 
 
 class OrderError(Exception):
-    """An order was not taken. The message says why."""
+    """The loop did not take an order. The message says why."""
 
 
 class Orders:
     """The slot, attached to this process."""
 
     def __init__(self, fd: int) -> None:
-        """Map the memory behind `fd`, which this object owns from now on."""
+        """Map the memory of `fd`; this object owns `fd` from now on."""
         self.fd = fd
         self._map = mmap.mmap(fd, _HEADER_BYTES + LARGEST_ORDER)
         self._buffer = memoryview(self._map)
@@ -80,7 +80,7 @@ class Orders:
             time.sleep(_POLL_S)
 
     def stop_now(self) -> None:
-        """Demand the emergency stop. There is no way back but a new session."""
+        """Demand the emergency stop. Only a new session runs again."""
         self._words[_EMERGENCY] = 1
 
     # The loop's side.
@@ -91,7 +91,7 @@ class Orders:
         return self._words[_EMERGENCY] != 0
 
     def take(self) -> dict[str, Any] | None:
-        """Return the next order, or None; some tenths of a microsecond where there is none."""
+        """Return the next order, or None, which takes some tenths of a microsecond."""
         sequence = self._words[_SEQUENCE]
         if sequence == self._words[_TAKEN]:
             return None

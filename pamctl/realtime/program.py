@@ -10,10 +10,10 @@ from pamctl.signals import Phase, Reference
 
 
 class Program:
-    """Says in every tick what is asked of the muscle.
+    """Gives the reference of every tick.
 
-    `zero` is set in the tick in which homing ends: from there on positions and pressures
-    are new, and the tick's state must start afresh.
+    New zeros come in the tick in which homing ends. Positions and pressures are new from there
+    on, and the tick's state must start anew.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Program:
 
     @property
     def running(self) -> tuple[Course, float] | None:
-        """The course and when it began, while time alone decides what is asked; else None."""
+        """The course and its begin (s) while only the time decides the reference; else None."""
         begin_s = self._course_begin_s
         if begin_s is None or self._homing is not None or self._stop_begin_s is not None:
             return None

@@ -1,4 +1,4 @@
-"""A loop that takes orders: run this, change gains, stop.
+"""The program of a loop that takes orders: run an experiment, change gains, stop.
 
 Takes the place of the one-run `Program`. Between runs the loop goes on at the safe valve
 command: parked. Orders are taken in the slack after a tick, and hold from the next one on.
@@ -10,12 +10,10 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from pydantic import TypeAdapter
-
 from hal.calibration import Zero
 from hal.rig import RawSample
 from pamctl.control.experiment import make_valve_reference
-from pamctl.control.law import ControllerSettings
+from pamctl.control.law_registry import read_controller
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp
 from pamctl.realtime.keyframe import freeze_state
@@ -23,8 +21,6 @@ from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup, TickState
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.signals import Phase, Reference, Timing
-
-_CONTROLLER: TypeAdapter[Any] = TypeAdapter(ControllerSettings)
 
 _COMPLETE = Ending(ExitCode.OK, "the experiment is complete")
 
@@ -37,7 +33,7 @@ class OrderSlot(Protocol):
 
 
 class SteeredProgram:
-    """Program and tuning of a loop that outlives its runs."""
+    """Program and gains of a loop that outlives its runs."""
 
     def __init__(
         self,
@@ -54,7 +50,7 @@ class SteeredProgram:
         """
         self._orders = orders
         self._journal = journal
-        self._tuning = GainRamp(setup)
+        self._tuning = GainRamp(setup, read_controller(controller))
         self._gains_said: list[Mapping[str, object]] = [controller]
         self._program_of = program_of
         self._safe_valve_v = setup.limits.safe_valve_v
@@ -69,7 +65,7 @@ class SteeredProgram:
     # --- what the loop asks in each tick ----------------------------------------------
 
     def setup(self, t_s: float) -> TickSetup:
-        """Return the gains of the moment, and all that does not change."""
+        """Return the set-up with the gains of the moment."""
         return self._tuning.at(t_s)
 
     def next_reference(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
@@ -146,9 +142,9 @@ class SteeredProgram:
         """Begin a run with a log of its own; without a ring it goes on in the present one."""
         now = (timing.tick, raw.encoder_t_ns)
         if order["ring"] is not None:
-            self._end_run(timing, raw)  # a position that was held gives way
+            self._end_run(timing, raw)  # ends the holding of a position
             self._journal.begin_run(order["ring"], *now, self._current_gains(), freeze_state(state))
-        # All that the program depends on goes on record: a replay asks it again.
+        # All that the program depends on is recorded: a replay runs the program again.
         resolved = {
             "experiment": order["experiment"],
             "duration_s": order["duration_s"],
@@ -158,10 +154,10 @@ class SteeredProgram:
         self._journal.put_event(*now, {"event": "order", "do": "run", **resolved})
         self._run = self._program_of(resolved)
         self._run_ending = _COMPLETE
-        self._is_homed = True  # a homing that fails ends the loop
+        self._is_homed = True  # if homing fails, the loop ends
 
     def _change_gains(self, order: Mapping[str, Any], timing: Timing, raw: RawSample) -> None:
-        settings = _CONTROLLER.validate_python(order["controller"])
+        settings = read_controller(order["controller"])
         if self._run is None:
             self._tuning.replace(settings)
             self._gains_said = [order["controller"]]
@@ -176,7 +172,7 @@ class SteeredProgram:
         self._journal.put_gains(timing.tick, raw.encoder_t_ns, said)
 
     def _current_gains(self) -> list[Mapping[str, object]]:
-        """Return the gains of the last rest, and every change that is still on its way."""
+        """Return the last settled gains, and every change whose ramp is not over."""
         if self._tuning.is_settled:
             last = dict(self._gains_said[-1])
             self._gains_said = [{k: v for k, v in last.items() if k not in ("from_t_s", "ramp_s")}]
@@ -195,7 +191,7 @@ class SteeredProgram:
         self._run, self._is_over = None, False
 
     def _position_m(self, state: TickState) -> float:
-        """Return where a motion begins: where the reference stands, or else the muscle."""
+        """Return where a motion begins: at the reference, or else at the muscle's position."""
         here_m = self._reference.reference_m
         if not math.isnan(here_m):
             return here_m

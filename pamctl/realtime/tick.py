@@ -2,8 +2,8 @@
 
     RawSample -> Measurement -> Estimate -> Command -> Decision
 
-Pure: no clock, no rig, no log. The loop around it reads the rig, calls it, writes, and
-records what was really written. The batch simulation compiles this very function.
+The tick is pure: it has no clock, no rig, no log. The loop around it reads the rig, calls it,
+writes, and records what was really written. The batch simulation compiles this very function.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from typing import NamedTuple
 from hal.calibration import Calibration, Zero, position_m, pressure_pa
 from hal.rig import RawSample
 from pamctl.control.filters import UNPRIMED, FilterGains, FilterState, estimate
-from pamctl.control.law import Gains, respond
-from pamctl.control.surface import ARMED, LawState
+from pamctl.control.law import Gains, Memory, respond
 from pamctl.safety import INITIAL_SAFETY_STATE, Limits, SafetyState, admit
 from pamctl.signals import Command, Decision, Estimate, Measurement, Reference, Timing
 
@@ -26,13 +25,15 @@ class TickSetup(NamedTuple):
     calibration: Calibration
     filters: FilterGains
     gains: Gains
+    armed: Memory
+    """The memory of the law that the gains belong to, when it has just been switched on."""
     limits: Limits
 
 
 class TickState(NamedTuple):
-    """What the stages said last, and all that the next tick needs of this one.
+    """The results of the last tick, and all that the next tick needs of it.
 
-    Frozen into the log once a second, so that a replay can start there.
+    The state is frozen into the log once a second, so that a replay can start there.
     """
 
     zero: Zero
@@ -40,7 +41,7 @@ class TickState(NamedTuple):
     estimate: Estimate
     command: Command
     filters: FilterState
-    law: LawState
+    law: Memory
     safety: SafetyState
 
 
@@ -50,7 +51,7 @@ def step(
     """Run one tick."""
     measurement = measure(setup.calibration, state.zero, raw)
     estimated, filters = estimate(setup.filters, state.filters, measurement, reference, timing.dt_s)
-    command, law = respond(setup.gains, state.law, reference, estimated, timing.dt_s)
+    command, law = respond(setup.gains, setup.armed, state.law, reference, estimated, timing.dt_s)
     decision, safety = admit(
         setup.limits, state.safety, raw, measurement, reference, estimated, command, timing
     )
@@ -65,19 +66,23 @@ def measure(calibration: Calibration, zero: Zero, raw: RawSample) -> Measurement
     )
 
 
-def first_state(zero: Zero, valve_v: float) -> TickState:
-    """Return the state before the first tick: nothing is known but where the valve is (V)."""
+def first_state(setup: TickSetup, zero: Zero) -> TickState:
+    """Return the state before the first tick: only the zeros and the safe valve are known."""
     return TickState(
         zero,
         Measurement(math.nan, math.nan),
         Estimate(math.nan, math.nan, math.nan, math.nan, math.nan),
         Command(math.nan, math.nan, math.nan, math.nan, False),
         UNPRIMED,
-        ARMED,
-        INITIAL_SAFETY_STATE._replace(valve_v=valve_v),
+        setup.armed,
+        INITIAL_SAFETY_STATE._replace(valve_v=setup.limits.safe_valve_v),
     )
 
 
-def rezero_state(state: TickState, zero: Zero) -> TickState:
-    """Start afresh with other zeros: positions and pressures are not what they were."""
-    return first_state(zero, state.safety.valve_v)
+def rezero_state(setup: TickSetup, state: TickState, zero: Zero) -> TickState:
+    """Start afresh with other zeros: positions and pressures are not what they were.
+
+    Only the valve stays where it is.
+    """
+    fresh = first_state(setup, zero)
+    return fresh._replace(safety=fresh.safety._replace(valve_v=state.safety.valve_v))

@@ -111,6 +111,7 @@ def replay_log(
 
 def _load_kernels(recording: ReplaySource) -> None:
     """Run on zero ticks: compiling, or loading compiled code, does not count for the speed."""
-    nowhere = first_state(Zero(0.0, 0.0), 0.0)
-    replay_stretch(recording.setup_at(0), recording.output, nowhere, recording.inputs(0, 0))
+    setup = recording.setup_at(0)
+    nowhere = first_state(setup, Zero(0.0, 0.0))
+    replay_stretch(setup, recording.output, nowhere, recording.inputs(0, 0))
     trace_course([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))

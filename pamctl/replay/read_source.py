@@ -9,13 +9,15 @@ import numpy as np
 
 from hal.backend import find_backends
 from hal.calibration import Zero
-from pamctl.control.law import ControllerSettings
+from pamctl.control.law import LawSettings
+from pamctl.control.law_registry import compare_law_source, explain_absent_law
 from pamctl.json_text import to_json
 from pamctl.log import Log
-from pamctl.realtime.keyframe import keyframe_fields, thaw_state
+from pamctl.realtime.keyframe import thaw_state
 from pamctl.realtime.tick import TickState, first_state
 from pamctl.replay.replay_source import GainChange, NotReplayable, ReplaySource
 from pamctl.replay.tick_kernel import REPLAYED_FIELDS, TickInputs
+from pamctl.settings.build import build_tick_setup
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
     SECTIONS,
@@ -37,18 +39,25 @@ def read_replay_source(log: Log) -> ReplaySource:
         raise NotReplayable(
             f"the ticks of {log.path} are not in order; see `pamctl log check {log.path}`"
         )
+    _require_law(log)
     settings = _read_settings(log)
-    keyframes, orders = _read_keyframes(log), _read_orders(log)
+    orders = _read_orders(log)
+    # A single run begins with what is configured; one that was ordered, with what was set.
+    gains = _read_controller(log, log.gains[0]) if orders else settings.controller
+    keyframes = _read_keyframes(log, settings.model_copy(update={"controller": gains}))
     return ReplaySource(
         log=log,
         settings=settings,
         zeros=_read_zeros(log),
-        # A single run begins with the configured gains, an ordered run with those that were set.
-        gains=_read_controller(log, log.gains[0]) if orders else settings.controller,
+        gains=gains,
         changes=_read_gain_changes(log),
         orders=orders,
         stops=frozenset(_index_by_tick(log, (e for e in log.events if e["event"] == "stopping"))),
         keyframes=keyframes,
+        keyframe_names=frozenset.intersection(*(frozenset(k["state"]) for k in log.keyframes))
+        if log.keyframes
+        else frozenset(),
+        law_change=compare_law_source(log.metadata.get("law", {}), _name_law(log)),
         losses=_find_losses(log, begins_known=-1 in keyframes),
     )
 
@@ -59,6 +68,17 @@ def _refuse_imported(log: Log) -> None:
             f"{log.path} is an imported measurement: there is no tick of pamctl to "
             "replay in it; `pamctl compare` and `pamctl diagnose` work on it"
         )
+
+
+def _name_law(log: Log) -> str:
+    return str(log.config.get("controller", {}).get("law", ""))
+
+
+def _require_law(log: Log) -> None:
+    name = _name_law(log)
+    absent = name and explain_absent_law(log.metadata.get("law", {}), name)
+    if absent:
+        raise NotReplayable(f"{log.path} cannot be replayed here: {absent}")
 
 
 def _require_columns(log: Log) -> None:
@@ -147,13 +167,11 @@ def _find_tick_after(log: Log, message: Mapping[str, Any]) -> int:
     return int(np.searchsorted(log["tick"], message["tick"], side="right"))
 
 
-def _read_controller(log: Log, message: Mapping[str, Any]) -> ControllerSettings:
+def _read_controller(log: Log, message: Mapping[str, Any]) -> LawSettings:
     gains = {name: value for name, value in message.items() if name not in _WHERE}
     try:
         raw = RawSettings(gains, {(): f"{log.path}:/pam/gains"})
-        controller: ControllerSettings = validate_settings(
-            SECTIONS["controller"], raw, "controller"
-        )
+        controller: LawSettings = validate_settings(SECTIONS["controller"], raw, "controller")
     except ConfigError as error:
         raise NotReplayable(
             f"gains in {log.path} do not fit this version; "
@@ -166,14 +184,12 @@ _WHERE = ("tick", "t_ns", "row", "from_t_s", "ramp_s")
 """Keys of a message beside its gains."""
 
 
-def _read_keyframes(log: Log) -> dict[int, TickState]:
-    """Thaw the keyframes; leave out those of another version, whose state has other parts."""
-    like = first_state(Zero(0.0, 0.0), 0.0)
-    names = keyframe_fields(like)
+def _read_keyframes(log: Log, settings: RunSettings) -> dict[int, TickState]:
+    """Thaw the keyframes; numbers that an older log lacks are as before the first tick."""
+    like = first_state(build_tick_setup(settings), Zero(0.0, 0.0))
     return {
-        at: thaw_state(like, [keyframe["state"][name] for name in names])
+        at: thaw_state(like, keyframe["state"])
         for at, keyframe in _index_by_tick(log, log.keyframes).items()
-        if keyframe["state"].keys() == set(names)
     }
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from hal.calibration import Zero
 from hal.converter import Output
-from pamctl.control.law import ControllerSettings
+from pamctl.control.law import LawSettings
 from pamctl.exit_codes import ExitCode
 from pamctl.log import Log
 from pamctl.realtime.gain_ramp import GainRamp
@@ -39,7 +39,7 @@ class GainChange(NamedTuple):
 
     tick: int
     """The first tick with the new gains, as its place in the log."""
-    controller: ControllerSettings
+    controller: LawSettings
     from_t_s: float
     ramp_s: float
 
@@ -52,7 +52,7 @@ class ReplaySource:
     settings: RunSettings
     zeros: Mapping[int, Zero]
     """The sensors' zeros, by the first tick that uses them."""
-    gains: ControllerSettings
+    gains: LawSettings
     """The gains at the beginning of the run."""
     changes: tuple[GainChange, ...]
     """The changes of the gains during the run, in order."""
@@ -62,6 +62,10 @@ class ReplaySource:
     """Ticks in which the run began to stop."""
     keyframes: Mapping[int, TickState]
     """The frozen state after a tick, by tick."""
+    keyframe_names: frozenset[str]
+    """The numbers that every keyframe of the log holds."""
+    law_change: str
+    """How the law's source differs from the one that made the log; empty if it does not."""
     losses: frozenset[int]
     """Ticks with a loss before them: the run did not miss those ticks, but the log lost them."""
 
@@ -88,10 +92,10 @@ class ReplaySource:
         lost = tick in self.losses
         zero = self.zeros.get(tick)
         if zero is not None and tick == 0 and not lost:
-            return first_state(zero, self.setup_at(0).limits.safe_valve_v)
+            return first_state(self.setup_at(0), zero)
         if lost or after_last is None or zero is None:
             return None if lost else after_last
-        return rezero_state(after_last, zero)
+        return rezero_state(self.setup_at(tick), after_last, zero)
 
     def _find_ramp(self, change: GainChange) -> range:
         """Return the ticks of a ramp, and the first tick with the final gains."""
@@ -101,7 +105,7 @@ class ReplaySource:
 
     def setup_at(self, tick: int) -> TickSetup:
         """Return the setup of a tick; on a ramp it applies to this tick only."""
-        tuning = GainRamp(self._first_setup)
+        tuning = GainRamp(self._first_setup, self.gains)
         for change in self.changes:
             if change.tick <= tick:
                 tuning.change(change.controller, change.from_t_s, change.ramp_s)

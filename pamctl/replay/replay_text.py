@@ -43,6 +43,7 @@ def make_replay_document(found: Replay, tolerance: str | None) -> dict[str, Any]
             }
             for difference in found.differences
         ],
+        "law_change": found.recording.law_change or None,
         "made_by": _maker(found),
         "speed_x_real_time": found.speed,
     }
@@ -108,6 +109,8 @@ def format_replay(found: Replay) -> str:
         ]
     if found.begin:
         lines.append(f"from tick {_tick(found, found.begin)}, with the frozen state before it")
+    if found.recording.law_change:
+        lines.append(f"warning: {found.recording.law_change}")
     if found.absent:
         lines.append(f"not in this log, and not compared: {', '.join(found.absent)}")
     if found.skipped:

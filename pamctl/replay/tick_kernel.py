@@ -11,6 +11,7 @@ from hal.calibration import output_v
 from hal.converter import Output, nearest_output_v
 from hal.rig import RawSample
 from pamctl.compiled import compile_kernel
+from pamctl.control.law import KERNELS, LawKernel, answer
 from pamctl.realtime.tick import TickSetup, TickState, step
 from pamctl.signals import TICK_FIELDS, Field, Reference, Timing
 
@@ -104,9 +105,11 @@ def replay_stretch(
         # The loop computes with Python's numbers: numpy's scalars use another library for powers.
         inputs = TickInputs._make(column.tolist() for column in inputs)
         return replay_ticks(setup, output, state, inputs, rows), rows
-    return _compile_replay_ticks()(setup, output, state, inputs, rows), rows
+    return _compile_replay_ticks(KERNELS[type(setup.gains)])(
+        setup, output, state, inputs, rows
+    ), rows
 
 
 @cache
-def _compile_replay_ticks() -> Callable[..., TickState]:
-    return compile_kernel(replay_ticks)
+def _compile_replay_ticks(law: LawKernel) -> Callable[..., TickState]:
+    return compile_kernel(replay_ticks, (answer, law))

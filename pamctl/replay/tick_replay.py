@@ -5,32 +5,36 @@ from __future__ import annotations
 import numpy as np
 
 from hal.calibration import Zero
+from pamctl.control.filters import UNPRIMED
+from pamctl.control.law_registry import installed_laws
 from pamctl.realtime.keyframe import freeze_state, keyframe_fields
-from pamctl.realtime.tick import TickState, first_state
+from pamctl.realtime.tick import TickState
 from pamctl.replay.differences import Differences, Floats, StageField, find_differing
 from pamctl.replay.program_replay import ProgramAnswer, ProgramReplay
 from pamctl.replay.replay_source import ReplaySource
 from pamctl.replay.tick_kernel import REPLAYED_FIELDS, replay_stretch
+from pamctl.safety import INITIAL_SAFETY_STATE
 from pamctl.signals import TICK_FIELDS
 
 
 def list_compared_fields() -> list[str]:
-    """Name every field that a replay compares: zeros, reference, tick and keyframe."""
+    """Name every field that a replay compares: zeros, reference, tick and keyframe.
+
+    A keyframe has, beside the tick, the memory of filters, law and safety.
+    """
+    memories = [law.armed for law in installed_laws().values()]
     return [
         *Zero._fields,
         *_REFERENCE,
         *(field.name for field in REPLAYED_FIELDS),
-        *(name for _, name in _REMEMBERED),
+        *keyframe_fields(UNPRIMED, "filters"),
+        *dict.fromkeys(name for one in memories for name in keyframe_fields(one, "law")),
+        *keyframe_fields(INITIAL_SAFETY_STATE, "safety"),
     ]
 
 
 _REFERENCE = [field.name for field in TICK_FIELDS if field.stage == "reference"]
-_REMEMBERED = tuple(
-    (index, name)
-    for index, name in enumerate(keyframe_fields(first_state(Zero(0.0, 0.0), 0.0)))
-    if name.startswith(("filters.", "law.", "safety."))
-)
-"""The fields of a keyframe that are not in the tick: the memory of filters, law and safety."""
+_MEMORIES = ("filters.", "law.", "safety.")
 
 
 class TickReplay:
@@ -96,7 +100,7 @@ class TickReplay:
             if field.name in self._recording.log.columns
         ) or (
             keyframe is not None
-            and find_differing(_flatten_state(keyframe), _flatten_state(after)) is not None
+            and find_differing(self._read_memory(keyframe), self._read_memory(after)) is not None
         )
 
     def _compare_answer(self, asked: ProgramAnswer, begin: int, end: int) -> None:
@@ -118,16 +122,20 @@ class TickReplay:
         keyframe = self._recording.keyframes.get(tick)
         if keyframe is None:
             return
-        logged, ours = (
-            _flatten_state(keyframe)[:, None],
-            _flatten_state(after)[:, None],
-        )  # rows of one tick each
-        for index, name in _REMEMBERED:
-            self.differences.take(StageField("keyframe", name), tick, logged[index], ours[index])
+        names = self._list_memory(after)
+        rows = zip(names, self._read_memory(keyframe), self._read_memory(after), strict=True)
+        for name, logged, ours in rows:
+            place = StageField("keyframe", name)
+            self.differences.take(place, tick, np.array([logged]), np.array([ours]))
+
+    def _list_memory(self, state: TickState) -> list[str]:
+        """Name what the log's keyframes hold beside the tick; an older log may hold less."""
+        known = self._recording.keyframe_names
+        return [n for n in keyframe_fields(state) if n.startswith(_MEMORIES) and n in known]
+
+    def _read_memory(self, state: TickState) -> Floats:
+        numbers = dict(zip(keyframe_fields(state), freeze_state(state), strict=True))
+        return np.array([numbers[name] for name in self._list_memory(state)], dtype=np.float64)
 
     def _read_logged(self, name: str, begin: int, end: int) -> Floats:
         return self._recording.log[name][begin:end].astype(np.float64)
-
-
-def _flatten_state(state: TickState) -> Floats:
-    return np.array(freeze_state(state), dtype=np.float64)

@@ -106,6 +106,8 @@ def run_what_if(log: Log, settings: RunSettings, *, from_s: float | None = None)
         if state is None:
             after = recording.keyframes.get(end - 1)
             continue
+        if type(state.law) is not type(setup.armed):
+            state = state._replace(law=setup.armed)  # another law's memory means nothing here
         after, stretch = replay_stretch(
             setup, recording.output, state, recording.inputs(start, end)
         )

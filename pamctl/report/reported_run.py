@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.control.law_registry import LawWords, find_law, read_law_words
 from pamctl.log import Log
 from pamctl.settings.resolve import resolve as shipped
 from pamctl.settings.resolve import settings_to_data
@@ -87,6 +88,11 @@ class ReportedRun:
         """The log's metadata on its run: law, controller, experiment, plant, rig, backend."""
         return dict(self.log.metadata.get("run", {}))
 
+    @cached_property
+    def law(self) -> LawWords:
+        """What its law and the law's terms are called: as the log says, or the installed law."""
+        return read_law_words(self.log.metadata.get("law", {}), self.meta.get("law", ""))
+
     @property
     def fast(self) -> bool:
         """Whether the run was simulated without a clock."""
@@ -123,8 +129,8 @@ def name_runs(logs: Sequence[Log]) -> list[ReportedRun]:
 
 
 def law_name(law: str) -> str:
-    """Return a law's name as the paper writes it."""
-    return {"qsmc": "qSMC"}.get(law, law.upper())
+    """Return a law's name as people write it."""
+    return find_law(law).title
 
 
 def paper_rows(experiment: str | None) -> list[Any]:

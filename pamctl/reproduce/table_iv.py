@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from pamctl.control.law_registry import find_law
 from pamctl.control.smc import SmcSettings, linearise_model
 from pamctl.plant.model import plant_parameters
 from pamctl.report.html_page import Page
@@ -21,7 +22,6 @@ from pamctl.reproduce.tracking import summarise_outcome
 from pamctl.simulate.merit import TABLE_IV
 
 EXPERIMENTS = ("tracking-1", "tracking-2")
-_LAWS = {"qsmc": "qSMC", "smc": "SMC"}
 
 Numbers = dict[str, dict[str, dict[str, dict[str, float | None]]]]
 
@@ -51,7 +51,7 @@ def write_table4(page: Page, seed: int) -> dict[str, Any]:
 
 def _make_paper_rows() -> list[list[str]]:
     rows = []
-    for law, name in _LAWS.items():
+    for law in sorted({row.law for row in TABLE_IV}):
         cells = [
             _format_cell(value)
             for row in TABLE_IV
@@ -59,7 +59,7 @@ def _make_paper_rows() -> list[list[str]]:
             for value in row.merit
             if not math.isnan(value)
         ]
-        rows.append([f"paper's {name} on its rig", *cells])
+        rows.append([f"paper's {find_law(law).title} on its rig", *cells])
     return rows
 
 

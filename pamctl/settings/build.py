@@ -15,7 +15,8 @@ from hal.converter import Output
 from hal.rig import RawSample
 from pamctl.control.experiment import Course, ExperimentSettings, build_segments, start_at_position
 from pamctl.control.homing import Homing, HomingSettings
-from pamctl.control.law import filter_gains, law_gains
+from pamctl.control.law import filter_gains
+from pamctl.control.law_registry import law_of
 from pamctl.plant.model import plant_parameters
 from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup
@@ -27,11 +28,12 @@ _EXPERIMENT: TypeAdapter[Any] = TypeAdapter(ExperimentSettings)
 
 def build_tick_setup(settings: RunSettings) -> TickSetup:
     """Return what the tick needs to know."""
-    cal = calibration(settings.rig.calibration)
+    cal, law = calibration(settings.rig.calibration), law_of(settings.controller)
     return TickSetup(
         calibration=cal,
         filters=filter_gains(settings.controller),
-        gains=law_gains(settings.controller),
+        gains=law.to_gains(settings.controller),
+        armed=law.armed,
         limits=convert_limits(
             settings.rig.limits,
             safe_valve_v=safe_valve_v(settings, cal),

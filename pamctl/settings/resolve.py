@@ -20,7 +20,12 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from hal.configured import Configured
 from pamctl.control.experiment import ExperimentSettings
 from pamctl.control.filters import HIGHEST_PER_RATE
-from pamctl.control.law import ControllerSettings
+from pamctl.control.law_registry import (
+    ControllerSettings,
+    LawError,
+    add_law_file,
+    explain_missing_law,
+)
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.problems import (
@@ -107,6 +112,7 @@ _CHOSEN_BY_FILE = {"controller": "law", "rig": "backend", "experiment": "kind"}
 def resolve(
     *,
     controller: str | None = None,
+    controller_from: str | None = None,
     experiment: str | None = None,
     rig: str | None = None,
     plant: str | None = None,
@@ -120,8 +126,10 @@ def resolve(
     """Resolve a run from command-line values; None means the default.
 
     Sections are names of shipped files or paths; overrides read `controller.lambda_per_s=12`.
-    Raises `ConfigError`.
+    `controller_from` is a Python file with a law, as `use_law_file` takes it; without `controller`
+    the law's defaults are its gains. Raises `ConfigError`.
     """
+    law = None if controller_from is None else use_law_file(controller_from)
     chosen = {"controller": controller, "experiment": experiment, "rig": rig, "plant": plant}
     options = {
         "seed": ("--seed", seed),
@@ -134,12 +142,30 @@ def resolve(
     _run_together(
         partial(raw.add_section, section, DEFAULT_NAMES[section] if name is None else name)
         for section, name in chosen.items()
+        if not (section == "controller" and name is None and law is not None)
     )
+    if law is not None:
+        raw.choose_law(law, f"--controller-from {controller_from}")
     for key, (option, value) in options.items():
         if value is not None:
             raw.put((key,), value, f"{option} {value}")
     _run_together(partial(raw.override, override) for override in overrides)
     return validate_settings(RUN, raw)
+
+
+def use_law_file(spec: str) -> str:
+    """Add the law of `FILE.py` or `FILE.py:NAME` to those that settings know; return its name.
+
+    This process and those that it starts know it. Raises `ConfigError`.
+    """
+    try:
+        law = add_law_file(spec)
+    except LawError as error:
+        raise ConfigError([Problem("--controller-from", "", str(error))]) from None
+    SECTIONS["controller"].rebuild(force=True)
+    RunSettings.model_rebuild(force=True)
+    RUN.rebuild(force=True)
+    return law.name
 
 
 def check_config_file(path: Path) -> str:
@@ -297,6 +323,18 @@ class RawSettings:
         self.data[section] = file.data
         self.origins |= {(section, *at): origin for at, origin in file.origins.items()}
 
+    def choose_law(self, law: str, origin: str) -> None:
+        """Require the gains of a law, or take its defaults where there is no gains file.
+
+        Raises `ConfigError`.
+        """
+        at = ("controller", "law")
+        if "controller" not in self.data:
+            self.put(at, law, origin)
+        elif (written := self.data["controller"].get("law")) != law:
+            message = f"defines the law {law!r}, but the gains file is for {written!r}"
+            raise ConfigError([Problem(origin, "", message)])
+
     def put(self, keys: Sequence[str], value: object, origin: str) -> None:
         """Set one value; create the mappings on the way to it.
 
@@ -358,6 +396,14 @@ class RawSettings:
         return next((order.index(near) for near in _walk_outwards(at) if near in self.origins), 0)
 
 
+def _explain_law(raw: RawSettings, at: KeyPath) -> str:
+    """Return why the law that stands there is not among the choices, if a package offers it."""
+    value: Any = raw.data
+    for key in at:
+        value = value.get(key) if isinstance(value, dict) else None
+    return explain_missing_law(value) if isinstance(value, str) else ""
+
+
 def _find_slot(container: object, key: str, at: KeyPath) -> str | int:
     if isinstance(container, dict):
         return key
@@ -395,7 +441,11 @@ def validate_settings(
     try:
         return adapter.validate_json(json.dumps(raw.data), strict=True)
     except ValidationError as error:
-        found = explain_errors(error.errors(include_url=False), adapter.json_schema(), title)
+        errors = error.errors(include_url=False)
+        found = explain_errors(errors, adapter.json_schema(), title)
+        for at, message in found.items():
+            if at[-1:] == ("law",) and (why := _explain_law(raw, at)):
+                found[at] = f"{message}; {why}"
     raise ConfigError(
         Problem(raw.origin(at), join_key_path((title, *at) if title else at), message)
         for at, message in sorted(found.items(), key=lambda finding: raw.rank(finding[0]))

@@ -20,6 +20,7 @@ from hal.rig import RawSample
 from hal.sim.sim_rig import SensorChain, sensed_counts, sensed_pressure_v
 from pamctl.compiled import compile_kernel
 from pamctl.control.experiment import Course, Segment
+from pamctl.control.law import KERNELS, LawKernel, answer
 from pamctl.plant.delayed_command import advance_delayed_plant
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
 from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
@@ -97,11 +98,10 @@ def simulate(
     """
     rows = np.full((len(reference), len(BatchRow._fields)), math.nan)
     start = vented_state(plant)
-    ticks = _compile_closed_loop()(
+    ticks = _compile_closed_loop(KERNELS[type(setup.gains)])(
         setup,
         first_state(
-            chain.zero._replace(encoder_zero_counts=math.floor(chain.zero[1]) + 0.0),
-            setup.limits.safe_valve_v,
+            setup, chain.zero._replace(encoder_zero_counts=math.floor(chain.zero[1]) + 0.0)
         ),
         plant,
         start,
@@ -118,8 +118,8 @@ def simulate(
 
 
 @cache
-def _compile_closed_loop() -> Callable[..., int]:
-    return compile_kernel(run_closed_loop)
+def _compile_closed_loop(law: LawKernel) -> Callable[..., int]:
+    return compile_kernel(run_closed_loop, (answer, law))
 
 
 def run_closed_loop(

@@ -6,14 +6,13 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from pamctl.control.law_registry import find_law
 from pamctl.settings.yaml12 import dump_yaml
 from pamctl.tune.gains_trial import BOUNDS, GainsVerdict
 from pamctl.tune.plant_ensemble import Member
 
 _SCHEMA = "# yaml-language-server: $schema=../pamctl.schema.json"
 _WIDTH = 98
-
-EQUATIONS = {"qsmc": "qSMC, Eq. 17", "smc": "SMC, Eq. 18 with q = 1", "pid": "PID"}
 
 
 class Scores(NamedTuple):
@@ -54,9 +53,9 @@ def summarise_verdicts(members: Sequence[Member], verdicts: Sequence[GainsVerdic
 
 def format_gains_file(gains: Mapping[str, Any], command: str, effort: str, reported: str) -> str:
     """Return the text of a controller file; the arguments after the gains are for its header."""
-    law = str(gains["law"])
+    law = find_law(str(gains["law"]))
     paragraphs = [
-        f"{EQUATIONS[law]}. Units: mm, s, V.",
+        f"{law.title}: {law.equation}. Units: mm, s, V.",
         f"Made by:  {command}",
         f"{effort} {reported}",
         "Score: the largest of every error over its bound in the strictest column of Table IV "

@@ -1,8 +1,8 @@
 """The search: differential evolution (current-to-pbest), a generation at a time.
 
-Every generation has a random generator of its own, made of the seed and its number, and
-starts from the population before it. So a search that was interrupted goes on exactly as if
-it had not been, and the same seed gives the same gains on any number of processes.
+Every generation has a random generator of its own, made of the seed and its number, and starts
+from the population before it. An interrupted search therefore goes on exactly as if it had not
+been interrupted, and the same seed gives the same gains on any number of processes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pamctl.exit_codes import ExitCode
 from pamctl.tune.gains_trial import GainsTrial
 from pamctl.tune.plant_ensemble import Member
-from pamctl.tune.search_space import SPACES
+from pamctl.tune.search_space import find_space
 
 Floats = NDArray[np.float64]
 
@@ -35,12 +35,12 @@ _BEST_SHARE = 0.2
 _STRIDES = (0.4, 0.9)
 _CROSSOVER_RATE = 0.8
 _COST_LIMIT = 10.0
-"""Costs beyond it are not looked into: an oscillation, or a safety trip."""
+"""Larger costs are not computed exactly: an oscillation, or a safety trip."""
 _NO_GAINS = 1e3
 
 
 class SearchError(Exception):
-    """A search cannot be begun or gone on with. The message says why."""
+    """A search cannot begin or continue. The message says why."""
 
     exit_code = ExitCode.USAGE
 
@@ -60,36 +60,36 @@ class Jury(NamedTuple):
 
     drawn: tuple[Member, ...]
     quantile: float
-    """Of the drawn ones: 1 is the worst, 0.95 leaves the worst 5 % to themselves."""
+    """Quantile of the drawn ones that counts: 1 is the worst one, 0.95 leaves out the worst 5 %."""
     named: tuple[Member, ...]
-    """Beside them; the worst of these counts, and counts as much as all drawn ones."""
+    """Plants beside the drawn ones. The worst of them counts as much as all drawn ones."""
 
     @property
     def allowed_outliers(self) -> int:
-        """How many of the drawn ones may be beyond a limit that the quantile keeps."""
+        """How many drawn plants may exceed a limit that the quantile keeps."""
         last = len(self.drawn) - 1
         return last - math.floor(self.quantile * last)
 
 
 class Cost(NamedTuple):
-    """What a point costs, and what it cost to know."""
+    """The cost of a point, and the runs that it took."""
 
     value: float
-    """Where it is beyond the limit: at least so much."""
+    """Beyond the limit it is a lower bound."""
     runs: int
     ratios: tuple[float, ...] = ()
-    """Of each drawn plant; none where not all were asked."""
+    """The ratio of each drawn plant; empty where not all of them were run."""
 
 
 def compute_cost(
     controller: Any, limit: float, jury: Jury, trial: GainsTrial, order: Sequence[int]
 ) -> Cost:
-    """Return what gains cost: the largest error over its bound, named plants plus drawn ones.
+    """Return the cost of gains: the largest error over its bound, named plants plus drawn ones.
 
-    Of the drawn ones the quantile counts; they are asked in the given order. As soon as those
-    asked suffice to bring the gains beyond the limit, the rest is spared.
+    The quantile of the drawn ones counts. They run in the given order. As soon as the gains are
+    known to exceed the limit, the other plants are left out.
     """
-    if controller is None:  # gains that contradict each other are no gains
+    if controller is None:  # these gains contradict each other
         return Cost(_NO_GAINS, 0)
     worst_named = 0.0
     for runs, member in enumerate(jury.named, 1):
@@ -114,14 +114,14 @@ class GainsSearch:
     jury: Jury
     seed: int
     start: dict[str, Any] | None = None
-    """Gains to begin beside, in mm; the usual ones where there are none."""
+    """Gains, in mm, near which the search begins; by default the usual ones."""
     state: Path | None = None
-    """Where the search is kept after each generation, so that it can be resumed."""
+    """File that keeps the search after each generation, so that it can be resumed."""
     trial: GainsTrial = field(default_factory=GainsTrial)
 
     def __post_init__(self) -> None:
-        """Begin, or take up what `state` holds; raise `SearchError` if that is another search."""
-        self._space = SPACES[self.law]
+        """Begin, or resume the search in `state`; raise `SearchError` if that is another one."""
+        self._space = find_space(self.law)
         self._order = list(range(len(self.jury.drawn)))
         self._generation = 0
         self._runs = 0
@@ -159,7 +159,7 @@ class GainsSearch:
         self._generation += 1
         self._runs += sum(each.runs for each in tried)
         if better[np.argmin(self._costs)]:
-            # Where the best has its troubles a rival fails soonest, and costs least.
+            # A rival fails soonest on the plants that are hardest for the best: they run first.
             ratios = np.array(tried[int(np.argmin(self._costs))].ratios)
             if len(ratios):
                 self._order = np.argsort(-ratios, kind="stable").tolist()
@@ -223,7 +223,7 @@ class GainsSearch:
     def _digest(self) -> str:
         """Tell plants and spaces apart that changed and kept their names."""
         plants = (*self.jury.drawn, *self.jury.named)
-        text = [repr(self._space[:2]), *(repr(plant.__reduce__()[1]) for plant in plants)]
+        text = [repr(self._space.space[:2]), *(repr(plant.__reduce__()[1]) for plant in plants)]
         return hashlib.sha256("\n".join(text).encode()).hexdigest()[:16]
 
     def _save_state(self) -> None:

@@ -1,9 +1,9 @@
 """How well gains do on a plant: each error over its bound in Table IV, the worst counts.
 
-A search cannot afford the paper's two experiments in full. One cycle of experiment 1 has all
-that they ask: the transitions, and a steady state at each end. Its rests are not cut short: the
-steady error counts after 5 s of rest, and a law that had to be there at once would need an
-integral so strong that it hunts.
+The paper's two experiments in full would take a search too long. One cycle of experiment 1 has
+all their parts: the transitions, and a steady state at each end. Its rests keep their length: the
+steady error counts after 5 s of rest. With shorter rests the law would need so strong an integral
+that it hunts.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pamctl.tune.plant_ensemble import Member
 _MEAN_WEIGHT = 0.1
 """Weight of the mean error beside the worst one."""
 TRIP_COST = 100.0
-"""Of a run that safety ended at its beginning; half of it where it came half-way."""
+"""Cost of a run that safety ended at its beginning; less, the longer the run lasted."""
 
 SHORT = TrackingSettings(kind="tracking", rest_s=10.0, cycles=1, approach_s=3.0, settle_s=0.5)
 SHORT_S, WHOLE_S = 33.5, 67.0 + 37.0
@@ -55,7 +55,7 @@ BOUNDS = _find_strictest_bounds()
 
 
 class GainsVerdict(NamedTuple):
-    """What one plant says of gains."""
+    """How gains did on one plant."""
 
     worst: float
     """The largest error over its bound; below 1 is inside Table IV."""
@@ -67,9 +67,9 @@ class GainsVerdict(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """What a search goes by: the worst error; of gains with the same one, the others.
+        """The cost in a search: the worst error, and with a small weight the others.
 
-        Many have the same: the steady error is a whole number of the encoder's counts.
+        Many gains have the same worst error: the steady error is a whole number of counts.
         """
         return self.worst + _MEAN_WEIGHT * self.mean
 

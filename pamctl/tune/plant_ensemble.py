@@ -36,13 +36,13 @@ DELAY_S = (0.0, 2e-3)
 LEAK_M2 = (1e-11, 3e-9)
 PRESLIDING_N_PER_M = (5e4, 2e6)
 NOISE_V = (0.0005, 0.004)
-"""Of the pressure sensor; 0.002 V is some 300 Pa."""
+"""Noise of the pressure sensor; 0.002 V is about 300 Pa."""
 
 FARTHEST_M = 17.2e-3
-"""The upper set point of the paper's experiments; a plant that cannot hold it is no test."""
+"""The upper set point of the paper's experiments. A plant that cannot hold it is not drawn."""
 _FORCE_TO_SPARE = 1.15
 _NOISES = 4
-"""Different sequences of noise; each costs more to draw than a run to simulate."""
+"""Number of different noise sequences: drawing one takes longer than simulating a run."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def make_fixed_members(plants: Sequence[tuple[str, PlantSettings]]) -> list[Memb
 
 
 def _draw_member(number: int, seed: int) -> Member:
-    """Draw one plant; each has a generator of its own, so that a larger ensemble only adds."""
+    """Draw one plant. Each has a generator of its own: a larger ensemble only adds plants."""
     draw = default_rng([seed, number])
     for parameters in _draw_parameters(draw):
         plant = PlantSettings.model_validate(

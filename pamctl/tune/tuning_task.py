@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pamctl.control.law_registry import installed_laws
 from pamctl.log.naming import bare_name
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
 from pamctl.tune.gains_search import Jury
 from pamctl.tune.gains_trial import GainsTrial
 from pamctl.tune.plant_ensemble import Member, draw_ensemble, make_fixed_members
-from pamctl.tune.search_space import SPACES
+from pamctl.tune.search_space import find_space
 
 _DEFAULT_SIZE = 16
 _FRESH_SEED_OFFSET = 1_000_003
@@ -63,10 +64,12 @@ class TuningTask:
     ) -> TuningTask:
         """Make a task of the options of `pamctl tune`; raise `ConfigError`."""
         checked = None if check is None else _read("controller", check, "--check")
-        law = checked.law if checked is not None else law
-        if law not in SPACES:
-            raise _option_error(f"--law {law or ''}".strip(), f"must be one of {', '.join(SPACES)}")
+        law = checked.law if checked is not None else law or ""
+        if law not in installed_laws():
+            known = ", ".join(installed_laws())
+            raise _option_error(f"--law {law}".strip(), f"must be one of {known}")
         if checked is None:
+            _require_space(law)
             _require_new(out)
         began = None if start is None else _read("controller", start, "--start")
         if began is not None and began.law != law:
@@ -83,6 +86,13 @@ class TuningTask:
 
 def _option_error(where: str, message: str) -> ConfigError:
     return ConfigError([Problem(where, "", message)])
+
+
+def _require_space(law: str) -> None:
+    try:
+        find_space(law)
+    except ValueError as error:
+        raise _option_error(f"--law {law}", str(error)) from None
 
 
 def _require_new(out: Path | None) -> None:

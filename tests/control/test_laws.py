@@ -20,16 +20,19 @@ from support.paper_equations import (
     pressure_rate,
 )
 
-from pamctl.control.law import Gains, law_gains, respond
+from pamctl.control.law import Gains
+from pamctl.control.law import respond as respond_armed
+from pamctl.control.law_registry import law_gains
 from pamctl.control.pid import PidSettings
 from pamctl.control.qsmc import QsmcSettings
 from pamctl.control.smc import SmcSettings, linearise_model
-from pamctl.control.surface import ARMED, LawState
+from pamctl.control.surface import Absement
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.signals import Command, Estimate, Phase, Reference
 
 NAN = math.nan
+ARMED = Absement(0.0)
 DT_S = 1e-3
 INCH_M = 25.4e-3
 
@@ -64,18 +67,20 @@ PID = {
 _MODELS: dict[str, Any] = {"qsmc": QsmcSettings, "smc": SmcSettings, "pid": PidSettings}
 
 
-def gains(law: dict[str, Any], **changes: Any) -> Gains:
+def respond(made: Gains, memory: Absement, *seen: Any) -> tuple[Command, Absement]:
+    return respond_armed(made, ARMED, memory, *seen)
+
+
+def gains(law: dict[str, Any], **changes: Any) -> Any:
     return law_gains(_MODELS[law["law"]](**{**law, **changes}))
 
 
-def unlimited(made: Gains) -> Gains:
+def unlimited(made: Any) -> Any:
     """Without the command limit every term shows in the command."""
     free = 1e12
-    return made._replace(
-        qsmc=made.qsmc._replace(sliding=made.qsmc.sliding._replace(limit_v=free)),
-        smc=made.smc._replace(sliding=made.smc.sliding._replace(limit_v=free)),
-        pid=made.pid._replace(limit_v=free),
-    )
+    if hasattr(made, "sliding"):
+        return made._replace(sliding=made.sliding._replace(limit_v=free))
+    return made._replace(limit_v=free)
 
 
 def errors(e: float, rate: float, acceleration: float, x: float = 0.01, p: float = 2e5) -> Estimate:
@@ -119,7 +124,7 @@ UNIT_M = {"mm": 1e-3, "inch": INCH_M}
 def test_qsmc_is_eq_17_in_the_unit_of_its_gains(e, rate, acc, jerk, absement, unit, reading, q):
     law = {**QSMC, "length_unit": unit, "reaching_law": reading, "q": q}
     command, state = respond(
-        unlimited(gains(law)), LawState(absement), moving(jerk), errors(e, rate, acc), DT_S
+        unlimited(gains(law)), Absement(absement), moving(jerk), errors(e, rate, acc), DT_S
     )
     one = UNIT_M[unit]
     sum_of_errors = absement + e * DT_S
@@ -133,7 +138,7 @@ def test_qsmc_is_eq_17_in_the_unit_of_its_gains(e, rate, acc, jerk, absement, un
 
 def test_the_surface_on_record_is_eq_11_in_si() -> None:
     pole = 10.0**1.75
-    command, _ = respond(gains(QSMC), LawState(2e-6), REST, errors(1e-5, 2e-4, 3e-3), DT_S)
+    command, _ = respond(gains(QSMC), Absement(2e-6), REST, errors(1e-5, 2e-4, 3e-3), DT_S)
     absement = 2e-6 + 1e-5 * DT_S
     s = 3e-3 + 3 * pole * 2e-4 + 3 * pole**2 * 1e-5 + pole**3 * absement
     assert command.surface_m_per_s2 == pytest.approx(s, rel=1e-12)
@@ -145,7 +150,7 @@ def test_the_same_numbers_in_inches_and_in_mm_are_two_laws(e, rate, acc, absemen
     answers = [
         respond(
             unlimited(gains(QSMC, length_unit=unit)),
-            LawState(absement),
+            Absement(absement),
             REST,
             errors(e, rate, acc),
             DT_S,
@@ -170,7 +175,7 @@ def test_gains_converted_with_their_units_are_the_same_law(e, rate, acc, jerk, a
         "phi": QSMC["phi"] * mm_per_inch,
         "eta": QSMC["eta"] * (1.0 if reading == "eta_abs_s" else mm_per_inch),
     }
-    asked = (LawState(absement), moving(jerk), errors(e, rate, acc), DT_S)
+    asked = (Absement(absement), moving(jerk), errors(e, rate, acc), DT_S)
     inch, _ = respond(unlimited(gains(QSMC, reaching_law=reading)), *asked)
     mm, _ = respond(unlimited(gains(QSMC, reaching_law=reading, **in_mm)), *asked)
     size = 1e-9 * (abs(inch.equivalent_v) + abs(inch.robust_v)) + 1e-12
@@ -186,7 +191,7 @@ def test_smc_gains_convert_with_their_units_too(e, rate, acc, absement, reading)
         "phi": SMC["phi"] / 25.4,
         "eta": SMC["eta"] / (1.0 if reading == "eta_abs_s" else 25.4),
     }
-    asked = (LawState(absement), REST, errors(e, rate, acc), DT_S)
+    asked = (Absement(absement), REST, errors(e, rate, acc), DT_S)
     mm, _ = respond(unlimited(gains(SMC, reaching_law=reading)), *asked)
     inch, _ = respond(unlimited(gains(SMC, reaching_law=reading, **in_inch)), *asked)
     assert inch.command_v == pytest.approx(mm.command_v, rel=1e-9, abs=1e-9)
@@ -201,7 +206,7 @@ def test_both_readings_of_eq_15(share: float) -> None:
     absement = s * INCH_M / (10.0**1.75) ** 3
     robust = {
         reading: respond(
-            gains(QSMC, reaching_law=reading), LawState(absement), REST, errors(0, 0, 0), DT_S
+            gains(QSMC, reaching_law=reading), Absement(absement), REST, errors(0, 0, 0), DT_S
         )[0].robust_v
         for reading in ("eta_abs_s", "eta")
     }
@@ -212,13 +217,13 @@ def test_both_readings_of_eq_15(share: float) -> None:
 
 def test_the_robust_term_of_the_second_reading_stays_below_3_mv() -> None:
     law = gains(QSMC, reaching_law="eta", eta=10.2, length_unit="mm", phi=0.51)
-    command, _ = respond(law, LawState(1.0), REST, errors(0, 0, 0), DT_S)
+    command, _ = respond(law, Absement(1.0), REST, errors(0, 0, 0), DT_S)
     assert 0 < abs(command.robust_v) < 3e-3
 
 
 @given(small, rates, accelerations, absements, st.floats(1.0, 20.0), st.floats(0.5, 3.0))
 def test_q_enters_as_lambda_to_its_power(e, rate, acc, absement, lam, q) -> None:
-    asked = (LawState(absement), REST, errors(e, rate, acc), DT_S)
+    asked = (Absement(absement), REST, errors(e, rate, acc), DT_S)
     for law in (QSMC, SMC):
         raised, _ = respond(gains(law, lambda_per_s=lam, q=q), *asked)
         plain, _ = respond(gains(law, lambda_per_s=lam**q, q=1.0), *asked)
@@ -287,7 +292,7 @@ def test_smc_cancels_a_muscle_that_is_as_its_model(state, e, rate, error_acc, je
     a = acceleration_of(x, v, p)
     asked = Reference(Phase.TRACK, x - e, v - rate, a - error_acc, jerk, NAN)
     command, state_after = respond(
-        unlimited(gains(SMC)), LawState(absement), asked, Estimate(x, p, e, rate, error_acc), DT_S
+        unlimited(gains(SMC)), Absement(absement), asked, Estimate(x, p, e, rate, error_acc), DT_S
     )
     le = SMC["lambda_per_s"]
     s = error_acc + 3 * le * rate + 3 * le**2 * e + le**3 * state_after.absement_m_s
@@ -325,7 +330,7 @@ def test_a_balanced_pressure_asks_for_no_infinite_command() -> None:
 
 
 def test_pid_is_the_sum_of_its_three_terms() -> None:
-    command, state = respond(gains(PID), LawState(1e-5), REST, errors(0.2e-3, -1e-3, 7.0), DT_S)
+    command, state = respond(gains(PID), Absement(1e-5), REST, errors(0.2e-3, -1e-3, 7.0), DT_S)
     absement_mm = 1e-2 + 0.2 * DT_S
     assert state.absement_m_s == pytest.approx(absement_mm * 1e-3)
     assert command.equivalent_v == pytest.approx(-(2.0 * 0.2 + 0.05 * -1.0))
@@ -340,8 +345,8 @@ def test_pid_gains_in_inches_are_per_inch() -> None:
         key: PID[key] * 25.4
         for key in ("kp_v_per_length", "ki_v_per_length_s", "kd_v_s_per_length")
     }
-    mm, _ = respond(gains(PID), LawState(1e-5), REST, e, DT_S)
-    inch, _ = respond(gains(PID, length_unit="inch", **scaled), LawState(1e-5), REST, e, DT_S)
+    mm, _ = respond(gains(PID), Absement(1e-5), REST, e, DT_S)
+    inch, _ = respond(gains(PID, length_unit="inch", **scaled), Absement(1e-5), REST, e, DT_S)
     assert inch[0] == pytest.approx(mm[0], rel=1e-12)
     assert inch[2:4] == pytest.approx(mm[2:4], rel=1e-12)
 
@@ -369,8 +374,8 @@ def test_the_command_stops_at_the_laws_limit_and_says_so(law, limit_v) -> None:
     assert not command.saturated
 
 
-def answers(made: Gains, errors_m: Sequence[float], state: LawState = ARMED) -> list[Any]:
-    found: list[tuple[Command, LawState]] = []
+def answers(made: Gains, errors_m: Sequence[float], state: Absement = ARMED) -> list[Any]:
+    found: list[tuple[Command, Absement]] = []
     for e in errors_m:
         command, state = respond(made, state, REST, errors(e, 0, 0), DT_S)
         found.append((command, state))
@@ -404,7 +409,7 @@ def test_recovery_from_saturation_is_quick(law) -> None:
 @every_law
 def test_an_integral_that_is_too_large_is_unwound_even_at_the_limit(law) -> None:
     made = gains(law)
-    wound = LawState(1e-2)  # holds the command at the lower limit by itself
+    wound = Absement(1e-2)  # holds the command at the lower limit by itself
     found = answers(made, [-1e-4] * 50, wound)
     absements = [state.absement_m_s for _, state in found]
     assert found[0][0].command_v == -5.0
@@ -417,7 +422,7 @@ def test_an_integral_that_is_too_large_is_unwound_even_at_the_limit(law) -> None
 def test_a_valve_command_is_obeyed_and_clears_the_integral(law, valve_v, absement) -> None:
     asked = Reference(Phase.OPEN_LOOP, NAN, NAN, NAN, NAN, valve_v)
     nothing = Estimate(0.01, 2e5, NAN, NAN, NAN)
-    command, state = respond(gains(law), LawState(absement), asked, nothing, DT_S)
+    command, state = respond(gains(law), Absement(absement), asked, nothing, DT_S)
     assert command.command_v == valve_v
     assert (command.equivalent_v, command.robust_v, command.saturated) == (0.0, 0.0, False)
     assert math.isnan(command.surface_m_per_s2)
@@ -429,7 +434,7 @@ def test_a_valve_command_is_obeyed_and_clears_the_integral(law, valve_v, absemen
 def test_a_law_is_pure_and_goes_on_from_a_thawed_state(law, inputs) -> None:
     made = gains(law)
 
-    def replayed(thaw: Callable[[LawState], LawState]) -> list[tuple[Command, LawState]]:
+    def replayed(thaw: Callable[[Absement], Absement]) -> list[tuple[Command, Absement]]:
         state, found = ARMED, []
         for e, rate, acc, jerk in inputs:
             asked = (moving(jerk), errors(e, rate, acc), DT_S)
@@ -439,4 +444,4 @@ def test_a_law_is_pure_and_goes_on_from_a_thawed_state(law, inputs) -> None:
 
     straight = replayed(lambda state: state)
     assert replayed(lambda state: state) == straight
-    assert replayed(lambda state: LawState(*freeze_state(state))) == straight
+    assert replayed(lambda state: Absement(*freeze_state(state))) == straight

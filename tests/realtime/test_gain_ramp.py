@@ -21,16 +21,16 @@ def controller(*overrides: str, name: str = "qsmc") -> Any:
 
 
 def poles(tuning: GainRamp, times_s: list[float]) -> list[float]:
-    return [tuning.at(t).gains.qsmc.sliding.pole_per_s for t in times_s]
+    return [tuning.at(t).gains.sliding.pole_per_s for t in times_s]
 
 
 def tuning() -> GainRamp:
-    return GainRamp(build_tick_setup(SETTINGS))
+    return GainRamp(build_tick_setup(SETTINGS), SETTINGS.controller)
 
 
 def test_without_a_change_the_setup_is_the_same_object_in_every_tick() -> None:
     setup = build_tick_setup(SETTINGS)
-    assert all(GainRamp(setup).at(t) is setup for t in (0.0, 1.0, 1e6))
+    assert all(GainRamp(setup, SETTINGS.controller).at(t) is setup for t in (0.0, 1.0, 1e6))
 
 
 def test_a_gain_goes_from_old_to_new_in_equal_steps_and_stays_there() -> None:
@@ -103,6 +103,6 @@ def test_gains_on_the_way_lie_between_the_two_ends(share: float, low: float, hig
         build_tick_setup(resolve(overrides=[f"controller.lambda_per_s={value!r}"]))
         for value in (low, high)
     ]
-    pole = blend_gains(ends[0], ends[1], share).gains.qsmc.sliding.pole_per_s
-    bounds = sorted(end.gains.qsmc.sliding.pole_per_s for end in ends)
+    pole = blend_gains(ends[0], ends[1], share).gains.sliding.pole_per_s
+    bounds = sorted(end.gains.sliding.pole_per_s for end in ends)
     assert bounds[0] * (1 - 1e-12) <= pole <= bounds[1] * (1 + 1e-12)

@@ -131,7 +131,7 @@ def test_the_stop_is_a_ramp_from_the_last_command_to_the_safe_one(undisturbed: R
 
 def test_once_a_second_a_keyframe_holds_the_state_after_its_tick(undisturbed: Run) -> None:
     assert [tick for tick, _ in undisturbed.journal.keyframes] == [999, 1999, 2999, 3999]
-    names = keyframe_fields(loop.first_state(loop.Zero(0.0, 0.0), 0.0))
+    names = keyframe_fields(loop.first_state(build_tick_setup(short()), loop.Zero(0.0, 0.0)))
     for tick, state in undisturbed.journal.keyframes:
         record = undisturbed.journal.ticks[tick]
         numbers = dict(zip(names, state, strict=True))

@@ -537,7 +537,7 @@ def test_tracking_never_trips_a_muscle_near_the_model(name: str) -> None:
     setup = setup._replace(limits=setup.limits._replace(tracking_error_m=1.0))
     chain = sensor_chain(run.rig.sim, run.rig.calibration)
     plant = plant_with(**NEAR[name])
-    state, muscle = first_state(Zero(chain.zero.sensor_zero_v, 1000.0), -5.0), VENTED
+    state, muscle = first_state(setup, Zero(chain.zero.sensor_zero_v, 1000.0)), VENTED
     course = Course(
         [s._replace(duration_s=0.2 * s.duration_s) for s in build_segments(run.experiment)]
     )

@@ -44,7 +44,7 @@ def moving(tick: int) -> RawSample:
 def run(
     ticks: range, state: TickState | None = None, setup: TickSetup = SETUP
 ) -> tuple[TickState, list[Decision]]:
-    state = first_state(ZERO, -5.0) if state is None else state
+    state = first_state(setup, ZERO) if state is None else state
     found = []
     for tick in ticks:
         state, decision = step(setup, state, moving(tick), track(), timing(tick))
@@ -53,7 +53,7 @@ def run(
 
 
 def test_a_tick_is_calibrated_estimated_commanded_and_admitted() -> None:
-    state, decision = step(SETUP, first_state(ZERO, -5.0), sample(0), track(), timing(0))
+    state, decision = step(SETUP, first_state(SETUP, ZERO), sample(0), track(), timing(0))
     assert state.measurement == measure(SETUP.calibration, ZERO, sample(0))
     assert state.measurement.position_m == pytest.approx(2016 * 3.175e-6)
     assert state.measurement.pressure_pa == pytest.approx(101.3e3 + 0.7 / 6.429e-6, rel=1e-5)
@@ -65,7 +65,7 @@ def test_a_tick_is_calibrated_estimated_commanded_and_admitted() -> None:
 
 
 def test_every_stage_remembers_the_tick_before() -> None:
-    before, _ = step(SETUP, first_state(ZERO, -5.0), sample(0), track(), timing(0))
+    before, _ = step(SETUP, first_state(SETUP, ZERO), sample(0), track(), timing(0))
     after, _ = step(SETUP, before, sample(1, counts=3116), track(), timing(1))
     passed = after.estimate.position_filtered_m - before.estimate.position_filtered_m
     # What a 300 Hz Butterworth lets through of a step in its first tick.
@@ -108,7 +108,7 @@ def test_a_pressure_that_is_no_number_trips_to_the_safe_command() -> None:
 )
 def test_whatever_the_sensors_say_the_valve_gets_a_number_it_may_have(controller, samples) -> None:
     setup = LAWS[controller]
-    state, tripped = first_state(ZERO, -5.0), False
+    state, tripped = first_state(setup, ZERO), False
     for tick, (counts, volts, dt_s, open_loop) in enumerate(samples):
         reference = make_valve_reference(Phase.OPEN_LOOP, 1.0) if open_loop else track()
         raw = RawSample(volts, counts, 0, 0)
@@ -152,7 +152,7 @@ LAWS: dict[str, TickSetup] = {}
 
 
 def test_a_broken_wire_is_noticed_in_raw_volts_whatever_the_zero() -> None:
-    state, decision = first_state(Zero(0.0, 1000.0), -5.0), None
+    state, decision = first_state(SETUP, Zero(0.0, 1000.0)), None
     for tick in range(30):
         state, decision = step(SETUP, state, sample(tick, volts=0.05), track(), timing(tick))
     assert decision is not None
@@ -183,8 +183,8 @@ UNITS = ("_s", "_s2", "_s3", "_v", "_m", "_pa", "_counts", "_ns")
 
 
 def test_a_keyframe_names_each_of_its_numbers_once() -> None:
-    names = keyframe_fields(first_state(ZERO, -5.0))
-    assert len(names) == len(set(names)) == len(freeze_state(first_state(ZERO, -5.0)))
+    names = keyframe_fields(first_state(SETUP, ZERO))
+    assert len(names) == len(set(names)) == len(freeze_state(first_state(SETUP, ZERO)))
     for expected in (
         "zero.sensor_zero_v",
         "filters.rate.pole",
@@ -208,7 +208,8 @@ def test_a_keyframe_holds_each_number_under_its_name() -> None:
 def test_a_thawed_state_goes_on_bit_for_bit(law: str) -> None:
     setup = LAWS[law]
     middle, _ = run(range(200), setup=setup)
-    again = thaw_state(middle, freeze_state(middle))
+    frozen = dict(zip(keyframe_fields(middle), freeze_state(middle), strict=True))
+    again = thaw_state(first_state(setup, ZERO), frozen)
     assert again == middle
     straight = run(range(200, 400), middle, setup)
     assert run(range(200, 400), again, setup) == straight

@@ -95,7 +95,7 @@ def checkout(tmp_path: Path) -> Path:
 
 
 def digest(checkout: Path) -> str:
-    """What a copy's own `compiled.py` says of the sources of the closed loop."""
+    """What a copy's own `compiled.py` says of the sources of the closed loop with qSMC."""
     spec = importlib.util.spec_from_file_location(
         "compiled_of_a_copy", checkout / "pamctl" / "compiled.py"
     )
@@ -103,7 +103,7 @@ def digest(checkout: Path) -> str:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return str(module._hash_sources("pamctl.simulate.closed_loop"))
+    return str(module._hash_sources("pamctl.simulate.closed_loop", "pamctl.control.qsmc"))
 
 
 def test_the_cache_is_keyed_by_every_source_that_a_kernel_can_depend_on(checkout: Path) -> None:

@@ -19,8 +19,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pamctl.control.experiment import build_segments
-from pamctl.control.law import law_gains, respond
-from pamctl.control.surface import ARMED
+from pamctl.control.law import respond
+from pamctl.control.law_registry import installed_laws, law_gains
+from pamctl.control.surface import Absement
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import check_config_file, resolve, settings_to_data
 from pamctl.signals import Estimate, Phase, Reference
@@ -41,10 +42,12 @@ from pamctl.tune.plant_ensemble import (
     UNCERTAIN_PARAMETERS,
     holds_the_farthest_point,
 )
-from pamctl.tune.search_space import SPACES
+from pamctl.tune.search_space import find_space
 
 PID = resolve(controller="pid").controller
 PAPER = make_fixed_members([("paper", resolve().plant)])
+LAWS = tuple(installed_laws())
+ARMED = Absement(0.0)
 BEFORE_PAPER = Jury((), 1.0, tuple(PAPER))
 
 # --- the plants ----------------------------------------------------------------------
@@ -120,12 +123,12 @@ def test_gains_that_trip_cost_more_than_any_that_do_not() -> None:
 # --- the space -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("law", SPACES)
+@pytest.mark.parametrize("law", LAWS)
 @given(data=st.data())
 def test_every_point_is_a_controller_that_can_be_written_and_read(
     law: str, data: st.DataObject
 ) -> None:
-    space = SPACES[law]
+    space = find_space(law)
     point = np.array([data.draw(st.floats(low, high)) for low, high in space.bounds])
     controller = space.controller(point)
     gains = space.gains(point)
@@ -135,16 +138,17 @@ def test_every_point_is_a_controller_that_can_be_written_and_read(
     assert space.point(gains) == pytest.approx(point, abs=2e-3)
 
 
-@pytest.mark.parametrize("law", SPACES)
+@pytest.mark.parametrize("law", LAWS)
 def test_a_sought_stiffness_is_what_the_law_answers_an_error_with(law: str) -> None:
     """So that all laws are sought between the same bounds of it."""
-    point = SPACES[law].usual
-    sought = dict(zip((axis.name for axis in SPACES[law].axes), 10.0**point, strict=True))
-    gains = law_gains(SPACES[law].controller(point))
+    space = find_space(law)
+    point = space.usual
+    sought = dict(zip((axis.name for axis in space.axes), 10.0**point, strict=True))
+    gains = law_gains(space.controller(point))
     resting = Reference(Phase.REST, 11.81e-3, 0.0, 0.0, 0.0, np.nan)
     half_filled_pa = 0.5 * (441.3e3 + 101.3e3)
     short_of_it = Estimate(11.8e-3, half_filled_pa, -0.01e-3, 0.0, 0.0)
-    command, _ = respond(gains, ARMED, resting, short_of_it, 1e-9)
+    command, _ = respond(gains, ARMED, ARMED, resting, short_of_it, 1e-9)
     stiffness = sought.get("stiffness_v_per_mm", sought.get("kp_v_per_length"))
     assert command.command_v == pytest.approx(0.01 * stiffness, rel=0.01)
 
@@ -153,12 +157,12 @@ def answer_v(controller: Any, rate_m_per_s: float, acceleration_m_per_s2: float)
     """Return a law's command to an error that changes, at mid-stroke, half filled."""
     resting = Reference(Phase.REST, 11.8e-3, 0.0, 0.0, 0.0, np.nan)
     estimate = Estimate(11.8e-3, 271e3, 0.0, rate_m_per_s, acceleration_m_per_s2)
-    return respond(law_gains(controller), ARMED, resting, estimate, 1e-9)[0].command_v
+    return respond(law_gains(controller), ARMED, ARMED, resting, estimate, 1e-9)[0].command_v
 
 
 def test_with_the_mass_of_table_i_smc_undamps_and_with_the_sought_one_it_damps() -> None:
     """f-hat cancels the muscle's own damping: why the mass is sought."""
-    sought = SPACES["smc"].controller(SPACES["smc"].usual)
+    sought = find_space("smc").controller(find_space("smc").usual)
     of_table_i = sought.model_copy(update={"model": PlantSettings()})
     assert answer_v(of_table_i, -1e-3, 0.0) < 0.0 < answer_v(sought, -1e-3, 0.0)
     assert answer_v(of_table_i, 0.0, -0.1) < 0.0 < answer_v(sought, 0.0, -0.1)

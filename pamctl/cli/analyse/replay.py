@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.options import NO_CHANGES, JsonOption
+from pamctl.cli.options import NO_CHANGES, ControllerFromOption, JsonOption
 from pamctl.cli.output import print_json, require_new_file
 from pamctl.exit_codes import ExitCode
 
@@ -49,6 +49,7 @@ def replay(
             show_default="the log's own",
         ),
     ] = None,
+    controller_from: ControllerFromOption = None,
     overrides: Annotated[
         list[str] | None,
         typer.Option(
@@ -73,6 +74,8 @@ def replay(
 
     With --controller or --set it shows what other gains would have commanded.
     That is open loop: the muscle did not follow them.
+
+    A log whose law is not installed ends with exit code 65, and names the package or the file.
     """
     is_what_if = controller is not None or bool(overrides)
     if csv is not None and not is_what_if:
@@ -85,7 +88,10 @@ def replay(
     if from_s is not None and not 0.0 <= from_s < math.inf:
         raise typer.BadParameter("must be seconds, 0 or more", param_hint="--from")
     from pamctl.log import read
+    from pamctl.settings.resolve import use_law_file
 
+    if controller_from is not None:
+        use_law_file(controller_from)
     log = read(path)
     if is_what_if:
         code = _run_what_if(log, controller, overrides or [], from_s, csv, as_json=as_json)

@@ -13,6 +13,7 @@ from pamctl.cli.failure import print_error
 from pamctl.cli.options import (
     DEFAULT_LIVE_PORT,
     BackendOption,
+    ControllerFromOption,
     ControllerOption,
     DurationOption,
     ExperimentOption,
@@ -38,6 +39,7 @@ from pamctl.settings.resolve import settings_to_json, settings_to_yaml
 def run(
     backend: BackendOption = None,
     controller: ControllerOption = None,
+    controller_from: ControllerFromOption = None,
     experiment: ExperimentOption = None,
     rig: RigOption = None,
     plant: PlantOption = None,
@@ -74,6 +76,7 @@ def run(
         rig,
         overrides,
         controller=controller,
+        controller_from=controller_from,
         experiment=experiment,
         plant=plant,
         seed=seed,

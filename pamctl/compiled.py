@@ -1,9 +1,9 @@
 """Kernels: plain scalar functions that Python runs as they stand and numba compiles.
 
-A kernel takes and returns floats, ints, bools and NamedTuples of them, and calls
-only `math` and other kernels of this house. `compile_kernel(kernel)` gives its machine-code
-twin, built from the same source: every kernel it names is replaced by that one's
-twin. The loop process runs the plain functions and never imports numba.
+A kernel takes and returns floats, ints, bools and NamedTuples of them, and calls only `math`
+and other kernels, of this house or of an outside package that is trusted.
+`compile_kernel(kernel)` gives its machine-code twin, built from the same source: every kernel it
+names is replaced by that one's twin. The loop process runs the plain functions and never imports numba.
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ from typing import Any, TypeVar, cast
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
-_HOUSE = ("pamctl", "hal")
+_HOUSE = {"pamctl", "hal"}
+"""Top-level packages and modules whose functions are kernels."""
+
+
+def trust_kernels_of(module: str) -> None:
+    """Let functions of an outside package be kernels: those of a law or an effect of its own."""
+    _HOUSE.add(module.split(".")[0])
 
 
 def compile_kernel(kernel: Kernel) -> Kernel:
@@ -117,11 +123,13 @@ def _find_imports(module: str) -> set[str]:
         else:
             continue
         found |= {n for n in names if n.split(".")[0] in _HOUSE and _source_of(n).exists()}
-    return found
+    # Composed kernels call what their module's source does not name.
+    return found | {*getattr(sys.modules.get(module), "KERNEL_MODULES", ())}
 
 
 def _source_of(module: str) -> Path:
-    if module == "__main__":  # a script with a kernel of its own
-        return Path(str(sys.modules[module].__file__))
+    if module.split(".")[0] not in ("pamctl", "hal"):  # a script, or an outside package
+        found = sys.modules.get(module)
+        return Path(str(getattr(found, "__file__", None) or module))
     path = Path(__file__).parent.parent.joinpath(*module.split("."))
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")

@@ -108,7 +108,7 @@ def _require_room(out: Path) -> None:
 def _require_known(names: Sequence[str]) -> None:
     from difflib import get_close_matches
 
-    from pamctl.plant.effects import CATALOGUE
+    from pamctl.plant.catalogue import CATALOGUE
 
     for name in names:
         if name not in CATALOGUE:

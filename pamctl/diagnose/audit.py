@@ -26,7 +26,7 @@ from pamctl.diagnose.fitting.numbers import FreeNumber, look_up_parameter, unit_
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.measured.refuse import check_measured_runs, check_sensors
 from pamctl.diagnose.naming.score import project_out, secant
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
 UNIDENTIFIABLE = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 
 SEPARATING_EXPERIMENTS: Mapping[frozenset[str], tuple[str, str]] = {
     frozenset({"valve_spool", "command_delay"}): (

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pamctl.plant.chains import pass_volume
 from pamctl.plant.effects.air.discharge_ratio import nozzle_ratio
 from pamctl.plant.effects.air.line_restriction import lag_weights, line_time_s
 from pamctl.plant.effects.air.polytropic import polytropic_slope, polytropic_volume
@@ -179,16 +180,17 @@ def leak_flow(p: AirParameters, pressure_pa: float) -> float:
 
 
 def air_volume_m3(p: AirParameters, position_m: float, pressure_pa: float) -> float:
-    """Volume that the air fills: Eq. 2, with stretched threads, and the dead volume."""
-    dead_m3 = p.effects.dead_volume.volume_m3
+    """Volume that the air fills: Eq. 2, with stretched threads, and what else effects add."""
     braid = p.effects.braid_stretch
     if braid.compliance_per_pa == 0.0:
-        return volume_m3(p.paper, position_m) + dead_m3
-    length = p.paper.rest_length_m - position_m
-    stretched = p.paper.braid_length_m * stretch_ratio(
-        braid, pressure_pa - p.paper.atmospheric_pressure_pa
-    )
-    return length * (stretched * stretched - length * length) * p.paper.volume_scale + dead_m3
+        room_m3 = volume_m3(p.paper, position_m)
+    else:
+        length = p.paper.rest_length_m - position_m
+        stretched = p.paper.braid_length_m * stretch_ratio(
+            braid, pressure_pa - p.paper.atmospheric_pressure_pa
+        )
+        room_m3 = length * (stretched * stretched - length * length) * p.paper.volume_scale
+    return pass_volume(p.effects, room_m3, position_m, pressure_pa)
 
 
 def amount_of_air(p: AirParameters, position_m: float, pressure_pa: float) -> float:

@@ -21,7 +21,7 @@ from pamctl.diagnose.remainder import regress_remainder
 from pamctl.diagnose.report.compared_models import HeldOutRun, HeldOutSignal, ModelStage
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.traces_part import STRETCH_S, find_telling_stretch
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
 HOSTILE = "<script>alert('x')</script>"

@@ -21,7 +21,7 @@ from pamctl.diagnose.fitting.numbers import (
     numbers_of_effect,
     value_of,
 )
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectDescription, EffectForm
 from pamctl.plant.model import PlantSettings
 

@@ -28,7 +28,7 @@ from pamctl.diagnose.fitting.numbers import (
 )
 from pamctl.diagnose.fitting.repeatability import RepeatSpread, measure_repeatability
 from pamctl.diagnose.measured.record import Array
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
 LEAST_SIZE = 0.5

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectParameter
 from pamctl.plant.flat import NEUTRAL
 from pamctl.plant.model import PlantSettings, settings_of, values_of

@@ -14,7 +14,7 @@ from pamctl.diagnose.report.next_experiment import (
     list_blind_spots,
 )
 from pamctl.diagnose.report.sentences import sentence
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 
 SCHEMA = 1
 

@@ -10,7 +10,7 @@ from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.locate import EVENLY
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectParameter
 
 _RECORD = "pamctl run --experiment diagnosis --set experiment.seed=3 --log next.mcap"

@@ -11,7 +11,7 @@ from pamctl.diagnose.fitting.integrator import describe_integrator
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 
 
 def sentence(diagnosis: Diagnosis) -> str:

@@ -28,6 +28,7 @@ def polytropic_slope(polytropic: Polytropic, volume_m3: float) -> float:
 
 DESCRIPTION = EffectDescription(
     name="polytropic",
+    kind=Polytropic,
     block="pressure",
     equation="d(P V^a)/dt = a R T m V^(a-1)",
     parameters=(
@@ -44,6 +45,6 @@ DESCRIPTION = EffectDescription(
     ),
     signature="the flow's and the motion's share of the pressure's rate are scaled alike",
     best_experiment="square",
-    parts=("air",),
     seen_by=("pressure",),
+    woven=("air",),
 )

@@ -1,9 +1,12 @@
 """Kernels: plain scalar functions that Python runs as they stand and numba compiles.
 
 A kernel takes and returns floats, ints, bools and NamedTuples of them, and calls only `math`
-and other kernels, of this house or of an outside package that is trusted.
-`compile_kernel(kernel)` gives its machine-code twin, built from the same source: every kernel it
-names is replaced by that one's twin. The loop process runs the plain functions and never imports numba.
+and other kernels. `compile_kernel(kernel)` gives its machine-code twin, built from the same
+source: every kernel it names is replaced by that one's twin. The loop process runs the plain
+functions and never imports numba.
+
+Kernels are functions of this house and, where a module lists their modules as `KERNEL_MODULES`,
+those that outside packages add to it.
 """
 
 from __future__ import annotations
@@ -20,13 +23,7 @@ from typing import Any, TypeVar, cast
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
-_HOUSE = {"pamctl", "hal"}
-"""Top-level packages and modules whose functions are kernels."""
-
-
-def trust_kernels_of(module: str) -> None:
-    """Let functions of an outside package be kernels: those of a law or an effect of its own."""
-    _HOUSE.add(module.split(".")[0])
+_HOUSE = ("pamctl", "hal")
 
 
 def compile_kernel(kernel: Kernel) -> Kernel:
@@ -49,7 +46,7 @@ def _make_twin(kernel: FunctionType, *, for_python: bool) -> Any:
     twin = FunctionType(
         kernel.__code__,
         {
-            name: _make_twin_if_kernel(kernel.__globals__[name])
+            name: _make_twin_if_kernel(kernel.__globals__[name], kernel.__module__)
             for name in used & {*kernel.__globals__}
         },
         kernel.__name__,
@@ -67,9 +64,21 @@ def _make_twin(kernel: FunctionType, *, for_python: bool) -> Any:
     )
 
 
-def _make_twin_if_kernel(value: object) -> object:
-    is_kernel = isinstance(value, FunctionType) and value.__module__.split(".")[0] in _HOUSE
+def _make_twin_if_kernel(value: object, caller: str) -> object:
+    is_kernel = isinstance(value, FunctionType) and (
+        value.__module__ in _list_added_modules(caller) or _is_known(value.__module__, caller)
+    )
     return _make_twin(value, for_python=False) if is_kernel else value
+
+
+def _list_added_modules(module: str) -> tuple[str, ...]:
+    """List the modules whose kernels a module calls without naming them in its source."""
+    return getattr(sys.modules.get(module), "KERNEL_MODULES", ())
+
+
+def _is_known(module: str, caller: str) -> bool:
+    """Tell whether a module is of this house, or of the outside package that names it."""
+    return module.split(".")[0] in (*_HOUSE, caller.split(".")[0])
 
 
 def _import_numba(module: str) -> ModuleType:
@@ -99,7 +108,7 @@ def _may_cache() -> bool:
 
 @cache
 def _hash_sources(module: str) -> str:
-    """Hash the sources of a module and of all in this house that it imports, on any way."""
+    """Hash the sources of a module and of all kernels' modules that it imports, on any way."""
     waiting, found = [module], {module}
     while waiting:
         new = _find_imports(waiting.pop()) - found
@@ -113,7 +122,7 @@ def _hash_sources(module: str) -> str:
 
 @cache
 def _find_imports(module: str) -> set[str]:
-    """Find the modules of this house that a module's source names, those for types included."""
+    """Find the modules of kernels that a module's source names, those for types included."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(_source_of(module).read_bytes())):
         if isinstance(node, ast.Import):
@@ -122,13 +131,12 @@ def _find_imports(module: str) -> set[str]:
             names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         else:
             continue
-        found |= {n for n in names if n.split(".")[0] in _HOUSE and _source_of(n).exists()}
-    # Composed kernels call what their module's source does not name.
-    return found | {*getattr(sys.modules.get(module), "KERNEL_MODULES", ())}
+        found |= {n for n in names if _is_known(n, module) and _source_of(n).exists()}
+    return found | {*_list_added_modules(module)}
 
 
 def _source_of(module: str) -> Path:
-    if module.split(".")[0] not in ("pamctl", "hal"):  # a script, or an outside package
+    if module.split(".")[0] not in _HOUSE:  # a script, or an outside package
         found = sys.modules.get(module)
         return Path(str(getattr(found, "__file__", None) or module))
     path = Path(__file__).parent.parent.joinpath(*module.split("."))

@@ -29,10 +29,6 @@ from pamctl.diagnose.naming.score import project_out, secant
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
-UNIDENTIFIABLE = {
-    "moving_mass": "it acts within 0.1 ms, a tenth of a sample: no experiment at 1 kHz shows it",
-}
-
 
 @dataclass(frozen=True)
 class BlindSpot:
@@ -222,13 +218,15 @@ def _find_visible_size(switch: FreeNumber, size: float, power: float) -> tuple[f
 
 
 def _list_unseen_effects(model: Model, found: Sequence[Candidate]) -> list[BlindSpot]:
-    """Effects that reach none of the blocks that these records drive, and the moving mass."""
+    """List effects that reach no block that these records drive, or that nothing can identify."""
     asked = {c.name for c in found} | {*model.names}
     spots = [
-        BlindSpot(name, why, "", None) for name, why in UNIDENTIFIABLE.items() if name in CATALOGUE
+        BlindSpot(name, effect.unidentifiable, "", None)
+        for name, effect in CATALOGUE.items()
+        if effect.unidentifiable
     ]
     for name, effect in CATALOGUE.items():
-        if name in asked or name in UNIDENTIFIABLE or name == "drift":
+        if name in asked or effect.unidentifiable or not effect.is_searched:
             continue
         if effect.block not in (*model.evidence.blocks, "sensors"):
             why = "these records do not drive its block"

@@ -19,7 +19,6 @@ from importlib.metadata import EntryPoint, entry_points
 from math import nan
 from types import ModuleType
 
-from pamctl.compiled import trust_kernels_of
 from pamctl.plant.effects.description import EffectDescription, EffectEntry
 from pamctl.plant.effects.places import PLACES
 
@@ -108,6 +107,3 @@ def list_arguments(kernel: object) -> list[str]:
 
 CATALOGUE: dict[str, EffectDescription] = load_effects()
 """Every effect by its name: those on the pressure block, the mechanics, the sensors."""
-
-for _effect in CATALOGUE.values():
-    trust_kernels_of(_effect.kind.__module__)

@@ -22,20 +22,25 @@ from pamctl.plant.catalogue import CATALOGUE, list_arguments
 from pamctl.plant.effects.description import EffectEntry
 from pamctl.plant.effects.places import PLACES, Part
 
-KERNEL_MODULES = tuple(
-    sorted(
-        {
-            function.__module__
-            for effect in CATALOGUE.values()
-            for function in (effect.kind, *(entry.kernel for entry in effect.entries))
-        }
-    )
-)
+Kernel = Callable[..., Any]
+
+
+def _list_modules() -> tuple[str, ...]:
+    """List the modules that parameters, kernels and memories of effects come from."""
+    found = {effect.kind.__module__ for effect in CATALOGUE.values()}
+    for entry in (entry for effect in CATALOGUE.values() for entry in effect.entries):
+        found.add(entry.kernel.__module__)
+        if entry.memory is not None:
+            found |= {entry.memory.follow.__module__, entry.memory.at_rest.__module__}
+    return tuple(sorted(found))
+
+
+KERNEL_MODULES = _list_modules()
 """Modules that the code below depends on; `pamctl.compiled` keys its cache by them, too."""
 
 
 def _make_group(name: str, defaults: Mapping[str, Any]) -> Any:
-    return namedtuple(name, defaults, defaults=defaults.values(), module=__name__)  # type: ignore[misc]
+    return namedtuple(name, defaults, defaults=defaults.values(), module=__name__)
 
 
 def _effects_of(part: Part) -> dict[str, Any]:
@@ -123,72 +128,75 @@ def change_numbers(numbers: Any, values: Mapping[str, float]) -> Any:
 # --- composing ---------------------------------------------------------------------------------
 
 
-def _compose(name: str, arguments: Iterable[str], body: Iterable[str], **used: Any) -> Any:
+def _compose(
+    name: str, arguments: Iterable[str], body: Iterable[str], used: Mapping[str, Any]
+) -> Kernel:
     """Make a kernel from lines of source; `used` are the functions and types that they name."""
     source = "\n    ".join([f"def {name}({', '.join(arguments)}):", *body])
-    scope = {"__name__": __name__, **used}
-    # numba's cache wants a file that exists.
+    scope: dict[str, Any] = {"__name__": __name__, **used}
+    # The cache of machine code needs a file that exists.
     exec(compile(source, __file__, "exec"), scope)
-    return scope[name]
+    kernel: Kernel = scope[name]
+    return kernel
 
 
-def _call(name: str, kernel: Callable[..., Any], memory: str, **renamed: str) -> str:
-    """Write the arguments of a call of an effect's kernel: those that it names."""
-    arguments = {"memory": memory, **renamed}
-    given = (arguments.get(argument, argument) for argument in list_arguments(kernel))
-    return f"({', '.join([f'effects.{name}', *given])})"
+def _call(called: str, name: str, kernel: Kernel, **renamed: str) -> str:
+    """Write the call of an effect's kernel, with the arguments that it names."""
+    given = (renamed.get(argument, argument) for argument in list_arguments(kernel))
+    return f"{called}({', '.join([f'effects.{name}', *given])})"
 
 
-def _make_pass(place: str) -> Any:
+def _make_pass(place: str) -> Kernel:
     """Make (effects, memory, value, ...) -> value: all kernels of a place, one after the other.
 
-    `memory` only where effects may remember; `value` is the one that
-    the place replaces, or the sum to which it adds.
+    There is a `memory` only where effects may remember. `value` is the one that the place replaces,
+    or the sum to which it adds.
     """
     its, used, body = PLACES[place], {}, []
     value = its.replaces or "total"
     for name, entry in order_entries(place):
-        kernel = f"{name}_{place}"
+        kernel = f"{name}_kernel"
         used[kernel] = entry.kernel
-        sign = "=" if its.replaces else "+="
-        body.append(f"{value} {sign} {kernel}{_call(name, entry.kernel, f'memory.{name}')}")
+        call = _call(kernel, name, entry.kernel, memory=f"memory.{name}")
+        body.append(f"{value} {'=' if its.replaces else '+='} {call}")
     memory = ["memory"] if its.follows else []
     others = [argument for argument in its.gives if argument != value]
     arguments = ["effects", *memory, value, *others]
-    return _compose(f"pass_{place}", arguments, [*body, f"return {value}"], **used)
+    return _compose(f"pass_{place}", arguments, [*body, f"return {value}"], used)
 
 
-def _make_follow(place: str, group: Any) -> Any:
-    """Make (effects, memory, begin, end, step_s, ...) -> memory: that of a place after a step.
+def _make_follow(place: str, group: Any) -> Kernel:
+    """Make (effects, memory, begin, end, step_s, ...) -> memory after a step.
 
     Where a value passes, a memory follows what the kernels before it make of that value.
     """
-    its, used, body, new = PLACES[place], {"Memory": group}, [], {}
+    its, new, body = PLACES[place], {}, []
+    used: dict[str, Any] = {"Memory": group}
     entries = order_entries(place)
+    passes = "begin" in its.follows
     waiting = sum(entry.memory is not None for _, entry in entries)
     for name, entry in entries:
         if entry.memory is not None:
-            follow, new[name] = f"follow_{name}", f"new_{name}"
+            follow, new[name] = f"{name}_follow", f"{name}_after"
             used[follow] = entry.memory.follow
-            call = _call(name, entry.memory.follow, f"memory.{name}")
-            body.append(f"{new[name]} = {follow}{call}")
+            call = _call(follow, name, entry.memory.follow, memory=f"memory.{name}")
+            body.append(f"{new[name]} = {call}")
             waiting -= 1
-        if waiting and "begin" in its.follows:
-            kernel, remembered = f"{name}_{place}", f"memory.{name}"
+        if waiting and passes:
+            kernel = f"{name}_kernel"
             used[kernel] = entry.kernel
-            begin = _call(name, entry.kernel, remembered, **{its.replaces: "begin"})
-            remembered = new.get(name, remembered)
-            end = _call(name, entry.kernel, remembered, **{its.replaces: "end"})
-            body.append(f"begin, end = {kernel}{begin}, {kernel}{end}")
+            for value, memory in (("begin", f"memory.{name}"), ("end", f"{name}_after")):
+                renamed = {"memory": memory, its.replaces: value}
+                body.append(f"{value} = {_call(kernel, name, entry.kernel, **renamed)}")
     fields = [new.get(name, f"memory.{name}") for name in group._fields]
-    others = [a for a in its.gives if "begin" in its.follows and a != its.replaces]
+    others = [a for a in its.gives if a != its.replaces] if passes else []
     arguments = ["effects", *its.follows, *others]
     return _compose(
-        f"follow_{place}", arguments, [*body, f"return Memory({', '.join(fields)})"], **used
+        f"follow_{place}", arguments, [*body, f"return Memory({', '.join(fields)})"], used
     )
 
 
-def _make_speed_test() -> Any:
+def _make_speed_test() -> Kernel:
     """Make (effects) -> bool: whether an effect acts whose force depends on the speed."""
     tests = [
         f"effects.{name}.{p.name} != {p.neutral!r}"
@@ -198,15 +206,17 @@ def _make_speed_test() -> Any:
         for p in CATALOGUE[name].parameters
         if p.role == "size"
     ]
-    return _compose("depends_on_speed", ["effects"], [f"return {' or '.join(tests) or 'False'}"])
+    return _compose(
+        "depends_on_speed", ["effects"], [f"return {' or '.join(tests) or 'False'}"], {}
+    )
 
 
 pass_command = _make_pass("command")
 follow_command = _make_follow("command", ValveMemory)
 pass_opening = _make_pass("opening")
 follow_opening = _make_follow("opening", ValveMemory)
-add_flow = _make_pass("flow")
-pass_volume = _make_pass("volume")
+add_flow: Callable[..., float] = _make_pass("flow")
+pass_volume: Callable[..., float] = _make_pass("volume")
 pass_pulling_pressure = _make_pass("pulling_pressure")
 add_force = _make_pass("force")
 follow_force = _make_follow("force", MechanicsMemory)

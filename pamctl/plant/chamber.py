@@ -172,7 +172,7 @@ def flow_into(
 
 def leak_flow(p: AirParameters, pressure_pa: float) -> float:
     """Mass flow past the valve, kg/s; negative where it goes out."""
-    area = p.effects.chamber_leak.area_m2
+    area: float = p.effects.chamber_leak.area_m2
     if area <= 0.0:
         return p.extra_kg_per_s
     leak = area * port_flow(p, p.paper.atmospheric_pressure_pa, pressure_pa)
@@ -373,7 +373,7 @@ def advance_supply_pa(
     kept, given = kept_share(droop, step_s), 0.0
     if open_to.tank_m2 > 0.0:
         given = open_to.tank_m2 * port_flow(p, fed_by.supply_pa, fed_by.node_pa)
-    refilled_pa = p.paper.tank_pressure_pa - droop.resistance_pa_s_per_kg * given
+    refilled_pa: float = p.paper.tank_pressure_pa - droop.resistance_pa_s_per_kg * given
     return kept * air.supply_pa + (1.0 - kept) * refilled_pa
 
 

@@ -13,8 +13,8 @@ import pytest
 
 from hal.sim.sim_rig import SimRig, sensor_chain
 from pamctl.plant import drive
-from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.effects.description import EffectParameter
 from pamctl.plant.flat import NEUTRAL, parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of

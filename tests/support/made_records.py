@@ -6,8 +6,8 @@ import numpy as np
 
 from pamctl.control.excitation import ProgramSettings, generate_commands
 from pamctl.diagnose import Record
-from pamctl.plant.drive import drive_coupled
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.drive import drive_coupled
 from pamctl.plant.flat import parameters_of
 
 COUNT_M = 25.4e-3 / 8000.0

@@ -25,8 +25,6 @@ from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectDescription, EffectForm
 from pamctl.plant.model import PlantSettings
 
-NEVER_NAMED = ("drift",)
-"""It would explain anything slow."""
 DOSES = (1.0, 6.0)
 """In smallest sizes of interest: a large effect does not look like a small one."""
 
@@ -70,7 +68,7 @@ def list_candidates(evidence: Evidence, without: Collection[str] = ()) -> tuple[
     return tuple(
         candidate
         for name, effect in CATALOGUE.items()
-        if name not in {*without, *NEVER_NAMED, *on} and effect.identifiable
+        if name not in {*without, *on} and effect.is_searched and not effect.unidentifiable
         for candidate in _list_forms(effect, evidence.blocks)
     )
 

@@ -11,6 +11,11 @@ from itertools import permutations
 from pamctl.plant.catalogue import CATALOGUE
 
 
+def write_command(experiment: str) -> str:
+    """Write the command that runs an experiment; "none" where there is none."""
+    return f"pamctl run --experiment {experiment}" if experiment else "none"
+
+
 def find_separating_experiment(names: Iterable[str]) -> dict[str, object]:
     """Return the experiment that tells these effects apart, and why."""
     wanted = sorted(names)

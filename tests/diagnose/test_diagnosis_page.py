@@ -161,7 +161,7 @@ def test_what_none_of_the_known_explains_is_drawn_but_never_called_a_cause(named
 def test_two_that_are_not_told_apart_are_both_on_top_with_what_would_tell_them(named, records):
     first, rest = page(as_if(named, Verdict.AMBIGUOUS), records).split("<h2", 1)
     assert "Do not repair the rig on this evidence" in first
-    assert "null staircase" in first
+    assert "<code>pamctl run --experiment null-staircase</code>" in first
     assert "not told apart</td>" in rest
 
 

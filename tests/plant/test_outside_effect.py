@@ -170,7 +170,7 @@ def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def test_at_neutral_values_the_papers_model_is_the_same_to_the_bit(used) -> None:
-    assert used["position_m"]["neutral"] == used["first"]["paper"]
+    assert used["position_m"]["neutral"] == used["position_m"]["paper"]
 
 
 def test_a_plant_file_switches_them_on_and_compiled_and_plain_agree(used) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
+from pamctl.diagnose.experiments import write_command
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.locate import EVENLY
 from pamctl.diagnose.naming.verdict import Verdict
@@ -141,7 +142,7 @@ def _describe_where(regimes: str) -> str:
 def _describe_experiment(experiment: Mapping[str, Any]) -> str:
     effects = experiment["separates"]
     apart = f", which tells {' from '.join(map(spell_names, effects))}" if len(effects) > 1 else ""
-    return f"Next experiment: {experiment['name']}{apart}: {experiment['why']}."
+    return f"Next experiment: `{write_command(experiment['name'])}`{apart}: {experiment['why']}."
 
 
 def parameter_of(name: str) -> EffectParameter:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from pamctl.diagnose.correction import CorrectionResult
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
+from pamctl.diagnose.experiments import write_command
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.integrator import describe_integrator
 from pamctl.diagnose.fitting.intervals import FittedNumber
@@ -71,7 +72,7 @@ def summary(diagnosis: Diagnosis) -> str:
         parts.append(describe_correction_result(diagnosis.corrected))
     following = choose_next_experiment(diagnosis)
     if following:
-        parts.append(f"next: {following['name']}: {following['why']}")
+        parts.append(f"next: {write_command(following['name'])}: {following['why']}")
     return "\n\n".join(parts)
 
 

@@ -27,7 +27,7 @@ DESCRIPTION = EffectDescription(
         size("volume_m3", "m3", 6e-5, smallest=1e-6, start=4e-6, meaning="V_d, added volume"),
     ),
     signature="pressure moves too fast in the simulation, most where the muscle is longest",
-    best_experiment="square",
+    best_experiment="slow-ramps",
     seen_by=("pressure",),
     entries=(EffectEntry("volume", add_dead_volume_m3),),
 )

@@ -42,7 +42,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="right while choked, wrong in the unchoked half: near the end of filling and venting",
-    best_experiment="square",
+    best_experiment="square-1",
     seen_by=("pressure",),
     woven=("air",),
 )

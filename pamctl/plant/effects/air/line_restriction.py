@@ -60,7 +60,7 @@ DESCRIPTION = EffectDescription(
     ),
     signature="the measured pressure leads: it jumps with the flow, and the motion lags behind it; "
     "both blocks show it",
-    best_experiment="square",
+    best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
     woven=("air",),
     forms=(

@@ -44,7 +44,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="the flow's and the motion's share of the pressure's rate are scaled alike",
-    best_experiment="square",
+    best_experiment="square-1",
     seen_by=("pressure",),
     woven=("air",),
 )

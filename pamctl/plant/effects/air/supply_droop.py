@@ -48,7 +48,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="while filling only, in proportion to the flow; with a tank it lingers after it",
-    best_experiment="square",
+    best_experiment="square-1",
     seen_by=("pressure",),
     woven=("air",),
     forms=(

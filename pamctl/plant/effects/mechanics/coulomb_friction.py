@@ -26,7 +26,7 @@ DESCRIPTION = EffectDescription(
     equation="f in [-f_0, f_0], added to the band of Eq. 5",
     parameters=(size("force_n", "N", 40.0, smallest=0.3, start=2.0, meaning="f_0"),),
     signature="both ways, without pressure as well: the vented muscle rests off its zero",
-    best_experiment="square",
+    best_experiment="slow-ramps",
     seen_by=("mechanics",),
     entries=(EffectEntry("friction", add_dry_friction, after=("return_friction",)),),
 )

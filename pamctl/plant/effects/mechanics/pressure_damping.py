@@ -25,7 +25,7 @@ DESCRIPTION = EffectDescription(
     equation="c = c_0 + c_p P_g",
     parameters=(size("per_pa", "N s/(m Pa)", 2e-3, smallest=5e-5, start=2e-4, meaning="c_p"),),
     signature="an error with speed times pressure",
-    best_experiment="square",
+    best_experiment="square-1",
     seen_by=("mechanics",),
     entries=(EffectEntry("damping", pressure_damping_n_s_per_m),),
 )

@@ -35,7 +35,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="only while the muscle lengthens, in proportion to pressure",
-    best_experiment="square",
+    best_experiment="slow-ramps",
     seen_by=("mechanics",),
     entries=(EffectEntry("friction", add_return_friction),),
 )

@@ -44,7 +44,7 @@ DESCRIPTION = EffectDescription(
         size("width_m", "m", 1e-3, smallest=12e-6, start=50e-6, meaning="w, width of the play"),
     ),
     signature="a flat spot of one width at every reversal, whatever the pressure",
-    best_experiment="multisine-small",
+    best_experiment="chirp",
     seen_by=("mechanics",),
     entries=(
         EffectEntry(

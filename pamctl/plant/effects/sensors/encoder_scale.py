@@ -49,7 +49,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="an error in proportion to the displacement, at any pressure and speed",
-    best_experiment="square",
+    best_experiment="square-1",
     seen_by=("mechanics", "pressure"),
     entries=(
         EffectEntry(

@@ -53,7 +53,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="an error in proportion to the gauge pressure, at plateaus too; both blocks show it",
-    best_experiment="square",
+    best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
     entries=(
         EffectEntry(

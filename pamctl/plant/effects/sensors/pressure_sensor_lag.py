@@ -73,7 +73,7 @@ DESCRIPTION = EffectDescription(
     ),
     signature="the measured pressure is late in the pressure block, and the motion early in the "
     "mechanics, by the same time",
-    best_experiment="square",
+    best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
     entries=(
         EffectEntry(

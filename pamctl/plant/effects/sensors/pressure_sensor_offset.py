@@ -48,7 +48,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="the vented muscle does not read the atmosphere's pressure; both blocks show it",
-    best_experiment="square",
+    best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
     entries=(
         EffectEntry(

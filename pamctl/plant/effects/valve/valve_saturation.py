@@ -39,7 +39,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="only at large commands, on both sides: the measured flow is smaller",
-    best_experiment="square",
+    best_experiment="null-staircase",
     seen_by=("pressure",),
     entries=(EffectEntry("command", saturate_command_v),),
 )

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from graphlib import TopologicalSorter
 from math import nan
 from typing import Any, NamedTuple
@@ -73,7 +74,8 @@ class Effects(NamedTuple):
     sensors: Any = SensorEffects()
 
 
-def order_entries(place: str) -> list[tuple[str, EffectEntry]]:
+@cache
+def order_entries(place: str) -> tuple[tuple[str, EffectEntry], ...]:
     """Return the effects of a place with their entries, each after those whose result it takes."""
     entries = {
         name: entry
@@ -82,12 +84,13 @@ def order_entries(place: str) -> list[tuple[str, EffectEntry]]:
         if entry.place == place
     }
     before = {name: [n for n in entry.after if n in entries] for name, entry in entries.items()}
-    return [(name, entries[name]) for name in TopologicalSorter(before).static_order()]
+    return tuple((name, entries[name]) for name in TopologicalSorter(before).static_order())
 
 
-def _memories_of(part: Part, position_m: float, pressure_pa: float) -> dict[str, Any]:
+@cache
+def _list_memories(part: Part) -> dict[str, Callable[[float, float], Any]]:
     return {
-        name: entry.memory.at_rest(position_m, pressure_pa)
+        name: entry.memory.at_rest
         for place, its in PLACES.items()
         if its.part == part
         for name, entry in order_entries(place)
@@ -95,20 +98,26 @@ def _memories_of(part: Part, position_m: float, pressure_pa: float) -> dict[str,
     }
 
 
-ValveMemory = _make_group("ValveMemory", _memories_of("valve", 0.0, nan))
+def _remember(part: Part, position_m: float, pressure_pa: float) -> dict[str, Any]:
+    return {
+        name: at_rest(position_m, pressure_pa) for name, at_rest in _list_memories(part).items()
+    }
+
+
+ValveMemory = _make_group("ValveMemory", _remember("valve", 0.0, nan))
 """What effects on command and opening remember."""
-MechanicsMemory = _make_group("MechanicsMemory", _memories_of("mechanics", 0.0, nan))
+MechanicsMemory = _make_group("MechanicsMemory", _remember("mechanics", 0.0, nan))
 """What effects on forces and friction remember."""
-SensorMemory = _make_group("SensorMemory", _memories_of("sensors", 0.0, nan))
+SensorMemory = _make_group("SensorMemory", _remember("sensors", 0.0, nan))
 """What effects on the readings remember."""
 
 
 def remember_rest(position_m: float, pressure_pa: float) -> tuple[Any, Any, Any]:
     """Return the memories of valve, mechanics and sensors after a long rest."""
     return (
-        ValveMemory(**_memories_of("valve", position_m, pressure_pa)),
-        MechanicsMemory(**_memories_of("mechanics", position_m, pressure_pa)),
-        SensorMemory(**_memories_of("sensors", position_m, pressure_pa)),
+        ValveMemory(**_remember("valve", position_m, pressure_pa)),
+        MechanicsMemory(**_remember("mechanics", position_m, pressure_pa)),
+        SensorMemory(**_remember("sensors", position_m, pressure_pa)),
     )
 
 

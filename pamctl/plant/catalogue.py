@@ -67,6 +67,8 @@ def check_effect(effect: EffectDescription) -> None:
     """Raise ValueError where a record contradicts itself or the places."""
     if not effect.name.isidentifier() or effect.block not in BLOCKS:
         raise ValueError(f"name {effect.name!r} or block {effect.block!r} is not valid")
+    if not any(p.role == "size" for p in effect.parameters):
+        raise ValueError("an effect needs a size, which switches it off at its neutral value")
     neutral = {p.name: p.neutral for p in effect.parameters}
     if effect.kind()._asdict() != neutral:
         raise ValueError(f"{effect.kind.__name__}() must hold the neutral values {neutral}")
@@ -91,7 +93,9 @@ def _check_entry(effect: EffectDescription, entry: EffectEntry) -> None:
     if [PLACES[e.place].part for e in effect.entries if e.memory].count(place.part) > 1:
         raise ValueError(f"an effect has one memory in the {place.part}")
     _check_arguments(entry.memory.follow, place.follows)
-    entry.memory.at_rest(0.0, nan)._asdict()
+    start = entry.memory.at_rest(0.0, nan)._asdict()
+    if not all(isinstance(value, float) for value in start.values()):
+        raise ValueError(f"a memory holds floats, not {start}")
 
 
 def _check_arguments(kernel: Any, gives: tuple[str, ...]) -> None:

@@ -9,8 +9,9 @@ whose source stands still, so each place gets one that calls the effects' kernel
         ...
         return opening_v
 
-At neutral values a kernel must give back its value, or add 0: it is called all the same, because
-tests for each would cost the compiled plant 12 %. A memory follows only where its effect acts.
+At neutral values a kernel without a memory must give back its value, or add 0: it is called all the
+same, because a test before each would cost the compiled plant 12 %. An effect that remembers is
+called, and its memory followed, only where it acts.
 """
 
 from __future__ import annotations
@@ -176,7 +177,8 @@ def _make_pass(place: str) -> Kernel:
         kernel = f"{name}_kernel"
         used[kernel] = entry.kernel
         call = _call(kernel, name, entry.kernel, memory=f"memory.{name}")
-        body.append(f"{value} {'=' if its.replaces else '+='} {call}")
+        acts = f"if {_acts(name)}: " if entry.memory is not None else ""
+        body.append(f"{acts}{value} {'=' if its.replaces else '+='} {call}")
     memory = ["memory"] if its.follows else []
     others = [argument for argument in its.gives if argument != value]
     arguments = ["effects", *memory, value, *others]

@@ -21,18 +21,18 @@ from pamctl.plant.paper.valve import orifice_flow
 from pamctl.plant.parameters import AirParameters, AirState
 
 SOLVED_PA = 1e-3
-"""A pressure that is found by iteration is found to within this."""
+"""Tolerance of a pressure that is found by iteration."""
 
 
 class Ports(NamedTuple):
-    """Areas that are open over a step, m^2."""
+    """Open areas during a step, m^2."""
 
     tank_m2: float
     atmosphere_m2: float
 
 
 class MuscleFeed(NamedTuple):
-    """What stands before the muscle in the middle of a step."""
+    """What feeds the muscle in the middle of a step."""
 
     supply_pa: float
     """Upstream of the valve."""
@@ -164,14 +164,14 @@ def solve_feed(
 def flow_into(
     p: AirParameters, air: AirState, open_to: Ports, node_pa: float, step_s: float
 ) -> float:
-    """Mass flow into the node at a pressure of it, the supply having followed for `step_s`."""
+    """Mass flow into the node at a pressure, after the supply has followed for `step_s`."""
     return flow_through_ports(
         p, open_to, solve_supply_pa(p, air.supply_pa, open_to, node_pa, step_s), node_pa
     )
 
 
 def leak_flow(p: AirParameters, pressure_pa: float) -> float:
-    """Mass flow past the valve, kg/s; negative where it goes out."""
+    """Mass flow into the muscle past the valve, kg/s; negative outwards."""
     area: float = p.effects.chamber_leak.area_m2
     if area <= 0.0:
         return p.extra_kg_per_s
@@ -258,7 +258,7 @@ def fill_chamber(
 def net_flow(
     p: AirParameters, air: AirState, open_to: Ports, pressure_pa: float, step_s: float
 ) -> float:
-    """All that comes into the muscle at a pressure, kg/s."""
+    """Return the whole flow into the muscle at a pressure, kg/s."""
     return flow_into(p, air, open_to, pressure_pa, step_s) + leak_flow(p, pressure_pa)
 
 
@@ -271,11 +271,11 @@ def stop_at_balance(
     net_kg_per_s: float,
     step_s: float,
 ) -> tuple[float, bool]:
-    """Stop where as much air comes as goes; tell whether it is reached.
+    """Stop at the pressure where inflow and outflow balance; tell whether it is reached.
 
-    `net_kg_per_s` is what comes at `pressure_pa`: known already, and half of this one's work.
-    See `pressure.py`, where that is the source's pressure, and so it is here with one source.
-    A resistance in the line makes the last of the flow gentle, and needs no such stop.
+    `net_kg_per_s` is the net flow at `pressure_pa`, which the caller has computed already. With one
+    source the balance is at the source's pressure, as in `pressure.py`. A resistance in the line
+    lets the flow end gently, and needs no such stop.
     """
     if p.effects.line_restriction.resistance_pa_s_per_kg > 0.0:
         return next_pa, False

@@ -1,4 +1,4 @@
-"""The way of a command to the valve where it takes time."""
+"""The plant under commands that reach the valve late."""
 
 from __future__ import annotations
 

@@ -1,17 +1,17 @@
 """The plant driven by recorded signals: coupled, or one block by the other's measured signal.
 
     p = parameters_of({"stiffness_n_per_m": 9500.0, "valve_spool.time_constant_s": 1e-3})
-    drive_coupled(p, command_v, dt_s)       -> Driven: position_m, pressure_pa, velocity, true ones
-    drive_pressure(p, command_v, position_m, dt_s)  -> PressureDriven: pressure_pa, true_pressure_pa
-    drive_mechanics(p, pressure_pa, dt_s)   -> MechanicsDriven: position_m, true ones, velocity
+    drive_coupled(p, command_v, dt_s)       -> CoupledResponse
+    drive_pressure(p, command_v, position_m, dt_s)  -> PressureResponse
+    drive_mechanics(p, pressure_pa, dt_s)   -> MechanicsResponse
 
 The order of a tick is that of the simulated rig and of `pamctl.simulate.closed_loop`: sample k is
 taken, then command k is written, and the plant runs under it for `dt_s[k]` until sample k + 1
 is taken. So the samples of tick 0 are the start state, `command_v[k]` is never felt in sample k,
 and the last command is not used. `dt_s` is one number for a regular grid, or one for each
 interval (n - 1 of them; an n-th is ignored); a missed tick is an interval twice as long, and is
-cut into twice as many steps. Who drives again and again makes the `build_grid` them once. For a rig
-whose output comes a tick late shift `command_v` by one.
+cut into twice as many steps. For many drives of one grid call `build_grid` once. For a rig whose
+output comes a tick late shift `command_v` by one.
 
 Every `position_m` and `pressure_pa`, in and out, is what the sensors say: with the effects of
 sensors in it, and neither noise nor rounding. `true_...` is what they would say if ideal.
@@ -297,7 +297,7 @@ def build_grid(dt_s: ArrayLike | SampleGrid, samples: int, steps: int = STEPS_A_
     """Cut each interval into equal steps; return what is a grid as it is.
 
     An interval of median length gets `steps` of them; a tenth of slack keeps jitter from adding
-    one. ValueError for what are no intervals of so many samples.
+    one. ValueError if the intervals do not fit the number of samples.
     """
     if isinstance(dt_s, SampleGrid):
         if len(dt_s.samples_s) != samples:

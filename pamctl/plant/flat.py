@@ -1,9 +1,9 @@
 """A plant as a flat mapping {name: value}, which is what a fit varies.
 
 Names are those of a plant file: `stiffness_n_per_m` of its parameters, and of its effects
-`valve_spool.time_constant_s`. What is left out has the paper's value, or the neutral one. No
-validation but of names: a fit that evaluates thousands of vectors keeps to the catalogue's
-ranges itself. `pamctl.plant.model` has the way to a plant file and back.
+`valve_spool.time_constant_s`. A missing name has the paper's value, or the neutral one. Only names
+are validated: a fit that evaluates thousands of vectors keeps to the catalogue's ranges itself.
+`pamctl.plant.model` converts to a plant file and back.
 """
 
 from __future__ import annotations

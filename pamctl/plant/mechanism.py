@@ -104,7 +104,9 @@ def mechanism_forces(
     grip = p.paper.friction_area_m * pressing_pa * drift_factor(e.drift.friction_per_s, age_s)
     kinetic = FrictionBand(0.0, grip * lever_m)
     now = pass_friction(e, memory, kinetic, position_m, velocity_m_per_s, gauge_pa, age_s)
-    at_rest = pass_friction(e, memory, kinetic, position_m, 0.0, gauge_pa, age_s)
+    at_rest = now
+    if depends_on_speed(e):
+        at_rest = pass_friction(e, memory, kinetic, position_m, 0.0, gauge_pa, age_s)
     damping = add_damping(
         e,
         memory,

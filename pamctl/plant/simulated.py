@@ -12,7 +12,7 @@ LONGEST_STEP_S = 0.5e-3
 
 
 class SimulatedPlant:
-    """The plant of Eq. 9 as `hal.sim.sim_rig` wants it; the true state is `state`."""
+    """The plant of Eq. 9, as `hal.sim.sim_rig` calls it; `state` is the true state."""
 
     def __init__(self, parameters: PlantParameters, state: PlantState | None = None) -> None:
         """Start from `state`; by default vented and at rest."""

@@ -1,4 +1,4 @@
-"""From the command to the valve's opening: what the paper takes for one and the same."""
+"""From the command to the valve's opening, which are the same in the paper."""
 
 from __future__ import annotations
 

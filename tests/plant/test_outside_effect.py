@@ -73,13 +73,11 @@ def start(position_m: float, pressure_pa: float) -> Coil:
 
 
 def follow(lag: CoilLag, memory: Coil, end: float, step_s: float) -> Coil:
-    if lag.time_constant_s <= 0.0:
-        return Coil(end)
     return Coil(end + (memory.command_v - end) * exp(-step_s / lag.time_constant_s))
 
 
-def give(lag: CoilLag, memory: Coil, command_v: float) -> float:
-    return memory.command_v if lag.time_constant_s > 0.0 else command_v
+def give(lag: CoilLag, memory: Coil) -> float:
+    return memory.command_v
 
 
 DESCRIPTION = EffectDescription(

@@ -86,7 +86,7 @@ def _list_forms(effect: EffectDescription, blocks: Collection[str]) -> Iterator[
 
 
 def apply_dose(number: FreeNumber, doses: float, neutral: float) -> float:
-    """Go from neutral by so many smallest sizes of interest, within the range."""
+    """Return the value that many smallest sizes of interest off neutral, within the range."""
     step = doses * number.scale
     if neutral + step <= number.high:
         return neutral + step

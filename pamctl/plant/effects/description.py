@@ -93,7 +93,9 @@ class EffectEntry:
     """A kernel of an effect and the place in the plant where it enters.
 
     The kernel's first argument is the effect's parameters. It names the others: those of its
-    place (`pamctl.plant.effects.places`), in any order and only those that it needs.
+    place (`pamctl.plant.effects.places`), in any order and only those that it needs. It is
+    called at neutral values, too, and must then return its value, or 0 where results are added up.
+    A kernel with a memory is called only where its effect acts.
     """
 
     place: str

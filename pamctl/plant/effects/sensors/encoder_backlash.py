@@ -30,9 +30,9 @@ def follow_backlash_m(backlash: EncoderBacklash, memory: ScaleCarrier, end: floa
     return ScaleCarrier(follow_with_play(memory.position_m, end, backlash.width_m))
 
 
-def show_carrier_m(backlash: EncoderBacklash, memory: ScaleCarrier, position_m: float) -> float:
+def show_carrier_m(backlash: EncoderBacklash, memory: ScaleCarrier) -> float:
     """Return the displacement that the encoder reads."""
-    return memory.position_m if backlash.width_m > 0.0 else position_m
+    return memory.position_m
 
 
 DESCRIPTION = EffectDescription(

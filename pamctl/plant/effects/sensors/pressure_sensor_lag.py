@@ -41,15 +41,13 @@ def lag_pressure_pa(
     lag: PressureSensorLag, memory: LaggedPressure, begin: float, end: float, step_s: float
 ) -> LaggedPressure:
     """Follow a pressure that goes straight from `begin` to `end` (Pa): exact."""
-    if lag.time_constant_s <= 0.0:
-        return LaggedPressure(end)
     kept, weight = lag_weights(lag.time_constant_s, step_s)
     return LaggedPressure(kept * memory.pressure_pa + (1.0 - kept) * begin + weight * (end - begin))
 
 
-def show_lagged_pa(lag: PressureSensorLag, memory: LaggedPressure, pressure_pa: float) -> float:
+def show_lagged_pa(lag: PressureSensorLag, memory: LaggedPressure) -> float:
     """Return the absolute pressure that the sensor has reached."""
-    return memory.pressure_pa if lag.time_constant_s > 0.0 else pressure_pa
+    return memory.pressure_pa
 
 
 def undo_lag_pa(

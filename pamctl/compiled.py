@@ -4,6 +4,8 @@ A kernel takes and returns floats, ints, bools and NamedTuples of them. It calls
 other kernels: of pamctl, or of the outside package that it is from. `compile_kernel(kernel)` gives
 its machine-code twin, built from the same source: every kernel that it names is replaced by that
 kernel's twin. The loop process runs the plain functions and never imports numba.
+
+A module may call kernels that outside packages bring: it lists their modules as `KERNEL_MODULES`.
 """
 
 from __future__ import annotations
@@ -78,10 +80,15 @@ def _used_globals(kernel: FunctionType) -> dict[str, Any]:
 
 
 def _is_kernel(value: object, caller: FunctionType) -> bool:
-    return isinstance(value, FunctionType) and _root(value.__module__) in {
-        *_HOUSE,
-        _root(caller.__module__),
-    }
+    return isinstance(value, FunctionType) and (
+        _root(value.__module__) in {*_HOUSE, _root(caller.__module__)}
+        or value.__module__ in _list_added_modules(caller.__module__)
+    )
+
+
+def _list_added_modules(module: str) -> tuple[str, ...]:
+    """List the modules whose kernels a module calls without naming them in its source."""
+    return getattr(sys.modules.get(module), "KERNEL_MODULES", ())
 
 
 def _root(module: str) -> str:
@@ -160,7 +167,7 @@ def _find_imports(module: str) -> set[str]:
         else:
             continue
         found |= {n for n in names if _root(n) in house and _source_of(n).is_file()}
-    return found
+    return found | {*_list_added_modules(module)}
 
 
 def _name_source(node: ast.ImportFrom, module: str) -> str:

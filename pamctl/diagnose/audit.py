@@ -26,12 +26,8 @@ from pamctl.diagnose.fitting.model_fit import recalibrate
 from pamctl.diagnose.fitting.numbers import FreeNumber, look_up_parameter, unit_of, value_of
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.measured.refuse import check_measured_runs, check_sensors
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
-
-UNIDENTIFIABLE = {
-    "moving_mass": "it acts within 0.1 ms, a tenth of a sample: no experiment at 1 kHz shows it",
-}
 
 
 @dataclass(frozen=True)
@@ -222,13 +218,15 @@ def _find_visible_size(switch: FreeNumber, size: float, power: float) -> tuple[f
 
 
 def _list_unseen_effects(model: Model, candidates: Sequence[Candidate]) -> list[BlindSpot]:
-    """List effects that reach no block that these records drive, and those that nothing shows."""
+    """List effects that reach no block that these records drive, or that nothing can identify."""
     examined = {c.name for c in candidates} | {*model.names}
     spots = [
-        BlindSpot(name, why, "", None) for name, why in UNIDENTIFIABLE.items() if name in CATALOGUE
+        BlindSpot(name, effect.unidentifiable, "", None)
+        for name, effect in CATALOGUE.items()
+        if effect.unidentifiable
     ]
     for name, effect in CATALOGUE.items():
-        if name in examined or name in UNIDENTIFIABLE or name == "drift":
+        if name in examined or effect.unidentifiable or not effect.is_searched:
             continue
         if effect.block not in (*model.evidence.blocks, "sensors"):
             why = "these records do not drive its block"

@@ -1,54 +1,28 @@
-"""Which experiment tells two effects apart; measured on the paper's model, 6 s each."""
+"""Which experiment tells two effects apart, and which shows one best.
+
+An advice names a file of config/experiment, which `pamctl run --experiment NAME` runs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
+from itertools import permutations
 
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 
-SEPARATING_EXPERIMENTS: Mapping[frozenset[str], tuple[str, str]] = {
-    frozenset({"valve_spool", "command_delay"}): (
-        "chirp",
-        "a lag of second order and a pure delay part at high frequency only",
-    ),
-    frozenset({"pressure_sensor_lag", "valve_spool"}): (
-        "fill-and-hold",
-        "after the valve closes the spool is silent and the sensor still catches up",
-    ),
-    frozenset({"pressure_sensor_lag", "command_delay"}): (
-        "fill-and-hold",
-        "after the valve closes the delay is over and the sensor still catches up",
-    ),
-    frozenset({"valve_leak", "chamber_leak"}): (
-        "fill-and-hold",
-        "with the valve closed one drifts towards the middle, the other to the atmosphere",
-    ),
-    frozenset({"dead_volume", "pressure_sensor_lag"}): (
-        "fill-and-hold",
-        "a volume matters while air flows, a lag also afterwards",
-    ),
-    frozenset({"return_friction", "stribeck"}): (
-        "slow ramps up and down at several pressures",
-        "one scales with the pressure on the way back only, the other with slowness both ways",
-    ),
-    frozenset({"valve_deadband", "valve_asymmetry"}): (
-        "null staircase",
-        "a dead band acts near null only",
-    ),
-    frozenset({"supply_droop", "valve_asymmetry"}): (
-        "full-scale squares",
-        "a droop grows with the flow, an asymmetry does not",
-    ),
-}
+
+def write_command(experiment: str) -> str:
+    """Write the command that runs an experiment; "none" where there is none."""
+    return f"pamctl run --experiment {experiment}" if experiment else "none"
 
 
 def find_separating_experiment(names: Iterable[str]) -> dict[str, object]:
     """Return the experiment that tells these effects apart, and why."""
     wanted = sorted(names)
-    for pair, (experiment, why) in SEPARATING_EXPERIMENTS.items():
-        if pair <= {*wanted}:
-            return {"name": experiment, "separates": sorted(pair), "why": why}
-    first = CATALOGUE[wanted[0]]
+    for one, other in permutations(wanted, 2):
+        if told := CATALOGUE[one].told_from.get(other):
+            return {"name": told.experiment, "separates": sorted((one, other)), "why": told.why}
+    first = next((e for n in wanted if (e := CATALOGUE[n]).best_experiment), CATALOGUE[wanted[0]])
     return {
         "name": first.best_experiment,
         "separates": wanted,

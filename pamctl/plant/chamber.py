@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pamctl.plant.chains import pass_volume
 from pamctl.plant.effects.air.discharge_ratio import nozzle_ratio
 from pamctl.plant.effects.air.line_restriction import lag_weights, line_time_s
 from pamctl.plant.effects.air.polytropic import polytropic_slope, polytropic_volume
@@ -20,18 +21,18 @@ from pamctl.plant.paper.valve import orifice_flow
 from pamctl.plant.parameters import AirParameters, AirState
 
 SOLVED_PA = 1e-3
-"""A pressure that is found by iteration is found to within this."""
+"""Tolerance of a pressure that is found by iteration."""
 
 
 class Ports(NamedTuple):
-    """Areas that are open over a step, m^2."""
+    """Open areas during a step, m^2."""
 
     tank_m2: float
     atmosphere_m2: float
 
 
 class MuscleFeed(NamedTuple):
-    """What stands before the muscle in the middle of a step."""
+    """What feeds the muscle in the middle of a step."""
 
     supply_pa: float
     """Upstream of the valve."""
@@ -163,15 +164,15 @@ def solve_feed(
 def flow_into(
     p: AirParameters, air: AirState, open_to: Ports, node_pa: float, step_s: float
 ) -> float:
-    """Mass flow into the node at a pressure of it, the supply having followed for `step_s`."""
+    """Mass flow into the node at a pressure, after the supply has followed for `step_s`."""
     return flow_through_ports(
         p, open_to, solve_supply_pa(p, air.supply_pa, open_to, node_pa, step_s), node_pa
     )
 
 
 def leak_flow(p: AirParameters, pressure_pa: float) -> float:
-    """Mass flow past the valve, kg/s; negative where it goes out."""
-    area = p.effects.chamber_leak.area_m2
+    """Mass flow into the muscle past the valve, kg/s; negative outwards."""
+    area: float = p.effects.chamber_leak.area_m2
     if area <= 0.0:
         return p.extra_kg_per_s
     leak = area * port_flow(p, p.paper.atmospheric_pressure_pa, pressure_pa)
@@ -179,16 +180,17 @@ def leak_flow(p: AirParameters, pressure_pa: float) -> float:
 
 
 def air_volume_m3(p: AirParameters, position_m: float, pressure_pa: float) -> float:
-    """Volume that the air fills: Eq. 2, with stretched threads, and the dead volume."""
-    dead_m3 = p.effects.dead_volume.volume_m3
+    """Volume that the air fills: Eq. 2, with stretched threads, and what else effects add."""
     braid = p.effects.braid_stretch
     if braid.compliance_per_pa == 0.0:
-        return volume_m3(p.paper, position_m) + dead_m3
-    length = p.paper.rest_length_m - position_m
-    stretched = p.paper.braid_length_m * stretch_ratio(
-        braid, pressure_pa - p.paper.atmospheric_pressure_pa
-    )
-    return length * (stretched * stretched - length * length) * p.paper.volume_scale + dead_m3
+        room_m3 = volume_m3(p.paper, position_m)
+    else:
+        length = p.paper.rest_length_m - position_m
+        stretched = p.paper.braid_length_m * stretch_ratio(
+            braid, pressure_pa - p.paper.atmospheric_pressure_pa
+        )
+        room_m3 = length * (stretched * stretched - length * length) * p.paper.volume_scale
+    return pass_volume(p.effects, room_m3, position_m, pressure_pa)
 
 
 def amount_of_air(p: AirParameters, position_m: float, pressure_pa: float) -> float:
@@ -256,7 +258,7 @@ def fill_chamber(
 def net_flow(
     p: AirParameters, air: AirState, open_to: Ports, pressure_pa: float, step_s: float
 ) -> float:
-    """All that comes into the muscle at a pressure, kg/s."""
+    """Return the whole flow into the muscle at a pressure, kg/s."""
     return flow_into(p, air, open_to, pressure_pa, step_s) + leak_flow(p, pressure_pa)
 
 
@@ -269,11 +271,11 @@ def stop_at_balance(
     net_kg_per_s: float,
     step_s: float,
 ) -> tuple[float, bool]:
-    """Stop where as much air comes as goes; tell whether it is reached.
+    """Stop at the pressure where inflow and outflow balance; tell whether it is reached.
 
-    `net_kg_per_s` is what comes at `pressure_pa`: known already, and half of this one's work.
-    See `pressure.py`, where that is the source's pressure, and so it is here with one source.
-    A resistance in the line makes the last of the flow gentle, and needs no such stop.
+    `net_kg_per_s` is the net flow at `pressure_pa`, which the caller has computed already. With one
+    source the balance is at the source's pressure, as in `pressure.py`. A resistance in the line
+    lets the flow end gently, and needs no such stop.
     """
     if p.effects.line_restriction.resistance_pa_s_per_kg > 0.0:
         return next_pa, False
@@ -371,7 +373,7 @@ def advance_supply_pa(
     kept, given = kept_share(droop, step_s), 0.0
     if open_to.tank_m2 > 0.0:
         given = open_to.tank_m2 * port_flow(p, fed_by.supply_pa, fed_by.node_pa)
-    refilled_pa = p.paper.tank_pressure_pa - droop.resistance_pa_s_per_kg * given
+    refilled_pa: float = p.paper.tank_pressure_pa - droop.resistance_pa_s_per_kg * given
     return kept * air.supply_pa + (1.0 - kept) * refilled_pa
 
 

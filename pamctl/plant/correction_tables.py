@@ -1,11 +1,11 @@
-"""What no known effect explains, as tables: an unnamed correction, and never a cause.
+"""Tables of what no known effect explains: a correction without a name, which is not a cause.
 
     pull of the muscle (N)            over displacement and its load
     flow into the muscle (kg/s)       over the valve's opening and the pressure
 
 The moved mass acts within 0.1 ms, so that displacement and load settle the velocity too: a table
-over them can stand for any missing force without a memory. A model without tables does not
-even compile them.
+over them can represent any missing force without memory. A model without tables does not compile
+them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The way of a command to the valve where it takes time."""
+"""The plant under commands that reach the valve late."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def advance_delayed_plant(
     `written_s` and `written_v` hold `count` commands with their times, in order; `arrived` is the
     one that acts now, and the new one is returned. Time is cut exactly where a command arrives.
     """
-    delay_s = p.effects.command_delay.delay_s
+    delay_s = p.effects.timing.command_delay.delay_s
     end_s = now_s + duration_s
     while arrived + 1 < count and written_s[arrived + 1] + delay_s < end_s:
         change_s = written_s[arrived + 1] + delay_s

@@ -1,17 +1,17 @@
 """The plant driven by recorded signals: coupled, or one block by the other's measured signal.
 
     p = parameters_of({"stiffness_n_per_m": 9500.0, "valve_spool.time_constant_s": 1e-3})
-    drive_coupled(p, command_v, dt_s)       -> Driven: position_m, pressure_pa, velocity, true ones
-    drive_pressure(p, command_v, position_m, dt_s)  -> PressureDriven: pressure_pa, true_pressure_pa
-    drive_mechanics(p, pressure_pa, dt_s)   -> MechanicsDriven: position_m, true ones, velocity
+    drive_coupled(p, command_v, dt_s)       -> CoupledResponse
+    drive_pressure(p, command_v, position_m, dt_s)  -> PressureResponse
+    drive_mechanics(p, pressure_pa, dt_s)   -> MechanicsResponse
 
 The order of a tick is that of the simulated rig and of `pamctl.simulate.closed_loop`: sample k is
 taken, then command k is written, and the plant runs under it for `dt_s[k]` until sample k + 1
 is taken. So the samples of tick 0 are the start state, `command_v[k]` is never felt in sample k,
 and the last command is not used. `dt_s` is one number for a regular grid, or one for each
 interval (n - 1 of them; an n-th is ignored); a missed tick is an interval twice as long, and is
-cut into twice as many steps. Who drives again and again makes the `build_grid` them once. For a rig
-whose output comes a tick late shift `command_v` by one.
+cut into twice as many steps. For many drives of one grid call `build_grid` once. For a rig whose
+output comes a tick late shift `command_v` by one.
 
 Every `position_m` and `pressure_pa`, in and out, is what the sensors say: with the effects of
 sensors in it, and neither noise nor rounding. `true_...` is what they would say if ideal.
@@ -27,12 +27,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pamctl.compiled import compile_kernel
+from pamctl.plant.chains import undo_reading
 from pamctl.plant.chamber import behind_line_pa
 from pamctl.plant.parameters import (
-    AirParameters,
     PlantParameters,
     PlantState,
     rest_state,
+    take_air_parameters,
     vented_state,
 )
 from pamctl.plant.sensing import (
@@ -116,7 +117,7 @@ def drive_pressure(
     commands = _check_signal("command_v", command_v)
     positions = _check_signal("position_m", position_m, len(commands))
     grid = build_grid(dt_s, len(commands), steps)
-    true_m = positions / p.effects.sensors.encoder_scale.scale
+    true_m = undo_sensor("position_reading", p, positions, grid.samples_s)
     if start is None:
         start = rest_state(p, float(true_m[0]), p.paper.atmospheric_pressure_pa)
     rows = np.empty((len(PressureResponse._fields), len(commands)))
@@ -143,7 +144,9 @@ def drive_mechanics(
     state = vented_state(p) if start is None else start
     rows = np.empty((len(MechanicsResponse._fields), len(pressures)))
     cut = build_steps(p, pressures, grid)
-    true_pa = pressures if p.direct else undo_pressure_sensor(p, pressures, grid.samples_s)
+    true_pa = pressures
+    if not p.direct:
+        true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
     ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
     _get_twin(run_mechanics)(p, state, cut, ends_pa, rows)
     return MechanicsResponse(*rows)
@@ -158,8 +161,8 @@ def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: 
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
                 state = plant_step(p, state, steps.command_v[j], steps.step_s[j])
-        rows[0, k] = sensed_position_m(p, state.position_m, state.sensors)
-        rows[1, k] = sensed_pressure_pa(p, state.pressure_pa, state.air, state.sensors)
+        rows[0, k] = sensed_position_m(p, state.position_m, state.sensors, state.age_s)
+        rows[1, k] = sensed_pressure_pa(p, state.pressure_pa, state.air, state.sensors, state.age_s)
         rows[2, k] = state.position_m
         rows[3, k] = state.pressure_pa
         rows[4, k] = state.velocity_m_per_s
@@ -170,6 +173,7 @@ def run_pressure(
 ) -> None:
     """Kernel of `drive_pressure`. `positions_m` are those at the ends of the steps."""
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
+    age_s = state.age_s
     for k in range(rows.shape[1]):
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
@@ -184,11 +188,13 @@ def run_pressure(
                     x,
                     0.5 * (x + end_m),
                     end_m,
+                    age_s,
                     step_s,
                 )
                 end_pa = pressure_at_sensor_pa(p, pressure_pa, air)
-                sensors = sensors_step(p, sensors, begin_pa, end_pa, end_m, step_s)
-        rows[0, k] = sensed_pressure_pa(p, pressure_pa, air, sensors)
+                sensors = sensors_step(p, sensors, begin_pa, end_pa, x, end_m, age_s, step_s)
+                age_s += step_s
+        rows[0, k] = sensed_pressure_pa(p, pressure_pa, air, sensors, age_s)
         rows[1, k] = pressure_pa
 
 
@@ -202,7 +208,7 @@ def run_mechanics(
         state.sensors,
         state.mechanics,
     )
-    muscle_pa = pressures_pa[0]
+    muscle_pa, age_s = pressures_pa[0], state.age_s
     has_line = p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0 and not p.direct
     for k in range(rows.shape[1]):
         if k:
@@ -211,7 +217,7 @@ def run_mechanics(
                 muscle_pa = pressures_pa[j + 1]
                 if has_line:
                     muscle_pa = behind_line_pa(
-                        AirParameters(p.paper, p.effects.air, 0.0),
+                        take_air_parameters(p, 0.0),
                         begin_pa,
                         pressures_pa[j],
                         muscle_pa,
@@ -220,9 +226,11 @@ def run_mechanics(
                         step_s,
                     )
                 middle_pa = 0.5 * (begin_pa + muscle_pa)
-                x, v, mechanics = mechanics_block_step(p, x, v, mechanics, middle_pa, step_s)
-                sensors = sensors_step(p, sensors, begin_pa, muscle_pa, x, step_s)
-        rows[0, k] = sensed_position_m(p, x, sensors)
+                begin_m = x
+                x, v, mechanics = mechanics_block_step(p, x, v, mechanics, middle_pa, age_s, step_s)
+                sensors = sensors_step(p, sensors, begin_pa, muscle_pa, begin_m, x, age_s, step_s)
+                age_s += step_s
+        rows[0, k] = sensed_position_m(p, x, sensors, age_s)
         rows[1, k] = x
         rows[2, k] = v
 
@@ -289,7 +297,7 @@ def build_grid(dt_s: ArrayLike | SampleGrid, samples: int, steps: int = STEPS_A_
     """Cut each interval into equal steps; return what is a grid as it is.
 
     An interval of median length gets `steps` of them; a tenth of slack keeps jitter from adding
-    one. ValueError for what are no intervals of so many samples.
+    one. ValueError if the intervals do not fit the number of samples.
     """
     if isinstance(dt_s, SampleGrid):
         if len(dt_s.samples_s) != samples:
@@ -310,7 +318,7 @@ def build_steps(p: PlantParameters, command_v: Array, grid: SampleGrid) -> Drive
 
     Before the first command is felt, the valve has that command already.
     """
-    delay_s = p.effects.command_delay.delay_s
+    delay_s = p.effects.timing.command_delay.delay_s
     if delay_s <= 0.0:
         arrived_v = np.repeat(command_v[: len(grid.counts)], grid.counts)
         return DriveSteps(grid.first, grid.step_s, arrived_v, grid.ends_s)
@@ -322,17 +330,13 @@ def build_steps(p: PlantParameters, command_v: Array, grid: SampleGrid) -> Drive
     return DriveSteps(first, np.diff(ends_s), command_v[np.maximum(arrived, 0)], ends_s)
 
 
-def undo_pressure_sensor(p: PlantParameters, pressure_pa: Array, samples_s: Array) -> Array:
-    """Undo what the sensor does to a pressure; its lag by the signal's slope, which adds noise."""
-    e, atmosphere_pa = p.effects.sensors, p.paper.atmospheric_pressure_pa
+def undo_sensor(place: str, p: PlantParameters, shown: Array, times_s: Array) -> Array:
+    """Undo what the effects of a reading do to it, as far as they can be undone."""
     if not p.sensors_act:
-        return pressure_pa
-    gauge_pa = pressure_pa - e.pressure_sensor_offset.offset_pa - atmosphere_pa
-    true_pa: Array = atmosphere_pa + gauge_pa / e.pressure_sensor_gain.gain
-    if e.pressure_sensor_lag.time_constant_s > 0.0 and len(samples_s) > 2:
-        slope = np.gradient(true_pa, samples_s)
-        true_pa = true_pa + e.pressure_sensor_lag.time_constant_s * slope
-    return true_pa
+        return shown
+    atmosphere_pa = p.paper.atmospheric_pressure_pa
+    true: Array = undo_reading(place, p.effects.sensors, shown, times_s, atmosphere_pa)
+    return true
 
 
 def _accumulate_times(dt_s: Array) -> Array:

@@ -1,9 +1,9 @@
 """A plant as a flat mapping {name: value}, which is what a fit varies.
 
 Names are those of a plant file: `stiffness_n_per_m` of its parameters, and of its effects
-`valve_spool.time_constant_s`. What is left out has the paper's value, or the neutral one. No
-validation but of names: a fit that evaluates thousands of vectors keeps to the catalogue's
-ranges itself. `pamctl.plant.model` has the way to a plant file and back.
+`valve_spool.time_constant_s`. A missing name has the paper's value, or the neutral one. Only names
+are validated: a fit that evaluates thousands of vectors keeps to the catalogue's ranges itself.
+`pamctl.plant.model` converts to a plant file and back.
 """
 
 from __future__ import annotations
@@ -13,30 +13,13 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any
 
-from pamctl.plant.effects import CATALOGUE, Effects
-from pamctl.plant.effects.description import Part
-from pamctl.plant.effects.mechanics.end_cap import EndCap, active_length_m
-from pamctl.plant.effects.mechanics.moving_mass import MovingMass, total_mass_kg
-from pamctl.plant.effects.valve.command_delay import CommandDelay
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.chains import Effects, change_numbers
+from pamctl.plant.effects.places import Part
+from pamctl.plant.muscle_parameters import MuscleParameters
 from pamctl.plant.parameters import PaperParameters, PlantParameters
 
-PAPER: dict[str, float] = {
-    "mass_kg": 0.05,
-    "damping_n_s_per_m": 570.0,
-    "stiffness_n_per_m": 9680.0,
-    "rest_length_m": 0.200,
-    "braid_length_m": 0.232,
-    "braid_turns": 1.94,
-    "kinetic_friction_per_m": 55.3,
-    "braid_count": 100.0,
-    "braid_contact_area_m2": 0.233e-6,
-    "tank_pressure_pa": 441.3e3,
-    "atmospheric_pressure_pa": 101.3e3,
-    "gas_constant_j_per_kg_k": 287.1,
-    "temperature_k": 273.0,
-    "heat_capacity_ratio": 1.4,
-    "valve_gain_m2_per_v": 1.03e-6,
-}
+PAPER: dict[str, float] = MuscleParameters().model_dump()
 """Tables I and II in SI."""
 ACTUATOR = "actuator"
 """0 is the muscle, 1 a force that drives the mechanics directly."""
@@ -50,7 +33,7 @@ def _lay_out_group(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
     )
 
 
-_LAYOUTS = tuple((type(group), _lay_out_group(group)) for group in Effects()[1:])
+_LAYOUTS = tuple((type(group), _lay_out_group(group)) for group in Effects())
 NEUTRAL: dict[str, float] = {
     f"{effect.name}.{p.name}": p.neutral for effect in CATALOGUE.values() for p in effect.parameters
 }
@@ -86,10 +69,10 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
     )
     direct = v[ACTUATOR] != 0.0
     paper = PaperParameters(
-        mass_kg=total_mass_kg(MovingMass(v["moving_mass.added_kg"]), v["mass_kg"]),
+        mass_kg=v["mass_kg"],
         damping_n_s_per_m=v["damping_n_s_per_m"],
         stiffness_n_per_m=v["stiffness_n_per_m"],
-        rest_length_m=active_length_m(EndCap(v["end_cap.length_m"]), v["rest_length_m"]),
+        rest_length_m=v["rest_length_m"],
         braid_length_m=v["braid_length_m"],
         volume_scale=1.0 / (4.0 * math.pi * v["braid_turns"] ** 2),
         friction_area_m=v["kinetic_friction_per_m"] * v["braid_count"] * v["braid_contact_area_m2"],
@@ -105,8 +88,8 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         unchoked_flow_s_per_m=unchoked,
     )
     return PlantParameters(
-        paper=paper,
-        effects=Effects(CommandDelay(v["command_delay.delay_s"]), *groups),
+        paper=change_numbers(paper, v),
+        effects=Effects(*groups),
         valve_acts=any(v[name] != neutral for name, neutral in _VALVE),
         air_acts=any(v[name] != neutral for name, neutral in _AIR),
         mechanics_act=direct or any(v[name] != neutral for name, neutral in _MECHANICS),

@@ -5,9 +5,19 @@ The same exponential midpoint step as `mechanics.py`, and at neutral values the 
 
 from __future__ import annotations
 
-from pamctl.plant.effects.mechanics.bladder_threshold import pulling_pressure_pa
+from typing import Any
+
+from pamctl.plant.chains import (
+    add_damping,
+    add_force,
+    depends_on_speed,
+    follow_damping,
+    follow_force,
+    follow_friction,
+    pass_friction,
+    pass_pulling_pressure,
+)
 from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
-from pamctl.plant.effects.mechanics.creep import DashpotPositions, advance_dashpots, creep_force_n
 from pamctl.plant.effects.mechanics.drift import drift_factor
 from pamctl.plant.effects.mechanics.presliding import (
     SlipEnd,
@@ -15,7 +25,7 @@ from pamctl.plant.effects.mechanics.presliding import (
     clamp_bristle_n,
     slip,
 )
-from pamctl.plant.effects.mechanics.stribeck import stribeck_factor
+from pamctl.plant.effects.places import FrictionBand
 from pamctl.plant.paper.friction import AxialForces
 from pamctl.plant.paper.mechanics import slide
 from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2
@@ -28,6 +38,7 @@ def mechanism_step(
     velocity_m_per_s: float,
     before: MechanicsState,
     middle_load: float,
+    age_s: float,
     step_s: float,
 ) -> tuple[float, float, MechanicsState]:
     """Advance (x, v) and the memory of the mechanics by one step.
@@ -37,59 +48,82 @@ def mechanism_step(
     """
     half_s = 0.5 * step_s
     middle_m = position_m + half_s * velocity_m_per_s
-    creep = p.effects.creep
-    dashpots = advance_dashpots(creep, before.dashpots, position_m, middle_m, half_s)
-    age_s = before.age_s + half_s
+    gauge_pa = gauge_pressure_pa(p, middle_load)
+    memory = follow_motion(p.effects, before.memory, position_m, middle_m, gauge_pa, half_s)
+    middle_age_s = age_s + half_s
     speed = velocity_m_per_s
-    if p.effects.stribeck.rise != 0.0:
+    if depends_on_speed(p.effects):
         # Friction falls as the muscle gets going: the speed in the middle, predicted twice.
         for _ in range(2):
-            forces = mechanism_forces(p, dashpots, middle_m, middle_load, speed, age_s)
+            forces = mechanism_forces(p, memory, middle_m, middle_load, speed, middle_age_s)
             _, speed, _ = move_muscle(
                 p, forces, before.bristle_n, position_m, velocity_m_per_s, half_s
             )
-    forces = mechanism_forces(p, dashpots, middle_m, middle_load, speed, age_s)
+    forces = mechanism_forces(p, memory, middle_m, middle_load, speed, middle_age_s)
     end_m, end_v, bristle_n = move_muscle(
         p, forces, before.bristle_n, position_m, velocity_m_per_s, step_s
     )
-    dashpots = advance_dashpots(creep, before.dashpots, position_m, end_m, step_s)
-    return end_m, end_v, MechanicsState(bristle_n, dashpots, before.age_s + step_s)
+    memory = follow_motion(p.effects, before.memory, position_m, end_m, gauge_pa, step_s)
+    return end_m, end_v, MechanicsState(bristle_n, memory)
+
+
+def gauge_pressure_pa(p: MechanismParameters, load: float) -> float:
+    """Return the gauge pressure that a load is; a direct actuator has none."""
+    return 0.0 if p.direct else load - p.paper.atmospheric_pressure_pa
+
+
+def follow_motion(
+    e: Any, memory: Any, begin_m: float, end_m: float, gauge_pa: float, step_s: float
+) -> Any:
+    """Let what the effects (`MechanicsEffects`) remember follow a straight motion."""
+    memory = follow_force(e, memory, begin_m, end_m, gauge_pa, step_s)
+    memory = follow_friction(e, memory, begin_m, end_m, gauge_pa, step_s)
+    return follow_damping(e, memory, begin_m, end_m, gauge_pa, step_s)
 
 
 def mechanism_forces(
     p: MechanismParameters,
-    dashpots: DashpotPositions,
+    memory: Any,
     position_m: float,
     load: float,
     velocity_m_per_s: float,
     age_s: float,
 ) -> AxialForces:
     """Eq. 4 and 5 at (x, P, v) with the effects; the band at rest is that of zero speed."""
-    e, gauge_pa, pull_n, lever_m = p.effects, 0.0, load, 0.0
+    e, gauge_pa, pull_n, lever_m = p.effects, gauge_pressure_pa(p, load), load, 0.0
     if not p.direct:
-        gauge_pa = load - p.paper.atmospheric_pressure_pa
-        pull_n = pulling_pressure_pa(e.bladder_threshold, gauge_pa) * pull_area_m2(
-            p, position_m, gauge_pa
+        pulling_pa = pass_pulling_pressure(
+            e, gauge_pa, position_m, velocity_m_per_s, gauge_pa, age_s
         )
+        pull_n = pulling_pa * pull_area_m2(p, position_m, gauge_pa)
         lever_m = braid_lever_m(p.paper, position_m)
     pressing_pa = gauge_pa if gauge_pa > 0.0 else 0.0
     stiffness = p.paper.stiffness_n_per_m * drift_factor(e.drift.stiffness_per_s, age_s)
     drive_n = pull_n + p.extra_n - stiffness * position_m
-    drive_n -= e.cubic_stiffness.n_per_m3 * position_m * position_m * position_m
-    drive_n -= creep_force_n(e.creep, dashpots, position_m) + e.external_load.force_n
+    drive_n = add_force(e, memory, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s)
     grip = p.paper.friction_area_m * pressing_pa * drift_factor(e.drift.friction_per_s, age_s)
-    kinetic_n, dry_n = grip * lever_m, e.coulomb_friction.force_n
-    lower_n, upper_n = -(e.return_friction.share * kinetic_n + dry_n), kinetic_n + dry_n
-    damping = p.paper.damping_n_s_per_m + e.pressure_damping.per_pa * pressing_pa
-    now, at_rest = stribeck_factor(e.stribeck, velocity_m_per_s), stribeck_factor(e.stribeck, 0.0)
+    kinetic = FrictionBand(0.0, grip * lever_m)
+    now = pass_friction(e, memory, kinetic, position_m, velocity_m_per_s, gauge_pa, age_s)
+    at_rest = now
+    if depends_on_speed(e):
+        at_rest = pass_friction(e, memory, kinetic, position_m, 0.0, gauge_pa, age_s)
+    damping = add_damping(
+        e,
+        memory,
+        p.paper.damping_n_s_per_m,
+        position_m,
+        velocity_m_per_s,
+        gauge_pa,
+        age_s,
+    )
     return AxialForces(
         drive_n,
-        now * lower_n,
-        now * upper_n,
+        now.lower_n,
+        now.upper_n,
         damping + grip,
         damping,
-        at_rest * lower_n,
-        at_rest * upper_n,
+        at_rest.lower_n,
+        at_rest.upper_n,
     )
 
 

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from math import inf, nan
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from pamctl.plant.chains import (
+    Effects,
+    MechanicsMemory,
+    SensorMemory,
+    ValveMemory,
+    add_force,
+    remember_rest,
+)
 from pamctl.plant.correction_tables import Correction
-from pamctl.plant.effects import AirEffects, Effects, MechanicsEffects
-from pamctl.plant.effects.mechanics.creep import DashpotPositions
 
 
 class PaperParameters(NamedTuple):
@@ -76,16 +82,23 @@ class AirParameters(NamedTuple):
     """What the air's part of a step needs."""
 
     paper: PaperParameters
-    effects: AirEffects
+    effects: Any
+    """`AirEffects`."""
     extra_kg_per_s: float
-    """Into the muscle over this step, by an unnamed correction."""
+    """Into the muscle over this step, by effects of that place and an unnamed correction."""
+
+
+def take_air_parameters(p: PlantParameters, extra_kg_per_s: float) -> AirParameters:
+    """Return what the air's part of a step needs."""
+    return AirParameters(p.paper, p.effects.air, extra_kg_per_s)
 
 
 class MechanismParameters(NamedTuple):
     """What the mechanics' part of a step needs."""
 
     paper: PaperParameters
-    effects: MechanicsEffects
+    effects: Any
+    """`MechanicsEffects`."""
     direct: bool
     extra_n: float
     """Of pull over this step, by an unnamed correction."""
@@ -96,9 +109,7 @@ class ValveState(NamedTuple):
 
     spool_v: float = 0.0
     spool_rate_v_per_s: float = 0.0
-    play_v: float = 0.0
-    age_s: float = 0.0
-    """Since the plant's first moment, for what drifts."""
+    memory: Any = ValveMemory()
 
 
 class AirState(NamedTuple):
@@ -115,21 +126,14 @@ class MechanicsState(NamedTuple):
 
     bristle_n: float = inf
     """Force of the bristles; infinite where they have not been loaded yet."""
-    dashpots: DashpotPositions = DashpotPositions(0.0, 0.0)
-    age_s: float = 0.0
-
-
-class SensorState(NamedTuple):
-    """What the sensors remember."""
-
-    lagged_pa: float = nan
-    geared_m: float = nan
+    memory: Any = MechanicsMemory()
 
 
 class PlantState(NamedTuple):
     """State of Eq. 9 (x, v, absolute P), and each part's memory for its effects.
 
-    With effects take `rest_state` or `vented_state`: a memory that is left out is none (NaN).
+    With effects take `rest_state` or `vented_state`: by default the memories are those of a plant
+    at 0 m and an unknown pressure (NaN).
     """
 
     position_m: float
@@ -137,24 +141,30 @@ class PlantState(NamedTuple):
     pressure_pa: float
     valve: ValveState = ValveState()
     air: AirState = AirState()
-    sensors: SensorState = SensorState()
+    sensors: Any = SensorMemory()
     mechanics: MechanicsState = MechanicsState()
+    age_s: float = 0.0
+    """Since the plant's first moment, for what drifts."""
 
 
 def rest_state(p: PlantParameters, position_m: float, pressure_pa: float) -> PlantState:
     """Return a plant that has rested for long at a position and absolute pressure."""
+    of_valve, of_mechanics, of_sensors = remember_rest(position_m, pressure_pa)
     return PlantState(
         position_m,
         0.0,
         pressure_pa,
-        ValveState(),
+        ValveState(memory=of_valve),
         AirState(p.paper.tank_pressure_pa, pressure_pa),
-        SensorState(pressure_pa, position_m),
-        MechanicsState(dashpots=DashpotPositions(position_m, position_m)),
+        of_sensors,
+        MechanicsState(memory=of_mechanics),
     )
 
 
 def vented_state(p: PlantParameters) -> PlantState:
-    """Return the muscle at rest at atmospheric pressure: only an external load moves it."""
-    load_n = 0.0 if p.direct else p.effects.mechanics.external_load.force_n
-    return rest_state(p, 0.0 - load_n / p.paper.stiffness_n_per_m, p.paper.atmospheric_pressure_pa)
+    """Return the muscle at rest at atmospheric pressure: only an effect's force moves it."""
+    pull_n = 0.0
+    if p.mechanics_act and not p.direct:
+        memory = MechanicsState().memory
+        pull_n = add_force(p.effects.mechanics, memory, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return rest_state(p, 0.0 + pull_n / p.paper.stiffness_n_per_m, p.paper.atmospheric_pressure_pa)

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-from pamctl.plant.effects.sensors.encoder_backlash import follow_backlash_m
-from pamctl.plant.effects.sensors.pressure_sensor_gain import scale_pressure_pa
-from pamctl.plant.effects.sensors.pressure_sensor_lag import lag_pressure_pa
-from pamctl.plant.parameters import AirState, PlantParameters, SensorState
+from typing import Any
+
+from pamctl.plant.chains import (
+    follow_position_reading,
+    follow_pressure_reading,
+    pass_position_reading,
+    pass_pressure_reading,
+)
+from pamctl.plant.parameters import AirState, PlantParameters
 
 
 def sensors_step(
     p: PlantParameters,
-    sensors: SensorState,
+    sensors: Any,
     begin_pa: float,
     end_pa: float,
-    position_m: float,
+    begin_m: float,
+    end_m: float,
+    age_s: float,
     step_s: float,
-) -> SensorState:
-    """Let the sensors follow for a step that ends at `position_m`, with `end_pa` at the sensor."""
-    e = p.effects.sensors
-    return SensorState(
-        lag_pressure_pa(e.pressure_sensor_lag, sensors.lagged_pa, begin_pa, end_pa, step_s),
-        follow_backlash_m(e.encoder_backlash, sensors.geared_m, position_m),
-    )
+) -> Any:
+    """Return the `SensorMemory` after a step of straight motion; `..._pa` are at the sensor."""
+    if not p.sensors_act:
+        return sensors
+    e, atmosphere_pa = p.effects.sensors, p.paper.atmospheric_pressure_pa
+    sensors = follow_pressure_reading(e, sensors, begin_pa, end_pa, step_s, atmosphere_pa, age_s)
+    return follow_position_reading(e, sensors, begin_m, end_m, step_s, age_s)
 
 
 def pressure_at_sensor_pa(p: PlantParameters, pressure_pa: float, air: AirState) -> float:
@@ -32,25 +39,22 @@ def pressure_at_sensor_pa(p: PlantParameters, pressure_pa: float, air: AirState)
 
 
 def sensed_pressure_pa(
-    p: PlantParameters, pressure_pa: float, air: AirState, sensors: SensorState
+    p: PlantParameters, pressure_pa: float, air: AirState, sensors: Any, age_s: float
 ) -> float:
     """Return the absolute pressure that the sensor shows."""
     at_sensor_pa = pressure_at_sensor_pa(p, pressure_pa, air)
     if not p.sensors_act:
         return at_sensor_pa
-    e = p.effects.sensors
-    if e.pressure_sensor_lag.time_constant_s > 0.0:
-        at_sensor_pa = sensors.lagged_pa
-    shown_pa = scale_pressure_pa(
-        e.pressure_sensor_gain, at_sensor_pa, p.paper.atmospheric_pressure_pa
+    atmosphere_pa = p.paper.atmospheric_pressure_pa
+    shown_pa: float = pass_pressure_reading(
+        p.effects.sensors, sensors, at_sensor_pa, atmosphere_pa, age_s
     )
-    return shown_pa + e.pressure_sensor_offset.offset_pa
+    return shown_pa
 
 
-def sensed_position_m(p: PlantParameters, position_m: float, sensors: SensorState) -> float:
+def sensed_position_m(p: PlantParameters, position_m: float, sensors: Any, age_s: float) -> float:
     """Return the displacement that the encoder shows."""
     if not p.sensors_act:
         return position_m
-    if p.effects.sensors.encoder_backlash.width_m > 0.0:
-        position_m = sensors.geared_m
-    return p.effects.sensors.encoder_scale.scale * position_m
+    shown_m: float = pass_position_reading(p.effects.sensors, sensors, position_m, age_s)
+    return shown_m

@@ -12,13 +12,15 @@ LONGEST_STEP_S = 0.5e-3
 
 
 class SimulatedPlant:
-    """The plant of Eq. 9 as `hal.sim.sim_rig` wants it; the true state is `state`."""
+    """The plant of Eq. 9, as `hal.sim.sim_rig` calls it; `state` is the true state."""
 
     def __init__(self, parameters: PlantParameters, state: PlantState | None = None) -> None:
         """Start from `state`; by default vented and at rest."""
         self._parameters = parameters
         self.state = vented_state(parameters) if state is None else state
-        self._line = CommandLine() if parameters.effects.command_delay.delay_s > 0.0 else None
+        self._line = (
+            CommandLine() if parameters.effects.timing.command_delay.delay_s > 0.0 else None
+        )
 
     def advance(self, command_v: float, duration_s: float) -> None:
         """Let time pass under a constant valve command (V)."""
@@ -32,13 +34,16 @@ class SimulatedPlant:
     @property
     def position_m(self) -> float:
         """Displacement, as the encoder has it before it counts."""
-        return sensed_position_m(self._parameters, self.state.position_m, self.state.sensors)
+        state = self.state
+        return sensed_position_m(self._parameters, state.position_m, state.sensors, state.age_s)
 
     @property
     def pressure_pa(self) -> float:
         """Absolute pressure, as the sensor has it before noise."""
         state = self.state
-        return sensed_pressure_pa(self._parameters, state.pressure_pa, state.air, state.sensors)
+        return sensed_pressure_pa(
+            self._parameters, state.pressure_pa, state.air, state.sensors, state.age_s
+        )
 
 
 class CommandLine:

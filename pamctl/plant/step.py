@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 
+from pamctl.plant.chains import add_flow
 from pamctl.plant.chamber import chamber_middle_pa, chamber_step
 from pamctl.plant.correction_tables import interpolate_table
 from pamctl.plant.mechanism import mechanism_step
 from pamctl.plant.paper.mechanics import mechanics_step
 from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
 from pamctl.plant.parameters import (
-    AirParameters,
     AirState,
     MechanicsState,
     MechanismParameters,
     PlantParameters,
     PlantState,
     ValveState,
+    take_air_parameters,
 )
 from pamctl.plant.sensing import pressure_at_sensor_pa, sensors_step
 from pamctl.plant.valve_chain import valve_step
@@ -30,21 +31,21 @@ def plant_step(
     The pressure block predicts the pressure in the middle, the mechanics move under it, and
     the pressure block completes its step with the motion.
     """
-    x, v, pressure_pa, valve, air, sensors, mechanics = state
+    x, v, pressure_pa, valve, air, sensors, mechanics, age_s = state
     opening_v = command_v
     if p.valve_acts:
-        opening_v, valve = valve_step(p.effects.valve, valve, command_v, step_s)
+        opening_v, valve = valve_step(p.effects.valve, valve, command_v, age_s, step_s)
     middle_m = x + 0.5 * step_s * v
-    middle_pa, balanced = air_middle_pa(p, pressure_pa, air, opening_v, x, middle_m, step_s)
-    end_m, end_v, mechanics = mechanics_block_step(p, x, v, mechanics, middle_pa, step_s)
+    middle_pa, balanced = air_middle_pa(p, pressure_pa, air, opening_v, x, middle_m, age_s, step_s)
+    end_m, end_v, mechanics = mechanics_block_step(p, x, v, mechanics, middle_pa, age_s, step_s)
     end_pa, end_air = air_step(
-        p, pressure_pa, air, middle_pa, balanced, opening_v, x, middle_m, end_m, step_s
+        p, pressure_pa, air, middle_pa, balanced, opening_v, x, middle_m, end_m, age_s, step_s
     )
     if p.sensors_act:
         begin_pa = pressure_at_sensor_pa(p, pressure_pa, air)
         at_sensor_pa = pressure_at_sensor_pa(p, end_pa, end_air)
-        sensors = sensors_step(p, sensors, begin_pa, at_sensor_pa, end_m, step_s)
-    return PlantState(end_m, end_v, end_pa, valve, end_air, sensors, mechanics)
+        sensors = sensors_step(p, sensors, begin_pa, at_sensor_pa, x, end_m, age_s, step_s)
+    return PlantState(end_m, end_v, end_pa, valve, end_air, sensors, mechanics, age_s + step_s)
 
 
 def pressure_block_step(
@@ -56,6 +57,7 @@ def pressure_block_step(
     position_m: float,
     middle_m: float,
     end_m: float,
+    age_s: float,
     step_s: float,
 ) -> tuple[float, ValveState, AirState]:
     """Advance the pressure block alone: the muscle's positions (m) are given.
@@ -66,12 +68,22 @@ def pressure_block_step(
     """
     opening_v = command_v
     if p.valve_acts:
-        opening_v, valve = valve_step(p.effects.valve, valve, command_v, step_s)
+        opening_v, valve = valve_step(p.effects.valve, valve, command_v, age_s, step_s)
     middle_pa, balanced = air_middle_pa(
-        p, pressure_pa, air, opening_v, position_m, middle_m, step_s
+        p, pressure_pa, air, opening_v, position_m, middle_m, age_s, step_s
     )
     end_pa, air = air_step(
-        p, pressure_pa, air, middle_pa, balanced, opening_v, position_m, middle_m, end_m, step_s
+        p,
+        pressure_pa,
+        air,
+        middle_pa,
+        balanced,
+        opening_v,
+        position_m,
+        middle_m,
+        end_m,
+        age_s,
+        step_s,
     )
     return end_pa, valve, air
 
@@ -82,6 +94,7 @@ def mechanics_block_step(
     velocity_m_per_s: float,
     mechanics: MechanicsState,
     middle_load: float,
+    age_s: float,
     step_s: float,
 ) -> tuple[float, float, MechanicsState]:
     """Advance the mechanics alone under a given load, by the paper's equations where they suffice.
@@ -94,7 +107,7 @@ def mechanics_block_step(
         extra_n = interpolate_table(p.correction.pull, middle_m, middle_load)
         with_effects = MechanismParameters(p.paper, p.effects.mechanics, p.direct, extra_n)
         return mechanism_step(
-            with_effects, position_m, velocity_m_per_s, mechanics, middle_load, step_s
+            with_effects, position_m, velocity_m_per_s, mechanics, middle_load, age_s, step_s
         )
     end_m, end_v = mechanics_step(p.paper, position_m, velocity_m_per_s, middle_load, step_s)
     return end_m, end_v, mechanics
@@ -107,13 +120,15 @@ def air_middle_pa(
     opening_v: float,
     position_m: float,
     middle_m: float,
+    age_s: float,
     step_s: float,
 ) -> tuple[float, bool]:
     """Predict the pressure of the step's middle, by the paper's equations where they suffice."""
     if p.air_acts:
         extra = interpolate_table(p.correction.flow, opening_v, pressure_pa)
+        extra = add_flow(p.effects.air, extra, opening_v, pressure_pa, position_m, age_s)
         return chamber_middle_pa(
-            AirParameters(p.paper, p.effects.air, extra),
+            take_air_parameters(p, extra),
             pressure_pa,
             air,
             opening_v,
@@ -134,14 +149,16 @@ def air_step(
     position_m: float,
     middle_m: float,
     end_m: float,
+    age_s: float,
     step_s: float,
 ) -> tuple[float, AirState]:
     """Complete the pressure's step with the muscle's true motion."""
     if p.air_acts:
         extra = interpolate_table(p.correction.flow, opening_v, pressure_pa)
-        own = AirParameters(p.paper, p.effects.air, extra)
+        middle_age_s = age_s + 0.5 * step_s
+        extra = add_flow(p.effects.air, extra, opening_v, middle_pa, middle_m, middle_age_s)
         return chamber_step(
-            own,
+            take_air_parameters(p, extra),
             pressure_pa,
             air,
             middle_pa,

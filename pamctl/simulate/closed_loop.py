@@ -140,7 +140,7 @@ def run_closed_loop(
         chain.output_converter, output_v(setup.calibration, setup.limits.safe_valve_v)
     )
     written = valve = valve_v(chain.calibration, output)
-    late = plant.effects.command_delay.delay_s > 0.0
+    late = plant.effects.timing.command_delay.delay_s > 0.0
     written_s, written_v = np.zeros(len(references)), np.zeros(len(references))
     arrived, now_s = 0, 0.0
     for tick in range(len(references)):
@@ -165,10 +165,14 @@ def run_closed_loop(
         raw = RawSample(
             sensed_pressure_v(
                 chain,
-                sensed_pressure_pa(plant, muscle.pressure_pa, muscle.air, muscle.sensors),
+                sensed_pressure_pa(
+                    plant, muscle.pressure_pa, muscle.air, muscle.sensors, muscle.age_s
+                ),
                 noise[tick],
             ),
-            sensed_counts(chain, sensed_position_m(plant, muscle.position_m, muscle.sensors)),
+            sensed_counts(
+                chain, sensed_position_m(plant, muscle.position_m, muscle.sensors, muscle.age_s)
+            ),
             t_ns,
             t_ns,
         )

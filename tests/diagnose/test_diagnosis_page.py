@@ -21,7 +21,7 @@ from pamctl.diagnose.naming.rivals import Rival
 from pamctl.diagnose.report.compared_models import HeldOutRun, HeldOutSignal, ModelStage
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.traces_part import STRETCH_S, find_telling_stretch
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
 HOSTILE = "<script>alert('x')</script>"
@@ -161,7 +161,7 @@ def test_what_no_known_effect_explains_is_drawn_but_never_called_a_cause(named, 
 def test_two_equal_effects_are_both_on_top_with_the_experiment_that_separates_them(named, records):
     first, rest = page(as_if(named, Verdict.AMBIGUOUS), records).split("<h2", 1)
     assert "Do not repair the rig on this evidence" in first
-    assert "null staircase" in first
+    assert "<code>pamctl run --experiment null-staircase</code>" in first
     assert "not told apart</td>" in rest
 
 

@@ -83,7 +83,7 @@ def test_a_constant_flow_fills_a_closed_muscle_at_a_constant_rate() -> None:
     pressure_pa, valve, air = 2e5, ValveState(), AirState(p.tank_pressure_pa, 2e5)
     for _ in range(100):
         pressure_pa, valve, air = pressure_block_step(
-            p, pressure_pa, valve, air, 0.0, 0.01, 0.01, 0.01, 1e-3
+            p, pressure_pa, valve, air, 0.0, 0.01, 0.01, 0.01, 0.0, 1e-3
         )
     length, braid = 0.19, 0.232
     room_m3 = length * (braid**2 - length**2) / (4.0 * math.pi * 1.94**2)

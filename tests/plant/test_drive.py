@@ -55,7 +55,7 @@ def test_the_two_blocks_alone_compose_to_the_coupled_step_to_the_bit(
         middle_m = x + 0.5 * STEP_S * v
         after = plant_step(p, state, command, STEP_S)
         alone = pressure_block_step(
-            p, pressure_pa, valve, air, command, x, middle_m, after.position_m, STEP_S
+            p, pressure_pa, valve, air, command, x, middle_m, after.position_m, state.age_s, STEP_S
         )
         assert alone == (after.pressure_pa, after.valve, after.air)
         if not p.valve_acts:

@@ -13,8 +13,8 @@ import pytest
 import support.paper_equations as paper
 from support.effect_equations import Mechanics, solve_pressure
 
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_mechanics, drive_pressure
-from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.flat import parameters_of
 
 TICK_S = 1e-3

@@ -24,6 +24,7 @@ from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
 from pamctl.plant.paper.valve import orifice_flow, valve_flow
 from pamctl.plant.parameters import PlantState, vented_state
 from pamctl.plant.step import advance_plant, plant_step
+from pamctl.settings.resolve import resolve
 
 P = plant_parameters(PlantSettings())
 PAPER = P.paper
@@ -35,6 +36,12 @@ positions_m = st.floats(0.0, 24e-3)
 pressures_pa = st.floats(P_ATM, P_TANK)
 commands_v = st.one_of(st.just(0.0), st.sampled_from([5.0, -5.0]), st.floats(-5.0, 5.0))
 held_commands = st.lists(st.tuples(commands_v, st.integers(1, 60)), min_size=1, max_size=10)
+
+
+def test_the_shipped_plant_file_holds_the_tables_of_the_paper() -> None:
+    shipped = resolve(plant="paper").plant
+    assert shipped == PlantSettings()
+    assert shipped.parameters.model_fields_set == {*MuscleParameters.model_fields}
 
 
 def run(commands: list[tuple[float, int]], state: PlantState | None = None) -> list[PlantState]:

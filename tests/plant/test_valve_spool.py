@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from pamctl.plant.effects import CATALOGUE, Effects
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.chains import Effects
 from pamctl.plant.effects.valve.valve_spool import DESCRIPTION, ValveSpool, spool_step
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.paper.mechanics import mechanics_step

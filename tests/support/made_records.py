@@ -8,8 +8,8 @@ from pamctl.control.excitation import ProgramSettings, generate_commands
 from pamctl.diagnose import Record
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
 from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_coupled
-from pamctl.plant.effects import CATALOGUE
 from pamctl.plant.flat import parameters_of
 
 COUNT_M = 25.4e-3 / 8000.0

@@ -62,6 +62,8 @@ def _make_record(what: str, plant: str | None) -> Record:
 
 
 def _format_audit(found: Audit) -> list[str]:
+    from pamctl.diagnose.experiments import write_command
+
     lines = [f"shows {len(found.sees)} effects: {', '.join(found.sees) or 'none'}", ""]
     if found.blind_spots:
         lines.append("cannot show, at the smallest size of interest:")
@@ -74,11 +76,13 @@ def _format_audit(found: Audit) -> list[str]:
     if found.inseparable:
         lines += ["", "cannot tell apart, at that size:"]
         lines += [
-            f"  {' and '.join(pair.names):<44}{pair.experiment}: {pair.why}"
+            f"  {' and '.join(pair.names):<44}{write_command(pair.experiment)}: {pair.why}"
             for pair in found.inseparable
         ]
     return lines
 
 
 def _format_advice(visible: str, experiment: str) -> str:
-    return f"{visible}; add: {experiment}" if experiment else visible
+    from pamctl.diagnose.experiments import write_command
+
+    return f"{visible}; add: {write_command(experiment)}" if experiment else visible

@@ -96,7 +96,7 @@ def diagnose(
 
 
 def _require_known(names: Sequence[str]) -> None:
-    from pamctl.plant.effects import CATALOGUE
+    from pamctl.plant.catalogue import CATALOGUE
 
     for name in names:
         if name not in CATALOGUE:

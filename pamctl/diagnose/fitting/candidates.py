@@ -21,12 +21,10 @@ from pamctl.diagnose.fitting.numbers import (
     numbers_of_effect,
     value_of,
 )
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectDescription, EffectForm
 from pamctl.plant.model import PlantSettings
 
-NEVER_NAMED = ("drift",)
-"""It would explain anything slow."""
 DOSES = (1.0, 6.0)
 """In smallest sizes of interest: a large effect does not look like a small one."""
 
@@ -70,7 +68,7 @@ def list_candidates(evidence: Evidence, without: Collection[str] = ()) -> tuple[
     return tuple(
         candidate
         for name, effect in CATALOGUE.items()
-        if name not in {*without, *NEVER_NAMED, *on} and effect.identifiable
+        if name not in {*without, *on} and effect.is_searched and not effect.unidentifiable
         for candidate in _list_forms(effect, evidence.blocks)
     )
 
@@ -88,7 +86,7 @@ def _list_forms(effect: EffectDescription, blocks: Collection[str]) -> Iterator[
 
 
 def apply_dose(number: FreeNumber, doses: float, neutral: float) -> float:
-    """Go from neutral by so many smallest sizes of interest, within the range."""
+    """Return the value that many smallest sizes of interest off neutral, within the range."""
     step = doses * number.scale
     if neutral + step <= number.high:
         return neutral + step

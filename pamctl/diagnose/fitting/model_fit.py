@@ -21,7 +21,7 @@ from pamctl.diagnose.fitting.numbers import (
     sensor_zero,
     with_values,
 )
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
 

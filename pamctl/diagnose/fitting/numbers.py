@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectParameter
 from pamctl.plant.flat import NEUTRAL
 from pamctl.plant.model import PlantSettings, settings_of, values_of
@@ -127,7 +127,7 @@ def numbers_of_start(nominal: PlantSettings, blocks: Collection[str]) -> tuple[F
     return tuple(
         FreeNumber(f"{name}.{p.name}", p.low, p.high, p.smallest_of_interest, is_calibrated=True)
         for name in active_effects(nominal)
-        if CATALOGUE[name].identifiable and {*CATALOGUE[name].seen_by} & {*blocks}
+        if not CATALOGUE[name].unidentifiable and {*CATALOGUE[name].seen_by} & {*blocks}
         for p in CATALOGUE[name].parameters
         if not p.choices
         and f"{name}.{p.name}" not in free_anyway

@@ -15,7 +15,7 @@ from pamctl.diagnose.report.next_experiment import (
 )
 from pamctl.diagnose.report.phrases import numbers_of
 from pamctl.diagnose.report.verdict_words import sentence
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 
 SCHEMA = 1
 

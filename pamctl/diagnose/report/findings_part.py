@@ -9,7 +9,7 @@ from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.search import EffectsTrial
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.phrases import numbers_of, parameter_of, relative_shift, spell_names
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.report.html_page import Page
 
 _MOST = 20

@@ -9,7 +9,7 @@ from pamctl.diagnose.experiments import find_separating_experiment, find_showing
 from pamctl.diagnose.naming.verdict import Verdict
 
 NEARLY_SEEN = 3.0
-"""What shows from so many smallest sizes on is no reason for another experiment."""
+"""An effect that shows from this many smallest sizes on needs no other experiment."""
 
 
 def list_ambiguous_sets(diagnosis: Diagnosis) -> list[list[str]]:

@@ -11,7 +11,7 @@ from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.locate import EVENLY
 from pamctl.diagnose.naming.remainder import Remainder
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectParameter
 
 LEAST_SHIFT = 2e-3

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
+from pamctl.diagnose.experiments import write_command
 from pamctl.diagnose.measured.record import CHANNELS, Record
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
 from pamctl.diagnose.report.phrases import (
@@ -55,7 +56,7 @@ def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
         page.table(
             ["effect", "why", "experiment that shows it"],
             [
-                [spell_names(s.name), f"{s.why}; {s.visibility}", s.experiment or "none"]
+                [spell_names(s.name), f"{s.why}; {s.visibility}", write_command(s.experiment)]
                 for s in audit.blind_spots
             ],
             caption="An effect in this list may be present although it is not named.",
@@ -63,7 +64,10 @@ def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
     if audit.inseparable:
         page.table(
             ["effects not told apart", "experiment that tells them apart", "why"],
-            [[spell_names(*p.names), p.experiment, p.why] for p in audit.inseparable],
+            [
+                [spell_names(*p.names), write_command(p.experiment), p.why]
+                for p in audit.inseparable
+            ],
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.experiments import write_command
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.phrases import (
     describe_correction,
@@ -39,7 +40,7 @@ def _list_parts(diagnosis: Diagnosis) -> Iterator[str]:
         yield describe_correction(diagnosis.correction)
     experiment = choose_next_experiment(diagnosis)
     if experiment:
-        yield f"next: {experiment['name']}: {experiment['why']}"
+        yield f"next: {write_command(experiment['name'])}: {experiment['why']}"
 
 
 def _number_rows(diagnosis: Diagnosis) -> Iterator[str]:

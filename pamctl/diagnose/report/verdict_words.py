@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.experiments import write_command
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.phrases import (
@@ -60,7 +61,9 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
 def _describe_experiment(experiment: Mapping[str, Any]) -> str:
     effects = experiment["separates"]
     apart = f", which tells {' from '.join(map(spell_names, effects))}" if len(effects) > 1 else ""
-    return f"Next experiment: {experiment['name']}{apart}. Why: {experiment['why']}."
+    return (
+        f"Next experiment: `{write_command(experiment['name'])}`{apart}. Why: {experiment['why']}."
+    )
 
 
 def _word_bad_data(diagnosis: Diagnosis) -> VerdictWords:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import Distinction, EffectDescription, size
 
 
 class ChamberLeak(NamedTuple):
@@ -15,6 +15,7 @@ class ChamberLeak(NamedTuple):
 
 DESCRIPTION = EffectDescription(
     name="chamber_leak",
+    kind=ChamberLeak,
     block="pressure",
     equation="m -= A_c Psi(P, P_atm)",
     parameters=(
@@ -23,6 +24,12 @@ DESCRIPTION = EffectDescription(
     signature="with the valve closed the pressure falls to the atmosphere's, the faster the higher "
     "it is",
     best_experiment="fill-and-hold",
-    parts=("air",),
     seen_by=("pressure",),
+    woven=("air",),
+    told_from={
+        "valve_leak": Distinction(
+            "fill-and-hold",
+            "with the valve closed one drifts towards the middle, the other to the atmosphere",
+        ),
+    },
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
 
 
 class DeadVolume(NamedTuple):
@@ -13,15 +13,21 @@ class DeadVolume(NamedTuple):
     volume_m3: float = 0.0
 
 
+def add_dead_volume_m3(dead: DeadVolume, volume_m3: float) -> float:
+    """Return the whole volume."""
+    return volume_m3 + dead.volume_m3
+
+
 DESCRIPTION = EffectDescription(
     name="dead_volume",
+    kind=DeadVolume,
     block="pressure",
     equation="V = V(x) + V_d",
     parameters=(
         size("volume_m3", "m3", 6e-5, smallest=1e-6, start=4e-6, meaning="V_d, added volume"),
     ),
     signature="pressure moves too fast in the simulation, most where the muscle is longest",
-    best_experiment="square",
-    parts=("air",),
+    best_experiment="slow-ramps",
     seen_by=("pressure",),
+    entries=(EffectEntry("volume", add_dead_volume_m3),),
 )

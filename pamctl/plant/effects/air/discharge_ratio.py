@@ -27,6 +27,7 @@ def nozzle_ratio(discharge: DischargeRatio, ratio: float, critical_ratio: float)
 
 DESCRIPTION = EffectDescription(
     name="discharge_ratio",
+    kind=DischargeRatio,
     block="pressure",
     equation="Psi(r') with 1 - r' = (1 - r) (1 - C_r) / (1 - b),  b = C_r + shift",
     parameters=(
@@ -41,7 +42,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="right while choked, wrong in the unchoked half: near the end of filling and venting",
-    best_experiment="square",
-    parts=("air",),
+    best_experiment="square-1",
     seen_by=("pressure",),
+    woven=("air",),
 )

@@ -36,6 +36,7 @@ def lag_weights(time_s: float, step_s: float) -> tuple[float, float]:
 
 DESCRIPTION = EffectDescription(
     name="line_restriction",
+    kind=LineRestriction,
     block="pressure",
     equation="V_l P_1' = R T (m - g),  (P V)' = R T g,  g = (P_1 - P) / R_l,  the sensor sees P_1",
     parameters=(
@@ -59,9 +60,9 @@ DESCRIPTION = EffectDescription(
     ),
     signature="the measured pressure leads: it jumps with the flow, and the motion lags behind it; "
     "both blocks show it",
-    best_experiment="square",
-    parts=("air",),
+    best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
+    woven=("air",),
     forms=(
         EffectForm("resistance", free=("resistance_pa_s_per_kg",)),
         EffectForm(

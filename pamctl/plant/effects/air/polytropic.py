@@ -28,6 +28,7 @@ def polytropic_slope(polytropic: Polytropic, volume_m3: float) -> float:
 
 DESCRIPTION = EffectDescription(
     name="polytropic",
+    kind=Polytropic,
     block="pressure",
     equation="d(P V^a)/dt = a R T m V^(a-1)",
     parameters=(
@@ -43,7 +44,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="the flow's and the motion's share of the pressure's rate are scaled alike",
-    best_experiment="square",
-    parts=("air",),
+    best_experiment="square-1",
     seen_by=("pressure",),
+    woven=("air",),
 )

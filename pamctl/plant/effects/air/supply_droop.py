@@ -25,6 +25,7 @@ def kept_share(droop: SupplyDroop, step_s: float) -> float:
 
 DESCRIPTION = EffectDescription(
     name="supply_droop",
+    kind=SupplyDroop,
     block="pressure",
     equation="tau P_s' = P_tank - R_s m - P_s,  m = flow out of the supply; static for tau = 0",
     parameters=(
@@ -47,9 +48,9 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="while filling only, in proportion to the flow; with a tank it lingers after it",
-    best_experiment="square",
-    parts=("air",),
+    best_experiment="square-1",
     seen_by=("pressure",),
+    woven=("air",),
     forms=(
         EffectForm("static", free=("resistance_pa_s_per_kg",)),
         EffectForm(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
 
 
 class BladderThreshold(NamedTuple):
@@ -13,20 +13,21 @@ class BladderThreshold(NamedTuple):
     pressure_pa: float = 0.0
 
 
-def pulling_pressure_pa(bladder: BladderThreshold, gauge_pa: float) -> float:
+def reduce_pulling_pa(bladder: BladderThreshold, pulling_pa: float) -> float:
     """Return the gauge pressure that pulls."""
     if bladder.pressure_pa == 0.0:
-        return gauge_pa
-    return max(gauge_pa - bladder.pressure_pa, 0.0)
+        return pulling_pa
+    return max(pulling_pa - bladder.pressure_pa, 0.0)
 
 
 DESCRIPTION = EffectDescription(
     name="bladder_threshold",
+    kind=BladderThreshold,
     block="mechanics",
     equation="F = max(P_g - P_th, 0) A(x)",
     parameters=(size("pressure_pa", "Pa", 6e4, smallest=1e3, start=5e3, meaning="P_th"),),
     signature="at the vented end: the stroke begins late; a constant loss of pressure above",
-    best_experiment="square",
-    parts=("mechanics",),
+    best_experiment="square-1",
     seen_by=("mechanics",),
+    entries=(EffectEntry("pulling_pressure", reduce_pulling_pa),),
 )

@@ -20,6 +20,7 @@ def stretch_ratio(braid: BraidStretch, gauge_pa: float) -> float:
 
 DESCRIPTION = EffectDescription(
     name="braid_stretch",
+    kind=BraidStretch,
     block="mechanics",
     equation="b = b_0 (1 + e P_g) in V(x) and A(x)",
     parameters=(
@@ -34,6 +35,9 @@ DESCRIPTION = EffectDescription(
     ),
     signature="static, grows with the square of the pressure; near to a change of k and b together",
     best_experiment="fill-and-hold",
-    parts=("air", "mechanics"),
     seen_by=("mechanics", "pressure"),
+    woven=(
+        "air",
+        "mechanics",
+    ),
 )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.places import FrictionBand
 
 
 class CoulombFriction(NamedTuple):
@@ -13,13 +14,19 @@ class CoulombFriction(NamedTuple):
     force_n: float = 0.0
 
 
+def add_dry_friction(coulomb: CoulombFriction, band: FrictionBand) -> FrictionBand:
+    """Widen the band on both sides."""
+    return FrictionBand(band.lower_n - coulomb.force_n, band.upper_n + coulomb.force_n)
+
+
 DESCRIPTION = EffectDescription(
     name="coulomb_friction",
+    kind=CoulombFriction,
     block="mechanics",
     equation="f in [-f_0, f_0], added to the band of Eq. 5",
     parameters=(size("force_n", "N", 40.0, smallest=0.3, start=2.0, meaning="f_0"),),
     signature="both ways, without pressure as well: the vented muscle rests off its zero",
-    best_experiment="square",
-    parts=("mechanics",),
+    best_experiment="slow-ramps",
     seen_by=("mechanics",),
+    entries=(EffectEntry("friction", add_dry_friction, after=("return_friction",)),),
 )

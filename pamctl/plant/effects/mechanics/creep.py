@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pamctl.plant.effects.air.line_restriction import lag_weights
-from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
+from pamctl.plant.effects.description import (
+    EffectDescription,
+    EffectEntry,
+    EffectForm,
+    EffectMemory,
+    shape,
+    size,
+)
 
 FAST = 0.1
 """Time constant of the fast branch over that of the slow one: the two look like a logarithm."""
@@ -27,28 +34,34 @@ class DashpotPositions(NamedTuple):
     fast_m: float
 
 
+def start_dashpots(position_m: float, pressure_pa: float) -> DashpotPositions:
+    """Return dashpots that have long relaxed."""
+    return DashpotPositions(position_m, position_m)
+
+
 def advance_dashpots(
-    creep: Creep, before: DashpotPositions, begin_m: float, end_m: float, step_s: float
+    creep: Creep, memory: DashpotPositions, begin_m: float, end_m: float, step_s: float
 ) -> DashpotPositions:
     """Let the dashpots follow a straight motion: exact."""
     kept, weight = lag_weights(creep.time_constant_s, step_s)
-    slow_m = kept * before.slow_m + (1.0 - kept) * begin_m + weight * (end_m - begin_m)
+    slow_m = kept * memory.slow_m + (1.0 - kept) * begin_m + weight * (end_m - begin_m)
     if creep.fast_share == 0.0:
         return DashpotPositions(slow_m, slow_m)
     kept, weight = lag_weights(FAST * creep.time_constant_s, step_s)
-    fast_m = kept * before.fast_m + (1.0 - kept) * begin_m + weight * (end_m - begin_m)
+    fast_m = kept * memory.fast_m + (1.0 - kept) * begin_m + weight * (end_m - begin_m)
     return DashpotPositions(slow_m, fast_m)
 
 
-def creep_force_n(creep: Creep, dashpots: DashpotPositions, position_m: float) -> float:
-    """Return the force of the branches, against displacement."""
-    slow_n = creep.stiffness_n_per_m * (1.0 - creep.fast_share) * (position_m - dashpots.slow_m)
-    fast_n = creep.stiffness_n_per_m * creep.fast_share * (position_m - dashpots.fast_m)
-    return slow_n + fast_n
+def creep_force_n(creep: Creep, memory: DashpotPositions, position_m: float) -> float:
+    """Return the pull of the branches."""
+    slow_n = creep.stiffness_n_per_m * (1.0 - creep.fast_share) * (position_m - memory.slow_m)
+    fast_n = creep.stiffness_n_per_m * creep.fast_share * (position_m - memory.fast_m)
+    return -(slow_n + fast_n)
 
 
 DESCRIPTION = EffectDescription(
     name="creep",
+    kind=Creep,
     block="mechanics",
     equation="-k x - k_c (x - z),  tau z' = x - z; two branches: a share of k_c with tau / 10",
     parameters=(
@@ -81,8 +94,10 @@ DESCRIPTION = EffectDescription(
     ),
     signature="slow drift at rest after every step, in the direction of the step",
     best_experiment="long-holds",
-    parts=("mechanics",),
     seen_by=("mechanics",),
+    entries=(
+        EffectEntry("force", creep_force_n, memory=EffectMemory(start_dashpots, advance_dashpots)),
+    ),
     forms=(
         EffectForm("one branch", ("stiffness_n_per_m", "time_constant_s")),
         EffectForm(

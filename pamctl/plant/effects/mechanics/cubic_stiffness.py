@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
 
 
 class CubicStiffness(NamedTuple):
@@ -13,13 +13,19 @@ class CubicStiffness(NamedTuple):
     n_per_m3: float = 0.0
 
 
+def cubic_force_n(cubic: CubicStiffness, position_m: float) -> float:
+    """Return the pull, which is against displacement."""
+    return -(cubic.n_per_m3 * position_m * position_m * position_m)
+
+
 DESCRIPTION = EffectDescription(
     name="cubic_stiffness",
+    kind=CubicStiffness,
     block="mechanics",
     equation="-k x - k_3 x^3",
     parameters=(size("n_per_m3", "N/m3", 1e7, smallest=2e5, start=1e6, meaning="k_3", low=-1e7),),
     signature="static, a function of the displacement only",
     best_experiment="fill-and-hold",
-    parts=("mechanics",),
     seen_by=("mechanics",),
+    entries=(EffectEntry("force", cubic_force_n),),
 )

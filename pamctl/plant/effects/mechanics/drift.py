@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectForm, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectForm, size
 
 LEAST_FACTOR = 0.1
 """Of its first value, that a drifting number never falls below."""
@@ -23,8 +23,14 @@ def drift_factor(per_s: float, age_s: float) -> float:
     return max(1.0 + per_s * age_s, LEAST_FACTOR) if per_s != 0.0 else 1.0
 
 
+def apply_gain_drift_v(drift: Drift, opening_v: float, age_s: float) -> float:
+    """Return the opening that a valve without drift would need for the same area."""
+    return drift_factor(drift.valve_gain_per_s, age_s) * opening_v
+
+
 DESCRIPTION = EffectDescription(
     name="drift",
+    kind=Drift,
     block="pressure",
     equation="K_Av (1 + r_v t),  k (1 + r_k t),  mu_k (1 + r_f t)",
     parameters=(
@@ -57,9 +63,11 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="parameters fitted to one part of a record after the other show a trend in time",
-    best_experiment="the same square at the beginning and at the end of a long record",
-    parts=("valve", "mechanics"),
+    best_experiment="squares-apart",
     seen_by=("pressure", "mechanics"),
+    entries=(EffectEntry("opening", apply_gain_drift_v, after=("valve_asymmetry",)),),
+    woven=("mechanics",),
+    is_searched=False,
     forms=(
         EffectForm("valve gain", free=("valve_gain_per_s",)),
         EffectForm("stiffness", free=("stiffness_per_s",)),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+
+if TYPE_CHECKING:
+    from pamctl.plant.parameters import PaperParameters
 
 
 class EndCap(NamedTuple):
@@ -13,13 +16,14 @@ class EndCap(NamedTuple):
     length_m: float = 0.0
 
 
-def active_length_m(cap: EndCap, rest_length_m: float) -> float:
-    """Return what is left of L_0; part of the plant's parameters, not of its steps."""
-    return rest_length_m - cap.length_m
+def shorten_muscle(cap: EndCap, numbers: PaperParameters) -> PaperParameters:
+    """Return the plant's numbers with the active part of L_0."""
+    return numbers._replace(rest_length_m=numbers.rest_length_m - cap.length_m)
 
 
 DESCRIPTION = EffectDescription(
     name="end_cap",
+    kind=EndCap,
     block="mechanics",
     equation="L = L_0 - l_e - x in V(x), A(x) and theta",
     parameters=(
@@ -27,6 +31,6 @@ DESCRIPTION = EffectDescription(
     ),
     signature="static, a function of the displacement times pressure",
     best_experiment="fill-and-hold",
-    parts=(),
     seen_by=("mechanics", "pressure"),
+    entries=(EffectEntry("numbers", shorten_muscle),),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
 
 
 class ExternalLoad(NamedTuple):
@@ -13,8 +13,14 @@ class ExternalLoad(NamedTuple):
     force_n: float = 0.0
 
 
+def load_force_n(load: ExternalLoad) -> float:
+    """Return the pull, which is against contraction."""
+    return -load.force_n
+
+
 DESCRIPTION = EffectDescription(
     name="external_load",
+    kind=ExternalLoad,
     block="mechanics",
     equation="F - F_e",
     parameters=(
@@ -30,6 +36,6 @@ DESCRIPTION = EffectDescription(
     ),
     signature="a constant static offset; gone if the encoder is homed at the loaded rest",
     best_experiment="fill-and-hold",
-    parts=("mechanics",),
     seen_by=("mechanics",),
+    entries=(EffectEntry("force", load_force_n),),
 )

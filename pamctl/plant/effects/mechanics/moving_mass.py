@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+
+if TYPE_CHECKING:
+    from pamctl.plant.parameters import PaperParameters
 
 
 class MovingMass(NamedTuple):
@@ -13,19 +16,20 @@ class MovingMass(NamedTuple):
     added_kg: float = 0.0
 
 
-def total_mass_kg(mass: MovingMass, mass_kg: float) -> float:
-    """Return the whole mass; part of the plant's parameters, not of its steps."""
-    return mass_kg + mass.added_kg
+def add_mass(mass: MovingMass, numbers: PaperParameters) -> PaperParameters:
+    """Return the plant's numbers with the whole mass."""
+    return numbers._replace(mass_kg=numbers.mass_kg + mass.added_kg)
 
 
 DESCRIPTION = EffectDescription(
     name="moving_mass",
+    kind=MovingMass,
     block="mechanics",
     equation="(M + m) x''",
     parameters=(size("added_kg", "kg", 2.0, smallest=0.03, start=0.2, meaning="m"),),
     signature="none above the noise: velocity settles within M / c = 88 us, long before a sample",
-    best_experiment="none",
-    parts=(),
+    best_experiment="",
     seen_by=("mechanics",),
-    identifiable=False,
+    entries=(EffectEntry("numbers", add_mass),),
+    unidentifiable="it acts within 0.1 ms, a tenth of a sample: no experiment at 1 kHz shows it",
 )

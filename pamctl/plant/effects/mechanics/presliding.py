@@ -122,6 +122,7 @@ def _dahl(
 
 DESCRIPTION = EffectDescription(
     name="presliding",
+    kind=Presliding,
     block="mechanics",
     equation="df/dx = sigma_0 within the band (elasto-plastic), or sigma_0 (f_lim - f) / "
     "(f_upper - f_lower) (Dahl), with sigma_1 dz/dt added (LuGre)",
@@ -157,8 +158,8 @@ DESCRIPTION = EffectDescription(
     signature="at reversals only: the muscle gives way before it slides, by some micrometres, and "
     "remembers where it turned; grows with pressure",
     best_experiment="multisine-small",
-    parts=("mechanics",),
     seen_by=("mechanics",),
+    woven=("mechanics",),
     forms=(
         EffectForm("elasto-plastic", ("compliance_m_per_n",), {"form": ELASTO_PLASTIC}),
         EffectForm("Dahl", ("compliance_m_per_n",), {"form": DAHL}),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
 
 
 class PressureDamping(NamedTuple):
@@ -13,13 +13,19 @@ class PressureDamping(NamedTuple):
     per_pa: float = 0.0
 
 
+def pressure_damping_n_s_per_m(damping: PressureDamping, gauge_pa: float) -> float:
+    """Return the damping beyond c; none below the atmosphere's pressure."""
+    return damping.per_pa * max(gauge_pa, 0.0)
+
+
 DESCRIPTION = EffectDescription(
     name="pressure_damping",
+    kind=PressureDamping,
     block="mechanics",
     equation="c = c_0 + c_p P_g",
     parameters=(size("per_pa", "N s/(m Pa)", 2e-3, smallest=5e-5, start=2e-4, meaning="c_p"),),
     signature="an error with speed times pressure",
-    best_experiment="square",
-    parts=("mechanics",),
+    best_experiment="square-1",
     seen_by=("mechanics",),
+    entries=(EffectEntry("damping", pressure_damping_n_s_per_m),),
 )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.places import FrictionBand
 
 
 class ReturnFriction(NamedTuple):
@@ -13,8 +14,14 @@ class ReturnFriction(NamedTuple):
     share: float = 0.0
 
 
+def add_return_friction(friction: ReturnFriction, band: FrictionBand) -> FrictionBand:
+    """Extend the band of Eq. 5 to the other direction."""
+    return FrictionBand(band.lower_n - friction.share * band.upper_n, band.upper_n)
+
+
 DESCRIPTION = EffectDescription(
     name="return_friction",
+    kind=ReturnFriction,
     block="mechanics",
     equation="f in [-r f_c, f_c],  f_c = mu_k N P_g A_b b theta cos(theta)",
     parameters=(
@@ -28,7 +35,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="only while the muscle lengthens, in proportion to pressure",
-    best_experiment="square",
-    parts=("mechanics",),
+    best_experiment="slow-ramps",
     seen_by=("mechanics",),
+    entries=(EffectEntry("friction", add_return_friction),),
 )

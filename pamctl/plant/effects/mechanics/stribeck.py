@@ -5,7 +5,15 @@ from __future__ import annotations
 from math import exp, pow
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
+from pamctl.plant.effects.description import (
+    Distinction,
+    EffectDescription,
+    EffectEntry,
+    EffectForm,
+    shape,
+    size,
+)
+from pamctl.plant.effects.places import FrictionBand
 
 
 class Stribeck(NamedTuple):
@@ -25,8 +33,15 @@ def stribeck_factor(stribeck: Stribeck, velocity_m_per_s: float) -> float:
     return 1.0 + stribeck.rise * exp(-pow(share, stribeck.exponent))
 
 
+def scale_band(stribeck: Stribeck, band: FrictionBand, velocity_m_per_s: float) -> FrictionBand:
+    """Return the band at a speed."""
+    factor = stribeck_factor(stribeck, velocity_m_per_s)
+    return FrictionBand(factor * band.lower_n, factor * band.upper_n)
+
+
 DESCRIPTION = EffectDescription(
     name="stribeck",
+    kind=Stribeck,
     block="mechanics",
     equation="f_lim (1 + s exp(-(|v| / v_s)^n))",
     parameters=(
@@ -52,10 +67,16 @@ DESCRIPTION = EffectDescription(
     ),
     signature="a late break-away that overshoots, and an error at low speed",
     best_experiment="multisine-small",
-    parts=("mechanics",),
     seen_by=("mechanics",),
+    entries=(EffectEntry("friction", scale_band, after=("coulomb_friction", "return_friction")),),
     forms=(
         EffectForm("Gaussian", ("rise", "speed_m_per_s"), {"exponent": 2.0}),
         EffectForm("Tustin", ("rise", "speed_m_per_s"), {"exponent": 1.0}),
     ),
+    told_from={
+        "return_friction": Distinction(
+            "slow-ramps",
+            "one scales with the pressure on the way back only, the other with slowness both ways",
+        ),
+    },
 )

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
 
 
 class PressureSensorGain(NamedTuple):
@@ -14,16 +20,24 @@ class PressureSensorGain(NamedTuple):
 
 
 def scale_pressure_pa(
-    sensor: PressureSensorGain, pressure_pa: float, atmospheric_pa: float
+    sensor: PressureSensorGain, pressure_pa: float, atmosphere_pa: float
 ) -> float:
     """Return what is shown of an absolute pressure."""
     if sensor.gain == 1.0:
         return pressure_pa
-    return atmospheric_pa + sensor.gain * (pressure_pa - atmospheric_pa)
+    return atmosphere_pa + sensor.gain * (pressure_pa - atmosphere_pa)
+
+
+def undo_gain_pa(
+    sensor: PressureSensorGain, pressure_pa: Array, times_s: Array, atmosphere_pa: float
+) -> Array:
+    """Return the absolute pressure that a true scale would show."""
+    return atmosphere_pa + (pressure_pa - atmosphere_pa) / sensor.gain
 
 
 DESCRIPTION = EffectDescription(
     name="pressure_sensor_gain",
+    kind=PressureSensorGain,
     block="sensors",
     equation="P_m - P_atm = g (P - P_atm)",
     parameters=(
@@ -39,7 +53,14 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="an error in proportion to the gauge pressure, at plateaus too; both blocks show it",
-    best_experiment="square",
-    parts=("sensors",),
+    best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
+    entries=(
+        EffectEntry(
+            "pressure_reading",
+            scale_pressure_pa,
+            after=("pressure_sensor_lag",),
+            undo=undo_gain_pa,
+        ),
+    ),
 )

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
 
 
 class PressureSensorOffset(NamedTuple):
@@ -13,8 +19,21 @@ class PressureSensorOffset(NamedTuple):
     offset_pa: float = 0.0
 
 
+def add_offset_pa(sensor: PressureSensorOffset, pressure_pa: float) -> float:
+    """Return the absolute pressure that is shown."""
+    return pressure_pa + sensor.offset_pa
+
+
+def undo_offset_pa(
+    sensor: PressureSensorOffset, pressure_pa: Array, times_s: Array, atmosphere_pa: float
+) -> Array:
+    """Return the absolute pressure that a true zero would show."""
+    return pressure_pa - sensor.offset_pa
+
+
 DESCRIPTION = EffectDescription(
     name="pressure_sensor_offset",
+    kind=PressureSensorOffset,
     block="sensors",
     equation="P_m = P + o",
     parameters=(
@@ -29,7 +48,14 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="the vented muscle does not read the atmosphere's pressure; both blocks show it",
-    best_experiment="square",
-    parts=("sensors",),
+    best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
+    entries=(
+        EffectEntry(
+            "pressure_reading",
+            add_offset_pa,
+            after=("pressure_sensor_gain",),
+            undo=undo_offset_pa,
+        ),
+    ),
 )

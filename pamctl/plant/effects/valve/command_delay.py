@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import Distinction, EffectDescription, size
 
 
 class CommandDelay(NamedTuple):
@@ -20,6 +20,7 @@ class CommandDelay(NamedTuple):
 
 DESCRIPTION = EffectDescription(
     name="command_delay",
+    kind=CommandDelay,
     block="pressure",
     equation="u(t - tau)",
     parameters=(
@@ -30,6 +31,11 @@ DESCRIPTION = EffectDescription(
     signature="in the first milliseconds after every change of the command; a phase lag that grows "
     "in proportion to frequency",
     best_experiment="chirp",
-    parts=("command",),
     seen_by=("pressure",),
+    woven=("timing",),
+    told_from={
+        "valve_spool": Distinction(
+            "chirp", "a lag of second order and a pure delay part at high frequency only"
+        ),
+    },
 )

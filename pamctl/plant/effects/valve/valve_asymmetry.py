@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import Distinction, EffectDescription, EffectEntry, size
 
 
 class ValveAsymmetry(NamedTuple):
@@ -20,6 +20,7 @@ def apply_asymmetry_v(asymmetry: ValveAsymmetry, opening_v: float) -> float:
 
 DESCRIPTION = EffectDescription(
     name="valve_asymmetry",
+    kind=ValveAsymmetry,
     block="pressure",
     equation="A_v = a K_Av u for u < 0",
     parameters=(
@@ -36,6 +37,12 @@ DESCRIPTION = EffectDescription(
     ),
     signature="filling is right and exhausting wrong by a constant factor of the flow",
     best_experiment="null-staircase",
-    parts=("valve",),
     seen_by=("pressure",),
+    entries=(EffectEntry("opening", apply_asymmetry_v, after=("valve_curve",)),),
+    told_from={
+        "valve_deadband": Distinction("null-staircase", "a dead band acts near null only"),
+        "supply_droop": Distinction(
+            "square-1", "a droop grows with the flow, an asymmetry does not"
+        ),
+    },
 )

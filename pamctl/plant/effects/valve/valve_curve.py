@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pow
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectForm, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectForm, size
 from pamctl.plant.effects.valve.valve_saturation import FULL_COMMAND_V
 
 
@@ -27,6 +27,7 @@ def apply_curve_v(curve: ValveCurve, opening_v: float) -> float:
 
 DESCRIPTION = EffectDescription(
     name="valve_curve",
+    kind=ValveCurve,
     block="pressure",
     equation="A_v = K_Av u (1 + k_2 |u|) (|u| / 5 V)^(n - 1)",
     parameters=(
@@ -52,8 +53,8 @@ DESCRIPTION = EffectDescription(
     ),
     signature="the flow's error depends on the size of the command and not on its side",
     best_experiment="null-staircase",
-    parts=("valve",),
     seen_by=("pressure",),
+    entries=(EffectEntry("opening", apply_curve_v, after=("valve_deadband",)),),
     forms=(
         EffectForm("quadratic", free=("curvature_per_v",)),
         EffectForm("power", free=("exponent",)),

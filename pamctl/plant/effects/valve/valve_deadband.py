@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectForm, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectForm, size
 
 
 class ValveDeadband(NamedTuple):
@@ -14,15 +14,16 @@ class ValveDeadband(NamedTuple):
     exhaust_width_v: float = 0.0
 
 
-def apply_deadband_v(deadband: ValveDeadband, spool_v: float) -> float:
+def apply_deadband_v(deadband: ValveDeadband, opening_v: float) -> float:
     """Return what the overlap leaves of the spool's travel."""
-    if spool_v > 0.0:
-        return max(spool_v - deadband.fill_width_v, 0.0)
-    return min(spool_v + deadband.exhaust_width_v, 0.0)
+    if opening_v > 0.0:
+        return max(opening_v - deadband.fill_width_v, 0.0)
+    return min(opening_v + deadband.exhaust_width_v, 0.0)
 
 
 DESCRIPTION = EffectDescription(
     name="valve_deadband",
+    kind=ValveDeadband,
     block="pressure",
     equation="A_v = K_Av (u - d_f) for u > d_f, K_Av (u + d_e) for u < -d_e, else 0",
     parameters=(
@@ -32,8 +33,8 @@ DESCRIPTION = EffectDescription(
     signature="where the command is within some three widths of null the simulated pressure drifts "
     "and the measured one stays; invisible under full-scale squares, where it is a loss of gain",
     best_experiment="null-staircase",
-    parts=("valve",),
     seen_by=("pressure",),
+    entries=(EffectEntry("opening", apply_deadband_v),),
     forms=(
         EffectForm("two sides", free=("fill_width_v", "exhaust_width_v")),
         EffectForm("filling only", free=("fill_width_v",)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectMemory, size
 from pamctl.plant.effects.play import follow_with_play
 
 
@@ -14,13 +14,32 @@ class ValveHysteresis(NamedTuple):
     width_v: float = 0.0
 
 
-def follow_hysteresis_v(hysteresis: ValveHysteresis, before_v: float, command_v: float) -> float:
+class PushedSpool(NamedTuple):
+    """Where the command has pushed the spool."""
+
+    spool_v: float
+
+
+def start_hysteresis(position_m: float, pressure_pa: float) -> PushedSpool:
+    """Return a spool at null."""
+    return PushedSpool(0.0)
+
+
+def follow_hysteresis_v(
+    hysteresis: ValveHysteresis, memory: PushedSpool, end: float
+) -> PushedSpool:
     """Follow the command with a slack of `width_v` in all."""
-    return follow_with_play(before_v, command_v, hysteresis.width_v)
+    return PushedSpool(follow_with_play(memory.spool_v, end, hysteresis.width_v))
+
+
+def give_spool_v(hysteresis: ValveHysteresis, memory: PushedSpool) -> float:
+    """Return where the spool is."""
+    return memory.spool_v
 
 
 DESCRIPTION = EffectDescription(
     name="valve_hysteresis",
+    kind=ValveHysteresis,
     block="pressure",
     equation="play operator: u - w/2 <= s <= u + w/2, s moves only when pushed",
     parameters=(
@@ -28,6 +47,13 @@ DESCRIPTION = EffectDescription(
     ),
     signature="the opening depends on where the command came from; small commands only",
     best_experiment="null-staircase",
-    parts=("valve",),
     seen_by=("pressure",),
+    entries=(
+        EffectEntry(
+            "command",
+            give_spool_v,
+            memory=EffectMemory(start_hysteresis, follow_hysteresis_v),
+            after=("valve_saturation",),
+        ),
+    ),
 )

@@ -21,6 +21,7 @@ def leak_area_m2(leak: ValveLeak, spool_v: float) -> float:
 
 DESCRIPTION = EffectDescription(
     name="valve_leak",
+    kind=ValveLeak,
     block="pressure",
     equation="m += A (Psi(P_tank, P) - Psi(P, P_atm)),  A = A_l / (1 + k |u|)",
     parameters=(
@@ -38,8 +39,8 @@ DESCRIPTION = EffectDescription(
     signature="with the valve closed the pressure drifts towards one between tank and atmosphere; "
     "the end pressures are not reached",
     best_experiment="fill-and-hold",
-    parts=("air",),
     seen_by=("pressure",),
+    woven=("air",),
     forms=(
         EffectForm("everywhere", free=("area_m2",)),
         EffectForm("at null", free=("area_m2", "fade_per_v"), held={"fade_per_v": 0.5}),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
 
 FULL_COMMAND_V = 5.0
 
@@ -25,6 +25,7 @@ def saturate_command_v(saturation: ValveSaturation, command_v: float) -> float:
 
 DESCRIPTION = EffectDescription(
     name="valve_saturation",
+    kind=ValveSaturation,
     block="pressure",
     equation="u limited to +-(5 V - d)",
     parameters=(
@@ -38,7 +39,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="only at large commands, on both sides: the measured flow is smaller",
-    best_experiment="square",
-    parts=("valve",),
+    best_experiment="null-staircase",
     seen_by=("pressure",),
+    entries=(EffectEntry("command", saturate_command_v),),
 )

@@ -53,6 +53,7 @@ def spool_step(
 
 DESCRIPTION = EffectDescription(
     name="valve_spool",
+    kind=ValveSpool,
     block="pressure",
     equation="s'' = w^2 (u - s) - 2 zeta w s',  A_v = K_Av s",
     parameters=(
@@ -80,6 +81,6 @@ DESCRIPTION = EffectDescription(
     ),
     signature="in the first milliseconds after every step of the command; grows with frequency",
     best_experiment="chirp",
-    parts=("valve",),
     seen_by=("pressure",),
+    woven=("valve",),
 )

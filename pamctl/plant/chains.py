@@ -1,0 +1,259 @@
+"""The effects of the catalogue, composed: their parameters, their memories, a kernel a place.
+
+Everything here is made once, at import, from the catalogue. `compile_kernel` needs a function
+whose source stands still, so each place gets one that calls the effects' kernels by name:
+
+    def pass_opening(effects, memory, opening_v, age_s):
+        opening_v = valve_deadband_kernel(effects.valve_deadband, opening_v)
+        opening_v = valve_curve_kernel(effects.valve_curve, opening_v)
+        ...
+        return opening_v
+
+At neutral values a kernel without a memory must give back its value, or add 0: it is called all the
+same, because a test before each would cost the compiled plant 12 %. An effect that remembers is
+called, and its memory followed, only where it acts.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from graphlib import TopologicalSorter
+from math import nan
+from typing import Any, NamedTuple
+
+from pamctl.plant.catalogue import CATALOGUE, list_arguments
+from pamctl.plant.effects.description import EffectEntry
+from pamctl.plant.effects.places import PLACES, Part
+
+Kernel = Callable[..., Any]
+
+
+def _list_modules() -> tuple[str, ...]:
+    """List the modules that parameters, kernels and memories of effects come from."""
+    found = {effect.kind.__module__ for effect in CATALOGUE.values()}
+    for entry in (entry for effect in CATALOGUE.values() for entry in effect.entries):
+        found.add(entry.kernel.__module__)
+        if entry.memory is not None:
+            found |= {entry.memory.follow.__module__, entry.memory.at_rest.__module__}
+    return tuple(sorted(found))
+
+
+KERNEL_MODULES = _list_modules()
+"""Modules that the code below depends on; `pamctl.compiled` keys its cache by them, too."""
+
+
+def _make_group(name: str, defaults: Mapping[str, Any]) -> Any:
+    return namedtuple(name, defaults, defaults=defaults.values(), module=__name__)
+
+
+def _effects_of(part: Part) -> dict[str, Any]:
+    return {name: effect.kind() for name, effect in CATALOGUE.items() if part in effect.parts}
+
+
+TimingEffects = _make_group("TimingEffects", _effects_of("timing"))
+"""Parameters of the effects on when a command arrives."""
+ValveEffects = _make_group("ValveEffects", _effects_of("valve"))
+"""Parameters of the effects on what makes the opening of a command."""
+AirEffects = _make_group("AirEffects", _effects_of("air"))
+"""Parameters of the effects on the air's flow and pressure."""
+MechanicsEffects = _make_group("MechanicsEffects", _effects_of("mechanics"))
+"""Parameters of the effects on forces and friction."""
+SensorEffects = _make_group("SensorEffects", _effects_of("sensors"))
+"""Parameters of the effects on what the sensors show."""
+
+
+class Effects(NamedTuple):
+    """Parameters of every effect, by the part of a step that computes it; by default none acts.
+
+    An effect that two parts compute stands in both. One that changes the plant's own numbers
+    only stands in none.
+    """
+
+    timing: Any = TimingEffects()
+    valve: Any = ValveEffects()
+    air: Any = AirEffects()
+    mechanics: Any = MechanicsEffects()
+    sensors: Any = SensorEffects()
+
+
+@cache
+def order_entries(place: str) -> tuple[tuple[str, EffectEntry], ...]:
+    """Return the effects of a place with their entries, each after those whose result it takes."""
+    entries = {
+        name: entry
+        for name, effect in CATALOGUE.items()
+        for entry in effect.entries
+        if entry.place == place
+    }
+    before = {name: [n for n in entry.after if n in entries] for name, entry in entries.items()}
+    return tuple((name, entries[name]) for name in TopologicalSorter(before).static_order())
+
+
+@cache
+def _list_memories(part: Part) -> dict[str, Callable[[float, float], Any]]:
+    return {
+        name: entry.memory.at_rest
+        for place, its in PLACES.items()
+        if its.part == part
+        for name, entry in order_entries(place)
+        if entry.memory is not None
+    }
+
+
+def _remember(part: Part, position_m: float, pressure_pa: float) -> dict[str, Any]:
+    return {
+        name: at_rest(position_m, pressure_pa) for name, at_rest in _list_memories(part).items()
+    }
+
+
+ValveMemory = _make_group("ValveMemory", _remember("valve", 0.0, nan))
+"""What effects on command and opening remember."""
+MechanicsMemory = _make_group("MechanicsMemory", _remember("mechanics", 0.0, nan))
+"""What effects on forces and friction remember."""
+SensorMemory = _make_group("SensorMemory", _remember("sensors", 0.0, nan))
+"""What effects on the readings remember."""
+
+
+def remember_rest(position_m: float, pressure_pa: float) -> tuple[Any, Any, Any]:
+    """Return the memories of valve, mechanics and sensors after a long rest."""
+    return (
+        ValveMemory(**_remember("valve", position_m, pressure_pa)),
+        MechanicsMemory(**_remember("mechanics", position_m, pressure_pa)),
+        SensorMemory(**_remember("sensors", position_m, pressure_pa)),
+    )
+
+
+def change_numbers(numbers: Any, values: Mapping[str, float]) -> Any:
+    """Return the plant's numbers (`PaperParameters`) as the effects of that place change them.
+
+    `values` holds the effects' parameters by their flat names.
+    """
+    for name, entry in order_entries("numbers"):
+        parameters = CATALOGUE[name].parameters
+        if any(values[f"{name}.{p.name}"] != p.neutral for p in parameters if p.role == "size"):
+            effect = CATALOGUE[name].kind(*(values[f"{name}.{p.name}"] for p in parameters))
+            numbers = entry.kernel(effect, numbers)
+    return numbers
+
+
+# --- composing ---------------------------------------------------------------------------------
+
+
+def _compose(
+    name: str, arguments: Iterable[str], body: Iterable[str], used: Mapping[str, Any]
+) -> Kernel:
+    """Make a kernel from lines of source; `used` are the functions and types that they name."""
+    source = "\n    ".join([f"def {name}({', '.join(arguments)}):", *body])
+    scope: dict[str, Any] = {"__name__": __name__, **used}
+    # The cache of machine code needs a file that exists.
+    exec(compile(source, __file__, "exec"), scope)
+    kernel: Kernel = scope[name]
+    return kernel
+
+
+def _call(called: str, name: str, kernel: Kernel, **renamed: str) -> str:
+    """Write the call of an effect's kernel, with the arguments that it names."""
+    given = (renamed.get(argument, argument) for argument in list_arguments(kernel))
+    return f"{called}({', '.join([f'effects.{name}', *given])})"
+
+
+def _acts(name: str) -> str:
+    """Write the test whether an effect acts."""
+    sizes = [p for p in CATALOGUE[name].parameters if p.role == "size"]
+    return " or ".join(f"effects.{name}.{p.name} != {p.neutral!r}" for p in sizes)
+
+
+def _make_pass(place: str) -> Kernel:
+    """Make (effects, memory, value, ...) -> value: all kernels of a place, one after the other.
+
+    There is a `memory` only where effects may remember. `value` is the one that the place replaces,
+    or the sum to which it adds.
+    """
+    its, used, body = PLACES[place], {}, []
+    value = its.replaces or "total"
+    for name, entry in order_entries(place):
+        kernel = f"{name}_kernel"
+        used[kernel] = entry.kernel
+        call = _call(kernel, name, entry.kernel, memory=f"memory.{name}")
+        acts = f"if {_acts(name)}: " if entry.memory is not None else ""
+        body.append(f"{acts}{value} {'=' if its.replaces else '+='} {call}")
+    memory = ["memory"] if its.follows else []
+    others = [argument for argument in its.gives if argument != value]
+    arguments = ["effects", *memory, value, *others]
+    return _compose(f"pass_{place}", arguments, [*body, f"return {value}"], used)
+
+
+def _make_follow(place: str, group: Any) -> Kernel:
+    """Make (effects, memory, begin, end, step_s, ...) -> memory after a step.
+
+    Where a value passes, a memory follows what the kernels before it make of that value.
+    """
+    its, new, body = PLACES[place], {}, []
+    used: dict[str, Any] = {"Memory": group}
+    entries = order_entries(place)
+    passes = "begin" in its.follows
+    waiting = sum(entry.memory is not None for _, entry in entries)
+    for name, entry in entries:
+        if entry.memory is not None:
+            follow, new[name] = f"{name}_follow", f"{name}_after"
+            used[follow] = entry.memory.follow
+            call = _call(follow, name, entry.memory.follow, memory=f"memory.{name}")
+            body.append(f"{new[name]} = memory.{name}")
+            body.append(f"if {_acts(name)}: {new[name]} = {call}")
+            waiting -= 1
+        if waiting and passes:
+            kernel = f"{name}_kernel"
+            used[kernel] = entry.kernel
+            for value, memory in (("begin", f"memory.{name}"), ("end", f"{name}_after")):
+                renamed = {"memory": memory, its.replaces: value}
+                call = _call(kernel, name, entry.kernel, **renamed)
+                body.append(f"if {_acts(name)}: {value} = {call}")
+    fields = [new.get(name, f"memory.{name}") for name in group._fields]
+    others = [a for a in its.gives if a != its.replaces] if passes else []
+    arguments = ["effects", *its.follows, *others]
+    return _compose(
+        f"follow_{place}", arguments, [*body, f"return Memory({', '.join(fields)})"], used
+    )
+
+
+def _make_speed_test() -> Kernel:
+    """Make (effects) -> bool: whether an effect acts whose force depends on the speed."""
+    tests = [
+        _acts(name)
+        for place in ("pulling_pressure", "force", "friction", "damping")
+        for name, entry in order_entries(place)
+        if "velocity_m_per_s" in list_arguments(entry.kernel)
+    ]
+    return _compose(
+        "depends_on_speed", ["effects"], [f"return {' or '.join(tests) or 'False'}"], {}
+    )
+
+
+pass_command = _make_pass("command")
+follow_command = _make_follow("command", ValveMemory)
+pass_opening = _make_pass("opening")
+follow_opening = _make_follow("opening", ValveMemory)
+add_flow: Callable[..., float] = _make_pass("flow")
+pass_volume: Callable[..., float] = _make_pass("volume")
+pass_pulling_pressure = _make_pass("pulling_pressure")
+add_force = _make_pass("force")
+follow_force = _make_follow("force", MechanicsMemory)
+pass_friction = _make_pass("friction")
+follow_friction = _make_follow("friction", MechanicsMemory)
+add_damping = _make_pass("damping")
+follow_damping = _make_follow("damping", MechanicsMemory)
+pass_pressure_reading = _make_pass("pressure_reading")
+follow_pressure_reading = _make_follow("pressure_reading", SensorMemory)
+pass_position_reading = _make_pass("position_reading")
+follow_position_reading = _make_follow("position_reading", SensorMemory)
+depends_on_speed = _make_speed_test()
+
+
+def undo_reading(place: str, effects: Any, shown: Any, times_s: Any, atmosphere_pa: float) -> Any:
+    """Return what an ideal sensor would have shown (arrays), as far as effects can be undone."""
+    for name, entry in reversed(order_entries(place)):
+        if entry.undo is not None:
+            shown = entry.undo(getattr(effects, name), shown, times_s, atmosphere_pa)
+    return shown

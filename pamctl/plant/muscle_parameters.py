@@ -1,0 +1,43 @@
+"""Tables I and II of the paper: the muscle, its valve and its air supply, in SI."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from hal.configured import Configured
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class MuscleParameters(Configured):
+    """Tables I and II of the paper, in SI; the defaults are the paper's values."""
+
+    mass_kg: Annotated[float, Field(gt=0, le=100, description="M, moving mass")] = 0.05
+    damping_n_s_per_m: Annotated[float, Field(gt=0, description="c of Eq. 5")] = 570.0
+    stiffness_n_per_m: Annotated[float, Field(gt=0, description="k of Eq. 4")] = 9680.0
+    rest_length_m: Annotated[float, Field(gt=0, le=10, description="L_0")] = 0.200
+    braid_length_m: Annotated[float, Field(gt=0, le=10, description="b")] = 0.232
+    braid_turns: Annotated[float, Field(gt=0, description="n")] = 1.94
+    kinetic_friction_per_m: Annotated[float, Field(ge=0, description="mu_k")] = 55.3
+    braid_count: Annotated[float, Field(ge=0, description="N")] = 100.0
+    braid_contact_area_m2: Annotated[float, Field(ge=0, description="A_b")] = 0.233e-6
+    tank_pressure_pa: Annotated[float, Field(gt=0, le=2e6, description="absolute")] = 441.3e3
+    atmospheric_pressure_pa: Annotated[float, Field(gt=0, le=2e5, description="absolute")] = 101.3e3
+    gas_constant_j_per_kg_k: Positive = 287.1
+    temperature_k: Annotated[float, Field(gt=0, le=1000)] = 273.0
+    heat_capacity_ratio: Annotated[float, Field(gt=1, le=2, description="gamma of Psi")] = 1.4
+    valve_gain_m2_per_v: Annotated[float, Field(gt=0, description="K_Av, C_d inside")] = 1.03e-6
+
+    @model_validator(mode="after")
+    def _check_contraction(self) -> MuscleParameters:
+        if not self.rest_length_m < self.braid_length_m < math.sqrt(3.0) * self.rest_length_m:
+            raise ValueError(
+                "braid_length_m must lie between rest_length_m and 1.732 rest_length_m, "
+                "or the muscle does not contract when filled (Eq. 3)"
+            )
+        if self.tank_pressure_pa <= self.atmospheric_pressure_pa:
+            raise ValueError("tank_pressure_pa is absolute and must exceed atmospheric_pressure_pa")
+        return self

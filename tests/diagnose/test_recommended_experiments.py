@@ -1,0 +1,80 @@
+"""The experiments that audit and diagnose recommend exist, run, and show the effects."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import pytest
+
+from pamctl.diagnose import Record
+from pamctl.diagnose.audit import Audit, audit_run
+from pamctl.diagnose.experiments import find_separating_experiment, write_command
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.model import PlantSettings
+from pamctl.settings.resolve import resolve
+from pamctl.simulate.batch import SimulatedRun, simulate_run
+
+WHOLE_PROGRAM = "diagnosis"
+"""Recommended where a discrepancy has no name."""
+RECOMMENDED = sorted(
+    {WHOLE_PROGRAM}
+    | {e.best_experiment for e in CATALOGUE.values() if e.best_experiment}
+    | {told.experiment for e in CATALOGUE.values() for told in e.told_from.values()}
+)
+VISIBLE_LARGE = {"dead_volume": 8.0}
+"""Effects that no experiment shows at the smallest size of interest, and from how many sizes on."""
+
+
+@cache
+def run(name: str) -> SimulatedRun:
+    return simulate_run(resolve(experiment=name))
+
+
+@cache
+def audit(name: str) -> Audit:
+    done = run(name)
+    signals = {key: done[key] for key in ("valve_v", "pressure_pa", "position_m")}
+    return audit_run(Record(name, done.t_s, **signals), PlantSettings())
+
+
+@pytest.mark.parametrize("name", RECOMMENDED)
+def test_it_exists_by_that_name_and_runs_open_loop_without_a_trip(name: str) -> None:
+    done = run(name)
+    assert done.tripped_s is None
+    assert all(math.isnan(x) for x in done["reference_m"])
+    assert 4.0 <= done.t_s[-1] <= 61.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "experiment"),
+    [
+        (e.name, e.best_experiment)
+        for e in CATALOGUE.values()
+        if e.is_searched and not e.unidentifiable
+    ],
+)
+def test_it_shows_the_effects_that_it_is_recommended_for(effect: str, experiment: str) -> None:
+    found = audit(experiment)
+    if effect in VISIBLE_LARGE:
+        (spot,) = (s for s in found.blind_spots if s.name == effect)
+        assert 1.0 < spot.sizes < VISIBLE_LARGE[effect]
+    else:
+        assert effect in found.sees
+
+
+def test_advice_is_looked_up_from_either_side() -> None:
+    told = {
+        frozenset((name, other)): distinction
+        for name, effect in CATALOGUE.items()
+        for other, distinction in effect.told_from.items()
+    }
+    assert len(told) == sum(len(e.told_from) for e in CATALOGUE.values())
+    for pair, distinction in told.items():
+        for names in (sorted(pair), sorted(pair, reverse=True)):
+            advice = find_separating_experiment(names)
+            assert advice["name"] == distinction.experiment
+            assert advice["separates"] == sorted(pair)
+    advice = find_separating_experiment(["moving_mass", "creep"])
+    assert advice["name"] == CATALOGUE["creep"].best_experiment
+    assert write_command("chirp") == "pamctl run --experiment chirp"

@@ -233,6 +233,8 @@ def _title_of(name: str, definitions: Mapping[str, Any]) -> str:
     for key, value in definitions[name].get("properties", {}).items():
         if "const" in value and key in ("law", "kind", "backend", "wave"):
             return f"`{key}: {value['const']}`"
+    if name == "PlantSettings":  # a file of its own, which SMC's file holds as well
+        return "plant"
     for owner in definitions.values():
         for key, value in owner.get("properties", {}).items():
             if any(_reference_in(one) == name for one in _alternatives(value)):

@@ -124,22 +124,22 @@ def _page_environment(page_needs_card: bool) -> Iterator[tuple[Path, dict[str, s
         root = Path(temporary)
         for name in ("work", "bin", "run"):
             (root / name).mkdir(mode=0o700)
-        for name, start in {"pamctl": "-m pamctl", "python": ""}.items():
+        # A page may set PYTHONPATH as its reader would, for whom pamctl is installed.
+        path = f'PYTHONPATH="{ROOT}${{PYTHONPATH:+:$PYTHONPATH}}"'
+        for name, start in {"pamctl": "-P -m pamctl", "python": ""}.items():
             shim = root / "bin" / name
-            shim.write_text(f'#!/bin/sh\nexec "{sys.executable}" {start} "$@"\n')
+            shim.write_text(f'#!/bin/sh\n{path} exec "{sys.executable}" {start} "$@"\n')
             shim.chmod(0o755)
         memory = Path(tempfile.mkdtemp(prefix="pamctl-page-", dir="/dev/shm"))
-        environment = {**os.environ}
+        environment = {**os.environ, "PYTHONPATH": ""}
         if page_needs_card:
             from standin.standin import Card
 
             environment |= Card(root / "registers").environment()
         environment |= {
             "PATH": f"{root / 'bin'}{os.pathsep}{os.environ['PATH']}",
-            "PYTHONPATH": str(ROOT),
             "PAMCTL_SHARED_MEMORY": str(memory),
             "XDG_RUNTIME_DIR": str(root / "run"),
-            "PAMCTL_CHECKOUT": str(ROOT),
         }
         try:
             yield root / "work", environment

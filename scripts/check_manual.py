@@ -166,7 +166,8 @@ def run_page(name: str, text: str, *, quick: bool) -> Iterator[BlockResult]:
                 reason = block.skipped_because or lacking
                 if quick and block.marks & {"slow", "card"}:
                     reason = "slow"
-                    lacking = "after a slow block"
+                    if "checkout" not in block.marks:
+                        lacking = "after a slow block"
                 if reason:
                     what = block.commands[0]
                     yield BlockResult(name, block.line, what, f"skipped: {reason}", 0.0, "")

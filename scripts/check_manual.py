@@ -5,7 +5,8 @@
 Prints a line for each block and leaves with 3 if one of them failed. Blocks of one page share a
 temporary directory, and are run in order. A block is a fence of `sh` (a script) or `console`
 (lines that begin with `$ ` are run, all else is output). `# exit code N` at the end of a command
-says that it leaves with N. A comment in the line above a fence says more:
+says that it leaves with N. A line of output must be among those that the commands print, whatever
+numbers are in it; `...` stands for lines left out. A comment in the line above a fence says more:
 
     <!-- file: lab.yaml -->      the block, of whatever language, is a file of this name
     <!-- run: slow -->           takes more than some seconds: left out by --quick
@@ -57,6 +58,8 @@ class Block(NamedTuple):
     file_name: str
     """Where the text goes as a file; empty for commands."""
     text: str
+    shown: tuple[str, ...]
+    """Lines of output."""
     marks: frozenset[str]
     skipped_because: str
 
@@ -89,7 +92,8 @@ def read_blocks(text: str) -> list[Block]:
         commands = () if file_name else split_commands(fence["language"], body)
         if file_name or commands:
             reason = words if kind == "skip" else ""
-            blocks.append(Block(line, commands, file_name, body, marks, reason))
+            shown = list_shown(body) if fence["language"] == "console" and commands else ()
+            blocks.append(Block(line, commands, file_name, body, shown, marks, reason))
     return blocks
 
 
@@ -102,6 +106,23 @@ def split_commands(language: str, body: str) -> tuple[str, ...]:
         lines = body.replace("\\\n", " ").splitlines()
         return tuple(line[2:] for line in lines if line.startswith("$ "))
     return ()
+
+
+def list_shown(body: str) -> tuple[str, ...]:
+    """Return the lines of output of a `console` fence."""
+    lines = body.replace("\\\n", " ").splitlines()
+    return tuple(line for line in lines if line.strip(" .") and not line.startswith("$ "))
+
+
+def mask_numbers(line: str) -> str:
+    """Return a line without its numbers, columns and edges."""
+    return " ".join(re.sub(r"[-+]*\d[\d.]*(e[-+]?\d+)?", "#", line).split())
+
+
+def find_stale(shown: Sequence[str], output: str) -> str:
+    """Return the first line shown that the output does not have; empty if all are there."""
+    printed = {mask_numbers(line) for line in output.splitlines()}
+    return next((line for line in shown if mask_numbers(line) not in printed), "")
 
 
 def write_script(commands: Sequence[str]) -> str:
@@ -210,6 +231,9 @@ def _run_block(
             status = f"failed: not done after {timeout_s:.0f} s"
         said.seek(0)
         output = said.read().decode(errors="replace")
+    stale = find_stale(block.shown, output) if status == "ok" else ""
+    if stale:
+        status = f"failed: it does not print {stale.strip()!r}"
     return BlockResult(
         name, block.line, block.commands[0], status, time.monotonic() - begin_s, output
     )

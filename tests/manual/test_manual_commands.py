@@ -72,6 +72,20 @@ def test_a_command_must_end_as_the_page_says(command: str, status: str) -> None:
     assert result.status == status
 
 
+@pytest.mark.parametrize(
+    ("shown", "status"),
+    [
+        ("3.2 um   left", "ok"),
+        ("...", "ok"),
+        ("4e-05 um right", "failed: it does not print '4e-05 um right'"),
+    ],
+)
+def test_output_that_is_shown_must_be_printed_whatever_its_numbers(shown: str, status: str) -> None:
+    text = f"```console\n$ echo ' 17 um left'\n{shown}\n```\n"
+    (result,) = run_page("made", text, quick=True)
+    assert result.status == status
+
+
 def test_marks_that_do_not_exist_are_refused() -> None:
     with pytest.raises(ValueError, match="line 2: unknown mark slwo"):
         read_blocks("<!-- run: slwo -->\n```sh\ntrue\n```\n")

@@ -13,17 +13,18 @@ import inspect
 import json
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import typer
-from readme_table import table
+from measured_table import format_table
 
 from pamctl import exit_codes, safety, signals
 from pamctl.cli.app import app
 from pamctl.log import schema as log_schema
-from pamctl.plant.effects import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.effects.places import PLACES
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT / "pamctl" / "manual" / "reference"
@@ -124,6 +125,10 @@ def _default_of(option: Any) -> str:
     return str(option.default)
 
 
+def _first_sentence(text: str) -> str:
+    return re.split(r"(?<=\.) (?=[A-Z])", _plain(text), maxsplit=1)[0]
+
+
 def write_verbs() -> str:
     """Return the page of every verb with its arguments and options."""
     parts = [
@@ -131,6 +136,14 @@ def write_verbs() -> str:
         _HEAD,
         "\n`pamctl VERB --help` says the same at the terminal. `--set` takes any key of "
         "[Settings](settings.md). [Exit codes](exit-codes.md) are the same for every verb.\n",
+        format_table(
+            ["verb", "does"],
+            [
+                [f"[`{words}`](#{_anchor(words)})", _first_sentence(command.help or "")]
+                for words, command in walk_verbs()
+            ],
+        ),
+        "",
     ]
     for words, command in walk_verbs():
         arguments = [p for p in command.params if p.param_type_name == "argument"]
@@ -154,7 +167,7 @@ def write_verbs() -> str:
             for o in options
         ]
         if rows:
-            parts += [table(["option", "meaning", "default", "range"], rows), ""]
+            parts += [format_table(["option", "meaning", "default", "range"], rows), ""]
     return "\n".join(parts)
 
 
@@ -301,7 +314,7 @@ def _write_section(name: str, definitions: Mapping[str, Any]) -> str:
         meaning = _plain(str(value.get("description", "")))
         rows.append([f"`{key}`", kind, unit, _bounds_of(value), default, meaning])
     heading = f"### {anchors[name]}\n\n{_plain(spec.get('description', ''))}\n\n"
-    return heading + table(["key", "type", "unit", "range", "default", "meaning"], rows)
+    return heading + format_table(["key", "type", "unit", "range", "default", "meaning"], rows)
 
 
 # --- log schema -------------------------------------------------------------------------
@@ -338,14 +351,14 @@ def write_log_schema() -> str:
             f"Protobuf message `{log_schema.TICK_MESSAGE}`, proto3, every field optional and of "
             "fixed width, NaN kept. The message's `sequence` is the tick. SI units; pressure is "
             "absolute; a contraction is a positive displacement.\n",
-            table(["number", "field", "type", "unit", "stage", "meaning"], rows),
+            format_table(["number", "field", "type", "unit", "stage", "meaning"], rows),
             f"\nValues of `phase`: {phases}.\n",
             "## Bits of `verdicts`\n",
-            table(["bit", "meaning"], verdicts),
+            format_table(["bit", "meaning"], verdicts),
             "\nBits below 8 cut the command. Bits from 8 on trip: the run ends at the safe "
             "voltage.\n",
             "## JSON channels\n",
-            table(["topic", "schema", "what", "keys"], channels),
+            format_table(["topic", "schema", "what", "keys"], channels),
             "\n## Attachments and metadata\n",
             "Attachment `config.json` holds the resolved configuration. Metadata records: `run` "
             "(law, backend, experiment), `pamctl` (versions), `timing_setup` (scheduling, and what "
@@ -373,7 +386,7 @@ def write_exit_codes() -> str:
             "# Exit codes\n",
             _HEAD,
             "\nEvery verb uses the same codes, and they do not change between versions.\n",
-            table(["code", "name", "meaning"], rows),
+            format_table(["code", "name", "meaning"], rows),
             "",
         ]
     )
@@ -388,16 +401,33 @@ def write_effects() -> str:
         "the neutral values of its sizes an effect is off, and the model is the paper's to the "
         "bit. `pamctl diagnose` looks for these effects by these names. "
         "[Add an effect](../how_to/add-an-effect.md) says how to add one.\n",
+        "## Places\n",
+        "Where effects enter, in the order in which a step comes to them. A kernel names the "
+        "arguments that it wants.\n",
+        format_table(
+            ["place", "result of a kernel", "arguments", "effects"],
+            [
+                [f"`{name}`", _plain(place.result), _code(place.gives), _code(_effects_at(name))]
+                for name, place in PLACES.items()
+            ],
+        ),
+        "",
     ]
     for effect in CATALOGUE.values():
         parts += [f"## `{effect.name}`\n", f"Equation: {_plain(effect.equation)}.\n"]
-        parts.append(
-            f"Block: {effect.block}. Seen by: {', '.join(effect.seen_by) or 'no block'}. Best "
-            f"experiment: `{effect.best_experiment}`."
-            + ("" if effect.identifiable else " No experiment on this rig can tell its size.")
-            + "\n"
-        )
+        words = [f"Block: {effect.block}."]
+        words.append(f"Seen by: {', '.join(effect.seen_by) or 'no block'}.")
+        if effect.best_experiment:
+            words.append(f"Best experiment: `{effect.best_experiment}`.")
+        if effect.unidentifiable:
+            words.append(f"No experiment can tell its size: {_plain(effect.unidentifiable)}.")
+        parts.append(" ".join(words) + "\n")
         parts.append(f"Where the model lacks it: {_plain(effect.signature)}.\n")
+        parts += [
+            f"- Told from `{other}` by `{how.experiment}`: {_plain(how.why)}."
+            for other, how in effect.told_from.items()
+        ]
+        parts += [""] if effect.told_from else []
         rows = [
             [
                 f"`{p.name}`",
@@ -406,18 +436,25 @@ def write_effects() -> str:
                 f"{p.neutral:g}",
                 f"{p.low:g} to {p.high:g}",
                 f"{p.smallest_of_interest:g}",
-                _plain(p.meaning)
-                + (
-                    f" ({', '.join(f'{n} {c}' for n, c in enumerate(p.choices))})"
-                    if p.choices
-                    else ""
-                ),
+                _plain(", ".join([p.meaning, *(f"{n}: {c}" for n, c in enumerate(p.choices))])),
             ]
             for p in effect.parameters
         ]
         head = ["key", "unit", "role", "neutral", "range", "smallest of interest", "meaning"]
-        parts += [table(head, rows), ""]
+        parts += [format_table(head, rows), ""]
     return "\n".join(parts)
+
+
+def _code(names: Iterable[str]) -> str:
+    return " ".join(f"`{name}`" for name in names)
+
+
+def _effects_at(place: str) -> list[str]:
+    return [
+        name
+        for name, effect in CATALOGUE.items()
+        if any(entry.place == place for entry in effect.entries)
+    ]
 
 
 def write_shipped_files() -> str:
@@ -433,7 +470,7 @@ def write_shipped_files() -> str:
             [f"`{path.stem}`", _plain(_first_words(path))]
             for path in sorted((ROOT / "config" / folder).glob("*.yaml"))
         ]
-        parts += [f"## `--{folder}`\n", table(["name", "what"], rows), ""]
+        parts += [f"## `--{folder}`\n", format_table(["name", "what"], rows), ""]
     return "\n".join(parts)
 
 

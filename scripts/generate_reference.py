@@ -20,6 +20,7 @@ from typing import Any, get_type_hints
 import typer
 from measured_table import format_table
 
+from hal import rig
 from pamctl import exit_codes, safety, signals
 from pamctl.cli.app import app
 from pamctl.log import schema as log_schema
@@ -323,7 +324,7 @@ def _write_section(name: str, definitions: Mapping[str, Any]) -> str:
 def write_log_schema() -> str:
     """Return the page of the log's channels and columns."""
     docs = read_attribute_docs(signals)
-    hal_docs = read_attribute_docs(sys.modules[signals.RawSample.__module__])
+    hal_docs = read_attribute_docs(rig)
     hints = {stage: kind.__name__ for stage, kind in get_type_hints(signals.TickRecord).items()}
     rows = []
     for number, (name, kind, stage) in enumerate(signals.TICK_FIELDS, 1):

@@ -22,7 +22,7 @@ KINDS = {
 _FOLDER = Path(__file__).parent
 
 
-class Page(NamedTuple):
+class ManualPage(NamedTuple):
     """One page of the manual: `name` is its file name without `.md`, `title` its first heading."""
 
     name: str
@@ -38,7 +38,7 @@ class UnknownPageError(KeyError):
         return str(self.args[0])
 
 
-def list_pages() -> list[Page]:
+def list_pages() -> list[ManualPage]:
     """Return every page, by kind in reading order, then by title."""
     return [
         page
@@ -60,9 +60,10 @@ def read_page(name: str) -> str:
     return pages[name].path.read_text(encoding="utf-8")
 
 
-def _read_pages_of(folder: str, kind: str) -> list[Page]:
+def _read_pages_of(folder: str, kind: str) -> list[ManualPage]:
     return [
-        Page(path.stem, _read_title(path), kind, path) for path in (_FOLDER / folder).glob("*.md")
+        ManualPage(path.stem, _read_title(path), kind, path)
+        for path in (_FOLDER / folder).glob("*.md")
     ]
 
 

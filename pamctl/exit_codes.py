@@ -10,16 +10,27 @@ class ExitCode(IntEnum):
     """Exit codes of every command; they do not change between versions."""
 
     OK = 0
+    """Complete."""
     UNEXPECTED = 1
+    """Something unexpected: a process died, the disk is full."""
     USAGE = 2
+    """Wrong options."""
     CHECK_FAILED = 3
+    """A check failed, data were lost, or the daemon refused."""
     SAFETY_TRIP = 4
+    """A safety trip ended the run."""
     OVERRUNS = 5
+    """More ticks were missed than the limit allows."""
     BAD_DATA = 65
+    """Bad data: a log or a measurement that cannot be used."""
     UNAVAILABLE = 69
+    """Device, driver, daemon or required scheduling is not available."""
     BAD_CONFIG = 78
+    """Bad configuration."""
     SIGINT = 130
+    """Stopped by SIGINT (Ctrl-C)."""
     SIGTERM = 143
+    """Stopped by SIGTERM."""
 
 
 class Ending(NamedTuple):

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 
-README = Path(__file__).parents[2] / "README.md"
+PAGE = Path(__file__).parents[2] / "pamctl" / "manual" / "how_to" / "diagnose-a-log.md"
 
 
 def test_the_example_with_an_executor_runs_unchanged(tmp_path: Path) -> None:
@@ -21,7 +21,7 @@ def test_the_example_with_an_executor_runs_unchanged(tmp_path: Path) -> None:
         result = CliRunner().invoke(app, run)
         assert result.exit_code == 0, result.output
     (example,) = re.findall(
-        r"```python\n(from concurrent\.futures.*?)```", README.read_text(), re.DOTALL
+        r"```python\n(from concurrent\.futures.*?)```", PAGE.read_text(), re.DOTALL
     )
     script = tmp_path / "example.py"
     script.write_text(example)

@@ -1,0 +1,513 @@
+"""Write the reference pages that the code knows: verbs, settings, log schema, effects and more.
+
+    python scripts/generate_reference.py [--check]
+
+Writes into pamctl/manual/reference/. `--check` writes nothing and leaves with 3 if a page differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import inspect
+import json
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import typer
+from measured_table import format_table
+
+from hal import rig
+from pamctl import exit_codes, safety, signals
+from pamctl.cli.app import app
+from pamctl.log import schema as log_schema
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.effects.places import PLACES
+
+ROOT = Path(__file__).resolve().parents[1]
+REFERENCE = ROOT / "pamctl" / "manual" / "reference"
+
+_HEAD = (
+    "<!-- Written by `python scripts/generate_reference.py`: change the code, not this page. -->"
+)
+_UNITS = {
+    "s": "s", "ms": "ms", "us": "us", "ns": "ns", "hz": "Hz", "v": "V", "pa": "Pa", "kpa": "kPa",
+    "m": "m", "mm": "mm", "m2": "m^2", "m3": "m^3", "kg": "kg", "n": "N", "k": "K", "j": "J",
+    "counts": "counts", "rad": "rad", "ticks": "ticks", "s3": "s^3", "mm2": "mm^2", "c": "C",
+    "mj": "MJ", "rows": "rows",
+}  # fmt: skip
+
+
+def read_attribute_docs(module: Any) -> dict[str, dict[str, str]]:
+    """Return, by class and attribute, the docstring that follows each attribute of a module."""
+    docs: dict[str, dict[str, str]] = {}
+    for node in ast.parse(inspect.getsource(module)).body:
+        if not isinstance(node, ast.ClassDef):
+            continue
+        of_class = docs.setdefault(node.name, {})
+        for before, after in zip(node.body, node.body[1:], strict=False):
+            if isinstance(before, ast.AnnAssign):
+                target: ast.expr = before.target
+            elif isinstance(before, ast.Assign):
+                target = before.targets[0]
+            else:
+                continue
+            is_text = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            if is_text and isinstance(target, ast.Name):
+                of_class[target.id] = " ".join(str(after.value.value).split())
+    return docs
+
+
+def unit_of_key(name: str) -> str:
+    """Return the unit in a key's suffix: `lambda_per_s` is 1/s; empty without one."""
+    parts = name.split("_")
+    top: list[str] = []
+    below: list[str] = []
+    side = top
+    if "per" in parts:
+        at = parts.index("per")
+        known = {**_UNITS, "length": "length_unit"}  # the unit that a gains file names
+        below = [known[part] for part in parts[at + 1 :] if part in known]
+        parts = parts[:at]
+    while parts and parts[-1] in _UNITS:
+        side.insert(0, _UNITS[parts.pop()])
+    if not parts:  # the name itself is one letter of a unit's, as `k`
+        top = []
+    numerator = " ".join(top) or ("1" if below else "")
+    return (
+        f"{numerator}/({' '.join(below)})"
+        if len(below) > 1
+        else "/".join([part for part in (numerator, " ".join(below)) if part])
+    )
+
+
+def _plain(text: str) -> str:
+    """Return words that Markdown shows as they are, on one line."""
+    return " ".join(text.replace("\\[", "[").replace("<", "&lt;").split())
+
+
+# --- verbs ------------------------------------------------------------------------------
+
+
+def walk_verbs() -> Iterator[tuple[str, Any]]:
+    """Return every verb by the words that call it, in the order of the help."""
+
+    def walk(command: Any, words: str) -> Iterator[tuple[str, Any]]:
+        children = getattr(command, "commands", None)
+        if children:
+            for name, child in children.items():
+                yield from walk(child, f"{words} {name}")
+        else:
+            yield words, command
+
+    yield from walk(typer.main.get_command(app), "pamctl")
+
+
+def _range_of(option: Any) -> str:
+    low, high = getattr(option, "min", None), getattr(option, "max", None)
+    if low is None and high is None:
+        return ""
+    if high is None:
+        return f"at least {low}"
+    return f"at most {high}" if low is None else f"{low} to {high}"
+
+
+def _default_of(option: Any) -> str:
+    if option.required:
+        return "required"
+    shown = option.show_default
+    if isinstance(shown, str):
+        return shown
+    if option.default is None or option.default is False or option.default == () or not shown:
+        return ""
+    return str(option.default)
+
+
+def _first_sentence(text: str) -> str:
+    return re.split(r"(?<=\.) (?=[A-Z])", _plain(text), maxsplit=1)[0]
+
+
+def write_verbs() -> str:
+    """Return the page of every verb with its arguments and options."""
+    parts = [
+        "# Verbs and options\n",
+        _HEAD,
+        "\n`pamctl VERB --help` says the same at the terminal. `--set` takes any key of "
+        "[Settings](settings.md). [Exit codes](exit-codes.md) are the same for every verb.\n",
+        format_table(
+            ["verb", "does"],
+            [
+                [f"[`{words}`](#{_anchor(words)})", _first_sentence(command.help or "")]
+                for words, command in walk_verbs()
+            ],
+        ),
+        "",
+    ]
+    for words, command in walk_verbs():
+        arguments = [p for p in command.params if p.param_type_name == "argument"]
+        options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
+        shown = [str(a.metavar or a.name.upper()) for a in arguments]
+        needed = [f"{o.opts[0]} {o.metavar or ''}".strip() for o in options if o.required]
+        usage = " ".join([words, *shown, *needed, "[OPTIONS]"])
+        parts += [f"## `{words}`\n", f"{_plain(command.help or '')}\n", f"```\n{usage}\n```\n"]
+        explained = [(m, a) for m, a in zip(shown, arguments, strict=True) if a.help]
+        if explained:
+            parts += [f"- `{m}`: {_plain(a.help)}" for m, a in explained] + [""]
+        rows = [
+            [
+                f"`{' '.join([', '.join(o.opts), '' if o.is_flag else o.metavar or ''])}`".replace(
+                    " `", "`"
+                ),
+                _plain(o.help or ""),
+                _plain(_default_of(o)),
+                _range_of(o),
+            ]
+            for o in options
+        ]
+        if rows:
+            parts += [format_table(["option", "meaning", "default", "range"], rows), ""]
+    return "\n".join(parts)
+
+
+# --- settings ---------------------------------------------------------------------------
+
+
+def _reference_in(spec: Mapping[str, Any]) -> str:
+    return str(spec.get("$ref", "")).removeprefix("#/$defs/")
+
+
+def _alternatives(spec: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    found = spec.get("anyOf") or spec.get("oneOf") or [spec]
+    return [one for one in found if one.get("type") != "null"]
+
+
+def _referenced(spec: Mapping[str, Any]) -> list[str]:
+    """Return the definitions that a key's value, or the items of its list, may be."""
+    names = []
+    for one in _alternatives(spec):
+        names += [_reference_in(one)] if "$ref" in one else []
+        if one.get("type") == "array":
+            names += _referenced(one["items"])
+    return names
+
+
+def _type_of(spec: Mapping[str, Any], anchors: Mapping[str, str]) -> str:
+    words = []
+    for one in _alternatives(spec):
+        if "$ref" in one:
+            name = _reference_in(one)
+            words.append(f"[{anchors[name]}](#{_anchor(anchors[name])})")
+        elif "enum" in one:
+            words.append(" or ".join(f"`{value}`" for value in one["enum"]))
+        elif "const" in one:
+            words.append(f"`{one['const']}`")
+        elif one.get("type") == "array":
+            words.append(f"list of {_type_of(one['items'], anchors)}")
+        else:
+            words.append(str(one.get("type", "any")))
+    return " or ".join(dict.fromkeys(words))
+
+
+def _bounds_of(spec: Mapping[str, Any]) -> str:
+    for one in _alternatives(spec):
+        low = "minimum" in one or "exclusiveMinimum" in one
+        high = "maximum" in one or "exclusiveMaximum" in one
+        words = []
+        if "exclusiveMinimum" in one:
+            words.append(f"above {one['exclusiveMinimum']:g}")
+        elif low:
+            words.append(f"from {one['minimum']:g}")
+        if "exclusiveMaximum" in one:
+            words.append(f"below {one['exclusiveMaximum']:g}")
+        elif high:
+            words.append(f"to {one['maximum']:g}")
+        if words:
+            return " ".join(words)
+    return ""
+
+
+def _anchor(heading: str) -> str:
+    return re.sub(r"[^a-z0-9_ -]", "", heading.lower()).replace(" ", "-")
+
+
+def _default_in(key: str, spec: Mapping[str, Any], required: Sequence[str]) -> str:
+    if key in required:
+        return "required"
+    value = spec.get("default")
+    if isinstance(value, dict | list) or value is None or "const" in spec:
+        return ""
+    return f"{value:g}" if isinstance(value, float) else json.dumps(value)
+
+
+def _title_of(name: str, definitions: Mapping[str, Any]) -> str:
+    """Return a heading: what a file or part says of its own kind, else the key that holds it."""
+    for key, value in definitions[name].get("properties", {}).items():
+        if "const" in value and key in ("law", "kind", "backend", "wave"):
+            return f"`{key}: {value['const']}`"
+    if name == "PlantSettings":  # a file of its own, which SMC's file holds as well
+        return "plant"
+    for owner in definitions.values():
+        for key, value in owner.get("properties", {}).items():
+            if any(_reference_in(one) == name for one in _alternatives(value)):
+                return f"`{key}`"
+    stem = re.sub(r"(Settings|Map)$", "", name) or name
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", stem).lower()
+
+
+_FILES = (
+    ("Controller files", "controller.", lambda keys: "law" in keys),
+    ("Experiment files", "experiment.", lambda keys: "kind" in keys),
+    ("Rig files", "rig.", lambda keys: "backend" in keys),
+    ("Plant files", "plant.", lambda keys: "base" in keys),
+    ("Column maps of `pamctl log import`", "", lambda keys: "time" in keys),
+)
+
+
+def write_settings() -> str:
+    """Return the page of every key of every configuration file."""
+    from pamctl.settings.resolve import build_config_schema
+
+    schema = build_config_schema()
+    definitions: dict[str, Any] = schema["$defs"]
+    roots = [_reference_in(one) for one in schema["anyOf"]]
+    parts = [
+        "# Settings\n",
+        _HEAD,
+        "\nEvery number that a user may change stands in a YAML file: controller, experiment, rig "
+        "and plant. `--set` changes one key of them: `--set rig.limits.pressure_pa=400e3`. A key "
+        "ends in its unit. Unknown keys are errors, with the nearest name. "
+        "`pamctl config show` prints every value of a run, `pamctl config schema` this page as a "
+        "JSON schema.\n",
+    ]
+    done: set[str] = set()
+    for title, prefix, belongs in _FILES:
+        files = [name for name in roots if belongs(definitions[name]["properties"])]
+        parts.append(f"## {title}\n")
+        if prefix:
+            parts.append(f"With `--set` the keys begin with `{prefix}`.\n")
+        queue = list(files)
+        while queue:
+            name = queue.pop(0)
+            elsewhere = name in CATALOGUE or name == "EffectSettings" or name in roots
+            if name in done or (elsewhere and name not in files):
+                continue
+            done.add(name)
+            spec = definitions[name]
+            queue += [used for one in spec["properties"].values() for used in _referenced(one)]
+            parts += [_write_section(name, definitions), ""]
+    return "\n".join(parts)
+
+
+def _write_section(name: str, definitions: Mapping[str, Any]) -> str:
+    spec = definitions[name]
+    anchors = {one: _title_of(one, definitions) for one in definitions}
+    rows = []
+    for key, value in spec["properties"].items():
+        if set(_referenced(value)) == {"EffectSettings"}:
+            kind = "[effects by name](effects.md)"
+        else:
+            kind = _type_of(value, anchors)
+        unit = unit_of_key(key) if "number" in kind or "integer" in kind else ""
+        default = _default_in(key, value, spec.get("required", ()))
+        meaning = _plain(str(value.get("description", "")))
+        rows.append([f"`{key}`", kind, unit, _bounds_of(value), default, meaning])
+    heading = f"### {anchors[name]}\n\n{_plain(spec.get('description', ''))}\n\n"
+    return heading + format_table(["key", "type", "unit", "range", "default", "meaning"], rows)
+
+
+# --- log schema -------------------------------------------------------------------------
+
+
+def write_log_schema() -> str:
+    """Return the page of the log's channels and columns."""
+    docs = read_attribute_docs(signals)
+    hal_docs = read_attribute_docs(rig)
+    hints = {stage: kind.__name__ for stage, kind in get_type_hints(signals.TickRecord).items()}
+    rows = []
+    for number, (name, kind, stage) in enumerate(signals.TICK_FIELDS, 1):
+        owner = hints[stage]
+        meaning = docs.get(owner, {}).get(name) or hal_docs.get(owner, {}).get(name, "")
+        unit = log_schema.unit_of_column(name) if kind is not bool else ""
+        rows.append([str(number), f"`{name}`", kind.__name__, unit, stage, _plain(meaning)])
+    phases = ", ".join(f"{phase.value} {phase.name.lower()}" for phase in signals.Phase)
+    verdicts = [
+        [str(bit.bit_length() - 1), _plain(meaning)] for bit, meaning in safety.VERDICTS.items()
+    ]
+    channels = [
+        [f"`{topic}`", f"`{name}`", _plain(json.loads(text)["description"]),
+         ", ".join(f"`{key}`" for key in json.loads(text)["properties"])]
+        for topic, (name, text) in log_schema.JSON_SCHEMAS.items()
+    ]  # fmt: skip
+    imported = ", ".join(f"`{name}`" for name in log_schema.IMPORTED_QUANTITIES)
+    return "\n".join(
+        [
+            "# The log\n",
+            _HEAD,
+            f"\nA log is an [MCAP](https://mcap.dev) file, schema version "
+            f"{log_schema.SCHEMA_VERSION}. `pamctl log info LOG` says what it holds.\n",
+            f"## `{log_schema.TICK_TOPIC}`\n",
+            f"Protobuf message `{log_schema.TICK_MESSAGE}`, proto3, every field optional and of "
+            "fixed width, NaN kept. The message's `sequence` is the tick. SI units; pressure is "
+            "absolute; a contraction is a positive displacement.\n",
+            format_table(["number", "field", "type", "unit", "stage", "meaning"], rows),
+            f"\nValues of `phase`: {phases}.\n",
+            "## Bits of `verdicts`\n",
+            format_table(["bit", "meaning"], verdicts),
+            "\nBits below 8 cut the command. Bits from 8 on trip: the run ends at the safe "
+            "voltage.\n",
+            "## JSON channels\n",
+            format_table(["topic", "schema", "what", "keys"], channels),
+            "\n## Attachments and metadata\n",
+            "Attachment `config.json` holds the resolved configuration. Metadata records: `run` "
+            "(law, backend, experiment), `pamctl` (versions), `timing_setup` (scheduling, and what "
+            "was not permitted), `rig` (the rig's description of itself), `import` (imported logs "
+            "only: source, its SHA-256, how each column was read). Data CRCs are on.\n",
+            "## Imported logs\n",
+            f"A log of another system has `tick`, `t_s`, `dt_s`, `missed` and those of {imported} "
+            f"that were measured. The tick channel's metadata says `origin: "
+            f"{log_schema.IMPORTED}`.\n",
+        ]
+    )
+
+
+# --- exit codes, effects, shipped files ---------------------------------------------------
+
+
+def write_exit_codes() -> str:
+    """Return the page of exit codes."""
+    meanings = read_attribute_docs(exit_codes)["ExitCode"]
+    rows = [
+        [str(code.value), f"`{code.name}`", meanings[code.name]] for code in exit_codes.ExitCode
+    ]
+    return "\n".join(
+        [
+            "# Exit codes\n",
+            _HEAD,
+            "\nEvery verb uses the same codes, and they do not change between versions.\n",
+            format_table(["code", "name", "meaning"], rows),
+            "",
+        ]
+    )
+
+
+def write_effects() -> str:
+    """Return the page of the catalogue of effects."""
+    parts = [
+        "# Effects\n",
+        _HEAD,
+        "\nWhat the paper's model leaves out, and a plant file can switch on under `effects:`. At "
+        "the neutral values of its sizes an effect is off, and the model is the paper's to the "
+        "bit. `pamctl diagnose` looks for these effects by these names. "
+        "[Add an effect](../how_to/add-an-effect.md) says how to add one.\n",
+        "## Places\n",
+        "Where effects enter, in the order in which a step comes to them. A kernel names the "
+        "arguments that it wants.\n",
+        format_table(
+            ["place", "result of a kernel", "arguments", "effects"],
+            [
+                [f"`{name}`", _plain(place.result), _code(place.gives), _code(_effects_at(name))]
+                for name, place in PLACES.items()
+            ],
+        ),
+        "",
+    ]
+    for effect in CATALOGUE.values():
+        parts += [f"## `{effect.name}`\n", f"Equation: {_plain(effect.equation)}.\n"]
+        words = [f"Block: {effect.block}."]
+        words.append(f"Seen by: {', '.join(effect.seen_by) or 'no block'}.")
+        if effect.best_experiment:
+            words.append(f"Best experiment: `{effect.best_experiment}`.")
+        if effect.unidentifiable:
+            words.append(f"No experiment can tell its size: {_plain(effect.unidentifiable)}.")
+        parts.append(" ".join(words) + "\n")
+        parts.append(f"Where the model lacks it: {_plain(effect.signature)}.\n")
+        parts += [
+            f"- Told from `{other}` by `{how.experiment}`: {_plain(how.why)}."
+            for other, how in effect.told_from.items()
+        ]
+        parts += [""] if effect.told_from else []
+        rows = [
+            [
+                f"`{p.name}`",
+                p.unit,
+                p.role,
+                f"{p.neutral:g}",
+                f"{p.low:g} to {p.high:g}",
+                f"{p.smallest_of_interest:g}",
+                _plain(", ".join([p.meaning, *(f"{n}: {c}" for n, c in enumerate(p.choices))])),
+            ]
+            for p in effect.parameters
+        ]
+        head = ["key", "unit", "role", "neutral", "range", "smallest of interest", "meaning"]
+        parts += [format_table(head, rows), ""]
+    return "\n".join(parts)
+
+
+def _code(names: Iterable[str]) -> str:
+    return " ".join(f"`{name}`" for name in names)
+
+
+def _effects_at(place: str) -> list[str]:
+    return [
+        name
+        for name, effect in CATALOGUE.items()
+        if any(entry.place == place for entry in effect.entries)
+    ]
+
+
+def write_shipped_files() -> str:
+    """Return the page of the files under config/, by what each says of itself."""
+    parts = [
+        "# Shipped files\n",
+        _HEAD,
+        "\nThe options `--controller`, `--experiment`, `--rig` and `--plant` take these names, or "
+        "the path of a file of your own.\n",
+    ]
+    for folder in ("controller", "experiment", "rig", "plant"):
+        rows = [
+            [f"`{path.stem}`", _plain(_first_words(path))]
+            for path in sorted((ROOT / "config" / folder).glob("*.yaml"))
+        ]
+        parts += [f"## `--{folder}`\n", format_table(["name", "what"], rows), ""]
+    return "\n".join(parts)
+
+
+def _first_words(path: Path) -> str:
+    """Return the first line of a file's comment, the schema's line left out."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    comment = (line[1:].strip() for line in lines if line.startswith("#"))
+    return next(line for line in comment if not line.startswith("yaml-language-server"))
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "verbs": write_verbs,
+    "settings": write_settings,
+    "log-schema": write_log_schema,
+    "exit-codes": write_exit_codes,
+    "effects": write_effects,
+    "shipped-files": write_shipped_files,
+}
+
+
+def main() -> int:
+    """Write or check the pages; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--check", action="store_true", help="only say which pages differ")
+    check = parser.parse_args().check
+    differ = []
+    for name, write in PAGES.items():
+        path, text = REFERENCE / f"{name}.md", write().rstrip() + "\n"
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            differ.append(name)
+            if not check:
+                path.write_text(text, encoding="utf-8")
+    for name in differ:
+        print(f"{name}: {'differs from the code' if check else 'written'}")
+    return exit_codes.ExitCode.CHECK_FAILED if check and differ else exit_codes.ExitCode.OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

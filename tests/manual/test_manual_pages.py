@@ -1,0 +1,114 @@
+"""README and manual: links resolve, commands parse, pages that the code knows agree with it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from check_manual import read_blocks
+from generate_reference import PAGES, REFERENCE, walk_verbs
+
+from pamctl.manual import KINDS, UnknownPageError, list_pages, read_page
+
+ROOT = Path(__file__).resolve().parents[2]
+FILES = {"README": ROOT / "README.md", **{page.name: page.path for page in list_pages()}}
+_LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+_CODE = re.compile(r"^ *```.*?^ *```$|`[^`\n]*`", re.DOTALL | re.MULTILINE)
+
+
+def anchors_of(path: Path) -> set[str]:
+    """Return the anchors of a page's headings, as repository hosts make them."""
+    headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_link_resolves(name: str) -> None:
+    text = _CODE.sub("", FILES[name].read_text(encoding="utf-8"))
+    for link in _LINK.findall(text):
+        if re.match(r"https?:", link):
+            continue
+        target, _, anchor = link.partition("#")
+        path = (FILES[name].parent / target).resolve() if target else FILES[name]
+        assert path.exists(), link
+        if anchor:
+            assert anchor in anchors_of(path), link
+
+
+def test_the_list_holds_every_file_of_the_manual_once() -> None:
+    pages = list_pages()
+    files = {path.resolve() for path in (ROOT / "pamctl" / "manual").rglob("*.md")}
+    assert {page.path.resolve() for page in pages} == files
+    assert len({page.name for page in pages}) == len(pages)
+    assert {page.kind for page in pages} == set(KINDS.values())
+
+
+def test_every_page_can_be_reached_from_the_readme() -> None:
+    reached, waiting = set(), [FILES["README"]]
+    while waiting:
+        path = waiting.pop()
+        if path in reached:
+            continue
+        reached.add(path)
+        for link in _LINK.findall(path.read_text(encoding="utf-8")):
+            target = (path.parent / link.partition("#")[0]).resolve()
+            waiting += sorted(target.glob("*.md")) if target.is_dir() else []
+            waiting += [target] if target.suffix == ".md" and target.exists() else []
+    assert {page.path.resolve() for page in list_pages()} <= reached
+
+
+def test_the_readme_is_one_page() -> None:
+    text = FILES["README"].read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 180
+    assert len(text.split()) <= 1200
+
+
+def test_a_page_is_read_by_its_name() -> None:
+    assert read_page("first-run").startswith("# First run\n")
+
+
+@pytest.mark.parametrize("name", ["first-ran", "First-Run", "first-run.md"])
+def test_an_unknown_page_is_refused_with_the_nearest_name(name: str) -> None:
+    with pytest.raises(UnknownPageError, match="did you mean 'first-run'"):
+        read_page(name)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_reference_pages_are_those_that_the_code_makes(name: str) -> None:
+    committed = (REFERENCE / f"{name}.md").read_text(encoding="utf-8")
+    assert committed == PAGES[name]().rstrip() + "\n", (
+        f"{name}.md differs from the code: run `python scripts/generate_reference.py`"
+    )
+
+
+def shown_commands(text: str) -> Iterator[list[str]]:
+    """Return the words of every `pamctl` command of a page, in blocks and within sentences."""
+    lines = [line for block in read_blocks(text) for line in block.commands]
+    prose = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.DOTALL | re.MULTILINE)
+    lines += re.findall(r"`(pamctl [^`\n]*)`", prose)
+    for line in lines:
+        for part in re.split(r"\|\||&&|[;|&]|\bdo\b|\buntil\b", re.sub(r"'[^']*'", "X", line)):
+            words = shlex.split(part, comments=True)
+            if words and Path(words[0]).name == "pamctl":
+                yield words[1:]
+
+
+VERBS = {words.removeprefix("pamctl "): command for words, command in walk_verbs()}
+GROUPS = {verb.split()[0] for verb in VERBS if " " in verb}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_command_has_a_verb_and_options_that_exist(name: str) -> None:
+    for words in shown_commands(FILES[name].read_text(encoding="utf-8")):
+        if not words or not re.fullmatch(r"[a-z]+", words[0]):
+            continue  # `pamctl VERB`, or `pamctl --help`
+        verb = " ".join(words[:2]) if words[0] in GROUPS else words[0]
+        if verb in GROUPS:
+            continue
+        assert verb in VERBS, words
+        known = {"--help"} | {name for param in VERBS[verb].params for name in param.opts}
+        used = {word.partition("=")[0] for word in words if re.match(r"--[a-z]", word)}
+        assert used <= known, words

@@ -1,14 +1,15 @@
 """Kill and freeze every process of real runs at random moments, over simulation and stand-in card.
 
     python scripts/fault_rounds.py --rounds 20 --resume faults.jsonl > faults.json
+    python scripts/fault_rounds.py --pairs --rounds 5 > pairs.json
 
 JSON on stdout, a line for each round and a table on stderr; exit code 3 if anything went wrong.
 Ctrl-C ends it with the results so far (130). With `--resume` each finished round is stored, and
-stored rounds are not run again. A round is one real run in real time with one real signal. After
-it, the output must be at the safe voltage, the log complete to the last tick before the signal, the
-exit code as documented, nothing left behind, and the next start clean. The output is watched all
-the time, as with a voltmeter; its clock starts before the signal is sent. The card is the stand-in
-of the tests: it needs gcc.
+stored rounds are not run again. A round is one real run in real time with one real signal, or with
+`--pairs` two of them within 30 ms. After it, the output must be at the safe voltage, the log
+complete to the last tick before the signal, the exit code as documented, nothing left behind, and
+the next start clean. The output is watched all the time, as with a voltmeter; its clock starts
+before the last signal is sent. The card is the stand-in of the tests: it needs gcc.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from itertools import permutations
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -54,6 +56,11 @@ PROCESSES = {
     "front": "",
 }
 SIGNALS = {"killed": signal.SIGKILL, "frozen": signal.SIGSTOP}
+PAIR_WITHIN_S = 0.03
+
+Fault = tuple[str, str]
+"""A process and what happens to it."""
+FAULTS: list[Fault] = [(process, what) for process in PROCESSES for what in SIGNALS]
 
 
 class Bench(NamedTuple):
@@ -152,42 +159,52 @@ def require(holds: bool, what: str) -> None:
         raise Amiss(what)
 
 
-def expected_code(process: str, signal_name: str) -> int:
+def expected_code(faults: Sequence[Fault]) -> int:
     """Return the documented exit code for this end."""
-    if process == "front":
-        return -signal.SIGKILL if signal_name == "killed" else 130
-    return 1
+    if ("front", "killed") in faults:
+        return -signal.SIGKILL
+    return 130 if list(faults) == [("front", "frozen")] else 1
 
 
-def round_of(bench: Bench, process: str, signal_name: str, log: Path) -> dict[str, Any]:
-    """Run once with one signal; return time until safe (ms) and ticks lost. Raises `Amiss`."""
+def round_of(bench: Bench, faults: Sequence[Fault], log: Path) -> dict[str, Any]:
+    """Run once with these faults; return time until safe (ms) and ticks lost. Raises `Amiss`."""
     run = Run(bench, log)
     pids: dict[str, int] = {}
     try:
         pids = run.pids()
         with Ring.attach(run.ring()) as ring:
             run.await_motion(ring)
-            began_s = time.perf_counter()
-            os.kill(pids[process], SIGNALS[signal_name])
-            if process == "front" and signal_name == "frozen":
+            for index, (process, what) in enumerate(faults):
+                time.sleep(random.uniform(0.0, PAIR_WITHIN_S) if index else 0.0)
+                began_s = time.perf_counter()
+                send(pids[process], SIGNALS[what])
+            if list(faults) == [("front", "frozen")]:
                 # A frozen front harms nobody: the run goes on, and can be ended.
                 time.sleep(0.3)
-                os.kill(pids["front"], signal.SIGCONT)
+                send(pids["front"], signal.SIGCONT)
                 began_s = time.perf_counter()
                 run.front.send_signal(signal.SIGINT)
             took_ms = run.await_safe(began_s)
             tick = ring.latest_tick()
+        for pid in pids.values():  # those that nobody had to kill go on, and end
+            send(pid, signal.SIGCONT)
         code = run.await_end(pids)
     finally:
         for pid in pids.values():
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+            send(pid, signal.SIGKILL)
         run.front.communicate()
-    require(code == expected_code(process, signal_name), f"exit code {code}")
+    require(code == expected_code(faults), f"exit code {code}")
     require(abs(bench.output_v() - SAFE_V) <= AO_STEP_V, f"{bench.output_v()} V after the end")
+    # With front and recorder dead the ring waits for the next start, which finishes the log.
+    next_start(bench, log.with_suffix(".next.mcap"))
     require(not list(SHARED_MEMORY.glob(f"pamctl-{run.front.pid}-*")), "a ring is left behind")
     assert tick is not None
     return {"safe_after_ms": took_ms, "ticks_lost": ticks_lost(log, int(tick["tick"]))}
+
+
+def send(pid: int, number: int) -> None:
+    with suppress(ProcessLookupError):
+        os.kill(pid, number)
 
 
 def ticks_lost(path: Path, last: int) -> int:
@@ -206,23 +223,30 @@ def next_start(bench: Bench, log: Path) -> None:
     require(run.front.returncode == 0, f"the next start: {said.decode().strip()}")
 
 
-def rounds(count: int, timing: str, done: Counter[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+def list_faults(*, pairs: bool) -> list[tuple[Fault, ...]]:
+    """List every fault, or every ordered pair of faults of two processes."""
+    if not pairs:
+        return [(fault,) for fault in FAULTS]
+    return [(one, other) for one, other in permutations(FAULTS, 2) if one[0] != other[0]]
+
+
+def rounds(
+    count: int, timing: str, done: Counter[str], *, pairs: bool = False
+) -> Iterator[tuple[str, dict[str, Any]]]:
     """Run all cases in turn, so that all see the same PC, without the rounds in `done`."""
     with tempfile.TemporaryDirectory() as temporary, benches(Path(temporary), timing) as both:
         cases = [
-            (f"{bench.name} {process} {signal_name}", bench, process, signal_name)
+            (f"{bench.name} {', '.join(map(' '.join, faults))}", bench, faults)
             for bench in both
-            for process in PROCESSES
-            for signal_name in SIGNALS
+            for faults in list_faults(pairs=pairs)
         ]
         for index in range(count):
-            for case, bench, process, signal_name in cases:
+            for case, bench, faults in cases:
                 if index < done[case]:
                     continue
-                log = Path(temporary) / f"{case}-{index}.mcap".replace(" ", "-")
+                log = Path(temporary) / f"{case}-{index}.mcap".replace(" ", "-").replace(",", "")
                 try:
-                    found = round_of(bench, process, signal_name, log)
-                    next_start(bench, log.with_suffix(".next.mcap"))
+                    found = round_of(bench, faults, log)
                 except (Amiss, subprocess.TimeoutExpired) as amiss:
                     found = {"amiss": str(amiss)}
                 yield case, found
@@ -233,15 +257,16 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--timing", choices=["on_demand", "hardware_timed"], default="on_demand")
     parser.add_argument("--resume", type=Path, metavar="FILE", help="file that stores each round")
+    parser.add_argument("--pairs", action="store_true", help="two faults within 30 ms")
     options = parser.parse_args()
     cases = read_kept(options.resume, options.timing)
     done = Counter({case: len(found) for case, found in cases.items()})
     stopped = False
     try:
-        for case, found in rounds(options.rounds, options.timing, done):
+        for case, found in rounds(options.rounds, options.timing, done, pairs=options.pairs):
             cases.setdefault(case, []).append(found)
             print(
-                f"{case:<26}{len(cases[case]):>4}  {describe_round(found)}",
+                f"{case:<40}{len(cases[case]):>4}  {describe_round(found)}",
                 file=sys.stderr,
                 flush=True,
             )
@@ -283,12 +308,12 @@ def describe_round(found: dict[str, Any]) -> str:
 def tell(report: dict[str, dict[str, Any]]) -> None:
     """Print the table of all cases."""
     print(
-        f"{'':<26}{'rounds':>7}{'correct':>12}{'lost':>6}{'p50 ms':>9}{'max ms':>9}",
+        f"{'':<40}{'rounds':>7}{'correct':>12}{'lost':>6}{'p50 ms':>9}{'max ms':>9}",
         file=sys.stderr,
     )
     for case, row in report.items():
         print(
-            f"{case:<26}{row['rounds']:>7}{row['well']:>12}{row['ticks_lost']:>6}"
+            f"{case:<40}{row['rounds']:>7}{row['well']:>12}{row['ticks_lost']:>6}"
             f"{row['safe_after_ms']['p50']:>9.1f}{row['safe_after_ms']['max']:>9.1f}",
             file=sys.stderr,
         )

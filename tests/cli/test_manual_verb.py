@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pamctl.manual import list_pages, read_page
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
+from pamctl.manual import list_pages, read_page
 
 
 def test_without_a_page_it_lists_every_page_below_its_kind() -> None:

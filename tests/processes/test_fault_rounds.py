@@ -25,7 +25,7 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
     kept = tmp_path / "faults.jsonl"
     monkeypatch.setattr("sys.argv", ["fault_rounds.py", "--resume", str(kept)])
 
-    def stopped(count, timing, done):
+    def stopped(count, timing, done, *, pairs):
         yield from ROUNDS
         raise KeyboardInterrupt
 
@@ -40,7 +40,9 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
     with kept.open("a") as file:
         file.write('{"timing": "on_dem')  # killed while it wrote
     asked = []
-    monkeypatch.setattr(script, "rounds", lambda count, timing, done: asked.append(done) or ())
+    monkeypatch.setattr(
+        script, "rounds", lambda count, timing, done, *, pairs: asked.append(done) or ()
+    )
     assert script.main() == 3
     assert asked == [{"sim loop killed": 1, "sim loop frozen": 1}]
     assert json.loads(capsys.readouterr().out)["cases"]["sim loop killed"]["well"] == 1
@@ -55,3 +57,10 @@ def test_rounds_that_are_done_are_left_out(script, monkeypatch: pytest.MonkeyPat
     rest = [case for case, _ in script.rounds(2, "on_demand", done)]
     assert len(rest) == len(all_of_them) - 3
     assert all_of_them[0] not in rest
+
+
+def test_pairs_are_all_ordered_pairs_of_two_processes(script) -> None:
+    pairs = script.list_faults(pairs=True)
+    assert len(pairs) == len({*pairs}) == 4 * 3 * 2 * 2
+    assert all(one[0] != other[0] for one, other in pairs)
+    assert (("loop", "frozen"), ("guardian", "killed")) in pairs

@@ -1,5 +1,5 @@
-"""Volts and counts of one test rig: the hardware, and nothing of muscles.
+"""Volts and counts of a test rig: the hardware, and nothing about muscles.
 
-`rig.py` is the contract that every backend keeps. Each backend has a folder.
-Read `rig.py` first, then `calibration.py`, then `sim/`.
+`rig.py` is the contract of every rig, `backend.py` the record that makes one known.
+Read `rig.py` first, then `backend.py`, then `sim/`.
 """

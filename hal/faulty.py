@@ -1,18 +1,18 @@
-"""A rig that goes wrong on purpose, for tests and for rehearsals.
+"""A rig that fails on purpose, for tests and for rehearsals.
 
-Wraps any rig; each fault begins at the n-th read (or write) after opening.
+It wraps any rig. Each fault begins at a given read after opening.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from hal.configured import Configured
-from hal.rig import RawSample, Rig, RigError
+from hal.rig import RawSample, Rig, RigError, RigIdentity
 
 FaultKind = Literal[
     "stuck_encoder",
@@ -54,7 +54,7 @@ class FaultSettings(Configured):
 
 
 class FaultyRig:
-    """Passes everything through to `inner`, except what its faults spoil."""
+    """Passes every call to `inner`, and changes what its faults spoil."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class FaultyRig:
         self._first.clear()
 
     def read(self) -> RawSample:
-        """Sample the inner rig and spoil what is due."""
+        """Sample the inner rig and apply the faults that are due."""
         self._reads += 1
         self._fail_if_due("read_error", "device_lost")
         sample = self._inner.read()
@@ -87,9 +87,10 @@ class FaultyRig:
         return sample
 
     def write(self, ao_v: float) -> float:
-        """Write to the inner rig unless the device is gone.
+        """Write to the inner rig unless the device is lost.
 
-        A valve that is stuck does not answer to the output, which knows nothing of it.
+        The voltage returned is the one asked for even where the valve is stuck: a real output
+        cannot see its valve.
         """
         self._fail_if_due("write_error", "device_lost")
         for fault in self._faults:
@@ -99,21 +100,23 @@ class FaultyRig:
         return self._inner.write(ao_v)
 
     def make_safe(self) -> None:
-        """Make the inner rig safe. A lost device is safe only because the inner one is real."""
+        """Make the inner rig safe, even where the fault says that the device is lost."""
         self._inner.make_safe()
 
     @property
     def safe_failure(self) -> RigError | None:
-        """What kept the inner rig from its safe voltage."""
+        """Why the inner rig could not drive its safe voltage; None where it did."""
         return self._inner.safe_failure
 
     def close(self) -> None:
         """Close the inner rig."""
         self._inner.close()
 
-    def describe(self) -> Mapping[str, object]:
-        """Name the inner rig and the faults."""
-        return {**self._inner.describe(), "faults": [fault.model_dump() for fault in self._faults]}
+    def describe(self) -> RigIdentity:
+        """Describe the inner rig, and add the faults."""
+        identity = self._inner.describe()
+        faults = [fault.model_dump() for fault in self._faults]
+        return identity._replace(extra={**identity.extra, "faults": faults})
 
     def _is_due(self, fault: FaultSettings) -> bool:
         return fault.from_tick <= self._reads < fault.from_tick + fault.ticks

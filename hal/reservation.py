@@ -1,8 +1,7 @@
-"""Who holds a device: a lock that dies with its owner, even by SIGKILL.
+"""Who holds a device: a lock that ends with its owner, even by SIGKILL.
 
-The kernel drops a `flock` when the last descriptor of its owner goes, so there is nothing
-to clean up after a crash and no stale lock file to explain. The file itself stays, and
-carries the owner's process id for the one who is refused.
+The kernel drops a `flock` when the last descriptor of its owner is closed, so a crash leaves no
+stale lock. The file itself stays; it carries the owner's process id for the message to others.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ _PID = "20d"
 
 
 def open_shared(path: Path, size: int) -> int:
-    """Open a file of at least `size` bytes, zeros at first, that any user of this PC may hold.
+    """Open a file of at least `size` bytes (zeros at first) that every user of this PC may lock.
 
-    Raises `RigError` where that is not possible.
+    Raises `RigError` where this is not possible.
     """
     flags = os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW
     try:
@@ -42,7 +41,7 @@ def reserve(fd: int, what: str, pid_at: int = 0) -> None:
 
     `pid_at` is where in the file the owner's process id stands.
     """
-    import fcntl  # not on every system where a log is replayed, and a rig file is read
+    import fcntl  # replay works on systems that have none
 
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

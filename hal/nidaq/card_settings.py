@@ -1,4 +1,4 @@
-"""How the rig is wired to an NI M Series card, as a rig file says it."""
+"""How the rig is wired to an NI M Series card: the section `nidaq` of a rig file."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""NI-DAQmx's error numbers that a user can do something about, and what.
+"""The error numbers of NI-DAQmx that a user can act on, each with its fix.
 
-Numbers, not the package's names: those differ between its versions, and a warning's name
-from its error's.
+Numbers rather than the package's names: names differ between versions of the package, and
+between a warning and its error.
 """
 
 from __future__ import annotations
@@ -13,11 +13,16 @@ INSTALL = (
     "and check that `nilsdev` lists the card; or run with --backend sim"
 )
 
+PACKAGE_BROKEN = "move a broken .env or settings.ini out of this directory, or reinstall pamctl"
+
 ON_DEMAND = "set nidaq.timing: on_demand in the rig file"
-_NOT_TIMED = f"this card does not do it so: {ON_DEMAND}"
+_NOT_TIMED = f"this card cannot do this: {ON_DEMAND}"
 
 LATE = frozenset({-209800, -209801, -209802, -209803})
-"""A read or a write was not done when the next edge of the sample clock came."""
+"""A read or a write was not done before the next edge of the sample clock."""
+
+BUSY_CODES = frozenset({-50103, -200022})
+"""Another program holds a part of the card."""
 
 _BUSY = "another program holds this part of the card: end it (a run of pamctl? a test panel?)"
 _ABSENT = (
@@ -28,8 +33,7 @@ _TIMEOUT = "the card did not answer in time: is the PC overloaded, or the card f
 _OUTPUT_RANGE = "check nidaq.output_low_v and nidaq.output_high_v of the rig file"
 
 FIXES: Mapping[int, str] = {
-    -50103: _BUSY,
-    -200022: _BUSY,
+    **dict.fromkeys(BUSY_CODES, _BUSY),
     -50152: "the driver cannot talk to the card: reboot, and check that its kernel modules load",
     -200077: "the card does not offer a value of section nidaq of the rig file (its timing?)",
     -200170: "the card has no such channel: check the channels in section nidaq of the rig file",

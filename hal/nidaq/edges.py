@@ -1,40 +1,29 @@
 """Where the edges of a card's sample clock lie on the computer's clock.
 
-A card that samples by a clock of its own does not say when. All that a program sees is when its
-blocking read returned: never before the edge, and later by whatever the computer took to wake.
-So the earliest returns show where the edges are, and the others how late they were. The card's
-crystal and the computer's part by some ten microseconds a second, and the grid goes with them.
+A card that samples by its own clock does not say when. A program sees only when its blocking
+read returned: never before the edge, and later by the time that the computer took to wake up.
+So the earliest returns show where the edges lie, and the other returns show how late they were.
+The crystals of card and computer differ by some ten microseconds a second; the grid follows.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-
-class Edge(NamedTuple):
-    """One edge of the sample clock, as a blocking read met it."""
-
-    t_ns: int
-    """When the sample was taken, on the computer's clock."""
-    now_ns: int
-    """When the read returned: not before `t_ns`."""
-    elapsed: int
-    """Edges since the one that was met before; 1 where none was missed."""
+from hal.rig import Edge
 
 
 class EdgeGrid:
     """Finds the edge that a read belongs to, from the time of its return.
 
-    Right as long as reads return within nine tenths of a period of their edge, or else miss it.
+    This is right for reads that return within nine tenths of a period after their edge.
     """
 
     def __init__(self, period_ns: int) -> None:
         """`period_ns` is the distance of two edges by the card's clock."""
         self._period_ns = period_ns
-        # The grid goes this much slower than the nominal one: it can only be pulled back, by a
-        # read that returns before its edge. Twice what two good crystals differ by.
+        # The grid runs this much slower than nominal, twice the difference of two good crystals:
+        # a read that returns early can pull the grid back, and nothing can push it forward.
         self._creep_ns = period_ns // 10_000
-        # A return so little before an edge is that edge's, and not a very late one of the last.
+        # A return this little before an edge belongs to that edge, not to the one before.
         self._slack_ns = period_ns // 20
         self._t_ns: int | None = None
 

@@ -1,19 +1,19 @@
-"""The NI card by its own sample clock: hardware-timed single points.
+"""The NI card paced by its own sample clock: hardware-timed single points.
 
-The converter samples at a fixed rate, whatever the computer does; the counter is latched and the
-output put out at the same edges. A tick begins when the blocking read of an edge's sample returns,
-so the card paces the loop. What the loop writes is put out at the next edge: one tick later, and
-exactly one.
+The converter samples at a fixed rate, whatever the computer does. At the same edges the counter
+is latched and the output is updated. A tick begins when the blocking read of an edge's sample
+returns, so the card paces the loop. What the loop writes is put out at the next edge, exactly one
+tick later.
 
-NI has a function that waits for the next edge and says whether it came too late. Its Python
-package does not offer it, and this project does not go behind the package: a missed edge shows in
-the time between two reads, and in the driver's lateness codes where it gives them.
+NI's driver has a function that waits for the next edge and says whether it came too late. NI's
+Python package does not offer it, and this project does not bypass the package. A missed edge
+shows in the time between two reads, and in the driver's lateness codes where it gives them.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import ParamSpec, TypeVar
 
@@ -22,7 +22,7 @@ from nidaqmx.errors import DaqError
 
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver_errors import LATE
-from hal.nidaq.edges import Edge, EdgeGrid
+from hal.nidaq.edges import EdgeGrid
 from hal.nidaq.on_demand import (
     NidaqRig,
     TaskCalls,
@@ -35,7 +35,7 @@ from hal.nidaq.on_demand import (
     raise_rig_errors,
     require_card,
 )
-from hal.rig import RawSample
+from hal.rig import Edge, RawSample, RigIdentity
 
 _LATE_TRIES = 3
 
@@ -54,14 +54,14 @@ class HardwareTimedRig(NidaqRig):
         safe_output_v: float,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """`rate_hz` is that of the sample clock, and so of the loop."""
+        """`rate_hz` is the rate of the sample clock and of the loop."""
         super().__init__(settings, safe_output_v=safe_output_v, now_ns=now_ns)
         self._rate_hz = rate_hz
         self._grid = self._make_grid()
         self._awaited: tuple[Edge, float] | None = None
 
     def await_edge(self) -> Edge:
-        """Wait for a sample that has not been read; `read` then returns it.
+        """Wait for a sample that has not been read yet; `read` then returns it.
 
         Raises `RigError` where the card does not sample within the timeout.
         """
@@ -83,14 +83,14 @@ class HardwareTimedRig(NidaqRig):
             counts = self._unwrap(wired.read_count(self._settings.timeout_s))
         return RawSample(volts, counts, edge.t_ns, edge.t_ns)
 
-    def describe(self) -> Mapping[str, object]:
-        """Say, beyond what is wired, by which clock and how late the output is."""
-        return {
-            **super().describe(),
-            "output_delay_ticks": 1,
-            "sample_clock": self._sample_clock,
-            "sample_rate_hz": self._rate_hz,
-        }
+    def describe(self) -> RigIdentity:
+        """Add the clock, its rate, and the output's delay to what is wired."""
+        identity = super().describe()
+        return identity._replace(
+            output_delay_ticks=1,
+            sample_clock=self._sample_clock,
+            extra={**identity.extra, "sample_rate_hz": self._rate_hz},
+        )
 
     @property
     def _sample_clock(self) -> str:
@@ -100,9 +100,10 @@ class HardwareTimedRig(NidaqRig):
         return EdgeGrid(round(1e9 / self._rate_hz))
 
     def _wire(self, acquired: ExitStack) -> TaskCalls:
-        """Start what follows the clock before what makes it; stop output, input, counter.
+        """Start the tasks that follow the clock before the task that makes it.
 
-        The safe voltage goes out on demand before that: the sample clock has no edges yet.
+        The safe voltage goes out on demand before that, because the sample clock has no edges
+        yet. The tasks stop in the order output, input, counter.
         """
         settings = self._settings
         self._write_on_demand(self._safe_v)
@@ -126,7 +127,7 @@ class HardwareTimedRig(NidaqRig):
         )
 
     def _retry_if_late(self, call: Callable[P, R]) -> Callable[P, R]:
-        """Count what came too late for its edge, and do it for the next one."""
+        """Repeat a call that came too late for its edge, and count it."""
 
         def patient(*arguments: P.args, **options: P.kwargs) -> R:
             for _ in range(_LATE_TRIES):
@@ -144,6 +145,6 @@ class HardwareTimedRig(NidaqRig):
         """Write the safe voltage and wait until it is out."""
         super()._write_safe_as_wired(wired)
         self._awaited = None
-        # One sample may have been lying there; the edge of the next one comes after the write.
+        # One unread sample may be waiting; the edge of the next one comes after the write.
         for _ in range(2):
             wired.read_v(self._settings.timeout_s)

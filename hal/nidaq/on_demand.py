@@ -1,13 +1,13 @@
-"""The NI card, through NI-DAQmx: this file and `nidaq_timed.py` alone import nidaqmx.
+"""The NI card through NI-DAQmx, paced by the computer.
 
 On-demand timing: the loop's clock decides when, and each read or write is one driver call of
-some microseconds. That holds only for tasks that run already, through the stream readers and
-writers; `Task.read` and `Task.write` cost ten times as much, and a task that does not run is
-started and stopped for every call, which sets an encoder back to zero each time.
+some microseconds. This holds only for tasks that already run, through the stream readers and
+writers. `Task.read` and `Task.write` cost ten times as much. A task that does not run is started
+and stopped by every call, which sets the encoder back to zero each time.
 
-An M Series card has no watchdog and holds its last output voltage when a task stops, a
-process dies, or the driver unloads. So the safe voltage is what `open` writes first and what
-every way out writes last.
+An M Series card has no watchdog and holds its last output voltage when a task stops, a process
+dies, or the driver unloads. So `open` writes the safe voltage first, and every way out writes
+it last.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ from nidaqmx.system import Device, System
 from hal.converter import nearest_output_v
 from hal.nidaq.card_settings import NidaqSettings, card_output
 from hal.nidaq.driver_errors import INSTALL, ON_DEMAND, fix_of
-from hal.rig import RawSample, RigError
+from hal.rig import RawSample, RigError, RigIdentity
 
 STAND_IN_SERIAL = 0xDECAF
 """Serial number of the driver that stands in for a card in this project's tests."""
 STAND_IN_PERMIT = "PAMCTL_PERMIT_STAND_IN"
-"""Environment variable that lets it: set by tests, and by nobody else."""
+"""Environment variable that permits it; only tests set it."""
 
 _COUNTER_SPAN = 1 << 32
 _TIMED_BUSES = (BusType.PCI, BusType.PCIE, BusType.PXI, BusType.PXIE)
 
 _NO_DRIVER = (DaqNotFoundError, DaqNotSupportedError)
-# ctypes refuses arguments in its own words, the loader a broken library in the system's;
-# ValueError is a count that is no number.
+# ArgumentError: ctypes refuses an argument. OSError: the library cannot be loaded.
+# ValueError: a count is not a number.
 _FAILURES = (DriverError, ctypes.ArgumentError, OSError, ValueError)
 
-# Within the heartbeat: a loop that tries for longer is killed, and its reason lost. The guardian
-# goes on trying.
+# Shorter than the heartbeat: a loop that tries for longer is killed, and its reason is lost. The
+# guardian goes on trying.
 _SAFE_TRIES = 6
 _SAFE_TRIES_AS_OPEN = 2
 _SAFE_RETRY_S = 5e-3
@@ -62,7 +62,7 @@ _task_number = count()
 
 
 def require_card(settings: NidaqSettings) -> Mapping[str, object]:
-    """Load the driver and find the card; return who they are, as `describe` tells it.
+    """Load the driver and find the card; return their versions and names for `describe`.
 
     Raises `RigError` where one is missing, or where the card is the tests' stand-in.
     """
@@ -72,7 +72,7 @@ def require_card(settings: NidaqSettings) -> Mapping[str, object]:
         serial = int(device.serial_num)
         bus = device.bus_type
         identity = {
-            "library": _find_loaded_library(),
+            "library": find_loaded_library(),
             "driver_version": ".".join(map(str, version)),
             "product_type": str(device.product_type),
             "serial_number": f"{serial:X}",
@@ -85,14 +85,14 @@ def require_card(settings: NidaqSettings) -> Mapping[str, object]:
         )
     if serial == STAND_IN_SERIAL and STAND_IN_PERMIT not in os.environ:
         raise RigError(
-            f"{settings.device} is no card but the stand-in of pamctl's tests, "
+            f"{settings.device} is not a card: it is the stand-in driver of pamctl's tests, "
             f"in {identity['library']}",
             fix="take its directory out of LD_LIBRARY_PATH",
         )
     return identity
 
 
-def _find_loaded_library() -> str:
+def find_loaded_library() -> str:
     """Return the path of the driver library that this process has really loaded."""
     for mapping in Path("/proc/self/maps").read_text().splitlines():
         if "/libnidaqmx.so" in mapping:
@@ -100,11 +100,11 @@ def _find_loaded_library() -> str:
     return ""
 
 
-# --- the driver's troubles ---------------------------------------------------------------
+# --- errors of the driver ---------------------------------------------------------------
 
 
 def _make_rig_error(doing: str, error: Exception) -> RigError:
-    """Say what the driver said, with its number and with what to do about it."""
+    """Return the driver's message with its error number and its fix."""
     if isinstance(error, _NO_DRIVER):
         return RigError("no NI-DAQmx driver on this computer", fix=INSTALL)
     said = str(error).strip().partition("\n")[0]
@@ -125,7 +125,7 @@ def raise_rig_errors(doing: str) -> Iterator[None]:
 
 @contextmanager
 def _divert_warnings(note: Callable[[int], None]) -> Iterator[None]:
-    """Hand the driver's warnings over instead of printing one in every tick."""
+    """Count the driver's warnings instead of printing one in every tick."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", DaqWarning)
         show = warnings.showwarning
@@ -167,7 +167,7 @@ def make_pressure_task(settings: NidaqSettings) -> Iterator[Task]:
     with _make_task("pressure") as task:
         task.ai_channels.add_ai_voltage_chan(
             f"{settings.device}/{settings.pressure_channel}",
-            # Never the default: that is differential, and half of the sensor would hang loose.
+            # The default is differential: the sensor's ground would be left unconnected.
             terminal_config=TerminalConfiguration[settings.terminal.upper()],
             min_val=settings.input_low_v,
             max_val=settings.input_high_v,
@@ -182,9 +182,9 @@ def make_encoder_task(settings: NidaqSettings) -> Iterator[Task]:
         channel = task.ci_channels.add_ci_lin_encoder_chan(
             f"{settings.device}/{settings.encoder_counter}",
             decoding_type=EncoderType.X_4,
-            # The index would set the count back in the middle of a motion.
+            # The index would reset the count in the middle of a motion.
             zidx_enable=False,
-            # The scale lies in the calibration, and nowhere else.
+            # The scale is in the calibration only.
             units=LengthUnits.TICKS,
             initial_pos=0.0,
         )
@@ -198,7 +198,7 @@ def make_encoder_task(settings: NidaqSettings) -> Iterator[Task]:
 
 
 def make_valve_writer(task: Task) -> Callable[[float, float], None]:
-    """Return what writes volts within a timeout (s); the task must run."""
+    """Return a function that writes volts within a timeout (s); the task must run."""
     write: Callable[[float, float], None] = AnalogSingleChannelWriter(
         task.out_stream, auto_start=False
     ).write_one_sample
@@ -206,19 +206,19 @@ def make_valve_writer(task: Task) -> Callable[[float, float], None]:
 
 
 def make_count_reader(task: Task) -> Callable[[float], float]:
-    """Return what reads the counter within a timeout (s)."""
+    """Return a function that reads the counter within a timeout (s)."""
     read: Callable[[float], float] = CounterReader(task.in_stream).read_one_sample_double
     return read
 
 
 def make_volt_reader(task: Task) -> Callable[[float], float]:
-    """Return what reads the input's volts within a timeout (s)."""
+    """Return a function that reads the input's volts within a timeout (s)."""
     read: Callable[[float], float] = AnalogSingleChannelReader(task.in_stream).read_one_sample
     return read
 
 
 class TaskCalls(NamedTuple):
-    """What the running tasks do; each is called with its timeout (s) last."""
+    """The calls of the running tasks; each takes its timeout (s) last."""
 
     write_v: Callable[[float, float], None]
     read_count: Callable[[float], float]
@@ -231,8 +231,7 @@ class TaskCalls(NamedTuple):
 def unwrap_count(last: int, reading: int) -> int:
     """Return the count nearest to `last` that a 32-bit counter shows as `reading`.
 
-    Whether the counter shows what lies below zero as negative or from 2^32 down makes no
-    difference.
+    It makes no difference whether the counter shows -1 as -1 or as 2^32 - 1.
     """
     half = _COUNTER_SPAN // 2
     return last + (reading - last + half) % _COUNTER_SPAN - half
@@ -273,7 +272,7 @@ class NidaqRig:
             self._wired, self._tasks = wired, acquired.pop_all()
 
     def read(self) -> RawSample:
-        """Read the encoder, then the pressure; each time is that of the asking."""
+        """Read the encoder, then the pressure; each time is taken just before its call."""
         wired = self._require_open()
         timeout_s, doing = self._settings.timeout_s, "reading the encoder"
         try:
@@ -301,14 +300,14 @@ class NidaqRig:
     def make_safe(self) -> None:
         """Drive the safe voltage, over the running task or over one of its own.
 
-        Tried several times: a process that was killed may hold the output for a moment
-        longer. Where even that fails `safe_failure` says why. An output whose task fails
-        twice is released and taken anew; the rig must then be opened again to go on.
+        It tries several times, because a killed process may hold the output a moment longer.
+        If every try fails, `safe_failure` says why. An output whose task fails twice is
+        released and reserved again; to go on, the rig must then be opened again.
         """
         for attempt in range(_SAFE_TRIES):
             try:
                 self._drive_safe(as_open=attempt < _SAFE_TRIES_AS_OPEN)
-            # Whatever it is: the next try is worth more than the reason.
+            # Any exception at all: the next try is worth more than the reason.
             except Exception as error:
                 self._safe_failure = error
                 if isinstance(error, _NO_DRIVER):
@@ -323,17 +322,12 @@ class NidaqRig:
         self.make_safe()
         self._release()
 
-    def describe(self) -> Mapping[str, object]:
+    def describe(self) -> RigIdentity:
         """Name terminals and ranges; once opened, also card, driver and its warnings so far."""
-        described = {
-            "backend": "nidaq",
-            "safe_output_v": self._safe_output_v,
-            **self._settings.model_dump(),
-            "output_delay_ticks": 0,
-        }
+        extra = self._settings.model_dump()
         if self._identity:
-            described |= {**self._identity, "driver_warnings": self.warnings}
-        return described
+            extra |= {**self._identity, "driver_warnings": self.warnings}
+        return RigIdentity("nidaq", self._safe_output_v, extra=extra)
 
     @property
     def warnings(self) -> Mapping[str, int]:
@@ -375,14 +369,14 @@ class NidaqRig:
         wired.write_v(self._safe_v, self._settings.timeout_s)
 
     def _write_on_demand(self, volts: float) -> None:
-        """Write over a task made for this alone; the output holds what it is left at."""
+        """Write through a task made for this write; the output then holds the voltage."""
         with make_valve_task(self._settings) as valve:
             valve.start()
             make_valve_writer(valve)(volts, self._settings.timeout_s)
 
     def _release(self) -> None:
         self._wired = None
-        # Nothing is left to be done about a task that cannot be cleared.
+        # Nothing can be done about a task that cannot be cleared.
         with suppress(Exception):
             self._tasks.close()
 

@@ -1,28 +1,37 @@
-"""What is there of an NI card, found out without moving anything: for `pamctl doctor`.
+"""What the driver says of an NI card, found out without moving anything.
 
-Tasks are reserved and let go again, an input is read; the one function that writes to the output
-says so.
+Tasks are reserved and released, an input is read. Only `try_hardware_timing` writes to the output.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from nidaqmx.constants import TaskMode, TerminalConfiguration
-from nidaqmx.stream_readers import AnalogSingleChannelReader
+from nidaqmx import Task
+from nidaqmx.constants import TaskMode
 from nidaqmx.system import Device, System
 
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.hardware_timed import HardwareTimedRig
-from hal.nidaq.on_demand import _find_loaded_library, _make_task, raise_rig_errors, require_card
+from hal.nidaq.on_demand import (
+    find_loaded_library,
+    make_encoder_task,
+    make_pressure_task,
+    make_valve_task,
+    make_volt_reader,
+    raise_rig_errors,
+    require_card,
+)
 from hal.rig import RigError, open_rig
 
 _HARDWARE_TIMED_SAMPLES = 20
 
 Range = tuple[float, float]
+TaskMaker = Callable[[NidaqSettings], AbstractContextManager[Task]]
 
 
 class Driver(NamedTuple):
@@ -42,7 +51,7 @@ class Card(NamedTuple):
     serial_number: int
     bus: str
     is_simulated: bool
-    """By NI's own driver: its counters never count."""
+    """True: simulated by NI's own driver, whose counters never count."""
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     counters: tuple[str, ...]
@@ -63,11 +72,11 @@ def identify_driver() -> Driver:
         system = System.local()
         numbers = system.driver_version
         names = tuple(device.name for device in system.devices)
-    return Driver(version("nidaqmx"), ".".join(map(str, numbers)), _find_loaded_library(), names)
+    return Driver(version("nidaqmx"), ".".join(map(str, numbers)), find_loaded_library(), names)
 
 
 def identify_card(name: str) -> Card:
-    """Ask a card who it is; raise `RigError` where it does not answer."""
+    """Ask a card for its type and parts; raise `RigError` where it does not answer."""
     with raise_rig_errors(f"looking for {name}"):
         device = Device(name)
         return Card(
@@ -84,18 +93,23 @@ def identify_card(name: str) -> Card:
 
 
 def find_conflicts(settings: NidaqSettings) -> dict[str, RigError]:
-    """Try to reserve input, counter and output; return what each that fails says, by its name."""
+    """Try to reserve input, counter and output; return the errors by the name of the part."""
+    parts: dict[str, TaskMaker] = {
+        settings.pressure_channel: make_pressure_task,
+        settings.encoder_counter: make_encoder_task,
+        settings.valve_channel: make_valve_task,
+    }
     found = {}
-    for channel in (settings.pressure_channel, settings.encoder_counter, settings.valve_channel):
+    for channel, make_task in parts.items():
         try:
-            _reserve(settings, channel)
+            _reserve(settings, channel, make_task)
         except RigError as error:
             found[channel] = error
     return found
 
 
 def find_driver_users(ignore: Sequence[int]) -> list[DriverUser]:
-    """Find other processes with the driver loaded, as far as this user may look."""
+    """Find other processes that have the driver loaded, as far as this user may see them."""
     users = []
     for process in Path("/proc").glob("[0-9]*"):
         pid = int(process.name)
@@ -112,16 +126,16 @@ def find_driver_users(ignore: Sequence[int]) -> list[DriverUser]:
 
 
 def try_on_demand_read(settings: NidaqSettings) -> RigError | None:
-    """Read the input once when asked; return why that does not work."""
+    """Read the input once on demand; return the error where it fails."""
     return _catch_rig_error(lambda: _read_on_demand(settings))
 
 
 def try_hardware_timing(
     settings: NidaqSettings, rate_hz: float, safe_output_v: float
 ) -> RigError | None:
-    """Let the card pace a few ticks, the safe voltage on its output; return why that fails.
+    """Let the card pace a few ticks with the safe voltage on its output; return the error if any.
 
-    Unlike all else here it writes: what every start of a run writes first.
+    It writes to the output, but only what every start of a run writes first.
     """
     timed = settings.model_copy(update={"timing": "hardware_timed"})
 
@@ -138,10 +152,9 @@ def try_hardware_timing(
 
 
 def _read_on_demand(settings: NidaqSettings) -> None:
-    with raise_rig_errors("reading when asked"), _make_task("probe") as task:
-        _add_input(task, settings)
+    with raise_rig_errors("reading on demand"), make_pressure_task(settings) as task:
         task.start()
-        AnalogSingleChannelReader(task.in_stream).read_one_sample(settings.timeout_s)
+        make_volt_reader(task)(settings.timeout_s)
 
 
 def _catch_rig_error(reading: Callable[[], None]) -> RigError | None:
@@ -152,28 +165,10 @@ def _catch_rig_error(reading: Callable[[], None]) -> RigError | None:
     return None
 
 
-def _reserve(settings: NidaqSettings, channel: str) -> None:
-    with raise_rig_errors(f"reserving {settings.device}/{channel}"), _make_task("probe") as task:
-        physical = f"{settings.device}/{channel}"
-        if channel == settings.pressure_channel:
-            _add_input(task, settings)
-        elif channel == settings.encoder_counter:
-            task.ci_channels.add_ci_lin_encoder_chan(physical)
-        else:
-            task.ao_channels.add_ao_voltage_chan(
-                physical, min_val=settings.output_low_v, max_val=settings.output_high_v
-            )
-        # An output keeps its voltage: a task that is reserved has written nothing.
+def _reserve(settings: NidaqSettings, channel: str, make_task: TaskMaker) -> None:
+    with raise_rig_errors(f"reserving {settings.device}/{channel}"), make_task(settings) as task:
+        # A task that is only reserved writes nothing: the output keeps its voltage.
         task.control(TaskMode.TASK_RESERVE)
-
-
-def _add_input(task, settings: NidaqSettings) -> None:  # type: ignore[no-untyped-def]
-    task.ai_channels.add_ai_voltage_chan(
-        f"{settings.device}/{settings.pressure_channel}",
-        terminal_config=TerminalConfiguration[settings.terminal.upper()],
-        min_val=settings.input_low_v,
-        max_val=settings.input_high_v,
-    )
 
 
 def _strip_device_names(collection) -> tuple[str, ...]:  # type: ignore[no-untyped-def]

@@ -1,5 +1,5 @@
-"""The simulated rig: the sensors and converters of a real one in front of any plant.
+"""The simulated rig: sensors and converters like those of a card, in front of any plant.
 
-The output lies in shared memory (`register.py`), so it outlives the process as a card's does.
-Read `sim_rig.py` first.
+Its output lies in shared memory (`register.py`), so it outlives the process as a card's does.
+Read `sim_rig.py` first; `sim_backend.py` is its record.
 """

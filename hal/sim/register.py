@@ -1,9 +1,9 @@
 """The output register of a simulated card.
 
-A card holds its last voltage when the process that wrote it dies, and that is what a
-guardian is for. `SharedRegister` does the same: a double in a file in shared memory, which
-another process can take over once its owner is dead, and not before. `PrivateRegister` is
-for runs without a clock, which have neither guardian nor neighbours.
+A card holds its last voltage when the process that wrote it dies; this is why there is a
+guardian. `SharedRegister` behaves in the same way: it is a double in a file in shared memory,
+and another process can take it over only after its owner has died. `PrivateRegister` is for
+runs without a clock, which have no guardian.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ class Register(Protocol):
         """Take the output for this process; raise `RigError` if another holds it. Idempotent."""
 
     def release(self) -> None:
-        """Let go of it; the voltage stays. Idempotent."""
+        """Release the output; the voltage stays. Idempotent."""
 
 
 class PrivateRegister:
-    """An output that nobody else can see."""
+    """An output that no other process can see."""
 
     def __init__(self, volts: float = 0.0) -> None:
         """Power up at `volts`."""
         self.volts = volts
 
     def reserve(self) -> None:
-        """Nobody else could hold it."""
+        """Do nothing: no other process can hold it."""
 
     def release(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing."""
 
 
 class SharedRegister:
     """An output in shared memory. Powers up at 0 V, as an M series card does."""
 
     def __init__(self, path: Path, device: str) -> None:
-        """The file appears when the output is reserved first; `device` is for messages."""
+        """`reserve` creates the file where it is missing; `device` is for messages."""
         self._path = path
         self._device = device
         self._fd: int | None = None
-        # A voltage to go on with, like a private one's, for whoever looks without reserving.
+        # Until `reserve` maps the file, the voltage lies in private memory.
         self._volts = memoryview(bytearray(_SIZE)).cast("d")
 
     @property
@@ -66,7 +66,7 @@ class SharedRegister:
         self._volts[0] = value
 
     def reserve(self) -> None:
-        """Take the output until `release` or death; raise `RigError` naming who holds it."""
+        """Take the output until `release` or death; raise `RigError` naming the holder."""
         if self._fd is not None:
             return
         fd = open_shared(self._path, _SIZE)
@@ -80,14 +80,14 @@ class SharedRegister:
         self._fd = fd
 
     def release(self) -> None:
-        """Let go of the output; it holds its voltage."""
+        """Release the output; it keeps its voltage."""
         if self._fd is not None:
             os.close(self._fd)
             self._fd = None
 
 
 def peek_v(path: Path) -> float:
-    """Read a register as a voltmeter does: without asking anybody."""
+    """Read a register as a voltmeter would: without reserving it."""
     return memoryview(_map_file(path)).cast("d")[0]
 
 

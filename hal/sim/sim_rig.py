@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Annotated, Literal, NamedTuple, Protocol
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
+from hal.backend import Plant
 from hal.calibration import (
     Calibration,
     CalibrationSettings,
@@ -21,23 +22,8 @@ from hal.calibration import (
 )
 from hal.configured import Configured
 from hal.converter import Converter, Output, make_output, quantise_v
-from hal.rig import RawSample, RigError
+from hal.rig import RawSample, RigError, RigIdentity
 from hal.sim.register import PrivateRegister, Register
-
-
-class Plant(Protocol):
-    """What is on the other side of the wires. Injected: the rig knows no muscle."""
-
-    def advance(self, command_v: float, duration_s: float) -> None:
-        """Let time pass under a constant valve command (V)."""
-
-    @property
-    def position_m(self) -> float:
-        """Displacement of what the encoder is fixed to."""
-
-    @property
-    def pressure_pa(self) -> float:
-        """Absolute pressure that the sensor follows."""
 
 
 class SimSettings(Configured):
@@ -105,7 +91,7 @@ def sensed_counts(chain: SensorChain, position_m: float) -> int:
 
 
 class SimRig:
-    """A plant that advances with the given clock between reads and writes."""
+    """Advances a plant by the given clock, between reads and writes."""
 
     def __init__(
         self,
@@ -114,19 +100,19 @@ class SimRig:
         *,
         safe_output_v: float,
         now_ns: Callable[[], int],
-        output_delay_ticks: int = 0,
+        output_delay_ticks: Literal[0, 1] = 0,
         seed: int = 0,
         register: Register | None = None,
     ) -> None:
         """`safe_output_v` is the analog output voltage at which the rig is safe.
 
-        `register` is where the output's voltage is held; by default within this object.
+        `register` holds the output's voltage; by default it lies within this object.
         """
         self._plant = plant
         self._chain = chain
         self._safe_output_v = safe_output_v
         self._now_ns = now_ns
-        self._delay_ticks = output_delay_ticks
+        self._delay_ticks: Literal[0, 1] = output_delay_ticks
         self._noise = random.Random(seed).gauss
         self._plant_t_ns = 0
         self._register = register or PrivateRegister(safe_output_v)
@@ -167,7 +153,7 @@ class SimRig:
         return applied_v
 
     def make_safe(self) -> None:
-        """Drive the safe voltage, at once and whatever has become of the plant."""
+        """Drive the safe voltage at once, even where the plant fails."""
         try:
             self._register.reserve()
         except RigError as error:
@@ -176,7 +162,7 @@ class SimRig:
         self._safe_failure = None
         self._drive(self._safe_output_v)
         if self._is_open:
-            # A plant that fails is for the next read to report.
+            # The next read reports a plant that fails.
             with suppress(ArithmeticError, ValueError):
                 self._catch_up(self._now_ns())
         else:
@@ -199,24 +185,26 @@ class SimRig:
         """Why the last `make_safe` could not drive the safe voltage; None where it did."""
         return self._safe_failure
 
-    def describe(self) -> Mapping[str, object]:
-        """Name what is simulated."""
-        return {
-            "backend": "sim",
-            "safe_output_v": self._safe_output_v,
-            "output_delay_ticks": self._delay_ticks,
-            "sensor_noise_v": self._chain.noise_v,
-            "input_full_scale_v": self._chain.input_converter.full_scale_v,
-            "output_full_scale_v": self._chain.output_converter.full_scale_v,
-            "encoder_m_per_count": self._chain.calibration.encoder_m_per_count,
-        }
+    def describe(self) -> RigIdentity:
+        """Say what is simulated."""
+        return RigIdentity(
+            "sim",
+            self._safe_output_v,
+            self._delay_ticks,
+            extra={
+                "sensor_noise_v": self._chain.noise_v,
+                "input_full_scale_v": self._chain.input_converter.full_scale_v,
+                "output_full_scale_v": self._chain.output_converter.full_scale_v,
+                "encoder_m_per_count": self._chain.calibration.encoder_m_per_count,
+            },
+        )
 
     def _drive(self, ao_v: float) -> float:
         volts = self._register.volts = quantise_v(self._chain.output_converter, ao_v)
         return volts
 
     def _apply(self) -> None:
-        """Let what stands in the register, whoever wrote it, reach the valve."""
+        """Let the register's voltage, whoever wrote it, reach the valve."""
         self._command_v = valve_v(self._chain.calibration, self._register.volts)
 
     def _catch_up(self, now_ns: int) -> None:

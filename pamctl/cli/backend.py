@@ -6,23 +6,24 @@ from typing import Annotated
 
 import typer
 
+from hal.backend import find_backends, hint_at_missing
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import RunSettings
 
-RIG_OF_BACKEND = {"sim": "sim", "nidaq": "pci6221"}
-"""The shipped rig file that `--backend` alone means."""
+_BACKENDS = find_backends().found
 
 BackendOption = Annotated[
-    str | None, typer.Option("--backend", metavar="sim|nidaq", help="What is driven; sim.")
+    str | None,
+    typer.Option("--backend", metavar="|".join(_BACKENDS), help="Backend to drive [default: sim]."),
 ]
 
 
 def rig_name(backend: str | None, rig: str | None) -> str | None:
     """Return the rig that `--backend` and `--rig` mean together; raise `ConfigError`."""
-    if backend is not None and backend not in RIG_OF_BACKEND:
-        known = ", ".join(RIG_OF_BACKEND)
-        raise ConfigError([Problem(f"--backend {backend}", "", f"unknown; there are {known}")])
-    return rig if rig is not None or backend is None else RIG_OF_BACKEND[backend]
+    if backend is not None and backend not in _BACKENDS:
+        message = f"unknown; there are {', '.join(_BACKENDS)}; {hint_at_missing(backend)}"
+        raise ConfigError([Problem(f"--backend {backend}", "", message)])
+    return rig if rig is not None or backend is None else _BACKENDS[backend].rig_file
 
 
 def check_backend(settings: RunSettings, backend: str | None, rig: str | None) -> None:
@@ -31,6 +32,6 @@ def check_backend(settings: RunSettings, backend: str | None, rig: str | None) -
     if backend is not None and backend != found:
         message = f"the rig file {rig} is for the backend {found}"
         raise ConfigError([Problem(f"--backend {backend}", "", message)])
-    if settings.fast and found != "sim":
+    if settings.fast and not settings.rig.record.is_simulated:
         message = "only a simulation can do without a clock"
         raise ConfigError([Problem("--fast", "", message)])

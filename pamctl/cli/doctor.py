@@ -49,7 +49,7 @@ def doctor(
     findings: list[DoctorFinding] = []
     interrupt: SignalInterrupt | None = None
     # A simulated carriage cannot be moved by hand.
-    may_ask = not as_json and sys.stdin.isatty() and settings.rig.backend != "sim"
+    may_ask = not as_json and sys.stdin.isatty() and not settings.rig.record.is_simulated
     work = examine_all(settings, rt_seconds, actuate=actuate, may_ask=may_ask)
     try:
         # Closed on every path: what it has open is the rig.

@@ -1,7 +1,7 @@
-"""A rig in a person's hands: commands for a while, samples back, limits watched all the time.
+"""A rig in a person's hands: command the valve for a while, read samples, watch the limits.
 
-What `doctor --actuate` and `calibrate` do is slow, small and open to the eye, and needs
-neither law nor log nor a loop process. It keeps the limits of the rig file all the same.
+`doctor --actuate` and `calibrate` move slowly and little, with a person watching. They need no
+law, no log and no loop process, but they keep the limits of the rig file.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+from hal.backend import NO_KEYS, RigKeys
 from hal.calibration import CalibrationSettings, Zero, calibration, output_v, pressure_pa, valve_v
 from hal.rig import RawSample, Rig
 from pamctl.control.homing import HomingSettings
@@ -19,10 +20,10 @@ from pamctl.realtime.clock import Clock
 from pamctl.safety import LimitSettings
 
 HOLD_V_PER_PA = 1e-4
-"""Gain of the pressure's hold. The valve fills some 1.5 MPa a second and volt: a pole at 150 1/s,
+"""Gain of the pressure hold. The valve fills some 1.5 MPa a second and volt: a pole at 150 1/s,
 below the valve's own, and 5 kPa of error where the valve's null is off by half a volt."""
 NEAR_PA = 10e3
-"""As near as a hold comes, with the valve's null not yet known."""
+"""How near a hold comes while the valve's null is not known yet."""
 
 
 class LimitError(Exception):
@@ -30,7 +31,7 @@ class LimitError(Exception):
 
 
 class SensorStatistics(NamedTuple):
-    """What the sensors said over a while."""
+    """What the sensors read over some time."""
 
     samples: int
     sensor_v: float
@@ -46,12 +47,12 @@ class SensorStatistics(NamedTuple):
 
     @property
     def mean_noise_v(self) -> float:
-        """Standard deviation of the mean, samples taken as independent."""
+        """Standard deviation of the mean, if the samples are independent."""
         return self.noise_v / math.sqrt(self.samples)
 
 
 def summarise_samples(samples: Sequence[RawSample]) -> SensorStatistics:
-    """Sum up at least one sample."""
+    """Return the statistics of at least one sample."""
     volts = [sample.pressure_v for sample in samples]
     counts = [sample.encoder_counts for sample in samples]
     steps = [abs(b - a) for a, b in pairwise(counts)]
@@ -66,9 +67,9 @@ def summarise_samples(samples: Sequence[RawSample]) -> SensorStatistics:
 
 
 class Bench:
-    """An open rig, a clock that paces it, and the limits that every sample is held against.
+    """An open rig, a clock that paces it, and the limits that every sample is checked against.
 
-    Every method leaves the last command on the valve: whoever opened the rig makes it safe.
+    Every method leaves the last command on the valve. Who opened the rig makes it safe.
     """
 
     def __init__(
@@ -79,8 +80,13 @@ class Bench:
         limits: LimitSettings,
         homing: HomingSettings,
         safe_volts: float,
+        keys: RigKeys = NO_KEYS,
     ) -> None:
-        """`rig` is open already; `homing` says how hard it may be filled and what rest is."""
+        """`rig` is open already; `homing` says how hard to fill and when the muscle is at rest.
+
+        `keys` are those of the rig file that hints may name.
+        """
+        self.keys = keys
         self.rig = rig
         self.limits = limits
         self.homing = homing
@@ -102,15 +108,20 @@ class Bench:
 
     @property
     def vents_when_safe(self) -> bool:
-        """Tell whether the safe voltage opens the exhaust, by the file's word."""
+        """Say whether the safe voltage opens the exhaust, as the file has it."""
         return self.safe_valve_v < -0.5
+
+    def point_to(self, *keys: str) -> str:
+        """Return the end of a hint: which of these keys to check; empty where there are none."""
+        named = " and ".join(key for key in keys if key)
+        return f"; check {named} in the rig file" if named else ""
 
     def pressure_pa(self, sensor_v: float) -> float:
         """Absolute pressure by the file's calibration."""
         return pressure_pa(self.calibration, self._zero, sensor_v)
 
     def step(self, command_v: float) -> RawSample:
-        """Wait for the next sample, hold it against the limits, and command the valve (V)."""
+        """Wait for the next sample, check it against the limits, and command the valve (V)."""
         self._clock.wait()
         sample = self.rig.read()
         self._watch(sample)
@@ -124,7 +135,7 @@ class Bench:
         return [self.step(command_v) for _ in range(max(1, round(duration_s / self.period_s)))]
 
     def hold_unwatched(self, command_v: float, duration_s: float) -> list[RawSample]:
-        """As `hold`, for a command that is safe whatever the sensors say: no limit is heeded."""
+        """As `hold`, without limits: for a command that is safe whatever the sensors read."""
         self.rig.write(output_v(self.calibration, command_v))
         samples = []
         for _ in range(max(1, round(duration_s / self.period_s))):
@@ -135,7 +146,7 @@ class Bench:
     def hold_pressure(
         self, target_pa: float, until: Callable[[list[RawSample]], bool]
     ) -> list[RawSample]:
-        """Hold a pressure (absolute, Pa) until `until` says so of the samples so far."""
+        """Hold a pressure (absolute, Pa) until `until` is true of the samples so far."""
         samples: list[RawSample] = []
         while not until(samples):
             sample = self.step(self._command_v)
@@ -167,9 +178,9 @@ class Bench:
             )
 
     def settle(self, command_v: float, averaged_s: float = 0.5) -> SensorStatistics:
-        """Hold a command until pressure and encoder rest; return what they then say.
+        """Hold a command until pressure and encoder are at rest; return what they then read.
 
-        Rest is what homing calls so. Raises `LimitError` where there is none.
+        Rest is defined as in homing. Raises `LimitError` where they do not come to rest.
         """
         homing = self.homing
         before = summarise_samples(self.hold(command_v, 0.5 * homing.steady_s))
@@ -212,10 +223,10 @@ class Bench:
         travel_mm = (
             (self._highest_counts - self._lowest_counts) * abs(cal.encoder_m_per_count) * 1e3
         )
-        # Where the muscle stood at first is not known: only its whole way can be judged.
+        # The muscle's first position is not known, so only its whole travel can be checked.
         if travel_mm > limits.stroke_high_mm - limits.stroke_low_mm:
             raise LimitError(
-                f"the encoder has gone {travel_mm:.1f} mm, more than the stroke's limits leave; "
+                f"the encoder has moved {travel_mm:.1f} mm, more than the limits of the stroke; "
                 "check limits.stroke_high_mm, the encoder and its scale"
             )
         if limits.sensor_low_v <= sensor_v <= limits.sensor_high_v:

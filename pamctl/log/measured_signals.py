@@ -92,10 +92,11 @@ def _compute_output_v(log: Log) -> Floats:
     if rig.get("output_delay_ticks", "0") == "0" or not len(log):
         return applied_v
     before_v = np.concatenate(([float(rig["safe_output_v"])], applied_v[:-1]))
-    if rig.get("backend") == "sim":
+    if "sample_clock" not in rig:  # put out when the loop reads next
         return before_v
-    # A card puts it out at its next edge, be that missed or not: of a tick of several periods
-    # the first has the old voltage and the others the new. Their mean moves as much air.
+    # A device with a clock of its own puts it out at its next edge, even if the loop missed it: of
+    # a tick of several periods the first has the old voltage and the others the new. Their mean
+    # moves as much air.
     old_share = 1.0 / (1.0 + np.concatenate((log["missed"][1:], [0])))
     return np.asarray(old_share * before_v + (1.0 - old_share) * applied_v)
 

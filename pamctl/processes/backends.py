@@ -1,28 +1,31 @@
-"""The composition root: settings in, the parts of a run out. Backends are chosen here only."""
+"""The composition root: settings in, the parts of a run out.
+
+A backend is reached here through its record (`hal/backend.py`), and never by its name.
+"""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from hal.backend import RigRequest
 from hal.faulty import FaultyRig
-from hal.rig import Rig, RigError
-from hal.sim.register import SharedRegister
-from hal.sim.sim_rig import SimRig, sensor_chain
+from hal.reservation import hold_reservation
+from hal.rig import Rig
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import Clock, GridClock, SampleClock, VirtualClock
 from pamctl.settings.resolve import RunSettings
-from pamctl.settings.rig_file import NidaqRigSettings, SimRigSettings
 from pamctl.signals import Truth
 
 SHARED_MEMORY = Path(os.environ.get("PAMCTL_SHARED_MEMORY", "/dev/shm"))
 """Where rings, simulated outputs and the locks of devices lie: gone with the next boot.
 
-All of a PC's runs share one place, or they would not see each other's locks; tests have others.
+All runs of a PC share one place, so that they see each other's locks. Tests use another place.
 """
 
 _UNKNOWN = Truth(math.nan, math.nan)
@@ -35,6 +38,7 @@ class RigParts(NamedTuple):
     clock: Clock
     """What paces the loop: the rig itself where its hardware does."""
     truth: Callable[[], Truth]
+    """The plant's true state where it is simulated; NaN where it is real."""
 
 
 def build_clock(settings: RunSettings, *, may_spin: bool) -> Clock:
@@ -47,60 +51,32 @@ def build_clock(settings: RunSettings, *, may_spin: bool) -> Clock:
 
 
 def require_backend(settings: RunSettings) -> None:
-    """Load what the backend needs; raise `RigError` where its device cannot be had."""
-    if isinstance(settings.rig, NidaqRigSettings):
-        try:
-            from hal.nidaq.on_demand import require_card
-        # Whatever it is: the package reads any `.env` that it finds from here upwards.
-        except Exception as error:
-            raise RigError(
-                f"the package nidaqmx cannot be imported: {error}",
-                fix="move a broken .env or settings.ini out of this directory, or reinstall pamctl",
-            ) from error
-        require_card(settings.rig.nidaq)
+    """Load what the backend needs; raise `RigError` where driver or device is missing."""
+    settings.rig.record.require(settings.rig.device_settings)
 
 
-def build_rig(settings: RunSettings, clock: Clock) -> RigParts:
-    """Return the rig, not yet opened."""
-    match settings.rig:
-        case SimRigSettings():
-            return _build_sim(settings, settings.rig, clock)
-        case NidaqRigSettings() as rig:
-            return _build_card(rig, clock)
-
-
-def _build_card(rig: NidaqRigSettings, clock: Clock) -> RigParts:
-    if rig.nidaq.timing == "on_demand":
-        from hal.nidaq.on_demand import NidaqRig
-
-        card = NidaqRig(rig.nidaq, safe_output_v=rig.safe_volts, now_ns=clock.now_ns)
-        return RigParts(card, clock, lambda: _UNKNOWN)
-
-    from hal.nidaq.hardware_timed import HardwareTimedRig
-
-    timed = HardwareTimedRig(
-        rig.nidaq,
-        rate_hz=rig.loop.rate_hz,
-        safe_output_v=rig.safe_volts,
-        now_ns=clock.now_ns,
-    )
-    return RigParts(timed, SampleClock(clock, timed.await_edge), lambda: _UNKNOWN)
-
-
-def _build_sim(settings: RunSettings, rig: SimRigSettings, clock: Clock) -> RigParts:
+def build_rig(settings: RunSettings, clock: Clock, *, by_computer: bool = False) -> RigParts:
+    """Return the rig, not yet opened; `by_computer`: paced by `clock` whatever the file says."""
+    file = settings.rig
     plant = SimulatedPlant(plant_parameters(settings.plant))
-    device = rig.sim.device
-    sim = SimRig(
-        plant,
-        sensor_chain(rig.sim, rig.calibration),
-        safe_output_v=rig.safe_volts,
-        now_ns=clock.now_ns,
-        output_delay_ticks=rig.sim.output_delay_ticks,
-        seed=settings.seed,
-        register=None if settings.fast else SharedRegister(ao_path(device), device),
+    built = file.record.build(
+        RigRequest(
+            settings=file.device_settings,
+            calibration=file.calibration,
+            safe_volts=file.safe_volts,
+            rate_hz=file.loop.rate_hz,
+            now_ns=clock.now_ns,
+            plant=plant,
+            seed=settings.seed,
+            output_file=None if settings.fast else ao_path(device_of(settings)),
+            by_computer=by_computer,
+        )
     )
-    whole = FaultyRig(sim, rig.faults) if rig.faults else sim
-    return RigParts(whole, clock, lambda: Truth(plant.state.position_m, plant.state.pressure_pa))
+    rig = FaultyRig(built.rig, file.faults_to_inject) if file.faults_to_inject else built.rig
+    pace = clock if built.await_edge is None else SampleClock(clock, built.await_edge)
+    if file.record.is_simulated:
+        return RigParts(rig, pace, lambda: Truth(plant.state.position_m, plant.state.pressure_pa))
+    return RigParts(rig, pace, lambda: _UNKNOWN)
 
 
 def ao_path(device: str) -> Path:
@@ -110,8 +86,12 @@ def ao_path(device: str) -> Path:
 
 def device_of(settings: RunSettings) -> str:
     """Return the name of the device that a run needs for itself."""
-    match settings.rig:
-        case SimRigSettings():
-            return settings.rig.sim.device
-        case NidaqRigSettings():
-            return settings.rig.nidaq.device
+    return settings.rig.record.device(settings.rig.device_settings)
+
+
+@contextmanager
+def hold_device(settings: RunSettings) -> Iterator[None]:
+    """Hold the device of a run within the block; raise `RigError` if another process does."""
+    device = device_of(settings)
+    with hold_reservation(SHARED_MEMORY / f"pamctl-{device}.lock", device):
+        yield

@@ -13,8 +13,8 @@ from typing import Any
 
 import typer
 
+from hal.backend import find_backends
 from hal.calibration import Zero, calibration
-from hal.reservation import hold_reservation
 from hal.rig import Rig, RigError
 from pamctl.cli.live import serve_live_view
 from pamctl.cli.progress import ProgressLine
@@ -26,7 +26,7 @@ from pamctl.processes.backends import (
     SHARED_MEMORY,
     build_clock,
     build_rig,
-    device_of,
+    hold_device,
     require_backend,
 )
 from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
@@ -81,8 +81,7 @@ def secure_device(settings: RunSettings) -> Iterator[Rig]:
     if settings.fast:  # simulated within the loop's process, and nobody's business
         yield rig
         return
-    device = device_of(settings)
-    with hold_reservation(SHARED_MEMORY / f"pamctl-{device}.lock", device):
+    with hold_device(settings):
         rig.make_safe()
         if rig.safe_failure is not None:
             raise rig.safe_failure
@@ -115,7 +114,11 @@ def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -
     mono_ns = 0 if settings.fast else time.monotonic_ns()
     cal = calibration(settings.rig.calibration)
     controller, nominal_dt_s = settings.controller, 1.0 / settings.rig.loop.rate_hz
-    run = {**names, "law": controller.law, "backend": settings.rig.backend}
+    backend = settings.rig.backend
+    run = {**names, "law": controller.law, "backend": backend}
+    package = find_backends().packages.get(backend)
+    if package is not None:  # whoever reads the log without it must know what is missing
+        run["backend_package"] = package
     return RunMeta(
         log_path=str(path),
         start_wall_ns=mono_ns + clock.wall_offset_ns(),

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
-from hal.nidaq.edges import Edge
+from hal.rig import Edge
 
 PHASE_NS = 300_000
 """Where in the millisecond the grid lies. The kernel's own tick (250, 300 or 1000 times a second)

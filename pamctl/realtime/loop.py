@@ -117,7 +117,7 @@ def run_loop(
     """
     try:
         with open_rig(rig):
-            journal.put_event(0, clock.now_ns(), {"event": "rig", **rig.describe()})
+            journal.put_event(0, clock.now_ns(), {"event": "rig", **rig.describe().as_metadata()})
             helm = helm or FixedHelm(setup)
             loop = _Loop(rig, clock, setup, helm, nominal_zero, program, journal, supervisor, truth)
             try:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hal.backend import find_backends
 from hal.calibration import Zero
 from pamctl.control.law import ControllerSettings
 from pamctl.json_text import to_json
@@ -81,10 +82,22 @@ def _read_settings(log: Log) -> RunSettings:
     try:
         return from_resolved(to_json(log.config).decode(), f"{log.path}:config.json")
     except ConfigError as error:
+        _require_backend_of(log)
         raise NotReplayable(
             f"the configuration in {log.path} does not fit this version; "
             f"{_suggest_version(log)}. What does not fit:\n{error}"
         ) from error
+
+
+def _require_backend_of(log: Log) -> None:
+    """Raise `NotReplayable` where the log's backend belongs to a package that is missing."""
+    run = log.metadata.get("run", {})
+    backend, package = run.get("backend", ""), run.get("backend_package")
+    if package and backend not in find_backends().found:
+        raise NotReplayable(
+            f"{log.path} was made with the backend '{backend}' of the package {package}, "
+            "which is not installed here: install it"
+        )
 
 
 def _read_zeros(log: Log) -> dict[int, Zero]:

@@ -12,9 +12,7 @@ from pydantic import TypeAdapter
 
 from hal.calibration import Calibration, Zero, calibration, valve_v
 from hal.converter import Output
-from hal.nidaq.card_settings import card_output
 from hal.rig import RawSample
-from hal.sim.sim_rig import simulated_output
 from pamctl.control.experiment import Course, ExperimentSettings, build_segments, start_at_position
 from pamctl.control.homing import Homing, HomingSettings
 from pamctl.control.law import filter_gains, law_gains
@@ -23,7 +21,6 @@ from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup
 from pamctl.safety import convert_limits
 from pamctl.settings.resolve import RunSettings
-from pamctl.settings.rig_file import NidaqRigSettings, SimRigSettings
 
 _EXPERIMENT: TypeAdapter[Any] = TypeAdapter(ExperimentSettings)
 
@@ -97,8 +94,4 @@ def nominal_zero_of(settings: RunSettings) -> Callable[[RawSample], Zero]:
 
 def output_of(settings: RunSettings) -> Output:
     """Return the valve's analog output, as a write to the rig realises it."""
-    match settings.rig:
-        case SimRigSettings() as rig:
-            return simulated_output(rig.sim)
-        case NidaqRigSettings() as rig:
-            return card_output(rig.nidaq)
+    return settings.rig.record.output(settings.rig.device_settings)

@@ -10,13 +10,14 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from pydantic_core import ErrorDetails
 
+from hal.backend import hint_at_missing
 from pamctl.settings.yaml12 import KeyPath
 
 JsonSchema = dict[str, Any]
@@ -121,6 +122,7 @@ class _Complaint(NamedTuple):
     must: str = ""
     message: str = ""
     got: object = None
+    hint: str = ""
     meant: KeyPath | None = None
     """The key that an unknown one seems to stand for."""
 
@@ -145,7 +147,8 @@ def _join_complaints(complaints: Sequence[_Complaint]) -> str:
     if not musts:
         return "; ".join(c.message for c in complaints)
     got = complaints[0].got
-    return f"must be {' or '.join(musts)} (got {_show_value(got)}){_hint_at_habit(musts, got)}"
+    habit = _hint_at_habit(musts, got)
+    return f"must be {' or '.join(musts)} (got {_show_value(got)}){complaints[0].hint}{habit}"
 
 
 def _make_complaint(error: ErrorDetails, schema: JsonSchema, title: str) -> _Complaint:
@@ -200,7 +203,14 @@ def _complain_of_tag(place: _Place, tag: str, given: Any) -> _Complaint:
     expected = join_choices(place.choices(tag))
     if tag not in given:
         return _Complaint(at, message=f"missing; it must be {expected}")
-    return _Complaint(at, must=expected, got=given[tag])
+    value = given[tag]
+    explain = _EXPLAIN_UNKNOWN.get(tag) if isinstance(value, str) else None
+    hint = f"; {explain(value)}" if explain else ""
+    return _Complaint(at, must=expected, got=value, hint=hint)
+
+
+_EXPLAIN_UNKNOWN: Mapping[str, Callable[[str], str]] = {"backend": hint_at_missing}
+"""Of keys whose values come from installed packages: says why a value may be unknown."""
 
 
 # --- words -----------------------------------------------------------------------------

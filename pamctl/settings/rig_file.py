@@ -1,16 +1,21 @@
-"""A rig file: backend, calibration, limits, homing and loop of one test rig."""
+"""A rig file: backend, calibration, limits, homing and loop of one test rig.
+
+There is one model per installed backend, made from the backend's record. `RigSettings` is the
+union of them, told apart by the key `backend`.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
+from hal.backend import Backend, find_backends, get_backend
 from hal.calibration import CalibrationSettings
 from hal.configured import Configured
 from hal.faulty import FaultSettings
-from hal.nidaq.card_settings import NidaqSettings
-from hal.sim.sim_rig import SimSettings
 from pamctl.control.homing import HomingSettings
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.safety import LimitSettings
@@ -19,21 +24,43 @@ SafeVolts = Annotated[
     float,
     Field(ge=-10, le=10, description="output V that is safe: 0 vents, driver_offset_v holds"),
 ]
+_Faults = Annotated[tuple[FaultSettings, ...], Field(description="what goes wrong, for rehearsals")]
 
 
-class _Rig(Configured):
+class RigFile(Configured):
+    """What every rig file holds, whatever its backend."""
+
     calibration: CalibrationSettings = CalibrationSettings()
     limits: LimitSettings = LimitSettings()
     homing: HomingSettings = HomingSettings()
     loop: LoopSettings = LoopSettings()
 
+    if TYPE_CHECKING:  # each backend's model declares these: name and default are its own
+        backend: str
+        safe_volts: float
+
+    @property
+    def record(self) -> Backend[Any]:
+        """The record of the backend."""
+        return get_backend(self.backend)
+
+    @property
+    def device_settings(self) -> Configured:
+        """What stands under the backend's own key."""
+        settings: Configured = getattr(self, self.backend)
+        return settings
+
+    @property
+    def faults_to_inject(self) -> tuple[FaultSettings, ...]:
+        """The faults of a simulated rig; a real one has none to inject."""
+        return getattr(self, "faults", ())
+
     @model_validator(mode="after")
     def _check_driver_range(self) -> Self:
-        """Safety reasons about the command it admits: what the driver would cut must not occur."""
+        """Refuse commands that the driver would cut: safety reasons about what it admits."""
         cal, limit_v = self.calibration, self.limits.command_v
         reach_v = [cal.driver_offset_v + cal.driver_gain * v for v in (-limit_v, limit_v)]
-        safe_volts = getattr(self, "safe_volts", cal.driver_offset_v)
-        for name, volts in (("limits.command_v", reach_v), ("safe_volts", [safe_volts])):
+        for name, volts in (("limits.command_v", reach_v), ("safe_volts", [self.safe_volts])):
             if min(volts) < cal.driver_low_v - 1e-9 or max(volts) > cal.driver_high_v + 1e-9:
                 shown = " to ".join(f"{v:g}" for v in volts)
                 raise ValueError(
@@ -42,41 +69,43 @@ class _Rig(Configured):
                 )
         return self
 
-
-class SimRigSettings(_Rig):
-    """A simulated rig; what it moves is the plant."""
-
-    backend: Literal["sim"]
-    safe_volts: SafeVolts = 0.0
-    sim: SimSettings = SimSettings()
-    faults: Annotated[
-        tuple[FaultSettings, ...], Field(description="what goes wrong, for rehearsals")
-    ] = ()
-
-
-class NidaqRigSettings(_Rig):
-    """An NI card. `safe_volts` has no default: only its owner knows what is safe."""
-
-    backend: Literal["nidaq"]
-    safe_volts: SafeVolts
-    nidaq: NidaqSettings = NidaqSettings()
-
     @model_validator(mode="after")
-    def _check_safe_volts(self) -> NidaqRigSettings:
-        low_v, high_v = self.nidaq.output_low_v, self.nidaq.output_high_v
-        if not low_v <= self.safe_volts <= high_v:
+    def _check_safe_volts(self) -> Self:
+        """Refuse a safe voltage that the output cannot give; its ends are codes, within a step."""
+        output = self.record.output(self.device_settings)
+        step_v = 2.0 * output.converter.full_scale_v / output.converter.levels
+        if not output.lowest_v - step_v <= self.safe_volts <= output.highest_v + step_v:
+            low_v, high_v = round(output.lowest_v, 3), round(output.highest_v, 3)
             raise ValueError(f"safe_volts must lie within the output's range, {low_v} to {high_v}")
         return self
 
     @model_validator(mode="after")
-    def _check_timeout(self) -> NidaqRigSettings:
-        periods = self.nidaq.timeout_s * self.loop.rate_hz
-        if self.nidaq.timing == "hardware_timed" and periods < 2:
-            raise ValueError(
-                f"nidaq.timeout_s {self.nidaq.timeout_s:g} is less than two periods of "
-                f"loop.rate_hz {self.loop.rate_hz:g}: a hardware-timed read waits for one"
-            )
+    def _check_device(self) -> Self:
+        self.record.check(self.device_settings, self.loop.rate_hz)
         return self
 
 
-RigSettings = Annotated[SimRigSettings | NidaqRigSettings, Field(discriminator="backend")]
+def _make_model(record: Backend[Any]) -> type[RigFile]:
+    """Make the model of a backend's rig files; its own section is optional where it may be."""
+    section = record.settings
+    needed = any(field.is_required() for field in section.model_fields.values())
+    fields: dict[str, Any] = {
+        "backend": (Literal[record.name], ...),
+        "safe_volts": (SafeVolts, ... if record.safe_volts is None else record.safe_volts),
+        record.name: (section, ... if needed else section()),
+    }
+    if record.is_simulated:
+        fields["faults"] = (_Faults, ())
+    name = f"{record.name.capitalize()}RigSettings"
+    model = create_model(
+        name, __base__=RigFile, __doc__=record.description, __module__=__name__, **fields
+    )
+    globals()[name] = model  # where pickle looks for it
+    return model
+
+
+if TYPE_CHECKING:
+    RigSettings = RigFile
+else:
+    _MODELS = [_make_model(record) for record in find_backends().found.values()]
+    RigSettings = Annotated[reduce(or_, _MODELS), Field(discriminator="backend")]

@@ -8,12 +8,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.sim.sim_rig import sensor_chain
+from hal.sim.sim_rig import SimSettings, sensor_chain
 from pamctl.control.experiment import Segment, build_segments
 from pamctl.plant.model import plant_parameters
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings
-from pamctl.settings.rig_file import SimRigSettings
 from pamctl.simulate.closed_loop import BatchRun, draw_sensor_noise, simulate, tabulate_references
 from pamctl.simulate.merit import Merit, compute_merit
 
@@ -52,19 +51,19 @@ class SimulatedRun:
 
 def simulate_run(settings: RunSettings) -> SimulatedRun:
     """Simulate a run; raise ValueError for a rig that is not simulated."""
-    rig = settings.rig
-    if not isinstance(rig, SimRigSettings):
+    rig, sim = settings.rig, settings.rig.device_settings
+    if not isinstance(sim, SimSettings):
         raise ValueError("only a simulated rig can be run as a batch")
     period_s = 1.0 / rig.loop.rate_hz
     table = _tabulate(build_segments(settings.experiment), period_s, settings.duration_s)
     run = simulate(
         build_tick_setup(settings),
         plant_parameters(settings.plant),
-        sensor_chain(rig.sim, rig.calibration),
+        sensor_chain(sim, rig.calibration),
         table,
         _draw_noise(len(table), settings.seed),
         period_s=period_s,
-        output_delay_ticks=rig.sim.output_delay_ticks,
+        output_delay_ticks=sim.output_delay_ticks,
     )
     return SimulatedRun(settings, run, np.arange(len(run.rows), dtype=np.float64) * period_s)
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from pamctl.control.experiment import TrackingSettings
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.settings.rig_file import SimRigSettings
 from pamctl.signals import Phase
 from pamctl.simulate.batch import SimulatedRun, simulate_run
 from pamctl.simulate.merit import TABLE_IV, compute_merit
@@ -112,8 +111,7 @@ def _make_settings(
     controller: Any, member: Member, experiment: Any, name: str = "tracking-1"
 ) -> RunSettings:
     base = _resolve_base(name)
-    assert isinstance(base.rig, SimRigSettings)
-    sim = base.rig.sim.model_copy(
+    sim = base.rig.device_settings.model_copy(
         update={
             "sensor_noise_v": member.noise_v,
             "output_delay_ticks": member.output_delay_ticks,

@@ -18,15 +18,16 @@ from support.patience import PATIENCE_S
 from support.runs import AO_STEP_V, MS, parts, run_settings
 
 from hal.faulty import FaultSettings
-from hal.rig import RigError
-from hal.sim.register import peek_v
-from pamctl.commissioning.doctor.actuate import examine_actuation
-from pamctl.commissioning.doctor.card import (
+from hal.nidaq.card_checks import (
     check_device_nodes,
     examine_card,
     examine_card_clock,
     judge_reservations,
 )
+from hal.rig import RigError
+from hal.sim.register import peek_v
+from pamctl.commissioning.doctor.actuate import examine_actuation
+from pamctl.commissioning.doctor.examination import make_probe_request
 from pamctl.commissioning.doctor.findings import DoctorFinding, format_findings, worst_level
 from pamctl.commissioning.doctor.latency import (
     WakeUps,
@@ -65,7 +66,15 @@ def named(findings: list[DoctorFinding]) -> dict[str, DoctorFinding]:
 def bench_of(settings: RunSettings, rig: object, clock: VirtualClock) -> Bench:
     file = settings.rig
     rig.open()  # type: ignore[attr-defined]
-    return Bench(rig, clock, file.calibration, file.limits, file.homing, file.safe_volts)  # type: ignore[arg-type]
+    return Bench(
+        rig,  # type: ignore[arg-type]
+        clock,
+        file.calibration,
+        file.limits,
+        file.homing,
+        file.safe_volts,
+        file.record.keys,
+    )
 
 
 def examined(bench: Bench, *, actuate: bool = True) -> dict[str, DoctorFinding]:
@@ -106,6 +115,15 @@ def test_a_sound_rig_has_nothing_but_ok() -> None:
         "valve.sign",
         "encoder.alive",
     }
+
+
+def test_a_hint_names_the_backend_s_own_keys_and_none_where_there_are_none() -> None:
+    made = parts(run_settings(), [fault("broken_wire")])
+    on_card = examined(bench_of(resolve(rig="pci6221"), made.whole, made.clock), actuate=False)
+    fix = on_card["sensor.voltage"].fix
+    assert fix.endswith("; check nidaq.pressure_channel and nidaq.terminal in the rig file")
+    without = examined(simulated(fault("broken_wire")), actuate=False)
+    assert "nidaq" not in "".join(finding.fix for finding in without.values())
 
 
 def test_a_broken_wire_is_a_fault_that_names_the_wire() -> None:
@@ -166,7 +184,7 @@ def test_a_sensor_that_breaks_during_a_pulse_stops_it_by_the_limits() -> None:
 def test_a_bench_keeps_the_limits_of_pressure_and_travel() -> None:
     for override, complaint in [
         ("rig.limits.pressure_pa=150e3", "above limits.pressure_pa"),
-        ("rig.limits.stroke_high_mm=3", "has gone"),
+        ("rig.limits.stroke_high_mm=3", "has moved"),
     ]:
         settings = run_settings(override)
         made = parts(settings)
@@ -183,8 +201,9 @@ def test_a_loose_encoder_line_is_a_fault_and_a_creeping_one_a_warning() -> None:
 
 
 def test_a_motion_by_hand_proves_the_encoder_alive_or_not() -> None:
-    assert judge_hand_motion(900).level == "ok"
-    assert judge_hand_motion(0).level == "fault"
+    bench = simulated()
+    assert judge_hand_motion(bench, 900).level == "ok"
+    assert judge_hand_motion(bench, 0).level == "fault"
 
 
 # --- the card, over the stand-in ---------------------------------------------------------
@@ -235,7 +254,8 @@ def wired(card: Card) -> Iterator[Callable[..., Bench]]:
 
 
 def cards(*overrides: str) -> dict[str, DoctorFinding]:
-    return named(list(examine_card(resolve(rig="pci6221", overrides=overrides).rig)))  # type: ignore[arg-type]
+    settings = resolve(rig="pci6221", overrides=overrides)
+    return named(list(examine_card(make_probe_request(settings))))
 
 
 def test_a_sound_card_is_named_with_its_driver_and_writes_nothing_to_its_output(card: Card) -> None:
@@ -312,8 +332,8 @@ def test_a_holder_that_cannot_be_seen_is_still_a_fault() -> None:
 
 def test_the_card_s_clock_is_tried_with_the_safe_voltage_on_the_output(card: Card) -> None:
     card.registers.ao_v[0] = 3.0
-    rig = resolve(rig="pci6221", overrides=["rig.safe_volts=1.25"]).rig
-    found = examine_card_clock(rig)  # type: ignore[arg-type]
+    settings = resolve(rig="pci6221", overrides=["rig.safe_volts=1.25"])
+    found = examine_card_clock(make_probe_request(settings))
     assert (found.name, found.level) == ("timing.hardware", "ok")
     assert "works" in found.found
     assert card.written_v == [pytest.approx(1.25, abs=AO_STEP_V)] * card.registers.ao_writes
@@ -324,8 +344,8 @@ def test_a_card_whose_clock_cannot_pace_says_why_and_it_matters_where_the_file_a
     card: Card, timing: str, level: str
 ) -> None:
     card.fail("DAQmxCfgSampClkTiming", -200077)
-    rig = resolve(rig="pci6221", overrides=[f"rig.nidaq.timing={timing}"]).rig
-    found = examine_card_clock(rig)  # type: ignore[arg-type]
+    settings = resolve(rig="pci6221", overrides=[f"rig.nidaq.timing={timing}"])
+    found = examine_card_clock(make_probe_request(settings))
     assert found.level == level
     assert "-200077" in found.found
     assert card.output_v == pytest.approx(0.0, abs=AO_STEP_V)

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hal.nidaq.edges import Edge, EdgeGrid
+from hal.nidaq.edges import EdgeGrid
+from hal.rig import Edge
 from pamctl.realtime.clock import GridClock, SampleClock, Wake
 
 MS = 1_000_000

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import pytest
 
 from hal.faulty import FaultSettings, FaultyRig
-from hal.rig import RawSample, RigError
+from hal.rig import RawSample, RigError, RigIdentity
 
 TICKS = 12
 FROM, LASTS = 4, 3
@@ -45,8 +44,8 @@ class CountingRig:
     def close(self) -> None:
         self.calls.append("close")
 
-    def describe(self) -> Mapping[str, object]:
-        return {"backend": "counting"}
+    def describe(self) -> RigIdentity:
+        return RigIdentity("counting", 0.0)
 
 
 def good(tick: int) -> RawSample:
@@ -175,7 +174,7 @@ def test_faults_of_different_kinds_add_up() -> None:
 def test_a_faulty_rig_says_so_in_its_description() -> None:
     faults = [fault("broken_wire")]
     description = FaultyRig(CountingRig(), faults).describe()
-    assert description["backend"] == "counting"
-    assert description["faults"] == [
+    assert description.backend == "counting"
+    assert description.extra["faults"] == [
         {"kind": "broken_wire", "from_tick": FROM, "ticks": LASTS, "size": 0.0}
     ]

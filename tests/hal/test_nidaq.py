@@ -128,9 +128,9 @@ def test_a_rig_that_is_open_does_not_open_again(make) -> None:
 
 def test_once_opened_it_says_which_library_and_card_it_drives(make) -> None:
     rig = make()
-    assert "library" not in rig.describe()
+    assert "library" not in rig.describe().extra
     rig.open()
-    described = rig.describe()
+    described = rig.describe().extra
     assert described["library"] == str(library())
     assert described["driver_version"] == "26.8.0"
     assert described["product_type"] == "PCI-6221"
@@ -141,7 +141,7 @@ def test_the_stand_in_is_refused_where_tests_do_not_permit_it(
     make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv(PERMIT)
-    with pytest.raises(RigError, match="stand-in of pamctl's tests"):
+    with pytest.raises(RigError, match="stand-in driver of pamctl's tests"):
         make().open()
 
 
@@ -316,7 +316,7 @@ def test_warnings_of_the_driver_are_counted_and_not_printed(
         rig.read()
         rig.write(3.0)
     assert rig.warnings == {"200010": 3, "209802": 1}
-    assert rig.describe()["driver_warnings"] == rig.warnings
+    assert rig.describe().extra["driver_warnings"] == rig.warnings
     assert card.output_v == pytest.approx(3.0, abs=AO_STEP_V)
     assert capsys.readouterr() == ("", "")
     rig.close()
@@ -474,7 +474,7 @@ def test_card_and_simulation_give_the_same_ticks(
 
     card.stop_time()
     rig, clock = timed(card, settings.rig.safe_volts)
-    assert rig.describe()["output_delay_ticks"] == output_delay_ticks
+    assert rig.describe().output_delay_ticks == output_delay_ticks
     journal = MemoryJournal()
     ending = run_loop(
         rig,

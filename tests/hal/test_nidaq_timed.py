@@ -82,7 +82,7 @@ def test_what_is_written_is_put_out_at_the_next_edge_and_not_before(card: Card, 
         assert card.output_v == pytest.approx(volts, abs=AO_STEP_V / 2)
         assert card.registers.ao_ns - 1 == edge_ns
         rig.read()
-    assert rig.describe()["output_delay_ticks"] == 1
+    assert rig.describe().output_delay_ticks == 1
 
 
 def test_each_sample_is_that_of_the_edge_before_the_new_output_acts(card: Card, make) -> None:

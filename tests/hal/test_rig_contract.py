@@ -1,44 +1,45 @@
-"""What every rig owes the loop. To add a backend, add a factory to `FACTORIES`."""
+"""Every shipped rig keeps the contract, and what the simulated one does beyond it.
+
+The cases are in `hal/rig_contract.py`. To test another backend, add a factory to `FACTORIES`.
+"""
 
 from __future__ import annotations
 
-import json
-import math
 import time
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from standin.standin import PERMIT, here
 
+from hal.backend import BuiltRig, RigRequest
 from hal.calibration import CalibrationSettings
+from hal.configured import Configured
 from hal.faulty import FaultSettings, FaultyRig
 from hal.nidaq.card_settings import NidaqSettings
-from hal.rig import RawSample, Rig, RigError, open_rig
+from hal.nidaq.nidaq_backend import NIDAQ
+from hal.rig import RawSample, Rig, RigError, RigIdentity, open_rig
+from hal.rig_contract import (
+    RIG_CONTRACT,
+    MakeBench,
+    RigBench,
+    every_read_is_fresh,
+    record_names_its_device_output_and_pace,
+    safe_voltage_is_out_before_open_returns,
+    write_within_the_range_goes_to_the_nearest_code,
+)
+from hal.sim.sim_backend import SIM
 from hal.sim.sim_rig import SimRig, SimSettings, sensor_chain
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 
 SAFE_V = 1.25
-"""Neither zero nor half scale, so that no default passes for it."""
-LOWEST_V, STEP_V = -10.0, 20.0 / 65536.0
-HIGHEST_V = 10.0 - STEP_V
-
-
-class Bench(NamedTuple):
-    """A rig on the bench, with a voltmeter on its output."""
-
-    rig: Rig
-    now_ns: Callable[[], int]
-    """The clock that the sample's times are on."""
-    output_v: Callable[[], float]
-    """What the device really puts out, whatever the rig says."""
+"""Neither zero nor half scale: no default can be taken for it."""
+STEP_V = 20.0 / 65536.0
 
 
 class PassingTime:
-    """A clock that goes on by 10 us whenever somebody looks at it."""
+    """A clock that goes on by 10 us whenever it is read."""
 
     def __init__(self) -> None:
         self.time_ns = 5_000_000_000
@@ -48,30 +49,38 @@ class PassingTime:
         return self.time_ns
 
 
-def sim(output_delay_ticks: int = 0) -> Bench:
-    passing = PassingTime()
-    rig = SimRig(
-        SimulatedPlant(plant_parameters(PlantSettings())),
-        sensor_chain(SimSettings(), CalibrationSettings()),
-        safe_output_v=SAFE_V,
-        now_ns=passing.now_ns,
-        output_delay_ticks=output_delay_ticks,
+def request(settings: Configured, now_ns: Callable[[], int]) -> RigRequest[Any]:
+    return RigRequest(
+        settings=settings,
+        calibration=CalibrationSettings(),
+        safe_volts=SAFE_V,
+        rate_hz=1000.0,
+        now_ns=now_ns,
+        plant=SimulatedPlant(plant_parameters(PlantSettings())),
     )
-    return Bench(rig, passing.now_ns, lambda: rig.output_v)
 
 
-def sim_with_delay() -> Bench:
-    return sim(output_delay_ticks=1)
+def make_sim(output_delay_ticks: int = 0) -> RigBench:
+    asked = request(SimSettings(output_delay_ticks=output_delay_ticks), PassingTime().now_ns)
+    built = SIM.build(asked)
+    assert isinstance(built.rig, SimRig)
+    rig = built.rig
+    return RigBench(SIM, asked, built, lambda: rig.output_v)
 
 
-def faulty_without_faults_due() -> Bench:
-    bench = sim()
+def make_sim_with_delay() -> RigBench:
+    return make_sim(output_delay_ticks=1)
+
+
+def make_faulty_without_faults_due() -> RigBench:
+    bench = make_sim()
     faults = [FaultSettings(kind="device_lost", from_tick=1_000_000)]
-    return bench._replace(rig=FaultyRig(bench.rig, faults))
+    bench.built = BuiltRig(FaultyRig(bench.rig, faults))
+    return bench
 
 
 _cards_in_use: list[Rig] = []
-"""Rigs that hold the one card there is, as SimRigs that were forgotten do not."""
+"""Rigs that hold the one card there is; a forgotten SimRig holds nothing."""
 
 
 def give_the_card_back() -> None:
@@ -79,23 +88,20 @@ def give_the_card_back() -> None:
         _cards_in_use.pop().close()
 
 
-def nidaq() -> Bench:
+def make_nidaq() -> RigBench:
     """The card's backend over the stand-in driver, on the whole range of its output."""
     card = here()
     card.power_up()
-    from hal.nidaq.on_demand import NidaqRig
-
     give_the_card_back()
-    rig = NidaqRig(NidaqSettings(output_low_v=-10.0), safe_output_v=SAFE_V)
-    _cards_in_use.append(rig)
-    return Bench(rig, time.monotonic_ns, lambda: card.output_v)
+    asked = request(NidaqSettings(output_low_v=-10.0), time.monotonic_ns)
+    built = NIDAQ.build(asked)
+    _cards_in_use.append(built.rig)
+    return RigBench(NIDAQ, asked, built, lambda: card.output_v)
 
 
-def nidaq_hardware_timed() -> Bench:
-    """The same by the card's sample clock; its voltmeter waits for the edge that is due."""
+def make_nidaq_hardware_timed() -> RigBench:
+    """The same by the card's sample clock; its voltmeter waits for the next edge."""
     card = here()
-    from hal.nidaq.hardware_timed import HardwareTimedRig
-
     give_the_card_back()
     card.power_up()
     card.stop_time()
@@ -104,14 +110,10 @@ def nidaq_hardware_timed() -> Bench:
         card.set_time_ns(card.now_ns() + 10_000)
         return card.now_ns()
 
-    rig = HardwareTimedRig(
-        NidaqSettings(output_low_v=-10.0, timing="hardware_timed"),
-        rate_hz=1000.0,
-        safe_output_v=SAFE_V,
-        now_ns=now_ns,
-    )
-    _cards_in_use.append(rig)
-    return Bench(rig, now_ns, lambda: card.output_at_next_edge_v)
+    asked = request(NidaqSettings(output_low_v=-10.0, timing="hardware_timed"), now_ns)
+    built = NIDAQ.build(asked)
+    _cards_in_use.append(built.rig)
+    return RigBench(NIDAQ, asked, built, lambda: card.output_at_next_edge_v)
 
 
 @pytest.fixture(autouse=True)
@@ -121,168 +123,89 @@ def _one_card_for_all(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     give_the_card_back()
 
 
-FACTORIES = [sim, sim_with_delay, faulty_without_faults_due, nidaq, nidaq_hardware_timed]
-
-every_rig = pytest.mark.parametrize("make", FACTORIES)
-Make = Callable[[], Bench]
-
-
-@every_rig
-def test_the_safe_voltage_is_out_before_open_returns(make: Make) -> None:
-    rig, _, output_v = make()
-    rig.open()
-    assert output_v() == pytest.approx(SAFE_V, abs=STEP_V / 2)
+FACTORIES = [
+    make_sim,
+    make_sim_with_delay,
+    make_faulty_without_faults_due,
+    make_nidaq,
+    make_nidaq_hardware_timed,
+]
 
 
-@every_rig
-def test_a_rig_that_is_not_open_refuses_to_read_and_write(make: Make) -> None:
-    rig, _, output_v = make()
-    for _ in range(2):  # never opened; closed
-        with pytest.raises(RigError, match="open"):
-            rig.read()
-        with pytest.raises(RigError, match="open"):
-            rig.write(7.0)
-        rig.open()
-        rig.close()
-    assert output_v() == pytest.approx(SAFE_V, abs=STEP_V / 2)
+@pytest.mark.parametrize("make", FACTORIES, ids=lambda make: make.__name__)
+@pytest.mark.parametrize("case", RIG_CONTRACT, ids=lambda case: case.__name__)
+def test_every_rig_keeps_the_contract(case: Callable[[MakeBench], None], make: MakeBench) -> None:
+    case(make)
 
 
-@every_rig
-def test_every_read_is_fresh(make: Make) -> None:
-    rig, now_ns, _ = make()
-    rig.open()
-    for _ in range(5):
-        before_ns = now_ns()
-        sample = rig.read()
-        after_ns = now_ns()
-        assert before_ns < sample.pressure_t_ns < after_ns
-        assert before_ns < sample.encoder_t_ns < after_ns
+def test_a_hardware_timed_card_is_paced_by_the_computer_where_the_caller_wants_it() -> None:
+    here().power_up()
+    asked = request(NidaqSettings(timing="hardware_timed"), time.monotonic_ns)
+    built = NIDAQ.build(RigRequest(**{**vars(asked), "by_computer": True}))
+    assert built.await_edge is None
+    assert not built.rig.describe().sample_clock
 
 
-@every_rig
-def test_a_sample_is_volts_and_whole_counts(make: Make) -> None:
-    rig, _, _ = make()
-    rig.open()
-    sample = rig.read()
-    assert isinstance(sample, RawSample)
-    assert math.isfinite(sample.pressure_v)
-    assert [type(value) for value in sample] == [float, int, int, int]
+# --- the cases find what is wrong ----------------------------------------------------------
 
 
-@every_rig
-@given(volts=st.floats(LOWEST_V, HIGHEST_V))
-def test_a_write_within_the_range_goes_to_the_nearest_code(make: Make, volts: float) -> None:
-    rig, _, output_v = make()
-    rig.open()
-    applied_v = rig.write(volts)
-    assert applied_v == output_v()
-    assert abs(applied_v - volts) <= STEP_V / 2 * (1 + 1e-9)
-    assert applied_v / STEP_V == round(applied_v / STEP_V)
+class Wrong:
+    """Passes every call to a sound rig; a subclass breaks one promise."""
+
+    def __init__(self, inner: SimRig) -> None:
+        self.inner = inner
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.inner, name)
 
 
-@every_rig
-@given(volts=st.floats(allow_nan=False, allow_infinity=False))
-def test_a_write_outside_the_range_stops_at_its_end(make: Make, volts: float) -> None:
-    rig, _, output_v = make()
-    rig.open()
-    applied_v = rig.write(volts)
-    assert applied_v == output_v()
-    assert LOWEST_V <= applied_v <= HIGHEST_V
-    if not LOWEST_V <= volts <= HIGHEST_V:
-        assert applied_v == (HIGHEST_V if volts > 0 else LOWEST_V)
+class ForgetsTheSafeVoltage(Wrong):
+    def open(self) -> None:
+        self.inner.open()
+        self.inner.write(9.0)
 
 
-@every_rig
-@pytest.mark.parametrize("volts", [math.nan, math.inf, -math.inf])
-def test_a_write_that_is_no_number_is_refused_and_changes_nothing(make: Make, volts: float) -> None:
-    rig, _, output_v = make()
-    rig.open()
-    applied_v = rig.write(6.5)
-    with pytest.raises(RigError, match="finite"):
-        rig.write(volts)
-    assert output_v() == applied_v
-    assert rig.write(3.0) == output_v() != applied_v
+class ReturnsStaleSamples(Wrong):
+    _sample: RawSample | None = None
+
+    def read(self) -> RawSample:
+        self._sample = self._sample or self.inner.read()
+        return self._sample
 
 
-@every_rig
-def test_make_safe_is_legal_in_every_state_any_number_of_times(make: Make) -> None:
-    rig, _, output_v = make()
-    safe_v = pytest.approx(SAFE_V, abs=STEP_V / 2)
-
-    def make_safe_twice() -> None:
-        for _ in range(2):
-            rig.make_safe()
-            assert output_v() == safe_v
-
-    make_safe_twice()  # before open
-    rig.open()
-    make_safe_twice()  # before anything was written
-    rig.write(9.0)
-    make_safe_twice()
-    rig.write(-9.0)
-    rig.read()
-    make_safe_twice()
-    rig.close()
-    make_safe_twice()
+class ReturnsWhatWasAsked(Wrong):
+    def write(self, ao_v: float) -> float:
+        self.inner.write(ao_v)
+        return ao_v
 
 
-@every_rig
-def test_close_ends_safe_and_may_be_repeated(make: Make) -> None:
-    rig, _, output_v = make()
-    rig.open()
-    rig.write(9.0)
-    for _ in range(3):
-        rig.close()
-        assert output_v() == pytest.approx(SAFE_V, abs=STEP_V / 2)
+class CallsItselfOtherwise(Wrong):
+    def describe(self) -> RigIdentity:
+        return self.inner.describe()._replace(backend="other")
 
 
-@every_rig
-def test_close_before_open_is_harmless(make: Make) -> None:
-    rig, _, _ = make()
-    rig.close()
-    rig.open()
-    rig.read()
-
-
-@every_rig
-def test_a_rig_describes_itself_before_open_in_json(make: Make) -> None:
-    rig, _, _ = make()
-    before = dict(rig.describe())
-    assert before["backend"]
-    assert json.loads(json.dumps(before, allow_nan=False)) == before
-    rig.open()
-    after = dict(rig.describe())
-    assert {name: after[name] for name in before} == before
-    assert json.loads(json.dumps(after, allow_nan=False)) == after
-
-
-@every_rig
-@pytest.mark.parametrize("raised", [ValueError, KeyboardInterrupt, SystemExit])
-def test_an_exception_leaves_the_rig_safe_and_closed(
-    make: Make, raised: type[BaseException]
+@pytest.mark.parametrize(
+    ("wrong", "case"),
+    [
+        (ForgetsTheSafeVoltage, safe_voltage_is_out_before_open_returns),
+        (ReturnsStaleSamples, every_read_is_fresh),
+        (ReturnsWhatWasAsked, write_within_the_range_goes_to_the_nearest_code),
+        (CallsItselfOtherwise, record_names_its_device_output_and_pace),
+    ],
+)
+def test_a_rig_that_breaks_a_promise_fails_the_case_for_it(
+    wrong: type[Wrong], case: Callable[[MakeBench], None]
 ) -> None:
-    rig, _, output_v = make()
+    def make() -> RigBench:
+        bench = make_sim()
+        bench.built = BuiltRig(wrong(bench.rig))  # type: ignore[arg-type]
+        return bench
 
-    def work() -> None:
-        with open_rig(rig):
-            rig.write(9.0)
-            raise raised
-
-    with pytest.raises(raised):
-        work()
-    assert output_v() == pytest.approx(SAFE_V, abs=STEP_V / 2)
-    with pytest.raises(RigError):
-        rig.read()
+    with pytest.raises(AssertionError):
+        case(make)
 
 
-@every_rig
-def test_a_closed_rig_opens_again_safe(make: Make) -> None:
-    rig, _, output_v = make()
-    for _ in range(3):
-        with open_rig(rig):
-            assert output_v() == pytest.approx(SAFE_V, abs=STEP_V / 2)
-            rig.read()
-            assert rig.write(7.0) == output_v()
+# --- beyond the contract -------------------------------------------------------------------
 
 
 def test_a_rig_is_made_safe_before_it_is_closed_even_if_it_did_not_open() -> None:

@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from hal.backend import Plant
 from hal.faulty import FaultSettings, FaultyRig
-from hal.sim.sim_rig import Plant, SimRig, sensor_chain
+from hal.sim.sim_rig import SimRig, sensor_chain
 from pamctl.exit_codes import Ending
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant

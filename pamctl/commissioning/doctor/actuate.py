@@ -1,6 +1,6 @@
-"""Does the valve do what its command says, and does the encoder see the muscle move.
+"""Does the valve follow its command, and does the encoder see the muscle move?
 
-The only part of the doctor that moves anything: one short pulse each way, as homing's are.
+This is the only part of the doctor that moves anything: one short pulse each way, like homing's.
 """
 
 from __future__ import annotations
@@ -8,20 +8,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from hal.doctor_finding import DoctorFinding
 from hal.rig import RawSample
-from pamctl.commissioning.doctor.findings import DoctorFinding
 from pamctl.commissioning.hands_on import Bench, LimitError, SensorStatistics, summarise_samples
 
 _END_SAMPLES = 5
 
 
 class PulseResponse(NamedTuple):
-    """What a pulse changed, by the sensors."""
+    """What a pulse changed, as the sensors show it."""
 
     rise_v: float
-    """Of the pressure sensor."""
+    """Change of the pressure sensor's voltage."""
     counts: float
-    """Of the encoder; positive is contraction by the file's `encoder_sign`."""
+    """Change of the encoder; positive is contraction by the file's `encoder_sign`."""
 
 
 class ActuationResponse(NamedTuple):
@@ -32,7 +32,7 @@ class ActuationResponse(NamedTuple):
 
 
 def pulse_valve(bench: Bench) -> ActuationResponse:
-    """Fill for a moment, exhaust for a moment. Raises `LimitError`."""
+    """Fill briefly, then exhaust briefly. Raises `LimitError`."""
     homing, sign = bench.homing, bench.settings.encoder_sign
     begin = bench.settle(bench.safe_valve_v, 0.1)
     top = _average_end(bench.hold(homing.fill_v, homing.fill_s))
@@ -49,7 +49,7 @@ def examine_actuation(bench: Bench) -> Iterator[DoctorFinding]:
     try:
         answer = pulse_valve(bench)
     except LimitError as error:
-        fix = "mend that first; nothing can be said of valve and encoder"
+        fix = "repair that first; valve and encoder could not be checked"
         yield DoctorFinding("valve.sign", "fault", f"stopped: {error}", "within the limits", fix)
         return
     yield judge_valve_sign(bench, answer)
@@ -57,7 +57,7 @@ def examine_actuation(bench: Bench) -> Iterator[DoctorFinding]:
 
 
 def judge_valve_sign(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
-    """See that fill raises the pressure, and exhaust lowers it."""
+    """Check that filling raises the pressure and exhausting lowers it."""
     name, (fill, exhaust), least_v = "valve.sign", answer, _least_v(bench)
     data = {"fill_rise_v": fill.rise_v, "exhaust_rise_v": exhaust.rise_v}
     volts, seconds = bench.homing.fill_v, bench.homing.fill_s
@@ -76,21 +76,22 @@ def judge_valve_sign(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
         )
         return DoctorFinding(name, "fault", f"reversed: {found}", wanted, fix, data)
     if fills:
-        fix = "filled, but not exhausted: a blocked exhaust, or a null that is far off"
+        fix = "it filled, but did not exhaust: a blocked exhaust, or a null that is far off"
     elif exhausts:
-        fix = "exhausted, but not filled: was the muscle full already? check supply and null"
+        fix = "it exhausted, but did not fill: was the muscle full already? check supply and null"
     elif abs(fill.counts) >= bench.homing.fill_counts:
-        fix = "the muscle moved, but the sensor did not: check its wire, and nidaq.pressure_channel"
+        fix = "the muscle moved, but the sensor's voltage did not change: check its wire"
+        fix += bench.point_to(bench.keys.pressure_input)
     else:
         fix = (
-            "open the supply; check the driver's power, its command wire on nidaq.valve_channel, "
-            "and with a voltmeter that the output follows"
+            "open the supply; check the driver's power and its command wire, and with a voltmeter "
+            f"that the output follows{bench.point_to(bench.keys.valve_output)}"
         )
     return DoctorFinding(name, "fault", found, wanted, fix, data)
 
 
 def judge_encoder_motion(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
-    """See that the encoder grows with contraction, which is what more pressure does."""
+    """Check that the count grows with contraction, which follows from more pressure."""
     name, least = "encoder.alive", bench.homing.fill_counts
     pulse = max(answer, key=lambda pulse: abs(pulse.rise_v))
     data = {"fill_counts": answer.fill.counts, "exhaust_counts": answer.exhaust.counts}
@@ -98,11 +99,11 @@ def judge_encoder_motion(bench: Bench, answer: ActuationResponse) -> DoctorFindi
     wanted = f"at least {least} counts, positive where the pressure rises"
     if max(abs(pulse.counts) for pulse in answer) < least:
         if abs(pulse.rise_v) < _least_v(bench):
-            fix = "the pressure did not change either: mend the valve first"
-            return DoctorFinding(name, "warning", f"not known: {found}", wanted, fix, data)
+            fix = "the pressure did not change either: repair the valve first"
+            return DoctorFinding(name, "warning", f"not checked: {found}", wanted, fix, data)
         fix = (
-            "unplugged? check the encoder's plug, its 5 V supply, A and B lines, "
-            "nidaq.encoder_counter, and that the carriage is coupled"
+            "unplugged? check the encoder's plug, its 5 V supply, its A and B lines, and that the "
+            f"carriage is coupled{bench.point_to(bench.keys.encoder_input)}"
         )
         return DoctorFinding(name, "fault", found, wanted, fix, data)
     if pulse.counts * pulse.rise_v < 0:
@@ -113,7 +114,7 @@ def judge_encoder_motion(bench: Bench, answer: ActuationResponse) -> DoctorFindi
 
 
 def _least_v(bench: Bench) -> float:
-    # Zero switches the check off in homing; here it is what was asked for.
+    # Zero switches the check off in homing; here a limit is needed all the same.
     return bench.homing.fill_rise_v or 0.02
 
 

@@ -1,14 +1,14 @@
-"""What `pamctl doctor` looks at, from the PC to the muscle."""
+"""All checks of `pamctl doctor`, from the PC to the muscle."""
 
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import Any
 
-from hal.reservation import hold_reservation
+from hal.backend import ProbeRequest
+from hal.doctor_finding import DoctorFinding
 from hal.rig import RigError
-from pamctl.commissioning.doctor.card import examine_card, examine_card_clock
-from pamctl.commissioning.doctor.findings import DoctorFinding
 from pamctl.commissioning.doctor.latency import judge_wake_ups, measure_wake_ups
 from pamctl.commissioning.doctor.pc import examine_pc, judge_permissions
 from pamctl.commissioning.doctor.rig_findings import examine_rig, report_unavailable_rig
@@ -16,22 +16,24 @@ from pamctl.commissioning.doctor.sensors import BY_HAND_COUNTS
 from pamctl.commissioning.hands_on import Bench
 from pamctl.commissioning.open_bench import open_workplace
 from pamctl.commissioning.terminal_operator import NoAnswer, Terminal
-from pamctl.processes.backends import SHARED_MEMORY, build_clock, device_of
+from pamctl.processes.backends import SHARED_MEMORY, build_clock, hold_device
 from pamctl.realtime.scheduling import prepare
 from pamctl.settings.resolve import RunSettings
-from pamctl.settings.rig_file import NidaqRigSettings
 
 
 def examine_all(
     settings: RunSettings, rt_seconds: float, *, actuate: bool, may_ask: bool
 ) -> Generator[DoctorFinding, None, None]:
-    """Look at everything, from the PC to the muscle."""
+    """Check everything, from the PC to the muscle."""
     yield from examine_pc(SHARED_MEMORY, Path("logs"))
     yield from _measure_timing(settings, rt_seconds)
-    if isinstance(settings.rig, NidaqRigSettings):
-        found = list(examine_card(settings.rig))
-        yield from found
-        if any(f.level == "fault" and f.name in _INDISPENSABLE for f in found):
+    probe, request = settings.rig.record.probe, make_probe_request(settings)
+    if probe is not None:
+        can_open = True
+        for finding in probe.examine(request):
+            yield finding
+            can_open &= finding.level != "fault" or finding.name not in probe.required
+        if not can_open:
             return
     try:
         with open_workplace(settings) as bench:
@@ -41,20 +43,31 @@ def examine_all(
                 by_hand=_ask_for_motion if may_ask else lambda bench: None,
                 loop_cpu=settings.rig.loop.cpu,
             )
-        if isinstance(settings.rig, NidaqRigSettings):
-            device = device_of(settings)
-            with hold_reservation(SHARED_MEMORY / f"pamctl-{device}.lock", device):
-                yield examine_card_clock(settings.rig)
+        if probe is not None and probe.examine_clock is not None:
+            with hold_device(settings):
+                yield probe.examine_clock(request)
     except RigError as error:
         yield report_unavailable_rig(error)
 
 
-_INDISPENSABLE = ("card.driver", "card.device", "card.channels", "card.reservations")
-"""Without these there is no rig to open; what else is wrong with the card does not hinder it."""
+def make_probe_request(settings: RunSettings) -> ProbeRequest[Any]:
+    """Return what the device of a run is checked against."""
+    rig = settings.rig
+    limits, cal = rig.limits, rig.calibration
+    highest_v = (
+        cal.sensor_zero_v + (limits.pressure_pa - cal.atmospheric_pressure_pa) / cal.sensor_pa_per_v
+    )
+    return ProbeRequest(
+        settings=rig.device_settings,
+        safe_volts=rig.safe_volts,
+        rate_hz=rig.loop.rate_hz,
+        sensor_range_v=(limits.sensor_low_v, max(limits.sensor_high_v, highest_v)),
+        sensor_pa_per_v=cal.sensor_pa_per_v,
+    )
 
 
 def _measure_timing(settings: RunSettings, rt_seconds: float) -> Iterator[DoctorFinding]:
-    """Measure the loop's clock as any program has it, and then with all that is permitted."""
+    """Measure the loop's clock as an ordinary program, then with all that is permitted."""
     period_s = 1.0 / settings.rig.loop.rate_hz
     plain = measure_wake_ups(build_clock(settings, may_spin=False), rt_seconds)
     with prepare("auto", settings.rig.loop.cpu) as preparation:
@@ -66,13 +79,13 @@ def _measure_timing(settings: RunSettings, rt_seconds: float) -> Iterator[Doctor
         prepared = measure_wake_ups(clock, rt_seconds)
     yield from permitted
     yield judge_wake_ups("pc.wakeup", prepared, period_s, how)
-    # For comparison: no run is scheduled so, unless told to by `--rt off`.
-    plainly = judge_wake_ups("pc.wakeup_plain", plain, period_s, "as any program")
+    # For comparison only: a run is scheduled like this with `--rt off`.
+    plainly = judge_wake_ups("pc.wakeup_plain", plain, period_s, "as an ordinary program")
     yield plainly._replace(level="ok")
 
 
 def _ask_for_motion(bench: Bench) -> int | None:
-    """Ask for the carriage to be moved; return over how many counts it went."""
+    """Ask for the carriage to be moved; return how many counts it moved over."""
     terminal, counts = Terminal(), list[int]()
 
     def watch() -> None:
@@ -81,7 +94,7 @@ def _ask_for_motion(bench: Bench) -> int | None:
     request = (
         f"move the carriage by hand, by a millimetre ({BY_HAND_COUNTS} counts) or more, and back"
     )
-    watch()  # before anybody is asked, and once more when it is said to be done
+    watch()  # before the question, and once more after the answer
     try:
         done = terminal.confirm_done(request, watch)
     except NoAnswer:

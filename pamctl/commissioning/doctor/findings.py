@@ -1,33 +1,12 @@
-"""A finding: what was looked at, what was found, what it should be, what to do."""
+"""Findings on paper: for a terminal, for `--json`, and their worst level."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Literal, NamedTuple
+from collections.abc import Iterable, Iterator
 
-from hal.rig import RigError
+from hal.doctor_finding import DoctorFinding, Level
 
-Level = Literal["ok", "warning", "fault"]
-"""fault: a run would fail, or would not be safe. warning: it would work, but worse."""
-
-
-class DoctorFinding(NamedTuple):
-    """One line of the doctor's report; `name` is stable between versions."""
-
-    name: str
-    level: Level
-    found: str
-    wanted: str = ""
-    """What it should be; empty where all is well."""
-    fix: str = ""
-    """What to do, a command where there is one."""
-    data: Mapping[str, object] = {}
-    """The figures behind the words, in SI, units in the names."""
-
-
-def describe_rig_error(error: RigError) -> str:
-    """Return what a device says is wrong, with its number: the fix has a place of its own."""
-    return error.what if error.code is None else f"{error.what} (device error {error.code})"
+__all__ = ["DoctorFinding", "Level", "encode_findings", "format_findings", "worst_level"]
 
 
 def encode_findings(findings: Iterable[DoctorFinding]) -> list[dict[str, object]]:
@@ -36,13 +15,13 @@ def encode_findings(findings: Iterable[DoctorFinding]) -> list[dict[str, object]
 
 
 def worst_level(findings: Iterable[DoctorFinding]) -> Level:
-    """Return the level of the worst finding; no finding is no fault."""
+    """Return the level of the worst finding; without findings all is well."""
     levels = {finding.level for finding in findings}
     return "fault" if "fault" in levels else "warning" if "warning" in levels else "ok"
 
 
 def format_findings(findings: Iterable[DoctorFinding]) -> Iterator[str]:
-    """Write the findings for a terminal, a line each, and the way out below each that is not ok."""
+    """Write a line for each finding; below each that is not ok, what it should be and the fix."""
     for finding in findings:
         yield f"{finding.level:<8} {finding.name:<22} {finding.found}"
         if finding.level != "ok":

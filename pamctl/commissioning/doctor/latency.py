@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
+from hal.doctor_finding import DoctorFinding, Level
 from hal.rig import Rig
-from pamctl.commissioning.doctor.findings import DoctorFinding, Level
 from pamctl.realtime.clock import Clock
 
 CALLS = 2000

@@ -7,7 +7,7 @@ import platform
 from collections.abc import Iterator
 from pathlib import Path
 
-from pamctl.commissioning.doctor.findings import DoctorFinding, Level
+from hal.doctor_finding import DoctorFinding, Level
 from pamctl.realtime.scheduling import Preparation
 
 _MB = 1 << 20

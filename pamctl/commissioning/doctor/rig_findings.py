@@ -1,12 +1,12 @@
-"""All that is found out over an open rig, in the order in which it makes sense."""
+"""The checks of an open rig, in the order in which they make sense."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from hal.doctor_finding import DoctorFinding, describe_rig_error
 from hal.rig import RigError
 from pamctl.commissioning.doctor.actuate import examine_actuation
-from pamctl.commissioning.doctor.findings import DoctorFinding, describe_rig_error
 from pamctl.commissioning.doctor.latency import judge_calls, measure_calls
 from pamctl.commissioning.doctor.sensors import (
     is_in_range,
@@ -19,13 +19,13 @@ from pamctl.commissioning.hands_on import Bench
 from pamctl.realtime.scheduling import prepare
 
 CountsByHand = Callable[[Bench], int | None]
-"""Asks for the carriage to be moved; returns over how many counts it went, None unasked."""
+"""Asks for the carriage to be moved; returns how many counts it moved over, None if not asked."""
 
 
 def examine_rig(
     bench: Bench, *, actuate: bool, by_hand: CountsByHand, loop_cpu: int | None
 ) -> Iterator[DoctorFinding]:
-    """Look at sensors and calls at the safe voltage; move the muscle where that is wanted."""
+    """Check sensors and calls at the safe voltage; with `actuate`, move the muscle as well."""
     with prepare("auto", loop_cpu):  # as a run's loop makes these calls
         calls = measure_calls(bench.rig, bench.safe_volts)
     yield from judge_calls(calls, bench.period_s)
@@ -33,21 +33,21 @@ def examine_rig(
     yield from judge_sensors(bench, rest)
     if not actuate:
         counts = by_hand(bench)
-        yield report_unmoved_encoder() if counts is None else judge_hand_motion(counts)
+        yield report_unmoved_encoder() if counts is None else judge_hand_motion(bench, counts)
     elif is_in_range(bench, rest):
         yield from examine_actuation(bench)
     else:
         yield DoctorFinding(
             "valve.sign",
             "fault",
-            "not tried: with a sensor that is not there the pressure could not be watched",
+            "not tried: without a pressure sensor the pressure cannot be watched",
             "a pressure sensor within its range",
             "see sensor.voltage, then run this again",
         )
 
 
 def report_unavailable_rig(error: RigError) -> DoctorFinding:
-    """Say that the rig could not be had, or was lost on the way."""
+    """Say that the rig is not available, or was lost on the way."""
     return DoctorFinding(
         "rig.device",
         "fault",

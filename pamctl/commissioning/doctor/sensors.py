@@ -1,44 +1,44 @@
-"""Are the sensors alive and plausible, with nothing moved: volts, noise, creep."""
+"""Are the sensors alive and plausible while nothing moves: voltage, noise, creep."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pamctl.commissioning.doctor.findings import DoctorFinding, Level
+from hal.doctor_finding import DoctorFinding, Level
 from pamctl.commissioning.hands_on import Bench, SensorStatistics, summarise_samples
 
 REST_S = 0.5
 VENT_S = 1.0
 _LOUD_V = 0.02
-"""Some 3 kPa: ten times what a sound MPX5700 and its wire give."""
+"""Some 3 kPa: ten times the noise of a sound MPX5700 and its wire."""
 _JUMP_COUNTS = 50
 BY_HAND_COUNTS = 300
 """A millimetre."""
 
 
 def measure_at_rest(bench: Bench) -> SensorStatistics:
-    """Leave the rig at its safe voltage until it should be at rest, then listen.
+    """Leave the rig at its safe voltage until it should be at rest, then sample it.
 
-    Without the bench's limits: what they would complain of is what is to be found.
+    The bench's limits are off here, because the checks look for what a limit would stop.
     """
     bench.hold_unwatched(bench.safe_valve_v, VENT_S)
     return summarise_samples(bench.hold_unwatched(bench.safe_valve_v, REST_S))
 
 
 def judge_sensors(bench: Bench, rest: SensorStatistics) -> Iterator[DoctorFinding]:
-    """Judge what was heard at rest."""
+    """Judge the sensors at rest."""
     yield judge_voltage(bench, rest)
     yield judge_noise(bench, rest)
     yield judge_encoder_at_rest(bench, rest)
 
 
 def is_in_range(bench: Bench, rest: SensorStatistics) -> bool:
-    """Tell whether the sensor's voltage is one that a connected sensor can give."""
+    """Say whether a connected sensor can give this voltage."""
     return bench.limits.sensor_low_v <= rest.sensor_v <= bench.limits.sensor_high_v
 
 
 def judge_voltage(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
-    """See whether the pressure sensor is there, and says what a vented muscle should."""
+    """Check that the pressure sensor is connected and reads what a vented muscle should."""
     limits, cal, name = bench.limits, bench.settings, "sensor.voltage"
     absolute_pa = bench.pressure_pa(rest.sensor_v)
     data = {"sensor_v": rest.sensor_v, "pressure_pa": absolute_pa, "noise_v": rest.noise_v}
@@ -46,13 +46,13 @@ def judge_voltage(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
     if not is_in_range(bench, rest):
         wanted = f"{limits.sensor_low_v:g} to {limits.sensor_high_v:g} V, whatever the pressure"
         fix = (
-            "a broken wire, no 5 V supply, or another channel: check nidaq.pressure_channel and "
-            "nidaq.terminal, and measure the sensor's output with a voltmeter"
+            "a broken wire, no 5 V supply, or another channel: measure the sensor's output with a "
+            f"voltmeter{bench.point_to(bench.keys.pressure_input, bench.keys.pressure_wiring)}"
         )
         return DoctorFinding(name, "fault", found, wanted, fix, data)
     found += f", {bench.gauge_kpa(absolute_pa):.1f} kPa gauge"
     if not bench.vents_when_safe:
-        held = f"{found}; the safe voltage holds the air, so it cannot be judged"
+        held = f"{found}; the safe voltage holds the air, so the zero cannot be checked"
         return DoctorFinding(name, "ok", held, data=data)
     if cal.sensor_zero_lowest_v <= rest.sensor_v <= cal.sensor_zero_highest_v:
         return DoctorFinding(name, "ok", f"{found}, vented", data=data)
@@ -67,7 +67,7 @@ def judge_voltage(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
 
 
 def judge_noise(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
-    """See how quiet the pressure sensor is."""
+    """Check the noise of the pressure sensor."""
     noise_pa = rest.noise_v * bench.settings.sensor_pa_per_v
     level: Level = "ok" if rest.noise_v <= _LOUD_V else "warning"
     return DoctorFinding(
@@ -75,45 +75,48 @@ def judge_noise(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
         level,
         f"{rest.noise_v * 1e3:.2f} mV, {noise_pa:.0f} Pa, of {rest.samples} samples",
         f"below {_LOUD_V * 1e3:.0f} mV at rest",
-        "check nidaq.terminal (rse or nrse), the cable's shield and its distance to motors",
+        "check the sensor's ground, the cable's shield and its distance to motors"
+        f"{bench.point_to(bench.keys.pressure_wiring)}",
         {"noise_v": rest.noise_v, "noise_pa": noise_pa},
     )
 
 
 def judge_encoder_at_rest(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
-    """See that the encoder stands still while the muscle does."""
+    """Check that the encoder stands still while the muscle does."""
     span, jump = rest.counts_span, rest.counts_jump
     data = {"span_counts": span, "jump_counts": jump, "mean_counts": rest.counts}
-    found = f"over {span} counts in {rest.samples} samples, {jump} at once"
+    found = f"{span} counts from lowest to highest in {rest.samples} samples, {jump} at once"
     wanted = f"at most {bench.homing.steady_counts} at rest"
     if jump >= _JUMP_COUNTS:
-        fix = "a loose or unshielded A or B line: check plugs and shield; nidaq.encoder_filter_ns"
+        fix = "a loose or unshielded A or B line: check plugs and shield"
+        fix += bench.point_to(bench.keys.encoder_filter)
         return DoctorFinding("encoder.rest", "fault", found, wanted, fix, data)
     if span > bench.homing.steady_counts:
-        fix = "is the muscle still moving, or the carriage touched? Then a loose reading head"
+        fix = "is the muscle still moving, or is the carriage touched? If not: a loose reading head"
         return DoctorFinding("encoder.rest", "warning", found, wanted, fix, data)
     return DoctorFinding("encoder.rest", "ok", found, data=data)
 
 
 def report_unmoved_encoder() -> DoctorFinding:
-    """Say what nobody can know of an encoder that was not moved."""
+    """Say that an encoder that was not moved cannot be checked."""
     return DoctorFinding(
         "encoder.alive",
         "warning",
-        "not known: an unplugged encoder stands as still as this one",
+        "not checked: an unplugged encoder stands still as well",
         "counts that follow the carriage",
         "run `pamctl doctor` at a terminal and move the carriage when asked, or add --actuate",
     )
 
 
-def judge_hand_motion(counts: int) -> DoctorFinding:
-    """Judge what the encoder made of a motion by hand."""
+def judge_hand_motion(bench: Bench, counts: int) -> DoctorFinding:
+    """Judge how the encoder counted a motion by hand."""
     alive = counts >= BY_HAND_COUNTS
     return DoctorFinding(
         "encoder.alive",
         "ok" if alive else "fault",
         f"moved by hand over {counts} counts",
         f"at least {BY_HAND_COUNTS}, for a millimetre or more",
-        "check the encoder's plug, its 5 V supply, A and B lines, and nidaq.encoder_counter",
+        "check the encoder's plug, its 5 V supply, and its A and B lines"
+        f"{bench.point_to(bench.keys.encoder_input)}",
         {"counts": counts},
     )

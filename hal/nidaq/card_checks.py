@@ -1,4 +1,7 @@
-"""Is the card what the rig file says: driver, channels, ranges, conflicts, timing."""
+"""Checks of the card for `pamctl doctor`: driver, channels, ranges, conflicts, timing.
+
+Nothing here imports nidaqmx before a check is asked for: a PC without a card need not have it.
+"""
 
 from __future__ import annotations
 
@@ -7,45 +10,41 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hal.backend import ProbeRequest
+from hal.doctor_finding import DoctorFinding, describe_rig_error
 from hal.nidaq.card_settings import NidaqSettings
+from hal.nidaq.driver_errors import BUSY_CODES, PACKAGE_BROKEN
 from hal.rig import RigError
-from pamctl.commissioning.doctor.findings import DoctorFinding, describe_rig_error
-from pamctl.settings.rig_file import NidaqRigSettings
 
-if TYPE_CHECKING:  # importing it loads nidaqmx, which a PC without a card need not do
+if TYPE_CHECKING:
     from hal.nidaq.probe import Card, DriverUser, Range
 
-_BUSY = (-50103, -200022)
+REQUIRED = frozenset({"card.driver", "card.device", "card.channels", "card.reservations"})
+"""Findings whose fault means that no rig can be opened; other faults leave it usable."""
 
 
-def examine_card(rig: NidaqRigSettings) -> Iterator[DoctorFinding]:
-    """Look at driver and card, from the outside inwards, as far as each step allows the next."""
+def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding]:
+    """Check the driver, then the card, then its parts, as far as each step allows the next."""
+    settings = request.settings
     nodes = check_device_nodes(Path("/dev"))
     try:
         from hal.nidaq import probe
         from hal.nidaq.on_demand import require_card
-    # Whatever it is: the package reads any `.env` that it finds from here upwards.
+    # Any exception at all: the package reads every `.env` file from this directory upwards.
     except Exception as error:
-        fix = "move a broken .env or settings.ini out of this directory, or reinstall pamctl"
         found = f"the package nidaqmx cannot be imported: {error}"
-        yield DoctorFinding("card.driver", "fault", found, "nidaqmx imported", fix)
+        yield DoctorFinding("card.driver", "fault", found, "nidaqmx imported", PACKAGE_BROKEN)
         return
     try:
         driver = probe.identify_driver()
     except RigError as error:
-        yield DoctorFinding(
-            "card.driver",
-            "fault",
-            describe_rig_error(error),
-            "NI-DAQmx for Linux loaded",
-            error.fix,
-        )
+        found, wanted = describe_rig_error(error), "NI-DAQmx for Linux loaded"
+        yield DoctorFinding("card.driver", "fault", found, wanted, error.fix)
         yield from nodes
         return
     found = f"NI-DAQmx {driver.version} ({driver.library}), package nidaqmx {driver.package}"
     yield DoctorFinding("card.driver", "ok", found, data=driver._asdict())
     yield from nodes
-    settings = rig.nidaq
     try:
         card = probe.identify_card(settings.device)
         require_card(settings)
@@ -58,7 +57,7 @@ def examine_card(rig: NidaqRigSettings) -> Iterator[DoctorFinding]:
         return
     yield judge_device(settings.device, card)
     yield judge_channels(settings, card)
-    yield judge_input_range(rig, card)
+    yield judge_input_range(request, card)
     yield judge_output_range(settings, card)
     busy = probe.find_conflicts(settings)
     yield judge_reservations(busy, probe.find_driver_users([os.getpid()]) if busy else [])
@@ -67,16 +66,17 @@ def examine_card(rig: NidaqRigSettings) -> Iterator[DoctorFinding]:
     yield judge_on_demand(probe.try_on_demand_read(settings))
 
 
-def examine_card_clock(rig: NidaqRigSettings) -> DoctorFinding:
-    """Try the card's own clock, with the safe voltage on the output; hold the device for it."""
+def examine_card_clock(request: ProbeRequest[NidaqSettings]) -> DoctorFinding:
+    """Try the card's own clock with the safe voltage on the output; the caller holds the device."""
     from hal.nidaq.probe import try_hardware_timing
 
-    failure = try_hardware_timing(rig.nidaq, rig.loop.rate_hz, rig.safe_volts)
-    return judge_hardware_timing(failure, rig.nidaq.timing == "hardware_timed")
+    settings = request.settings
+    failure = try_hardware_timing(settings, request.rate_hz, request.safe_volts)
+    return judge_hardware_timing(failure, settings.timing == "hardware_timed")
 
 
 def check_device_nodes(directory: Path) -> Iterator[DoctorFinding]:
-    """See that this user may talk to the driver's kernel part, where its nodes can be seen."""
+    """Check that this user may use the driver's device nodes, where there are any."""
     nodes = sorted([*directory.glob("nidaq*"), *directory.glob("nipal*")])
     barred = [node for node in nodes if not os.access(node, os.R_OK | os.W_OK)]
     if barred:
@@ -102,7 +102,7 @@ def judge_device(name: str, card: Card) -> DoctorFinding:
 
 
 def judge_channels(settings: NidaqSettings, card: Card) -> DoctorFinding:
-    """See that the card has the terminals that the rig file names."""
+    """Check that the card has the terminals that the rig file names."""
     asked = {
         "pressure_channel": (settings.pressure_channel, card.inputs),
         "encoder_counter": (settings.encoder_counter, card.counters),
@@ -117,15 +117,11 @@ def judge_channels(settings: NidaqSettings, card: Card) -> DoctorFinding:
     return DoctorFinding("card.channels", "fault", found, f"one of {there}", fix)
 
 
-def judge_input_range(rig: NidaqRigSettings, card: Card) -> DoctorFinding:
-    """See that the input's range holds every voltage that a limit has to see."""
-    name, settings, limits, cal = "card.input_range", rig.nidaq, rig.limits, rig.calibration
+def judge_input_range(request: ProbeRequest[NidaqSettings], card: Card) -> DoctorFinding:
+    """Check that the input's range holds every voltage that a limit must see."""
+    name, settings, least = "card.input_range", request.settings, request.sensor_range_v
     asked = (settings.input_low_v, settings.input_high_v)
     taken = _choose_narrowest(asked, card.input_ranges)
-    highest_v = (
-        cal.sensor_zero_v + (limits.pressure_pa - cal.atmospheric_pressure_pa) / cal.sensor_pa_per_v
-    )
-    least = (limits.sensor_low_v, max(limits.sensor_high_v, highest_v))
     found = f"asked {_format_range(asked)}" + (
         f", the card takes {_format_range(taken)}" if taken else ""
     )
@@ -133,19 +129,20 @@ def judge_input_range(rig: NidaqRigSettings, card: Card) -> DoctorFinding:
         wanted = f"within one of {', '.join(map(_format_range, card.input_ranges))}"
         fix = "correct nidaq.input_low_v and nidaq.input_high_v"
         return DoctorFinding(name, "fault", found, wanted, fix)
-    resolution_pa = (taken[1] - taken[0]) / 65536 * cal.sensor_pa_per_v
+    resolution_pa = (taken[1] - taken[0]) / 65536 * request.sensor_pa_per_v
     data = {"low_v": taken[0], "high_v": taken[1], "step_pa": resolution_pa}
     if not _holds(asked, least) or not _holds(taken, least):
         wanted = (
-            f"at least {_format_range(least)}, or limits.pressure_pa and the wire are not watched"
+            f"at least {_format_range(least)}; otherwise limits.pressure_pa and the sensor's wire "
+            "are not watched"
         )
-        fix = f"set nidaq.input_low_v to {-5.0:g} and nidaq.input_high_v to {5.0:g}"
+        fix = "set nidaq.input_low_v to -5 and nidaq.input_high_v to 5"
         return DoctorFinding(name, "fault", found, wanted, fix, data)
     return DoctorFinding(name, "ok", f"{found}: {resolution_pa:.0f} Pa a code", data=data)
 
 
 def judge_output_range(settings: NidaqSettings, card: Card) -> DoctorFinding:
-    """See that the card can put out what the rig file allows."""
+    """Check that the card can put out what the rig file allows."""
     asked = (settings.output_low_v, settings.output_high_v)
     found = (
         f"{_format_range(asked)} of the card's {', '.join(map(_format_range, card.output_ranges))}"
@@ -157,30 +154,30 @@ def judge_output_range(settings: NidaqSettings, card: Card) -> DoctorFinding:
 
 
 def judge_reservations(busy: dict[str, RigError], users: list[DriverUser]) -> DoctorFinding:
-    """Say which parts of the card another program holds, and who may be holding them."""
+    """Say which parts of the card another program holds, and which programs use the driver."""
     if not busy:
         return DoctorFinding("card.reservations", "ok", "input, counter and output are free")
     error = next(iter(busy.values()))
     found = "; ".join(describe_rig_error(error) for error in busy.values())
-    if any(error.code not in _BUSY for error in busy.values()):
+    if any(error.code not in BUSY_CODES for error in busy.values()):
         return DoctorFinding("card.reservations", "fault", found, "free", error.fix)
     who = "; ".join(f"process {user.pid} ({user.command})" for user in users)
-    fix = f"end what uses the driver: {who}" if who else f"{error.fix}; as root, this names it"
+    fix = f"end what uses the driver: {who}" if who else f"{error.fix}; root sees which"
     data = {"channels": sorted(busy), "users": [user._asdict() for user in users]}
     return DoctorFinding("card.reservations", "fault", found, "free", fix, data)
 
 
 def judge_on_demand(failure: RigError | None) -> DoctorFinding:
-    """Tell whether a read works when it is asked for."""
+    """Say whether a read on demand works."""
     if failure is None:
         return DoctorFinding("timing.on_demand", "ok", "works")
     return DoctorFinding(
-        "timing.on_demand", "fault", describe_rig_error(failure), "a read when asked", failure.fix
+        "timing.on_demand", "fault", describe_rig_error(failure), "a read on demand", failure.fix
     )
 
 
 def judge_hardware_timing(failure: RigError | None, is_wanted: bool) -> DoctorFinding:
-    """Tell whether the card's own clock can pace the loop."""
+    """Say whether the card's own clock can pace the loop."""
     name = "timing.hardware"
     if failure is None:
         return DoctorFinding(name, "ok", "works: the card's clock can pace the loop")

@@ -1,5 +1,6 @@
-"""A person at the rig: is the PC fit, is the wiring right, what are the sensors' values?
+"""Before the first run, with a person at the rig: `pamctl doctor` and `pamctl calibrate`.
 
-`doctor/` examines, `calibrate/` measures; both move the valve through `hands_on.py`.
+`doctor/` checks PC and wiring, `calibrate/` measures the values of a rig file. Both move the valve
+through `hands_on.py`.
 Read `hands_on.py` first.
 """

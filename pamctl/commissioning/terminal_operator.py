@@ -1,7 +1,7 @@
 """The person at the terminal: asked on standard error, answering on standard input.
 
-While an answer is awaited the rig goes on: `idle` is called over and over, and holds a
-pressure or watches the encoder.
+The rig goes on while an answer is awaited: `idle` is called again and again, and holds a pressure
+or watches the encoder.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ class NoAnswer(Exception):
 
 
 class Terminal:
-    """Asks, and waits with the rig running."""
+    """Asks a person, and keeps the rig running while waiting."""
 
     def __init__(self) -> None:
         """Read lines from standard input as they come."""
         self._buffer = b""
 
     def say(self, text: str) -> None:
-        """Tell something; results go to standard output, this does not."""
+        """Print a remark on standard error; standard output is for results."""
         print(text, file=sys.stderr, flush=True)
 
     def wait(self, request: str, idle: Callable[[], object]) -> None:
-        """Ask for something to be done, and for Enter when it is. Raises `NoAnswer`."""
+        """Ask for something to be done, and wait for Enter. Raises `NoAnswer`."""
         self._line(f"{request} [Enter]", idle)
 
     def confirm_done(self, request: str, idle: Callable[[], object]) -> bool:
-        """Ask for something to be done; tell whether it was. Raises `NoAnswer`."""
+        """Ask for something to be done; return whether it was. Raises `NoAnswer`."""
         return not self._line(f"{request} [Enter, or s to skip]", idle).lower().startswith("s")
 
     def number(self, question: str, idle: Callable[[], object]) -> float:
@@ -51,7 +51,7 @@ class Terminal:
     def require_yes(self, question: str) -> None:
         """Ask for a yes; raise `NoAnswer` on anything else."""
         if self._line(f"{question} [y/N]", None).lower() not in {"y", "yes"}:
-            raise NoAnswer("not agreed to")
+            raise NoAnswer("not confirmed")
 
     def _line(self, question: str, idle: Callable[[], object] | None) -> str:
         source = sys.stdin.fileno()
@@ -60,7 +60,7 @@ class Terminal:
             if idle is not None:
                 idle()
             if select.select([source], [], [], None if idle is None else 0.0)[0]:
-                # Not through Python's buffer, in which a second line would hide from `select`.
+                # Without Python's buffer: `select` would not see a second line in it.
                 read = os.read(source, 4096)
                 if not read:
                     raise NoAnswer("standard input has ended; give the values by options")

@@ -1,11 +1,11 @@
-"""The front: starts the processes of a run, watches over them, and picks up the pieces.
+"""The front: starts the processes of a run, watches them, and finishes what one leaves undone.
 
     front - recorder
-          - guardian    (not without a clock)
+          - guardian    (none in a run without a clock)
           - loop
 
-Each child sees the front's death as the end of a pipe. None of them hears Ctrl-C: the
-front does, and passes it on to the loop alone.
+Each child sees the front's death as the end of a pipe. Ctrl-C reaches the front only, which
+passes it on to the loop only.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class FrontReport(NamedTuple):
     ending: Ending
     log_is_whole: bool
     note: str
-    """What the user must know of the log; empty where all is well."""
+    """What the user must know about the log; empty where all is well."""
 
 
 class ProcessCommands(NamedTuple):
@@ -59,13 +59,13 @@ def conduct_run(
 ) -> FrontReport:
     """Run the loop on a fresh ring to its end; return when the log is on disk.
 
-    Takes over SIGINT and SIGTERM while it runs. `rig` is not opened here: it is made safe
-    where neither loop nor guardian is left to do it. `mode` is for this process alone: it
-    says whether the front may be scheduled in real time while it watches.
+    It takes over SIGINT and SIGTERM while it runs. `rig` is not opened here; the front makes
+    it safe where neither loop nor guardian can. `mode` applies to this process only: it says
+    whether the front may be scheduled in real time while it watches.
     """
     with _SignalForwarder() as signals:
-        # The loop inherits the block and lifts it when it can listen: a signal that comes
-        # while it starts waits for it, instead of killing it.
+        # The loop inherits the block and lifts it when it has handlers: a signal that comes
+        # while it starts waits, instead of killing it.
         with block_signals():
             recorder = spawn_recorder(ring.path)
             guardian = Guardianship(ring, commands.guardian, rig)
@@ -89,7 +89,7 @@ def conduct_run(
 
 @contextmanager
 def block_signals() -> Iterator[None]:
-    """Let a process that is started here inherit SIGINT and SIGTERM blocked."""
+    """Block SIGINT and SIGTERM; a process that is started within inherits the block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
     try:
         yield
@@ -98,7 +98,7 @@ def block_signals() -> Iterator[None]:
 
 
 class _SignalForwarder:
-    """Passes this process's signals on to the loop, those that came before it too."""
+    """Passes this process's signals on to the loop, also those that came before the loop."""
 
     def __init__(self) -> None:
         self._loop: subprocess.Popen[bytes] | None = None
@@ -146,11 +146,11 @@ def _watch(
 
 
 class _Deaths:
-    """Sleeps until one of the processes dies: each death wakes it once."""
+    """Sleeps until one of the processes dies; each death ends one sleep."""
 
     def __init__(self, pids: Sequence[int | None]) -> None:
         self._poll = select.poll()
-        # They are children not yet waited for: their ids cannot have gone to others.
+        # They are children that nobody has waited for: their ids cannot belong to others yet.
         self._fds = [os.pidfd_open(pid) for pid in pids if pid is not None]
         for fd in self._fds:
             self._poll.register(fd, select.POLLIN)
@@ -165,7 +165,7 @@ class _Deaths:
 
 
 def read_ending(loop: subprocess.Popen[bytes]) -> Ending:
-    """Return how a loop process that has ended says it ended, or how it died."""
+    """Return what an ended loop process reports, or how it died."""
     said, _ = loop.communicate()
     try:
         report = json.loads(said)
@@ -186,14 +186,14 @@ def close_log(ring: Ring, recorder: subprocess.Popen[bytes], ending: Ending) -> 
     complaint = said.decode(errors="replace").strip().removeprefix("recorder: ")
     complaint = complaint or f"the recorder died with {recorder.returncode}"
     if not ring.recorder_flags & RecorderFlag.READY:
-        # Nothing was begun: there is no log to finish, and no tick to save.
+        # The recorder never began: there is no log to finish and no tick to save.
         ring.unlink()
         return FrontReport(Ending(ExitCode.UNEXPECTED, complaint), False, "")
     return _finish_log_apart(ring, ending, complaint)
 
 
 def _await_recorder(recorder: subprocess.Popen[bytes], ring: Ring) -> None:
-    """Let the recorder finish; kill one that has no pulse for long, its work can be done here."""
+    """Let the recorder finish; kill one without a heartbeat, whose work can be done here."""
     beats, since_s = ring.recorder_beats, time.monotonic()
     while recorder.poll() is None:
         if ring.recorder_beats != beats:

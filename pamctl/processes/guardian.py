@@ -1,12 +1,12 @@
 """The guardian: drives the safe voltage when the loop cannot.
 
 A card holds its last voltage when the process that wrote it dies, and a PCI-6221 has no
-watchdog. So a second process waits for the loop's death, of which the kernel tells it at
-once, and listens to its heartbeat in the ring's header. A loop that is silent for too long
-is killed, whatever the cause: only its death makes it let go of the output. A loop stopped
-by a debugger or by SIGSTOP is such a loop, too.
+watchdog. So a second process waits for the loop's death, which the kernel reports at once, and
+watches the loop's heartbeat in the ring's header. A loop that is silent for too long is killed,
+whatever the cause, because only its death releases the output. This includes a loop that is
+stopped by a debugger or by SIGSTOP.
 
-The guardian and its decisions know no backend: all they ask of a rig is `make_safe`.
+The guardian knows no backend: it asks a rig for `make_safe` only.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from hal.rig import Rig, RigError
 from pamctl.recording.ring import LoopStage, Ring
 
 POLL_MS = 5
-"""How often the guardian listens. A death wakes it in between."""
+"""Time between two looks at the heartbeat. A death wakes the guardian at once."""
 _POLL_NS = POLL_MS * 1_000_000
 
 SETTING_UP_NS = 60_000_000_000
 LEAVING_NS = 5_000_000_000
-"""Patience before the first tick and after the last, when the valve stands safe: a driver may
-take seconds, but not for ever."""
+"""Patience before the first tick and after the last, while the valve is safe: a driver may take
+seconds, but not for ever."""
 
 _DEATH_MS = 2_000
 """How long to wait for the end of a killed loop before trying the output anyway."""
@@ -36,61 +36,61 @@ _RETRY_S = 1e-3
 
 
 class Takeover(NamedTuple):
-    """Why the guardian took the output over, and how it went."""
+    """Why the guardian took the output over, and with what result."""
 
     reason: str
-    """Empty where the loop just died: how, only its parent knows."""
+    """Empty where the loop died: only its parent knows how."""
     silent_ms: float
-    """From the loop's last sign of life to the guardian noticing."""
+    """From the loop's last heartbeat until the guardian noticed."""
     latency_ms: float
-    """From noticing to the safe voltage, the killing of a frozen loop included."""
+    """From noticing to the safe voltage, including the killing of a frozen loop."""
     failure: str
     """Why the safe voltage could not be driven; empty where it was."""
 
     def event(self) -> dict[str, object]:
-        """What the log says of it."""
+        """Return the event for the log."""
         return {"event": "guardian_takeover", **self._asdict(), "reason": self.reason or "died"}
 
 
 class Listener:
-    """Measures how long the loop has been silent while the guardian was awake to hear it.
+    """Measures how long the loop has been silent while the guardian was awake to notice.
 
-    A shared virtual machine stands still for tens of milliseconds now and then, loop and
-    guardian alike; 60 ms have been seen. The one that wakes first must not take the other
-    for dead. So what counts between two looks is two periods at most: a guardian that comes
-    late knows by its own lateness that the loop may have had no time either. It is not
-    counted as nothing, lest a guardian that is always late never hears the silence.
+    A shared virtual machine sometimes stands still for tens of milliseconds, loop and guardian
+    alike; 60 ms have been seen. The process that wakes first must not take the other for dead.
+    So at most two periods count between two looks: if the guardian itself is late, the loop may
+    have had no processor either. Late looks still count a little, so that a guardian that is
+    always late notices a silent loop in the end.
     """
 
     def __init__(self, now_ns: int, beat_ns: int) -> None:
-        """Begin to listen: the loop counts as alive now."""
+        """Begin: the loop counts as alive now."""
         self._now_ns = now_ns
         self._beat_ns = beat_ns
         self._silent_ns = 0
 
     def measure_silence_ns(self, now_ns: int, beat_ns: int) -> int:
         """Look at the heartbeat; return how long it has stood still."""
-        heard_ns = min(now_ns - self._now_ns, 2 * _POLL_NS)
+        counted_ns = min(now_ns - self._now_ns, 2 * _POLL_NS)
         if beat_ns == self._beat_ns:
-            self._silent_ns += heard_ns
+            self._silent_ns += counted_ns
         else:
-            self._silent_ns = min(max(0, now_ns - beat_ns), heard_ns)
+            self._silent_ns = min(max(0, now_ns - beat_ns), counted_ns)
         self._now_ns, self._beat_ns = now_ns, beat_ns
         return self._silent_ns
 
 
 def patience_ns(stage: int, done: bool, heartbeat_ns: int) -> int:
-    """Return how long a loop may be silent: a tick's worth only while it drives the valve."""
+    """Return how long a loop may be silent: `heartbeat_ns` only while it drives the valve."""
     if done or stage == LoopStage.LEAVING:
         return LEAVING_NS
     return heartbeat_ns if stage == LoopStage.TICKING else SETTING_UP_NS
 
 
 class LoopProcess:
-    """The loop as the guardian sees it: a handle that cannot be mistaken for a later process."""
+    """A handle on the loop that cannot come to mean a later process of the same id."""
 
     def __init__(self, pid: int) -> None:
-        """A `pid` that is gone is a loop that is dead."""
+        """Open the handle; a process that is gone counts as a dead loop."""
         self._poll = select.poll()
         self._fd: int | None = None
         try:
@@ -100,17 +100,17 @@ class LoopProcess:
             pass
 
     def dies_within(self, timeout_ms: int) -> bool:
-        """Wait for its death; return whether it is dead."""
+        """Wait for the loop's death; return whether it is dead."""
         return self._fd is None or bool(self._poll.poll(timeout_ms))
 
     def kill(self) -> None:
-        """End it, frozen or not."""
+        """Kill the loop, frozen or not."""
         if self._fd is not None:
             signal.pidfd_send_signal(self._fd, signal.SIGKILL)
 
 
 def guard(ring: Ring, loop: LoopProcess, rig: Rig, heartbeat_ns: int) -> Takeover | None:
-    """Watch the loop to its end, and leave the rig at its safe voltage.
+    """Watch the loop until it ends; leave the rig at its safe voltage.
 
     Returns None after an orderly end.
     """
@@ -140,7 +140,7 @@ def guard(ring: Ring, loop: LoopProcess, rig: Rig, heartbeat_ns: int) -> Takeove
 def drive_safe(rig: Rig, patience_s: float = _SAFE_PATIENCE_S) -> RigError | None:
     """Drive the safe voltage; return why it was not possible within the time.
 
-    A driver may need a moment to notice that the owner of the output is dead.
+    A driver may need a moment to notice that the owner of the output has died.
     """
     deadline_s = time.monotonic() + patience_s
     while True:

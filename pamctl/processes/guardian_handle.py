@@ -1,4 +1,4 @@
-"""The front's side of the guardian: start it, notice when it is gone, ask what it did."""
+"""The front's side of the guardian: start it, notice its death, ask what it did."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from pamctl.processes.guardian import Takeover, drive_safe
 from pamctl.recording.ring import Ring
 
 _REPORT_PATIENCE_S = 1.0
-"""From a guardian that takes longer the front takes the work over."""
+"""If the guardian takes longer, the front does its work."""
 _LEAVE_PATIENCE_S = 2.0
 
 
 class Guardianship:
-    """A guardian and its front. Without a `command` there is none, and nothing to guard."""
+    """The guardian of one run. Without a `command` there is none, as in a run without a clock."""
 
     def __init__(self, ring: Ring, command: Sequence[str] | None, rig: Rig) -> None:
-        """Start the guardian of a run; `rig` is what the front can make safe itself."""
+        """Start the guardian; `rig` is what the front makes safe where the guardian cannot."""
         self._ring = ring
         self._rig = rig
         self._process = None if command is None else _spawn([*command, str(ring.path)])
 
     def look(self) -> None:
-        """See whether the guardian lives; if not, the loop is safe within a few ticks.
+        """Look whether the guardian lives; if not, tell the loop, which stops within a few ticks.
 
-        Whether one that lives is frozen is for the loop to hear, from its heartbeat.
+        The loop itself notices a frozen guardian, by its heartbeat.
         """
         if self._process and self._process.poll() is not None:
             self._ring.guardian_lost = 1
@@ -40,7 +40,7 @@ class Guardianship:
         return None if self._process is None else self._process.pid
 
     def judge_ending(self, ending: Ending) -> Ending:
-        """Return how the run of a loop that is no more ended, the valve included."""
+        """Return how the run of an ended loop ended, including the valve's state."""
         if not self._process:
             return ending
         report = _read_report(self._process)
@@ -51,7 +51,7 @@ class Guardianship:
         return _ending_of_takeover(Takeover(**words), ending) if words else ending
 
     def dismiss(self) -> None:
-        """See the guardian off, once the loop's last words are in the ring."""
+        """Wait for the guardian to leave, once the loop's last event is in the ring."""
         if self._process:
             try:
                 self._process.wait(_LEAVE_PATIENCE_S)
@@ -60,7 +60,7 @@ class Guardianship:
             self._process.communicate()
 
     def _stand_in(self, ending: Ending) -> Ending:
-        """Do what the guardian cannot do any more."""
+        """Make the rig safe in the guardian's place."""
         failure = drive_safe(self._rig)
         if failure is not None:
             return Ending(_worse_code(ending), _alarm_text(ending.reason, str(failure)))
@@ -72,7 +72,7 @@ def _spawn(command: Sequence[str]) -> subprocess.Popen[bytes]:
 
 
 def _read_report(guardian: subprocess.Popen[bytes]) -> bytes:
-    """Return the line that a guardian says in the end; nothing where it could not."""
+    """Return the guardian's last line; empty where it wrote none."""
     assert guardian.stdout
     heard, _, _ = select.select([guardian.stdout], [], [], _REPORT_PATIENCE_S)
     return guardian.stdout.readline() if heard else b""
@@ -87,7 +87,7 @@ def _ending_of_takeover(takeover: Takeover, ending: Ending) -> Ending:
 
 
 def _worse_code(ending: Ending) -> ExitCode:
-    """An output that is not safe is no success, whatever else was."""
+    """An output that is not safe is never a success."""
     return ending.code or ExitCode.UNEXPECTED
 
 

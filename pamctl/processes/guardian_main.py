@@ -1,8 +1,8 @@
 """The guardian process: `python -m pamctl.processes.guardian_main RING`, started by the front.
 
-All it needs is in the ring's meta. Its standard input is a pipe whose end is the front's
-death. Its standard output is one JSON line: what it had to do. Signals do not end it: it
-stays as long as the loop does.
+All it needs is in the ring's meta. The end of its standard input is the front's death. Its
+standard output is one JSON line: what it had to do. Signals do not end it: it stays as long as
+the loop does.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def main() -> int:
             return int(ExitCode.UNAVAILABLE)
         if takeover is not None:
             put_event_for_dead_loop(ring, takeover.event())
-        with suppress(BrokenPipeError):  # nobody may be left to read it
+        with suppress(BrokenPipeError):  # the front may be dead
             print(json.dumps(takeover and takeover._asdict()), flush=True)
         if takeover is not None:
             _await_log_end(ring, takeover)
@@ -50,8 +50,8 @@ def main() -> int:
 def _guard(ring: Ring) -> Takeover | None:
     settings = from_resolved(json.dumps(ring.meta.config))
     rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
-    # Rehearsed before the loop opens the rig: who cannot make it safe now, could not then. It
-    # loads the driver as well, which would cost a fraction of a second when it counts.
+    # A rehearsal before the loop opens the rig: a guardian that cannot make it safe now cannot do
+    # so later. It also loads the driver, which would cost a fraction of a second later.
     failure = drive_safe(rig, patience_s=1.0)
     if failure is not None:
         raise failure
@@ -79,7 +79,7 @@ def _front_is_gone(within_ms: int = 0) -> bool:
 
 
 def _await_log_end(ring: Ring, takeover: Takeover) -> None:
-    """Wait for the front to end the log, and do it where the front has died, too."""
+    """Wait until the front has ended the log; end it here where the front has died as well."""
     while not ring.loop_done:
         if _front_is_gone(within_ms=POLL_MS):
             ending = Ending(ExitCode.UNEXPECTED, takeover.reason or "the loop process died")

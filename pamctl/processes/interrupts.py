@@ -1,4 +1,4 @@
-"""Signals while a person works on the rig: one ends the work, and none cuts its end short."""
+"""Signals while a person works on the rig: the first ends the work, none cuts its end short."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class SignalInterrupt(Exception):
 class Interrupts:
     """Turns the first signal within `heed_signals` into `SignalInterrupt`; others wait.
 
-    So the way out, on which the valve is made safe, runs to its end whatever is pressed.
-    Ctrl-Z is not heeded at all: a stopped process holds the valve open.
+    So the way out, on which the valve is made safe, always runs to its end. Ctrl-Z is ignored:
+    a stopped process would hold the valve open.
     """
 
     def __init__(self) -> None:
-        """Nothing is changed before the block is entered."""
+        """Change nothing yet; the block does."""
         self._before: dict[int, object] = {}
         self._heeding = False
         self._pending: int | None = None
@@ -45,7 +45,7 @@ class Interrupts:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Give the signals back; raise what has come too late for `heed_signals`."""
+        """Restore the handlers; raise for a signal that came outside `heed_signals`."""
         for number, handler in self._before.items():
             signal.signal(number, handler)  # type: ignore[arg-type]
         if self._pending is not None and error is None:

@@ -1,7 +1,7 @@
 """The loop process: `python -m pamctl.processes.loop_main RING`, started by the front.
 
-All it needs is in the ring's meta. Its standard input is a pipe whose end is the
-front's death. Its standard output is one JSON line: how the run ended.
+All it needs is in the ring's meta. The end of its standard input is the front's death. Its
+standard output is one JSON line: how the run ended.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ def main() -> NoReturn:
     keep_single_threaded()
     with Ring.attach(sys.argv[1]) as ring:
         ending = run_to_ending(partial(_run, ring))
-        # Where there is no room for it the front says it, when the recorder has made some.
+        # If the ring has no room for it, the front puts it there once the recorder has made room.
         ring.loop_done = _put_outcome(ring, ending)
     report_and_exit(ending)
 
 
 def report_and_exit(ending: Ending) -> NoReturn:
-    """Tell the parent in one JSON line how it ended, and go."""
-    # Nobody may be left to read it.
+    """Tell the parent in one JSON line how the run ended, and exit."""
+    # The parent may be dead.
     with suppress(BrokenPipeError):
         print(json.dumps({"code": int(ending.code), "reason": ending.reason}), flush=True)
     sys.exit(int(ending.code))
 
 
 def run_to_ending(work: Callable[[], Ending]) -> Ending:
-    """Work; whatever happens becomes an ending."""
+    """Do the work; turn every exception into an ending."""
     try:
         return work()
     except (RigError, SchedulingError) as error:
@@ -61,7 +61,7 @@ def run_to_ending(work: Callable[[], Ending]) -> Ending:
 
 
 def _put_outcome(ring: Ring, ending: Ending) -> bool:
-    """Put the last event into the log, waiting for a moment where the ring is full."""
+    """Put the last event into the ring; wait a moment where the ring is full."""
     deadline_s = time.monotonic() + 1.0
     while time.monotonic() < deadline_s:
         try:
@@ -79,7 +79,7 @@ def _run(ring: Ring) -> Ending:
     supervisor.listen()
     if not _await_recorder(ring):
         return Ending(ExitCode.UNEXPECTED, "the recorder did not start")
-    # Now, while this is a process like any other: loading a driver is no work for FIFO.
+    # Before this process is scheduled in real time: loading a driver takes long.
     require_backend(settings)
     if not settings.fast and not await_guardian(ring):
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
@@ -99,7 +99,7 @@ def _run(ring: Ring) -> Ending:
 
 
 def _await_recorder(ring: Ring) -> bool:
-    """Wait for the log to be open: no tick may run that could not be kept."""
+    """Wait until the log is open: no tick may run that could not be recorded."""
     deadline_s = time.monotonic() + 10.0
     while not ring.recorder_flags & RecorderFlag.READY:
         if ring.recorder_flags & RecorderFlag.FAILED or time.monotonic() > deadline_s:
@@ -109,7 +109,7 @@ def _await_recorder(ring: Ring) -> bool:
 
 
 def await_guardian(ring: Ring) -> bool:
-    """Wait for the guardian: no valve may be moved that nobody could close."""
+    """Wait for the guardian: no valve may move that nobody could close."""
     deadline_s = time.monotonic() + 10.0
     while not ring.guardian_ready:
         if ring.guardian_lost or time.monotonic() > deadline_s:
@@ -119,7 +119,7 @@ def await_guardian(ring: Ring) -> bool:
 
 
 def _record_start(ring: Ring, settings: RunSettings, preparation: Preparation) -> None:
-    """Put on record how this process is scheduled, and the gains it begins with."""
+    """Record how this process is scheduled and which gains it begins with."""
     setup = preparation.as_metadata()
     if settings.fast:
         setup = {"mode": "fast: no clock"}

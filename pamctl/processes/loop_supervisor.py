@@ -1,8 +1,7 @@
 """What ends a run from outside: a signal, the death of another process, a recorder in trouble.
 
 A signal, a full disk and a slow recorder leave time for a smooth stop. The death of a process
-does not: whoever kills one may kill the loop next, and a smooth stop that is cut short leaves
-the valve open.
+does not: the loop may be killed next, and a smooth stop that is cut short leaves the valve open.
 """
 
 from __future__ import annotations
@@ -23,24 +22,24 @@ _LOOK_EVERY_S = 8e-3
 
 
 class LoopSupervisor:
-    """Asked once a tick; costs a fraction of a microsecond in most of them."""
+    """Asked once a tick; in most ticks it costs a fraction of a microsecond."""
 
     def __init__(
         self, ring: Ring, front_fd: int | None, pace: LoopSettings, *, patient: bool = False
     ) -> None:
-        """`front_fd` is a pipe whose other end the front holds; its end is the front's.
+        """`front_fd` is a pipe that the front holds open: the pipe's end is the front's death.
 
         A `patient` run waits for a slow recorder instead of giving up on it.
         """
         self._ring = ring
         self._recorded: Ring | None = ring
         self._asked = 0
-        # Counted in questions: a tick's number may be among the missed ones.
+        # Counted in calls, not in tick numbers, because ticks may be missed.
         self._look_every = max(1, round(pace.rate_hz * _LOOK_EVERY_S))
-        # Room for the ticks of a smooth stop must be left when the ring is called too full.
+        # When the ring counts as too full, it must still have room for a smooth stop.
         self._spare_rows = pace.stop_rows
         self._patient = patient
-        # Counted in looks of our own: a machine that stands still is no evidence.
+        # Counted in looks, not in time: a machine that stood still says nothing of the guardian.
         silent_looks = math.ceil(pace.heartbeat_ms * 1e-3 * pace.rate_hz / self._look_every)
         self._guardian = _Heartbeat(max(2, silent_looks))
         self._is_time_to_look = False
@@ -53,12 +52,12 @@ class LoopSupervisor:
             self._front.register(front_fd, select.POLLHUP | select.POLLERR)
 
     def watch_recording(self, ring: Ring | None) -> None:
-        """Watch the recorder of another ring from now on; None where nothing is recorded."""
+        """Watch the recorder of this ring from now on; None: nothing is recorded."""
         self._recorded = ring
         self._beats, self._beat_s = -1, time.monotonic()
 
     def listen(self) -> None:
-        """Take over SIGINT and SIGTERM: the first stops smoothly, the second at once."""
+        """Take over SIGINT and SIGTERM: the first signal stops smoothly, the second at once."""
         for number in STOP_SIGNALS:
             signal.signal(number, self._on_signal)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
@@ -67,9 +66,9 @@ class LoopSupervisor:
         self._signals.append(number)
 
     def wants_abort(self) -> bool:
-        """Tell whether a second signal came, or a process died: then there is no time to lose.
+        """Say whether to stop at once: after a second signal, or after the death of a process.
 
-        Asked first in every tick, and during a smooth stop as well.
+        Call it first in every tick, also during a smooth stop.
         """
         self._asked += 1
         # Every few milliseconds is often enough.
@@ -88,7 +87,7 @@ class LoopSupervisor:
         return self._find_recorder_trouble() if self._is_time_to_look else None
 
     def _find_loss(self) -> str:
-        """Say which of the other processes is gone; nothing where all are there."""
+        """Return which of the other processes is gone; empty where all are alive."""
         ring, recorded = self._ring, self._recorded
         flags = recorded.recorder_flags if recorded else 0
         if flags & RecorderFlag.FAILED and not flags & RecorderFlag.DISK_FULL:
@@ -119,10 +118,10 @@ class LoopSupervisor:
 
 
 class _Heartbeat:
-    """A heartbeat that is looked at now and then."""
+    """A heartbeat that is looked at in intervals."""
 
     def __init__(self, most_looks: int) -> None:
-        """After `most_looks` in a row without a beat it is lost."""
+        """After `most_looks` looks in a row without a beat it counts as lost."""
         self._most = most_looks
         self._beats = -1
         self._still = 0

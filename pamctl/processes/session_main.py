@@ -1,8 +1,8 @@
 """The loop process of a daemon: `python -m pamctl.processes.session_main RING ORDERS_FD`.
 
-It takes orders until it is stopped. The ring is the session's own, which nobody reads; each
-run brings another. Its standard input is a pipe whose end is the daemon's death. Its
-standard output is one JSON line: how the session ended.
+It takes orders until it is stopped. The ring is the session's own, and nothing records it; each
+run brings another ring. The end of its standard input is the daemon's death. Its standard output
+is one JSON line: how the session ended.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _run(
 ) -> Ending:
     supervisor.watch_recording(None)
     supervisor.listen()
-    # Now, while this is a process like any other: loading a driver is no work for FIFO.
+    # Before this process is scheduled in real time: loading a driver takes long.
     require_backend(settings)
     if not await_guardian(ring):
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")

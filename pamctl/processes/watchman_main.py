@@ -1,9 +1,9 @@
-"""The watchman: `python -m pamctl.processes.watchman_main`, started by whoever works on the rig.
+"""The watchman: `python -m pamctl.processes.watchman_main`, started by `doctor` and `calibrate`.
 
-`doctor` and `calibrate` drive the valve from the process that talks to a person, and a card
-holds its last voltage when that process is killed. So this one waits for its death, of which
-the end of a pipe tells it at once, and then drives the safe voltage. A word on the pipe says
-that all ended well, and there is nothing to do.
+They drive the valve from the process that talks to a person, and a card holds its last voltage
+when that process is killed. So the watchman waits for the death of that process, which the end
+of a pipe reports at once, and then drives the safe voltage. A line on the pipe says that the work
+ended well and that there is nothing to do.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def keep_watchman(settings: RunSettings, rig: Rig) -> Iterator[None]:
     """Keep a watchman for the block; it makes the rig safe if this process dies in it.
 
-    Raises `RigError` where the watchman cannot do its work, or where the rig, which the block
-    closes, could not be made safe: then the watchman has tried as well.
+    The block closes the rig. Raises `RigError` where the watchman cannot work, or where neither
+    the block nor the watchman could make the rig safe.
     """
     command = [sys.executable, "-m", "pamctl.processes.watchman_main"]
     watchman = subprocess.Popen(
@@ -44,7 +44,7 @@ def keep_watchman(settings: RunSettings, rig: Rig) -> Iterator[None]:
             watchman.stdin.write(json.dumps(settings_to_json(settings)).encode() + b"\n")
             watchman.stdin.flush()
         if watchman.stdout.readline() != b"ready\n":
-            raise RigError("the watchman process did not start", fix="see its words above")
+            raise RigError("the watchman process did not start", fix="see its message above")
         yield
     finally:
         with suppress(BrokenPipeError):
@@ -63,7 +63,7 @@ def main() -> int:
         signal.signal(number, signal.SIG_IGN)
     settings = from_resolved(json.loads(sys.stdin.buffer.readline()))
     try:
-        # Loaded now: it would cost a fraction of a second when it counts.
+        # Loaded now, because it costs a fraction of a second.
         require_backend(settings)
     except RigError as error:
         print(f"watchman: {error}", file=sys.stderr)

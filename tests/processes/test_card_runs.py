@@ -6,17 +6,15 @@ import json
 import os
 import signal
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
 from standin.standin import PERMIT, Card, library
 from support.card_rigs import READ_COUNT, READ_VOLTS, WRITE
 from support.card_runs import AT_ONCE, OWN_SAFE_V, RUN, await_writes, log_of, of, own, start
+from support.children import await_children
 from support.patience import PATIENCE_S
-from support.runs import (
-    AO_STEP_V,
-)
+from support.runs import AO_STEP_V
 
 from pamctl.signals import Phase
 
@@ -72,11 +70,7 @@ def test_when_the_loop_dies_or_freezes_the_guardian_takes_the_card_over(
 ) -> None:
     process = start(own, *AT_ONCE)
     await_writes(own, process, 700)
-    loop = next(
-        int(pid)
-        for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        if "loop_main" in Path(f"/proc/{pid}/cmdline").read_text()
-    )
+    loop = await_children(process.pid, "loop_main")["loop_main"]
     os.kill(loop, number)
     _, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
@@ -115,7 +109,7 @@ def test_a_broken_wire_trips_the_run_on_the_card(own: Card) -> None:
 @pytest.mark.parametrize(
     ("arguments", "environment", "complaint"),
     [
-        ([], {PERMIT: None}, "stand-in of pamctl's tests"),
+        ([], {PERMIT: None}, "stand-in driver of pamctl's tests"),
         (["--set", "rig.nidaq.device=Dev9"], {}, "nilsdev"),
         ([], {"LD_LIBRARY_PATH": None}, "install NI-DAQmx"),
     ],

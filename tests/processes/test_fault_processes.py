@@ -10,7 +10,6 @@ import os
 import resource
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ import pytest
 from standin.standin import PERMIT, Card
 from support.card_rigs import READ_VOLTS
 from support.card_runs import AT_ONCE, OWN_SAFE_V, PAMCTL, await_writes, log_of, own, start
+from support.children import PARTS, await_children
 from support.killing import kill_as_one
 from support.patience import PATIENCE_S
 from support.rings import await_phase
@@ -56,19 +56,12 @@ def assert_next_start_is_clean(card: Card, timing: str) -> None:
 
 
 def child_of(front: subprocess.Popen[str], name: str) -> int:
-    """Wait for a process of the run; return its id."""
-    deadline_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline_s:
-        for pid in Path(f"/proc/{front.pid}/task/{front.pid}/children").read_text().split():
-            if name in Path(f"/proc/{pid}/cmdline").read_text():
-                return int(pid)
-        time.sleep(0.02)
-    raise AssertionError(f"no {name}")
+    return await_children(front.pid, name)[name]
 
 
 @every_timing
 def test_a_driver_that_never_returns_is_killed_with_its_loop(own: Card, timing: str) -> None:
-    """The read heeds neither its timeout nor a signal: only the guardian is left."""
+    """The read ignores its timeout and all signals: only the guardian can act."""
     own.fail(READ_VOLTS, hang_s=60.0, is_deaf=True, after=MOVING, times=1)
     process = start(own, *AT_ONCE, *TIMINGS[timing])
     said = assert_left_in_order(own, process, code=1)
@@ -79,7 +72,7 @@ def test_a_driver_that_never_returns_is_killed_with_its_loop(own: Card, timing: 
 
 
 def test_a_card_that_is_gone_ends_with_69_its_own_words_and_an_alarm(own: Card) -> None:
-    """Nothing that software does reaches the output then: a person must."""
+    """No software reaches the output then: a person must act."""
     process = start(own, *AT_ONCE)
     await_writes(own, process, MOVING)
     own.registers.is_gone = 1
@@ -98,7 +91,7 @@ def test_a_loop_paced_by_the_card_that_dies_or_freezes_leaves_it_safe(
     process = start(own, *AT_ONCE, *TIMINGS["hardware_timed"])
     await_writes(own, process, MOVING)
     loop = child_of(process, "loop_main")
-    # Whatever the driver's package loads: a thread more would have to die, too.
+    # Whatever the driver's package loads: one more thread would have to die as well.
     assert len(list(Path(f"/proc/{loop}/task").iterdir())) == 1
     os.kill(loop, number)
     assert "the guardian drove the safe voltage" in assert_left_in_order(own, process, code=1)
@@ -128,7 +121,7 @@ def test_signals_leave_the_card_safe_whatever_paces_the_loop(
         await_phase(process.pid, Phase.STOPPING)
     process.send_signal(last)
     assert_left_in_order(own, process, code)
-    # The whole of the ramp after one signal; not nearly all of it after the second.
+    # One signal: the whole ramp. Two signals: the ramp is cut short.
     whole = spent_s(log_of(own), Phase.STOPPING) > 0.8 * ramp_s
     assert whole == (len(signals) == 1)
 
@@ -177,9 +170,9 @@ def test_an_exception_in_the_law_ends_with_1_and_its_name(
     assert log.events[-1]["reason"].startswith("ZeroDivisionError")
 
 
-def test_a_log_that_can_grow_no_more_stops_the_run_smoothly_and_is_whole(own: Card) -> None:
+def test_a_log_that_cannot_grow_stops_the_run_smoothly_and_is_whole(own: Card) -> None:
     process = start(own, *AT_ONCE, "--set", "rig.loop.ring_rows=2048")
-    recorder = child_of(process, "recording.recorder")
+    recorder = child_of(process, "recorder")
     await_writes(own, process, 10)
     most = 1_200_000
     resource.prlimit(recorder, resource.RLIMIT_FSIZE, (most, most))
@@ -190,8 +183,7 @@ def test_a_log_that_can_grow_no_more_stops_the_run_smoothly_and_is_whole(own: Ca
 def test_pamctl_safe_drives_the_card_after_everything_was_killed(own: Card) -> None:
     process = start(own, *AT_ONCE, *TIMINGS["hardware_timed"])
     await_writes(own, process, MOVING)
-    parts = [child_of(process, n) for n in ("guardian_main", "recording.recorder", "loop_main")]
-    kill_as_one(process.pid, *parts)
+    kill_as_one(process.pid, *await_children(process.pid, *PARTS).values())
     process.communicate(timeout=PATIENCE_S)
     assert own.output_v > OWN_SAFE_V + 1.0
     done = subprocess.run(

@@ -1,10 +1,10 @@
-"""The encoder: its scale and sign against known displacements."""
+"""Scale and sign of the encoder, from known displacements."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from pamctl.commissioning.calibrate.holding import read_while_held
 from pamctl.commissioning.calibrate.outcome import (
@@ -16,8 +16,6 @@ from pamctl.commissioning.calibrate.outcome import (
     slope,
 )
 from pamctl.commissioning.hands_on import Bench, summarise_samples
-
-Mover = Literal["hand", "muscle"]
 
 DEFAULT_POINTS_KPA = (250.0,)
 _LEAST_COUNTS = 100
@@ -42,9 +40,9 @@ class _Move(NamedTuple):
 def calibrate_encoder_by_hand(
     bench: Bench, operator: Operator, displacements_mm: Sequence[float]
 ) -> CalibrationOutcome:
-    """Let the carriage be moved by gauge blocks; the vented muscle follows.
+    """Ask for the carriage to be moved by gauge blocks; the vented muscle follows.
 
-    An empty list asks for one displacement. Raises `CalibrationError` or `LimitMet`.
+    With an empty list it asks for one displacement. Raises `CalibrationError` or `LimitError`.
     """
 
     def stay() -> None:
@@ -52,12 +50,14 @@ def calibrate_encoder_by_hand(
 
     moves = []
     for known_mm in displacements_mm or (None,):
-        operator.wait("put the carriage against its stop, the muscle extended", stay)
+        operator.wait("put the carriage against its stop, with the muscle extended", stay)
         before = summarise_samples(bench.hold(bench.safe_valve_v, _AVERAGED_S)).counts
         block = "a gauge block" if known_mm is None else f"the gauge block of {known_mm:g} mm"
-        operator.wait(f"move the carriage by {block} the way the muscle contracts", stay)
+        operator.wait(f"move the carriage by {block} in the direction of contraction", stay)
         after = summarise_samples(bench.hold(bench.safe_valve_v, _AVERAGED_S)).counts
-        moved_mm = operator.number("how far was that, mm?", stay) if known_mm is None else known_mm
+        moved_mm = known_mm
+        if moved_mm is None:
+            moved_mm = operator.number("how far did it move, in mm?", stay)
         moves.append(_Move(after - before, _require_length_m(moved_mm)))
     return _evaluate_moves(bench, moves, "gauge blocks of")
 
@@ -67,7 +67,7 @@ def calibrate_encoder_by_muscle(
 ) -> CalibrationOutcome:
     """Fill the muscle to each pressure (kPa gauge), and ask for the contraction measured there.
 
-    Raises `CalibrationError` or `LimitMet`.
+    Raises `CalibrationError` or `LimitError`.
     """
     start = bench.settle(bench.homing.vent_v)
     moves = []
@@ -76,7 +76,7 @@ def calibrate_encoder_by_muscle(
             bench,
             operator,
             point_kpa,
-            "how far has the muscle contracted from the vented state, mm?",
+            "how far has the muscle contracted from the vented state, in mm?",
         )
         moves.append(_Move(held.counts - start.counts, _require_length_m(contraction_mm)))
     end = bench.settle(bench.homing.vent_v)
@@ -88,8 +88,8 @@ def calibrate_encoder_by_muscle(
 def _require_length_m(displacement_mm: float) -> float:
     if not (math.isfinite(displacement_mm) and displacement_mm > 0.0):
         raise CalibrationError(
-            f"a displacement of {displacement_mm:g} mm says nothing about the scale; it must be "
-            "positive, the way the muscle contracts (the sign is found from the counts)"
+            f"a displacement of {displacement_mm:g} mm cannot give the scale; it must be "
+            "positive, in the direction of contraction (the sign is found from the counts)"
         )
     return displacement_mm * 1e-3
 
@@ -130,7 +130,7 @@ def _evaluate_moves(bench: Bench, moves: Sequence[_Move], what: str) -> Calibrat
                 "",
                 0.0,
                 f"{meaning} as the muscle contracts"
-                + (": the other way round than the file said" if turned else ""),
+                + (": the opposite of what the file said" if turned else ""),
             ),
         ),
         (),
@@ -143,20 +143,20 @@ def _find_common_sign(moves: Sequence[_Move]) -> int:
     for move in moves:
         if abs(move.counts) < _LEAST_COUNTS:
             raise CalibrationError(
-                f"the encoder saw {move.counts:.0f} counts for {move.displacement_m * 1e3:g} mm; "
+                f"the encoder counted {move.counts:.0f} for {move.displacement_m * 1e3:g} mm; "
                 "check that it is plugged in (`pamctl doctor --actuate`), and that the carriage "
-                "moved; a simulated rig has no carriage to push: there use --by muscle"
+                "moved; a simulated rig has no carriage to push: use --by muscle there"
             )
     signs = {1 if move.counts > 0 else -1 for move in moves}
     if len(signs) > 1:
         raise CalibrationError(
-            "the moves went different ways; each must go the way the muscle contracts"
+            "the moves differ in direction; each must go in the direction of contraction"
         )
     return signs.pop()
 
 
 def _uncertainty(scale: float, counts: Sequence[float], residuals_m: Sequence[float]) -> float:
-    """Each end of a move is known to a count; what the points scatter beyond that counts too."""
+    """Return two standard deviations: each end is known to a count, and the points scatter."""
     spread = math.sqrt(sum(n * n for n in counts))
     by_counts = 2.0 * scale / math.sqrt(6.0) / spread
     if len(counts) < 2:

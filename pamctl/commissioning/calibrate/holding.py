@@ -1,4 +1,4 @@
-"""A pressure held while somebody reads an instrument."""
+"""Hold a pressure while a person reads an instrument."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def read_while_held(
 ) -> tuple[SensorStatistics, float]:
     """Hold a pressure (kPa gauge) until the question is answered.
 
-    Returns what the sensors said just before the answer, when the person was looking, and the
-    answer. Raises `LimitMet` where the pressure cannot be reached.
+    Returns what the sensors read just before the answer, and the answer. Raises `LimitError` where
+    the pressure cannot be reached.
     """
     target_pa = bench.absolute_pa(point_kpa)
     bench.bring_to_pressure(target_pa)

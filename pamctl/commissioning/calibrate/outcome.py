@@ -1,4 +1,4 @@
-"""What a calibration ends with, and whom it asks."""
+"""The result of a calibration, and the person whom it asks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 
 class CalibrationValue(NamedTuple):
-    """One value for the rig file, and how good it is."""
+    """One value for the rig file, with its uncertainty."""
 
     keys: tuple[str, str]
     """Section and key."""
@@ -23,13 +23,13 @@ class CalibrationOutcome(NamedTuple):
 
     values: tuple[CalibrationValue, ...]
     notes: tuple[str, ...]
-    """What is worth a dated line in the file, and has no key there."""
+    """Facts that have no key in the file: they become dated comments."""
     figures: Mapping[str, object]
-    """Behind the values: points, residuals, noise; SI, units in the names."""
+    """What the values rest on: points, residuals, noise; SI, units in the names."""
 
 
 class CalibrationError(Exception):
-    """What was measured or entered makes no sense; the message says why, and what to check."""
+    """A measurement or an answer makes no sense; the message says why and what to check."""
 
 
 class Operator(Protocol):
@@ -43,7 +43,7 @@ class Operator(Protocol):
 
 
 class PreparedAnswers:
-    """Answers given beforehand, in the order of the questions: for scripts."""
+    """Answers given in advance, in the order of the questions: for scripts."""
 
     def __init__(self, answers: Sequence[float], idle_times: int = 30) -> None:
         """`idle_times` is how often the rig goes on before each answer."""
@@ -51,12 +51,12 @@ class PreparedAnswers:
         self._idle_times = idle_times
 
     def wait(self, request: str, idle: Callable[[], object]) -> None:
-        """Count it as done a moment later."""
+        """Let the rig go on for a moment, then go on as if it were done."""
         for _ in range(self._idle_times):
             idle()
 
     def number(self, question: str, idle: Callable[[], object]) -> float:
-        """Give the next answer a moment later."""
+        """Let the rig go on for a moment, then give the next answer."""
         self.wait(question, idle)
         if not self._answers:
             raise CalibrationError(f"no value was given for: {question}")

@@ -18,12 +18,12 @@ from pamctl.commissioning.hands_on import Bench, SensorStatistics
 
 DEFAULT_POINTS_KPA = (100.0, 200.0, 300.0)
 _CODE_V = 10.0 / 65536
-"""Of a +-5 V input: below it nothing can be known."""
+"""One code of a +-5 V input: the resolution."""
 _CORRELATED = 4.0
-"""How much less a sample of a held pressure is worth than one at rest: the hold follows the
-sensor's noise, and 14 samples go by until it has forgotten it."""
+"""How much noisier the mean of a held pressure is than that of a pressure at rest: the hold follows
+the sensor's noise, which stays correlated over 14 samples."""
 _WORST_SHARE = 0.03
-"""Residual over the highest reading, above which the points are no line."""
+"""Residual over the highest reading, above which the points do not lie on a line."""
 _HINTS = {
     1.0 / 6.895: "were the readings in psi? They must be kPa",
     0.01: "were the readings in bar? They must be kPa",
@@ -37,16 +37,19 @@ def calibrate_pressure(
 ) -> CalibrationOutcome:
     """Vent and take the zero; hold each pressure (kPa gauge) and ask what the gauge reads.
 
-    Raises `CalibrationError` or `LimitMet`.
+    Raises `CalibrationError` or `LimitError`.
     """
     zero = _measure_zero(bench)
     volts, readings_pa, noises_v = [], [], []
     for point_kpa in points_kpa:
         held, reading_kpa = read_while_held(
-            bench, operator, point_kpa, "what does the reference gauge read, kPa above atmosphere?"
+            bench,
+            operator,
+            point_kpa,
+            "what does the reference gauge read, in kPa (gauge)?",
         )
         if not (math.isfinite(reading_kpa) and reading_kpa > 0.0):
-            raise CalibrationError(f"a gauge at pressure does not read {reading_kpa:g} kPa")
+            raise CalibrationError(f"a gauge under pressure cannot read {reading_kpa:g} kPa")
         volts.append(held.sensor_v - zero.sensor_v)
         readings_pa.append(reading_kpa * 1e3)
         noises_v.append(math.hypot(_mean_noise_v(zero), _CORRELATED * _mean_noise_v(held)))
@@ -94,7 +97,7 @@ def _measure_zero(bench: Bench) -> SensorStatistics:
 def _fit_gain(
     bench: Bench, volts: Sequence[float], readings_pa: Sequence[float]
 ) -> tuple[float, list[float]]:
-    """Fit a line through the zero, which the atmosphere gives; return it with its residuals."""
+    """Fit a line through the zero at the atmosphere; return its slope and its residuals."""
     gain = slope(volts, readings_pa)
     require_near("sensor_pa_per_v", gain, bench.settings.sensor_pa_per_v, _HINTS)
     residuals = [pa - gain * v for v, pa in zip(volts, readings_pa, strict=True)]

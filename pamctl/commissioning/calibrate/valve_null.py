@@ -1,8 +1,8 @@
 """The valve: its sign, the supply's pressure, and the command at which it is closed.
 
-The null is found on the muscle itself: at a pressure between supply and atmosphere a valve
-that is open to either side makes the pressure rise or fall. Two searches find the edges of
-the commands at which it does neither; the null lies between them.
+The null is found on the muscle itself. At a pressure between supply and atmosphere, a valve that
+is open to one side makes the pressure rise or fall. Two searches find the commands between which
+the pressure does neither; the null lies in the middle.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from pamctl.commissioning.hands_on import Bench, SensorStatistics, summarise_sam
 RESOLUTION_V = 0.5e-3
 """About an output code and a half."""
 _STANDING_S = 0.02
-"""After a change of the command: for the spool and the sensor."""
+"""Wait after a change of the command, for the spool and the sensor."""
 _COMING_TO_REST_S = 0.3
-"""Before it: a muscle that still moves changes its volume, and so the pressure of shut-in air.
-Its time constant is c / k, 59 ms on the paper's rig."""
+"""Wait before it: a muscle that still moves changes its volume, and so the pressure of the enclosed
+air. Its time constant is c / k, 59 ms on the paper's rig."""
 _ENDS_S = 0.05
 _DWELL_S = 0.15
 _NEARBY_V = 0.1
@@ -39,19 +39,19 @@ class _NullEdge(NamedTuple):
 
     command_v: float
     blur_v: float
-    """How far beyond the valve's own edge a change is seen: the smallest one that is, over how
-    fast it grows with the command."""
+    """How far beyond the valve's own edge a change becomes visible: the smallest visible change
+    over its growth with the command."""
 
 
 def calibrate_valve(bench: Bench, span_v: float = 1.0) -> CalibrationOutcome:
     """Move the muscle to find sign, supply and null.
 
-    The null is looked for `span_v` (V) around the file's. Raises `CalibrationError`, `LimitMet`.
+    The null is searched within `span_v` (V) of the file's. Raises `CalibrationError`, `LimitError`.
     """
     sign = judge_valve_sign(bench, pulse_valve(bench))
     if sign.level != "ok":
         raise CalibrationError(f"{sign.found}; {sign.fix}")
-    # Against the sensor's own zero of today: the file's may be off by more than the supply is.
+    # Against the sensor's zero of today: the file's zero may be off by more than the supply.
     zero = bench.settle(bench.homing.vent_v)
     supply = bench.settle(bench.homing.fill_v)
     supply_pa = (
@@ -60,7 +60,7 @@ def calibrate_valve(bench: Bench, span_v: float = 1.0) -> CalibrationOutcome:
     )
     if bench.gauge_kpa(supply_pa) < _LEAST_SUPPLY_KPA:
         raise CalibrationError(
-            f"the supply gives {bench.gauge_kpa(supply_pa):.0f} kPa gauge only; open it, or "
+            f"the supply gives only {bench.gauge_kpa(supply_pa):.0f} kPa gauge; open it, or "
             "calibrate the pressure sensor first"
         )
     middle_pa = 0.5 * (supply_pa + bench.settings.atmospheric_pressure_pa)
@@ -73,7 +73,7 @@ def calibrate_valve(bench: Bench, span_v: float = 1.0) -> CalibrationOutcome:
 def _find_edge(
     bench: Bench, at_pa: float, span_v: float, side: int, supply: SensorStatistics
 ) -> _NullEdge:
-    """Halve the span until the edge on one side is known: `side` 1 is rising, -1 falling."""
+    """Halve the span until the edge on one side is known; `side`: 1 is rising, -1 falling."""
     least_v = max(4.0 * math.sqrt(2.0 / (_ENDS_S / bench.period_s)) * supply.noise_v, 2.0 * _CODE_V)
 
     def moves(command_v: float) -> bool:
@@ -93,7 +93,7 @@ def _find_edge(
 
 
 def _measure_change_v(bench: Bench, at_pa: float, command_v: float) -> float:
-    """Return how the sensor's voltage changes over a dwell that begins at a pressure."""
+    """Return the change of the sensor's voltage over a dwell that begins at a pressure."""
     bench.bring_to_pressure(at_pa)
     still = round(_COMING_TO_REST_S / bench.period_s)
     bench.hold_pressure(at_pa, lambda samples: len(samples) >= still)
@@ -143,7 +143,7 @@ def _evaluate_edges(
                 math.floor(reach_v * 1e3) * 1e-3,
                 "V",
                 0.0,
-                "what the driver's range leaves on either side of this null",
+                "the range of the driver on either side of this null",
             )
         )
     supply_kpa = supply_pa * 1e-3

@@ -1,5 +1,5 @@
-"""Is this PC, card and rig fit to run? Each check gives a finding with its fix.
+"""Are PC, device and rig fit for a run? Each check gives a finding with its fix.
 
-`examination.py` puts the checks in order, from the PC to the muscle.
-Read `findings.py` first, then `examination.py`.
+A finding is a `DoctorFinding` (`hal/doctor_finding.py`); a backend brings the checks of its device.
+Read `examination.py` first: it puts all checks in order, from the PC to the muscle.
 """

@@ -1,4 +1,4 @@
-"""How long things take: waking up on the loop's grid, and each call of the rig."""
+"""Measured times: waking up on the loop's grid, and each call of the rig."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from pamctl.realtime.clock import Clock
 
 CALLS = 2000
 _LONGEST_S = 2.0
-"""Of measuring calls: a rig so slow has shown it by then."""
+"""Longest time spent on measuring calls: a slow rig has shown itself by then."""
 _EDGES_US = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 
 _GOOD_SHARE, _BAD_SHARE = 0.05, 0.5
-"""Of a period, at the 99th percentile: below is ok, above is a fault."""
+"""Shares of a period at the 99th percentile: up to the first is ok, above the second a fault."""
 
 
 class LatencySpread(NamedTuple):
-    """Durations summed up, in microseconds."""
+    """Statistics of durations, in microseconds."""
 
     samples: int
     p50_us: float
     p99_us: float
     max_us: float
     histogram: dict[str, int]
-    """How many lay below each edge and not below the one before."""
+    """Number of durations below each edge and not below the edge before."""
 
     def __str__(self) -> str:
-        """One phrase for people."""
+        """Return one phrase for people."""
         return f"p50 {self.p50_us:.1f}, p99 {self.p99_us:.1f}, max {self.max_us:.1f} us"
 
 
 def summarise_latencies(durations_ns: Sequence[int]) -> LatencySpread:
-    """Sum up durations, at least one; percentiles are values that occurred."""
+    """Return the statistics of at least one duration; percentiles are values that occurred."""
     ordered = sorted(durations_ns)
     last = len(ordered) - 1
 
@@ -67,7 +67,7 @@ class WakeUps(NamedTuple):
 
 
 def measure_wake_ups(clock: Clock, duration_s: float) -> WakeUps:
-    """Wait for the grid again and again; needs nothing but a clock."""
+    """Wait for the grid again and again; this needs only a clock."""
     ticks = max(10, round(duration_s * 1e9 / clock.period_ns))
     late_ns, missed = [], 0
     with _pause_garbage_collection():
@@ -92,8 +92,8 @@ def judge_wake_ups(name: str, wake_ups: WakeUps, period_s: float, how: str) -> D
         level,
         f"{how}: late by {late}, {missed} of {ticks} ticks missed",
         f"p99 below {_GOOD_SHARE * period_s * 1e6:.0f} us and no tick missed",
-        "grant what pc.fifo and pc.dma_latency say; close other programs; a virtual machine "
-        "needs processors of its own; a PREEMPT_RT kernel bounds the maximum",
+        "grant what pc.fifo and pc.dma_latency name; close other programs; give a virtual machine "
+        "its own processors; a PREEMPT_RT kernel bounds the maximum",
         {**late._asdict(), "missed": missed, "period_s": period_s},
     )
 
@@ -102,7 +102,7 @@ def judge_wake_ups(name: str, wake_ups: WakeUps, period_s: float, how: str) -> D
 
 
 class CallCosts(NamedTuple):
-    """What the three calls of a tick cost."""
+    """Times of the three calls of a tick."""
 
     encoder: LatencySpread
     pressure: LatencySpread
@@ -112,9 +112,9 @@ class CallCosts(NamedTuple):
 def measure_calls(
     rig: Rig, safe_volts: float, now_ns: Callable[[], int] = time.monotonic_ns, calls: int = CALLS
 ) -> CallCosts:
-    """Read, and write the safe voltage, back to back; the rig is open.
+    """Read and write the safe voltage back to back; the rig is open.
 
-    A sample's own times part the encoder's share from the pressure sensor's: encoder first.
+    The times in a sample separate the encoder's call from the pressure sensor's: encoder first.
     """
     encoder_ns, pressure_ns, output_ns = [], [], []
     until_ns = now_ns() + round(_LONGEST_S * 1e9)
@@ -137,7 +137,7 @@ def measure_calls(
 
 
 def judge_calls(calls: CallCosts, period_s: float) -> Iterator[DoctorFinding]:
-    """Judge each call against its third of the share that a tick may take."""
+    """Judge each call against a third of the time that all three may take of a tick."""
     for name, cost in calls._asdict().items():
         level = _judge_share(3.0 * cost.p99_us * 1e-6 / period_s)
         if level == "ok" and cost.max_us * 1e-6 > period_s:
@@ -146,7 +146,7 @@ def judge_calls(calls: CallCosts, period_s: float) -> Iterator[DoctorFinding]:
             f"latency.{name}",
             level,
             f"{cost} of {cost.samples} calls",
-            f"p99 below {_GOOD_SHARE * period_s * 1e6 / 3:.0f} us, none longer than a tick",
+            f"p99 below {_GOOD_SHARE * period_s * 1e6 / 3:.0f} us, and none longer than a tick",
             "is the card on PCI or PCIe (a USB device takes a millisecond a call)? close other "
             "programs that use it; see pc.fifo; or lower loop.rate_hz",
             cost._asdict(),

@@ -1,4 +1,4 @@
-"""Is this computer fit: kernel, processors, permissions, room for rings and logs."""
+"""Checks of the computer: kernel, processors, permissions, space for rings and logs."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pamctl.realtime.scheduling import Preparation
 _MB = 1 << 20
 _RING_BYTES = 64 * _MB
 _LOG_BYTES_PER_S = 250_000
-"""Some 200 bytes a tick at 1 kHz, and a little more."""
+"""Some 200 bytes a tick at 1 kHz, with a margin."""
 _SHORTEST_LOG_S = 300.0
 _COMFORTABLE_LOG_S = 3600.0
 
 _RIGHTS = {
-    "fifo": "SCHED_FIFO, lest any other program delays the loop",
-    "mlock": "memory locked, lest a page has to be fetched within a tick",
-    "dma_latency": "deep sleep of the processors forbidden while the loop runs",
-    "affinity": "a processor of the loop's own",
+    "fifo": "SCHED_FIFO, so that no other program delays the loop",
+    "mlock": "memory locked, so that no tick waits for a page",
+    "dma_latency": "no deep sleep of the processors while the loop runs",
+    "affinity": "a processor for the loop alone",
     "timer_slack": "timers without slack",
 }
 
 
 def examine_pc(shared_memory: Path, log_directory: Path) -> Iterator[DoctorFinding]:
-    """Look at what does not depend on the rig, and needs no measurement."""
+    """Check what does not depend on the rig and needs no measurement."""
     yield check_kernel()
     yield check_processors(os.cpu_count() or 1)
     yield check_governor(Path("/sys/devices/system/cpu"))
@@ -55,7 +55,7 @@ def check_kernel() -> DoctorFinding:
 
 
 def check_processors(count: int) -> DoctorFinding:
-    """Count them: the loop wants one for itself."""
+    """Count the processors: the loop needs one for itself."""
     data = {"processors": count}
     if count > 1:
         return DoctorFinding("pc.processors", "ok", f"{count}", data=data)
@@ -63,14 +63,14 @@ def check_processors(count: int) -> DoctorFinding:
         "pc.processors",
         "warning",
         "1",
-        "at least 2: one for the loop, one for all else",
+        "at least 2: one for the loop, one for everything else",
         "give the machine a second processor; the loop will not spin on this one",
         data,
     )
 
 
 def check_governor(cpus: Path) -> DoctorFinding:
-    """See at which clock rate the processors idle."""
+    """Check that the processors do not lower their clock rate."""
     files = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_governor"))
     governors = sorted({_read_text(file) for file in files})
     if not governors:
@@ -88,7 +88,7 @@ def check_governor(cpus: Path) -> DoctorFinding:
 
 
 def check_shared_memory(directory: Path) -> DoctorFinding:
-    """See that rings and locks can be laid into shared memory."""
+    """Check that shared memory has room for rings and locks."""
     name, wanted = "pc.shared_memory", f"writable, {_RING_BYTES // _MB} MB free for ring and locks"
     if not (directory.is_dir() and os.access(directory, os.W_OK)):
         fix = f"mount -t tmpfs -o mode=1777 tmpfs {directory}"
@@ -99,17 +99,17 @@ def check_shared_memory(directory: Path) -> DoctorFinding:
         "ok" if free >= _RING_BYTES else "fault",
         f"{directory}: {free // _MB} MB free",
         wanted,
-        f"remove what fills {directory} (ls -l {directory}); a ring of a run that died is "
-        "recovered by the next `pamctl run`",
+        f"remove what fills {directory} (ls -l {directory}); the next `pamctl run` recovers "
+        "the ring of a run that died",
         {"free_bytes": free},
     )
 
 
 def check_log_disk(directory: Path) -> DoctorFinding:
-    """See how long a log may become."""
+    """Check how long a log may become."""
     place = next(path for path in (directory, *directory.absolute().parents) if path.is_dir())
     if not os.access(place, os.W_OK):
-        fix = "change to a directory of yours, or give --log to each run"
+        fix = "change to a directory that you may write, or give --log to each run"
         return DoctorFinding("pc.log_disk", "fault", f"{place} cannot be written", "writable", fix)
     free = _free_bytes(place)
     lasts_s = free / _LOG_BYTES_PER_S
@@ -131,11 +131,11 @@ def check_log_disk(directory: Path) -> DoctorFinding:
 
 
 def judge_permissions(preparation: Preparation) -> Iterator[DoctorFinding]:
-    """Tell which steps of the preparation for real time this user is permitted."""
+    """Say which steps of the preparation for real time this user is permitted."""
     for step in preparation.steps:
         if step.name not in _RIGHTS:
             continue
-        # A refusal is worse timing and never a wrong run: `--rt require` is for who wants more.
+        # A refusal worsens the timing, never the run. `--rt require` makes it an error.
         level: Level = "ok" if step.done else "warning"
         reason, _, fix = step.detail.partition("; ")
         yield DoctorFinding(

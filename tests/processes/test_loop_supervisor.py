@@ -1,0 +1,86 @@
+"""What ends a run from outside: the loop's view of signals, guardian, recorder and front."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.made_up import meta
+
+from pamctl.processes.loop_supervisor import LoopSupervisor
+from pamctl.realtime.loop_settings import LoopSettings
+from pamctl.recording.ring import RecorderFlag, Ring
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Iterator[Ring]:
+    with Ring.create(tmp_path / "test.ring", meta(tmp_path / "run.mcap"), 256) as made:
+        yield made
+
+
+def supervised(ring: Ring, front_fd: int | None = None, *, patient: bool = False) -> LoopSupervisor:
+    return LoopSupervisor(
+        ring, front_fd, LoopSettings(ring_rows=256, stop_ramp_s=0.01), patient=patient
+    )
+
+
+def asked(supervisor: LoopSupervisor, ms: int) -> tuple[str, bool] | None:
+    """Ask at 1 kHz for so long; return the reason to stop, and whether at once."""
+    for tick in range(ms):
+        at_once = supervisor.wants_abort()
+        wanted = supervisor.find_stop(tick)
+        if wanted is not None:
+            return wanted.reason, at_once
+    return None
+
+
+def test_a_guardian_that_stands_still_is_found_within_the_heartbeat_and_ends_the_run_at_once(
+    ring: Ring,
+) -> None:
+    supervisor = supervised(ring)
+    for _ in range(100):
+        ring.guardian_beats += 1
+        assert asked(supervisor, 8) is None
+    assert asked(supervisor, 40) is None
+    assert asked(supervisor, 24) == ("the guardian gives no sign of life", True)
+
+
+def test_where_there_is_no_clock_there_is_no_guardian_to_miss(ring: Ring) -> None:
+    assert asked(supervised(ring, patient=True), 2000) is None
+
+
+@pytest.mark.parametrize("who", ["guardian", "front", "recorder"])
+def test_the_death_of_any_other_process_ends_the_run_at_once(ring: Ring, who: str) -> None:
+    ours, theirs = os.pipe()
+    supervisor = supervised(ring, ours)
+    assert asked(supervisor, 8) is None
+    match who:
+        case "guardian":
+            ring.guardian_lost = 1
+        case "front":
+            os.close(theirs)
+        case "recorder":
+            ring.raise_flag(RecorderFlag.FAILED)
+    found = asked(supervisor, 8)
+    assert found is not None
+    assert found[1]
+    os.close(ours)
+    if who != "front":
+        os.close(theirs)
+
+
+def test_during_a_smooth_stop_a_death_still_ends_the_run_at_once(ring: Ring) -> None:
+    supervisor = supervised(ring)
+    supervisor._on_signal(signal.SIGINT, None)
+    assert asked(supervisor, 8) == ("stopped by SIGINT", False)
+    ring.guardian_lost = 1
+    assert any(supervisor.wants_abort() for _ in range(8))
+
+
+def test_a_full_disk_leaves_time_for_a_smooth_stop(ring: Ring) -> None:
+    supervisor = supervised(ring)
+    ring.raise_flag(RecorderFlag.FAILED | RecorderFlag.DISK_FULL)
+    assert asked(supervisor, 8) == ("the log's disk is full", False)

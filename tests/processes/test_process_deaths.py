@@ -1,0 +1,307 @@
+"""Real runs whose processes are killed or stopped: the valve is safe and the log complete.
+
+The rig is simulated. The same over the card's stand-in: `test_fault_processes.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from support.children import PARTS, await_children, await_gone
+from support.killing import kill_as_one
+from support.patience import BUSY_PC, PATIENCE_S
+from support.rings import await_ring, await_tick
+from support.runs import AO_STEP_V
+
+from hal.sim.register import peek_v
+from pamctl.log.reader import read
+from pamctl.processes.backends import ao_path
+from pamctl.recording.ring import Ring
+from pamctl.signals import Phase
+
+SAFE_V = 0.0
+PYTHON = [sys.executable, "-m"]
+OFF_ITS_SAFE_VOLTAGE = ["rig.homing.enabled=false", "experiment.frequency_hz=0.005"]
+"""The valve is at 5 V from the first tick on, for longer than a very busy PC needs to look."""
+
+
+@pytest.fixture(scope="module")
+def device() -> Iterator[str]:
+    """A simulated device, on which each run is the next start after the death before it."""
+    name = f"test{os.getpid()}-{random.randrange(10**6)}"
+    yield name
+    for suffix in ("ao", "lock"):
+        ao_path(name).with_suffix(f".{suffix}").unlink(missing_ok=True)
+
+
+class Run(NamedTuple):
+    """A real run, and the process ids of its parts."""
+
+    front: subprocess.Popen[str]
+    pids: dict[str, int]
+    device: str
+    log: Path
+
+    @property
+    def output_v(self) -> float:
+        return peek_v(ao_path(self.device))
+
+    def await_safe(self) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while abs(self.output_v - SAFE_V) > AO_STEP_V:
+            assert time.monotonic() < deadline_s, f"still {self.output_v} V"
+            time.sleep(1e-3)
+
+
+def run_command(device: str, *arguments: str) -> list[str]:
+    settings = [
+        f"rig.sim.device={device}", *OFF_ITS_SAFE_VOLTAGE, *BUSY_PC
+    ]  # fmt: skip
+    options = [part for setting in settings for part in ("--set", setting)]
+    return [*PYTHON, "pamctl", "run", "--experiment", "square-1", *options, *arguments]
+
+
+@contextmanager
+def running(cwd: Path, device: str, log: str = "run.mcap") -> Iterator[Run]:
+    """Run in real time until the block ends; whatever is left then is killed."""
+    front = subprocess.Popen(
+        run_command(device, "--quiet", "--log", log),
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    run = Run(front, {"front": front.pid}, device, cwd / log)
+    try:
+        run.pids.update(await_children(front.pid, *PARTS))
+        yield run
+    finally:
+        for pid in run.pids.values():
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        front.communicate()
+        await_gone(*run.pids.values())
+
+
+def await_motion(run: Run) -> None:
+    """Return somewhere in the experiment, with the valve off its safe voltage."""
+    await_tick(run.front.pid, lambda tick: tick["applied_v"] > 1.0)
+    time.sleep(random.uniform(0.0, 0.5))
+    assert run.output_v > 1.0
+
+
+def last_tick_put(run: Run) -> int:
+    with Ring.attach(await_ring(run.front.pid)) as ring:
+        tick = ring.latest_tick()
+        assert tick
+        return int(tick["tick"])
+
+
+def assert_log_complete_to(run: Run, tick: int) -> None:
+    log = read(run.log)
+    assert np.array_equal(np.diff(log["tick"]) - 1, log["missed"][1:])
+    assert log["tick"][-1] >= tick
+
+
+def assert_next_start_is_clean(cwd: Path, device: str) -> None:
+    done = subprocess.run(
+        run_command(device, "--duration", "0.1", "--log", "next.mcap", "--json"),
+        cwd=cwd, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["log_is_whole"]
+    assert peek_v(ao_path(device)) == pytest.approx(SAFE_V, abs=AO_STEP_V)
+
+
+def takeovers(run: Run) -> list[dict[str, object]]:
+    return [event for event in read(run.log).events if event["event"] == "guardian_takeover"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_loop_that_dies_or_freezes_leaves_the_valve_safe_and_the_log_complete(
+    tmp_path: Path, device: str, number: signal.Signals
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        os.kill(run.pids["loop_main"], number)
+        run.await_safe()
+        _, said = run.front.communicate(timeout=PATIENCE_S)
+    assert run.front.returncode == 1
+    assert "the guardian drove the safe voltage" in said
+    assert ("killed by SIGKILL" if number == signal.SIGKILL else "silent for") in said
+    assert len(takeovers(run)) == 1
+    assert_log_complete_to(run, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_without_its_guardian_a_loop_stops_safe(
+    tmp_path: Path, device: str, number: signal.Signals
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        os.kill(run.pids["guardian_main"], number)
+        run.await_safe()
+        _, said = run.front.communicate(timeout=PATIENCE_S)
+    assert run.front.returncode == 1
+    assert "the guardian " in said  # is gone, or gives no sign of life: who notices first
+    assert_stopped_at_once(run)
+    assert_log_complete_to(run, before)
+
+
+def test_without_its_front_a_loop_stops_safe_and_the_guardian_leaves_after_it(
+    tmp_path: Path, device: str
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        run.front.kill()
+        run.front.wait()
+        run.await_safe()
+        await_gone(run.pids["loop_main"], run.pids["guardian_main"], run.pids["recorder"])
+        assert not takeovers(run)
+    assert_stopped_at_once(run)
+    assert_log_complete_to(run, before)
+
+
+def test_without_its_recorder_a_loop_stops_safe_and_the_front_finishes_the_log(
+    tmp_path: Path, device: str
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        os.kill(run.pids["recorder"], signal.SIGKILL)
+        run.await_safe()
+        _, said = run.front.communicate(timeout=PATIENCE_S)
+    assert run.front.returncode == 1
+    assert "finished from the ring" in said
+    assert_stopped_at_once(run)
+    assert_log_complete_to(run, before)
+
+
+def assert_stopped_at_once(run: Run) -> None:
+    """See that nobody took the time for the ramp of a smooth stop, which is 500 ticks long."""
+    assert np.count_nonzero(read(run.log)["phase"] == Phase.STOPPING) == 0
+
+
+def test_a_front_that_is_stopped_for_a_while_harms_nobody(tmp_path: Path, device: str) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        os.kill(run.front.pid, signal.SIGSTOP)
+        time.sleep(0.5)
+        before = last_tick_put(run)
+        os.kill(run.front.pid, signal.SIGCONT)
+        run.front.send_signal(signal.SIGINT)
+        run.front.communicate(timeout=PATIENCE_S)
+        assert run.front.returncode == 130
+        assert run.output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
+    assert not takeovers(run)
+    assert_log_complete_to(run, before)
+
+
+def test_loop_and_guardian_killed_together_are_made_good_by_the_front(
+    tmp_path: Path, device: str
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        for name in ("guardian_main", "loop_main"):
+            os.kill(run.pids[name], signal.SIGKILL)
+        run.await_safe()
+        run.front.communicate(timeout=PATIENCE_S)
+    assert run.front.returncode == 1
+
+
+def test_loop_and_front_killed_together_leave_a_safe_valve_and_a_log_with_its_end(
+    tmp_path: Path, device: str
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        for name in ("front", "loop_main"):
+            os.kill(run.pids[name], signal.SIGKILL)
+        run.await_safe()
+        run.front.wait()
+        await_gone(run.pids["guardian_main"], run.pids["recorder"])
+    assert len(takeovers(run)) == 1
+    assert read(run.log).events[-1]["event"] == "outcome"
+
+
+def test_after_everything_was_killed_at_once_pamctl_safe_closes_the_valve(
+    tmp_path: Path, device: str
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        before = last_tick_put(run)
+        kill_as_one(*run.pids.values())
+        run.front.wait()
+        await_gone(run.pids["loop_main"])
+        assert run.output_v > 1.0  # it holds, as a card does
+        done = safe(device)
+        assert done.returncode == 0, done.stderr
+        assert "safe" in done.stdout
+        assert run.output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
+    time.sleep(2.1)  # a ring younger than that might belong to a run that is just starting
+    assert_next_start_is_clean(tmp_path, device)
+    assert_log_complete_to(run, before)
+
+
+def safe(device: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [*PYTHON, "pamctl", "safe", "--set", f"rig.sim.device={device}", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+
+def test_a_device_in_use_is_refused_to_a_second_run_and_to_pamctl_safe(
+    tmp_path: Path, device: str
+) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        second = subprocess.run(
+            run_command(device, "--log", "second.mcap"),
+            cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S, check=False,
+        )  # fmt: skip
+        assert second.returncode == 69
+        assert f"{device} is held by process {run.front.pid}" in second.stderr
+        assert len(second.stderr.splitlines()) == 1
+        assert not (tmp_path / "second.mcap").exists()
+        refused = safe(device, "--json")
+        assert refused.returncode == 69
+        assert f"held by process {run.pids['loop_main']}" in json.loads(refused.stdout)["reason"]
+        assert run.front.poll() is None
+        run.front.send_signal(signal.SIGINT)
+        run.front.communicate(timeout=PATIENCE_S)
+        assert run.front.returncode == 130
+
+
+def test_runs_without_a_clock_do_not_get_into_each_others_way(tmp_path: Path) -> None:
+    device = f"test{os.getpid()}-nobodys"
+    options = ["--fast", "--duration", "2", "--quiet"]
+    commands = [run_command(device, *options, "--log", f"{i}.mcap") for i in range(2)]
+    runs = [
+        subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL) for command in commands
+    ]
+    assert [run.wait(PATIENCE_S) for run in runs] == [0, 0]
+    assert not ao_path(device).exists()
+
+
+def test_signals_do_not_end_a_guardian_before_its_loop(tmp_path: Path, device: str) -> None:
+    with running(tmp_path, device) as run:
+        await_motion(run)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(run.pids["guardian_main"], number)
+        time.sleep(0.2)
+        os.kill(run.pids["loop_main"], signal.SIGKILL)
+        run.await_safe()
+        run.front.communicate(timeout=PATIENCE_S)
+    assert len(takeovers(run)) == 1

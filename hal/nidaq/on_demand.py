@@ -20,7 +20,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from nidaqmx import Task
@@ -32,28 +31,24 @@ from nidaqmx.stream_writers import AnalogSingleChannelWriter
 from nidaqmx.system import Device, System
 
 from hal.converter import nearest_output_v
-from hal.nidaq.card_settings import NidaqSettings, card_output
+from hal.driver_library import find_loaded_library, refuse_stand_in
+from hal.m_series import card_output, unwrap_count
+from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver_errors import INSTALL, ON_DEMAND, fix_of
 from hal.rig import RawSample, RigError, RigIdentity
+from hal.safe_drive import drive_with_retries
+
+LIBRARY = "libnidaqmx.so"
 
 STAND_IN_SERIAL = 0xDECAF
 """Serial number of the driver that stands in for a card in this project's tests."""
-STAND_IN_PERMIT = "PAMCTL_PERMIT_STAND_IN"
-"""Environment variable that permits it; only tests set it."""
 
-_COUNTER_SPAN = 1 << 32
 _TIMED_BUSES = (BusType.PCI, BusType.PCIE, BusType.PXI, BusType.PXIE)
 
 _NO_DRIVER = (DaqNotFoundError, DaqNotSupportedError)
 # ArgumentError: ctypes refuses an argument. OSError: the library cannot be loaded.
 # ValueError: a count is not a number.
 _FAILURES = (DriverError, ctypes.ArgumentError, OSError, ValueError)
-
-# Shorter than the heartbeat: a loop that tries for longer is killed, and its reason is lost. The
-# guardian goes on trying.
-_SAFE_TRIES = 6
-_SAFE_TRIES_AS_OPEN = 2
-_SAFE_RETRY_S = 5e-3
 
 _task_number = count()
 
@@ -72,7 +67,7 @@ def require_card(settings: NidaqSettings) -> Mapping[str, object]:
         serial = int(device.serial_num)
         bus = device.bus_type
         identity = {
-            "library": find_loaded_library(),
+            "library": find_loaded_library(LIBRARY),
             "driver_version": ".".join(map(str, version)),
             "product_type": str(device.product_type),
             "serial_number": f"{serial:X}",
@@ -83,21 +78,9 @@ def require_card(settings: NidaqSettings) -> Mapping[str, object]:
             "no hardware-timed single points there",
             fix=ON_DEMAND,
         )
-    if serial == STAND_IN_SERIAL and STAND_IN_PERMIT not in os.environ:
-        raise RigError(
-            f"{settings.device} is not a card: it is the stand-in driver of pamctl's tests, "
-            f"in {identity['library']}",
-            fix="take its directory out of LD_LIBRARY_PATH",
-        )
+    if serial == STAND_IN_SERIAL:
+        refuse_stand_in(settings.device, str(identity["library"]))
     return identity
-
-
-def find_loaded_library() -> str:
-    """Return the path of the driver library that this process has really loaded."""
-    for mapping in Path("/proc/self/maps").read_text().splitlines():
-        if "/libnidaqmx.so" in mapping:
-            return mapping.split(maxsplit=5)[5]
-    return ""
 
 
 # --- errors of the driver ---------------------------------------------------------------
@@ -228,15 +211,6 @@ class TaskCalls(NamedTuple):
 # --- the rig -----------------------------------------------------------------------------
 
 
-def unwrap_count(last: int, reading: int) -> int:
-    """Return the count nearest to `last` that a 32-bit counter shows as `reading`.
-
-    It makes no difference whether the counter shows -1 as -1 or as 2^32 - 1.
-    """
-    half = _COUNTER_SPAN // 2
-    return last + (reading - last + half) % _COUNTER_SPAN - half
-
-
 class NidaqRig:
     """Valve, pressure sensor and encoder on one M Series card."""
 
@@ -304,18 +278,9 @@ class NidaqRig:
         If every try fails, `safe_failure` says why. An output whose task fails twice is
         released and reserved again; to go on, the rig must then be opened again.
         """
-        for attempt in range(_SAFE_TRIES):
-            try:
-                self._drive_safe(as_open=attempt < _SAFE_TRIES_AS_OPEN)
-            # Any exception at all: the next try is worth more than the reason.
-            except Exception as error:
-                self._safe_failure = error
-                if isinstance(error, _NO_DRIVER):
-                    return
-                time.sleep(_SAFE_RETRY_S)
-            else:
-                self._safe_failure = None
-                return
+        self._safe_failure = drive_with_retries(
+            self._drive_safe, lambda error: isinstance(error, _NO_DRIVER)
+        )
 
     def close(self) -> None:
         """Make safe, then release the card; the output holds the safe voltage."""
@@ -358,7 +323,7 @@ class NidaqRig:
         self._counts = unwrap_count(self._counts, round(reading))
         return self._counts
 
-    def _drive_safe(self, *, as_open: bool) -> None:
+    def _drive_safe(self, as_open: bool) -> None:
         if self._wired is not None and as_open:
             self._write_safe_as_wired(self._wired)
             return

@@ -15,10 +15,11 @@ from nidaqmx import Task
 from nidaqmx.constants import TaskMode
 from nidaqmx.system import Device, System
 
+from hal.driver_library import find_loaded_library
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.hardware_timed import HardwareTimedRig
 from hal.nidaq.on_demand import (
-    find_loaded_library,
+    LIBRARY,
     make_encoder_task,
     make_pressure_task,
     make_valve_task,
@@ -72,7 +73,9 @@ def identify_driver() -> Driver:
         system = System.local()
         numbers = system.driver_version
         names = tuple(device.name for device in system.devices)
-    return Driver(version("nidaqmx"), ".".join(map(str, numbers)), find_loaded_library(), names)
+    return Driver(
+        version("nidaqmx"), ".".join(map(str, numbers)), find_loaded_library(LIBRARY), names
+    )
 
 
 def identify_card(name: str) -> Card:

@@ -1,8 +1,8 @@
 """Volts and codes of a channel: the card's ranges, and the polynomials that correct them.
 
 The converters of an M Series card are not trimmed: their nominal range is wrong by some 5 %, and
-the program corrects each code. `comedi_soft_calibrate` writes the polynomials of one card, which
-NI measured and stored in it, to a file.
+the program corrects each code. `comedi_soft_calibrate` measures the card's internal reference,
+whose voltage NI stored in the card, and writes the polynomials to a file.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from hal.comedi.libcomedi import ComediFile, ComediPolynomial
 from hal.rig import RigError
 
 CALIBRATE = (
-    "run `sudo comedi_soft_calibrate -f {device}` once; or accept an error of some 5 % with "
-    "comedi.calibration_file: none"
+    "shut the air supply off, for this moves the valve: `sudo comedi_soft_calibrate -f {device}`; "
+    "or accept an error of some 5 % with comedi.calibration_file: none"
 )
 
 

@@ -86,10 +86,12 @@ static bool find_card(void)
     return *registers_path;
 }
 
+/* A card that bears a name of NI's driver is the first one here. */
 static bool is_my_file(const char *path)
 {
+    const char *name = device_attach()->name;
     char mine[64];
-    snprintf(mine, sizeof mine, "/dev/%s", device_attach()->name);
+    snprintf(mine, sizeof mine, "/dev/%s", strncmp(name, "comedi", 6) == 0 ? name : "comedi0");
     return strcmp(path, mine) == 0;
 }
 

@@ -179,6 +179,7 @@ class Card:
             self._map = mmap.mmap(file.fileno(), ctypes.sizeof(Registers))
         self.registers = Registers.from_buffer(self._map)
         self.power_up()
+        self.calibrate()
 
     def power_up(self) -> None:
         """Switch the computer off and on; only the mutex stays as it is."""

@@ -7,7 +7,8 @@ that every way out writes: the card holds its last output when a process dies.
 Subdevices are locked while the rig is open. The kernel drops these locks with the open file, even
 by SIGKILL, so that a guardian can take the output over at once.
 
-No card has been seen: all this is tested over a stand-in library.
+No card has been seen: all this is tested over a stand-in of the library, and over the real library
+above a stand-in of the kernel.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -127,7 +128,8 @@ def test_a_card_that_fails_in_the_middle_of_a_run_ends_it_with_69_and_safe(own: 
     ("environment", "complaint"),
     [
         ({PERMIT: None}, "stand-in driver of pamctl's tests"),
-        ({"LD_LIBRARY_PATH": None}, "apt install libcomedi0"),
+        # Where the real library is installed, it is the card that is missing.
+        ({"LD_LIBRARY_PATH": None}, "apt install libcomedi0|modprobe ni_pcimio"),
         ({"STANDIN_DEVICE": None}, "modprobe ni_pcimio"),
     ],
 )
@@ -137,7 +139,7 @@ def test_a_run_that_cannot_have_its_card_leaves_with_69_and_says_what_to_do(
     process = start(own, *RUN, **environment)
     said, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 69, said
-    assert complaint in complaints
+    assert re.search(complaint, complaints)
     assert "Traceback" not in complaints
     assert not (own.path.parent / "cwd" / "run.mcap").exists()
 

@@ -15,7 +15,9 @@
 #include <string.h>
 #include <unistd.h>
 
+#ifndef EXPORT
 #define EXPORT __attribute__((visibility("default")))
+#endif
 
 /* Of comedilib.h: the library's own types. */
 typedef unsigned int lsampl_t;

@@ -1,8 +1,8 @@
 """The stand-in card from Python: build its driver, look at its registers, break it.
 
-The drivers are C: `daqmx.c` is NI's, so that the unmodified nidaqmx package runs over it, and
-`comedi.c` is libcomedi. The card's registers lie in a file; every process that is to see the card
-names it in `STANDIN_DEVICE`.
+The drivers are C: `daqmx.c` is NI's, so that the unmodified nidaqmx package runs over it,
+`comedi.c` is libcomedi, and `comedi_kernel.c` is the kernel below the real libcomedi. The card's
+registers lie in a file; every process that is to see the card names it in `STANDIN_DEVICE`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from support.installing import alone, apt_install
 HERE = Path(__file__).parent
 SONAME = "libnidaqmx.so.1"
 COMEDI_SONAME = "libcomedi.so.0"
-_DRIVERS = {SONAME: "daqmx.c", COMEDI_SONAME: "comedi.c"}
+KERNEL_SONAME = "libcomedikernel.so.0"
+"""Preloaded below the real libcomedi, this one is the kernel."""
+_DRIVERS = {SONAME: "daqmx.c", COMEDI_SONAME: "comedi.c", KERNEL_SONAME: "comedi_kernel.c"}
 SERIAL = 0xDECAF
 PERMIT = "PAMCTL_PERMIT_STAND_IN"
 """Set by tests, and by nobody else: without it `pamctl` refuses this card."""
@@ -308,7 +310,9 @@ def _compile(directory: Path, soname: str) -> None:
         shared = ["-shared", "-fPIC", f"-Wl,-soname,{soname}", "-o", str(fresh)]
         sources = [str(HERE / name) for name in (_DRIVERS[soname], "device.c", "plant.c")]
         subprocess.run(
-            ["gcc", *options, *shared, *sources, "-lm", "-lpthread"], check=True, timeout=120
+            ["gcc", *options, *shared, *sources, "-lm", "-lpthread", "-ldl"],
+            check=True,
+            timeout=120,
         )
         with suppress(FileExistsError):
             (directory / soname.rpartition(".")[0]).symlink_to(soname)

@@ -44,7 +44,7 @@ class CalibrationSettings(Configured):
 
 
 class Calibration(NamedTuple):
-    """The same numbers for the kernels."""
+    """The numbers of `CalibrationSettings` that the kernels need."""
 
     sensor_pa_per_v: float
     atmospheric_pressure_pa: float
@@ -55,7 +55,7 @@ class Calibration(NamedTuple):
 
 
 class Zero(NamedTuple):
-    """What the sensors say of the vented muscle: taken anew by every homing."""
+    """The sensors' readings at the vented muscle; every homing takes them again."""
 
     sensor_zero_v: float
     encoder_zero_counts: float

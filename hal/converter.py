@@ -1,4 +1,4 @@
-"""What analog converters do to a voltage: clamp it to their range and round it to a code."""
+"""What an analog converter does to a voltage: clamp it to the range and round it to a code."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class Converter(NamedTuple):
 
 
 def quantise_v(converter: Converter, volts: float) -> float:
-    """Return the voltage of the nearest code; half a step below full scale at the most."""
+    """Return the voltage of the nearest code, at most one step below full scale."""
     full_scale_v, levels = converter
     step = 2.0 * full_scale_v / levels
-    # Clamped first: a code beyond every integer could not be rounded to one.
+    # Clamped first: a huge voltage has no integer code to be rounded to.
     if volts >= full_scale_v - step:
         return full_scale_v - step
     if volts <= -full_scale_v:
@@ -34,7 +34,7 @@ class Output(NamedTuple):
 
 
 def make_output(converter: Converter, low_v: float, high_v: float) -> Output:
-    """Return an output whose range is that of the outermost codes between two voltages."""
+    """Return an output that reaches from the lowest to the highest code between two voltages."""
     step = 2.0 * converter.full_scale_v / converter.levels
     return Output(
         converter,

@@ -102,7 +102,7 @@ class Rig(Protocol):
 
     @property
     def safe_failure(self) -> RigError | None:
-        """Why the last `make_safe` could not drive the safe voltage; None where it did."""
+        """Why the last `make_safe` could not drive the safe voltage; None where it could."""
 
     def close(self) -> None:
         """Make safe, then release the device. Never raises, idempotent."""

@@ -30,7 +30,7 @@ def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding
     nodes = check_device_nodes(Path("/dev"))
     try:
         from hal.nidaq import probe
-        from hal.nidaq.on_demand import require_card
+        from hal.nidaq.driver import require_card
     # Any exception at all: the package reads every `.env` file from this directory upwards.
     except Exception as error:
         found = f"the package nidaqmx cannot be imported: {error}"

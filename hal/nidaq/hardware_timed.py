@@ -21,10 +21,11 @@ from nidaqmx.constants import AcquisitionType
 from nidaqmx.errors import DaqError
 
 from hal.nidaq.card_settings import NidaqSettings
+from hal.nidaq.driver import raise_rig_errors, require_card
 from hal.nidaq.driver_errors import LATE
 from hal.nidaq.edges import EdgeGrid
-from hal.nidaq.on_demand import (
-    NidaqRig,
+from hal.nidaq.on_demand import NidaqRig
+from hal.nidaq.tasks import (
     TaskCalls,
     make_count_reader,
     make_encoder_task,
@@ -32,8 +33,6 @@ from hal.nidaq.on_demand import (
     make_valve_task,
     make_valve_writer,
     make_volt_reader,
-    raise_rig_errors,
-    require_card,
 )
 from hal.rig import Edge, RawSample, RigIdentity
 

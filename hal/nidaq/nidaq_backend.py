@@ -12,7 +12,7 @@ from hal.rig import RigError
 
 def _require(settings: NidaqSettings) -> None:
     try:
-        from hal.nidaq.on_demand import require_card
+        from hal.nidaq.driver import require_card
     # Any exception at all: the package reads every `.env` file from this directory upwards.
     except Exception as error:
         raise RigError(

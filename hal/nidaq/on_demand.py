@@ -1,9 +1,7 @@
 """The NI card through NI-DAQmx, paced by the computer.
 
 On-demand timing: the loop's clock decides when, and each read or write is one driver call of
-some microseconds. This holds only for tasks that already run, through the stream readers and
-writers. `Task.read` and `Task.write` cost ten times as much. A task that does not run is started
-and stopped by every call, which sets the encoder back to zero each time.
+some microseconds (`tasks.py`).
 
 An M Series card has no watchdog and holds its last output voltage when a task stops, a process
 dies, or the driver unloads. So `open` writes the safe voltage first, and every way out writes
@@ -12,203 +10,33 @@ it last.
 
 from __future__ import annotations
 
-import ctypes
 import math
-import os
 import time
-import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from itertools import count
-from typing import Any, NamedTuple
-
-from nidaqmx import Task
-from nidaqmx.constants import BusType, EncoderType, LengthUnits, TerminalConfiguration
-from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError, DaqWarning
-from nidaqmx.errors import Error as DriverError
-from nidaqmx.stream_readers import AnalogSingleChannelReader, CounterReader
-from nidaqmx.stream_writers import AnalogSingleChannelWriter
-from nidaqmx.system import Device, System
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 
 from hal.converter import nearest_output_v
-from hal.driver_library import find_loaded_library, refuse_stand_in
 from hal.m_series import card_output, unwrap_count
 from hal.nidaq.card_settings import NidaqSettings
-from hal.nidaq.driver_errors import INSTALL, ON_DEMAND, fix_of
+from hal.nidaq.driver import (
+    FAILURES,
+    NO_DRIVER,
+    divert_warnings,
+    make_rig_error,
+    raise_rig_errors,
+    require_card,
+)
+from hal.nidaq.tasks import (
+    TaskCalls,
+    make_count_reader,
+    make_encoder_task,
+    make_pressure_task,
+    make_valve_task,
+    make_valve_writer,
+    make_volt_reader,
+)
 from hal.rig import RawSample, RigError, RigIdentity
 from hal.safe_drive import drive_with_retries
-
-LIBRARY = "libnidaqmx.so"
-
-STAND_IN_SERIAL = 0xDECAF
-"""Serial number of the driver that stands in for a card in this project's tests."""
-
-_TIMED_BUSES = (BusType.PCI, BusType.PCIE, BusType.PXI, BusType.PXIE)
-
-_NO_DRIVER = (DaqNotFoundError, DaqNotSupportedError)
-# ArgumentError: ctypes refuses an argument. OSError: the library cannot be loaded.
-# ValueError: a count is not a number.
-_FAILURES = (DriverError, ctypes.ArgumentError, OSError, ValueError)
-
-_task_number = count()
-
-
-# --- what is there -----------------------------------------------------------------------
-
-
-def require_card(settings: NidaqSettings) -> Mapping[str, object]:
-    """Load the driver and find the card; return their versions and names for `describe`.
-
-    Raises `RigError` where one is missing, or where the card is the tests' stand-in.
-    """
-    with raise_rig_errors(f"looking for {settings.device}"):
-        version = System.local().driver_version
-        device = Device(settings.device)
-        serial = int(device.serial_num)
-        bus = device.bus_type
-        identity = {
-            "library": find_loaded_library(LIBRARY),
-            "driver_version": ".".join(map(str, version)),
-            "product_type": str(device.product_type),
-            "serial_number": f"{serial:X}",
-        }
-    if settings.timing == "hardware_timed" and bus not in _TIMED_BUSES:
-        raise RigError(
-            f"{settings.device} is a {identity['product_type']} on {bus.name}: "
-            "no hardware-timed single points there",
-            fix=ON_DEMAND,
-        )
-    if serial == STAND_IN_SERIAL:
-        refuse_stand_in(settings.device, str(identity["library"]))
-    return identity
-
-
-# --- errors of the driver ---------------------------------------------------------------
-
-
-def _make_rig_error(doing: str, error: Exception) -> RigError:
-    """Return the driver's message with its error number and its fix."""
-    if isinstance(error, _NO_DRIVER):
-        return RigError("no NI-DAQmx driver on this computer", fix=INSTALL)
-    said = str(error).strip().partition("\n")[0]
-    if isinstance(error, DaqError):
-        code = error.error_code
-        return RigError(f"{doing}: {said}", fix=fix_of(code), code=code)
-    return RigError(f"{doing}: {said or type(error).__name__}", fix="is NI-DAQmx installed whole?")
-
-
-@contextmanager
-def raise_rig_errors(doing: str) -> Iterator[None]:
-    """Turn every failure of driver and package into a `RigError`."""
-    try:
-        yield
-    except _FAILURES as error:
-        raise _make_rig_error(doing, error) from error
-
-
-@contextmanager
-def _divert_warnings(note: Callable[[int], None]) -> Iterator[None]:
-    """Count the driver's warnings instead of printing one in every tick."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", DaqWarning)
-        show = warnings.showwarning
-
-        def divert(message: Any, category: type[Warning], *where: Any, **options: Any) -> None:
-            if isinstance(message, DaqWarning):
-                note(message.error_code)
-            else:
-                show(message, category, *where, **options)
-
-        warnings.showwarning = divert
-        yield
-
-
-# --- tasks -------------------------------------------------------------------------------
-
-
-def _make_task(purpose: str) -> Task:
-    """Make a task. Its name is ASCII whatever the locale, and unique in this process."""
-    return Task(f"pamctl_{purpose}_{os.getpid()}_{next(_task_number)}")
-
-
-@contextmanager
-def make_valve_task(settings: NidaqSettings) -> Iterator[Task]:
-    """Make the output's task, not yet started."""
-    with _make_task("valve") as task:
-        task.ao_channels.add_ao_voltage_chan(
-            f"{settings.device}/{settings.valve_channel}",
-            # A second guard of the range, in the driver.
-            min_val=settings.output_low_v,
-            max_val=settings.output_high_v,
-        )
-        yield task
-
-
-@contextmanager
-def make_pressure_task(settings: NidaqSettings) -> Iterator[Task]:
-    """Make the analog input's task, not yet started."""
-    with _make_task("pressure") as task:
-        task.ai_channels.add_ai_voltage_chan(
-            f"{settings.device}/{settings.pressure_channel}",
-            # The default is differential: the sensor's ground would be left unconnected.
-            terminal_config=TerminalConfiguration[settings.terminal.upper()],
-            min_val=settings.input_low_v,
-            max_val=settings.input_high_v,
-        )
-        yield task
-
-
-@contextmanager
-def make_encoder_task(settings: NidaqSettings) -> Iterator[Task]:
-    """Make the counter's task, not yet started."""
-    with _make_task("encoder") as task:
-        channel = task.ci_channels.add_ci_lin_encoder_chan(
-            f"{settings.device}/{settings.encoder_counter}",
-            decoding_type=EncoderType.X_4,
-            # The index would reset the count in the middle of a motion.
-            zidx_enable=False,
-            # The scale is in the calibration only.
-            units=LengthUnits.TICKS,
-            initial_pos=0.0,
-        )
-        if settings.encoder_filter_ns:
-            shortest_pulse_s = settings.encoder_filter_ns / 1e9
-            channel.ci_encoder_a_input_dig_fltr_min_pulse_width = shortest_pulse_s
-            channel.ci_encoder_a_input_dig_fltr_enable = True
-            channel.ci_encoder_b_input_dig_fltr_min_pulse_width = shortest_pulse_s
-            channel.ci_encoder_b_input_dig_fltr_enable = True
-        yield task
-
-
-def make_valve_writer(task: Task) -> Callable[[float, float], None]:
-    """Return a function that writes volts within a timeout (s); the task must run."""
-    write: Callable[[float, float], None] = AnalogSingleChannelWriter(
-        task.out_stream, auto_start=False
-    ).write_one_sample
-    return write
-
-
-def make_count_reader(task: Task) -> Callable[[float], float]:
-    """Return a function that reads the counter within a timeout (s)."""
-    read: Callable[[float], float] = CounterReader(task.in_stream).read_one_sample_double
-    return read
-
-
-def make_volt_reader(task: Task) -> Callable[[float], float]:
-    """Return a function that reads the input's volts within a timeout (s)."""
-    read: Callable[[float], float] = AnalogSingleChannelReader(task.in_stream).read_one_sample
-    return read
-
-
-class TaskCalls(NamedTuple):
-    """The calls of the running tasks; each takes its timeout (s) last."""
-
-    write_v: Callable[[float, float], None]
-    read_count: Callable[[float], float]
-    read_v: Callable[[float], float]
-
-
-# --- the rig -----------------------------------------------------------------------------
 
 
 class NidaqRig:
@@ -240,7 +68,7 @@ class NidaqRig:
             raise RigError("the rig is open already", fix="call close() first")
         self._warnings.clear()
         with raise_rig_errors(f"opening {self._settings.device}"), ExitStack() as acquired:
-            acquired.enter_context(_divert_warnings(self._note_warning))
+            acquired.enter_context(divert_warnings(self._note_warning))
             wired = self._wire(acquired)
             self._counts = 0
             self._wired, self._tasks = wired, acquired.pop_all()
@@ -255,8 +83,8 @@ class NidaqRig:
             doing = "reading the pressure sensor"
             pressure_t_ns = self._now_ns()
             pressure_v = wired.read_v(timeout_s)
-        except _FAILURES as error:
-            raise _make_rig_error(doing, error) from error
+        except FAILURES as error:
+            raise make_rig_error(doing, error) from error
         return RawSample(pressure_v, self._unwrap(reading), pressure_t_ns, encoder_t_ns)
 
     def write(self, ao_v: float) -> float:
@@ -267,8 +95,8 @@ class NidaqRig:
         admitted_v = nearest_output_v(self._output, ao_v)
         try:
             wired.write_v(admitted_v, self._settings.timeout_s)
-        except _FAILURES as error:
-            raise _make_rig_error("writing to the valve", error) from error
+        except FAILURES as error:
+            raise make_rig_error("writing to the valve", error) from error
         return admitted_v
 
     def make_safe(self) -> None:
@@ -279,7 +107,7 @@ class NidaqRig:
         released and reserved again; to go on, the rig must then be opened again.
         """
         self._safe_failure = drive_with_retries(
-            self._drive_safe, lambda error: isinstance(error, _NO_DRIVER)
+            self._drive_safe, lambda error: isinstance(error, NO_DRIVER)
         )
 
     def close(self) -> None:
@@ -303,7 +131,7 @@ class NidaqRig:
     def safe_failure(self) -> RigError | None:
         """Why the last `make_safe` could not drive the safe voltage; None where it did."""
         failure = self._safe_failure
-        return None if failure is None else _make_rig_error("driving the safe voltage", failure)
+        return None if failure is None else make_rig_error("driving the safe voltage", failure)
 
     def _wire(self, acquired: ExitStack) -> TaskCalls:
         """Write the safe voltage, and only then take the inputs."""

@@ -17,15 +17,13 @@ from nidaqmx.system import Device, System
 
 from hal.driver_library import find_loaded_library
 from hal.nidaq.card_settings import NidaqSettings
+from hal.nidaq.driver import LIBRARY, raise_rig_errors, require_card
 from hal.nidaq.hardware_timed import HardwareTimedRig
-from hal.nidaq.on_demand import (
-    LIBRARY,
+from hal.nidaq.tasks import (
     make_encoder_task,
     make_pressure_task,
     make_valve_task,
     make_volt_reader,
-    raise_rig_errors,
-    require_card,
 )
 from hal.rig import RigError, open_rig
 
@@ -73,9 +71,8 @@ def identify_driver() -> Driver:
         system = System.local()
         numbers = system.driver_version
         names = tuple(device.name for device in system.devices)
-    return Driver(
-        version("nidaqmx"), ".".join(map(str, numbers)), find_loaded_library(LIBRARY), names
-    )
+    library = find_loaded_library(LIBRARY)
+    return Driver(version("nidaqmx"), ".".join(map(str, numbers)), library, names)
 
 
 def identify_card(name: str) -> Card:

@@ -1,6 +1,6 @@
-"""From settings to what the tick and the program need: the same for a run and for its replay.
+"""From settings to what the tick and the program need, for a run and for its replay alike.
 
-No backend is chosen here, and nothing is opened.
+Nothing is opened here.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def safe_valve_v(settings: RunSettings, cal: Calibration) -> float:
 
 
 def build_program(settings: RunSettings, *, course_begin_s: float | None = None) -> Program:
-    """Return the order of the run; from `course_begin_s` on, where its homing is over by then."""
+    """Return the program of the run; with `course_begin_s`, without homing."""
     rig = settings.rig
     return Program(
         build_homing(settings) if course_begin_s is None else None,
@@ -60,9 +60,9 @@ def build_program(settings: RunSettings, *, course_begin_s: float | None = None)
 
 
 def build_ordered_program(settings: RunSettings, order: Mapping[str, Any]) -> Program:
-    """Return the program of a run that was ordered of a loop which goes on.
+    """Return the program of a run that a daemon's loop was ordered to do.
 
-    `order` is the log's event: the experiment, where its motion starts, and whether it homes.
+    `order` is the log's event: the experiment, where its motion starts, and whether to home first.
     """
     experiment = _EXPERIMENT.validate_python(order["experiment"])
     course = start_at_position(build_segments(experiment), order["start_m"])
@@ -75,23 +75,23 @@ def build_ordered_program(settings: RunSettings, order: Mapping[str, Any]) -> Pr
 
 
 def build_homing(settings: RunSettings) -> Homing | None:
-    """Return how the muscle is homed from now on; None where it is not."""
+    """Return the homing of a run; None where homing is disabled."""
     rig = settings.rig
     return Homing(choose_homing_settings(settings), rig.calibration) if rig.homing.enabled else None
 
 
 def choose_homing_settings(settings: RunSettings) -> HomingSettings:
-    """Return how to home; a run that may move nothing takes its zeros at the safe voltage."""
+    """Return how to home; a read-only run takes its zeros at the safe voltage, without fills."""
     homing = settings.rig.homing
     return homing.model_copy(update={"fills": 0}) if settings.readonly else homing
 
 
 def nominal_zero_of(settings: RunSettings) -> Callable[[RawSample], Zero]:
-    """Return the zeros until homing: the file's sensor zero, the encoder where it stands."""
+    """Return the zeros until homing: the file's sensor zero, and the first encoder count."""
     sensor_zero_v = settings.rig.calibration.sensor_zero_v
     return lambda sample: Zero(sensor_zero_v, float(sample.encoder_counts))
 
 
 def output_of(settings: RunSettings) -> Output:
-    """Return the valve's analog output, as a write to the rig realises it."""
+    """Return the valve's analog output as a write to the rig realises it."""
     return settings.rig.record.output(settings.rig.device_settings)

@@ -57,7 +57,7 @@ PAMCTL = str(Path(sys.executable).with_name("pamctl"))
 READ_VOLTS = "DAQmxReadAnalogScalarF64"
 
 
-def named(findings: list[DoctorFinding]) -> dict[str, DoctorFinding]:
+def index_by_name(findings: list[DoctorFinding]) -> dict[str, DoctorFinding]:
     """Return findings by name, each of them once."""
     assert len({finding.name for finding in findings}) == len(findings)
     return {finding.name: finding for finding in findings}
@@ -77,9 +77,9 @@ def bench_of(settings: RunSettings, rig: object, clock: VirtualClock) -> Bench:
     )
 
 
-def examined(bench: Bench, *, actuate: bool = True) -> dict[str, DoctorFinding]:
+def examine_bench(bench: Bench, *, actuate: bool = True) -> dict[str, DoctorFinding]:
     findings = list(judge_sensors(bench, measure_at_rest(bench)))
-    return named([*findings, *(examine_actuation(bench) if actuate else ())])
+    return index_by_name([*findings, *(examine_actuation(bench) if actuate else ())])
 
 
 # --- the rig, simulated ------------------------------------------------------------------
@@ -106,7 +106,7 @@ class Reversed(SimulatedPlant):
 
 
 def test_a_sound_rig_has_nothing_but_ok() -> None:
-    found = examined(simulated())
+    found = examine_bench(simulated())
     assert {finding.level for finding in found.values()} == {"ok"}
     assert set(found) == {
         "sensor.voltage",
@@ -119,21 +119,21 @@ def test_a_sound_rig_has_nothing_but_ok() -> None:
 
 def test_a_hint_names_the_backend_s_own_keys_and_none_where_there_are_none() -> None:
     made = parts(run_settings(), [fault("broken_wire")])
-    on_card = examined(bench_of(resolve(rig="pci6221"), made.whole, made.clock), actuate=False)
+    on_card = examine_bench(bench_of(resolve(rig="pci6221"), made.whole, made.clock), actuate=False)
     fix = on_card["sensor.voltage"].fix
     assert fix.endswith("; check nidaq.pressure_channel and nidaq.terminal in the rig file")
-    without = examined(simulated(fault("broken_wire")), actuate=False)
+    without = examine_bench(simulated(fault("broken_wire")), actuate=False)
     assert "nidaq" not in "".join(finding.fix for finding in without.values())
 
 
 def test_a_broken_wire_is_a_fault_that_names_the_wire() -> None:
-    found = examined(simulated(fault("broken_wire")), actuate=False)
+    found = examine_bench(simulated(fault("broken_wire")), actuate=False)
     assert found["sensor.voltage"].level == "fault"
     assert "broken wire" in found["sensor.voltage"].fix
 
 
 def test_an_encoder_that_stands_while_the_muscle_moves_is_found_unplugged() -> None:
-    found = examined(simulated(fault("stuck_encoder")))
+    found = examine_bench(simulated(fault("stuck_encoder")))
     assert found["encoder.rest"].level == "ok"  # at rest nobody can tell
     assert found["valve.sign"].level == "ok"
     assert found["encoder.alive"].level == "fault"
@@ -141,7 +141,7 @@ def test_an_encoder_that_stands_while_the_muscle_moves_is_found_unplugged() -> N
 
 
 def test_a_reversed_encoder_is_told_which_sign_to_set() -> None:
-    found = examined(simulated(fault("reversed_encoder")))
+    found = examine_bench(simulated(fault("reversed_encoder")))
     assert found["encoder.alive"].level == "fault"
     assert "encoder_sign to -1" in found["encoder.alive"].fix
 
@@ -150,7 +150,7 @@ def test_a_reversed_valve_shows_at_the_safe_voltage_and_by_its_pulses() -> None:
     from pamctl.plant.model import plant_parameters
 
     plant = Reversed(plant_parameters(run_settings().plant))
-    found = examined(simulated(plant=plant))
+    found = examine_bench(simulated(plant=plant))
     assert found["sensor.voltage"].level == "fault"
     assert "reversed" in found["sensor.voltage"].fix
     assert found["valve.sign"].level == "fault"
@@ -165,7 +165,7 @@ def test_without_supply_nothing_moves_and_the_valve_is_blamed_before_the_encoder
 
     from pamctl.plant.model import plant_parameters
 
-    found = examined(simulated(plant=Shut(plant_parameters(run_settings().plant))))
+    found = examine_bench(simulated(plant=Shut(plant_parameters(run_settings().plant))))
     assert found["valve.sign"].level == "fault"
     assert "supply" in found["valve.sign"].fix
     assert found["encoder.alive"].level == "warning"
@@ -176,7 +176,7 @@ def test_a_sensor_that_breaks_during_a_pulse_stops_it_by_the_limits() -> None:
     settings = run_settings()
     made = parts(settings, [late])
     bench = bench_of(settings, made.whole, made.clock)
-    found = named(list(examine_actuation(bench)))
+    found = index_by_name(list(examine_actuation(bench)))
     assert found["valve.sign"].level == "fault"
     assert found["valve.sign"].found.startswith("stopped: the pressure sensor gives 0.000 V")
 
@@ -195,9 +195,9 @@ def test_a_bench_keeps_the_limits_of_pressure_and_travel() -> None:
 
 def test_a_loose_encoder_line_is_a_fault_and_a_creeping_one_a_warning() -> None:
     jumping = FaultSettings(kind="encoder_jump", from_tick=1200, ticks=1, size=900)
-    assert examined(simulated(jumping), actuate=False)["encoder.rest"].level == "fault"
+    assert examine_bench(simulated(jumping), actuate=False)["encoder.rest"].level == "fault"
     creeping = FaultSettings(kind="encoder_jump", from_tick=1200, size=5)
-    assert examined(simulated(creeping), actuate=False)["encoder.rest"].level == "warning"
+    assert examine_bench(simulated(creeping), actuate=False)["encoder.rest"].level == "warning"
 
 
 def test_a_motion_by_hand_proves_the_encoder_alive_or_not() -> None:
@@ -255,7 +255,7 @@ def wired(card: Card) -> Iterator[Callable[..., Bench]]:
 
 def cards(*overrides: str) -> dict[str, DoctorFinding]:
     settings = resolve(rig="pci6221", overrides=overrides)
-    return named(list(examine_card(make_probe_request(settings))))
+    return index_by_name(list(examine_card(make_probe_request(settings))))
 
 
 def test_a_sound_card_is_named_with_its_driver_and_writes_nothing_to_its_output(card: Card) -> None:
@@ -352,26 +352,26 @@ def test_a_card_whose_clock_cannot_pace_says_why_and_it_matters_where_the_file_a
 
 
 def test_the_card_s_own_rig_is_found_sound_and_each_of_its_faults(card: Card, wired) -> None:
-    assert {finding.level for finding in examined(wired()).values()} == {"ok"}
+    assert {finding.level for finding in examine_bench(wired()).values()} == {"ok"}
 
 
 def test_an_unplugged_pressure_sensor_is_found_at_rest(card: Card, wired) -> None:
     card.registers.wire_is_broken = 1
-    found = examined(wired(), actuate=False)
+    found = examine_bench(wired(), actuate=False)
     assert found["sensor.voltage"].level == "fault"
     assert "voltmeter" in found["sensor.voltage"].fix
 
 
 def test_an_unplugged_encoder_is_found_once_the_muscle_moves(card: Card, wired) -> None:
     card.registers.encoder_is_unplugged = 1
-    found = examined(wired())
+    found = examine_bench(wired())
     assert found["encoder.rest"].level == "ok"
     assert found["encoder.alive"].level == "fault"
 
 
 def test_a_reversed_valve_on_the_card_is_found(card: Card, wired) -> None:
     card.registers.driver_gain = -1.0
-    found = examined(wired())
+    found = examine_bench(wired())
     assert found["valve.sign"].level == "fault"
     assert "REVERSED" in found["valve.sign"].fix
 
@@ -383,7 +383,7 @@ def test_slow_calls_of_the_driver_are_found_and_the_slow_one_is_named(card: Card
     rig.open()
     try:
         card.fail(READ_VOLTS, hang_s=0.004)
-        found = named(list(judge_calls(measure_calls(rig, 0.0, calls=40), 1e-3)))
+        found = index_by_name(list(judge_calls(measure_calls(rig, 0.0, calls=40), 1e-3)))
     finally:
         card.mend()
         rig.close()
@@ -427,7 +427,7 @@ def test_every_right_that_was_refused_is_a_warning_with_its_fix() -> None:
         PreparationStep("mlock", True, "all memory"),
         PreparationStep("fifo", False, "Operation not permitted; RLIMIT_RTPRIO is 0: put ..."),
     )
-    found = named(list(judge_permissions(Preparation("auto", steps, ExitStack()))))
+    found = index_by_name(list(judge_permissions(Preparation("auto", steps, ExitStack()))))
     assert set(found) == {"pc.mlock", "pc.fifo"}
     assert found["pc.fifo"].level == "warning"
     assert found["pc.fifo"].found == "refused: Operation not permitted"
@@ -500,7 +500,9 @@ def run(
     told = json.loads(done.stdout)
     assert told["exit_code"] == done.returncode, done.stderr
     assert "Traceback" not in done.stderr
-    return done.returncode, named([DoctorFinding(**finding) for finding in told["findings"]])
+    return done.returncode, index_by_name(
+        [DoctorFinding(**finding) for finding in told["findings"]]
+    )
 
 
 def test_without_a_driver_the_doctor_says_what_to_install_and_exits_with_3(tmp_path: Path) -> None:

@@ -282,12 +282,12 @@ def test_without_a_driver_the_error_says_what_to_install(
 ) -> None:
     from nidaqmx.errors import DaqNotFoundError
 
-    import hal.nidaq.on_demand
+    import hal.nidaq.tasks
 
     def missing(purpose: str) -> None:
         raise DaqNotFoundError("Could not find an installation of NI-DAQmx.")
 
-    monkeypatch.setattr(hal.nidaq.on_demand, "_make_task", missing)
+    monkeypatch.setattr(hal.nidaq.tasks, "_make_task", missing)
     rig = make()
     with pytest.raises(RigError, match="install NI-DAQmx for Linux"):
         rig.open()

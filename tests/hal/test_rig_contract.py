@@ -6,13 +6,15 @@ The cases are in `hal/rig_contract.py`. To test another backend, add a factory t
 from __future__ import annotations
 
 import time
+import tomllib
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from standin.standin import PERMIT, here, here_behind_comedi
 
-from hal.backend import BuiltRig, RigRequest
+from hal.backend import _SHIPPED, GROUP, BuiltRig, RigRequest
 from hal.calibration import CalibrationSettings
 from hal.comedi.comedi_backend import COMEDI
 from hal.comedi.comedi_settings import ComediSettings
@@ -161,6 +163,12 @@ def test_a_hardware_timed_card_is_paced_by_the_computer_where_the_caller_wants_i
     assert not built.rig.describe().sample_clock
 
 
+def test_the_shipped_entry_points_are_those_that_a_stale_install_falls_back_on() -> None:
+    pyproject = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    declared = pyproject["project"]["entry-points"][GROUP]
+    assert declared == {point.name: point.value for point in _SHIPPED}
+
+
 # --- the cases find what is wrong ----------------------------------------------------------
 
 
@@ -285,7 +293,7 @@ def lazy_rig(delay: int) -> tuple[SimRig, Lazy, list[int]]:
     return rig, plant, now_ns
 
 
-def played(delay: int) -> list[tuple[float, float]]:
+def play(delay: int) -> list[tuple[float, float]]:
     """Two ticks and a stop; each read at a whole ms, each write 0.25 ms later."""
     rig, plant, now_ns = lazy_rig(delay)
     for volts in (10.0, 7.0):
@@ -302,7 +310,7 @@ def played(delay: int) -> list[tuple[float, float]]:
 
 
 def test_a_write_reaches_the_simulated_valve_when_it_is_made() -> None:
-    assert played(delay=0) == [
+    assert play(delay=0) == [
         (-5.0, 0.25),
         (5.0, 0.75),
         (5.0, 0.25),
@@ -313,4 +321,4 @@ def test_a_write_reaches_the_simulated_valve_when_it_is_made() -> None:
 
 
 def test_with_output_delay_a_write_waits_for_the_next_read_but_the_safe_voltage_does_not() -> None:
-    assert played(delay=1) == [(-5.0, 1.0), (5.0, 1.0), (2.0, 0.5), (-5.0, 0.5)]
+    assert play(delay=1) == [(-5.0, 1.0), (5.0, 1.0), (2.0, 0.5), (-5.0, 0.5)]

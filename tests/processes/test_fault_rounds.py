@@ -1,4 +1,4 @@
-"""`scripts/fault_rounds.py` takes hours: it tells as it goes, and is stopped and taken up again."""
+"""`scripts/fault_rounds.py` takes hours: it reports as it goes, and can be stopped and resumed."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Everything that can go wrong with a rig, over the simulation and over the card's stand-in.
 
-Each fault is met three times: by the simulated rig, by the card on demand, and by the card on its
-own clock. However it ends, the output is at the safe voltage and the log says why. Time is made
-up here; what needs real processes stands in `test_fault_processes.py`.
+Each fault is tried three times: on the simulated rig, on the card on demand, and on the card paced
+by its own clock. However a run ends, the output is at the safe voltage and the log says why. Time
+is made up here; faults that need real processes are in `test_fault_processes.py`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from pamctl.signals import Truth
 
 SAFE_V = 0.625
 BEGINS = 1500
-"""The tick in which it goes wrong: the muscle is on its way up."""
+"""The tick in which the fault begins: the muscle is contracting then."""
 MOVING = (
     "rig.homing.enabled=false",
     f"rig.safe_volts={SAFE_V}",
@@ -134,8 +134,8 @@ def jump(card: Card) -> None:
     card.registers.counter = (card.registers.counter + 6000) % 2**32
 
 
-# What happens to the simulated rig, and to the card. A write that fails is mended before long:
-# a card whose output cannot be written any more is nothing that software could make safe.
+# What happens to the simulated rig, and to the card. A failing write works again soon: no software
+# can make a card safe whose output cannot be written at all.
 SIM: dict[str, list[tuple[Any, float]]] = {
     "read fails": [("read_error", 0.0)],
     "write fails": [("write_error", 0.0)],

@@ -37,8 +37,8 @@ LIMIT_NS = 50 * MS
 # --- how silence is measured -------------------------------------------------------------
 
 
-def heard(looks: list[tuple[float, float]]) -> list[float]:
-    """Let a listener look at (time, beat) in ms; return the silence it tells, in ms."""
+def measure_silences(looks: list[tuple[float, float]]) -> list[float]:
+    """Let a listener look at (time, beat) in ms; return the silences it measures, in ms."""
     (first_ms, beat_ms), *rest = looks
     listener = Listener(round(first_ms * MS), round(beat_ms * MS))
     return [
@@ -47,33 +47,35 @@ def heard(looks: list[tuple[float, float]]) -> list[float]:
 
 
 def test_a_loop_that_beats_is_never_silent_for_longer_than_between_two_looks() -> None:
-    silences = heard([(t, t - 0.4) for t in range(0, 1000, POLL_MS)])
+    silences = measure_silences([(t, t - 0.4) for t in range(0, 1000, POLL_MS)])
     assert max(silences) == pytest.approx(0.4)
 
 
 def test_a_frozen_loop_is_heard_as_silent_for_as_long_as_it_is() -> None:
-    silences = heard([(0, 0), *((t, 3.0) for t in range(POLL_MS, 101, POLL_MS))])
+    silences = measure_silences([(0, 0), *((t, 3.0) for t in range(POLL_MS, 101, POLL_MS))])
     assert silences[-1] == pytest.approx(97.0)
 
 
 @pytest.mark.parametrize("stall_ms", [60, 500, 60_000])
 def test_a_machine_that_stood_still_does_not_make_the_loop_a_frozen_one(stall_ms: float) -> None:
     # The guardian wakes first, and finds the heartbeat as old as the stall.
-    silences = heard([(0, 0), (5, 4.6), (10 + stall_ms, 9.6), (15 + stall_ms, 14.6 + stall_ms)])
+    silences = measure_silences(
+        [(0, 0), (5, 4.6), (10 + stall_ms, 9.6), (15 + stall_ms, 14.6 + stall_ms)]
+    )
     assert max(silences) <= 2 * POLL_MS
 
 
 def test_two_stalls_in_a_row_are_not_a_freeze() -> None:
-    assert max(heard([(0, 0), (5, 4.6), (65, 9.6), (125, 9.7), (130, 129.6)])) < 50
+    assert max(measure_silences([(0, 0), (5, 4.6), (65, 9.6), (125, 9.7), (130, 129.6)])) < 50
 
 
 def test_a_guardian_that_is_always_late_still_hears_a_frozen_loop_in_the_end() -> None:
-    silences = heard([(0, 0), *((30.0 * look, 0.0) for look in range(1, 10))])
+    silences = measure_silences([(0, 0), *((30.0 * look, 0.0) for look in range(1, 10))])
     assert silences[-1] > 50
 
 
 def test_a_beat_from_just_after_the_clock_was_read_is_no_negative_silence() -> None:
-    assert heard([(0, 0), (5, 5.1)]) == [0.0]
+    assert measure_silences([(0, 0), (5, 5.1)]) == [0.0]
 
 
 @pytest.mark.parametrize(
@@ -101,7 +103,7 @@ def test_a_limit_that_every_tick_would_exceed_is_refused() -> None:
 
 
 class StubRig:
-    """Refuses to be made safe a few times, as a card whose owner is just dying."""
+    """Refuses to be made safe a few times, like a card whose owner is still dying."""
 
     def __init__(self, refusals: int = 0) -> None:
         self.refusals = refusals
@@ -135,14 +137,14 @@ def after(seconds: float, do: Callable[[], object]) -> None:
     threading.Timer(seconds, do).start()
 
 
-def guarded(ring: Ring, pid: int, rig: StubRig) -> Takeover | None:
+def guard_stub(ring: Ring, pid: int, rig: StubRig) -> Takeover | None:
     return guard(ring, LoopProcess(pid), rig, LIMIT_NS)  # type: ignore[arg-type]
 
 
 def test_a_death_is_noticed_at_once_and_a_busy_output_tried_again(ring: Ring) -> None:
     with sleeper() as loop:
         after(0.05, loop.kill)
-        takeover = guarded(ring, loop.pid, StubRig(refusals=3))
+        takeover = guard_stub(ring, loop.pid, StubRig(refusals=3))
     assert takeover is not None
     assert takeover.reason == ""
     assert takeover.failure == ""
@@ -153,7 +155,7 @@ def test_a_silent_loop_is_killed(ring: Ring) -> None:
     rig = StubRig()
     ring.loop_stage = LoopStage.TICKING
     with sleeper() as loop:
-        takeover = guarded(ring, loop.pid, rig)
+        takeover = guard_stub(ring, loop.pid, rig)
         assert loop.wait(PATIENCE_S) == -signal.SIGKILL
     assert takeover is not None
     assert "silent for" in takeover.reason
@@ -165,7 +167,7 @@ def test_a_loop_that_sets_up_or_leaves_may_take_its_time(ring: Ring) -> None:
         ring.loop_stage = stage
         with sleeper() as loop:
             after(0.3, loop.kill)
-            takeover = guarded(ring, loop.pid, StubRig())
+            takeover = guard_stub(ring, loop.pid, StubRig())
             assert takeover is not None
             assert takeover.reason == ""  # it died; nobody killed it for its silence
 
@@ -175,14 +177,14 @@ def test_an_orderly_end_leaves_nothing_to_say_and_the_voltage_verified(ring: Rin
     with sleeper() as loop:
         ring.loop_done = 1
         after(0.02, loop.kill)
-        assert guarded(ring, loop.pid, rig) is None
+        assert guard_stub(ring, loop.pid, rig) is None
     assert rig.tries == 1
 
 
 def test_a_loop_that_is_gone_before_it_is_watched_is_a_dead_loop(ring: Ring) -> None:
     with sleeper() as loop:
         pass
-    takeover = guarded(ring, loop.pid, StubRig())
+    takeover = guard_stub(ring, loop.pid, StubRig())
     assert takeover is not None
 
 

@@ -21,13 +21,15 @@ def ring(tmp_path: Path) -> Iterator[Ring]:
         yield made
 
 
-def supervised(ring: Ring, front_fd: int | None = None, *, patient: bool = False) -> LoopSupervisor:
+def make_supervisor(
+    ring: Ring, front_fd: int | None = None, *, patient: bool = False
+) -> LoopSupervisor:
     return LoopSupervisor(
         ring, front_fd, LoopSettings(ring_rows=256, stop_ramp_s=0.01), patient=patient
     )
 
 
-def asked(supervisor: LoopSupervisor, ms: int) -> tuple[str, bool] | None:
+def ask_for_stop(supervisor: LoopSupervisor, ms: int) -> tuple[str, bool] | None:
     """Ask at 1 kHz for so long; return the reason to stop, and whether at once."""
     for tick in range(ms):
         at_once = supervisor.wants_abort()
@@ -40,23 +42,23 @@ def asked(supervisor: LoopSupervisor, ms: int) -> tuple[str, bool] | None:
 def test_a_guardian_that_stands_still_is_found_within_the_heartbeat_and_ends_the_run_at_once(
     ring: Ring,
 ) -> None:
-    supervisor = supervised(ring)
+    supervisor = make_supervisor(ring)
     for _ in range(100):
         ring.guardian_beats += 1
-        assert asked(supervisor, 8) is None
-    assert asked(supervisor, 40) is None
-    assert asked(supervisor, 24) == ("the guardian gives no sign of life", True)
+        assert ask_for_stop(supervisor, 8) is None
+    assert ask_for_stop(supervisor, 40) is None
+    assert ask_for_stop(supervisor, 24) == ("the guardian gives no sign of life", True)
 
 
 def test_where_there_is_no_clock_there_is_no_guardian_to_miss(ring: Ring) -> None:
-    assert asked(supervised(ring, patient=True), 2000) is None
+    assert ask_for_stop(make_supervisor(ring, patient=True), 2000) is None
 
 
 @pytest.mark.parametrize("who", ["guardian", "front", "recorder"])
 def test_the_death_of_any_other_process_ends_the_run_at_once(ring: Ring, who: str) -> None:
     ours, theirs = os.pipe()
-    supervisor = supervised(ring, ours)
-    assert asked(supervisor, 8) is None
+    supervisor = make_supervisor(ring, ours)
+    assert ask_for_stop(supervisor, 8) is None
     match who:
         case "guardian":
             ring.guardian_lost = 1
@@ -64,7 +66,7 @@ def test_the_death_of_any_other_process_ends_the_run_at_once(ring: Ring, who: st
             os.close(theirs)
         case "recorder":
             ring.raise_flag(RecorderFlag.FAILED)
-    found = asked(supervisor, 8)
+    found = ask_for_stop(supervisor, 8)
     assert found is not None
     assert found[1]
     os.close(ours)
@@ -73,14 +75,14 @@ def test_the_death_of_any_other_process_ends_the_run_at_once(ring: Ring, who: st
 
 
 def test_during_a_smooth_stop_a_death_still_ends_the_run_at_once(ring: Ring) -> None:
-    supervisor = supervised(ring)
+    supervisor = make_supervisor(ring)
     supervisor._on_signal(signal.SIGINT, None)
-    assert asked(supervisor, 8) == ("stopped by SIGINT", False)
+    assert ask_for_stop(supervisor, 8) == ("stopped by SIGINT", False)
     ring.guardian_lost = 1
     assert any(supervisor.wants_abort() for _ in range(8))
 
 
 def test_a_full_disk_leaves_time_for_a_smooth_stop(ring: Ring) -> None:
-    supervisor = supervised(ring)
+    supervisor = make_supervisor(ring)
     ring.raise_flag(RecorderFlag.FAILED | RecorderFlag.DISK_FULL)
-    assert asked(supervisor, 8) == ("the log's disk is full", False)
+    assert ask_for_stop(supervisor, 8) == ("the log's disk is full", False)

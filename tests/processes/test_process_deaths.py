@@ -193,7 +193,7 @@ def test_without_its_recorder_a_loop_stops_safe_and_the_front_finishes_the_log(
 
 
 def assert_stopped_at_once(run: Run) -> None:
-    """See that nobody took the time for the ramp of a smooth stop, which is 500 ticks long."""
+    """Check that the loop skipped the ramp of a smooth stop, which is 500 ticks long."""
     assert np.count_nonzero(read(run.log)["phase"] == Phase.STOPPING) == 0
 
 

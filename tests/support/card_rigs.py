@@ -15,7 +15,7 @@ WRITE = "DAQmxWriteAnalogScalarF64"
 
 
 class CardClock(VirtualClock):
-    """Takes the card's time along, so that both stand still within a tick."""
+    """Sets the card's time to its own, so that both stand still within a tick."""
 
     def __init__(self, card: Card) -> None:
         super().__init__(MS)
@@ -28,7 +28,7 @@ class CardClock(VirtualClock):
 
 
 class CardTime(VirtualClock):
-    """The time of a card that takes it along itself."""
+    """Reads the time of a card that sets it itself."""
 
     def __init__(self, card: Card) -> None:
         super().__init__(MS)

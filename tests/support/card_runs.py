@@ -25,7 +25,7 @@ OWN_SAFE_V = 0.625
 
 @pytest.fixture
 def own(tmp_path: Path) -> Iterator[Card]:
-    """A card that this process does not drive, of its own name; its output was left at 8 V."""
+    """A card of its own name that this process does not drive; its output was left at 8 V."""
     here()  # for the compiler
     (tmp_path / "cwd").mkdir()
     own = Card(tmp_path / "registers", f"Dev{os.getpid()}x{random.randrange(10**6)}")

@@ -1,10 +1,10 @@
-"""What tests forgive: the machine that runs them may be busy with others.
+"""How patient tests are: the machine that runs them may be busy with other work.
 
-No test says how soon something happens, only that it does: benchmarks measure times.
+No test says how soon something happens, only that it happens. Benchmarks measure times.
 """
 
 PATIENCE_S = 60.0
-"""For whatever must happen in the end."""
+"""How long a test waits for what must happen (s)."""
 
 BUSY_PC = [
     "rig.limits.sample_age_s=60",
@@ -13,4 +13,4 @@ BUSY_PC = [
     "rig.limits.tracking_error_mm=1e3",
     "rig.loop.heartbeat_ms=1000",
 ]
-"""Settings of a run in real time: a tick that is late is no reason to trip, or to be killed."""
+"""Settings of a run in real time: a late tick neither trips the run nor kills the loop."""

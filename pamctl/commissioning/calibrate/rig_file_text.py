@@ -1,4 +1,4 @@
-"""A rig file with other values: its comments, order and all else as they were."""
+"""Put new values into the text of a rig file; its comments and order stay."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from pamctl.settings.yaml12 import FilePosition, KeyPath, dump_yaml, parse_yaml
 def insert_values(text: str, outcome: CalibrationOutcome, heading: str) -> str:
     """Return the text of a rig file with the values of a calibration put in.
 
-    `heading` says when, by what and from which file; it becomes a comment at the top, as the
-    notes do. How each value was found stands above its line.
+    `heading` gives the time, the command and the source file; heading and notes become comments at
+    the top. A comment above each value says how it was found.
     """
     wanted = _change_data(parse_yaml(text, Path("rig file")).data, outcome.values)
     edited = text

@@ -1,0 +1,105 @@
+"""The tasks of one card: valve output, pressure input, encoder; and the fast calls over them.
+
+Only the stream readers and writers over a running task are fast. `Task.read` and `Task.write` cost
+ten times as much. A task that does not run is started and stopped by every call, which sets the
+encoder back to zero each time.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import count
+from typing import NamedTuple
+
+from nidaqmx import Task
+from nidaqmx.constants import EncoderType, LengthUnits, TerminalConfiguration
+from nidaqmx.stream_readers import AnalogSingleChannelReader, CounterReader
+from nidaqmx.stream_writers import AnalogSingleChannelWriter
+
+from hal.nidaq.card_settings import NidaqSettings
+
+_task_number = count()
+
+
+def _make_task(purpose: str) -> Task:
+    """Make a task. Its name is ASCII whatever the locale, and unique in this process."""
+    return Task(f"pamctl_{purpose}_{os.getpid()}_{next(_task_number)}")
+
+
+@contextmanager
+def make_valve_task(settings: NidaqSettings) -> Iterator[Task]:
+    """Make the output's task, not yet started."""
+    with _make_task("valve") as task:
+        task.ao_channels.add_ao_voltage_chan(
+            f"{settings.device}/{settings.valve_channel}",
+            # A second guard of the range, in the driver.
+            min_val=settings.output_low_v,
+            max_val=settings.output_high_v,
+        )
+        yield task
+
+
+@contextmanager
+def make_pressure_task(settings: NidaqSettings) -> Iterator[Task]:
+    """Make the analog input's task, not yet started."""
+    with _make_task("pressure") as task:
+        task.ai_channels.add_ai_voltage_chan(
+            f"{settings.device}/{settings.pressure_channel}",
+            # The default is differential: the sensor's ground would be left unconnected.
+            terminal_config=TerminalConfiguration[settings.terminal.upper()],
+            min_val=settings.input_low_v,
+            max_val=settings.input_high_v,
+        )
+        yield task
+
+
+@contextmanager
+def make_encoder_task(settings: NidaqSettings) -> Iterator[Task]:
+    """Make the counter's task, not yet started."""
+    with _make_task("encoder") as task:
+        channel = task.ci_channels.add_ci_lin_encoder_chan(
+            f"{settings.device}/{settings.encoder_counter}",
+            decoding_type=EncoderType.X_4,
+            # The index would reset the count in the middle of a motion.
+            zidx_enable=False,
+            # The scale is in the calibration only.
+            units=LengthUnits.TICKS,
+            initial_pos=0.0,
+        )
+        if settings.encoder_filter_ns:
+            shortest_pulse_s = settings.encoder_filter_ns / 1e9
+            channel.ci_encoder_a_input_dig_fltr_min_pulse_width = shortest_pulse_s
+            channel.ci_encoder_a_input_dig_fltr_enable = True
+            channel.ci_encoder_b_input_dig_fltr_min_pulse_width = shortest_pulse_s
+            channel.ci_encoder_b_input_dig_fltr_enable = True
+        yield task
+
+
+def make_valve_writer(task: Task) -> Callable[[float, float], None]:
+    """Return a function that writes volts within a timeout (s); the task must run."""
+    write: Callable[[float, float], None] = AnalogSingleChannelWriter(
+        task.out_stream, auto_start=False
+    ).write_one_sample
+    return write
+
+
+def make_count_reader(task: Task) -> Callable[[float], float]:
+    """Return a function that reads the counter within a timeout (s)."""
+    read: Callable[[float], float] = CounterReader(task.in_stream).read_one_sample_double
+    return read
+
+
+def make_volt_reader(task: Task) -> Callable[[float], float]:
+    """Return a function that reads the input's volts within a timeout (s)."""
+    read: Callable[[float], float] = AnalogSingleChannelReader(task.in_stream).read_one_sample
+    return read
+
+
+class TaskCalls(NamedTuple):
+    """The calls of the running tasks; each takes its timeout (s) last."""
+
+    write_v: Callable[[float, float], None]
+    read_count: Callable[[float], float]
+    read_v: Callable[[float], float]

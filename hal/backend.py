@@ -169,6 +169,7 @@ class InstalledBackends(NamedTuple):
 _SHIPPED = (
     EntryPoint("sim", "hal.sim.sim_backend:SIM", GROUP),
     EntryPoint("nidaq", "hal.nidaq.nidaq_backend:NIDAQ", GROUP),
+    EntryPoint("comedi", "hal.comedi.comedi_backend:COMEDI", GROUP),
 )
 """Their entry points again: an editable install that was made before them knows none."""
 

@@ -14,10 +14,11 @@ from hal.backend import ProbeRequest
 from hal.doctor_finding import DoctorFinding, describe_rig_error
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver_errors import BUSY_CODES, PACKAGE_BROKEN
+from hal.range_checks import format_range, holds, judge_input_range
 from hal.rig import RigError
 
 if TYPE_CHECKING:
-    from hal.nidaq.probe import Card, DriverUser, Range
+    from hal.nidaq.probe import Card, DriverUser
 
 REQUIRED = frozenset({"card.driver", "card.device", "card.channels", "card.reservations"})
 """Findings whose fault means that no rig can be opened; other faults leave it usable."""
@@ -57,7 +58,8 @@ def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding
         return
     yield judge_device(settings.device, card)
     yield judge_channels(settings, card)
-    yield judge_input_range(request, card)
+    asked = (settings.input_low_v, settings.input_high_v)
+    yield judge_input_range("nidaq", asked, card.input_ranges, request)
     yield judge_output_range(settings, card)
     busy = probe.find_conflicts(settings)
     yield judge_reservations(busy, probe.find_driver_users([os.getpid()]) if busy else [])
@@ -117,37 +119,13 @@ def judge_channels(settings: NidaqSettings, card: Card) -> DoctorFinding:
     return DoctorFinding("card.channels", "fault", found, f"one of {there}", fix)
 
 
-def judge_input_range(request: ProbeRequest[NidaqSettings], card: Card) -> DoctorFinding:
-    """Check that the input's range holds every voltage that a limit must see."""
-    name, settings, least = "card.input_range", request.settings, request.sensor_range_v
-    asked = (settings.input_low_v, settings.input_high_v)
-    taken = _choose_narrowest(asked, card.input_ranges)
-    found = f"asked {_format_range(asked)}" + (
-        f", the card takes {_format_range(taken)}" if taken else ""
-    )
-    if taken is None:
-        wanted = f"within one of {', '.join(map(_format_range, card.input_ranges))}"
-        fix = "correct nidaq.input_low_v and nidaq.input_high_v"
-        return DoctorFinding(name, "fault", found, wanted, fix)
-    resolution_pa = (taken[1] - taken[0]) / 65536 * request.sensor_pa_per_v
-    data = {"low_v": taken[0], "high_v": taken[1], "step_pa": resolution_pa}
-    if not _holds(asked, least) or not _holds(taken, least):
-        wanted = (
-            f"at least {_format_range(least)}; otherwise limits.pressure_pa and the sensor's wire "
-            "are not watched"
-        )
-        fix = "set nidaq.input_low_v to -5 and nidaq.input_high_v to 5"
-        return DoctorFinding(name, "fault", found, wanted, fix, data)
-    return DoctorFinding(name, "ok", f"{found}: {resolution_pa:.0f} Pa a code", data=data)
-
-
 def judge_output_range(settings: NidaqSettings, card: Card) -> DoctorFinding:
     """Check that the card can put out what the rig file allows."""
     asked = (settings.output_low_v, settings.output_high_v)
     found = (
-        f"{_format_range(asked)} of the card's {', '.join(map(_format_range, card.output_ranges))}"
+        f"{format_range(asked)} of the card's {', '.join(map(format_range, card.output_ranges))}"
     )
-    if any(_holds(one, asked) for one in card.output_ranges):
+    if any(holds(one, asked) for one in card.output_ranges):
         return DoctorFinding("card.output_range", "ok", found)
     fix = "correct nidaq.output_low_v and nidaq.output_high_v"
     return DoctorFinding("card.output_range", "fault", found, "within the card's range", fix)
@@ -189,16 +167,3 @@ def judge_hardware_timing(failure: RigError | None, is_wanted: bool) -> DoctorFi
     return DoctorFinding(
         name, "ok", f"not available, and not needed: {describe_rig_error(failure)}"
     )
-
-
-def _choose_narrowest(asked: Range, ranges: tuple[Range, ...]) -> Range | None:
-    fitting = [one for one in ranges if _holds(one, asked)]
-    return min(fitting, key=lambda one: one[1] - one[0], default=None)
-
-
-def _holds(outer: Range, inner: Range) -> bool:
-    return outer[0] <= inner[0] and inner[1] <= outer[1]
-
-
-def _format_range(pair: Range) -> str:
-    return f"{pair[0]:g} to {pair[1]:g} V"

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from nidaqmx.constants import BusType
@@ -15,14 +13,15 @@ from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError, Daq
 from nidaqmx.errors import Error as DriverError
 from nidaqmx.system import Device, System
 
+from hal.driver_library import find_loaded_library, refuse_stand_in
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver_errors import INSTALL, ON_DEMAND, fix_of
 from hal.rig import RigError
 
 STAND_IN_SERIAL = 0xDECAF
 """Serial number of the driver that stands in for a card in this project's tests."""
-STAND_IN_PERMIT = "PAMCTL_PERMIT_STAND_IN"
-"""Environment variable that permits it; only tests set it."""
+LIBRARY = "libnidaqmx.so"
+"""The driver's C library, which the package loads."""
 
 _TIMED_BUSES = (BusType.PCI, BusType.PCIE, BusType.PXI, BusType.PXIE)
 
@@ -44,7 +43,7 @@ def require_card(settings: NidaqSettings) -> Mapping[str, object]:
         serial = int(device.serial_num)
         bus = device.bus_type
         identity = {
-            "library": find_loaded_library(),
+            "library": find_loaded_library(LIBRARY),
             "driver_version": ".".join(map(str, version)),
             "product_type": str(device.product_type),
             "serial_number": f"{serial:X}",
@@ -55,21 +54,9 @@ def require_card(settings: NidaqSettings) -> Mapping[str, object]:
             "no hardware-timed single points there",
             fix=ON_DEMAND,
         )
-    if serial == STAND_IN_SERIAL and STAND_IN_PERMIT not in os.environ:
-        raise RigError(
-            f"{settings.device} is not a card: it is the stand-in driver of pamctl's tests, "
-            f"in {identity['library']}",
-            fix="take its directory out of LD_LIBRARY_PATH",
-        )
+    if serial == STAND_IN_SERIAL:
+        refuse_stand_in(settings.device, identity["library"])
     return identity
-
-
-def find_loaded_library() -> str:
-    """Return the path of the driver library that this process has really loaded."""
-    for mapping in Path("/proc/self/maps").read_text().splitlines():
-        if "/libnidaqmx.so" in mapping:
-            return mapping.split(maxsplit=5)[5]
-    return ""
 
 
 def make_rig_error(doing: str, error: Exception) -> RigError:

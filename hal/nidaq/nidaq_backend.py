@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from hal.backend import Backend, BuiltRig, DeviceProbe, RigKeys, RigRequest
+from hal.m_series import card_output
 from hal.nidaq.card_checks import REQUIRED, examine_card, examine_card_clock
-from hal.nidaq.card_settings import NidaqSettings, card_output
+from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver_errors import PACKAGE_BROKEN
 from hal.rig import RigError
 

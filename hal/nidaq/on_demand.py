@@ -16,7 +16,8 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 
 from hal.converter import nearest_output_v
-from hal.nidaq.card_settings import NidaqSettings, card_output
+from hal.m_series import card_output, unwrap_count
+from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver import (
     FAILURES,
     NO_DRIVER,
@@ -35,23 +36,7 @@ from hal.nidaq.tasks import (
     make_volt_reader,
 )
 from hal.rig import RawSample, RigError, RigIdentity
-
-_COUNTER_SPAN = 1 << 32
-
-# Shorter than the heartbeat: a loop that tries for longer is killed, and its reason is lost. The
-# guardian goes on trying.
-_SAFE_TRIES = 6
-_SAFE_TRIES_AS_OPEN = 2
-_SAFE_RETRY_S = 5e-3
-
-
-def unwrap_count(last: int, reading: int) -> int:
-    """Return the count nearest to `last` that a 32-bit counter shows as `reading`.
-
-    It makes no difference whether the counter shows -1 as -1 or as 2^32 - 1.
-    """
-    half = _COUNTER_SPAN // 2
-    return last + (reading - last + half) % _COUNTER_SPAN - half
+from hal.safe_drive import drive_with_retries
 
 
 class NidaqRig:
@@ -121,18 +106,9 @@ class NidaqRig:
         If every try fails, `safe_failure` says why. An output whose task fails twice is
         released and reserved again; to go on, the rig must then be opened again.
         """
-        for attempt in range(_SAFE_TRIES):
-            try:
-                self._drive_safe(as_open=attempt < _SAFE_TRIES_AS_OPEN)
-            # Any exception at all: the next try is worth more than the reason.
-            except Exception as error:
-                self._safe_failure = error
-                if isinstance(error, NO_DRIVER):
-                    return
-                time.sleep(_SAFE_RETRY_S)
-            else:
-                self._safe_failure = None
-                return
+        self._safe_failure = drive_with_retries(
+            self._drive_safe, lambda error: isinstance(error, NO_DRIVER)
+        )
 
     def close(self) -> None:
         """Make safe, then release the card; the output holds the safe voltage."""
@@ -175,7 +151,7 @@ class NidaqRig:
         self._counts = unwrap_count(self._counts, round(reading))
         return self._counts
 
-    def _drive_safe(self, *, as_open: bool) -> None:
+    def _drive_safe(self, as_open: bool) -> None:
         if self._wired is not None and as_open:
             self._write_safe_as_wired(self._wired)
             return

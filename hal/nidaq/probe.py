@@ -15,8 +15,9 @@ from nidaqmx import Task
 from nidaqmx.constants import TaskMode
 from nidaqmx.system import Device, System
 
+from hal.driver_library import find_loaded_library
 from hal.nidaq.card_settings import NidaqSettings
-from hal.nidaq.driver import find_loaded_library, raise_rig_errors, require_card
+from hal.nidaq.driver import LIBRARY, raise_rig_errors, require_card
 from hal.nidaq.hardware_timed import HardwareTimedRig
 from hal.nidaq.tasks import (
     make_encoder_task,
@@ -70,7 +71,8 @@ def identify_driver() -> Driver:
         system = System.local()
         numbers = system.driver_version
         names = tuple(device.name for device in system.devices)
-    return Driver(version("nidaqmx"), ".".join(map(str, numbers)), find_loaded_library(), names)
+    library = find_loaded_library(LIBRARY)
+    return Driver(version("nidaqmx"), ".".join(map(str, numbers)), library, names)
 
 
 def identify_card(name: str) -> Card:

@@ -376,7 +376,7 @@ ZERO = CalibrationValue(
 OUTCOME = CalibrationOutcome((ZERO,), ("the supply gives 441.3 kPa",), {})
 
 
-@pytest.mark.parametrize("name", ["sim", "pci6221"])
+@pytest.mark.parametrize("name", ["sim", "pci6221", "pci6221-comedi"])
 def test_a_shipped_rig_file_keeps_its_comments_and_all_other_values(
     name: str, tmp_path: Path
 ) -> None:

@@ -260,7 +260,7 @@ def test_the_help_lists_it_and_a_package_that_does_not_load_harms_no_other(
 ) -> None:
     done = pamctl_with(outside.environment, "run", "--backend", "torn", cwd=tmp_path)
     assert done.returncode == 2
-    assert "there are sim, nidaq, toy" in done.stderr
+    assert "there are sim, nidaq, comedi, toy" in done.stderr
     assert "toy-rig 0.1 does not load: toy_rig:NOTHING: AttributeError" in done.stderr
     schema = json.loads(pamctl_with(outside.environment, "config", "schema", cwd=tmp_path).stdout)
     assert "ToyRigSettings" in schema["$defs"]
@@ -270,4 +270,5 @@ def test_a_rig_file_for_a_missing_backend_asks_for_its_package(tmp_path: Path) -
     (tmp_path / "rig.yaml").write_text("backend: toy\n")
     done = pamctl_with(dict(os.environ), "config", "show", "--rig", "rig.yaml", cwd=tmp_path)
     assert done.returncode == 78
-    assert "must be 'sim' or 'nidaq' (got 'toy'); if a package provides 'toy'" in done.stderr
+    assert "must be 'sim', 'nidaq' or 'comedi' (got 'toy'); " in done.stderr
+    assert "if a package provides 'toy'" in done.stderr

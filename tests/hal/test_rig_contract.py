@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from standin.standin import PERMIT, here
+from standin.standin import PERMIT, here, here_behind_comedi
 
 from hal.backend import _SHIPPED, GROUP, BuiltRig, RigRequest
 from hal.calibration import CalibrationSettings
+from hal.comedi.comedi_backend import COMEDI
+from hal.comedi.comedi_settings import ComediSettings
 from hal.configured import Configured
 from hal.faulty import FaultSettings, FaultyRig
 from hal.nidaq.card_settings import NidaqSettings
@@ -118,6 +120,18 @@ def make_nidaq_hardware_timed() -> RigBench:
     return RigBench(NIDAQ, asked, built, lambda: card.output_at_next_edge_v)
 
 
+def make_comedi() -> RigBench:
+    """The card behind the stand-in of libcomedi, on the whole range of its output."""
+    card = here_behind_comedi()
+    give_the_card_back()
+    card.power_up()
+    card.calibrate()
+    asked = request(ComediSettings(output_low_v=-10.0), time.monotonic_ns)
+    built = COMEDI.build(asked)
+    _cards_in_use.append(built.rig)
+    return RigBench(COMEDI, asked, built, lambda: card.output_v)
+
+
 @pytest.fixture(autouse=True)
 def _one_card_for_all(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv(PERMIT, "1")
@@ -131,6 +145,7 @@ FACTORIES = [
     make_faulty_without_faults_due,
     make_nidaq,
     make_nidaq_hardware_timed,
+    make_comedi,
 ]
 
 

@@ -14,7 +14,7 @@
 
 enum { AO_CHANNELS = 2, AI_CHANNELS = 16, COUNTERS = 2, FAULTS = 8, HISTORY = 64 };
 
-/* The one error of NI's that the device itself gives. */
+/* The one error that the device itself gives, by NI's number. */
 #define SAMPLES_NOT_YET_AVAILABLE (-200284)
 
 typedef enum {
@@ -75,6 +75,13 @@ typedef struct {
     double counter_filter_s; /* pulses shorter than this do not count */
     int64_t counter_z_resets; /* recorded only: this encoder strip has no index */
     int64_t ticks_are_unsigned; /* how a read in ticks shows a count below zero */
+    int64_t counter_maxdata; /* all bits of the counter as comedi shows it */
+    int64_t encoder_pfi[2];  /* the PFI lines that A and B are wired to */
+    /* What the card's own codes are off by: ideal volts become `volts * gain + offset_v`. */
+    double ai_gain;
+    double ai_offset_v;
+    double ao_gain;
+    double ao_offset_v;
     int64_t is_gone; /* the card is no longer on the bus */
     int64_t bus;     /* a BusType: what it is plugged into */
     int64_t valve_is_stuck; /* the valve stands at `valve_stuck_v`, whatever the output says */

@@ -1,6 +1,7 @@
 """The stand-in card from Python: build its driver, look at its registers, break it.
 
-The driver is C (`daqmx.c`), so that the unmodified nidaqmx package runs over it. The card's
+The drivers are C: `daqmx.c` is NI's, so that the unmodified nidaqmx package runs over it,
+`comedi.c` is libcomedi, and `comedi_kernel.c` is the kernel below the real libcomedi. The card's
 registers lie in a file; every process that is to see the card names it in `STANDIN_DEVICE`.
 """
 
@@ -24,6 +25,10 @@ from support.installing import alone, apt_install
 
 HERE = Path(__file__).parent
 SONAME = "libnidaqmx.so.1"
+COMEDI_SONAME = "libcomedi.so.0"
+KERNEL_SONAME = "libcomedikernel.so.0"
+"""Preloaded below the real libcomedi, this one is the kernel."""
+_DRIVERS = {SONAME: "daqmx.c", COMEDI_SONAME: "comedi.c", KERNEL_SONAME: "comedi_kernel.c"}
 SERIAL = 0xDECAF
 PERMIT = "PAMCTL_PERMIT_STAND_IN"
 """Set by tests, and by nobody else: without it `pamctl` refuses this card."""
@@ -88,6 +93,12 @@ class Registers(ctypes.Structure):
         ("counter_filter_s", ctypes.c_double),
         ("counter_z_resets", ctypes.c_int64),
         ("ticks_are_unsigned", ctypes.c_int64),
+        ("counter_maxdata", ctypes.c_int64),
+        ("encoder_pfi", ctypes.c_int64 * 2),
+        ("ai_gain", ctypes.c_double),
+        ("ai_offset_v", ctypes.c_double),
+        ("ao_gain", ctypes.c_double),
+        ("ao_offset_v", ctypes.c_double),
         ("is_gone", ctypes.c_int64),
         ("bus", ctypes.c_int64),
         ("valve_is_stuck", ctypes.c_int64),
@@ -122,9 +133,40 @@ _POWER_UP = {
     "encoder_phase_edges": 0.4,
     "encoder_sign": 1,
     "counter_edges_per_count": 1,
+    "counter_maxdata": 0xFFFFFFFF,
+    "encoder_pfi": (8, 10),
+    "ai_gain": 1.0,
+    "ao_gain": 1.0,
     "bus": PCI,
 }
 """What is not zero when the computer is switched on; the sensors are the sim rig's."""
+
+
+_INPUT_RANGES_V = (10.0, 5.0, 1.0, 0.2)
+
+# The form that comedi_soft_calibrate writes.
+_CALIBRATION = """{{
+    driver_name => "ni_pcimio",
+    board_name => "pci-6221",
+    calibrations =>
+    [{}
+    ]
+}}
+"""
+_SETTING = """
+        {{
+            subdevice => {},
+            channels => [],
+            ranges => [{}],
+            arefs => [],
+            caldacs => [],{}
+        }},"""
+_LINE = """
+            softcal_{}_phys =>
+            {{
+                expansion_origin => {!r},
+                coefficients => [{!r}, {!r}]
+            }}"""
 
 
 class Card:
@@ -139,6 +181,7 @@ class Card:
             self._map = mmap.mmap(file.fileno(), ctypes.sizeof(Registers))
         self.registers = Registers.from_buffer(self._map)
         self.power_up()
+        self.calibrate()
 
     def power_up(self) -> None:
         """Switch the computer off and on; only the mutex stays as it is."""
@@ -214,6 +257,25 @@ class Card:
         for fault in self.registers.faults:
             fault.times = 0
 
+    @property
+    def calibration_path(self) -> Path:
+        """Where libcomedi looks for this card's calibration."""
+        return Path(f"{self.path}.calibration")
+
+    def calibrate(self, *, inputs: bool = True, outputs: bool = True) -> None:
+        """Write the calibration that undoes the card's own gains and offsets, as comedi's tool."""
+        r, settings = self.registers, []
+        for number, full_scale_v in enumerate(_INPUT_RANGES_V if inputs else ()):
+            step_v = 2.0 * full_scale_v / 65536.0
+            zero = 32768.0 + r.ai_offset_v / step_v
+            line = _LINE.format("to", zero, 0.0, step_v / r.ai_gain)
+            settings.append(_SETTING.format(0, number, line))
+        if outputs:
+            codes_per_v = 65536.0 / 20.0 / r.ao_gain
+            line = _LINE.format("from", r.ao_offset_v, 32768.0, codes_per_v)
+            settings.append(_SETTING.format(1, 0, line))
+        self.calibration_path.write_text(_CALIBRATION.format("".join(settings)))
+
     def environment(self) -> Mapping[str, str]:
         """What a process needs in its environment to find the driver and this card."""
         search = os.pathsep.join([str(library().parent), os.environ.get("LD_LIBRARY_PATH", "")])
@@ -228,30 +290,33 @@ class Card:
 # --- the driver --------------------------------------------------------------------------
 
 
-def library() -> Path:
-    """Build the driver, or find it built from the same source."""
+def library(soname: str = SONAME) -> Path:
+    """Build the drivers, or find them built from the same sources; return the path of one."""
     source = b"".join(path.read_bytes() for path in sorted(HERE.glob("*.[ch]")))
     digest = hashlib.sha256(source).hexdigest()[:16]
     directory = Path(tempfile.gettempdir()) / f"pamctl-standin-{os.getuid()}-{digest}"
-    built = directory / SONAME
+    built = directory / soname
     if not built.exists():
         directory.mkdir(mode=0o700, exist_ok=True)
-        _compile(directory, built)
+        for name in _DRIVERS:
+            _compile(directory, name)
     return built
 
 
-def _compile(directory: Path, built: Path) -> None:
+def _compile(directory: Path, soname: str) -> None:
     with tempfile.TemporaryDirectory(dir=directory) as scratch:
-        fresh = Path(scratch) / SONAME
+        fresh = Path(scratch) / soname
         options = ["-O2", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-fvisibility=hidden"]
-        shared = ["-shared", "-fPIC", f"-Wl,-soname,{SONAME}", "-o", str(fresh)]
-        sources = [str(path) for path in sorted(HERE.glob("*.c"))]
+        shared = ["-shared", "-fPIC", f"-Wl,-soname,{soname}", "-o", str(fresh)]
+        sources = [str(HERE / name) for name in (_DRIVERS[soname], "device.c", "plant.c")]
         subprocess.run(
-            ["gcc", *options, *shared, *sources, "-lm", "-lpthread"], check=True, timeout=120
+            ["gcc", *options, *shared, *sources, "-lm", "-lpthread", "-ldl"],
+            check=True,
+            timeout=120,
         )
         with suppress(FileExistsError):
-            (directory / "libnidaqmx.so").symlink_to(SONAME)
-        fresh.rename(built)  # whole or not at all
+            (directory / soname.rpartition(".")[0]).symlink_to(soname)
+        fresh.rename(directory / soname)  # whole or not at all
 
 
 def require_compiler() -> None:
@@ -290,6 +355,30 @@ def here() -> Card:
     finally:
         os.environ.clear()
         os.environ.update(before)
+    return card
+
+
+@cache
+def here_behind_comedi() -> Card:
+    """Return the card of this very process behind libcomedi, which is loaded once.
+
+    The product loads the library by its soname, and the loader knows it from here on. Only the
+    registers' place is read from the environment, at the first access.
+    """
+    require_compiler()
+    directory = Path(tempfile.mkdtemp(prefix="pamctl-card-"))
+    atexit.register(shutil.rmtree, directory, ignore_errors=True)
+    card = Card(directory / "registers", "comedi0")
+    driver = ctypes.CDLL(str(library(COMEDI_SONAME)), ctypes.RTLD_GLOBAL)
+    before = os.environ.get("STANDIN_DEVICE")
+    os.environ["STANDIN_DEVICE"] = str(card.path)
+    try:
+        assert not driver.comedi_open(b"/dev/none")
+    finally:
+        if before is None:
+            del os.environ["STANDIN_DEVICE"]
+        else:
+            os.environ["STANDIN_DEVICE"] = before
     return card
 
 

@@ -1,0 +1,197 @@
+"""`pamctl doctor` on a card behind comedi: each fault is found, named, and comes with its fix."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from standin.standin import PERMIT, Card, here_behind_comedi
+
+from hal.comedi import comedi_checks, libcomedi
+from hal.comedi.comedi_checks import (
+    REQUIRED,
+    check_permission,
+    examine_comedi,
+    judge_kernel_driver,
+    judge_pfi_lines,
+)
+from hal.comedi.comedi_rig import ComediRig
+from hal.comedi.comedi_settings import ComediSettings
+from hal.doctor_finding import DoctorFinding
+from hal.pci_cards import PciCard, find_pci_cards
+from pamctl.commissioning.doctor.examination import make_probe_request
+from pamctl.settings.resolve import resolve
+
+Examine = Callable[..., dict[str, DoctorFinding]]
+
+
+@pytest.fixture
+def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
+    monkeypatch.setenv(PERMIT, "1")
+    card = here_behind_comedi()
+    card.power_up()
+    card.calibrate()
+    yield card
+    card.mend()
+
+
+def make_slot(directory: Path, slot: str, vendor: str, driver: str) -> None:
+    """Write what the kernel shows of one PCI device; the card's number is a PCI-6221's."""
+    place = directory / "devices" / slot
+    place.mkdir(parents=True)
+    (place / "vendor").write_text(f"{vendor}\n")
+    (place / "device").write_text("0x70af\n")
+    if driver:
+        (directory / "drivers" / driver).mkdir(parents=True, exist_ok=True)
+        (place / "driver").symlink_to(directory / "drivers" / driver)
+
+
+@pytest.fixture
+def examine(card: Card, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Examine:
+    """Examine the card in a PC whose driver `ni_pcimio` holds it."""
+    make_slot(tmp_path, "0000:05:00.0", "0x1093", "ni_pcimio")
+    monkeypatch.setattr(comedi_checks, "PCI_DEVICES", tmp_path / "devices")
+
+    def examine_one(*overrides: str) -> dict[str, DoctorFinding]:
+        settings = resolve(rig="pci6221-comedi", overrides=list(overrides))
+        findings = list(examine_comedi(make_probe_request(settings)))
+        assert len({finding.name for finding in findings}) == len(findings)
+        return {finding.name: finding for finding in findings}
+
+    return examine_one
+
+
+def test_a_sound_card_has_nothing_but_ok(examine: Examine, card: Card) -> None:
+    found = examine()
+    assert {finding.level for finding in found.values()} == {"ok"}
+    assert set(found) == REQUIRED | {"card.kernel_driver", "card.input_range"}
+    assert card.written_v == []  # the doctor looks, and writes nothing
+    assert "ni_pcimio" in found["card.kernel_driver"].found
+    assert "PFI 8 and 10" in found["card.channels"].found
+    assert "24 Pa a code" in found["card.input_range"].found
+
+
+# --- the kernel's driver -----------------------------------------------------------------
+
+
+def test_only_ni_s_cards_are_listed_each_with_its_driver(tmp_path: Path) -> None:
+    make_slot(tmp_path, "0000:05:00.0", "0x1093", "")
+    make_slot(tmp_path, "0000:04:00.0", "0x1093", "ni_pcimio")
+    make_slot(tmp_path, "0000:00:02.0", "0x8086", "i915")
+    assert find_pci_cards(tmp_path / "devices") == [
+        PciCard("0000:04:00.0", "0x70af", "ni_pcimio"),
+        PciCard("0000:05:00.0", "0x70af", ""),
+    ]
+    assert find_pci_cards(tmp_path / "not there") == []
+
+
+@pytest.mark.parametrize(
+    ("drivers", "level", "fix"),
+    [
+        (["ni_pcimio"], "ok", ""),
+        (["nimxs", "ni_pcimio"], "ok", ""),
+        (["nimxs"], "fault", "NI's driver nimxs holds it"),
+        ([""], "fault", "modprobe ni_pcimio"),
+        ([], "warning", "seated"),
+    ],
+)
+def test_the_driver_that_holds_the_card_is_named_with_the_way_out(
+    drivers: list[str], level: str, fix: str
+) -> None:
+    cards = [PciCard(f"0000:0{i}:00.0", "0x70af", driver) for i, driver in enumerate(drivers)]
+    finding = judge_kernel_driver(cards)
+    assert finding.level == level
+    assert fix in finding.fix
+
+
+# --- library, device file, permission ----------------------------------------------------
+
+
+def test_without_the_library_the_doctor_says_what_to_install_and_looks_no_further(
+    examine: Examine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(libcomedi, "SONAME", "libcomedi-that-is-not-there.so")
+    monkeypatch.setattr(libcomedi, "load_library", libcomedi.load_library.__wrapped__)
+    found = examine()
+    assert set(found) == {"card.kernel_driver", "card.driver"}
+    assert found["card.driver"].level == "fault"
+    assert "apt install libcomedi0" in found["card.driver"].fix
+
+
+def test_a_device_file_that_is_not_there_is_a_fault(examine: Examine) -> None:
+    found = examine("rig.comedi.device=/dev/comedi9")
+    assert found["card.device"].level == "fault"
+    assert "No such file" in found["card.device"].found
+    assert "card.channels" not in found
+
+
+def test_a_file_without_permission_names_its_group(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = tmp_path / "comedi0"
+    assert list(check_permission(device)) == []
+    device.touch()
+    assert [finding.level for finding in check_permission(device)] == ["ok"]
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may do everything
+    (finding,) = check_permission(device)
+    assert finding.level == "fault"
+    assert f"usermod -aG {device.group()} $USER" in finding.fix
+
+
+# --- the card's parts --------------------------------------------------------------------
+
+
+def test_a_channel_that_the_card_does_not_have_is_a_fault(examine: Examine) -> None:
+    found = examine("rig.comedi.pressure_channel=ai20")
+    assert found["card.channels"].level == "fault"
+    assert "one of the card's 16" in found["card.channels"].found
+
+
+def test_lines_that_the_37_pin_card_does_not_have_are_a_fault() -> None:
+    assert judge_pfi_lines(ComediSettings(), "pci-6221").level == "ok"
+    finding = judge_pfi_lines(ComediSettings(), "pci-6221_37pin")
+    assert finding.level == "fault"
+    assert "PFI 0 to 7" in finding.fix
+    low = ComediSettings(encoder_a_pfi=0, encoder_b_pfi=7)
+    assert judge_pfi_lines(low, "pci-6221_37pin").level == "ok"
+
+
+def test_an_input_range_that_hides_a_broken_wire_is_a_fault(examine: Examine) -> None:
+    found = examine("rig.comedi.input_low_v=0.15", "rig.comedi.input_high_v=1")
+    assert found["card.input_range"].level == "fault"
+    assert "set comedi.input_low_v to -5" in found["card.input_range"].fix
+
+
+def test_a_missing_calibration_is_a_fault_and_a_renounced_one_a_warning(
+    examine: Examine, card: Card
+) -> None:
+    card.calibration_path.unlink()
+    finding = examine()["card.calibration"]
+    assert finding.level == "fault"
+    assert "comedi_soft_calibrate" in finding.fix
+    finding = examine("rig.comedi.calibration_file=none")["card.calibration"]
+    assert finding.level == "warning"
+    assert "5 %" in finding.found
+
+
+def test_a_part_that_another_file_has_locked_is_named(examine: Examine, card: Card) -> None:
+    rig = ComediRig(ComediSettings(), safe_output_v=0.0)
+    rig.open()
+    try:
+        finding = examine()["card.reservations"]
+    finally:
+        rig.close()
+    assert finding.level == "fault"
+    assert finding.data == {"channels": ["ai0", "ao0", "ctr0"]}
+    assert "fuser -v /dev/comedi0" in finding.fix
+    assert examine()["card.reservations"].level == "ok"
+
+
+def test_a_part_that_fails_otherwise_is_not_called_busy(examine: Examine, card: Card) -> None:
+    card.fail("comedi_lock", -errno.EIO)
+    finding = examine()["card.reservations"]
+    assert finding.level == "fault"
+    assert "fuser" not in finding.fix

@@ -1,0 +1,160 @@
+"""`pamctl` on a card behind comedi, from the command to the log, over the stand-in library."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from standin.standin import COMEDI_SONAME, PERMIT, Card, library, require_compiler
+from support.patience import BUSY_PC, PATIENCE_S
+from support.runs import AO_STEP_V
+
+from pamctl.log.reader import read
+from pamctl.processes.backends import SHARED_MEMORY
+from pamctl.signals import Phase
+
+PAMCTL = str(Path(sys.executable).with_name("pamctl"))
+SAFE_V = 0.625
+safe = pytest.approx(SAFE_V, abs=AO_STEP_V)
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Iterator[Card]:
+    """A card that this process does not drive, of its own name; its output was left at 8 V."""
+    require_compiler()
+    (tmp_path / "cwd").mkdir()
+    own = Card(tmp_path / "registers", f"comedi{os.getpid()}{random.randrange(10**6)}")
+    own.registers.ao_v[0] = 8.0
+    yield own
+    (SHARED_MEMORY / f"pamctl-{own.name}.lock").unlink(missing_ok=True)
+
+
+def start(own: Card, *command: str, **environment: str | None) -> subprocess.Popen[str]:
+    """Start a verb of pamctl on the card; an environment variable that is None is taken away."""
+    options = [
+        f"rig.comedi.device=/dev/{own.name}",
+        f"rig.safe_volts={SAFE_V}",
+        "rig.homing.enabled=false",
+        *BUSY_PC,
+    ]
+    changed = {**own.environment(), **environment}
+    return subprocess.Popen(
+        [PAMCTL, *command, "--backend", "comedi", *(p for one in options for p in ("--set", one))],
+        cwd=own.path.parent / "cwd",
+        env={name: value for name, value in changed.items() if value is not None},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+RUN = ("run", "--quiet", "--log", "run.mcap")
+
+
+def await_writes(own: Card, process: subprocess.Popen[str], writes: int) -> None:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while own.registers.ao_writes < writes:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline_s, "the loop does not write"
+        time.sleep(0.02)
+
+
+def test_a_run_is_complete_ends_at_the_safe_voltage_and_replays_to_the_bit(own: Card) -> None:
+    process = start(own, *RUN, "--duration", "1", "--json", LC_ALL="C")
+    said, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, complaints
+    report = json.loads(said)
+    assert report["log_is_whole"]
+    assert report["backend"] == "comedi"
+    assert own.written_v[-1] == own.output_v == safe
+    log = read(own.path.parent / "cwd" / "run.mcap")
+    assert log["phase"][-1] == Phase.STOPPING
+    identity = log.metadata["rig"]
+    assert identity["library"] == str(library(COMEDI_SONAME))
+    assert identity["calibrated_by"] == str(own.calibration_path)
+    assert identity["reads_in_one_call"]
+
+    # On a PC without the library and without the card.
+    replayed = subprocess.run(
+        [PAMCTL, "replay", "run.mcap"],
+        cwd=own.path.parent / "cwd",
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    assert replayed.returncode == 0, replayed.stderr
+    assert "equal" in replayed.stdout
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_when_the_loop_dies_or_freezes_the_guardian_takes_the_card_over(
+    own: Card, number: signal.Signals
+) -> None:
+    process = start(own, *RUN)
+    await_writes(own, process, 700)
+    loop = next(
+        int(pid)
+        for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        if "loop_main" in Path(f"/proc/{pid}/cmdline").read_text()
+    )
+    os.kill(loop, number)
+    _, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert "the guardian drove the safe voltage" in complaints
+    assert own.output_v == safe
+
+
+def test_a_card_that_fails_in_the_middle_of_a_run_ends_it_with_69_and_safe(own: Card) -> None:
+    own.fail("comedi_do_insnlist", -errno.ENODEV, after=700, times=1)
+    process = start(own, *RUN)
+    _, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 69
+    assert f"device error {errno.ENODEV}" in complaints
+    assert "Traceback" not in complaints
+    assert own.output_v == safe
+
+
+@pytest.mark.parametrize(
+    ("environment", "complaint"),
+    [
+        ({PERMIT: None}, "stand-in driver of pamctl's tests"),
+        # Where the real library is installed, it is the card that is missing.
+        ({"LD_LIBRARY_PATH": None}, "apt install libcomedi0|modprobe ni_pcimio"),
+        ({"STANDIN_DEVICE": None}, "modprobe ni_pcimio"),
+    ],
+)
+def test_a_run_that_cannot_have_its_card_leaves_with_69_and_says_what_to_do(
+    own: Card, environment: dict[str, None], complaint: str
+) -> None:
+    process = start(own, *RUN, **environment)
+    said, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 69, said
+    assert re.search(complaint, complaints)
+    assert "Traceback" not in complaints
+    assert not (own.path.parent / "cwd" / "run.mcap").exists()
+
+
+def test_an_uncalibrated_card_ends_a_run_before_it_begins(own: Card) -> None:
+    own.calibration_path.unlink()
+    process = start(own, *RUN)
+    _, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 69
+    assert f"sudo comedi_soft_calibrate -f /dev/{own.name}" in complaints
+    assert own.output_v == pytest.approx(SAFE_V, abs=5 * AO_STEP_V)
+
+
+def test_safe_drives_the_safe_voltage_whatever_was_left_on_the_output(own: Card) -> None:
+    process = start(own, "safe")
+    _, complaints = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, complaints
+    assert own.output_v == safe

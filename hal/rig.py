@@ -20,9 +20,13 @@ class RawSample(NamedTuple):
     """
 
     pressure_v: float
+    """Voltage of the pressure sensor."""
     encoder_counts: int
+    """Count of the encoder, four for each of its lines."""
     pressure_t_ns: int
+    """When the pressure was sampled."""
     encoder_t_ns: int
+    """When the encoder was sampled."""
 
 
 class Edge(NamedTuple):

@@ -46,7 +46,9 @@ class Measurement(NamedTuple):
     """Calibrated sensor values."""
 
     position_m: float
+    """Displacement from the encoder, from the homed zero; positive when the muscle contracts."""
     pressure_pa: float
+    """Absolute pressure in the muscle, from the sensor."""
 
 
 class Reference(NamedTuple):
@@ -56,10 +58,15 @@ class Reference(NamedTuple):
     """
 
     phase: int
+    """What the loop is doing; a value of `Phase`."""
     reference_m: float
+    """Wanted displacement."""
     reference_velocity_m_per_s: float
+    """Its first derivative."""
     reference_acceleration_m_per_s2: float
+    """Its second derivative."""
     reference_jerk_m_per_s3: float
+    """Its third derivative."""
     reference_valve_v: float
     """Open-loop valve command, -5..5 V, positive fills."""
 
@@ -68,11 +75,15 @@ class Estimate(NamedTuple):
     """The input of the laws. `error = position - reference`, the signs of Eq. 17."""
 
     position_filtered_m: float
+    """Displacement behind the filter of the error."""
     pressure_estimate_pa: float
     """As measured: its noise of 300 Pa does not matter to the one law that uses it."""
     error_m: float
+    """Filtered displacement minus reference."""
     error_rate_m_per_s: float
+    """First derivative of the error."""
     error_acceleration_m_per_s2: float
+    """Second derivative of the error."""
 
 
 class Command(NamedTuple):
@@ -94,6 +105,7 @@ class Decision(NamedTuple):
     """What safety lets through to the valve, and why not more."""
 
     valve_v: float
+    """Valve command that goes to the rig, after the limits."""
     verdicts: int
     """Bit set of `pamctl.safety.VERDICTS`: a bit for every clip and every trip."""
     tripped: bool
@@ -117,7 +129,9 @@ class Truth(NamedTuple):
     """What only a simulated rig can know; NaN on hardware."""
 
     true_position_m: float
+    """Displacement of the simulated muscle, without the encoder's steps."""
     true_pressure_pa: float
+    """Absolute pressure in the simulated muscle, without the sensor's noise."""
 
 
 class TickRecord(NamedTuple):

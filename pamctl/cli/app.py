@@ -46,7 +46,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_show_locals=False,
-    help="Controller daemon of a pneumatic artificial muscle rig.",
+    help="Real-time controller daemon of a pneumatic artificial muscle (PAM) rig.",
 )
 log_app = typer.Typer(no_args_is_help=True, help="Look into logs, mend, export and import them.")
 
@@ -90,4 +90,4 @@ def _options(
         ),
     ] = False,
 ) -> None:
-    """Controller daemon of a pneumatic artificial muscle rig."""
+    """Real-time controller daemon of a pneumatic artificial muscle (PAM) rig."""

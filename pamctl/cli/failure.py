@@ -32,6 +32,11 @@ class Failed(typer.Exit):
 class Verbs(TyperGroup):
     """All verbs. Whatever one of them raises is reported here."""
 
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        """Take the verbs; the help shows no type beside a flag, which takes no value."""
+        super().__init__(*arguments, **options)
+        _hide_flag_types(self)
+
     def main(self, args: Sequence[str] | None = None, *rest: Any, **extra: Any) -> Any:
         """Run the verb that the arguments name; report its failure."""
         as_json = "--json" in (sys.argv[1:] if args is None else args)
@@ -69,6 +74,14 @@ class Verbs(TyperGroup):
             if not isinstance(code, ExitCode):
                 raise
             raise Failed(code, str(error)) from error
+
+
+def _hide_flag_types(command: Any) -> None:
+    for parameter in command.params:
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = ""
+    for inner in getattr(command, "commands", {}).values():
+        _hide_flag_types(inner)
 
 
 @runtime_checkable

@@ -81,15 +81,16 @@ def tune(
         ),
     ] = 1.0,
     held_out: Annotated[
-        int,
+        int | None,
         typer.Option(
             "--held-out",
             metavar="N",
             min=1,
             max=10_000,
             help="Number of fresh plants to score on",
+            show_default="200; none with --plant alone",
         ),
-    ] = 200,
+    ] = None,
     check: Annotated[
         str | None,
         typer.Option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,8 @@ def format_comparison(path: Path, found: Mapping[str, Comparison]) -> str:
 
 def _suggest_next(path: Path, found: Mapping[str, Comparison]) -> str:
     plants = [f" --plant {name}" for name in found if name != OWN_PLANT]
-    return f"pamctl diagnose {path}{plants[0] if plants else ''}  # names what the model lacks"
+    command = f"pamctl diagnose {shlex.quote(str(path))}{plants[0] if plants else ''}"
+    return f"{command} --out diagnosis  # names what the model lacks"
 
 
 def _format_cells(gap: ComparisonGap, scale: float) -> str:

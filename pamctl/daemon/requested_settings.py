@@ -26,7 +26,10 @@ def change_gains(settings: RunSettings, changes: Sequence[str]) -> RunSettings:
     raw = RawSettings({"controller": settings_to_data(settings.controller)})
     for change in changes:
         if not change.strip().startswith("controller."):
-            raise RequestRefusedError(f"{change}: only keys of the controller change while it runs")
+            key = change.partition("=")[0].strip()
+            meant = f"; did you mean 'controller.{key}'?" if key in raw.data["controller"] else ""
+            message = f"{change}: only keys of the controller change while it runs{meant}"
+            raise RequestRefusedError(message)
         try:
             raw.override(change)
         except ConfigError as error:

@@ -10,7 +10,7 @@ dead band of the valve: |u| is always 5 V, and the valve's gain absorbs the dead
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import inf
 
@@ -69,6 +69,7 @@ class Inseparable:
 
     names: tuple[str, str]
     experiment: str
+    """The experiment that tells them apart; empty where none does."""
     why: str
 
 
@@ -79,6 +80,14 @@ class Audit:
     sees: tuple[str, ...]
     blind_spots: tuple[BlindSpot, ...]
     inseparable: tuple[Inseparable, ...]
+
+    def advise_beyond(self, experiment: str) -> Audit:
+        """Return the same findings; no advice repeats an experiment that was run already."""
+        spots = (
+            replace(s, experiment="") if s.experiment == experiment else s for s in self.blind_spots
+        )
+        pairs = (_advise_pair(pair.names, (experiment,)) for pair in self.inseparable)
+        return Audit(self.sees, tuple(spots), tuple(pairs))
 
     def as_dict(self) -> dict[str, object]:
         """Return plain values, for `--json`."""
@@ -100,11 +109,13 @@ def audit_run(record: Record, plant: PlantSettings) -> Audit:
     check_sensors([record], evidence.noises)
     candidates = list_candidates(evidence)
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        return audit_model(recalibrate(evidence), candidates)
+        found = audit_model(recalibrate(evidence), candidates)
+        return found.advise_beyond(record.experiment)
     alone = recalibrate(evidence.select_blocks({PRESSURE}))
     clean, trusted = alone.fit_of(PRESSURE).settings, alone.is_explained(PRESSURE)
     driven = with_modelled_pressure(evidence, [record], [record], clean, trusted=trusted)
-    return audit_model(recalibrate(driven, alone.fits), candidates)
+    found = audit_model(recalibrate(driven, alone.fits), candidates)
+    return found.advise_beyond(record.experiment)
 
 
 def audit_model(model: Model, candidates: Sequence[Candidate], *, pairs: bool = True) -> Audit:
@@ -160,8 +171,8 @@ def _column_rms(columns: Array) -> Array:
     return values
 
 
-def _advise_pair(pair: tuple[str, str]) -> Inseparable:
-    advice = find_separating_experiment(pair)
+def _advise_pair(pair: tuple[str, str], without: Sequence[str] = ()) -> Inseparable:
+    advice = find_separating_experiment(pair, without)
     return Inseparable(pair, str(advice["name"]), str(advice["why"]))
 
 

@@ -5,7 +5,7 @@ An advice names a file of config/experiment, which `pamctl run --experiment NAME
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from itertools import permutations
 
 from pamctl.plant.catalogue import CATALOGUE
@@ -16,18 +16,23 @@ def write_command(experiment: str) -> str:
     return f"pamctl run --experiment {experiment}" if experiment else "none"
 
 
-def find_separating_experiment(names: Iterable[str]) -> dict[str, object]:
-    """Return the experiment that tells these effects apart, and why."""
+def find_separating_experiment(
+    names: Iterable[str], without: Collection[str] = ()
+) -> dict[str, object]:
+    """Return the experiment that tells these effects apart, and why.
+
+    Experiments in `without` were run already; the name is empty where no other one serves.
+    """
     wanted = sorted(names)
     for one, other in permutations(wanted, 2):
-        if told := CATALOGUE[one].told_from.get(other):
+        told = CATALOGUE[one].told_from.get(other)
+        if told and told.experiment not in without:
             return {"name": told.experiment, "separates": sorted((one, other)), "why": told.why}
-    first = next((e for n in wanted if (e := CATALOGUE[n]).best_experiment), CATALOGUE[wanted[0]])
-    return {
-        "name": first.best_experiment,
-        "separates": wanted,
-        "why": f"it shows {first.name} best: {first.signature}",
-    }
+    for effect in map(CATALOGUE.__getitem__, wanted):
+        if effect.best_experiment and effect.best_experiment not in without:
+            why = f"it shows {effect.name} best: {effect.signature}"
+            return {"name": effect.best_experiment, "separates": wanted, "why": why}
+    return {"name": "", "separates": wanted, "why": "no shipped experiment separates them"}
 
 
 def find_showing_experiment(name: str) -> dict[str, object]:

@@ -6,6 +6,7 @@ Read `tutorials/first-run.md` first.
 
 from __future__ import annotations
 
+import re
 from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
@@ -20,6 +21,7 @@ KINDS = {
 """The folders of the manual in reading order, and what a page in each is called."""
 
 _FOLDER = Path(__file__).parent
+_COMMENT = re.compile(r"^[ ]*<!--.*?-->\n\n?", re.DOTALL | re.MULTILINE)
 
 
 class ManualPage(NamedTuple):
@@ -48,16 +50,17 @@ def list_pages() -> list[ManualPage]:
 
 
 def read_page(name: str) -> str:
-    """Return the Markdown text of a page.
+    """Return the Markdown text of a page, without its HTML comments.
 
     Raises UnknownPageError where no page has this name.
     """
     pages = {page.name: page for page in list_pages()}
     if name not in pages:
         nearest = get_close_matches(name.lower().removesuffix(".md"), pages, n=1, cutoff=0.5)
-        hint = f"; did you mean '{nearest[0]}'?" if nearest else ""
+        hint = f"; did you mean '{nearest[0]}'?" if nearest else "; `pamctl manual` lists the pages"
         raise UnknownPageError(f"the manual has no page '{name}'{hint}")
-    return pages[name].path.read_text(encoding="utf-8")
+    text = pages[name].path.read_text(encoding="utf-8")
+    return _COMMENT.sub("", text)
 
 
 def _read_pages_of(folder: str, kind: str) -> list[ManualPage]:

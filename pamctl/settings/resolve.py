@@ -363,6 +363,7 @@ class RawSettings:
         if not equals or not all(keys):
             message = "must read KEY=VALUE, as in controller.lambda_per_s=12"
             raise ConfigError([Problem(origin, "", message)])
+        self._require_section(keys, origin)
         try:
             parsed = parse_yaml_value(value)
             self._require_same_model(keys, parsed, origin)
@@ -371,6 +372,15 @@ class RawSettings:
             raise ConfigError([Problem(origin, key, error.message)]) from None
         except LookupError as error:
             raise ConfigError([Problem(origin, key, str(error.args[0]))]) from None
+
+    def _require_section(self, keys: Sequence[str], origin: str) -> None:
+        """Refuse a key without its section, and name the section that has it."""
+        if len(keys) > 1 or keys[0] in RunSettings.model_fields:
+            return
+        for section in SECTIONS:
+            if keys[0] in self.data.get(section, {}):
+                message = f"unknown key; did you mean '{section}.{keys[0]}'?"
+                raise ConfigError([Problem(origin, keys[0], message)])
 
     def _require_same_model(self, keys: Sequence[str], value: object, origin: str) -> None:
         """Refuse an override that changes the law, backend or experiment of a file."""

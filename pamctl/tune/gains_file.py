@@ -11,7 +11,6 @@ from pamctl.settings.yaml12 import dump_yaml
 from pamctl.tune.gains_trial import BOUNDS, GainsVerdict
 from pamctl.tune.plant_ensemble import Member
 
-_SCHEMA = "# yaml-language-server: $schema=../pamctl.schema.json"
 _WIDTH = 98
 
 
@@ -64,7 +63,7 @@ def format_gains_file(gains: Mapping[str, Any], command: str, effort: str, repor
         "below 1 is inside. Cost: the score plus a tenth of the mean of these errors, of the "
         "named plants and of the drawn ones added up. Simulated; nothing was measured on a rig.",
     ]
-    lines = [_SCHEMA]
+    lines: list[str] = []
     for paragraph in paragraphs:
         lines += [
             f"# {line}"

@@ -10,6 +10,7 @@ from pamctl.tune.gains_search import BestGains
 from pamctl.tune.tuning_task import TuningTask
 
 _SHOWN_FAILURES = 8
+_ERROR_NAMES = {"max": "largest error", "RMS": "RMS error", "steady": "steady error"}
 _PLANT_SET_NAMES = {"fresh": "fresh plants", "named": "named plants"}
 
 
@@ -53,10 +54,18 @@ def _format_one_score(title: str, found: Scores) -> str:
         f"worst {found.worst:.2f}",
     ]
     for name, why, worst in found.failures[:_SHOWN_FAILURES]:
-        lines.append(f"  outside: plant {name}: {why}, {worst:.2f} times the bound")
+        lines.append(f"  outside: plant {name}: {_describe_failure(why, worst)}")
     if len(found.failures) > _SHOWN_FAILURES:
         lines.append(f"  and {len(found.failures) - _SHOWN_FAILURES} more")
     return "\n".join(lines)
+
+
+def _describe_failure(why: str, worst: float) -> str:
+    """Say which error is too large; `why` is such as "max 1", or the name of an ending."""
+    kind, _, experiment = why.rpartition(" ")
+    if kind not in _ERROR_NAMES:
+        return why
+    return f"{_ERROR_NAMES[kind]} of experiment {experiment} is {worst:.2f} times the paper's"
 
 
 def make_scores_document(found: Mapping[str, Scores]) -> dict[str, Any] | None:

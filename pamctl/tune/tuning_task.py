@@ -17,6 +17,7 @@ from pamctl.tune.plant_ensemble import Member, draw_ensemble, make_fixed_members
 from pamctl.tune.search_space import find_space
 
 _DEFAULT_SIZE = 16
+_DEFAULT_HELD_OUT = 200
 _FRESH_SEED_OFFSET = 1_000_003
 """Added to the seed for plants that the search has not seen."""
 
@@ -57,7 +58,7 @@ class TuningTask:
         size: int | None,
         seed: int,
         quantile: float,
-        held_out: int,
+        held_out: int | None,
         out: Path | None,
         check: str | None,
         start: str | None,
@@ -78,8 +79,12 @@ class TuningTask:
             raise _option_error(f"--start {start}", "gains are sought in mm, these are in inches")
         named = make_fixed_members([(bare_name(name), _read("plant", name)) for name in plants])
         draws = size is not None or not plants
+        if held_out is not None and not draws:
+            message = "there are no fresh plants: with --plant, give --ensemble too"
+            raise _option_error(f"--held-out {held_out}", message)
         drawn = draw_ensemble(size or _DEFAULT_SIZE, seed) if draws else []
-        fresh = draw_ensemble(held_out, seed + _FRESH_SEED_OFFSET) if draws else []
+        judges = held_out or _DEFAULT_HELD_OUT
+        fresh = draw_ensemble(judges, seed + _FRESH_SEED_OFFSET) if draws else []
         begun = None if began is None else settings_to_data(began)
         return cls(law, drawn, named, fresh, seed, quantile, out, checked, begun)
 
@@ -97,7 +102,7 @@ def _require_space(law: str) -> None:
 
 def _require_new(out: Path | None) -> None:
     if out is None:
-        raise _option_error("--out", "is missing: name a new file for the gains")
+        raise _option_error("--out is required", "name a new file for the gains")
     if out.exists():
         raise _option_error(f"--out {out}", "exists, and gains are never overwritten")
     if not out.parent.is_dir():

@@ -76,6 +76,13 @@ def test_every_verb_says_what_it_does_in_a_sentence(words: str) -> None:
     assert told.split()[0] in done.output
 
 
+def test_a_flag_shows_no_type() -> None:
+    for words in ("run", "log info"):
+        done = CliRunner().invoke(app, [*words.split(), "--help"])
+        (line,) = (line for line in done.output.splitlines() if "--json" in line)
+        assert "<" not in line
+
+
 def test_the_verbs_are_grouped() -> None:
     assert {command.rich_help_panel for command in COMMANDS[""].commands.values()} == set(PANELS)
 

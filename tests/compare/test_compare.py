@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.command_line import parse_command
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
@@ -200,7 +201,9 @@ def test_two_models_stand_side_by_side_and_the_next_step_is_named(tmp_path: Path
     done = CliRunner().invoke(app, [*arguments, "--plot", str(page)])
     assert done.exit_code == 0, done.stderr
     assert "paper-valve109" in done.stdout
-    assert f"pamctl diagnose {log} --plant paper" in done.stdout
+    advised = done.stdout.rsplit("next: ", 1)[1]
+    assert advised.startswith(f"pamctl diagnose {log} --plant paper --out diagnosis")
+    parse_command(advised)
     html = page.read_text()
     assert html.count("<figure") == 3
     assert "paper-valve109" in html

@@ -10,17 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.browser import look, printed
+from support.command_line import parse_command
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
-from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, record_of
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, record_of, summary
 from pamctl.diagnose.extend import assemble_plant
 from pamctl.diagnose.fitting.drives import Drive
 from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.rivals import Rival
 from pamctl.diagnose.report.compared_models import HeldOutRun, HeldOutSignal, ModelStage
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.traces_part import STRETCH_S, find_telling_stretch
+from pamctl.diagnose.report.verdict_words import advise_next_steps
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
@@ -96,7 +99,25 @@ def test_the_first_screen_has_verdict_gap_and_next_step_before_any_section(named
     assert width_v == pytest.approx(0.25, abs=0.005)
     assert first.count('class="levels"') == 2
     assert ">What to do next</h3>" in first
-    assert "<code>pamctl tune --plant plant.yaml</code>" in first
+    assert "<code>pamctl tune --law qsmc --plant plant.yaml --out gains.yaml</code>" in first
+
+
+@pytest.mark.parametrize("verdict", Verdict)
+def test_every_command_that_is_advised_can_be_typed(named: Diagnosis, verdict: Verdict) -> None:
+    found = as_if(named, verdict)
+    told = "\n".join([*advise_next_steps(found), summary(found)])
+    commands = re.findall(r"`(pamctl [^`]*)`|next: (pamctl [^\n]*)", told)
+    for command in filter(None, (one for both in commands for one in both)):
+        parse_command(command)
+
+
+def test_a_record_of_the_whole_program_is_not_told_to_run_it(named: Diagnosis) -> None:
+    sentence = "contains them all"
+    found = as_if(named, Verdict.AMBIGUOUS)
+    assert choose_next_experiment(found) is not None
+    assert not any(sentence in step for step in advise_next_steps(found))
+    other = replace(found, train=tuple(replace(r, experiment="chirp") for r in found.train))
+    assert any(sentence in step for step in advise_next_steps(other))
 
 
 def test_the_bars_are_the_gap_of_the_diagnosis(named, records):

@@ -8,7 +8,7 @@ from functools import cache
 import pytest
 
 from pamctl.diagnose import Record
-from pamctl.diagnose.audit import Audit, audit_run
+from pamctl.diagnose.audit import Audit, BlindSpot, Inseparable, audit_run
 from pamctl.diagnose.experiments import find_separating_experiment, write_command
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
@@ -77,4 +77,16 @@ def test_advice_is_looked_up_from_either_side() -> None:
             assert advice["separates"] == sorted(pair)
     advice = find_separating_experiment(["moving_mass", "creep"])
     assert advice["name"] == CATALOGUE["creep"].best_experiment
+    wanted = ["encoder_scale", "pressure_damping"]
+    assert find_separating_experiment(wanted)["name"] == "square-1"
+    assert find_separating_experiment(wanted, ("square-1",))["name"] == ""
     assert write_command("chirp") == "pamctl run --experiment chirp"
+
+
+def test_advice_does_not_repeat_the_experiment_that_was_audited() -> None:
+    spot = BlindSpot("coulomb_friction", "small", "slow-ramps", None)
+    pair = Inseparable(("encoder_scale", "pressure_damping"), "square-1", "it shows one best")
+    found = Audit((), (spot,), (pair,))
+    assert found.advise_beyond("square-1").inseparable[0].experiment == ""
+    assert found.advise_beyond("square-1").blind_spots == (spot,)
+    assert found.advise_beyond("slow-ramps").blind_spots[0].experiment == ""

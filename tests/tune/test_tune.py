@@ -314,7 +314,7 @@ def test_drawn_plants_find_their_way_into_other_processes(tmp_path: Path) -> Non
     [
         (["--out", "x.yaml"], "--law: must be one of"),
         (["--law", "lqr", "--out", "x.yaml"], "--law lqr: must be one of"),
-        (["--law", "pid"], "--out: is missing: name a new file"),
+        (["--law", "pid"], "--out is required: name a new file"),
         (["--law", "pid", "--out", "there.yaml"], "never overwritten"),
         (["--law", "pid", "--out", "no/where.yaml"], "no directory"),
         (["--law", "pid", "--out", "x.yaml", "--plant", "papier"], "did you mean 'paper'"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,7 @@ from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_sectio
 
 if TYPE_CHECKING:
     from pamctl.diagnose import Record
-    from pamctl.diagnose.audit import Audit
+    from pamctl.diagnose.audit import Audit, Inseparable
 
 
 def audit(
@@ -58,28 +59,39 @@ def _make_record(what: str, plant: str | None) -> Record:
         valve_v=run["valve_v"],
         pressure_pa=run["pressure_pa"],
         position_m=run["position_m"],
+        experiment=what,
     )
 
 
 def _format_audit(found: Audit) -> list[str]:
-    from pamctl.diagnose.experiments import write_command
 
     lines = [f"shows {len(found.sees)} effects: {', '.join(found.sees) or 'none'}", ""]
     if found.blind_spots:
         lines.append("cannot show, at the smallest size of interest:")
+        width = max(len(s.name) for s in found.blind_spots) + 2
         lines += [
-            f"  {s.name:<24}{s.why}; {_format_advice(s.visibility, s.experiment)}"
+            f"  {s.name:<{width}}{s.why}; {_format_advice(s.visibility, s.experiment)}"
             for s in found.blind_spots
         ]
     else:
         lines.append("no blind spots")
     if found.inseparable:
-        lines += ["", "cannot tell apart, at that size:"]
-        lines += [
-            f"  {' and '.join(pair.names):<44}{write_command(pair.experiment)}: {pair.why}"
-            for pair in found.inseparable
-        ]
+        lines += ["", "cannot tell apart, at that size:", *_format_pairs(found.inseparable)]
     return lines
+
+
+def _format_pairs(pairs: Sequence[Inseparable]) -> Iterator[str]:
+    """Group the pairs by the experiment that separates them, then by their first effect."""
+    from pamctl.diagnose.experiments import write_command
+
+    width = max(len(pair.names[0]) for pair in pairs) + 2
+    for experiment in sorted({pair.experiment for pair in pairs}, reverse=True):
+        others: dict[str, list[str]] = {}
+        for one, other in (pair.names for pair in pairs if pair.experiment == experiment):
+            others.setdefault(one, []).append(other)
+        known = f"add: {write_command(experiment)}"
+        yield f"  {known if experiment else 'no shipped experiment separates them'}"
+        yield from (f"    {one:<{width}}from {', '.join(rest)}" for one, rest in others.items())
 
 
 def _format_advice(visible: str, experiment: str) -> str:

@@ -29,6 +29,8 @@ def show_info(
     else:
         if found["outcome"]:
             found["outcome"] = f"{found['outcome']['code']}: {found['outcome']['reason']}"
+        if str(found["start"]).startswith("1970-01-01"):
+            found["start"] = "none (simulated without a clock)"
         typer.echo("\n".join(_format_info(found)))
     if not found["complete"]:
         fix = f"save all that is whole with `pamctl log recover {path} DESTINATION`"

@@ -33,4 +33,11 @@ def record_of(path: str | Path) -> Record:
     }
     column = log.columns.get("reference_m")  # an imported log may not have it
     reference_m = None if column is None or not np.isfinite(column).any() else column[whole]
-    return Record(Path(path).stem, part.t_s - part.t_s[0], **channels, reference_m=reference_m)
+    experiment = str(log.metadata.get("run", {}).get("experiment") or "")
+    return Record(
+        Path(path).stem,
+        part.t_s - part.t_s[0],
+        **channels,
+        reference_m=reference_m,
+        experiment=experiment,
+    )

@@ -45,6 +45,8 @@ class Record:
     reference_m: Array | None = None
     """Reference position in closed loop, NaN elsewhere; it shows which runs are repeats."""
     notes: tuple[str, ...] = field(default=(), compare=False)
+    experiment: str = field(default="", compare=False)
+    """Name of the experiment that was run; empty if unknown."""
 
     def __post_init__(self) -> None:
         """Accept any sequence of numbers; raise ValueError where lengths differ."""
@@ -100,6 +102,7 @@ class Record:
             **{channel: self[channel][start:stop] for channel in self.channels},
             reference_m=None if self.reference_m is None else self.reference_m[start:stop],
             notes=self.notes,
+            experiment=self.experiment,
         )
 
     @cached_property

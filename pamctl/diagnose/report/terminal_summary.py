@@ -40,7 +40,7 @@ def _list_parts(diagnosis: Diagnosis) -> Iterator[str]:
         yield describe_correction(diagnosis.correction)
     experiment = choose_next_experiment(diagnosis)
     if experiment:
-        yield f"next: {write_command(experiment['name'])}: {experiment['why']}"
+        yield f"next: {write_command(experiment['name'])}  # {experiment['why']}"
 
 
 def _number_rows(diagnosis: Diagnosis) -> Iterator[str]:

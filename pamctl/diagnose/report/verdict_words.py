@@ -55,7 +55,9 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     experiment = choose_next_experiment(diagnosis)
     if experiment:
         yield _describe_experiment(experiment)
-        yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
+        done = {"diagnosis"} >= {record.experiment for record in diagnosis.train}
+        if not done and experiment["name"] != "diagnosis":
+            yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
 
 
 def _describe_experiment(experiment: Mapping[str, Any]) -> str:
@@ -72,7 +74,7 @@ def _word_bad_data(diagnosis: Diagnosis) -> VerdictWords:
         diagnosis.reason,
         f"Nothing was fitted, and nothing is concluded. The reason: {diagnosis.reason}",
         (
-            "Repair what the reason names. `pamctl log check LOG` examines the log.",
+            "Repair what the reason names. `pamctl log check LOG` examines a log.",
             f"Or record again, starting with the muscle vented and at rest: `{_RECORD}`.",
         ),
         "bad",
@@ -111,8 +113,9 @@ def _word_named(diagnosis: Diagnosis) -> VerdictWords:
         f"{names} it explains the measurement down to the sensor noise. "
         f"Size: {list_sizes(diagnosis)}.",
         (
-            "Go on with plant.yaml, which has the effect: `pamctl tune --plant plant.yaml`, "
-            "`pamctl run --plant plant.yaml`.",
+            "Go on with plant.yaml, which has the effect. In the folder of this page: "
+            "`pamctl tune --law qsmc --plant plant.yaml --out gains.yaml`, then "
+            "`pamctl run --controller gains.yaml --plant plant.yaml`.",
         ),
         "good",
     )
@@ -142,7 +145,8 @@ def _word_partial(diagnosis: Diagnosis) -> VerdictWords:
         f"missing as well. {left} Take the name as a lead, not as a finding.",
         (
             "plant.yaml predicts better than the start model. Use it where that is enough. The "
-            "next diagnosis may start from it: `pamctl diagnose next.mcap --plant plant.yaml`.",
+            "next diagnosis may start from it: "
+            "`pamctl diagnose next.mcap --plant plant.yaml --out next`.",
         ),
     )
 
@@ -155,8 +159,8 @@ def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
     ]
     if diagnosis.correction is None:
         advice.append(
-            "If prediction matters more than the cause: `pamctl diagnose --correction` adds "
-            "what is left to the model, as a table without a name."
+            "If prediction matters more than the cause: the option --correction of pamctl diagnose "
+            "adds what is left to the model, as a table without a name."
         )
     elif diagnosis.correction.blocks:
         advice.append(

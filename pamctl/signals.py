@@ -75,7 +75,7 @@ class Estimate(NamedTuple):
     """The input of the laws. `error = position - reference`, the signs of Eq. 17."""
 
     position_filtered_m: float
-    """Displacement behind the filter of the error."""
+    """Displacement behind its low-pass filter."""
     pressure_estimate_pa: float
     """As measured: its noise of 300 Pa does not matter to the one law that uses it."""
     error_m: float

@@ -63,34 +63,45 @@ def deaths(both: list[Bench], folder: Path, rounds: int) -> dict[str, Any]:
 def one_death(bench: Bench, process: str, how: str, log: Path) -> dict[str, Any]:
     """Run one round; on a busy PC a run may end before its signal, which is reported."""
     try:
-        return round_of(bench, process, how, log)
+        return round_of(bench, [(process, how)], log)
     except (Amiss, subprocess.TimeoutExpired) as amiss:
         return {"amiss": str(amiss)}
 
 
 def run_undisturbed(bench: Bench, log: Path, seconds: float) -> np.ndarray:
-    """Run without a fault; one row a tick: lateness, read, write (s)."""
+    """Run without a fault; one row a tick: lateness, read, write (s). Raises `Amiss`."""
     run = Run(bench, log, "--duration", str(seconds))
     _, said = run.front.communicate()
     if run.front.returncode:
-        raise SystemExit(said.decode())
+        raise Amiss(said.decode().strip())
     ticks = read(log)
     return np.column_stack([ticks["late_s"], ticks["read_s"], ticks["write_s"]])
 
 
 def ticks(both: list[Bench], timed: Bench, folder: Path, rounds: int) -> dict[str, Any]:
-    """Lateness and I/O of undisturbed ticks, the backends in turn."""
+    """Lateness and I/O of undisturbed ticks, the backends in turn.
+
+    A run that ended early, as on a machine that starves it, is counted and named.
+    """
     chosen = {"sim": both[0], "nidaq on_demand": both[1], "nidaq hardware_timed": timed}
     rows: dict[str, list[np.ndarray]] = {name: [] for name in chosen}
+    amiss: dict[str, list[str]] = {name: [] for name in chosen}
     for index in range(rounds):
         for name, bench in chosen.items():
             log = folder / f"quiet-{name}-{index}.mcap".replace(" ", "-")
-            rows[name].append(run_undisturbed(bench, log, 2.0))
-    report = {}
+            try:
+                rows[name].append(run_undisturbed(bench, log, 2.0))
+            except Amiss as reason:
+                amiss[name].append(str(reason))
+    report: dict[str, Any] = {}
     for name, runs in rows.items():
+        report[name] = {"amiss": amiss[name]}
+        if not runs:
+            print(f"{name}: {report[name]}", file=sys.stderr)
+            continue
         late_s, read_s, write_s = np.concatenate(runs).T
         quantities = {"wake_up_us": late_s, "read_us": read_s, "io_us": read_s + write_s}
-        report[name] = {quantity: spread_us(one) for quantity, one in quantities.items()}
+        report[name] |= {quantity: spread_us(one) for quantity, one in quantities.items()}
         print(f"{name}: {report[name]}", file=sys.stderr)
     return report
 

@@ -44,6 +44,8 @@ TARGETS = {
 }
 """Highest acceptable ratio to cyclictest."""
 
+AMISS_CODE = 3
+"""Exit code of a worker whose run ended early, as on a machine that starves it."""
 INSTALL_CYCLICTEST = "cyclictest is not on the PATH: apt-get install rt-tests"
 
 
@@ -146,11 +148,15 @@ def whole_loop(*options: str) -> Measure:
             log_path = Path(folder) / "run.mcap"
             command = [sys.executable, "-m", "pamctl", "run", "--quiet", "--json"]
             wanted = ["--duration", str(ticks * PERIOD_NS / 1e9), "--log", str(log_path)]
-            subprocess.run(
+            done = subprocess.run(
                 [*command, *wanted, "--set", "rig.homing.enabled=false", *options],
-                stdout=subprocess.DEVNULL,
-                check=True,
+                capture_output=True,
+                text=True,
+                check=False,
             )
+            if done.returncode:
+                tell(done.stderr.strip())
+                sys.exit(AMISS_CODE)
             log = read(log_path)
         late_us = log["late_s"] * 1e6 + log["missed"] * PERIOD_NS / 1e3
         tick_us = np.percentile(log["compute_s"] * 1e6, (50, 99))
@@ -191,8 +197,12 @@ def run_fresh(variant: str, ticks: int) -> Sample:
     return Sample(**run_worker("--worker", variant, "--ticks", str(ticks)))
 
 
+class Amiss(Exception):
+    """A run ended early."""
+
+
 def run_worker(*arguments: str) -> Any:
-    """Return what this script prints with these arguments."""
+    """Return what this script prints with these arguments; raises `Amiss`."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     run = subprocess.run(
         [sys.executable, __file__, *arguments],
@@ -201,6 +211,8 @@ def run_worker(*arguments: str) -> Any:
         check=False,
         env=os.environ | {"PYTHONPATH": path},
     )
+    if run.returncode == AMISS_CODE:
+        raise Amiss(" ".join(arguments))
     if run.returncode:
         raise SystemExit(run.returncode)
     return json.loads(run.stdout)
@@ -222,14 +234,21 @@ def cpu_hogs(count: int) -> Iterator[None]:
 
 def measure_round_robin(
     variants: Sequence[str], rounds: int, ticks: int, label: str
-) -> dict[str, list[Sample]]:
-    """Run every variant once a round, so that disturbances affect all of them."""
-    samples: dict[str, list[Sample]] = {variant: [] for variant in variants}
+) -> dict[str, list[Sample | None]]:
+    """Run every variant once a round, so that disturbances affect all of them.
+
+    None stands for a run that ended early.
+    """
+    samples: dict[str, list[Sample | None]] = {variant: [] for variant in variants}
     for number in range(rounds):
         tell(f"{label}: round {number + 1} of {rounds}")
         first = number % len(variants)  # rotated: no variant always follows the same neighbour
         for variant in (*variants[first:], *variants[:first]):
-            samples[variant].append(run_fresh(variant, ticks))
+            try:
+                samples[variant].append(run_fresh(variant, ticks))
+            except Amiss:
+                tell(f"{label}: round {number + 1}: {variant} ended early")
+                samples[variant].append(None)
     return samples
 
 
@@ -279,12 +298,17 @@ def quantiles_us(lateness_us: Sequence[float]) -> dict[str, float]:
     return {name: round(quantile(ascending, share), 3) for name, share in QUANTILES.items()}
 
 
-def summarise(samples: dict[str, list[Sample]]) -> dict[str, Any]:
-    """Each variant over all rounds, its ratio to the baseline, and the ratios by round."""
+def summarise(rounds: dict[str, list[Sample | None]]) -> dict[str, Any]:
+    """Each variant over all rounds, its ratio to the baseline, and the ratios by round.
+
+    A variant none of whose runs came to its end is left out.
+    """
+    ended = {variant: [run for run in runs if run] for variant, runs in rounds.items()}
+    samples = {variant: runs for variant, runs in ended.items() if runs}
     pooled = {variant: quantiles_us(pool(runs)) for variant, runs in samples.items()}
     by_round = {
-        variant: [quantiles_us(run.lateness_us) for run in runs]
-        for variant, runs in samples.items()
+        variant: [quantiles_us(run.lateness_us) if run else None for run in rounds[variant]]
+        for variant in samples
     }
     return {
         variant: {
@@ -292,9 +316,16 @@ def summarise(samples: dict[str, list[Sample]]) -> dict[str, Any]:
             "ratio": ratio(pooled[variant], pooled[BASELINE]),
             "ratio_median_of_rounds": {
                 name: round(median(row[name] for row in rows), 4)
-                for rows in [list(map(ratio, by_round[variant], by_round[BASELINE]))]
+                for rows in [
+                    [
+                        ratio(ours, theirs)
+                        for ours, theirs in zip(by_round[variant], by_round[BASELINE], strict=True)
+                        if ours and theirs
+                    ]
+                ]
                 for name in QUANTILES
             },
+            "ended_early": len(rounds[variant]) - len(runs),
             "samples": sum(len(run.lateness_us) for run in runs),
             "missed": sum(int(late_us * 1e3 / PERIOD_NS) for late_us in pool(runs)),
             "stalls_ms": round(sum(late for late in pool(runs) if late > STALL_US) / 1e3, 1),

@@ -35,13 +35,14 @@ def format_comparison(path: Path, found: Mapping[str, Comparison]) -> str:
             )
     lines += ["", "each block alone, driven by the other's measured signal, RMS", ""]
     tables = [comparison.regimes() for comparison in found.values()]
-    names = "".join(f"{name[:18]:>21}" for name in found) if len(found) > 1 else ""
+    cell = max(21, *(len(name) + 2 for name in found)) if len(found) > 1 else 21
+    names = "".join(f"{name:>{cell}}" for name in found) if len(found) > 1 else ""
     if names:
         lines.append(f"{'':<26}{names}")
-    lines.append(f"{'':<18}{'ticks':>8}" + f"{'um':>12}{'kPa':>9}" * len(found))
+    lines.append(f"{'':<18}{'ticks':>8}" + f"{'um':>{cell - 9}}{'kPa':>9}" * len(found))
     for regimes in zip(*tables, strict=True):
         cells = "".join(
-            f"{_format_cell(r.position_m.rms * _UM, 12)}{_format_cell(r.pressure_pa.rms * _KPA, 9)}"
+            f"{_format_cell(r.position_m.rms * _UM, cell - 9)}{_format_cell(r.pressure_pa.rms * _KPA, 9)}"
             for r in regimes
         )
         lines.append(f"{regimes[0].name:<18}{regimes[0].ticks:>8}{cells}")

@@ -71,8 +71,9 @@ def _format_tracking(figures: dict[str, Any], law: str) -> list[str]:
     if not rows:
         return ["No tracking in this run: nothing to compare with Table IV."]
     rows += [(f"paper, {row['law']} on its rig", row) for row in figures["paper"]]
-    head = f"{'tracking error':<30}{'max um':>10}{'RMS um':>10}{'steady um':>11}"
-    return [head, *(f"{name:<30}{_format_micrometres(m)}" for name, m in rows)]
+    width = max(30, *(len(name) + 2 for name, _ in rows))
+    head = f"{'tracking error':<{width}}{'max um':>10}{'RMS um':>10}{'steady um':>11}"
+    return [head, *(f"{name:<{width}}{_format_micrometres(m)}" for name, m in rows)]
 
 
 def _format_micrometres(merit: dict[str, Any]) -> str:

@@ -32,6 +32,11 @@ class Problem(NamedTuple):
     """Dotted path from the section on; empty if the problem is a whole file."""
     message: str
 
+    @property
+    def is_missing(self) -> bool:
+        """Whether a key without a default was not given."""
+        return self.message.startswith(_MISSING)
+
     def __str__(self) -> str:
         """Return the problem as one line for the user."""
         return ": ".join(part for part in self if part)

@@ -150,7 +150,20 @@ def resolve(
         if value is not None:
             raw.put((key,), value, f"{option} {value}")
     _run_together(partial(raw.override, override) for override in overrides)
-    return validate_settings(RUN, raw)
+    try:
+        return validate_settings(RUN, raw)
+    except ConfigError as error:
+        if law is None or controller is not None:
+            raise
+        raise ConfigError(map(_advise_gains, error.problems)) from None
+
+
+def _advise_gains(problem: Problem) -> Problem:
+    """Say what to give where a law from a Python file has no gains."""
+    if not (problem.where.startswith("--controller-from") and problem.is_missing):
+        return problem
+    advice = "give the gains with --controller GAINS.yaml"
+    return problem._replace(message=f"{problem.message}; {advice}")
 
 
 def use_law_file(spec: str) -> str:

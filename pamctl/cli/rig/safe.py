@@ -35,7 +35,9 @@ def safe(
     if as_json:
         print_json({"exit_code": 0, "device": device, "safe_volts": volts, "reason": ""})
     else:
-        typer.echo(f"{device}: {volts:g} V on the output: safe")
+        cal = settings.rig.calibration
+        u_v = (volts - cal.driver_offset_v) / cal.driver_gain
+        typer.echo(f"{device}: {volts:g} V on the output (u = {u_v:g} V): safe")
 
 
 def _make_safe(settings: RunSettings) -> RigError | None:

@@ -59,7 +59,7 @@ def _rival_rows(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def _gap_rows(diagnosis: Diagnosis) -> Iterator[str]:
-    columns = f"{'nominal':>12}{'recalibrated':>14}{'extended':>12}{'floor':>10}"
+    columns = f"{'start model':>12}{'recalibrated':>14}{'extended':>12}{'floor':>10}"
     yield f"{'held-out gap, RMS':<20}{columns}"
     for channel, gap in (diagnosis.gap or {}).items():
         factor, label = gap_units(channel)

@@ -42,7 +42,8 @@ def format_comparison(path: Path, found: Mapping[str, Comparison]) -> str:
     lines.append(f"{'':<18}{'ticks':>8}" + f"{'um':>{cell - 9}}{'kPa':>9}" * len(found))
     for regimes in zip(*tables, strict=True):
         cells = "".join(
-            f"{_format_cell(r.position_m.rms * _UM, cell - 9)}{_format_cell(r.pressure_pa.rms * _KPA, 9)}"
+            _format_cell(r.position_m.rms * _UM, cell - 9)
+            + _format_cell(r.pressure_pa.rms * _KPA, 9)
             for r in regimes
         )
         lines.append(f"{regimes[0].name:<18}{regimes[0].ticks:>8}{cells}")

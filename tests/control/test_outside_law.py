@@ -136,6 +136,15 @@ def test_a_law_without_a_search_space_is_not_sought(tmp_path: Path) -> None:
     assert "does not say how its gains are sought" in done.stderr
 
 
+def test_a_law_without_default_gains_says_how_to_give_them(tmp_path: Path) -> None:
+    file = tmp_path / "bare.py"
+    bare = SOURCE.read_text().replace("Field(gt=0, le=440)] = 400.0", "Field(gt=0, le=440)]")
+    file.write_text(bare)
+    done = pamctl("run", "--dry-run", "--controller-from", file)
+    assert done.returncode != 0
+    assert "give the gains with --controller GAINS.yaml" in done.stderr
+
+
 def test_its_gains_change_while_it_runs_and_its_unit_does_not(
     site: Path, gains: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

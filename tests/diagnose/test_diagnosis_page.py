@@ -95,9 +95,7 @@ def headline(html: str) -> str:
 def test_the_first_screen_has_verdict_gap_and_next_step_before_any_section(named, records):
     first, _ = page(named, records).split("<h2", 1)
     assert headline(first) == "Missing from the model: valve deadband"
-    width_v = float(
-        re.findall(r"width of the dead band where u &gt; 0: ([\d.]+) V \(90 %", first)[0]
-    )
+    width_v = float(re.findall(r"dead band where u &gt; 0: ([\d.]+) V \(90 %", first)[0])
     assert width_v == pytest.approx(0.25, abs=0.005)
     assert first.count('class="levels"') == 2
     assert ">What to do next</h3>" in first

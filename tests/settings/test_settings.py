@@ -580,3 +580,8 @@ def test_config_schema_prints_the_schema() -> None:
     code, out, _ = config("schema")
     assert code == 0
     assert json.loads(out) == build_config_schema()
+
+
+def test_a_key_without_its_section_is_refused_with_the_section() -> None:
+    with pytest.raises(ConfigError, match=r"did you mean 'controller\.lambda_per_s'\?"):
+        resolve(overrides=["lambda_per_s=30"])

@@ -318,6 +318,10 @@ def test_drawn_plants_find_their_way_into_other_processes(tmp_path: Path) -> Non
         (["--law", "pid", "--out", "there.yaml"], "never overwritten"),
         (["--law", "pid", "--out", "no/where.yaml"], "no directory"),
         (["--law", "pid", "--out", "x.yaml", "--plant", "papier"], "did you mean 'paper'"),
+        (
+            ["--law", "pid", "--out", "x.yaml", "--plant", "paper", "--held-out", "4"],
+            "--held-out 4: there are no fresh plants",
+        ),
         (["--law", "pid", "--out", "x.yaml", "--start", "qsmc"], "gains of qsmc"),
         (["--law", "pid", "--out", "x.yaml", "--start", "nope"], "--start nope: there is no such"),
         (["--check", "pid", "--out", "x.yaml"], "for --out: belongs to a search: with --check"),

@@ -27,21 +27,9 @@ DESCRIPTION = EffectDescription(
     block="pressure",
     equation="A_v = K_Av (u - d_f) for u > d_f, K_Av (u + d_e) for u < -d_e, else 0",
     parameters=(
+        size("fill_width_v", "V", 1.5, smallest=0.02, start=0.1, meaning="dead band where u > 0"),
         size(
-            "fill_width_v",
-            "V",
-            1.5,
-            smallest=0.02,
-            start=0.1,
-            meaning="width of the dead band where u > 0",
-        ),
-        size(
-            "exhaust_width_v",
-            "V",
-            1.5,
-            smallest=0.02,
-            start=0.1,
-            meaning="width of the dead band where u < 0",
+            "exhaust_width_v", "V", 1.5, smallest=0.02, start=0.1, meaning="dead band where u < 0"
         ),
     ),
     signature="where the command is within some three widths of null the simulated pressure drifts "

@@ -1,6 +1,6 @@
-"""Which experiment tells two effects apart, and which shows one best.
+"""Find the experiment that separates two effects, or that shows one best.
 
-An advice names a file of config/experiment, which `pamctl run --experiment NAME` runs.
+The advice names a file of config/experiment, which `pamctl run --experiment NAME` runs.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ def write_command(experiment: str) -> str:
 
 
 def find_separating_experiment(names: Iterable[str]) -> dict[str, object]:
-    """Return the experiment that tells these effects apart, and why."""
-    wanted = sorted(names)
-    for one, other in permutations(wanted, 2):
-        if told := CATALOGUE[one].told_from.get(other):
-            return {"name": told.experiment, "separates": sorted((one, other)), "why": told.why}
-    first = next((e for n in wanted if (e := CATALOGUE[n]).best_experiment), CATALOGUE[wanted[0]])
+    """Return the experiment that separates these effects, and why."""
+    effects = sorted(names)
+    for one, other in permutations(effects, 2):
+        if how := CATALOGUE[one].told_from.get(other):
+            return {"name": how.experiment, "separates": sorted((one, other)), "why": how.why}
+    first = next((e for n in effects if (e := CATALOGUE[n]).best_experiment), CATALOGUE[effects[0]])
     return {
         "name": first.best_experiment,
-        "separates": wanted,
+        "separates": effects,
         "why": f"it shows {first.name} best: {first.signature}",
     }
 

@@ -47,7 +47,7 @@ Lines = Annotated[tuple[float, ...], Field(min_length=2, max_length=24)]
 
 
 class TableSettings(Configured):
-    """Values on a grid: straight between its lines, constant beyond them."""
+    """Values on a grid: linear between its lines, constant beyond them."""
 
     @model_validator(mode="after")
     def _check_table_shape(self) -> TableSettings:

@@ -66,7 +66,7 @@ class BatchRun:
 def tabulate_references(
     segments: Sequence[Segment], period_s: float, duration_s: float | None = None
 ) -> NDArray[np.float64]:
-    """Tabulate an experiment: one row a tick, columns of `Reference`."""
+    """Tabulate an experiment, with one row a tick and the columns of `Reference`."""
     course = Course(segments, duration_s)
     period_ns = round(period_s * 1e9)  # the loop's clock counts whole nanoseconds
     rows: list[Reference] = []

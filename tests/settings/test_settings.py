@@ -475,7 +475,7 @@ def test_a_file_with_its_sections_heading_is_told_to_drop_it() -> None:
         check_config_file(Path("plant/mine.yaml"))
     assert str(caught.value) == (
         "plant/mine.yaml:1:1: plant.plant: unknown key; "
-        "a plant's keys stand in its file without this heading"
+        "the keys of a plant file have no heading"
     )
 
 

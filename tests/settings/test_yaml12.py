@@ -108,7 +108,7 @@ LADDER = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1
     ("content", "message"),
     [
         ("a: 1\nb: 2\na: 3\n", "my.yaml:3:1: the key 'a' stands already in line 1"),
-        ("a: &x [*x]", "my.yaml:1:4: an alias refers to what it stands in"),
+        ("a: &x [*x]", "my.yaml:1:4: an alias refers to a value that contains it"),
         ("a: !gain 1", "my.yaml:1:4: the tag '!gain' is not allowed here"),
         ("a: !!python/name:os.system", "my.yaml:1:4: the tag '!!python/name:os.system' is not"),
         ("", "my.yaml: the file is empty"),

@@ -53,7 +53,7 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
     twin = FunctionType(
         kernel.__code__,
         {
-            name: _make_twin(value, _pass_on(value, substitution), for_python=False)
+            name: _make_twin(value, _select_substitution(value, substitution), for_python=False)
             if _is_kernel(value, kernel)
             else value
             for name, value in _used_globals(kernel).items()
@@ -81,7 +81,7 @@ def _used_globals(kernel: FunctionType) -> dict[str, Any]:
 
 def _is_kernel(value: object, caller: FunctionType) -> bool:
     return isinstance(value, FunctionType) and (
-        _root(value.__module__) in {*_HOUSE, _root(caller.__module__)}
+        _root_package(value.__module__) in {*_HOUSE, _root_package(caller.__module__)}
         or value.__module__ in _list_added_modules(caller.__module__)
     )
 
@@ -91,11 +91,13 @@ def _list_added_modules(module: str) -> tuple[str, ...]:
     return getattr(sys.modules.get(module), "KERNEL_MODULES", ())
 
 
-def _root(module: str) -> str:
+def _root_package(module: str) -> str:
     return module.partition(".")[0]
 
 
-def _pass_on(kernel: FunctionType, substitution: Substitution | None) -> Substitution | None:
+def _select_substitution(
+    kernel: FunctionType, substitution: Substitution | None
+) -> Substitution | None:
     """Return the substitution if it concerns a kernel; all other kernels share one twin."""
     concerned = substitution is not None and _reaches(kernel, substitution[0])
     return substitution if concerned else None
@@ -157,7 +159,7 @@ def _find_imports(module: str) -> set[str]:
     Only modules of pamctl and of the module's own package count.
     """
     found: set[str] = set()
-    house = {*_HOUSE, _root(module)}
+    house = {*_HOUSE, _root_package(module)}
     for node in ast.walk(ast.parse(_source_of(module).read_bytes())):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -166,7 +168,7 @@ def _find_imports(module: str) -> set[str]:
             names = [source, *(f"{source}.{alias.name}" for alias in node.names)]
         else:
             continue
-        found |= {n for n in names if _root(n) in house and _source_of(n).is_file()}
+        found |= {n for n in names if _root_package(n) in house and _source_of(n).is_file()}
     return found | {*_list_added_modules(module)}
 
 
@@ -178,7 +180,7 @@ def _name_source(node: ast.ImportFrom, module: str) -> str:
 
 
 def _source_of(module: str) -> Path:
-    if _root(module) not in _HOUSE:  # an outside package, or a script with its own kernel
+    if _root_package(module) not in _HOUSE:  # an outside package, or a script with its own kernel
         return Path(str(getattr(sys.modules.get(module), "__file__", None)))
     path = Path(__file__).parent.parent.joinpath(*module.split("."))
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")

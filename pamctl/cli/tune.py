@@ -118,7 +118,7 @@ def tune(
 ) -> None:
     """Search gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
     from pamctl.settings.resolve import use_law_file
-    from pamctl.tune.tune_gains import check_gains, seek_gains
+    from pamctl.tune.tune_gains import check_gains, search_gains
     from pamctl.tune.tune_text import format_scores, make_scores_document
     from pamctl.tune.tuning_task import TuningTask
 
@@ -145,12 +145,12 @@ def tune(
         start, end = ("\r", "   ") if sys.stderr.isatty() else ("", "\n")
         print(start + line, end=end, file=sys.stderr, flush=True)
 
-    found = seek_gains(task, jobs, generations, command, show_progress)
-    _print_found(task, found, as_json=as_json)
+    found = search_gains(task, jobs, generations, command, show_progress)
+    _print_result(task, found, as_json=as_json)
     raise typer.Exit(ExitCode.SIGINT if found.interrupted else ExitCode.OK)
 
 
-def _print_found(task: TuningTask, found: FoundGains, *, as_json: bool) -> None:
+def _print_result(task: TuningTask, found: FoundGains, *, as_json: bool) -> None:
     from pamctl.tune.tune_text import format_scores, make_scores_document
 
     if as_json:

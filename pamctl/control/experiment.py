@@ -77,9 +77,7 @@ class HoldSettings(Configured):
     kind: Literal["hold"]
     position_mm: Annotated[float, Field(ge=-100, le=100)]
     transition_s: Duration = 3.0
-    hold_s: Annotated[Duration | None, Field(description="if absent, until the run stops")] = (
-        None
-    )
+    hold_s: Annotated[Duration | None, Field(description="if absent, until the run stops")] = None
 
 
 ExperimentSettings = Annotated[

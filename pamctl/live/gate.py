@@ -110,12 +110,12 @@ class Gate:
         its_reader, its_writer = await asyncio.open_connection(*self._behind)
         try:
             its_writer.write(head)
-            await _await_first(_pass_on(reader, its_writer), _pass_on(its_reader, writer))
+            await _await_first(_copy_stream(reader, its_writer), _copy_stream(its_reader, writer))
         finally:
             its_writer.close()
 
 
-async def _pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
+async def _copy_stream(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
     """Copy to the end. A slow reader slows the writer, which then skips values."""
     with suppress(ConnectionError):
         while piece := await source.read(_PIECE):

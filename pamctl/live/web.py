@@ -88,7 +88,7 @@ class PageServer(ThreadingHTTPServer):
         self._room = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
 
-    def may_ask(self) -> bool:
+    def spend_request(self) -> bool:
         """Take one request from the allowance that all browsers share."""
         with self._asking:
             return self._allowance.spend(time.monotonic())
@@ -178,7 +178,7 @@ class _Handler(BaseHTTPRequestHandler):
         order = _parse_order(body)
         # The emergency stop is granted however much was asked before.
         is_estop = bool(self.server.token) and is_known and order.get("do") == "estop"
-        if not is_estop and not self.server.may_ask():
+        if not is_estop and not self.server.spend_request():
             raise _RequestRefusal(HTTPStatus.TOO_MANY_REQUESTS, "too many requests")
         if not self.server.token:
             raise _RequestRefusal(HTTPStatus.FORBIDDEN, "read-only: start it with --allow-control")

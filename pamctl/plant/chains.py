@@ -102,26 +102,26 @@ def _list_memories(part: Part) -> dict[str, Callable[[float, float], Any]]:
     }
 
 
-def _remember(part: Part, position_m: float, pressure_pa: float) -> dict[str, Any]:
+def _make_memories(part: Part, position_m: float, pressure_pa: float) -> dict[str, Any]:
     return {
         name: at_rest(position_m, pressure_pa) for name, at_rest in _list_memories(part).items()
     }
 
 
-ValveMemory = _make_group("ValveMemory", _remember("valve", 0.0, nan))
+ValveMemory = _make_group("ValveMemory", _make_memories("valve", 0.0, nan))
 """Memories of the effects on command and opening."""
-MechanicsMemory = _make_group("MechanicsMemory", _remember("mechanics", 0.0, nan))
+MechanicsMemory = _make_group("MechanicsMemory", _make_memories("mechanics", 0.0, nan))
 """Memories of the effects on forces and friction."""
-SensorMemory = _make_group("SensorMemory", _remember("sensors", 0.0, nan))
+SensorMemory = _make_group("SensorMemory", _make_memories("sensors", 0.0, nan))
 """Memories of the effects on the readings."""
 
 
-def remember_rest(position_m: float, pressure_pa: float) -> tuple[Any, Any, Any]:
+def make_rest_memories(position_m: float, pressure_pa: float) -> tuple[Any, Any, Any]:
     """Return the memories of valve, mechanics and sensors after a long rest."""
     return (
-        ValveMemory(**_remember("valve", position_m, pressure_pa)),
-        MechanicsMemory(**_remember("mechanics", position_m, pressure_pa)),
-        SensorMemory(**_remember("sensors", position_m, pressure_pa)),
+        ValveMemory(**_make_memories("valve", position_m, pressure_pa)),
+        MechanicsMemory(**_make_memories("mechanics", position_m, pressure_pa)),
+        SensorMemory(**_make_memories("sensors", position_m, pressure_pa)),
     )
 
 
@@ -159,7 +159,7 @@ def _call(called: str, name: str, kernel: Kernel, **renamed: str) -> str:
     return f"{called}({', '.join([f'effects.{name}', *given])})"
 
 
-def _acts(name: str) -> str:
+def _write_activity_test(name: str) -> str:
     """Write the test whether an effect is active."""
     sizes = [p for p in CATALOGUE[name].parameters if p.role == "size"]
     return " or ".join(f"effects.{name}.{p.name} != {p.neutral!r}" for p in sizes)
@@ -177,7 +177,7 @@ def _make_pass(place: str) -> Kernel:
         kernel = f"{name}_kernel"
         used[kernel] = entry.kernel
         call = _call(kernel, name, entry.kernel, memory=f"memory.{name}")
-        acts = f"if {_acts(name)}: " if entry.memory is not None else ""
+        acts = f"if {_write_activity_test(name)}: " if entry.memory is not None else ""
         body.append(f"{acts}{value} {'=' if its.replaces else '+='} {call}")
     memory = ["memory"] if its.follows else []
     others = [argument for argument in its.gives if argument != value]
@@ -201,7 +201,7 @@ def _make_follow(place: str, group: Any) -> Kernel:
             used[follow] = entry.memory.follow
             call = _call(follow, name, entry.memory.follow, memory=f"memory.{name}")
             body.append(f"{new[name]} = memory.{name}")
-            body.append(f"if {_acts(name)}: {new[name]} = {call}")
+            body.append(f"if {_write_activity_test(name)}: {new[name]} = {call}")
             waiting -= 1
         if waiting and passes:
             kernel = f"{name}_kernel"
@@ -209,7 +209,7 @@ def _make_follow(place: str, group: Any) -> Kernel:
             for value, memory in (("begin", f"memory.{name}"), ("end", f"{name}_after")):
                 renamed = {"memory": memory, its.replaces: value}
                 call = _call(kernel, name, entry.kernel, **renamed)
-                body.append(f"if {_acts(name)}: {value} = {call}")
+                body.append(f"if {_write_activity_test(name)}: {value} = {call}")
     fields = [new.get(name, f"memory.{name}") for name in group._fields]
     others = [a for a in its.gives if a != its.replaces] if passes else []
     arguments = ["effects", *its.follows, *others]
@@ -221,7 +221,7 @@ def _make_follow(place: str, group: Any) -> Kernel:
 def _make_speed_test() -> Kernel:
     """Make (effects) -> bool: whether any active effect has a force that depends on speed."""
     tests = [
-        _acts(name)
+        _write_activity_test(name)
         for place in ("pulling_pressure", "force", "friction", "damping")
         for name, entry in order_entries(place)
         if "velocity_m_per_s" in list_arguments(entry.kernel)

@@ -378,7 +378,7 @@ def advance_supply_pa(
     return kept * air.supply_pa + (1.0 - kept) * refilled_pa
 
 
-def behind_line_pa(
+def pressure_behind_line_pa(
     p: AirParameters,
     pressure_pa: float,
     begin_pa: float,

@@ -28,7 +28,7 @@ import numpy as np
 
 from pamctl.compiled import compile_kernel
 from pamctl.plant.chains import undo_reading
-from pamctl.plant.chamber import behind_line_pa
+from pamctl.plant.chamber import pressure_behind_line_pa
 from pamctl.plant.parameters import (
     PlantParameters,
     PlantState,
@@ -216,7 +216,7 @@ def run_mechanics(
                 step_s, begin_pa = steps.step_s[j], muscle_pa
                 muscle_pa = pressures_pa[j + 1]
                 if has_line:
-                    muscle_pa = behind_line_pa(
+                    muscle_pa = pressure_behind_line_pa(
                         take_air_parameters(p, 0.0),
                         begin_pa,
                         pressures_pa[j],

@@ -149,9 +149,9 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
         elif name != ACTUATOR:
             parameters[name] = value
     acting = {
-        name: _name_choices(name, given)
-        for name, given in effects.items()
-        if name not in CATALOGUE or acts(CATALOGUE[name], given)
+        name: _name_choices(name, numbers)
+        for name, numbers in effects.items()
+        if name not in CATALOGUE or acts(CATALOGUE[name], numbers)
     }
     actuator = "direct" if values.get(ACTUATOR) else "muscle"
     return PlantSettings.model_validate(
@@ -159,9 +159,9 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
     )
 
 
-def _name_choices(effect: str, given: Mapping[str, float]) -> dict[str, Any]:
+def _name_choices(effect: str, numbers: Mapping[str, float]) -> dict[str, Any]:
     """Replace the numbers of choices by their names."""
     choices = (
         {p.name: p.choices for p in CATALOGUE[effect].parameters} if effect in CATALOGUE else {}
     )
-    return {n: choices[n][round(v)] if choices.get(n) else v for n, v in given.items()}
+    return {n: choices[n][round(v)] if choices.get(n) else v for n, v in numbers.items()}

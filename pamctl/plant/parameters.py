@@ -11,7 +11,7 @@ from pamctl.plant.chains import (
     SensorMemory,
     ValveMemory,
     add_force,
-    remember_rest,
+    make_rest_memories,
 )
 from pamctl.plant.correction_tables import Correction
 
@@ -149,7 +149,7 @@ class PlantState(NamedTuple):
 
 def rest_state(p: PlantParameters, position_m: float, pressure_pa: float) -> PlantState:
     """Return a plant that has rested for long at a position and absolute pressure."""
-    of_valve, of_mechanics, of_sensors = remember_rest(position_m, pressure_pa)
+    of_valve, of_mechanics, of_sensors = make_rest_memories(position_m, pressure_pa)
     return PlantState(
         position_m,
         0.0,

@@ -154,10 +154,10 @@ def _join_complaints(complaints: Sequence[_Complaint]) -> str:
 def _make_complaint(error: ErrorDetails, schema: JsonSchema, title: str) -> _Complaint:
     kind, way, context = error["type"], error["loc"], error.get("ctx", {})
     if kind in {"extra_forbidden", "missing"}:
-        return _complain_of_key(kind, _follow_location(schema, way[:-1]), way[-1], title)
+        return _explain_key(kind, _follow_location(schema, way[:-1]), way[-1], title)
     place = _follow_location(schema, way)
     if kind in {"union_tag_not_found", "union_tag_invalid"}:
-        return _complain_of_tag(place, context["discriminator"].strip("'"), error["input"])
+        return _explain_tag(place, context["discriminator"].strip("'"), error["input"])
     if kind in {"value_error", "assertion_error"}:
         return _Complaint(place.at, message=str(context["error"]))
     if kind in {"too_short", "too_long"}:
@@ -184,7 +184,7 @@ def _follow_location(schema: JsonSchema, way: Iterable[str | int]) -> _Place:
     return place
 
 
-def _complain_of_key(kind: str, parent: _Place, key: str | int, title: str) -> _Complaint:
+def _explain_key(kind: str, parent: _Place, key: str | int, title: str) -> _Complaint:
     at = (*parent.at, key)
     if isinstance(key, int):
         return _Complaint(parent.at, message=f"must hold more than {key} items")
@@ -198,7 +198,7 @@ def _complain_of_key(kind: str, parent: _Place, key: str | int, title: str) -> _
     return _Complaint(at, message=f"unknown key{hint}", meant=(*parent.at, meant))
 
 
-def _complain_of_tag(place: _Place, tag: str, given: Any) -> _Complaint:
+def _explain_tag(place: _Place, tag: str, given: Any) -> _Complaint:
     at = (*place.at, tag)
     expected = join_choices(place.choices(tag))
     if tag not in given:

@@ -139,7 +139,7 @@ def resolve(
         "rt": ("--rt", rt),
     }
     raw = RawSettings()
-    _run_together(
+    _run_and_collect_problems(
         partial(raw.add_section, section, DEFAULT_NAMES[section] if name is None else name)
         for section, name in chosen.items()
         if not (section == "controller" and name is None and law is not None)
@@ -149,7 +149,7 @@ def resolve(
     for key, (option, value) in options.items():
         if value is not None:
             raw.put((key,), value, f"{option} {value}")
-    _run_together(partial(raw.override, override) for override in overrides)
+    _run_and_collect_problems(partial(raw.override, override) for override in overrides)
     return validate_settings(RUN, raw)
 
 
@@ -418,7 +418,7 @@ def _walk_outwards(at: KeyPath) -> Iterable[KeyPath]:
     return (at[:depth] for depth in range(len(at), -1, -1))
 
 
-def _run_together(steps: Iterable[Callable[[], None]]) -> None:
+def _run_and_collect_problems(steps: Iterable[Callable[[], None]]) -> None:
     """Run all steps, then raise the problems of all of them."""
     problems: list[Problem] = []
     for step in steps:

@@ -293,8 +293,8 @@ def _translate_errors(path: Path) -> Iterator[None]:
 
 
 def _explain_plainly(error: yaml.MarkedYAMLError) -> str:
-    said = str(error.problem or error.context)
-    return next((plain for jargon, plain in _PLAINLY if jargon in said), said)
+    problem = str(error.problem or error.context)
+    return next((plain for jargon, plain in _PLAINLY if jargon in problem), problem)
 
 
 def _refuse(message: str, mark: yaml.Mark) -> NoReturn:

@@ -42,7 +42,7 @@ def check_gains(task: TuningTask, jobs: int | None) -> dict[str, Scores]:
         return _score_gains(executor, task.checked, task)
 
 
-def seek_gains(
+def search_gains(
     task: TuningTask,
     jobs: int | None,
     generations: int,

@@ -93,7 +93,7 @@ def impatient():
         ("run --dry-run --rig {}", 78), ("config check {}", 78),
     ],
 )  # fmt: skip
-def test_anything_but_a_regular_file_is_refused_without_waiting(
+def test_every_file_that_is_not_regular_is_refused_without_waiting(
     verb, code, kind, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)

@@ -55,7 +55,7 @@ def test_a_start_from_which_the_model_runs_away_is_moved_back() -> None:
     assert abs(found.values["cubic_stiffness.n_per_m3"]) < 3e4
 
 
-def test_an_effect_may_explain_what_pulls_a_number_to_the_end_of_its_range() -> None:
+def test_an_effect_may_explain_a_number_at_the_end_of_its_range() -> None:
     evidence = prepare_evidence(*pair(end_cap__length_m=4e-3), PAPER).select_blocks({PRESSURE})
     base = recalibrate(evidence).fit_of(PRESSURE)
     assert "braid_length_m" in base.at_bound

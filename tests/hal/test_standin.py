@@ -36,7 +36,7 @@ def test_its_muscle_is_that_of_the_simulation(card: Card) -> None:
     assert max(abs(plant.state.velocity_m_per_s), plant.position_m) > 0
 
 
-def test_its_muscle_rests_for_as_long_as_nobody_looks(card: Card) -> None:
+def test_its_muscle_rests_until_it_is_read(card: Card) -> None:
     """A decay to the smallest numbers there are must not end in one that is none."""
     state = (0.008, 0.0, 250e3)
     for _ in range(60):
@@ -250,7 +250,7 @@ def test_a_filter_longer_than_the_pulses_loses_counts(card: Card) -> None:
     assert lost[2.55e-3] > 1000
 
 
-def test_sensor_noise_is_there_when_asked_for_and_the_same_each_time(card: Card) -> None:
+def test_sensor_noise_is_optional_and_repeatable(card: Card) -> None:
     from nidaqmx import Task
     from nidaqmx.stream_readers import AnalogSingleChannelReader
 
@@ -273,7 +273,7 @@ def test_sensor_noise_is_there_when_asked_for_and_the_same_each_time(card: Card)
     assert spread_v == pytest.approx(2e-3, rel=0.2)
 
 
-def test_a_second_input_task_is_refused_for_there_is_one_converter(card: Card) -> None:
+def test_a_second_input_task_is_refused_because_there_is_one_converter(card: Card) -> None:
     from nidaqmx import DaqError, Task
 
     with Task() as first, Task() as second:
@@ -284,6 +284,6 @@ def test_a_second_input_task_is_refused_for_there_is_one_converter(card: Card) -
             second.start()
 
 
-def test_its_driver_is_not_found_by_a_process_that_does_not_ask_for_it(card: Card) -> None:
+def test_its_driver_is_hidden_from_processes_that_do_not_request_it(card: Card) -> None:
     assert "standin" not in os.environ.get("LD_LIBRARY_PATH", "")
     assert "STANDIN_DEVICE" not in os.environ

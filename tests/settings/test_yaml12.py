@@ -66,7 +66,7 @@ def test_scalars_follow_the_core_schema_of_yaml_1_2(text: str, value: object) ->
 @pytest.mark.parametrize(
     "text", ["on", "off", "yes", "no", "y", "1:30", "1_000", "2026-01-01", "="]
 )
-def test_what_only_yaml_1_1_reads_otherwise_stays_text(text: str) -> None:
+def test_values_that_only_yaml_1_1_reads_otherwise_stay_text(text: str) -> None:
     assert parse_yaml_value(text) == text
     assert parse_yaml_value("!!str 1e-4") == "1e-4"
 
@@ -154,7 +154,7 @@ def test_a_huge_file_is_refused_without_being_read(tmp_path: Path) -> None:
         load_yaml(path)
 
 
-def test_what_is_no_readable_file_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(YamlError, match="no such file"):
         load_yaml(tmp_path / "none.yaml")
     with pytest.raises(YamlError, match="is a directory, not a file"):
@@ -226,7 +226,7 @@ VALUES = st.recursive(
 
 @given(st.dictionaries(KEYS, VALUES, max_size=5))
 @settings(max_examples=200, deadline=None)
-def test_what_is_dumped_is_read_back_equal(data: dict[str, object]) -> None:
+def test_dumped_values_are_read_back_equal(data: dict[str, object]) -> None:
     assert parse_yaml(dump_yaml(data), HERE).data == data
 
 

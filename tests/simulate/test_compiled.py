@@ -73,7 +73,7 @@ def test_a_twin_raises_where_the_kernel_does() -> None:
             flow(p.paper, 0.0, 1e5)
 
 
-def test_compiling_leaves_the_plain_function_plain() -> None:
+def test_compiling_does_not_change_the_plain_function() -> None:
     before = advance_plant.__globals__["plant_step"]
     compile_kernel(advance_plant)
     assert advance_plant.__globals__["plant_step"] is before
@@ -123,7 +123,7 @@ def test_the_cache_is_keyed_by_every_source_that_a_kernel_can_depend_on(checkout
     assert len(seen) == 5
 
 
-def test_what_no_kernel_can_reach_leaves_the_cache_alone(checkout: Path) -> None:
+def test_sources_that_no_kernel_uses_do_not_change_the_cache(checkout: Path) -> None:
     before = digest(checkout)
     for changed in ("pamctl/cli/rig/run.py", "pamctl/log/writer.py"):
         with (checkout / changed).open("a") as source:

@@ -97,7 +97,7 @@ def _start_workers(jobs: int | None) -> Iterator[ProcessPoolExecutor]:
 def _begin_work() -> None:
     """Leave Ctrl-C to the parent process, and end when the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # A worker holds both ends of the pipe that it waits on: it would wait there for ever.
+    # A worker holds both ends of the pipe that it waits on: it would wait there without end.
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -1,4 +1,4 @@
-"""`--json` prints one document, however a verb ends."""
+"""`--json` prints one document, for every ending of a verb."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`pamctl manual` lists the pages and prints one; what stands in them is tested with the manual."""
+"""`pamctl manual` lists the pages and prints one; other tests check their content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Verbs that read logs write only what they were asked to, and overwrite no other file."""
+"""Verbs that read logs write only the requested file, and overwrite no other."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def log(tmp_path):
 
 
 def refused(*arguments):
-    """Run a verb that must leave with 2; return what it says, in one line."""
+    """Run a verb that must exit with 2; return its message in one line."""
     done = CliRunner().invoke(app, [str(word) for word in arguments])
     assert done.exit_code == 2, done.output
     assert not done.stdout
@@ -73,7 +73,7 @@ def test_a_replay_from_after_the_end_is_a_wrong_option_not_a_bad_log(options, lo
 
 @pytest.fixture
 def impatient():
-    """An alarm that ends a test which waits or reads for ever."""
+    """An alarm that ends a test that waits or reads without end."""
     before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it hangs"))
     signal.alarm(20)
     yield

@@ -1,4 +1,4 @@
-"""The model against a measurement: what agrees, what does not, and which block it is."""
+"""The comparison of a model with a measurement finds the block that differs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def measured(
     *leave_out: str,
     command_v: NDArray[np.float64] | None = None,
 ) -> Path:
-    """Let a plant that differs from the paper's be measured by another lab's system."""
+    """Simulate a measurement of another lab, on a plant that differs from the paper's."""
     valve_v = command() if command_v is None else command_v
     driven = drive_coupled(parameters_of(changes), valve_v, PERIOD_S)
     noise = np.random.default_rng(1).normal(0.0, NOISE_PA, len(valve_v))

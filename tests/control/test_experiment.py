@@ -1,4 +1,4 @@
-"""What the shipped experiments ask for, and that the walk through them loses nothing."""
+"""The references of the shipped experiments, and the steps through their segments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The filters against SciPy, and the derivatives against motions that are known."""
+"""The filters agree with SciPy, and the derivatives with known motions."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_at_the_cut_off_half_the_power_and_three_eighths_of_a_turn_are_lost(cuto
 
 @pytest.mark.parametrize("dt_s", [2e-3, 5e-3, 20e-3, 50e-3])
 def test_the_300_hz_filter_lets_the_sample_through_after_missed_ticks(dt_s: float) -> None:
-    """Its cut-off lies above half the rate there: SciPy has no such filter, and none is needed."""
+    """The cut-off is above half the rate there: SciPy has no such filter; pamctl needs none."""
     values = np.random.default_rng(3).normal(size=500)
     expected = signal.sosfilt(signal.butter(3, 0.45, fs=1.0, output="sos"), values)
     found = filtered(300.0, values.tolist(), dt_s)
@@ -94,7 +94,7 @@ def test_no_change_of_dt_disturbs_a_constant(cutoff_hz, dts, level) -> None:
 
 @given(cutoffs.filter(lambda hz: hz > 1), tick_lengths, st.integers(0, 2**32 - 1))
 def test_the_filter_stays_stable_for_any_dt_and_recovers(cutoff_hz, dts, seed) -> None:
-    """A fast filter may overshoot in a tick after a gap: it is bounded, and soon forgotten."""
+    """A fast filter may overshoot after a gap; the overshoot is bounded and decays fast."""
     values = np.random.default_rng(seed).uniform(-1, 1, len(dts)).tolist()
     levels = filtered(cutoff_hz, values + [0.5] * 600, [*dts, *[DT_S] * 600])
     assert np.abs(levels).max() <= 8.0

@@ -1,4 +1,4 @@
-"""Homing: of the simulated rig, whose zeros are known, and of rigs that cannot be homed."""
+"""Homing of the simulated rig, whose zeros are known, and of rigs that cannot be homed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NOMINAL = CalibrationSettings()
 def homed(
     *overrides: str, settings: HomingSettings = WATCHFUL, start: PlantState | None = None
 ) -> tuple[Zero, list[Reference], float]:
-    """Home a simulated rig; return the zeros, what was asked for, and the true end position."""
+    """Home a simulated rig; return the zeros, the references, and the true end position."""
     run = run_settings(*overrides)
     made = parts(run, run.rig.faults)
     if start is not None:
@@ -93,7 +93,7 @@ def synthetic(
 
 
 def fed(sample_at, settings=SETTINGS, calibration=NOMINAL) -> tuple[Zero, float]:
-    """Home on made-up samples; return the zero and when it was found."""
+    """Home on synthetic samples; return the zero and the time at which it was found."""
     homing = Homing(settings, calibration)
     for t_s, sample in synthetic(sample_at):
         if homing.next_reference(t_s, sample) is None:

@@ -1,4 +1,4 @@
-"""The laws against the paper's equations, written out anew, and against the model's own flow."""
+"""The laws agree with an independent form of the paper's equations and of the model's flow."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def test_smc_gains_convert_with_their_units_too(e, rate, acc, absement, reading)
 
 @pytest.mark.parametrize("share", [-3.0, -1.0, -0.5, 0.0, 0.25, 1.0, 7.0])
 def test_both_readings_of_eq_15(share: float) -> None:
-    """At rest with nothing but absement, s = lambda^(3 q) int e."""
+    """At rest with only an integral of the error, s = lambda^(3 q) int e."""
     eta, phi = 0.4016, 0.02008  # inch/s^2
     s = share * phi
     absement = s * INCH_M / (10.0**1.75) ** 3
@@ -320,7 +320,7 @@ def test_a_wrong_encoder_value_keeps_the_command_of_smc_within_its_limit(x, p) -
 
 
 def test_a_balanced_pressure_gives_a_finite_command() -> None:
-    """At tank or atmospheric pressure no air flows whatever the valve does: g-hat is kept up."""
+    """At tank or atmospheric pressure no air flows at any opening: g-hat has a lower limit."""
     for p in (P_ATM, P_TANK):
         for jerk in (1e3, -1e3):
             command, _ = respond(

@@ -1,4 +1,4 @@
-"""A law of another package, and a law from a file: all of pamctl works with them as with its own.
+"""Laws of another package or from a file work like the shipped laws.
 
 The package is `support/super_twisting.py` with an entry point; every process of a run must find it.
 """

@@ -1,4 +1,4 @@
-"""The 7th-order motion against NumPy's polynomials and against its own promises."""
+"""The 7th-order motion agrees with NumPy's polynomials and with its definition."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def test_a_remark_is_in_the_log_at_its_time(up: Daemon) -> None:
 
 
 def ticks_since_the_encoder_counted(log: Log) -> np.ndarray:
-    """A count, of which the law takes derivatives, jolts the command by tenths of a volt."""
+    """The law differentiates a count, which moves the command by tenths of a volt."""
     index = np.arange(len(log))
     counted = np.diff(log["position_m"], prepend=log["position_m"][0]) != 0.0
     return index - np.maximum.accumulate(np.where(counted, index, 0))
@@ -171,7 +171,7 @@ def test_gains_change_without_a_jump_and_replay_follows_them(up: Daemon) -> None
 
 
 def test_a_replay_without_the_change_of_gains_differs(up: Daemon) -> None:
-    """This shows that the test above proves something."""
+    """Counter-check of the test above: without the change the replay differs."""
     log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
     up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
     up.ask("set", changes=["controller.kp_v_s3_per_length=5e-8"], ramp_s=0.1)

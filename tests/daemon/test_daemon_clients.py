@@ -1,4 +1,4 @@
-"""Clients of the daemon that hang, flood, lie or vanish disturb nobody else."""
+"""Clients of the daemon that hang, flood, send garbage or vanish do not disturb others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a diagnosis, for every verdict."""
+"""The page of a diagnosis for every verdict."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def test_an_unexplained_remainder_is_drawn_but_never_called_a_cause(named, recor
     html = page(as_if(named, Verdict.NONE_KNOWN), records)
     assert "Pressure block: unnamed correction" in html
     assert "not why" in html
-    assert "Unnamed correction, not a cause: what is left of the pressure" in html
+    assert "Unnamed correction, not a cause: the remainder of the pressure" in html
     assert ">The effect</h2>" not in html
     assert "Missing from the model" not in html
     assert "with valve deadband" not in html

@@ -1,4 +1,4 @@
-"""What a rig does differently each time is no effect: its repeatability limits the diagnosis."""
+"""Differences between repeated runs are not an effect: repeatability limits the diagnosis."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEAD_BAND = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_widt
 
 
 def restless(program: str, seed: int, **hidden: float) -> Record:
-    """A run whose pressure wanders by 1.2 kPa after the rest, as no model does."""
+    """A run whose pressure drifts by 1.2 kPa after the rest, which no model explains."""
     record = measured(program, seed, **hidden)
     random = np.random.default_rng(100 + seed)
     kept = np.exp(-PERIOD_S / 0.1)

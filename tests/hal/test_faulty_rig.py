@@ -1,4 +1,4 @@
-"""Each fault spoils what it names, from its tick on, for its ticks, and nothing else."""
+"""Each fault spoils only its own signal, from its tick on, for its number of ticks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stand-in driver against what it stands in for: the package's view, and the plant."""
+"""The stand-in driver agrees with NI's package and with the simulated plant."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_its_muscle_is_that_of_the_simulation(card: Card) -> None:
 
 
 def test_its_muscle_rests_until_it_is_read(card: Card) -> None:
-    """A decay to the smallest numbers there are must not end in one that is none."""
+    """A decay to the smallest floats must not end in NaN."""
     state = (0.008, 0.0, 250e3)
     for _ in range(60):
         state = tuple(advance(state, -4.375, 1.0))
@@ -178,7 +178,7 @@ def test_a_function_it_lacks_is_one_the_package_says_the_driver_lacks(card: Card
 
 
 def test_an_encoder_task_that_does_not_run_reads_zero_for_ever(card: Card) -> None:
-    """NI starts and stops it for each read, which sets it back: the classic complaint."""
+    """NI starts and stops the task for each read, which resets the count: a common mistake."""
     from nidaqmx import Task
     from nidaqmx.constants import LengthUnits
     from nidaqmx.stream_readers import CounterReader

@@ -1,4 +1,4 @@
-"""The examiner is examined: what a document says decides its mark, in every way it can go."""
+"""The scoring gives every kind of document its mark."""
 
 from __future__ import annotations
 

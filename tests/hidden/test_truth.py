@@ -1,4 +1,4 @@
-"""The truths are right before anyone is examined on them.
+"""The truths are correct before the diagnosis is examined on them.
 
 What is expected comes from SciPy's solvers on the paper's equations, from conservation, or from
 the limits of friction.

@@ -1,4 +1,4 @@
-"""The house stays one that strangers can read: small rooms, unique names, verbs for functions."""
+"""The layout of the source: small folders, unique names, verbs for functions."""
 
 from __future__ import annotations
 

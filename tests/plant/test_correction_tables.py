@@ -1,4 +1,4 @@
-"""Tables of a plant: what no effect explains, without a name, in the model all the same."""
+"""Correction tables: errors that no effect explains, as part of the model."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def test_the_two_blocks_alone_compose_to_the_coupled_step_to_the_bit(
 def test_each_block_driven_by_the_others_signal_follows_the_coupled_plant(
     p, command_v: NDArray[np.float64]
 ) -> None:
-    """Between samples the other's signal is straight: an error of the second order in the tick."""
+    """Between samples the other's signal is linear: an error of second order in the tick."""
     coupled = drive_coupled(p, command_v, TICK_S, steps=8)
     pressure = drive_pressure(p, command_v, coupled.position_m, TICK_S, steps=8)
     mechanics = drive_mechanics(p, coupled.pressure_pa, TICK_S, steps=8)

@@ -1,6 +1,6 @@
 """The catalogue of effects: neutral to the bit, the same compiled, and described completely.
 
-The physics of each effect is held against independent solutions in `test_effects_physics.py`.
+`test_effects_physics.py` compares the physics of each effect with independent solutions.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ ALL_ON |= {
 
 
 def through_every_part(p: PlantParameters) -> PlantParameters:
-    """The general equations, even where none of their effects acts."""
+    """The general equations, also without an active effect."""
     return p._replace(valve_acts=True, air_acts=True, mechanics_act=True, sensors_act=True)
 
 
@@ -87,7 +87,7 @@ def test_an_effect_with_neutral_sizes_does_nothing_for_any_shape(name: str) -> N
 
 @names
 def test_a_small_effect_has_a_small_result(name: str) -> None:
-    """A size of a thousandth is felt a thousandth as much, or less: a fit finds its way from 0."""
+    """A thousandth of a size has at most a thousandth of the result, so a fit can start from 0."""
     plain = np.array(drive_coupled(parameters_of({}), COMMAND_V, TICK_S))[:2]
 
     def change(share: float) -> float:

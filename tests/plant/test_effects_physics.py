@@ -1,4 +1,4 @@
-"""Every effect's physics, against SciPy's solution of equations written anew.
+"""Every effect's physics agrees with SciPy's solution of independent equations.
 
 Two steps a tick are within a part of the sensor's noise (300 Pa) and a count or two of the
 encoder (3.2 um); finer steps converge to the independent solution.

@@ -1,4 +1,4 @@
-"""Effects of an outside package: a file each, and nothing in this house knows their names."""
+"""Effects of an outside package: one file each, and pamctl does not contain their names."""
 
 from __future__ import annotations
 

@@ -362,7 +362,7 @@ def test_a_closed_valve_keeps_the_air(commands: list[tuple[float, int]]) -> None
 
 
 def test_the_muscle_moves_while_the_valve_is_closed() -> None:
-    """Or the test above would prove nothing: 40 ms of filling leave it far from its balance."""
+    """Counter-check of the test above: 40 ms of filling leave the muscle far from its balance."""
     begin = run([(5.0, 40)])[-1]
     states = run([(0.0, 200)], begin)
     assert states[-1].position_m - begin.position_m > 1e-3

@@ -118,7 +118,7 @@ def test_the_error_falls_with_the_square_of_the_step(name: str) -> None:
 
 @command_names
 def test_the_plant_converges_to_the_reference(name: str) -> None:
-    """Not to something near it: what remains at 128 steps a tick is the reference's error."""
+    """It converges to the reference: the gap at 128 steps a tick is the reference's error."""
     assert error_m(name, 128) < 1e-3 * UM
 
 

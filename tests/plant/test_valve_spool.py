@@ -1,4 +1,4 @@
-"""The lagging spool of the valve, held against SciPy's linear systems."""
+"""The lagging spool of the valve agrees with SciPy's linear systems."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_the_spool_is_continuous_at_critical_damping(damping: float) -> None:
 def test_a_spool_much_faster_than_the_step_arrives_within_it(
     time_constant_s: float, damping: float, opening_v: float, command_v: float, duration_s: float
 ) -> None:
-    """A fit walks through such values on its way to the neutral one."""
+    """A fit passes such values on its way to the neutral value."""
     opening_v, rate = spool_step(
         ValveSpool(time_constant_s, damping), opening_v, 0.0, command_v, duration_s + 1e-3
     )

@@ -1,4 +1,4 @@
-"""Plots: all extremes are drawn, and everything is in its place."""
+"""Plots draw all extremes, at the right positions."""
 
 from __future__ import annotations
 

@@ -363,7 +363,7 @@ def test_none_is_the_default_wherever_it_is_allowed() -> None:
 
 
 def test_the_default_of_a_nested_model_is_its_own_default() -> None:
-    """Or an override of one of its keys would silently change the others."""
+    """Otherwise an override of one of its keys would silently change the others."""
     for model in _models(RunSettings, set()):
         for name, field in model.model_fields.items():
             default = field.get_default(call_default_factory=True, validated_data={})

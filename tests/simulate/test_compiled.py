@@ -1,4 +1,4 @@
-"""The machine-code twins of the kernels: the same values, and stale code never."""
+"""The machine-code twins of the kernels give the same values, and are never stale."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_kernel_that_another_one_calls_can_be_called_from_python_too() -> None
 
 
 def test_a_twin_raises_where_the_kernel_does() -> None:
-    """Numba's own way would be a silent infinity."""
+    """Numba's default would be a silent infinity."""
     p = plant_parameters(PlantSettings())
     for flow in (orifice_flow, compile_kernel(orifice_flow)):
         with pytest.raises(ZeroDivisionError):
@@ -188,7 +188,7 @@ def test_the_next_process_finds_the_machine_code_unless_a_called_kernel_changed(
 
 
 def test_the_loop_process_imports_nothing_heavy() -> None:
-    """It starts in a blink, and a page fault of a megabyte of machine code cannot hit a tick."""
+    """It starts fast, and no page fault of compiled code can delay a tick."""
     heavy = {"numba", "llvmlite", "scipy", "numpy", "nidaqmx", "mcap", "matplotlib"}
     code = f"import sys, pamctl.processes.loop_main; print(sorted({heavy} & sys.modules.keys()))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

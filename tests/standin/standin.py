@@ -336,9 +336,9 @@ def require_compiler() -> None:
 def here() -> Card:
     """Return the card of this very process; its driver is loaded once.
 
-    The nidaqmx package asks `ctypes.util.find_library`, whose linker heeds LD_LIBRARY_PATH as
-    it now is; the loader heeds what it was when the process began, but knows by its soname
-    what is loaded already. Afterwards the environment is as before: other tests count on a
+    The nidaqmx package asks `ctypes.util.find_library`, whose linker uses the present
+    LD_LIBRARY_PATH. The loader uses its value at the start of the process, but finds a loaded
+    library by its soname. Afterwards the environment is as before: other tests count on a
     computer without a driver.
     """
     require_compiler()

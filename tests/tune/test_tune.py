@@ -1,4 +1,4 @@
-"""Gains by search: the same seed gives the same gains, whatever happens on the way."""
+"""The search for gains: the same seed gives the same gains, also after an interruption."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_the_short_trial_ranks_gains_like_the_full_one() -> None:
 
 
 def test_trials_last_as_long_as_stated_and_the_short_one_rests_as_long_as_the_paper() -> None:
-    """A steady error counted too early asks for an integral that hunts."""
+    """A steady error that is counted too early favours an integral that hunts."""
     experiments = [resolve(experiment=f"tracking-{number}").experiment for number in (1, 2)]
     assert SHORT.rest_s == experiments[0].rest_s  # type: ignore[union-attr]
     assert GainsTrial("short").duration_s == sum(s.duration_s for s in build_segments(SHORT))
@@ -140,7 +140,7 @@ def test_every_point_is_a_controller_that_can_be_written_and_read(
 
 @pytest.mark.parametrize("law", LAWS)
 def test_the_stiffness_of_the_search_is_the_response_of_the_law_to_an_error(law: str) -> None:
-    """So that all laws are sought between the same bounds of it."""
+    """All laws are therefore searched within the same bounds of it."""
     space = find_space(law)
     point = space.usual
     sought = dict(zip((axis.name for axis in space.axes), 10.0**point, strict=True))

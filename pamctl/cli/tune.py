@@ -104,7 +104,7 @@ def tune(
         typer.Option(
             "--start",
             metavar="GAINS",
-            help="Gains to begin the search beside",
+            help="Gains to start the search from",
             show_default="the usual ones",
         ),
     ] = None,

@@ -47,13 +47,13 @@ def judge_request_head(head: bytes, port: int, origins: Collection[str]) -> Gate
         headers = parse_headers(io.BytesIO(rest))
     except (ValueError, HTTPException):
         return GateRefusal("400 Bad Request", "this is no request")
-    hosts, told = headers.get_all("Host", []), headers.get_all("Origin", [])
+    hosts, senders = headers.get_all("Host", []), headers.get_all("Origin", [])
     if hosts not in ([f"127.0.0.1:{port}"], [f"localhost:{port}"]):
         return GateRefusal("421 Misdirected Request", "this is not the host you asked for")
-    if not told or (told[0] in origins and len(told) == 1):
+    if not senders or (senders[0] in origins and len(senders) == 1):
         return None
-    is_page = any(one == "null" or one.lower().startswith(("http:", "https:")) for one in told)
-    if is_page or len(told) > 1:
+    is_page = any(one == "null" or one.lower().startswith(("http:", "https:")) for one in senders)
+    if is_page or len(senders) > 1:
         fix = "name this site with --live-origin if it may watch"
         return GateRefusal("403 Forbidden", f"pages of other sites may not watch; {fix}")
     return None

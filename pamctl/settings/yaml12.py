@@ -189,7 +189,7 @@ class _Builder:
             here = (*at, key)
             if key in mapping:
                 first = self.marks[here].line
-                _refuse(f"the key '{key}' stands already in line {first}", key_node.start_mark)
+                _refuse(f"the key '{key}' is already defined in line {first}", key_node.start_mark)
             self.marks[here] = _position_of(key_node.start_mark)
             mapping[key] = self.value(value_node, here)
         return mapping
@@ -238,10 +238,10 @@ _PLAINLY = (
     ("that cannot start any token", "a value cannot begin with this character; quote it"),
     ("end of stream", "a quote is never closed"),
     ("<stream end>", "a bracket or brace is never closed"),
-    ("second occurrence", "an anchor of this name stands already above"),
+    ("second occurrence", "an anchor of this name is already defined above"),
     ("mapping values are not allowed", "a second ':' in one line; quote the value, or indent"),
     ("could not find expected ':'", "a key without ':'"),
-    ("but found another document", "only one document may stand in a file"),
+    ("but found another document", "a file may hold only one document"),
 )
 """PyYAML's message, and the message for users."""
 

@@ -75,7 +75,6 @@ def find_space(law: str) -> GainSpace:
     space = find_law(law).search
     if space is None:
         raise ValueError(
-            f"the law {law!r} does not say how its gains are sought; "
-            "gains that exist can be scored with --check"
+            f"the law {law!r} defines no search space; gains that exist can be scored with --check"
         )
     return GainSpace(space)

@@ -75,7 +75,7 @@ class TuningTask:
         if began is not None and began.law != law:
             raise _option_error(f"--start {start}", f"holds gains of {began.law}, not of {law}")
         if began is not None and began.length_unit != "mm":
-            raise _option_error(f"--start {start}", "gains are sought in mm, these are in inches")
+            raise _option_error(f"--start {start}", "the search works in mm, not in inches")
         named = make_fixed_members([(bare_name(name), _read("plant", name)) for name in plants])
         draws = size is not None or not plants
         drawn = draw_ensemble(size or _DEFAULT_SIZE, seed) if draws else []

@@ -107,7 +107,7 @@ LADDER = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("a: 1\nb: 2\na: 3\n", "my.yaml:3:1: the key 'a' stands already in line 1"),
+        ("a: 1\nb: 2\na: 3\n", "my.yaml:3:1: the key 'a' is already defined in line 1"),
         ("a: &x [*x]", "my.yaml:1:4: an alias refers to a value that contains it"),
         ("a: !gain 1", "my.yaml:1:4: the tag '!gain' is not allowed here"),
         ("a: !!python/name:os.system", "my.yaml:1:4: the tag '!!python/name:os.system' is not"),
@@ -119,7 +119,7 @@ LADDER = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1
         (b"a: 1\nb: 20 \xb5m\n", "my.yaml: line 2 is not UTF-8 text (byte 0xb5); save"),
         ("a: 1\n".encode("utf-16"), "my.yaml: line 1 is not UTF-8 text (byte 0xff); save"),
         ("a: \x07", "my.yaml: character 4 is a control character"),
-        ("a: 1\n---\nb: 2\n", "my.yaml:2:1: only one document may stand in a file"),
+        ("a: 1\n---\nb: 2\n", "my.yaml:2:1: a file may hold only one document"),
         ("a: b: 1\n", "my.yaml:1:5: a second ':' in one line"),
         ("a: [1, 2", "my.yaml:1:9: a bracket or brace is never closed"),
         ("a: 'x", "my.yaml:1:6: a quote is never closed"),

@@ -19,7 +19,7 @@ FAST = 0.1
 
 
 class Creep(NamedTuple):
-    """A spring and a dashpot beside the muscle, or two such branches."""
+    """A spring and a dashpot parallel to the muscle, or two such branches."""
 
     stiffness_n_per_m: float = 0.0
     time_constant_s: float = 1.0

@@ -35,7 +35,8 @@ _OUTPUT_RANGE = "check nidaq.output_low_v and nidaq.output_high_v of the rig fil
 FIXES: Mapping[int, str] = {
     **dict.fromkeys(BUSY_CODES, _BUSY),
     -50152: "the driver cannot talk to the card: reboot, and check that its kernel modules load",
-    -200077: "the card does not offer a value of section nidaq of the rig file (its timing?)",
+    -200077: "the card does not offer a value of section nidaq of the rig file (its timing?): "
+    "the message names the property and what can be selected",
     -200170: "the card has no such channel: check the channels in section nidaq of the rig file",
     -200220: _ABSENT,
     -200284: _TIMEOUT,

@@ -263,6 +263,41 @@ def test_an_error_of_the_driver_names_what_failed_its_number_and_the_fix(
     tick()
 
 
+def test_a_refused_value_is_told_whole_with_what_can_be_selected(
+    make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make()
+    # No value of the settings is refused, so that of the driver is asked for one.
+    monkeypatch.setattr(rig, "_settings", rig._settings.model_copy(update={"encoder_filter_ns": 9}))
+    with pytest.raises(RigError) as caught:
+        rig.open()
+    assert caught.value.code == -200077
+    assert caught.value.what == (
+        "opening Dev1: The stand-in driver says no. "
+        "Property: DAQmx_CI_Encoder_AInput_DigFltr_MinPulseWidth; Requested Value: 9e-09; "
+        "You Can Select: 125.0e-9, 6.425e-6, 2.55e-3"
+    )
+
+
+def test_no_line_of_the_driver_s_message_is_lost_but_task_and_status() -> None:
+    from hal.nidaq.driver import join_lines
+
+    said = """Requested value is not a supported value for this property.
+
+Property: DAQmx_AO_Min
+Requested Value: -10.0
+Maximum Value:  3.5
+Channel Name: Dev1/ao0
+
+Task Name: _unnamedTask<0>
+
+Status Code: -200077"""
+    assert join_lines(said) == (
+        "Requested value is not a supported value for this property. Property: DAQmx_AO_Min; "
+        "Requested Value: -10.0; Maximum Value: 3.5; Channel Name: Dev1/ao0"
+    )
+
+
 def test_a_driver_that_ctypes_cannot_call_is_a_rig_error_too(
     make, monkeypatch: pytest.MonkeyPatch
 ) -> None:

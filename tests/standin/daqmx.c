@@ -93,6 +93,7 @@ static Task *tasks;
 static int64_t last_task_id;
 static char last_channel[64];
 static __thread int32_t last_error;
+static __thread char last_detail[512]; /* the lines below the message; empty for most errors */
 
 /* --- entering and leaving a call --- */
 
@@ -105,6 +106,7 @@ static int32_t outcome(int32_t code)
 
 static int32_t enter(const char *function, double timeout_s)
 {
+    last_detail[0] = 0;
     if (!device_attach())
         return outcome(INVALID_DEVICE_ID);
     int32_t fault = outcome(device_fault(function, timeout_s));
@@ -132,6 +134,16 @@ static Task *task_of(TaskHandle handle)
     while (task && task != handle)
         task = task->next;
     return task;
+}
+
+/* In NI's form: the property, what was asked of it, and what it offers. */
+static int32_t refuse_value(const Task *task, const char *property, const char *requested,
+                            const char *offered)
+{
+    snprintf(last_detail, sizeof last_detail,
+             "Property: %s\nRequested Value: %s\nYou Can Select: %s\n\nTask Name: %s\n\n", property,
+             requested, offered, task->name);
+    return INVALID_ATTRIBUTE_VALUE;
 }
 
 /* --- text and arrays: asked with no room, a getter says how much it needs --- */
@@ -466,8 +478,10 @@ static int32_t clock_task(Task *task, const char *source, double rate_hz, int32_
     snprintf(clock, sizeof clock, "/%s/ai/SampleClock", device_attach()->name);
     if (!is_master && !*source) /* a counter has no clock of its own */
         return EXT_SAMP_CLK_SRC_NOT_SPECIFIED;
+    if (device_attach()->bus == BusType__USB)
+        return refuse_value(task, "DAQmx_SampQuant_SampMode", "DAQmx_Val_HWTimedSinglePoint",
+                            "DAQmx_Val_FiniteSamps, DAQmx_Val_ContSamps");
     if (mode != AcquisitionType__HW_TIMED_SINGLE_POINT || !(rate_hz > 0.0) ||
-        device_attach()->bus == BusType__USB ||
         strcmp(source, is_master ? "" : clock) != 0)
         return INVALID_ATTRIBUTE_VALUE;
     task->period_ns = (int64_t)llround(1e9 / rate_hz);
@@ -685,7 +699,12 @@ static int32_t set_filter_width(Task *task, int input, double width_s)
             task->filter_s[input] = width_s;
             return 0;
         }
-    return INVALID_ATTRIBUTE_VALUE;
+    char requested[32];
+    snprintf(requested, sizeof requested, "%g", width_s);
+    return refuse_value(task,
+                        input ? "DAQmx_CI_Encoder_BInput_DigFltr_MinPulseWidth"
+                              : "DAQmx_CI_Encoder_AInput_DigFltr_MinPulseWidth",
+                        requested, "125.0e-9, 6.425e-6, 2.55e-3");
 }
 
 static int32_t set_channel_attribute(Task *task, int32_t attribute, va_list from)
@@ -873,7 +892,8 @@ EXPORT int32_t DAQmxSetRuntimeEnvironment(const char *environment, const char *v
 
 EXPORT int32_t DAQmxGetExtendedErrorInfo(char *buffer, uint32_t size)
 {
-    snprintf(buffer, size, "The stand-in driver says no.\n\nStatus Code: %d", last_error);
+    snprintf(buffer, size, "The stand-in driver says no.\n%s\nStatus Code: %d", last_detail,
+             last_error);
     return 0;
 }
 

@@ -13,15 +13,20 @@ from typing import TYPE_CHECKING
 from hal.backend import ProbeRequest
 from hal.doctor_finding import DoctorFinding, describe_rig_error
 from hal.nidaq.card_settings import NidaqSettings
-from hal.nidaq.driver_errors import BUSY_CODES, PACKAGE_BROKEN
+from hal.nidaq.driver_errors import BUSY_CODES, ON_DEMAND, PACKAGE_BROKEN
 from hal.range_checks import format_range, holds, judge_input_range
 from hal.rig import RigError
 
 if TYPE_CHECKING:
-    from hal.nidaq.probe import Card, DriverUser
+    from hal.nidaq.probe import Card, ClockTrial, DriverUser
 
 REQUIRED = frozenset({"card.driver", "card.device", "card.channels", "card.reservations"})
 """Findings whose fault means that no rig can be opened; other faults leave it usable."""
+
+
+_MISSED_OFTEN = 0.25
+"""A clock that misses every second edge misses half of them."""
+_GOOD_WAIT = "WAIT_FOR_INTERRUPT"
 
 
 def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding]:
@@ -73,8 +78,12 @@ def examine_card_clock(request: ProbeRequest[NidaqSettings]) -> DoctorFinding:
     from hal.nidaq.probe import try_hardware_timing
 
     settings = request.settings
-    failure = try_hardware_timing(settings, request.rate_hz, request.safe_volts)
-    return judge_hardware_timing(failure, settings.timing == "hardware_timed")
+    is_wanted = settings.timing == "hardware_timed"
+    try:
+        trial = try_hardware_timing(settings, request.rate_hz, request.safe_volts)
+    except RigError as error:
+        return report_no_hardware_timing(error, is_wanted)
+    return judge_hardware_timing(trial, 1.0 / request.rate_hz, is_wanted)
 
 
 def check_device_nodes(directory: Path) -> Iterator[DoctorFinding]:
@@ -154,16 +163,35 @@ def judge_on_demand(failure: RigError | None) -> DoctorFinding:
     )
 
 
-def judge_hardware_timing(failure: RigError | None, is_wanted: bool) -> DoctorFinding:
+def judge_hardware_timing(trial: ClockTrial, period_s: float, is_wanted: bool) -> DoctorFinding:
     """Say whether the card's own clock can pace the loop."""
-    name = "timing.hardware"
-    if failure is None:
-        return DoctorFinding(name, "ok", "works: the card's clock can pace the loop")
-    if is_wanted:
-        fix = f"set nidaq.timing to on_demand; {failure.fix}"
+    name, data = "timing.hardware", trial._asdict()
+    found = f"{trial.edges} edges, {trial.missed} missed"
+    if trial.missed > _MISSED_OFTEN * trial.edges:
+        # The PC misses an edge now and then. A clock that is wrong misses them regularly.
+        wanted = f"a sample every {period_s * 1e3:g} ms"
+        fix = f"is rig.loop.rate_hz too fast for card or PC? {ON_DEMAND}"
+        return DoctorFinding(name, "fault" if is_wanted else "ok", found, wanted, fix, data)
+    if trial.wait_mode != _GOOD_WAIT:
         return DoctorFinding(
-            name, "fault", describe_rig_error(failure), "as nidaq.timing says", fix
+            name,
+            "warning" if is_wanted else "ok",
+            f"{found}; a read waits by {trial.wait_mode or 'a mode that the driver hides'}",
+            f"{_GOOD_WAIT}: a read that polls is stopped by the kernel at real-time priority",
+            f"{ON_DEMAND}, or run with --rt off",
+            data,
         )
-    return DoctorFinding(
-        name, "ok", f"not available, and not needed: {describe_rig_error(failure)}"
-    )
+    if trial.missed:
+        fix = "is the PC busy? See pc.wakeup"
+        return DoctorFinding(
+            name, "warning" if is_wanted else "ok", found, "none missed", fix, data
+        )
+    return DoctorFinding(name, "ok", f"works: {found}", data=data)
+
+
+def report_no_hardware_timing(failure: RigError, is_wanted: bool) -> DoctorFinding:
+    """Say why the card's own clock cannot pace the loop."""
+    name, found = "timing.hardware", describe_rig_error(failure)
+    if is_wanted:
+        return DoctorFinding(name, "fault", found, "as nidaq.timing says", failure.fix)
+    return DoctorFinding(name, "ok", f"not available, and not needed: {found}")

@@ -23,6 +23,13 @@ class NidaqSettings(MSeriesWiring):
             "card's own clock paces the loop, and puts out what is written one tick later"
         ),
     ] = "on_demand"
+    data_transfer: Annotated[
+        Literal["polled", "driver"],
+        Field(
+            description="of hardware_timed: polled asks the driver for programmed I/O, which it "
+            "needs for single points; driver leaves the choice to it"
+        ),
+    ] = "polled"
     timeout_s: Annotated[
         float, Field(gt=0, le=1, description="of a single read or write in the driver")
     ] = 0.02

@@ -33,6 +33,9 @@ from hal.nidaq.tasks import (
     make_valve_task,
     make_valve_writer,
     make_volt_reader,
+    request_programmed_io,
+    request_wait_by_interrupt,
+    tell_data_transfer,
 )
 from hal.rig import Edge, RawSample, RigIdentity
 
@@ -116,6 +119,17 @@ class HardwareTimedRig(NidaqRig):
             follower.timing.cfg_samp_clk_timing(
                 self._rate_hz, source=self._sample_clock, sample_mode=point
             )
+        if settings.data_transfer == "polled":
+            for task in (encoder, pressure, valve):
+                request_programmed_io(task)
+        self._identity = {
+            **self._identity,
+            "wait_mode": request_wait_by_interrupt(pressure),
+            "data_transfer": {
+                name: tell_data_transfer(task)
+                for name, task in (("input", pressure), ("counter", encoder), ("output", valve))
+            },
+        }
         for task in (encoder, valve, pressure):
             task.start()
         self._grid, self._awaited = self._make_grid(), None

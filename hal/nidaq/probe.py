@@ -5,6 +5,7 @@ Tasks are reserved and released, an input is read. Only `try_hardware_timing` wr
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from importlib.metadata import version
@@ -27,7 +28,7 @@ from hal.nidaq.tasks import (
 )
 from hal.rig import RigError, open_rig
 
-_HARDWARE_TIMED_SAMPLES = 20
+_HARDWARE_TIMED_SAMPLES = 100
 
 Range = tuple[float, float]
 TaskMaker = Callable[[NidaqSettings], AbstractContextManager[Task]]
@@ -56,6 +57,18 @@ class Card(NamedTuple):
     counters: tuple[str, ...]
     input_ranges: tuple[Range, ...]
     output_ranges: tuple[Range, ...]
+
+
+class ClockTrial(NamedTuple):
+    """How the card's own clock paced some ticks."""
+
+    edges: int
+    missed: int
+    """Of these, the ones whose sample was never read."""
+    wait_mode: str
+    """How a read waits for the edge, as the driver says."""
+    data_transfer: object
+    """What moves the data of input, counter and output, as the driver says."""
 
 
 class DriverUser(NamedTuple):
@@ -131,24 +144,29 @@ def try_on_demand_read(settings: NidaqSettings) -> RigError | None:
 
 
 def try_hardware_timing(
-    settings: NidaqSettings, rate_hz: float, safe_output_v: float
-) -> RigError | None:
-    """Let the card pace a few ticks with the safe voltage on its output; return the error if any.
+    settings: NidaqSettings,
+    rate_hz: float,
+    safe_output_v: float,
+    now_ns: Callable[[], int] = time.monotonic_ns,
+) -> ClockTrial:
+    """Let the card pace some ticks with the safe voltage on its output. Raises `RigError`.
 
     It writes to the output, but only what every start of a run writes first.
     """
     timed = settings.model_copy(update={"timing": "hardware_timed"})
-
-    def tick() -> None:
-        require_card(timed)
-        rig = HardwareTimedRig(timed, rate_hz=rate_hz, safe_output_v=safe_output_v)
-        with open_rig(rig):
-            for _ in range(_HARDWARE_TIMED_SAMPLES):
-                rig.await_edge()
-                rig.read()
-                rig.write(safe_output_v)
-
-    return _catch_rig_error(tick)
+    require_card(timed)
+    rig = HardwareTimedRig(timed, rate_hz=rate_hz, safe_output_v=safe_output_v, now_ns=now_ns)
+    missed = 0
+    with open_rig(rig):
+        for sample in range(_HARDWARE_TIMED_SAMPLES):
+            edge = rig.await_edge()
+            # The first edges pass while the tasks start.
+            missed += edge.elapsed - 1 if sample else 0
+            rig.read()
+            rig.write(safe_output_v)
+        told = rig.describe().extra
+    edges = _HARDWARE_TIMED_SAMPLES + missed
+    return ClockTrial(edges, missed, str(told["wait_mode"]), told["data_transfer"])
 
 
 def _read_on_demand(settings: NidaqSettings) -> None:

@@ -335,7 +335,7 @@ def test_the_card_s_clock_is_tried_with_the_safe_voltage_on_the_output(card: Car
     settings = resolve(rig="pci6221", overrides=["rig.safe_volts=1.25"])
     found = examine_card_clock(make_probe_request(settings))
     assert (found.name, found.level) == ("timing.hardware", "ok")
-    assert "works" in found.found
+    assert "100 edges" in found.found or "missed" in found.found  # a busy PC misses some
     assert card.written_v == [pytest.approx(1.25, abs=AO_STEP_V)] * card.registers.ao_writes
 
 

@@ -120,7 +120,7 @@ def expected_types() -> dict[str, list[type]]:
 def call_everything() -> None:
     """Call each function of the stand-in through the package."""
     from nidaqmx import Task
-    from nidaqmx.constants import AcquisitionType, LengthUnits, TaskMode
+    from nidaqmx.constants import AcquisitionType, LengthUnits, TaskMode, WaitMode
     from nidaqmx.errors import DaqError, DaqWarning
     from nidaqmx.stream_readers import AnalogSingleChannelReader, CounterReader
     from nidaqmx.stream_writers import AnalogSingleChannelWriter
@@ -139,6 +139,8 @@ def call_everything() -> None:
             out.start()
         AnalogSingleChannelWriter(out.out_stream).write_one_sample(1.0)
         volts.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        volts.in_stream.wait_mode = WaitMode.SLEEP
+        assert volts.in_stream.wait_mode == WaitMode.SLEEP
         AnalogSingleChannelReader(volts.in_stream).read_one_sample()
         volts.timing.cfg_samp_clk_timing(1e3, sample_mode=AcquisitionType.HW_TIMED_SINGLE_POINT)
         channel = counts.ci_channels.add_ci_lin_encoder_chan("Dev1/ctr0", units=LengthUnits.TICKS)

@@ -35,7 +35,10 @@ enum {
     CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK = -200478,
     CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING = -200479,
     INVALID_AO_DATA_WRITE = -200561,
+    HW_TIMED_SINGLE_POINT_AO_AND_DATA_XFER_NOT_PROG_IO = -200769,
+    CTR_HW_TIMED_SINGLE_POINT_AND_DATA_XFER_NOT_PROG_IO = -200842,
     CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING = -200846,
+    HW_TIMED_SINGLE_POINT_AND_DATA_XFER_NOT_PROG_IO = -200996,
     DEV_CANNOT_BE_ACCESSED = -201003,
 };
 
@@ -47,6 +50,9 @@ enum {
     ChannelType__ANALOG_INPUT = 10100,
     ChannelType__ANALOG_OUTPUT = 10102,
     ChannelType__COUNTER_INPUT = 10131,
+    DataTransferActiveTransferMode__DMA = 10054,
+    DataTransferActiveTransferMode__INTERRUPT = 10204,
+    DataTransferActiveTransferMode__POLLED = 10264,
     EncoderType__X_1 = 10090,
     EncoderType__X_2 = 10091,
     EncoderType__X_4 = 10092,
@@ -65,6 +71,10 @@ enum {
     TerminalConfiguration__NRSE = 10078,
     TerminalConfiguration__RSE = 10083,
     VoltageUnits__VOLTS = 10348,
+    WaitMode__POLL = 12524,
+    WaitMode__SLEEP = 12547,
+    WaitMode__WAIT_FOR_INTERRUPT = 12523,
+    WaitMode__YIELD = 12525,
 };
 
 typedef struct Task {
@@ -80,6 +90,8 @@ typedef struct Task {
     double lowest, highest; /* of the channel, V */
     double full_scale_v;
     int32_t terminal;
+    int32_t transfer;  /* a DataTransferActiveTransferMode */
+    int32_t wait_mode; /* a WaitMode */
     int32_t decoding;
     int32_t units;
     double metres_per_pulse;
@@ -187,6 +199,8 @@ static int32_t create_task(const char *name, TaskHandle *handle)
             return DUPLICATE_TASK;
     Task *task = calloc(1, sizeof *task);
     task->id = ++last_task_id;
+    task->transfer = DataTransferActiveTransferMode__DMA;
+    task->wait_mode = WaitMode__POLL;
     snprintf(task->name, sizeof task->name, "%s", name);
     if (!*name)
         snprintf(task->name, sizeof task->name, "_unnamedTask<%d>", (int)task->id);
@@ -232,10 +246,28 @@ static void start_counter(const Task *task)
                   task->z_resets);
 }
 
+/* Single points are read and written by the processor itself: programmed I/O. */
+static int32_t check_transfer(const Task *task)
+{
+    if (!task->period_ns || task->transfer == DataTransferActiveTransferMode__POLLED)
+        return 0;
+    switch (task->type) {
+    case ChannelType__ANALOG_OUTPUT:
+        return HW_TIMED_SINGLE_POINT_AO_AND_DATA_XFER_NOT_PROG_IO;
+    case ChannelType__COUNTER_INPUT:
+        return CTR_HW_TIMED_SINGLE_POINT_AND_DATA_XFER_NOT_PROG_IO;
+    default:
+        return HW_TIMED_SINGLE_POINT_AND_DATA_XFER_NOT_PROG_IO;
+    }
+}
+
 static int32_t start(Task *task)
 {
     int32_t code = reserve(task);
     if (code || task->is_running)
+        return code;
+    code = check_transfer(task);
+    if (code)
         return code;
     task->is_running = true;
     device_note_move(task->resource, true);
@@ -244,6 +276,7 @@ static int32_t start(Task *task)
     if (task->resource == RESOURCE_AI) {
         device_attach()->ai_terminal = task->terminal;
         device_attach()->ai_full_scale_v = task->full_scale_v;
+        device_attach()->ai_wait_mode = task->wait_mode;
         if (task->period_ns)
             clock_start(task->period_ns);
     }
@@ -659,6 +692,10 @@ static int32_t channel_attribute(const Task *task, int32_t attribute, va_list in
         return put_double(-task->full_scale_v, into);
     case 0x1815: /* AI range, high */
         return put_double(task->full_scale_v, into);
+    case 0x1821: /* AI data transfer */
+    case 0x134:  /* AO */
+    case 0x200:  /* CI */
+        return put_int(task->transfer, into);
     case 0x21E6: /* encoder decoding */
         return put_int(task->decoding, into);
     case 0x890: /* index enable */
@@ -707,6 +744,17 @@ static int32_t set_filter_width(Task *task, int input, double width_s)
                         requested, "125.0e-9, 6.425e-6, 2.55e-3");
 }
 
+static int32_t set_transfer(Task *task, const char *property, int32_t transfer)
+{
+    bool is_known = transfer == DataTransferActiveTransferMode__DMA ||
+                    transfer == DataTransferActiveTransferMode__INTERRUPT ||
+                    transfer == DataTransferActiveTransferMode__POLLED;
+    if (!is_known || (device_attach()->transfer_is_fixed && transfer != task->transfer))
+        return refuse_value(task, property, "DAQmx_Val_ProgrammedIO", "DAQmx_Val_DMA");
+    task->transfer = transfer;
+    return 0;
+}
+
 static int32_t set_channel_attribute(Task *task, int32_t attribute, va_list from)
 {
     if (!task)
@@ -721,6 +769,12 @@ static int32_t set_channel_attribute(Task *task, int32_t attribute, va_list from
     case 0x21FC:
     case 0x2201:
         return set_filter_width(task, attribute == 0x2201, va_arg(from, double));
+    case 0x1821:
+        return set_transfer(task, "DAQmx_AI_DataXferMech", va_arg(from, int32_t));
+    case 0x134:
+        return set_transfer(task, "DAQmx_AO_DataXferMech", va_arg(from, int32_t));
+    case 0x200:
+        return set_transfer(task, "DAQmx_CI_DataXferMech", va_arg(from, int32_t));
     default:
         return ATTR_NOT_SUPPORTED;
     }
@@ -734,6 +788,49 @@ EXPORT int32_t DAQmxSetChanAttribute(TaskHandle handle, const char *channel, int
     int32_t fault = enter(__func__, 0.0);
     int32_t code =
         fault < 0 ? fault : leave(set_channel_attribute(task_of(handle), attribute, from), fault);
+    va_end(from);
+    return code;
+}
+
+static int32_t read_attribute(const Task *task, int32_t attribute, va_list into)
+{
+    if (!task)
+        return INVALID_TASK;
+    return attribute == 0x2232 ? put_int(task->wait_mode, into) : ATTR_NOT_SUPPORTED;
+}
+
+EXPORT int32_t DAQmxGetReadAttribute(TaskHandle handle, int32_t attribute, ...)
+{
+    va_list into;
+    va_start(into, attribute);
+    int32_t fault = enter(__func__, 0.0);
+    int32_t code =
+        fault < 0 ? fault : leave(read_attribute(task_of(handle), attribute, into), fault);
+    va_end(into);
+    return code;
+}
+
+static int32_t set_read_attribute(Task *task, int32_t attribute, va_list from)
+{
+    if (!task)
+        return INVALID_TASK;
+    if (attribute != 0x2232)
+        return ATTR_NOT_SUPPORTED;
+    int32_t mode = va_arg(from, int32_t);
+    if (mode != WaitMode__POLL && mode != WaitMode__SLEEP && mode != WaitMode__YIELD &&
+        mode != WaitMode__WAIT_FOR_INTERRUPT)
+        return INVALID_ATTRIBUTE_VALUE;
+    task->wait_mode = mode;
+    return 0;
+}
+
+EXPORT int32_t DAQmxSetReadAttribute(TaskHandle handle, int32_t attribute, ...)
+{
+    va_list from;
+    va_start(from, attribute);
+    int32_t fault = enter(__func__, 0.0);
+    int32_t code =
+        fault < 0 ? fault : leave(set_read_attribute(task_of(handle), attribute, from), fault);
     va_end(from);
     return code;
 }

@@ -235,7 +235,7 @@ int32_t clock_await(double timeout_s)
     Registers *r = registers;
     device_catch_up();
     int64_t deadline_ns = device_now_ns() + (int64_t)(timeout_s * 1e9);
-    while (!r->clock_runs || r->clock_edges == r->clock_read) {
+    while (!r->clock_runs || r->clock_edges <= r->clock_read + r->clock_skips) {
         int64_t now_ns = device_now_ns(), edge_ns = next_edge_ns();
         if (!r->clock_runs || edge_ns > deadline_ns) {
             wait_unlocked(r->is_virtual ? 0.0 : (double)(deadline_ns - now_ns) * 1e-9);

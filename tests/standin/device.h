@@ -96,6 +96,9 @@ typedef struct {
     int64_t sampled_count;
     int64_t ao_is_pending[AO_CHANNELS]; /* a voltage waits for the next edge */
     double ao_pending_v[AO_CHANNELS];
+    int64_t clock_skips; /* edges that pass unseen before each one that a read returns */
+    int64_t ai_wait_mode; /* a WaitMode: of the input task that was started last */
+    int64_t transfer_is_fixed; /* the driver refuses to change how data are transferred */
     int64_t late_code; /* what a read says that comes after a missed edge; 0: nothing */
     int64_t moves;     /* starts and stops of tasks ever */
     int64_t move[HISTORY]; /* the last ones: a Resource + 1, negative for a stop */

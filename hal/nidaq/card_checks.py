@@ -14,6 +14,7 @@ from hal.backend import ProbeRequest
 from hal.doctor_finding import DoctorFinding, describe_rig_error
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver_errors import BUSY_CODES, ON_DEMAND, PACKAGE_BROKEN
+from hal.nidaq.kernel_checks import examine_kernel
 from hal.range_checks import format_range, holds, judge_input_range
 from hal.rig import RigError
 
@@ -33,6 +34,7 @@ def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding
     """Check the driver, then the card, then its parts, as far as each step allows the next."""
     settings = request.settings
     nodes = check_device_nodes(Path("/dev"))
+    yield from examine_kernel(is_clocked=settings.timing == "hardware_timed")
     try:
         from hal.nidaq import probe
         from hal.nidaq.driver import require_card

@@ -25,6 +25,7 @@ REQUIRED = frozenset({"card.driver", "card.device", "card.channels", "card.reser
 """Findings whose fault means that no rig can be opened; other faults leave it usable."""
 
 
+_RELEASE_S = 0.05
 _MISSED_OFTEN = 0.25
 """A clock that misses every second edge misses half of them."""
 _GOOD_WAIT = "WAIT_FOR_INTERRUPT"
@@ -86,6 +87,37 @@ def examine_card_clock(request: ProbeRequest[NidaqSettings]) -> DoctorFinding:
     except RigError as error:
         return report_no_hardware_timing(error, is_wanted)
     return judge_hardware_timing(trial, 1.0 / request.rate_hz, is_wanted)
+
+
+def examine_output(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding]:
+    """Check what becomes of the output of a killed process; the caller holds the device."""
+    from hal.nidaq.probe import measure_release
+
+    try:
+        yield judge_release(measure_release(request.settings))
+    except RigError as error:
+        yield DoctorFinding(
+            "card.release", "warning", f"not measured: {describe_rig_error(error)}", "", error.fix
+        )
+
+
+def judge_release(free_after_s: float | None) -> DoctorFinding:
+    """Say whether the driver frees what a killed process held: the guardian relies on it."""
+    name, data = "card.release", {"free_after_s": free_after_s}
+    if free_after_s is None:
+        found = "the driver keeps the reservation of a killed process"
+        fix = (
+            "do not run: no guardian could vent the muscle after a crash. Reset the device "
+            "(`nidaqmx` Device.reset_device, which puts 0 V out), update NI-DAQmx, or use "
+            "--backend comedi, where the kernel frees the card"
+        )
+        return DoctorFinding(name, "fault", found, "the output is free at once", fix, data)
+    found = f"the output of a killed process was free after {free_after_s * 1e3:.0f} ms"
+    if free_after_s <= _RELEASE_S:
+        return DoctorFinding(name, "ok", found, data=data)
+    wanted = f"at most {_RELEASE_S * 1e3:.0f} ms"
+    fix = "after a crash of the loop the muscle stays filled for so long: fit a hardware vent"
+    return DoctorFinding(name, "warning", found, wanted, fix, data)
 
 
 def check_device_nodes(directory: Path) -> Iterator[DoctorFinding]:

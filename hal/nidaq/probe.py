@@ -5,6 +5,8 @@ Tasks are reserved and released, an input is read. Only `try_hardware_timing` wr
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -17,8 +19,10 @@ from nidaqmx.constants import TaskMode
 from nidaqmx.system import Device, System
 
 from hal.driver_library import find_loaded_library
+from hal.nidaq import hold_output
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver import LIBRARY, raise_rig_errors, require_card
+from hal.nidaq.driver_errors import BUSY_CODES
 from hal.nidaq.hardware_timed import HardwareTimedRig
 from hal.nidaq.tasks import (
     make_encoder_task,
@@ -28,6 +32,8 @@ from hal.nidaq.tasks import (
 )
 from hal.rig import RigError, open_rig
 
+RELEASE_PATIENCE_S = 1.0
+"""Ten times what a guardian needs from a frozen loop to the safe voltage."""
 _HARDWARE_TIMED_SAMPLES = 100
 
 Range = tuple[float, float]
@@ -136,6 +142,36 @@ def find_driver_users(ignore: Sequence[int]) -> list[DriverUser]:
             continue
         users.append(DriverUser(pid, command))
     return sorted(users)
+
+
+def measure_release(settings: NidaqSettings) -> float | None:
+    """Kill a process that holds the output; return after how long (s) the output was free.
+
+    None: it was not free within `RELEASE_PATIENCE_S`. Raises `RigError` where no process could
+    hold it.
+    """
+    holder = [sys.executable, "-m", hold_output.__name__, settings.model_dump_json()]
+    with subprocess.Popen(
+        holder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        told = process.stdout.readline().strip()
+        killed_s = time.monotonic()
+        process.kill()
+    if told != hold_output.HELD:
+        raise RigError("no second process could hold the output", fix="is the PC short of memory?")
+    while True:
+        waited_s = time.monotonic() - killed_s
+        try:
+            _reserve(settings, settings.valve_channel, make_valve_task)
+        except RigError as error:
+            if error.code not in BUSY_CODES:
+                raise
+            if waited_s > RELEASE_PATIENCE_S:
+                return None
+            time.sleep(1e-3)
+        else:
+            return waited_s
 
 
 def try_on_demand_read(settings: NidaqSettings) -> RigError | None:

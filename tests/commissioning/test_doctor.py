@@ -22,6 +22,8 @@ from hal.nidaq.card_checks import (
     check_device_nodes,
     examine_card,
     examine_card_clock,
+    examine_output,
+    judge_release,
     judge_reservations,
 )
 from hal.rig import RigError
@@ -352,6 +354,35 @@ def test_a_card_whose_clock_cannot_pace_says_why_and_it_matters_where_the_file_a
     assert card.output_v == pytest.approx(0.0, abs=AO_STEP_V)
 
 
+@pytest.mark.parametrize("keeps", [0, 1])
+def test_what_the_driver_does_with_a_killed_process_s_output_is_measured(
+    card: Card, monkeypatch: pytest.MonkeyPatch, keeps: int
+) -> None:
+    card.registers.ao_v[0] = 3.0
+    card.registers.keeps_dead_owners = keeps
+    for key in ("LD_LIBRARY_PATH", "STANDIN_DEVICE"):
+        monkeypatch.setenv(key, card.environment()[key])
+    (found,) = examine_output(make_probe_request(resolve(rig="pci6221")))
+    assert found.name == "card.release"
+    assert card.registers.ao_writes == 0
+    if keeps:
+        assert found.level == "fault"
+        assert "reset_device" in found.fix
+        assert "--backend comedi" in found.fix
+    else:
+        assert found.level != "fault"
+        assert found.data["free_after_s"] < 1.0
+
+
+def test_a_slow_release_is_a_warning_and_one_that_could_not_be_measured_too(card: Card) -> None:
+    assert judge_release(0.02).level == "ok"
+    assert judge_release(0.4).level == "warning"
+    # The child finds no driver.
+    (found,) = examine_output(make_probe_request(resolve(rig="pci6221")))
+    assert found.level == "warning"
+    assert found.found.startswith("not measured")
+
+
 def test_the_card_s_own_rig_is_found_sound_and_each_of_its_faults(card: Card, wired) -> None:
     assert {finding.level for finding in examine_bench(wired()).values()} == {"ok"}
 
@@ -531,6 +562,7 @@ def test_the_whole_examination_of_a_card_passes_and_ends_at_the_safe_voltage(
     assert found["latency.pressure"].data["samples"] > 100
     assert found["timing.on_demand"].level == "ok"
     assert "timing.hardware" in found
+    assert found["card.release"].data["free_after_s"] < 1.0
     assert found["valve.sign"].level == found["encoder.alive"].level == "ok"
     assert code in (0, 3)
     assert max(own.written_v) <= 10.0

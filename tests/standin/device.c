@@ -326,7 +326,7 @@ bool device_reserve(Resource resource, int64_t task)
     Owner *owner = &registers->owners[resource];
     if (device_owns(resource, task))
         return true;
-    if (owner->pid && device_owner_lives(resource))
+    if (owner->pid && (registers->keeps_dead_owners || device_owner_lives(resource)))
         return false;
     *owner = (Owner){getpid(), birth_of(getpid()), task};
     return true;

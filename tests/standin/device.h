@@ -102,6 +102,7 @@ typedef struct {
     int64_t late_code; /* what a read says that comes after a missed edge; 0: nothing */
     int64_t moves;     /* starts and stops of tasks ever */
     int64_t move[HISTORY]; /* the last ones: a Resource + 1, negative for a stop */
+    int64_t keeps_dead_owners; /* a killed process's reservation stays until a reset */
     Owner owners[RESOURCES];
     Fault faults[FAULTS];
     int64_t mutex_is_ready;

@@ -118,6 +118,7 @@ class Registers(ctypes.Structure):
         ("late_code", ctypes.c_int64),
         ("moves", ctypes.c_int64),
         ("move", ctypes.c_int64 * _HISTORY),
+        ("keeps_dead_owners", ctypes.c_int64),
         ("owners", Owner * 5),
         ("faults", Fault * 8),
         ("mutex_is_ready", ctypes.c_int64),

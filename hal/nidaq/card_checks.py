@@ -153,6 +153,13 @@ def judge_channels(settings: NidaqSettings, card: Card) -> DoctorFinding:
         "encoder_counter": (settings.encoder_counter, card.counters),
         "valve_channel": (settings.valve_channel, card.outputs),
     }
+    for key, line in (
+        ("encoder_a_pfi", settings.encoder_a_pfi),
+        ("encoder_b_pfi", settings.encoder_b_pfi),
+    ):
+        if line is not None:
+            lines = tuple(name for name in card.terminals if name.startswith("PFI"))
+            asked[key] = (f"PFI{line}", lines)
     found = ", ".join(f"{channel}" for channel, _ in asked.values())
     missing = {key: there for key, (channel, there) in asked.items() if channel not in there}
     if not missing:

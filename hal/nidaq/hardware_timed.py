@@ -36,6 +36,7 @@ from hal.nidaq.tasks import (
     request_programmed_io,
     request_wait_by_interrupt,
     tell_data_transfer,
+    tell_encoder_terminals,
 )
 from hal.rig import Edge, RawSample, RigIdentity
 
@@ -111,6 +112,7 @@ class HardwareTimedRig(NidaqRig):
         self._write_on_demand(self._safe_v)
         self._identity = require_card(settings)
         encoder = acquired.enter_context(make_encoder_task(settings))
+        self._identity = {**self._identity, "encoder_terminals": tell_encoder_terminals(encoder)}
         pressure = acquired.enter_context(make_pressure_task(settings))
         valve = acquired.enter_context(make_valve_task(settings))
         point = AcquisitionType.HW_TIMED_SINGLE_POINT

@@ -61,6 +61,8 @@ class Card(NamedTuple):
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     counters: tuple[str, ...]
+    terminals: tuple[str, ...]
+    """Such as PFI0: where a signal can come in."""
     input_ranges: tuple[Range, ...]
     output_ranges: tuple[Range, ...]
 
@@ -106,6 +108,7 @@ def identify_card(name: str) -> Card:
             inputs=_strip_device_names(device.ai_physical_chans),
             outputs=_strip_device_names(device.ao_physical_chans),
             counters=_strip_device_names(device.ci_physical_chans),
+            terminals=tuple(name.rpartition("/")[2] for name in device.terminals),
             input_ranges=_pair_ranges(device.ai_voltage_rngs),
             output_ranges=_pair_ranges(device.ao_voltage_rngs),
         )

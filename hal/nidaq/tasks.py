@@ -77,6 +77,9 @@ def make_encoder_task(settings: NidaqSettings) -> Iterator[Task]:
             units=LengthUnits.TICKS,
             initial_pos=0.0,
         )
+        if settings.encoder_a_pfi is not None:
+            channel.ci_encoder_a_input_term = f"/{settings.device}/PFI{settings.encoder_a_pfi}"
+            channel.ci_encoder_b_input_term = f"/{settings.device}/PFI{settings.encoder_b_pfi}"
         if settings.encoder_filter_ns:
             shortest_pulse_s = settings.encoder_filter_ns / 1e9
             channel.ci_encoder_a_input_dig_fltr_min_pulse_width = shortest_pulse_s
@@ -112,6 +115,14 @@ class TaskCalls(NamedTuple):
     write_v: Callable[[float, float], None]
     read_count: Callable[[float], float]
     read_v: Callable[[float], float]
+
+
+def tell_encoder_terminals(task: Task) -> list[str]:
+    """Return where the counter takes A and B from; empty where the driver does not say."""
+    with _accept_what_is_not_offered():
+        (channel,) = task.ci_channels
+        return [str(channel.ci_encoder_a_input_term), str(channel.ci_encoder_b_input_term)]
+    return []
 
 
 _TRANSFER = {

@@ -394,6 +394,46 @@ def test_an_unplugged_pressure_sensor_is_found_at_rest(card: Card, wired) -> Non
     assert "voltmeter" in found["sensor.voltage"].fix
 
 
+@pytest.mark.parametrize("drift_v_per_s", [-0.03, 0.03])
+def test_an_open_input_that_drifts_is_suspected_to_lack_its_pull_down(
+    card: Card, wired, drift_v_per_s: float
+) -> None:
+    bench = wired()
+    card.registers.pull_down_is_missing = card.registers.wire_is_broken = 1
+    card.registers.open_v = 0.25
+    card.registers.open_drift_v_per_s = drift_v_per_s
+    found = examine_bench(bench, actuate=False)
+    assert found["sensor.noise"].level == "warning"
+    assert "mV while the muscle stands still" in found["sensor.noise"].found
+    assert "pull-down of 100 kOhm" in found["sensor.noise"].fix
+    assert "nidaq.pressure_channel" in found["sensor.noise"].fix
+
+
+def test_an_open_input_that_stands_still_is_found_only_by_moving_the_muscle(
+    card: Card, wired
+) -> None:
+    """Nothing at rest tells it from a sound sensor: plausible, quiet, steady."""
+    bench = wired()
+    card.registers.pull_down_is_missing = card.registers.wire_is_broken = 1
+    card.registers.open_v = 0.25
+    found = examine_bench(bench)
+    assert {found[name].level for name in ("sensor.voltage", "sensor.noise")} == {"ok"}
+    assert found["valve.sign"].level == "fault"
+    assert "pull-down" in found["valve.sign"].fix
+
+
+@pytest.mark.parametrize("has_37_pins", [0, 1])
+def test_terminals_that_the_37_pin_card_lacks_are_a_fault(card: Card, has_37_pins: int) -> None:
+    card.registers.has_37_pins = has_37_pins
+    lines = ["rig.nidaq.encoder_a_pfi=8", "rig.nidaq.encoder_b_pfi=10"]
+    found = cards(*lines)["card.channels"]
+    assert found.level == ("fault" if has_37_pins else "ok")
+    if has_37_pins:
+        assert "nidaq.encoder_b_pfi" in found.fix
+        assert "PFI7" in found.wanted
+        assert "PFI8" not in found.wanted
+
+
 def test_an_unplugged_encoder_is_found_once_the_muscle_moves(card: Card, wired) -> None:
     card.registers.encoder_is_unplugged = 1
     found = examine_bench(wired())

@@ -99,6 +99,7 @@ typedef struct Task {
     double filter_s[2]; /* of inputs A and B */
     bool32 filter_is_on[2];
     bool32 z_resets;
+    int pfi[2]; /* the PFI lines of inputs A and B */
 } Task;
 
 static Task *tasks;
@@ -236,14 +237,25 @@ static int32_t reserve(Task *task)
     return device_reserve(task->resource, task->id) ? 0 : PAL_RESOURCE_RESERVED;
 }
 
+/* 1 as wired, -1 with A and B crossed, 0 where the encoder is on other lines. */
+static int wired_sign(const Task *task)
+{
+    const int64_t *line = device_attach()->encoder_pfi;
+    return task->pfi[0] == line[0] && task->pfi[1] == line[1]   ? 1
+           : task->pfi[0] == line[1] && task->pfi[1] == line[0] ? -1
+                                                                : 0;
+}
+
 static void start_counter(const Task *task)
 {
     bool in_ticks = task->units == LengthUnits__TICKS;
     double per_count = in_ticks ? 1.0 : counter_resolution(task);
     double filter_s = fmax(task->filter_is_on[0] ? task->filter_s[0] : 0.0,
                            task->filter_is_on[1] ? task->filter_s[1] : 0.0);
-    counter_start((int64_t)(task->initial_position / per_count), edges_per_count(task), filter_s,
-                  task->z_resets);
+    int sign = wired_sign(task);
+    counter_start((int64_t)(task->initial_position / per_count),
+                  (sign ? sign : 1) * edges_per_count(task), filter_s, task->z_resets);
+    device_attach()->counter_runs = sign != 0;
 }
 
 /* Single points are read and written by the processor itself: programmed I/O. */
@@ -475,6 +487,9 @@ static int32_t create_encoder(Task *task, const char *physical, const char *name
     task->resource = RESOURCE_CTR0 + (Resource)number;
     task->decoding = decoding;
     task->z_resets = z_resets;
+    /* What the two connector variants route to a counter by themselves. */
+    static const int DEFAULTS[2][COUNTERS][2] = {{{8, 10}, {3, 11}}, {{0, 2}, {3, 5}}};
+    memcpy(task->pfi, DEFAULTS[device_attach()->has_37_pins][number], sizeof task->pfi);
     task->units = units;
     task->metres_per_pulse = per_pulse;
     task->initial_position = initial;
@@ -671,6 +686,18 @@ static int32_t put_string(const char *text, va_list into)
     return put_text(text, buffer, va_arg(into, uint32_t));
 }
 
+static int pfi_lines(void)
+{
+    return device_attach()->has_37_pins ? 8 : 16;
+}
+
+static int32_t put_terminal(const Task *task, int input, va_list into)
+{
+    char terminal[80];
+    snprintf(terminal, sizeof terminal, "/%s/PFI%d", device_attach()->name, task->pfi[input]);
+    return put_string(terminal, into);
+}
+
 static int32_t channel_attribute(const Task *task, int32_t attribute, va_list into)
 {
     if (!task)
@@ -708,6 +735,9 @@ static int32_t channel_attribute(const Task *task, int32_t attribute, va_list in
     case 0x21FC: /* its shortest pulse */
     case 0x2201:
         return put_double(task->filter_s[attribute == 0x2201], into);
+    case 0x219D: /* input A */
+    case 0x219E: /* input B */
+        return put_terminal(task, attribute == 0x219E, into);
     case 0x148: /* count */
         device_catch_up();
         return put_int((int32_t)device_attach()->counter, into);
@@ -744,6 +774,21 @@ static int32_t set_filter_width(Task *task, int input, double width_s)
                         requested, "125.0e-9, 6.425e-6, 2.55e-3");
 }
 
+static int32_t set_terminal(Task *task, int input, const char *terminal)
+{
+    char known[80];
+    for (int line = 0; line < pfi_lines(); line++) {
+        snprintf(known, sizeof known, "/%s/PFI%d", device_attach()->name, line);
+        if (strcmp(terminal, known) == 0) {
+            task->pfi[input] = line;
+            return 0;
+        }
+    }
+    return refuse_value(task,
+                        input ? "DAQmx_CI_Encoder_BInputTerm" : "DAQmx_CI_Encoder_AInputTerm",
+                        terminal, pfi_lines() == 8 ? "PFI0 to PFI7" : "PFI0 to PFI15");
+}
+
 static int32_t set_transfer(Task *task, const char *property, int32_t transfer)
 {
     bool is_known = transfer == DataTransferActiveTransferMode__DMA ||
@@ -769,6 +814,9 @@ static int32_t set_channel_attribute(Task *task, int32_t attribute, va_list from
     case 0x21FC:
     case 0x2201:
         return set_filter_width(task, attribute == 0x2201, va_arg(from, double));
+    case 0x219D:
+    case 0x219E:
+        return set_terminal(task, attribute == 0x219E, va_arg(from, const char *));
     case 0x1821:
         return set_transfer(task, "DAQmx_AI_DataXferMech", va_arg(from, int32_t));
     case 0x134:
@@ -885,13 +933,22 @@ static int32_t put_channels(va_list into, const char *kind, int count)
     return list_channels(kind, count, buffer, va_arg(into, uint32_t));
 }
 
+static int32_t list_terminals(va_list into)
+{
+    char list[640] = "";
+    for (int line = 0, used = 0; line < pfi_lines(); line++)
+        used += snprintf(list + used, sizeof list - (size_t)used, "%s/%s/PFI%d", line ? ", " : "",
+                         device_attach()->name, line);
+    return put_string(list, into);
+}
+
 static int32_t device_attribute(const char *device, int32_t attribute, va_list into)
 {
     if (strcmp(device, device_attach()->name) != 0 || device_attach()->is_gone)
         return INVALID_DEVICE_ID;
     switch (attribute) {
     case 0x631: /* product type */
-        return put_string("PCI-6221", into);
+        return put_string(device_attach()->has_37_pins ? "PCI-6221 (37-pin)" : "PCI-6221", into);
     case 0x29A9: /* product category */
         return put_int(ProductCategory__M_SERIES_DAQ, into);
     case 0x632: /* serial number */
@@ -908,6 +965,8 @@ static int32_t device_attribute(const char *device, int32_t attribute, va_list i
         return put_channels(into, "ao", AO_CHANNELS);
     case 0x2324: /* CI channels */
         return put_channels(into, "ctr", COUNTERS);
+    case 0x2A40: /* terminals */
+        return list_terminals(into);
     case 0x2990: /* AI ranges */
         return put_ranges(into, INPUT_RANGES_V, 4);
     case 0x299B: /* AO ranges */

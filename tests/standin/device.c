@@ -159,12 +159,26 @@ static double noise_v(void)
     return registers->noise_v * radius * cos(2.0 * M_PI * uniform());
 }
 
+/* An open input keeps its charge, and the input's own current moves it: NI promises no value. */
+static double floating_v(double full_scale_v)
+{
+    Registers *r = registers;
+    double drift_v = r->open_drift_v_per_s * (double)(r->plant_ns - r->open_ns) * 1e-9;
+    r->open_v = fmin(fmax(r->open_v + drift_v, -full_scale_v), full_scale_v);
+    r->open_ns = r->plant_ns;
+    return r->open_v;
+}
+
 static double sensed_v(int ai, double full_scale_v)
 {
     Registers *r = registers;
-    if (ai != 0 || r->wire_is_broken)
+    if (ai != 0)
         return 0.0;
+    if (r->wire_is_broken)
+        return r->pull_down_is_missing ? converted_v(floating_v(full_scale_v), full_scale_v) : 0.0;
     double sensor_v = r->sensor_zero_v + (r->plant.pressure_pa - 101.3e3) / r->sensor_pa_per_v;
+    r->open_v = sensor_v;
+    r->open_ns = r->plant_ns;
     return converted_v(sensor_v + noise_v(), full_scale_v);
 }
 

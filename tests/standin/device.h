@@ -61,7 +61,11 @@ typedef struct {
     double sensor_pa_per_v;
     double noise_v;
     int64_t noise_state;
-    int64_t wire_is_broken; /* the pressure input reads 0 V */
+    int64_t wire_is_broken; /* the pressure input is open: a pull-down takes it to 0 V */
+    int64_t pull_down_is_missing; /* an open input drifts from where it was */
+    double open_drift_v_per_s;
+    double open_v;     /* of the open input, at `open_ns` */
+    int64_t open_ns;
     int64_t ai_terminal;    /* of the input task that was started last */
     double ai_full_scale_v;
     double encoder_m_per_edge;
@@ -77,6 +81,7 @@ typedef struct {
     int64_t ticks_are_unsigned; /* how a read in ticks shows a count below zero */
     int64_t counter_maxdata; /* all bits of the counter as comedi shows it */
     int64_t encoder_pfi[2];  /* the PFI lines that A and B are wired to */
+    int64_t has_37_pins;     /* the variant with PFI 0 to 7 only */
     /* What the card's own codes are off by: ideal volts become `volts * gain + offset_v`. */
     double ai_gain;
     double ai_offset_v;

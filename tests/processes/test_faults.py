@@ -155,7 +155,7 @@ CARD: dict[str, Callable[[Card], None]] = {
     "read hangs": fail(READ_VOLTS, code=0, hang_s=0.1, times=1),
     "broken wire": set_to(wire_is_broken=1),
     "open input stands": set_to(wire_is_broken=1, pull_down_is_missing=1),
-    "open input rises": set_to(wire_is_broken=1, pull_down_is_missing=1, open_drift_v_per_s=1.0),
+    "open input rises": set_to(wire_is_broken=1, pull_down_is_missing=1, open_drift_v_per_s=3.0),
     "open input falls": set_to(wire_is_broken=1, pull_down_is_missing=1, open_drift_v_per_s=-1.0),
     "encoder unplugged": set_to(encoder_is_unplugged=1),
     "encoder reversed": set_to(encoder_sign=-1),

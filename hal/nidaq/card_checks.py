@@ -19,12 +19,13 @@ from hal.range_checks import format_range, holds, judge_input_range
 from hal.rig import RigError
 
 if TYPE_CHECKING:
-    from hal.nidaq.probe import Card, ClockTrial, DriverUser
+    from hal.nidaq.probe import Card, ClockTrial, DriverUser, OutputStart
 
 REQUIRED = frozenset({"card.driver", "card.device", "card.channels", "card.reservations"})
 """Findings whose fault means that no rig can be opened; other faults leave it usable."""
 
 
+_LOOPBACK_V = 0.05
 _RELEASE_S = 0.05
 _MISSED_OFTEN = 0.25
 """A clock that misses every second edge misses half of them."""
@@ -90,15 +91,41 @@ def examine_card_clock(request: ProbeRequest[NidaqSettings]) -> DoctorFinding:
 
 
 def examine_output(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding]:
-    """Check what becomes of the output of a killed process; the caller holds the device."""
-    from hal.nidaq.probe import measure_release
+    """Check what the output does at a start, and what becomes of it when its process is killed.
 
+    The caller holds the device. The start is seen where a loop-back wire is declared.
+    """
+    from hal.nidaq.probe import measure_release, record_output_start
+
+    if request.settings.loopback_channel is not None:
+        try:
+            start = record_output_start(request.settings, request.safe_volts)
+        except RigError as error:
+            found = f"not measured: {describe_rig_error(error)}"
+            yield DoctorFinding("card.output_start", "warning", found, "", error.fix)
+        else:
+            yield judge_output_start(start, request.safe_volts)
     try:
         yield judge_release(measure_release(request.settings))
     except RigError as error:
         yield DoctorFinding(
             "card.release", "warning", f"not measured: {describe_rig_error(error)}", "", error.fix
         )
+
+
+def judge_output_start(start: OutputStart, safe_v: float) -> DoctorFinding:
+    """Say whether the output leaves the safe voltage while its task starts."""
+    name, data = "card.output_start", start._asdict()
+    if abs(start.rest_v - safe_v) > _LOOPBACK_V:
+        found = f"{start.rest_v:.3f} V at the safe voltage of {safe_v:g} V"
+        fix = "is nidaq.loopback_channel really wired to nidaq.valve_channel, and to AI GND?"
+        return DoctorFinding(name, "fault", found, "the safe voltage", fix, data)
+    if start.outside_s:
+        found = f"{start.worst_v:+.3f} V from the safe voltage, for {start.outside_s * 1e6:.0f} us"
+        fix = "the valve sees this pulse at every start: keep the supply shut until a run is ready"
+        return DoctorFinding(name, "warning", found, "no pulse", fix, data)
+    found = f"stays within {abs(start.worst_v) * 1e3:.0f} mV of the safe voltage"
+    return DoctorFinding(name, "ok", found, data=data)
 
 
 def judge_release(free_after_s: float | None) -> DoctorFinding:

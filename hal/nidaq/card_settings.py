@@ -40,6 +40,14 @@ class NidaqSettings(MSeriesWiring):
             description="PFI line of the encoder's B; empty: PFI 10, on the 37-pin card PFI 2",
         ),
     ] = None
+    loopback_channel: Annotated[
+        str | None,
+        Field(
+            pattern="^ai([0-9]|[1-7][0-9])$",
+            description="an input that is wired to the valve's output, for the doctor to see what "
+            "the output does when its task starts; empty: no such wire",
+        ),
+    ] = None
     data_transfer: Annotated[
         Literal["polled", "driver"],
         Field(

@@ -127,7 +127,7 @@ class HardwareTimedRig(NidaqRig):
         self._identity = {
             **self._identity,
             "wait_mode": request_wait_by_interrupt(pressure),
-            "data_transfer": {
+            "data_transfer_in_use": {
                 name: tell_data_transfer(task)
                 for name, task in (("input", pressure), ("counter", encoder), ("output", valve))
             },

@@ -209,7 +209,8 @@ def test_a_read_sleeps_until_the_card_interrupts_and_the_log_says_how_data_move(
     assert card.registers.ai_wait_mode == WaitMode.WAIT_FOR_INTERRUPT.value
     told = rig.describe().extra
     assert told["wait_mode"] == "WAIT_FOR_INTERRUPT"
-    assert told["data_transfer"] == {"input": "POLLED", "counter": "POLLED", "output": "POLLED"}
+    polled = {"input": "POLLED", "counter": "POLLED", "output": "POLLED"}
+    assert told["data_transfer_in_use"] == polled
 
 
 def test_a_driver_that_refuses_the_wait_mode_keeps_its_own_and_the_log_says_which(

@@ -18,6 +18,7 @@
 
 typedef void *TaskHandle;
 typedef uint32_t bool32;
+typedef double float64; /* of an array */
 
 /* Names as in nidaqmx.error_codes.DAQmxErrors. */
 enum {
@@ -44,6 +45,7 @@ enum {
 
 /* Names as in nidaqmx.constants, the class before the double underscore. */
 enum {
+    AcquisitionType__FINITE = 10178,
     AcquisitionType__HW_TIMED_SINGLE_POINT = 12522,
     BusType__PCI = 12582,
     BusType__USB = 12586,
@@ -87,6 +89,9 @@ typedef struct Task {
     Resource resource;
     bool is_running;
     int64_t period_ns; /* of the sample clock; 0: on demand */
+    bool is_finite;    /* a buffer is filled from the start on, and read when it is full */
+    int64_t start_ns;
+    double start_v; /* of AO 0 */
     double lowest, highest; /* of the channel, V */
     double full_scale_v;
     int32_t terminal;
@@ -261,7 +266,7 @@ static void start_counter(const Task *task)
 /* Single points are read and written by the processor itself: programmed I/O. */
 static int32_t check_transfer(const Task *task)
 {
-    if (!task->period_ns || task->transfer == DataTransferActiveTransferMode__POLLED)
+    if (!task->period_ns || task->is_finite || task->transfer == DataTransferActiveTransferMode__POLLED)
         return 0;
     switch (task->type) {
     case ChannelType__ANALOG_OUTPUT:
@@ -283,13 +288,17 @@ static int32_t start(Task *task)
         return code;
     task->is_running = true;
     device_note_move(task->resource, true);
+    task->start_ns = device_now_ns();
+    task->start_v = device_attach()->ao_v[0];
+    if (task->resource == RESOURCE_AO0)
+        device_glitch();
     if (task->resource == RESOURCE_CTR0)
         start_counter(task);
     if (task->resource == RESOURCE_AI) {
         device_attach()->ai_terminal = task->terminal;
         device_attach()->ai_full_scale_v = task->full_scale_v;
         device_attach()->ai_wait_mode = task->wait_mode;
-        if (task->period_ns)
+        if (task->period_ns && !task->is_finite)
             clock_start(task->period_ns);
     }
     return 0;
@@ -303,7 +312,7 @@ static int32_t unreserve(Task *task)
         device_note_move(task->resource, false);
         if (task->resource == RESOURCE_CTR0)
             device_attach()->counter_runs = 0;
-        if (task->resource == RESOURCE_AI && task->period_ns)
+        if (task->resource == RESOURCE_AI && task->period_ns && !task->is_finite)
             clock_stop();
     }
     /* An analog output keeps the voltage it has. */
@@ -526,6 +535,11 @@ static int32_t clock_task(Task *task, const char *source, double rate_hz, int32_
     snprintf(clock, sizeof clock, "/%s/ai/SampleClock", device_attach()->name);
     if (!is_master && !*source) /* a counter has no clock of its own */
         return EXT_SAMP_CLK_SRC_NOT_SPECIFIED;
+    if (mode == AcquisitionType__FINITE && is_master && rate_hz > 0.0 && rate_hz <= 250e3) {
+        task->is_finite = true;
+        task->period_ns = (int64_t)llround(1e9 / rate_hz);
+        return 0;
+    }
     if (device_attach()->bus == BusType__USB)
         return refuse_value(task, "DAQmx_SampQuant_SampMode", "DAQmx_Val_HWTimedSinglePoint",
                             "DAQmx_Val_FiniteSamps, DAQmx_Val_ContSamps");
@@ -594,6 +608,27 @@ EXPORT int32_t DAQmxReadAnalogScalarF64(TaskHandle handle, double timeout, doubl
 {
     (void)reserved;
     CALL(timeout, read_voltage(task_of(handle), timeout, value));
+}
+
+/* Of a finite task whose input is wired to AO 0: what that put out since the task started. */
+static int32_t read_buffer(const Task *task, int32_t count, double *values, uint32_t size)
+{
+    if (!task || !task->is_finite || !task->is_running || count < 0 || size < (uint32_t)count)
+        return INVALID_TASK;
+    bool is_wired = number_of(task->physical, "ai", AI_CHANNELS) == device_attach()->loopback_ai;
+    for (int32_t i = 0; i < count; i++) {
+        int64_t then_ns = task->start_ns + i * task->period_ns;
+        values[i] = is_wired ? device_output_v(task->start_ns, task->start_v, then_ns) : 0.0;
+    }
+    return 0;
+}
+
+EXPORT int32_t DAQmxReadAnalogF64(TaskHandle handle, int32_t count, double timeout, int32_t fill,
+                                  float64 *values, uint32_t size, int32_t *read, bool32 *reserved)
+{
+    (void)fill, (void)reserved;
+    *read = count;
+    CALL(timeout, read_buffer(task_of(handle), count, values, size));
 }
 
 static int32_t counted(const Task *task, void *value)
@@ -844,7 +879,14 @@ static int32_t read_attribute(const Task *task, int32_t attribute, va_list into)
 {
     if (!task)
         return INVALID_TASK;
-    return attribute == 0x2232 ? put_int(task->wait_mode, into) : ATTR_NOT_SUPPORTED;
+    switch (attribute) {
+    case 0x2232: /* wait mode */
+        return put_int(task->wait_mode, into);
+    case 0x217B: /* number of channels */
+        return put_int(1, into);
+    default:
+        return ATTR_NOT_SUPPORTED;
+    }
 }
 
 EXPORT int32_t DAQmxGetReadAttribute(TaskHandle handle, int32_t attribute, ...)

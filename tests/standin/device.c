@@ -138,7 +138,35 @@ static void put_out(int ao, double volts, int64_t when_ns)
     Registers *r = registers;
     r->ao_v[ao] = converted_v(volts, 10.0);
     r->ao_ns = when_ns;
+    r->ao_history_ns[r->ao_writes % HISTORY] = when_ns;
     r->ao_history_v[r->ao_writes++ % HISTORY] = r->ao_v[ao];
+}
+
+void device_glitch(void)
+{
+    Registers *r = registers;
+    double before_v = r->ao_v[0];
+    if (!r->ao_glitch_ns)
+        return;
+    put_out(0, r->ao_glitch_v, device_now_ns());
+    if (r->is_virtual)
+        r->virtual_ns += r->ao_glitch_ns;
+    else
+        sleep_s((double)r->ao_glitch_ns * 1e-9);
+    put_out(0, before_v, device_now_ns());
+}
+
+double device_output_v(int64_t since_ns, double before_v, int64_t then_ns)
+{
+    Registers *r = registers;
+    int64_t oldest = r->ao_writes > HISTORY ? r->ao_writes - HISTORY : 0;
+    double volts = before_v;
+    for (int64_t n = oldest; n < r->ao_writes; n++) {
+        int64_t at_ns = r->ao_history_ns[n % HISTORY];
+        if (at_ns >= since_ns && at_ns <= then_ns)
+            volts = r->ao_history_v[n % HISTORY];
+    }
+    return volts;
 }
 
 static double uniform(void)
@@ -173,7 +201,7 @@ static double sensed_v(int ai, double full_scale_v)
 {
     Registers *r = registers;
     if (ai != 0)
-        return 0.0;
+        return r->loopback_ai == ai ? converted_v(r->ao_v[0], full_scale_v) : 0.0;
     if (r->wire_is_broken)
         return r->pull_down_is_missing ? converted_v(floating_v(full_scale_v), full_scale_v) : 0.0;
     double sensor_v = r->sensor_zero_v + (r->plant.pressure_pa - 101.3e3) / r->sensor_pa_per_v;

@@ -55,6 +55,10 @@ typedef struct {
     int64_t ao_ns; /* when an output was last written */
     int64_t ao_writes;
     double ao_history_v[HISTORY]; /* the last writes, a ring: number n is at n % HISTORY */
+    int64_t ao_history_ns[HISTORY];
+    double ao_glitch_v; /* what AO 0 puts out when its task starts, for `ao_glitch_ns` */
+    int64_t ao_glitch_ns;
+    int64_t loopback_ai; /* the input that AO 0 is wired to; 0: none */
     double driver_offset_v;
     double driver_gain; /* V of command per V of output; -1: a valve plumbed the wrong way */
     double sensor_zero_v;
@@ -124,6 +128,10 @@ void device_catch_up(void);
 void device_drive(int ao, double volts);
 /* The same, but at the next edge of the sample clock. */
 void device_drive_at_edge(int ao, double volts);
+/* AO 0 starts: its glitch, if it has one. */
+void device_glitch(void);
+/* What AO 0 was at a time not before `since_ns`, when it was `before_v`. */
+double device_output_v(int64_t since_ns, double before_v, int64_t then_ns);
 double device_sense_v(int ai, double full_scale_v);
 
 void clock_start(int64_t period_ns);

@@ -46,6 +46,9 @@ def examine_all(
         if probe is not None and probe.examine_clock is not None:
             with hold_device(settings):
                 yield probe.examine_clock(request)
+        if probe is not None and probe.examine_output is not None:
+            with hold_device(settings):
+                yield from probe.examine_output(request)
     except RigError as error:
         yield report_unavailable_rig(error)
 

@@ -95,7 +95,14 @@ def _run(ring: Ring) -> Ending:
             PatientJournal(ring) if settings.fast else RingJournal(ring),
             supervisor,
             parts.truth,
+            opened=partial(free_foreign_threads, preparation),
         )
+
+
+def free_foreign_threads(preparation: Preparation) -> list[dict[str, object]]:
+    """Free the threads of the rig's driver; return what to note in the log."""
+    steps = preparation.free_foreign_threads()
+    return [{"event": step.name, "done": step.done, "detail": step.detail} for step in steps]
 
 
 def _await_recorder(ring: Ring) -> bool:

@@ -15,7 +15,12 @@ from typing import NoReturn
 
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
-from pamctl.processes.loop_main import await_guardian, report_and_exit, run_to_ending
+from pamctl.processes.loop_main import (
+    await_guardian,
+    free_foreign_threads,
+    report_and_exit,
+    run_to_ending,
+)
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.processes.session_supervisor import SessionSupervisor
 from pamctl.realtime.loop import run_loop
@@ -78,6 +83,7 @@ def _run(
             SessionSupervisor(supervisor, orders),
             parts.truth,
             steered,
+            partial(free_foreign_threads, preparation),
         )
 
 

@@ -72,6 +72,7 @@ def _run(
             setup,
             settings.controller.model_dump(mode="json"),
             partial(build_ordered_program, settings),
+            preparation.defer_page_faults,
         )
         return run_loop(
             parts.rig,

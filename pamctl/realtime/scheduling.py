@@ -40,7 +40,7 @@ A killed process is dead when its last thread is, and only then does the device 
 _INDISPENSABLE = frozenset({"fifo", "mlock"})
 _DMA_LATENCY = "/dev/cpu_dma_latency"
 _SCHED_RESET_ON_FORK = 0x40000000
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30
 _SLICE_NS = 100_000
 """The shortest slice that the kernel grants to an ordinary process."""
@@ -101,6 +101,22 @@ class Preparation:
     def may_spin(self) -> bool:
         """Spinning onto the deadline helps: nobody preempts it, and it leaves others a CPU."""
         return self.fifo and len(self._cpus) > 1
+
+    @contextlib.contextmanager
+    def defer_page_faults(self) -> Iterator[None]:
+        """Lock what is mapped within the block page by page, as it is touched, not all at once.
+
+        A loop that ticks can then map megabytes, and touch them a piece at a time.
+        """
+        if not any(step.done for step in self.steps if step.name == "mlock"):
+            yield
+            return
+        libc = ctypes.CDLL(None, use_errno=True)
+        libc.mlockall(_MCL_FUTURE | _MCL_ONFAULT)
+        try:
+            yield
+        finally:
+            libc.mlockall(_MCL_FUTURE)
 
     def free_foreign_threads(self) -> tuple[PreparationStep, ...]:
         """Raise and unpin the threads that a driver has started; return a step where there are any.

@@ -36,17 +36,16 @@ class SessionJournal:
 
     def begin_run(
         self,
-        path: str,
+        ring: Ring,
         tick: int,
         t_ns: int,
         gains: Sequence[Mapping[str, object]],
         state: Sequence[float],
     ) -> None:
-        """Switch to the new ring at `path`, and put first what a replay of its log needs.
+        """Switch to the new ring, and put first what a replay of its log needs.
 
         This includes the frozen state after `tick`, the last tick before this log.
         """
-        ring = Ring.attach(path)
         for event in self._standing.values():
             ring.put_event(tick, t_ns, event)
         for said in gains:

@@ -17,6 +17,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.loop_main import (
     await_guardian,
+    check_rate,
     free_foreign_threads,
     report_and_exit,
     run_to_ending,
@@ -65,6 +66,8 @@ def _run(
         setup = build_tick_setup(settings)
         start = {"event": "timing_setup", **preparation.as_metadata()}
         journal.put_event(0, ring.meta.start_mono_ns, start)
+        for event in check_rate(settings, setup):
+            journal.put_event(0, ring.meta.start_mono_ns, event)
         parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
         steered = SteeredProgram(
             orders,

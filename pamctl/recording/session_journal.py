@@ -14,7 +14,7 @@ from pamctl.recording.last_words import make_outcome_event
 from pamctl.recording.ring import LoopStage, Ring
 from pamctl.signals import TickRecord
 
-_FIRST_EVENTS = ("timing_setup", "rig", "foreign_threads", "zeroed")
+_FIRST_EVENTS = ("timing_setup", "rate_warning", "rig", "foreign_threads", "zeroed")
 """Events that begin the log of every run, repeated from when they were last put."""
 
 

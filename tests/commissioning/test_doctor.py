@@ -395,9 +395,7 @@ def test_slow_calls_of_the_driver_are_found_and_the_slow_one_is_named(card: Card
     assert found["latency.output"].data["p50_us"] < 2000
 
 
-def test_a_rate_that_the_calls_do_not_allow_is_a_fault_with_the_rate_that_they_do() -> (
-    None
-):
+def test_a_rate_that_the_calls_do_not_allow_is_a_fault_with_the_rate_that_they_do() -> None:
     calls = CallCosts(*[summarise_latencies([50_000] * 100)] * 3)
     held = judge_rate(calls, 5e-6, 1e-3)
     assert held.level == "ok"

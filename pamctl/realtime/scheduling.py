@@ -81,7 +81,7 @@ class Preparation:
         mode: Mode,
         steps: tuple[PreparationStep, ...],
         undo: ExitStack,
-        cpus: frozenset[int],
+        cpus: frozenset[int] = frozenset(),
     ) -> None:
         """Take over `undo`, which holds one call for each step that was done.
 

@@ -20,6 +20,8 @@ from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
+from pamctl.realtime.tick import TickSetup
+from pamctl.realtime.tick_cost import TickCost, rehearse_tick_s
 from pamctl.recording.last_words import make_outcome_event, put_last_event
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.recording.run_journal import PatientJournal, RingJournal
@@ -85,17 +87,42 @@ def _run(ring: Ring) -> Ending:
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
         _record_start(ring, settings, preparation)
+        setup = build_tick_setup(settings)
+        for event in () if settings.fast else check_rate(settings, setup):
+            ring.put_event(0, ring.meta.start_mono_ns, event)
         parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
         return run_loop(
             parts.rig,
             parts.clock,
-            build_tick_setup(settings),
+            setup,
             nominal_zero_of(settings),
             build_program(settings),
             PatientJournal(ring) if settings.fast else RingJournal(ring),
             supervisor,
             parts.truth,
+            opened=partial(free_foreign_threads, preparation),
         )
+
+
+def check_rate(settings: RunSettings, setup: TickSetup) -> list[dict[str, object]]:
+    """Warn of a rate that this PC cannot hold; return what to note in the log.
+
+    Call it in the loop's process as it is scheduled, before the rig is open.
+    """
+    rate_hz = settings.rig.loop.rate_hz
+    cost = TickCost.estimate(rehearse_tick_s(setup, 1.0 / rate_hz))
+    warning = cost.find_warning(rate_hz)
+    if not warning:
+        return []
+    with suppress(OSError):  # nobody may be there to read it; the log has it
+        print(f"warning: {warning}", file=sys.stderr, flush=True)
+    return [{"event": "rate_warning", "detail": warning, **cost._asdict()}]
+
+
+def free_foreign_threads(preparation: Preparation) -> list[dict[str, object]]:
+    """Free the threads of the rig's driver; return what to note in the log."""
+    steps = preparation.free_foreign_threads()
+    return [{"event": step.name, "done": step.done, "detail": step.detail} for step in steps]
 
 
 def _await_recorder(ring: Ring) -> bool:

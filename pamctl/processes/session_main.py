@@ -15,7 +15,13 @@ from typing import NoReturn
 
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
-from pamctl.processes.loop_main import await_guardian, report_and_exit, run_to_ending
+from pamctl.processes.loop_main import (
+    await_guardian,
+    check_rate,
+    free_foreign_threads,
+    report_and_exit,
+    run_to_ending,
+)
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.processes.session_supervisor import SessionSupervisor
 from pamctl.realtime.loop import run_loop
@@ -60,6 +66,8 @@ def _run(
         setup = build_tick_setup(settings)
         start = {"event": "timing_setup", **preparation.as_metadata()}
         journal.put_event(0, ring.meta.start_mono_ns, start)
+        for event in check_rate(settings, setup):
+            journal.put_event(0, ring.meta.start_mono_ns, event)
         parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
         steered = SteeredProgram(
             orders,
@@ -67,6 +75,7 @@ def _run(
             setup,
             settings.controller.model_dump(mode="json"),
             partial(build_ordered_program, settings),
+            preparation.defer_page_faults,
         )
         return run_loop(
             parts.rig,
@@ -78,6 +87,7 @@ def _run(
             SessionSupervisor(supervisor, orders),
             parts.truth,
             steered,
+            partial(free_foreign_threads, preparation),
         )
 
 

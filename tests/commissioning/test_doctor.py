@@ -32,8 +32,10 @@ from pamctl.commissioning.doctor.actuate import examine_actuation
 from pamctl.commissioning.doctor.examination import make_probe_request
 from pamctl.commissioning.doctor.findings import DoctorFinding, format_findings, worst_level
 from pamctl.commissioning.doctor.latency import (
+    CallCosts,
     WakeUps,
     judge_calls,
+    judge_rate,
     judge_wake_ups,
     measure_calls,
     measure_wake_ups,
@@ -494,6 +496,18 @@ def test_slow_calls_of_the_driver_are_found_and_the_slow_one_is_named(card: Card
     assert found["latency.pressure"].data["p50_us"] > 4000
     assert found["latency.encoder"].data["p50_us"] < 2000
     assert found["latency.output"].data["p50_us"] < 2000
+
+
+def test_a_rate_that_the_calls_do_not_allow_is_a_fault_with_the_rate_that_they_do() -> None:
+    calls = CallCosts(*[summarise_latencies([50_000] * 100)] * 3)
+    held = judge_rate(calls, 5e-6, 1e-3)
+    assert held.level == "ok"
+    assert "a tick takes about 180 us, 150 us of them in the rig's calls (p99)" in held.found
+    assert held.data["held_hz"] == pytest.approx(0.5 / 180e-6)
+    assert judge_rate(calls, 5e-6, 250e-6).level == "warning"
+    lost = judge_rate(calls, 5e-6, 100e-6)
+    assert lost.level == "fault"
+    assert "up to 2778 Hz can be held" in lost.found
 
 
 # --- the PC ------------------------------------------------------------------------------

@@ -8,6 +8,7 @@
 #include "device.h"
 
 #include <math.h>
+#include <pthread.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -196,6 +197,28 @@ static int32_t list_channels(const char *kind, int count, char *buffer, uint32_t
     return put_text(list, buffer, size);
 }
 
+/* --- threads of its own, as a driver library may start them --- */
+
+static void *idle(void *nothing)
+{
+    for (;;)
+        pause();
+    return nothing;
+}
+
+/* How many: STANDIN_THREADS, or four. They inherit what the calling thread is bound to. */
+static void start_idle_threads(void)
+{
+    const char *wanted = getenv("STANDIN_THREADS");
+    for (int count = wanted ? atoi(wanted) : 4; count > 0; count--) {
+        pthread_t thread;
+        if (pthread_create(&thread, NULL, idle, NULL) == 0)
+            pthread_detach(thread);
+    }
+}
+
+static pthread_once_t idle_threads = PTHREAD_ONCE_INIT;
+
 /* --- tasks --- */
 
 static int32_t create_task(const char *name, TaskHandle *handle)
@@ -218,6 +241,7 @@ static int32_t create_task(const char *name, TaskHandle *handle)
 
 EXPORT int32_t DAQmxCreateTask(const char *name, TaskHandle *handle)
 {
+    pthread_once(&idle_threads, start_idle_threads);
     CALL(0.0, create_task(name, handle));
 }
 

@@ -16,9 +16,9 @@ from time import monotonic_ns
 from typing import NamedTuple
 
 from pamctl.log.framing import LogError, map_log_file
-from pamctl.log.new_file import create_new_file
 from pamctl.log.repair.recover import LogCopy, Recovery, sign_recovery
 from pamctl.log.writer import LogWriter
+from pamctl.new_file import create_new_file
 from pamctl.recording.ring import RecorderFlag, Ring
 from pamctl.recording.rows import RowLogger
 
@@ -37,7 +37,7 @@ def finish_from_ring(ring_path: str | Path) -> Recovery:
     """Finish the log of a dead recorder in its place, then remove the ring.
 
     The recorder must be dead, and the loop must have put its last row. Raise RingError if there is
-    no such ring, LogError or OSError if the log cannot be written. Then the ring and the
+    no such ring, LogError or NewFileError if the log cannot be written. Then the ring and the
     unfinished log stay.
     """
     with Ring.attach(ring_path) as ring:

@@ -179,7 +179,12 @@ def test_a_comparison_whose_page_finds_no_room_is_printed(
 
 @pytest.mark.parametrize(
     "words",
-    ["config schema", "log info {}", "run --fast --duration 0.3 --log new.mcap", "log info {} --json"],
+    [
+        "config schema",
+        "log info {}",
+        "run --fast --duration 0.3 --log new.mcap",
+        "log info {} --json",
+    ],
 )
 def test_standard_output_on_a_full_disk_is_an_error_after_the_work(
     words: str, tmp_path: Path

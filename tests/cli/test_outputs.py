@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import resource
 import shutil
 import subprocess
@@ -124,8 +125,8 @@ def test_a_link_to_itself_is_no_place_for_a_file(verb: str, place: Path, tmp_pat
         ("log info loop", 65), ("log check loop", 65), ("log recover loop new.mcap", 65),
         ("log export loop new.csv", 65), ("log import loop new.mcap", 65), ("replay loop", 65),
         ("report loop", 65), ("compare loop", 65), ("diagnose loop --out new", 65),
-        ("diagnose {} --holdout loop --out new", 65), ("tune --check loop.yaml", 2),
-        ("run --dry-run --rig loop.yaml", 2), ("config check loop.yaml", 78),
+        ("diagnose {} --holdout loop --out new", 65), ("tune --check loop.yaml", 78),
+        ("run --dry-run --rig loop.yaml", 78), ("config check loop.yaml", 78),
         ("log import {} new.mcap --map loop.yaml", 78),
         ("log export {} loop.csv", 2), ("log recover {} loop", 2), ("report {} --out loop", 2),
         ("compare {} --plot loop", 2), ("diagnose {} --out loop", 2),
@@ -142,7 +143,7 @@ def test_a_link_to_itself_is_an_error_and_no_traceback(
     done = pamctl(*words.format(LOG).split(), cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
-    assert done.stderr.strip()
+    assert (done.stderr or done.stdout).strip()
     assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
@@ -153,18 +154,23 @@ def test_a_disk_that_fills_while_a_file_is_written_leaves_nothing(
     verb: str, place: Path, tmp_path: Path
 ) -> None:
     # More than the trial before the work, less than the file.
-    large = VERBS[verb]
-    if "mcap" in large[-1]:
-        large = ["log", "recover", str(GOLDEN / "card.mcap"), "{}/new.mcap"]
-    done = pamctl(*(word.format(tmp_path) for word in large), cwd=place, largest_bytes=66_000)
+    words = [word.format(tmp_path).replace(LOG, str(GOLDEN / "card.mcap")) for word in VERBS[verb]]
+    if verb == "log import":
+        noise = random.Random(1)
+        rows = (f"{n * 1e-3},{0.01 + 1e-4 * noise.random()}\n" for n in range(20_000))
+        (place / "large.csv").write_text("t_s,position_m\n" + "".join(rows))
+        words[2] = "large.csv"
+    done = pamctl(*words, cwd=place, largest_bytes=66_000)
     assert_said(done, 1, "File too large")
     assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.parametrize("options", [[], ["--json"]])
 def test_a_comparison_whose_page_finds_no_room_is_printed(
-    options: list[str], place: Path, tmp_path: Path
+    options: list[str], place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Machine code is not kept: the cache would be the first to find no room.
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
     words = [word.format(tmp_path) for word in VERBS["compare"]]
     done = pamctl(*words, *options, cwd=place, largest_bytes=66_000)
     assert_said(done, 1, "File too large")

@@ -18,7 +18,6 @@ from typing import NamedTuple
 from pamctl.log.framing import LogError, map_log_file
 from pamctl.log.repair.recover import LogCopy, Recovery, sign_recovery
 from pamctl.log.writer import LogWriter
-from pamctl.new_file import create_new_file
 from pamctl.recording.ring import RecorderFlag, Ring
 from pamctl.recording.rows import RowLogger
 
@@ -37,7 +36,7 @@ def finish_from_ring(ring_path: str | Path) -> Recovery:
     """Finish the log of a dead recorder in its place, then remove the ring.
 
     The recorder must be dead, and the loop must have put its last row. Raise RingError if there is
-    no such ring, LogError or NewFileError if the log cannot be written. Then the ring and the
+    no such ring, LogError or OSError if the log cannot be written. Then the ring and the
     unfinished log stay.
     """
     with Ring.attach(ring_path) as ring:
@@ -141,9 +140,15 @@ def _replacing(target: Path, ring: Ring) -> Iterator[BufferedWriter]:
     """Open a draft beside the target; it replaces the target when the block ends well."""
     draft = target.with_name(f"{target.name}.recovering")
     draft.unlink(missing_ok=True)
-    with create_new_file(draft) as stream:
-        yield stream
-        ring.mended_inode = os.fstat(stream.fileno()).st_ino
+    try:
+        with draft.open("xb") as stream:  # one fixed name: the next finisher removes what is left
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+            ring.mended_inode = os.fstat(stream.fileno()).st_ino
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
     draft.replace(target)
     directory = os.open(target.parent, os.O_RDONLY)
     os.fsync(directory)

@@ -18,12 +18,15 @@ from collections.abc import Callable
 from functools import cache
 from importlib.util import resolve_name
 from pathlib import Path
+from shutil import disk_usage
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 _HOUSE = ("pamctl", "hal")
+_CACHE_BYTES = 50_000_000
+"""Free space that machine code may need."""
 
 
 Substitution = tuple[Callable[..., Any], Callable[..., Any]]
@@ -132,9 +135,10 @@ def _may_cache() -> bool:
     """Return whether the user has a private folder for machine code; /tmp is shared."""
     try:
         _cache_home().mkdir(parents=True, exist_ok=True)
+        has_room = disk_usage(_cache_home()).free > _CACHE_BYTES  # numba fails on a full disk
     except OSError:
         return False
-    return os.access(_cache_home(), os.W_OK)
+    return has_room and os.access(_cache_home(), os.W_OK)
 
 
 @cache

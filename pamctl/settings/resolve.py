@@ -278,7 +278,7 @@ def shorten_path(path: Path) -> str:
     """Return the shortest form of a path from the working directory."""
     try:
         return str(path.resolve().relative_to(Path.cwd()))
-    except (ValueError, OSError):
+    except (ValueError, OSError, RuntimeError):  # RuntimeError: a link to itself
         return str(path)
 
 

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pamctl.new_file import NewFileError, write_files
 from pamctl.settings.resolve import SECTIONS
 from pamctl.tune.gains_file import Scores, format_gains_file, summarise_verdicts
 from pamctl.tune.gains_search import BestGains, GainsSearch
@@ -34,6 +35,10 @@ class FoundGains(NamedTuple):
     """Stopped by Ctrl-C; the best gains so far are written all the same."""
     state: Path
     """Where an interrupted search goes on from."""
+    text: str
+    """The gains file."""
+    failure: NewFileError | None
+    """Why the gains file could not be written; None where it was."""
 
 
 def check_gains(task: TuningTask, jobs: int | None) -> dict[str, Scores]:
@@ -76,11 +81,15 @@ def search_gains(
         except KeyboardInterrupt:  # a second one: the gains are written without scores
             interrupted, scores = True, {}
     effort = describe_effort(task, best)
-    with task.out.open("x") as file:
-        file.write(format_gains_file(best.gains, command, effort, report_scores(scores)))
-    if not interrupted:
+    text = format_gains_file(best.gains, command, effort, report_scores(scores))
+    failure = None
+    try:
+        write_files({task.out: text})
+    except NewFileError as error:
+        failure = error
+    if not interrupted and failure is None:
         state.unlink(missing_ok=True)
-    return FoundGains(best, scores, time.monotonic() - began_s, interrupted, state)
+    return FoundGains(best, scores, time.monotonic() - began_s, interrupted, state, text, failure)
 
 
 @contextmanager

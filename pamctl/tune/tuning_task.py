@@ -9,6 +9,7 @@ from typing import Any
 
 from pamctl.control.law_registry import installed_laws
 from pamctl.log.naming import bare_name
+from pamctl.new_file import require_place
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
 from pamctl.tune.gains_search import Jury
@@ -98,10 +99,7 @@ def _require_space(law: str) -> None:
 def _require_new(out: Path | None) -> None:
     if out is None:
         raise _option_error("--out", "is missing: name a new file for the gains")
-    if out.exists():
-        raise _option_error(f"--out {out}", "exists, and gains are never overwritten")
-    if not out.parent.is_dir():
-        raise _option_error(f"--out {out}", f"there is no directory {out.parent}")
+    require_place(out)
 
 
 def _read(section: str, name: str, option: str = "") -> Any:

@@ -49,7 +49,8 @@ def test_a_page_that_cannot_be_written_is_refused(log):
     assert "there is no directory" in refused("compare", log, "--plot", log.parent / "a" / "b.html")
     assert "there is no directory" in refused("report", log, "--out", log.parent / "a" / "b.html")
     assert not (log.parent / "a").exists()
-    assert "cannot make the directory" in refused("reproduce", "fig3", "--out", log / "inside")
+    assert "is not a folder" in refused("reproduce", "fig3", "--out", log)
+    assert "Not a directory" in refused("reproduce", "fig3", "--out", log / "inside")
 
 
 def test_the_table_of_a_what_if_is_never_written_over_a_file(log):

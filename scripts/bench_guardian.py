@@ -63,7 +63,7 @@ def deaths(both: list[Bench], folder: Path, rounds: int) -> dict[str, Any]:
 def one_death(bench: Bench, process: str, how: str, log: Path) -> dict[str, Any]:
     """Run one round; on a busy PC a run may end before its signal, which is reported."""
     try:
-        return round_of(bench, process, how, log)
+        return round_of(bench, [(process, how)], log)
     except (Amiss, subprocess.TimeoutExpired) as amiss:
         return {"amiss": str(amiss)}
 
@@ -106,7 +106,8 @@ def main() -> None:
     rounds = parser.parse_args().rounds
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        with benches(folder, "on_demand") as both:
+        with benches(folder, "on_demand") as rigs:
+            both = rigs[:2]
             timed = both[1]._replace(
                 settings=[*both[1].settings, "rig.nidaq.timing=hardware_timed"]
             )

@@ -46,7 +46,7 @@ from measured_table import format_table, write_measured
 from standin.standin import Card
 
 from hal.sim.register import peek_v
-from pamctl.daemon.client import Client, DaemonUnreachableError
+from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.log.reader import read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.recording.ring import Ring
@@ -56,7 +56,7 @@ SAFE_V, AO_STEP_V = 0.625, 20.0 / 65536.0
 PAMCTL = [sys.executable, "-m", "pamctl"]
 OPTIONS = ["rig.homing.enabled=false", f"rig.safe_volts={SAFE_V}"]
 BUSY_PC = ["rig.limits.sample_age_s=0.5", "rig.limits.missed_ticks=500"]
-STILL = {"kind": "square", "frequency_hz": 0.005, "cycles": 1}
+STILL = {"kind": "steps", "steps": [{"valve_v": 0.0, "hold_s": 600.0}]}
 """An experiment that holds the valve off its safe voltage."""
 MOVING_TICKS = 300
 PATIENCE_S = 20.0
@@ -141,14 +141,14 @@ class Run:
     def pids(self) -> dict[str, int]:
         """Return the process ids by name, once all are there."""
         found = {"front": self.front.pid}
-        children = Path(f"/proc/{self.front.pid}/task/{self.front.pid}/children")
+        tasks = Path(f"/proc/{self.front.pid}/task")  # a daemon starts them in any thread
         deadline_s = time.monotonic() + PATIENCE_S
         while len(found) < len(PROCESSES):
             require(self.front.poll() is None, f"the run ended with {self.front.returncode}")
             require(time.monotonic() < deadline_s, f"only {found} came up")
             time.sleep(0.01)
-            for pid in children.read_text().split():
-                with suppress(OSError):
+            with suppress(OSError):
+                for pid in " ".join(p.read_text() for p in tasks.glob("*/children")).split():
                     command = Path(f"/proc/{pid}/cmdline").read_text()
                     found |= {
                         name: int(pid)
@@ -209,6 +209,8 @@ class OrderedRun(Run):
         self._socket, logs = log.with_suffix(".sock"), log.with_suffix("")
         self.front = self._start("daemon", "--socket", str(self._socket), "--logs", str(logs))
         try:
+            if self._ask("status")["fault"]:
+                self._ask("ack")  # the fault of the round before
             self.log = Path(self._ask("start", name="rounds", experiment=STILL)["log"])
         except BaseException:
             self.front.kill()
@@ -221,6 +223,8 @@ class OrderedRun(Run):
             try:
                 with Client(self._socket) as client:
                     return client.call(method, params)
+            except DaemonDeclinedError as error:
+                raise Amiss(f"the daemon: {error}") from error
             except DaemonUnreachableError as error:
                 require(time.monotonic() < deadline_s, f"the daemon: {error}")
                 time.sleep(0.02)
@@ -240,7 +244,7 @@ class OrderedRun(Run):
 
     def expected_code(self, faults: Sequence[Fault]) -> int:
         """A daemon outlives its session."""
-        return -signal.SIGKILL if ("front", "killed") in faults else 143
+        return -signal.SIGKILL if ("front", "killed") in faults else 0
 
 
 class Amiss(Exception):
@@ -279,6 +283,7 @@ def round_of(bench: Bench, faults: Sequence[Fault], log: Path) -> dict[str, Any]
     finally:
         for pid in pids.values():
             send(pid, signal.SIGKILL)
+        run.front.kill()
         run.front.communicate()
     require(code == run.expected_code(faults), f"exit code {code}")
     require(abs(bench.output_v() - SAFE_V) <= AO_STEP_V, f"{bench.output_v()} V after the end")

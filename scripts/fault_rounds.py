@@ -236,11 +236,18 @@ class OrderedRun(Run):
     def await_end(self, pids: Mapping[str, int]) -> int:
         """End the daemon, if it lives, once it has ended its session by itself."""
         deadline_s = time.monotonic() + PATIENCE_S
-        while self.front.poll() is None and self._ask("status")["pids"]:
+        while self._has_session():
             require(time.monotonic() < deadline_s, "the session goes on")
             time.sleep(0.02)
         self.front.terminate()
         return super().await_end(pids)
+
+    def _has_session(self) -> bool:
+        try:
+            with Client(self._socket) as client:
+                return bool(client.call("status", {})["pids"])
+        except DaemonUnreachableError:
+            return False  # it was killed
 
     def expected_code(self, faults: Sequence[Fault]) -> int:
         """A daemon outlives its session."""

@@ -97,8 +97,6 @@ HARDEST = [
     # Nobody but the guardian, or the loop.
     ("nidaq", ("loop", "frozen"), ("front", "killed")),
     ("sim", ("front", "killed"), ("guardian", "frozen")),
-    # The front finishes the log.
-    ("sim", ("loop", "killed"), ("recorder", "frozen")),
     ("daemon", ("loop", "frozen"), ("guardian", "frozen")),
     # Nobody is left who knows the ring but a guardian, or a loop: they start a finisher.
     ("sim", ("recorder", "killed"), ("front", "killed")),

@@ -17,6 +17,7 @@ from typing import NoReturn
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
+from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
@@ -33,9 +34,14 @@ def main() -> NoReturn:
     """Run the loop on the ring that the first argument names."""
     keep_single_threaded()
     with Ring.attach(sys.argv[1]) as ring:
-        ending = run_to_ending(partial(_run, ring))
+        settings = from_resolved(json.dumps(ring.meta.config))
+        pace, front = settings.rig.loop, sys.stdin.fileno()
+        supervisor = LoopSupervisor(ring, front, pace, patient=settings.fast)
+        ending = run_to_ending(partial(_run, ring, settings, supervisor))
         # If the ring has no room for it, the front puts it there once the recorder has made room.
         ring.loop_done = _put_outcome(ring, ending)
+        if supervisor.is_front_gone():
+            start_finisher(ring.path)
     report_and_exit(ending)
 
 
@@ -75,9 +81,7 @@ def _put_outcome(ring: Ring, ending: Ending) -> bool:
     return False
 
 
-def _run(ring: Ring) -> Ending:
-    settings = from_resolved(json.dumps(ring.meta.config))
-    supervisor = LoopSupervisor(ring, sys.stdin.fileno(), settings.rig.loop, patient=settings.fast)
+def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Ending:
     supervisor.listen()
     if not _await_recorder(ring):
         return Ending(ExitCode.UNEXPECTED, "the recorder did not start")

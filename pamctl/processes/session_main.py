@@ -15,6 +15,7 @@ from typing import NoReturn
 
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
+from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_main import (
     await_guardian,
     check_rate,
@@ -43,9 +44,12 @@ def main() -> NoReturn:
         supervisor = LoopSupervisor(ring, sys.stdin.fileno(), settings.rig.loop)
         journal = SessionJournal(ring, supervisor.watch_recording)
         ending = run_to_ending(partial(_run, ring, settings, orders, journal, supervisor))
+        recorded = journal.run
         with suppress(RingFull):
             journal.end_last_run(ending)
         ring.loop_done = 1
+        if recorded is not None and supervisor.is_front_gone():
+            start_finisher(recorded.path)
     report_and_exit(ending)
 
 

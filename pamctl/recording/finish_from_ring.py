@@ -21,7 +21,8 @@ from pamctl.log.writer import LogWriter
 from pamctl.recording.ring import RecorderFlag, Ring
 from pamctl.recording.rows import RowLogger
 
-_LOOP_DEAD_NS = 2_000_000_000
+LOOP_DEAD_NS = 2_000_000_000
+"""A ring whose loop has been silent for this long may be finished."""
 
 
 class Orphan(NamedTuple):
@@ -57,7 +58,7 @@ def recover_orphans(directory: str | Path = "/dev/shm") -> list[Orphan]:
             if not _is_my_file(path):
                 continue
             with Ring.attach(path) as ring:
-                if ring.claim() and monotonic_ns() - ring.loop_beat_ns > _LOOP_DEAD_NS:
+                if ring.claim() and monotonic_ns() - ring.loop_beat_ns > LOOP_DEAD_NS:
                     _require_home(ring)
                     found.append(Orphan(path, _finish(ring), ""))
                     ring.unlink()

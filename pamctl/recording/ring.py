@@ -201,6 +201,8 @@ class Ring:
     """Inode of the recorder's log file; zero before it exists."""
     mended_inode = _Word(27)
     """Inode of the draft that replaces the log when another process finishes it; else zero."""
+    recorder_pid = _Word(28)
+    """Process id of the recorder; zero before it starts. Written by the recorder."""
     loop_beat_ns = _Word(32)
     """Monotonic time of the loop's last sign of life."""
     loop_done = _Word(33)

@@ -101,6 +101,8 @@ class DeviceProbe(NamedTuple, Generic[S]):
     """Names of findings whose fault means that the rig cannot be opened."""
     examine_clock: Callable[[ProbeRequest[S]], DoctorFinding] | None = None
     """Tries the device's own sample clock with the safe voltage on the output."""
+    examine_output: Callable[[ProbeRequest[S]], Iterable[DoctorFinding]] | None = None
+    """Takes the output for a moment, and puts nothing but the safe voltage on it."""
 
 
 class RigKeys(NamedTuple):

@@ -11,14 +11,16 @@ VoltRange = tuple[float, float]
 
 
 def judge_input_range(
-    section: str, asked: VoltRange, ranges: tuple[VoltRange, ...], request: ProbeRequest[Any]
+    section: str, requested: VoltRange, ranges: tuple[VoltRange, ...], request: ProbeRequest[Any]
 ) -> DoctorFinding:
-    """Check the range that a 16-bit card takes for `asked`; `section` is that of the rig file."""
+    """Check the range that a 16-bit card takes; `section` is the section of the rig file."""
     name, least = "card.input_range", request.sensor_range_v
     taken = min(
-        (one for one in ranges if holds(one, asked)), key=lambda one: one[1] - one[0], default=None
+        (one for one in ranges if holds(one, requested)),
+        key=lambda one: one[1] - one[0],
+        default=None,
     )
-    found = f"asked {format_range(asked)}" + (
+    found = f"asked {format_range(requested)}" + (
         f", the card takes {format_range(taken)}" if taken else ""
     )
     if taken is None:
@@ -27,7 +29,7 @@ def judge_input_range(
         return DoctorFinding(name, "fault", found, wanted, fix)
     resolution_pa = (taken[1] - taken[0]) / 65536 * request.sensor_pa_per_v
     data = {"low_v": taken[0], "high_v": taken[1], "step_pa": resolution_pa}
-    if not holds(asked, least) or not holds(taken, least):
+    if not holds(requested, least) or not holds(taken, least):
         wanted = (
             f"at least {format_range(least)}; otherwise limits.pressure_pa and the sensor's wire "
             "are not watched"

@@ -56,11 +56,11 @@ class RigIdentity(NamedTuple):
 
     def as_metadata(self) -> dict[str, object]:
         """Return one flat mapping, as it stands in the log."""
-        told = self._asdict()
-        extra = told.pop("extra")
+        fields = self._asdict()
+        extra = fields.pop("extra")
         if not self.sample_clock:
-            del told["sample_clock"]
-        return {**told, **extra}
+            del fields["sample_clock"]
+        return {**fields, **extra}
 
 
 class RigError(Exception):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
 from types import FrameType
+from typing import Any
 
 
 def main() -> None:
@@ -14,6 +16,7 @@ def main() -> None:
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
+    out = _never_raise_in_print()
     try:
         _import_all()
         from pamctl.cli.app import app
@@ -23,13 +26,66 @@ def main() -> None:
         # a CPU from a loop or another worker. This also holds for all processes started from
         # here; each starts with 0.1 s of CPU less.
         keep_single_threaded()
-        app()
+        try:
+            app()
+        finally:
+            _end_output(out)
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:
         # The reader has gone, as `head` does. Python flushes at its end: to nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+
+
+class _Stream(io.FileIO):
+    """Standard output or error: what cannot be written, as on a full disk, is dropped.
+
+    A verb goes on to its end, and a run keeps its exit code.
+    """
+
+    problem = ""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            self.problem = error.strerror or str(error)
+            return len(data)
+
+
+def _never_raise_in_print() -> _Stream | None:
+    """Replace the process's own standard streams; return standard output."""
+    replaced: dict[str, _Stream] = {}
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        old = getattr(sys, name)
+        if old is not getattr(sys, f"__{name}__") or getattr(old, "buffer", None) is None:
+            continue  # somebody captures it
+        if old.fileno() != number:
+            continue
+        replaced[name] = _Stream(number, "wb", closefd=False)
+        new = io.TextIOWrapper(
+            io.BufferedWriter(replaced[name]),
+            old.encoding,
+            old.errors,
+            line_buffering=old.line_buffering or name == "stderr",
+        )
+        setattr(sys, name, new)
+    return replaced.get("stdout")
+
+
+def _end_output(out: _Stream | None) -> None:
+    """Write the rest; what was dropped is an error, unless the verb ended with another."""
+    if out is None:
+        return
+    sys.stdout.flush()
+    leaving = sys.exc_info()[1]
+    if out.problem:
+        print(f"error: cannot write the output: {out.problem}", file=sys.stderr)
+        if isinstance(leaving, SystemExit) and not leaving.code:
+            leaving.code = 1
 
 
 def _import_all() -> None:

@@ -1,11 +1,11 @@
-"""Kernels: plain scalar functions that Python runs as they stand and numba compiles.
+"""Kernels: plain scalar functions that Python can run and numba can compile.
 
 A kernel takes and returns floats, ints, bools and NamedTuples of them. It calls only `math` and
-other kernels: of pamctl, or of the outside package that it is from. `compile_kernel(kernel)` gives
-its machine-code twin, built from the same source: every kernel that it names is replaced by that
+other kernels: of pamctl, or of its own outside package. `compile_kernel(kernel)` returns its
+machine-code twin, built from the same source. Every kernel that it names is replaced by that
 kernel's twin. The loop process runs the plain functions and never imports numba.
 
-A module may call kernels that outside packages bring: it lists their modules as `KERNEL_MODULES`.
+A module that calls kernels of outside packages lists their modules in `KERNEL_MODULES`.
 """
 
 from __future__ import annotations
@@ -18,12 +18,15 @@ from collections.abc import Callable
 from functools import cache
 from importlib.util import resolve_name
 from pathlib import Path
+from shutil import disk_usage
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 _HOUSE = ("pamctl", "hal")
+_CACHE_BYTES = 50_000_000
+"""Free space that machine code may need."""
 
 
 Substitution = tuple[Callable[..., Any], Callable[..., Any]]
@@ -33,9 +36,9 @@ Substitution = tuple[Callable[..., Any], Callable[..., Any]]
 def compile_kernel(kernel: Kernel, substitution: Substitution | None = None) -> Kernel:
     """Return the numba twin of a kernel: same arguments, same values, at machine speed.
 
-    `substitution` settles what plain Python looks up in every call: numba cannot choose a function
-    by the type of an argument. The first call compiles (seconds). The machine code is kept in the
-    user's cache for the next process, under a key made of every source that the kernel can depend
+    `substitution` fixes a function that plain Python looks up in every call: numba cannot choose a
+    function by the type of an argument. The first call compiles (seconds). The machine code is kept
+    in the user's cache for the next process. Its key covers every source that the kernel can depend
     on.
     """
     return cast(Kernel, _make_twin(kernel, substitution, for_python=True))
@@ -45,7 +48,7 @@ def compile_kernel(kernel: Kernel, substitution: Substitution | None = None) -> 
 def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_python: bool) -> Any:
     """Return a twin that Python can call, or one that only other twins call.
 
-    What takes Python's tuples apart, and C's, is longer than most kernels: without it the
+    The code that converts tuples from Python or C is longer than most kernels. Without it the
     closed loop compiles in less than half the time.
     """
     if substitution is not None and kernel is substitution[0]:
@@ -53,7 +56,7 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
     twin = FunctionType(
         kernel.__code__,
         {
-            name: _make_twin(value, _pass_on(value, substitution), for_python=False)
+            name: _make_twin(value, _select_substitution(value, substitution), for_python=False)
             if _is_kernel(value, kernel)
             else value
             for name, value in _used_globals(kernel).items()
@@ -61,7 +64,7 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
         kernel.__name__,
         kernel.__defaults__,
     )
-    # numba's cache knows a function by its name: a kernel may be called both ways.
+    # numba's cache identifies a function by its name, and a kernel may be called both ways.
     twin.__qualname__ = kernel.__qualname__ + ("" if for_python else "_for_kernels")
     twin.__module__ = kernel.__module__
     modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
@@ -81,7 +84,7 @@ def _used_globals(kernel: FunctionType) -> dict[str, Any]:
 
 def _is_kernel(value: object, caller: FunctionType) -> bool:
     return isinstance(value, FunctionType) and (
-        _root(value.__module__) in {*_HOUSE, _root(caller.__module__)}
+        _root_package(value.__module__) in {*_HOUSE, _root_package(caller.__module__)}
         or value.__module__ in _list_added_modules(caller.__module__)
     )
 
@@ -91,12 +94,14 @@ def _list_added_modules(module: str) -> tuple[str, ...]:
     return getattr(sys.modules.get(module), "KERNEL_MODULES", ())
 
 
-def _root(module: str) -> str:
+def _root_package(module: str) -> str:
     return module.partition(".")[0]
 
 
-def _pass_on(kernel: FunctionType, substitution: Substitution | None) -> Substitution | None:
-    """Return the substitution where it concerns a kernel: all others keep one common twin."""
+def _select_substitution(
+    kernel: FunctionType, substitution: Substitution | None
+) -> Substitution | None:
+    """Return the substitution if it concerns a kernel; all other kernels share one twin."""
     concerned = substitution is not None and _reaches(kernel, substitution[0])
     return substitution if concerned else None
 
@@ -111,11 +116,11 @@ def _reaches(kernel: FunctionType, target: FunctionType) -> bool:
 
 
 def _import_numba(*modules: str) -> ModuleType:
-    """Return numba, told to keep the code of these modules' kernels by all they depend on."""
+    """Return numba, with a cache for these modules' kernels, keyed by all their dependencies."""
     import numba
 
-    # numba looks only at a kernel's own file to see whether its cached code is stale;
-    # ours call each other, and use each other's types, across files.
+    # numba checks only a kernel's own file for changes;
+    # our kernels use kernels and types of other files.
     settings: Any = numba.config
     settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_hash_sources(*modules)}")
     return numba
@@ -127,17 +132,18 @@ def _cache_home() -> Path:
 
 @cache
 def _may_cache() -> bool:
-    """Tell whether the user has a place of their own for machine code; /tmp is everyone's."""
+    """Return whether the user has a private folder for machine code; /tmp is shared."""
     try:
         _cache_home().mkdir(parents=True, exist_ok=True)
+        has_room = disk_usage(_cache_home()).free > _CACHE_BYTES  # numba fails on a full disk
     except OSError:
         return False
-    return os.access(_cache_home(), os.W_OK)
+    return has_room and os.access(_cache_home(), os.W_OK)
 
 
 @cache
 def _hash_sources(*modules: str) -> str:
-    """Hash the sources of modules, and of all that they import of pamctl or their own package."""
+    """Hash the sources of modules, and of their imports from pamctl or their own package."""
     waiting, found = [*modules], {*modules}
     while waiting:
         new = _find_imports(waiting.pop()) - found
@@ -145,19 +151,19 @@ def _hash_sources(*modules: str) -> str:
         waiting += new
     digest = hashlib.sha256()
     for name in sorted(found):
-        # The name too: numba keeps types by the module that they are from.
+        # The name too: numba identifies types by their module.
         digest.update(name.encode() + b"\0" + _source_of(name).read_bytes())
     return digest.hexdigest()[:16]
 
 
 @cache
 def _find_imports(module: str) -> set[str]:
-    """Find the modules that a module's source names, those for types included.
+    """Find the modules that a module's source imports, also those for types.
 
-    Only those of pamctl and of the module's own package count.
+    Only modules of pamctl and of the module's own package count.
     """
     found: set[str] = set()
-    house = {*_HOUSE, _root(module)}
+    house = {*_HOUSE, _root_package(module)}
     for node in ast.walk(ast.parse(_source_of(module).read_bytes())):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -166,7 +172,7 @@ def _find_imports(module: str) -> set[str]:
             names = [source, *(f"{source}.{alias.name}" for alias in node.names)]
         else:
             continue
-        found |= {n for n in names if _root(n) in house and _source_of(n).is_file()}
+        found |= {n for n in names if _root_package(n) in house and _source_of(n).is_file()}
     return found | {*_list_added_modules(module)}
 
 
@@ -178,7 +184,7 @@ def _name_source(node: ast.ImportFrom, module: str) -> str:
 
 
 def _source_of(module: str) -> Path:
-    if _root(module) not in _HOUSE:  # an outside package, or a script with a kernel of its own
+    if _root_package(module) not in _HOUSE:  # an outside package, or a script with its own kernel
         return Path(str(getattr(sys.modules.get(module), "__file__", None)))
     path = Path(__file__).parent.parent.joinpath(*module.split("."))
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")

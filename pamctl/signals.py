@@ -1,11 +1,11 @@
-"""One type per stage of the tick, in the order in which they arise.
+"""One type for each stage of the tick, in order.
 
     RawSample -> Measurement -> Estimate -> Command -> Decision -> TickRecord
 
 Every field carries its unit as a suffix. Field names are unique over all stages,
-because the flat list of them (`TICK_FIELDS`) is the row of the ring and the
-message of the log: there is no second list to keep in step. SI throughout;
-pressure is absolute; a contraction of the muscle is a positive displacement.
+because their flat list (`TICK_FIELDS`) is the row of the ring and the message
+of the log. All values are in SI; pressure is absolute; a contraction of the
+muscle is a positive displacement.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ class Phase(IntEnum):
 
 
 class Timing(NamedTuple):
-    """When this tick happened. Only `dt_s`, `late_s` and `missed` may steer the tick."""
+    """Time of this tick. Only `dt_s`, `late_s` and `missed` may steer the tick."""
 
     tick: int
-    """Index on the grid of periods; a gap in it is a run of missed ticks."""
+    """Index on the grid of periods; a gap means missed ticks."""
     t_s: float
     """Time of the encoder sample since the first tick."""
     dt_s: float
     """Measured time since the previous tick's encoder sample."""
     late_s: float
-    """Wake-up behind the deadline; zero where there is no clock."""
+    """Delay of the wake-up after the deadline; zero without a clock."""
     missed: int
     """Grid points skipped between the previous tick and this one."""
 
@@ -52,9 +52,9 @@ class Measurement(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """The wanted motion, or, in open loop, the wanted valve command.
+    """The reference motion, or in open loop the reference valve command.
 
-    The other one of the two is NaN.
+    The other of the two is NaN.
     """
 
     phase: int
@@ -77,7 +77,7 @@ class Estimate(NamedTuple):
     position_filtered_m: float
     """Displacement behind its low-pass filter."""
     pressure_estimate_pa: float
-    """As measured: its noise of 300 Pa does not matter to the one law that uses it."""
+    """As measured: the one law that uses it tolerates its noise of 300 Pa."""
     error_m: float
     """Filtered displacement minus reference."""
     error_rate_m_per_s: float
@@ -87,22 +87,22 @@ class Estimate(NamedTuple):
 
 
 class Command(NamedTuple):
-    """The command of the law, and its terms. `pamctl.control.law.LawTerms` says what they mean."""
+    """The command of the law, and its terms. See `pamctl.control.law.LawTerms`."""
 
     command_v: float
     """Valve command u, -5..5 V: positive fills the muscle, negative exhausts it."""
     surface_m_per_s2: float
     """Sliding surface, s of Eq. 11 for the paper's laws; NaN for laws without one."""
     equivalent_v: float
-    """First share of u: for the paper's laws the equivalent control."""
+    """First part of u: for the paper's laws the equivalent control."""
     robust_v: float
-    """Second share of u: for the paper's laws the robust term u_rb."""
+    """Second part of u: for the paper's laws the robust term u_rb."""
     saturated: bool
     """The law reached its own command limit."""
 
 
 class Decision(NamedTuple):
-    """What safety lets through to the valve, and why not more."""
+    """The command that safety admits to the valve, and its verdicts."""
 
     valve_v: float
     """Valve command that goes to the rig, after the limits."""
@@ -113,20 +113,20 @@ class Decision(NamedTuple):
 
 
 class TickOutcome(NamedTuple):
-    """What really happened at the end of the tick."""
+    """The applied output and the durations of the tick."""
 
     applied_v: float
-    """Analog output voltage the rig says it applied; NaN where the write failed."""
+    """Analog output voltage that the rig reports as applied; NaN if the write failed."""
     read_s: float
-    """How long the rig took to read; the three durations are zero where there is no clock."""
+    """Duration of the rig's read; the three durations are zero without a clock."""
     compute_s: float
-    """From the sample to the admitted command."""
+    """Duration from the sample to the admitted command."""
     write_s: float
-    """How long the rig took to write."""
+    """Duration of the rig's write."""
 
 
 class Truth(NamedTuple):
-    """What only a simulated rig can know; NaN on hardware."""
+    """True values of a simulated rig; NaN on hardware."""
 
     true_position_m: float
     """Displacement of the simulated muscle, without the encoder's steps."""
@@ -135,7 +135,7 @@ class Truth(NamedTuple):
 
 
 class TickRecord(NamedTuple):
-    """All that is known of one tick: a row of the ring, and a message of the log."""
+    """All signals of one tick: a row of the ring, and a message of the log."""
 
     timing: Timing
     raw: RawSample
@@ -166,4 +166,4 @@ def _flatten(record: type) -> tuple[Field, ...]:
 
 
 TICK_FIELDS: tuple[Field, ...] = _flatten(TickRecord)
-"""The columns of a tick in order: `int`, `float` or `bool` each."""
+"""The columns of a tick in order, each `int`, `float` or `bool`."""

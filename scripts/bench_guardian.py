@@ -3,7 +3,8 @@
     python scripts/bench_guardian.py --rounds 10 > guardian.json
 
 JSON on stdout, a table on stderr. First, runs in real time over the simulation and over the tests'
-stand-in card; a signal ends one process of each at a random moment, see `fault_rounds.py`. Then
+stand-in card; a signal ends one process of each at a random moment, see `fault_rounds.py`. The
+stand-in starts four threads of its own, as a driver library may; a third bench has none. Then
 undisturbed runs of both in turn: wake-up lateness, and the time of reading and writing in a tick.
 The stand-in's registers are memory: its times are those of the nidaqmx package and of our code
 around it, not those of a card.
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -38,13 +40,16 @@ CASES = {
 def deaths(both: list[Bench], folder: Path, rounds: int) -> dict[str, Any]:
     """Time from a signal to the safe voltage, and ticks lost, for every process."""
     found: dict[str, list[dict[str, Any]]] = {}
-    for index in range(rounds):  # in turn, so that both see the same PC
-        for bench in both:
+    card = both[1]
+    bare = card._replace(environment={**card.environment, "STANDIN_THREADS": "0"})
+    named = {"sim": both[0], "nidaq": card, "nidaq without foreign threads": bare}
+    for index in range(rounds):  # in turn, so that all see the same PC
+        for name, bench in named.items():
             for process, how in CASES:
-                log = folder / f"{bench.name}-{process}-{how}-{index}.mcap"
-                case = f"{bench.name}, {process} {how}"
+                log = folder / f"{name}-{process}-{how}-{index}.mcap".replace(" ", "-")
+                case = f"{name}, {process} {how}"
                 found.setdefault(case, []).append(one_death(bench, process, how, log))
-    targets_ms = [*CASES.values()] * len(both)
+    targets_ms = [*CASES.values()] * len(named)
     report = {
         case: {**summary(ones), "target_ms": target_ms}
         for (case, ones), target_ms in zip(found.items(), targets_ms, strict=True)
@@ -117,13 +122,15 @@ def main() -> None:
     rounds = parser.parse_args().rounds
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        with benches(folder, "on_demand") as both:
+        with benches(folder, "on_demand") as rigs:
+            both = rigs[:2]
             timed = both[1]._replace(
                 settings=[*both[1].settings, "rig.nidaq.timing=hardware_timed"]
             )
             report = {
                 "ticks": ticks(both, timed, folder, rounds),
                 "deaths": deaths(both, folder, rounds),
+                "load": os.getloadavg(),
             }
     print(json.dumps(report, indent=1))
 

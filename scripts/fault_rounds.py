@@ -1,15 +1,23 @@
-"""Kill and freeze every process of real runs at random moments, over simulation and stand-in card.
+"""Kill and freeze every process of real runs at random moments, over simulation and stand-ins.
 
     python scripts/fault_rounds.py --rounds 20 --resume faults.jsonl > faults.json
     python scripts/fault_rounds.py --pairs --rounds 5 > pairs.json
+    python scripts/fault_rounds.py --triples --benches sim,daemon > triples.json
+    python scripts/fault_rounds.py --pairs --write    # and the table goes into the manual
 
 JSON on stdout, a line for each round and a table on stderr; exit code 3 if anything went wrong.
 Ctrl-C ends it with the results so far (130). With `--resume` each finished round is stored, and
-stored rounds are not run again. A round is one real run in real time with one real signal, or with
-`--pairs` two of them within 30 ms. After it, the output must be at the safe voltage, the log
-complete to the last tick before the signal, the exit code as documented, nothing left behind, and
-the next start clean. The output is watched all the time, as with a voltmeter; its clock starts
-before the last signal is sent. The card is the stand-in of the tests: it needs gcc.
+stored rounds are not run again. A round is one real run in real time with one real signal, with
+`--pairs` two of them, with `--triples` three, each within 30 ms of the one before. Triples leave
+one of front, loop and guardian alive. The benches: `pamctl run` over the simulation, over the
+stand-ins for NI's driver and for comedi (they need gcc), and a daemon over the simulation, whose
+front is the daemon itself.
+
+After a round, the output must be at the safe voltage, the log complete to the last tick before the
+signal, the exit code as documented, nothing left behind, and the next start clean. Processes that
+are still frozen when the valve is safe are continued, but not the recorder: nobody may need it.
+The output is watched all the time, as with a voltmeter; its clock starts before the last signal is
+sent.
 """
 
 from __future__ import annotations
@@ -34,29 +42,36 @@ from typing import Any, NamedTuple
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import numpy as np
+from measured_table import format_table, write_measured
 from standin.standin import Card
 
 from hal.sim.register import peek_v
+from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.log.reader import read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.recording.ring import Ring
 
 SAFE_V, AO_STEP_V = 0.625, 20.0 / 65536.0
 """A voltage that neither a reset nor a power-up leaves behind."""
-PAMCTL = [sys.executable, "-m", "pamctl", "run", "--quiet"]
+PAMCTL = [sys.executable, "-m", "pamctl"]
 OPTIONS = ["rig.homing.enabled=false", f"rig.safe_volts={SAFE_V}"]
 BUSY_PC = ["rig.limits.sample_age_s=0.5", "rig.limits.missed_ticks=500"]
+STILL = {"kind": "steps", "steps": [{"valve_v": 0.0, "hold_s": 600.0}]}
+"""An experiment that holds the valve off its safe voltage."""
 MOVING_TICKS = 300
 PATIENCE_S = 20.0
 
 PROCESSES = {
-    "loop": "loop_main",
-    "guardian": "guardian_main",
-    "recorder": "recording.recorder",
-    "front": "",
+    "loop": ("loop_main", "session_main"),
+    "guardian": ("guardian_main",),
+    "recorder": ("recording.recorder",),
+    "front": (),
 }
+VALVE_KEEPERS = {"front", "loop", "guardian"}
+"""Each of them can make the valve safe."""
 SIGNALS = {"killed": signal.SIGKILL, "frozen": signal.SIGSTOP}
 PAIR_WITHIN_S = 0.03
+BENCHES = ("sim", "nidaq", "comedi", "daemon")
 
 Fault = tuple[str, str]
 """A process and what happens to it."""
@@ -67,6 +82,7 @@ class Bench(NamedTuple):
     """A rig whose output can be looked at from outside."""
 
     name: str
+    backend: str
     settings: list[str]
     environment: Mapping[str, str]
     output_v: Callable[[], float]
@@ -74,43 +90,71 @@ class Bench(NamedTuple):
 
 @contextmanager
 def benches(folder: Path, timing: str) -> Iterator[list[Bench]]:
-    """Set up both rigs under names of their own, and clear away what bears those names."""
+    """Set up all rigs under names of their own, and clear away what bears those names."""
     name = f"rounds{os.getpid()}"
     card = Card(folder / "registers", f"{name}card")
     chosen = [*OPTIONS, *BUSY_PC, f"rig.nidaq.device={card.name}", f"rig.nidaq.timing={timing}"]
-    simulated = [*OPTIONS, f"rig.sim.device={name}"]
+    other = Card(folder / "comedi-registers", f"comedi{os.getpid()}")
+    comedi = [*OPTIONS, *BUSY_PC, f"rig.comedi.device=/dev/{other.name}"]
+
+    def simulated(name: str, device: str) -> Bench:
+        settings = [*OPTIONS, f"rig.sim.device={device}"]
+        return Bench(name, "sim", settings, os.environ, lambda: peek_v(ao_path(device)))
+
     yield [
-        Bench("sim", simulated, os.environ, lambda: peek_v(ao_path(name))),
-        Bench("nidaq", chosen, card.environment(), lambda: card.output_v),
+        simulated("sim", name),
+        Bench("nidaq", "nidaq", chosen, card.environment(), lambda: card.output_v),
+        Bench("comedi", "comedi", comedi, other.environment(), lambda: other.output_v),
+        simulated("daemon", f"{name}daemon"),
     ]
-    for left in SHARED_MEMORY.glob(f"pamctl-{name}*"):
-        left.unlink()
+    for pattern in (f"pamctl-{name}*", f"pamctl-{other.name}*"):
+        for left in SHARED_MEMORY.glob(pattern):
+            left.unlink()
 
 
 class Run:
     """A real run of a bench."""
 
     def __init__(self, bench: Bench, log: Path, *arguments: str) -> None:
-        sets = [word for setting in bench.settings for word in ("--set", setting)]
-        command = [*PAMCTL, "--backend", bench.name, "--log", str(log), *sets, *arguments]
         self.bench, self.log = bench, log
-        self.front = subprocess.Popen(
-            command, env=bench.environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        self.front = self._start("run", "--quiet", "--log", str(log), *arguments)
+
+    def _start(self, verb: str, *arguments: str) -> subprocess.Popen[bytes]:
+        sets = [word for setting in self.bench.settings for word in ("--set", setting)]
+        return subprocess.Popen(
+            [*PAMCTL, verb, "--backend", self.bench.backend, *sets, *arguments],
+            env=self.bench.environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
         )
+
+    def stop(self) -> None:
+        """End a run whose processes all live."""
+        self.front.send_signal(signal.SIGINT)
+
+    def expected_code(self, faults: Sequence[Fault]) -> int:
+        """Return the documented exit code for this end."""
+        if ("front", "killed") in faults:
+            return -signal.SIGKILL
+        return 130 if list(faults) == [("front", "frozen")] else 1
 
     def pids(self) -> dict[str, int]:
         """Return the process ids by name, once all are there."""
         found = {"front": self.front.pid}
-        children = Path(f"/proc/{self.front.pid}/task/{self.front.pid}/children")
+        tasks = Path(f"/proc/{self.front.pid}/task")  # a daemon starts them in any thread
         deadline_s = time.monotonic() + PATIENCE_S
         while len(found) < len(PROCESSES):
             require(self.front.poll() is None, f"the run ended with {self.front.returncode}")
             require(time.monotonic() < deadline_s, f"only {found} came up")
             time.sleep(0.01)
-            for pid in children.read_text().split():
-                with suppress(OSError):
+            with suppress(OSError):
+                for pid in " ".join(p.read_text() for p in tasks.glob("*/children")).split():
                     command = Path(f"/proc/{pid}/cmdline").read_text()
-                    found |= {n: int(pid) for n, m in PROCESSES.items() if m and m in command}
+                    found |= {
+                        name: int(pid)
+                        for name, modules in PROCESSES.items()
+                        if any(module in command for module in modules)
+                    }
         return found
 
     def ring(self) -> Path:
@@ -149,6 +193,66 @@ class Run:
             time.sleep(0.01)
         return self.front.returncode
 
+    def await_log(self, ring: Path) -> None:
+        """Wait until the log is finished, which takes the ring away."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while ring.exists():
+            require(time.monotonic() < deadline_s, "nobody has finished the log")
+            time.sleep(0.05)
+
+
+class OrderedRun(Run):
+    """A run that a daemon was asked for. The daemon is the front."""
+
+    def __init__(self, bench: Bench, log: Path) -> None:
+        self.bench = bench
+        self._socket, logs = log.with_suffix(".sock"), log.with_suffix("")
+        self.front = self._start("daemon", "--socket", str(self._socket), "--logs", str(logs))
+        try:
+            if self._ask("status")["fault"]:
+                self._ask("ack")  # the fault of the round before
+            self.log = Path(self._ask("start", name="rounds", experiment=STILL)["log"])
+        except BaseException:
+            self.front.kill()
+            self.front.communicate()
+            raise
+
+    def _ask(self, method: str, **params: object) -> Any:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                with Client(self._socket) as client:
+                    return client.call(method, params)
+            except DaemonDeclinedError as error:
+                raise Amiss(f"the daemon: {error}") from error
+            except DaemonUnreachableError as error:
+                require(time.monotonic() < deadline_s, f"the daemon: {error}")
+                time.sleep(0.02)
+
+    def stop(self) -> None:
+        """Stop at once, which ends the session."""
+        self._ask("estop")
+
+    def await_end(self, pids: Mapping[str, int]) -> int:
+        """End the daemon, if it lives, once it has ended its session by itself."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while self._has_session():
+            require(time.monotonic() < deadline_s, "the session goes on")
+            time.sleep(0.02)
+        self.front.terminate()
+        return super().await_end(pids)
+
+    def _has_session(self) -> bool:
+        try:
+            with Client(self._socket) as client:
+                return bool(client.call("status", {})["pids"])
+        except DaemonUnreachableError:
+            return False  # it was killed
+
+    def expected_code(self, faults: Sequence[Fault]) -> int:
+        """A daemon outlives its session."""
+        return -signal.SIGKILL if ("front", "killed") in faults else 0
+
 
 class Amiss(Exception):
     """Something went wrong."""
@@ -159,20 +263,13 @@ def require(holds: bool, what: str) -> None:
         raise Amiss(what)
 
 
-def expected_code(faults: Sequence[Fault]) -> int:
-    """Return the documented exit code for this end."""
-    if ("front", "killed") in faults:
-        return -signal.SIGKILL
-    return 130 if list(faults) == [("front", "frozen")] else 1
-
-
 def round_of(bench: Bench, faults: Sequence[Fault], log: Path) -> dict[str, Any]:
     """Run once with these faults; return time until safe (ms) and ticks lost. Raises `Amiss`."""
-    run = Run(bench, log)
+    run = OrderedRun(bench, log) if bench.name == "daemon" else Run(bench, log)
     pids: dict[str, int] = {}
     try:
         pids = run.pids()
-        with Ring.attach(run.ring()) as ring:
+        with Ring.attach(path := run.ring()) as ring:
             run.await_motion(ring)
             for index, (process, what) in enumerate(faults):
                 time.sleep(random.uniform(0.0, PAIR_WITHIN_S) if index else 0.0)
@@ -183,23 +280,24 @@ def round_of(bench: Bench, faults: Sequence[Fault], log: Path) -> dict[str, Any]
                 time.sleep(0.3)
                 send(pids["front"], signal.SIGCONT)
                 began_s = time.perf_counter()
-                run.front.send_signal(signal.SIGINT)
+                run.stop()
             took_ms = run.await_safe(began_s)
             tick = ring.latest_tick()
-        for pid in pids.values():  # those that nobody had to kill go on, and end
-            send(pid, signal.SIGCONT)
+        for name in VALVE_KEEPERS:  # those that nobody had to kill go on, and end
+            send(pids[name], signal.SIGCONT)
         code = run.await_end(pids)
+        run.await_log(path)
     finally:
         for pid in pids.values():
             send(pid, signal.SIGKILL)
+        run.front.kill()
         run.front.communicate()
-    require(code == expected_code(faults), f"exit code {code}")
+    require(code == run.expected_code(faults), f"exit code {code}")
     require(abs(bench.output_v() - SAFE_V) <= AO_STEP_V, f"{bench.output_v()} V after the end")
-    # With front and recorder dead the ring waits for the next start, which finishes the log.
     next_start(bench, log.with_suffix(".next.mcap"))
     require(not list(SHARED_MEMORY.glob(f"pamctl-{run.front.pid}-*")), "a ring is left behind")
     assert tick is not None
-    return {"safe_after_ms": took_ms, "ticks_lost": ticks_lost(log, int(tick["tick"]))}
+    return {"safe_after_ms": took_ms, "ticks_lost": ticks_lost(run.log, int(tick["tick"]))}
 
 
 def send(pid: int, number: int) -> None:
@@ -223,22 +321,31 @@ def next_start(bench: Bench, log: Path) -> None:
     require(run.front.returncode == 0, f"the next start: {said.decode().strip()}")
 
 
-def list_faults(*, pairs: bool) -> list[tuple[Fault, ...]]:
-    """List every fault, or every ordered pair of faults of two processes."""
-    if not pairs:
-        return [(fault,) for fault in FAULTS]
-    return [(one, other) for one, other in permutations(FAULTS, 2) if one[0] != other[0]]
+def list_faults(hits: int) -> list[tuple[Fault, ...]]:
+    """List every ordered choice of so many faults, each of another process.
+
+    A fault leaves at least one process alive that can make the valve safe.
+    """
+    return [
+        faults
+        for faults in permutations(FAULTS, hits)
+        if len(hit := {process for process, _ in faults}) == hits and not hit >= VALVE_KEEPERS
+    ]
 
 
 def rounds(
-    count: int, timing: str, done: Counter[str], *, pairs: bool = False
+    count: int, timing: str, done: Counter[str], hits: int = 1, names: Sequence[str] = BENCHES
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Run all cases in turn, so that all see the same PC, without the rounds in `done`."""
-    with tempfile.TemporaryDirectory() as temporary, benches(Path(temporary), timing) as both:
+    with (
+        tempfile.TemporaryDirectory() as temporary,
+        benches(Path(temporary), timing) as rigs,
+    ):
         cases = [
             (f"{bench.name} {', '.join(map(' '.join, faults))}", bench, faults)
-            for bench in both
-            for faults in list_faults(pairs=pairs)
+            for bench in rigs
+            for faults in list_faults(hits)
+            if bench.name in names
         ]
         for index in range(count):
             for case, bench, faults in cases:
@@ -257,13 +364,18 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--timing", choices=["on_demand", "hardware_timed"], default="on_demand")
     parser.add_argument("--resume", type=Path, metavar="FILE", help="file that stores each round")
-    parser.add_argument("--pairs", action="store_true", help="two faults within 30 ms")
+    many = parser.add_mutually_exclusive_group()
+    many.add_argument("--pairs", action="store_const", const=2, dest="hits", help="two faults")
+    many.add_argument("--triples", action="store_const", const=3, dest="hits", help="three faults")
+    parser.add_argument("--benches", default=",".join(BENCHES), help="[default: %(default)s]")
+    parser.add_argument("--write", action="store_true", help="put the table into the manual")
     options = parser.parse_args()
+    names = options.benches.split(",")
     cases = read_kept(options.resume, options.timing)
     done = Counter({case: len(found) for case, found in cases.items()})
     stopped = False
     try:
-        for case, found in rounds(options.rounds, options.timing, done, pairs=options.pairs):
+        for case, found in rounds(options.rounds, options.timing, done, options.hits or 1, names):
             cases.setdefault(case, []).append(found)
             print(
                 f"{case:<40}{len(cases[case]):>4}  {describe_round(found)}",
@@ -275,6 +387,8 @@ def main() -> int:
         stopped = True
     report = {case: summary(found) for case, found in cases.items()}
     tell(report)
+    if options.write:
+        write_measured("fault_rounds", format_cases(cases))
     print(json.dumps({"timing": options.timing, "stopped": stopped, "cases": report}, indent=1))
     if stopped:
         return 130
@@ -319,7 +433,31 @@ def tell(report: dict[str, dict[str, Any]]) -> None:
         )
 
 
-def summary(found: list[dict[str, Any]]) -> dict[str, Any]:
+def format_cases(cases: Mapping[str, list[dict[str, Any]]]) -> str:
+    """Format a row for each choice of processes, a column for each bench."""
+    rows: dict[tuple[str, ...], dict[str, list[dict[str, Any]]]] = {}
+    for case, found in cases.items():
+        bench, _, faults = case.partition(" ")
+        hit = tuple(sorted(fault.split()[0] for fault in faults.split(", ")))
+        rows.setdefault(hit, {}).setdefault(bench, []).extend(found)
+    names = [name for name in BENCHES if any(name in row for row in rows.values())]
+    return format_table(
+        ["killed or frozen, in any order", *names],
+        [
+            [", ".join(hit), *(format_cell(row.get(name, [])) for name in names)]
+            for hit, row in sorted(rows.items(), key=lambda item: (len(item[0]), item[0]))
+        ],
+    )
+
+
+def format_cell(found: Sequence[dict[str, Any]]) -> str:
+    """Say how many rounds went well, and how late the valve was safe at worst."""
+    figures = summary(found)
+    worst = f"{figures['safe_after_ms']['max']:.0f} ms" if figures["well"] else ""
+    return f"{figures['well']} of {figures['rounds']}, {worst}" if found else ""
+
+
+def summary(found: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the figures of one case."""
     well = [one for one in found if "amiss" not in one]
     times_ms = [one["safe_after_ms"] for one in well] or [float("nan")]

@@ -423,9 +423,9 @@ def write_effects() -> str:
         if effect.unidentifiable:
             words.append(f"No experiment can tell its size: {_plain(effect.unidentifiable)}.")
         parts.append(" ".join(words) + "\n")
-        parts.append(f"Where the model lacks it: {_plain(effect.signature)}.\n")
+        parts.append(f"If the model lacks it: {_plain(effect.signature)}.\n")
         parts += [
-            f"- Told from `{other}` by `{how.experiment}`: {_plain(how.why)}."
+            f"- Distinguished from `{other}` by `{how.experiment}`: {_plain(how.why)}."
             for other, how in effect.told_from.items()
         ]
         parts += [""] if effect.told_from else []

@@ -1,4 +1,4 @@
-"""What all tests share: their own place in shared memory, no deadlines, longest files first."""
+"""Shared by all tests: their own folder in shared memory, no deadlines, longest files first."""
 
 from __future__ import annotations
 

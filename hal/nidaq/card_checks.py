@@ -13,21 +13,30 @@ from typing import TYPE_CHECKING
 from hal.backend import ProbeRequest
 from hal.doctor_finding import DoctorFinding, describe_rig_error
 from hal.nidaq.card_settings import NidaqSettings
-from hal.nidaq.driver_errors import BUSY_CODES, PACKAGE_BROKEN
+from hal.nidaq.driver_errors import BUSY_CODES, ON_DEMAND, PACKAGE_BROKEN
+from hal.nidaq.kernel_checks import examine_kernel
 from hal.range_checks import format_range, holds, judge_input_range
 from hal.rig import RigError
 
 if TYPE_CHECKING:
-    from hal.nidaq.probe import Card, DriverUser
+    from hal.nidaq.probe import Card, ClockTrial, DriverUser, OutputStart
 
 REQUIRED = frozenset({"card.driver", "card.device", "card.channels", "card.reservations"})
 """Findings whose fault means that no rig can be opened; other faults leave it usable."""
+
+
+_LOOPBACK_V = 0.05
+_RELEASE_S = 0.05
+_MISSED_OFTEN = 0.25
+"""A clock that misses every second edge misses half of them."""
+_GOOD_WAIT = "WAIT_FOR_INTERRUPT"
 
 
 def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding]:
     """Check the driver, then the card, then its parts, as far as each step allows the next."""
     settings = request.settings
     nodes = check_device_nodes(Path("/dev"))
+    yield from examine_kernel(is_clocked=settings.timing == "hardware_timed")
     try:
         from hal.nidaq import probe
         from hal.nidaq.driver import require_card
@@ -73,8 +82,69 @@ def examine_card_clock(request: ProbeRequest[NidaqSettings]) -> DoctorFinding:
     from hal.nidaq.probe import try_hardware_timing
 
     settings = request.settings
-    failure = try_hardware_timing(settings, request.rate_hz, request.safe_volts)
-    return judge_hardware_timing(failure, settings.timing == "hardware_timed")
+    is_wanted = settings.timing == "hardware_timed"
+    try:
+        trial = try_hardware_timing(settings, request.rate_hz, request.safe_volts)
+    except RigError as error:
+        return report_no_hardware_timing(error, is_wanted)
+    return judge_hardware_timing(trial, 1.0 / request.rate_hz, is_wanted)
+
+
+def examine_output(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding]:
+    """Check what the output does at a start, and what becomes of it when its process is killed.
+
+    The caller holds the device. The start is seen where a loop-back wire is declared.
+    """
+    from hal.nidaq.probe import measure_release, record_output_start
+
+    if request.settings.loopback_channel is not None:
+        try:
+            start = record_output_start(request.settings, request.safe_volts)
+        except RigError as error:
+            found = f"not measured: {describe_rig_error(error)}"
+            yield DoctorFinding("card.output_start", "warning", found, "", error.fix)
+        else:
+            yield judge_output_start(start, request.safe_volts)
+    try:
+        yield judge_release(measure_release(request.settings))
+    except RigError as error:
+        yield DoctorFinding(
+            "card.release", "warning", f"not measured: {describe_rig_error(error)}", "", error.fix
+        )
+
+
+def judge_output_start(start: OutputStart, safe_v: float) -> DoctorFinding:
+    """Say whether the output leaves the safe voltage while its task starts."""
+    name, data = "card.output_start", start._asdict()
+    if abs(start.rest_v - safe_v) > _LOOPBACK_V:
+        found = f"{start.rest_v:.3f} V at the safe voltage of {safe_v:g} V"
+        fix = "is nidaq.loopback_channel really wired to nidaq.valve_channel, and to AI GND?"
+        return DoctorFinding(name, "fault", found, "the safe voltage", fix, data)
+    if start.outside_s:
+        found = f"{start.worst_v:+.3f} V from the safe voltage, for {start.outside_s * 1e6:.0f} us"
+        fix = "the valve sees this pulse at every start: keep the supply shut until a run is ready"
+        return DoctorFinding(name, "warning", found, "no pulse", fix, data)
+    found = f"stays within {abs(start.worst_v) * 1e3:.0f} mV of the safe voltage"
+    return DoctorFinding(name, "ok", found, data=data)
+
+
+def judge_release(free_after_s: float | None) -> DoctorFinding:
+    """Say whether the driver frees what a killed process held: the guardian relies on it."""
+    name, data = "card.release", {"free_after_s": free_after_s}
+    if free_after_s is None:
+        found = "the driver keeps the reservation of a killed process"
+        fix = (
+            "do not run: no guardian could vent the muscle after a crash. Reset the device "
+            "(`nidaqmx` Device.reset_device, which puts 0 V out), update NI-DAQmx, or use "
+            "--backend comedi, where the kernel frees the card"
+        )
+        return DoctorFinding(name, "fault", found, "the output is free at once", fix, data)
+    found = f"the output of a killed process was free after {free_after_s * 1e3:.0f} ms"
+    if free_after_s <= _RELEASE_S:
+        return DoctorFinding(name, "ok", found, data=data)
+    wanted = f"at most {_RELEASE_S * 1e3:.0f} ms"
+    fix = "after a crash of the loop the muscle stays filled for so long: fit a hardware vent"
+    return DoctorFinding(name, "warning", found, wanted, fix, data)
 
 
 def check_device_nodes(directory: Path) -> Iterator[DoctorFinding]:
@@ -110,6 +180,13 @@ def judge_channels(settings: NidaqSettings, card: Card) -> DoctorFinding:
         "encoder_counter": (settings.encoder_counter, card.counters),
         "valve_channel": (settings.valve_channel, card.outputs),
     }
+    for key, line in (
+        ("encoder_a_pfi", settings.encoder_a_pfi),
+        ("encoder_b_pfi", settings.encoder_b_pfi),
+    ):
+        if line is not None:
+            lines = tuple(name for name in card.terminals if name.startswith("PFI"))
+            asked[key] = (f"PFI{line}", lines)
     found = ", ".join(f"{channel}" for channel, _ in asked.values())
     missing = {key: there for key, (channel, there) in asked.items() if channel not in there}
     if not missing:
@@ -154,16 +231,35 @@ def judge_on_demand(failure: RigError | None) -> DoctorFinding:
     )
 
 
-def judge_hardware_timing(failure: RigError | None, is_wanted: bool) -> DoctorFinding:
+def judge_hardware_timing(trial: ClockTrial, period_s: float, is_wanted: bool) -> DoctorFinding:
     """Say whether the card's own clock can pace the loop."""
-    name = "timing.hardware"
-    if failure is None:
-        return DoctorFinding(name, "ok", "works: the card's clock can pace the loop")
-    if is_wanted:
-        fix = f"set nidaq.timing to on_demand; {failure.fix}"
+    name, data = "timing.hardware", trial._asdict()
+    found = f"{trial.edges} edges, {trial.missed} missed"
+    if trial.missed > _MISSED_OFTEN * trial.edges:
+        # The PC misses an edge now and then. A clock that is wrong misses them regularly.
+        wanted = f"a sample every {period_s * 1e3:g} ms"
+        fix = f"is rig.loop.rate_hz too fast for card or PC? {ON_DEMAND}"
+        return DoctorFinding(name, "fault" if is_wanted else "ok", found, wanted, fix, data)
+    if trial.wait_mode != _GOOD_WAIT:
         return DoctorFinding(
-            name, "fault", describe_rig_error(failure), "as nidaq.timing says", fix
+            name,
+            "warning" if is_wanted else "ok",
+            f"{found}; a read waits by {trial.wait_mode or 'a mode that the driver hides'}",
+            f"{_GOOD_WAIT}: a read that polls is stopped by the kernel at real-time priority",
+            f"{ON_DEMAND}, or run with --rt off",
+            data,
         )
-    return DoctorFinding(
-        name, "ok", f"not available, and not needed: {describe_rig_error(failure)}"
-    )
+    if trial.missed:
+        fix = "is the PC busy? See pc.wakeup"
+        return DoctorFinding(
+            name, "warning" if is_wanted else "ok", found, "none missed", fix, data
+        )
+    return DoctorFinding(name, "ok", f"works: {found}", data=data)
+
+
+def report_no_hardware_timing(failure: RigError, is_wanted: bool) -> DoctorFinding:
+    """Say why the card's own clock cannot pace the loop."""
+    name, found = "timing.hardware", describe_rig_error(failure)
+    if is_wanted:
+        return DoctorFinding(name, "fault", found, "as nidaq.timing says", failure.fix)
+    return DoctorFinding(name, "ok", f"not available, and not needed: {found}")

@@ -25,6 +25,8 @@ LIBRARY = "libnidaqmx.so"
 
 _TIMED_BUSES = (BusType.PCI, BusType.PCIE, BusType.PXI, BusType.PXIE)
 
+_LEFT_OUT = ("Status Code:", "Task Name:")
+
 NO_DRIVER = (DaqNotFoundError, DaqNotSupportedError)
 """Errors of a computer without NI-DAQmx."""
 FAILURES = (DriverError, ctypes.ArgumentError, OSError, ValueError)
@@ -63,11 +65,24 @@ def make_rig_error(doing: str, error: Exception) -> RigError:
     """Return the driver's message with its error number and its fix."""
     if isinstance(error, NO_DRIVER):
         return RigError("no NI-DAQmx driver on this computer", fix=INSTALL)
-    said = str(error).strip().partition("\n")[0]
+    said = join_lines(str(error))
     if isinstance(error, DaqError):
         code = error.error_code
         return RigError(f"{doing}: {said}", fix=fix_of(code), code=code)
     return RigError(f"{doing}: {said or type(error).__name__}", fix="is NI-DAQmx installed whole?")
+
+
+def join_lines(message: str) -> str:
+    """Return the driver's message on one line: property, requested value, what can be selected.
+
+    Left out is what the error says anyway, the status code, and the name of the task, which is
+    this program's own.
+    """
+    lines = [" ".join(line.split()) for line in message.splitlines()]
+    told = [line for line in lines if line and not line.startswith(_LEFT_OUT)]
+    return " ".join(line if line.endswith((".", ":", ",")) else f"{line};" for line in told).rstrip(
+        ".;:, "
+    )
 
 
 @contextmanager

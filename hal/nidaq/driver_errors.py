@@ -18,6 +18,14 @@ PACKAGE_BROKEN = "move a broken .env or settings.ini out of this directory, or r
 ON_DEMAND = "set nidaq.timing: on_demand in the rig file"
 _NOT_TIMED = f"this card cannot do this: {ON_DEMAND}"
 
+_NOT_POLLED = (
+    "hardware-timed single points need programmed I/O: set nidaq.data_transfer: polled in the rig "
+    f"file; where it is so already, {ON_DEMAND}"
+)
+
+NOT_OFFERED = frozenset({-200077, -200197, -200452})
+"""The driver does not know a property here, or does not offer a value of it."""
+
 LATE = frozenset({-209800, -209801, -209802, -209803})
 """A read or a write was not done before the next edge of the sample clock."""
 
@@ -34,8 +42,11 @@ _OUTPUT_RANGE = "check nidaq.output_low_v and nidaq.output_high_v of the rig fil
 
 FIXES: Mapping[int, str] = {
     **dict.fromkeys(BUSY_CODES, _BUSY),
-    -50152: "the driver cannot talk to the card: reboot, and check that its kernel modules load",
-    -200077: "the card does not offer a value of section nidaq of the rig file (its timing?)",
+    -50152: "the driver cannot talk to the card: reboot. Where only hardware timing fails, the "
+    "IOMMU may block the card's interrupts and transfers: look for DMAR, AMD-Vi or IO_PAGE_FAULT "
+    f"in `sudo dmesg` and start the PC with iommu=pt, or {ON_DEMAND}",
+    -200077: "the card does not offer a value of section nidaq of the rig file (its timing?): "
+    "the message names the property and what can be selected",
     -200170: "the card has no such channel: check the channels in section nidaq of the rig file",
     -200220: _ABSENT,
     -200284: _TIMEOUT,
@@ -43,6 +54,7 @@ FIXES: Mapping[int, str] = {
     -200452: _NOT_TIMED,
     -200474: _TIMEOUT,
     -200561: _OUTPUT_RANGE,
+    **dict.fromkeys((-200769, -200842, -200996), _NOT_POLLED),
     -200820: _NOT_TIMED,
     -200821: _NOT_TIMED,
     -201003: _ABSENT,

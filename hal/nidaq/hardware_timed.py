@@ -33,6 +33,10 @@ from hal.nidaq.tasks import (
     make_valve_task,
     make_valve_writer,
     make_volt_reader,
+    request_programmed_io,
+    request_wait_by_interrupt,
+    tell_data_transfer,
+    tell_encoder_terminals,
 )
 from hal.rig import Edge, RawSample, RigIdentity
 
@@ -108,6 +112,7 @@ class HardwareTimedRig(NidaqRig):
         self._write_on_demand(self._safe_v)
         self._identity = require_card(settings)
         encoder = acquired.enter_context(make_encoder_task(settings))
+        self._identity = {**self._identity, "encoder_terminals": tell_encoder_terminals(encoder)}
         pressure = acquired.enter_context(make_pressure_task(settings))
         valve = acquired.enter_context(make_valve_task(settings))
         point = AcquisitionType.HW_TIMED_SINGLE_POINT
@@ -116,6 +121,17 @@ class HardwareTimedRig(NidaqRig):
             follower.timing.cfg_samp_clk_timing(
                 self._rate_hz, source=self._sample_clock, sample_mode=point
             )
+        if settings.data_transfer == "polled":
+            for task in (encoder, pressure, valve):
+                request_programmed_io(task)
+        self._identity = {
+            **self._identity,
+            "wait_mode": request_wait_by_interrupt(pressure),
+            "data_transfer_in_use": {
+                name: tell_data_transfer(task)
+                for name, task in (("input", pressure), ("counter", encoder), ("output", valve))
+            },
+        }
         for task in (encoder, valve, pressure):
             task.start()
         self._grid, self._awaited = self._make_grid(), None

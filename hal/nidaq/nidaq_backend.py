@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hal.backend import Backend, BuiltRig, DeviceProbe, RigKeys, RigRequest
 from hal.m_series import card_output
-from hal.nidaq.card_checks import REQUIRED, examine_card, examine_card_clock
+from hal.nidaq.card_checks import REQUIRED, examine_card, examine_card_clock, examine_output
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver_errors import PACKAGE_BROKEN
 from hal.rig import RigError
@@ -65,5 +65,5 @@ NIDAQ = Backend(
         encoder_filter="nidaq.encoder_filter_ns",
         valve_output="nidaq.valve_channel",
     ),
-    probe=DeviceProbe(examine_card, REQUIRED, examine_card_clock),
+    probe=DeviceProbe(examine_card, REQUIRED, examine_card_clock, examine_output),
 )

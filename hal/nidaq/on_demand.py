@@ -34,6 +34,7 @@ from hal.nidaq.tasks import (
     make_valve_task,
     make_valve_writer,
     make_volt_reader,
+    tell_encoder_terminals,
 )
 from hal.rig import RawSample, RigError, RigIdentity
 from hal.safe_drive import drive_with_retries
@@ -142,6 +143,7 @@ class NidaqRig:
         write_v(self._safe_v, settings.timeout_s)
         self._identity = require_card(settings)
         encoder = acquired.enter_context(make_encoder_task(settings))
+        self._identity = {**self._identity, "encoder_terminals": tell_encoder_terminals(encoder)}
         encoder.start()
         pressure = acquired.enter_context(make_pressure_task(settings))
         pressure.start()

@@ -5,29 +5,44 @@ Tasks are reserved and released, an input is read. Only `try_hardware_timing` wr
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from nidaqmx import Task
 from nidaqmx.constants import TaskMode
+from nidaqmx.stream_readers import AnalogSingleChannelReader
 from nidaqmx.system import Device, System
 
 from hal.driver_library import find_loaded_library
+from hal.nidaq import hold_output
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver import LIBRARY, raise_rig_errors, require_card
+from hal.nidaq.driver_errors import BUSY_CODES
 from hal.nidaq.hardware_timed import HardwareTimedRig
 from hal.nidaq.tasks import (
     make_encoder_task,
     make_pressure_task,
     make_valve_task,
+    make_valve_writer,
     make_volt_reader,
 )
 from hal.rig import RigError, open_rig
 
-_HARDWARE_TIMED_SAMPLES = 20
+GLITCH_V = 0.05
+"""Ten times what input and output of a card may differ by."""
+_START_RATE_HZ = 250e3
+"""The card's fastest: a sample every 4 us."""
+_START_SAMPLES = 25_000
+RELEASE_PATIENCE_S = 1.0
+"""Ten times what a guardian needs from a frozen loop to the safe voltage."""
+_HARDWARE_TIMED_SAMPLES = 100
 
 Range = tuple[float, float]
 TaskMaker = Callable[[NidaqSettings], AbstractContextManager[Task]]
@@ -54,8 +69,33 @@ class Card(NamedTuple):
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     counters: tuple[str, ...]
+    terminals: tuple[str, ...]
+    """Such as PFI0: where a signal can come in."""
     input_ranges: tuple[Range, ...]
     output_ranges: tuple[Range, ...]
+
+
+class ClockTrial(NamedTuple):
+    """How the card's own clock paced some ticks."""
+
+    edges: int
+    missed: int
+    """Of these, the ones whose sample was never read."""
+    wait_mode: str
+    """How a read waits for the edge, as the driver says."""
+    data_transfer: object
+    """What moves the data of input, counter and output, as the driver says."""
+
+
+class OutputStart(NamedTuple):
+    """What the output did while its task started, as an input saw it."""
+
+    rest_v: float
+    """At the end."""
+    worst_v: float
+    """Farthest from the safe voltage, with its sign."""
+    outside_s: float
+    """How long it was farther away than `GLITCH_V`."""
 
 
 class DriverUser(NamedTuple):
@@ -87,6 +127,7 @@ def identify_card(name: str) -> Card:
             inputs=_strip_device_names(device.ai_physical_chans),
             outputs=_strip_device_names(device.ao_physical_chans),
             counters=_strip_device_names(device.ci_physical_chans),
+            terminals=tuple(name.rpartition("/")[2] for name in device.terminals),
             input_ranges=_pair_ranges(device.ai_voltage_rngs),
             output_ranges=_pair_ranges(device.ao_voltage_rngs),
         )
@@ -125,30 +166,93 @@ def find_driver_users(ignore: Sequence[int]) -> list[DriverUser]:
     return sorted(users)
 
 
+def measure_release(settings: NidaqSettings) -> float | None:
+    """Kill a process that holds the output; return after how long (s) the output was free.
+
+    None: it was not free within `RELEASE_PATIENCE_S`. Raises `RigError` where no process could
+    hold it.
+    """
+    holder = [sys.executable, "-m", hold_output.__name__, settings.model_dump_json()]
+    with subprocess.Popen(
+        holder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        told = process.stdout.readline().strip()
+        killed_s = time.monotonic()
+        process.kill()
+    if told != hold_output.HELD:
+        raise RigError("no second process could hold the output", fix="is the PC short of memory?")
+    while True:
+        waited_s = time.monotonic() - killed_s
+        try:
+            _reserve(settings, settings.valve_channel, make_valve_task)
+        except RigError as error:
+            if error.code not in BUSY_CODES:
+                raise
+            if waited_s > RELEASE_PATIENCE_S:
+                return None
+            time.sleep(1e-3)
+        else:
+            return waited_s
+
+
+def record_output_start(settings: NidaqSettings, safe_v: float) -> OutputStart:
+    """Start the output's task and write the safe voltage, seen through the loop-back wire.
+
+    The caller holds the device, and the safe voltage is on the output already. Raises `RigError`.
+    """
+    through = settings.model_copy(
+        update={
+            "pressure_channel": settings.loopback_channel,
+            "input_low_v": -10.0,
+            "input_high_v": 10.0,
+        }
+    )
+    volts = np.zeros(_START_SAMPLES)
+    with raise_rig_errors("watching the output start"), make_pressure_task(through) as watch:
+        watch.timing.cfg_samp_clk_timing(_START_RATE_HZ, samps_per_chan=_START_SAMPLES)
+        watch.start()
+        with make_valve_task(settings) as valve:
+            valve.start()
+            make_valve_writer(valve)(safe_v, settings.timeout_s)
+        AnalogSingleChannelReader(watch.in_stream).read_many_sample(
+            volts, _START_SAMPLES, timeout=2.0 * _START_SAMPLES / _START_RATE_HZ + 1.0
+        )
+    away_v = volts - safe_v
+    worst = int(np.argmax(np.abs(away_v)))
+    outside_s = float(np.count_nonzero(np.abs(away_v) > GLITCH_V)) / _START_RATE_HZ
+    return OutputStart(float(volts[-1]), float(away_v[worst]), outside_s)
+
+
 def try_on_demand_read(settings: NidaqSettings) -> RigError | None:
     """Read the input once on demand; return the error where it fails."""
     return _catch_rig_error(lambda: _read_on_demand(settings))
 
 
 def try_hardware_timing(
-    settings: NidaqSettings, rate_hz: float, safe_output_v: float
-) -> RigError | None:
-    """Let the card pace a few ticks with the safe voltage on its output; return the error if any.
+    settings: NidaqSettings,
+    rate_hz: float,
+    safe_output_v: float,
+    now_ns: Callable[[], int] = time.monotonic_ns,
+) -> ClockTrial:
+    """Let the card pace some ticks with the safe voltage on its output. Raises `RigError`.
 
     It writes to the output, but only what every start of a run writes first.
     """
     timed = settings.model_copy(update={"timing": "hardware_timed"})
-
-    def tick() -> None:
-        require_card(timed)
-        rig = HardwareTimedRig(timed, rate_hz=rate_hz, safe_output_v=safe_output_v)
-        with open_rig(rig):
-            for _ in range(_HARDWARE_TIMED_SAMPLES):
-                rig.await_edge()
-                rig.read()
-                rig.write(safe_output_v)
-
-    return _catch_rig_error(tick)
+    require_card(timed)
+    rig = HardwareTimedRig(timed, rate_hz=rate_hz, safe_output_v=safe_output_v, now_ns=now_ns)
+    missed = 0
+    with open_rig(rig):
+        for sample in range(_HARDWARE_TIMED_SAMPLES):
+            edge = rig.await_edge()
+            # The first edges pass while the tasks start.
+            missed += edge.elapsed - 1 if sample else 0
+            rig.read()
+            rig.write(safe_output_v)
+        told = rig.describe().extra
+    edges = _HARDWARE_TIMED_SAMPLES + missed
+    return ClockTrial(edges, missed, str(told["wait_mode"]), told["data_transfer_in_use"])
 
 
 def _read_on_demand(settings: NidaqSettings) -> None:

@@ -14,11 +14,20 @@ from itertools import count
 from typing import NamedTuple
 
 from nidaqmx import Task
-from nidaqmx.constants import EncoderType, LengthUnits, TerminalConfiguration
+from nidaqmx.constants import (
+    ChannelType,
+    DataTransferActiveTransferMode,
+    EncoderType,
+    LengthUnits,
+    TerminalConfiguration,
+    WaitMode,
+)
+from nidaqmx.errors import DaqError
 from nidaqmx.stream_readers import AnalogSingleChannelReader, CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
 from hal.nidaq.card_settings import NidaqSettings
+from hal.nidaq.driver_errors import NOT_OFFERED
 
 _task_number = count()
 
@@ -68,6 +77,9 @@ def make_encoder_task(settings: NidaqSettings) -> Iterator[Task]:
             units=LengthUnits.TICKS,
             initial_pos=0.0,
         )
+        if settings.encoder_a_pfi is not None:
+            channel.ci_encoder_a_input_term = f"/{settings.device}/PFI{settings.encoder_a_pfi}"
+            channel.ci_encoder_b_input_term = f"/{settings.device}/PFI{settings.encoder_b_pfi}"
         if settings.encoder_filter_ns:
             shortest_pulse_s = settings.encoder_filter_ns / 1e9
             channel.ci_encoder_a_input_dig_fltr_min_pulse_width = shortest_pulse_s
@@ -103,3 +115,56 @@ class TaskCalls(NamedTuple):
     write_v: Callable[[float, float], None]
     read_count: Callable[[float], float]
     read_v: Callable[[float], float]
+
+
+def tell_encoder_terminals(task: Task) -> list[str]:
+    """Return where the counter takes A and B from; empty where the driver does not say."""
+    with _accept_what_is_not_offered():
+        (channel,) = task.ci_channels
+        return [str(channel.ci_encoder_a_input_term), str(channel.ci_encoder_b_input_term)]
+    return []
+
+
+_TRANSFER = {
+    ChannelType.ANALOG_INPUT: "ai_data_xfer_mech",
+    ChannelType.ANALOG_OUTPUT: "ao_data_xfer_mech",
+    ChannelType.COUNTER_INPUT: "ci_data_xfer_mech",
+}
+"""Property of each kind of channel: what moves its data between card and memory."""
+
+
+def request_programmed_io(task: Task) -> None:
+    """Let the processor itself move each value; a driver that does not offer it keeps its own."""
+    for channel in task.channels:
+        with _accept_what_is_not_offered():
+            setattr(channel, _TRANSFER[channel.chan_type], DataTransferActiveTransferMode.POLLED)
+
+
+def tell_data_transfer(task: Task) -> str:
+    """Return what moves the task's data, such as POLLED; empty where the driver does not say."""
+    with _accept_what_is_not_offered():
+        mechanisms = {getattr(one, _TRANSFER[one.chan_type]).name for one in task.channels}
+        return ", ".join(sorted(mechanisms))
+    return ""
+
+
+def request_wait_by_interrupt(task: Task) -> str:
+    """Let a read sleep until the card interrupts; return the mode that the driver then has.
+
+    A read that polls keeps the processor busy. At real-time priority the kernel then stops the
+    loop for 50 ms of every second.
+    """
+    with _accept_what_is_not_offered():
+        task.in_stream.wait_mode = WaitMode.WAIT_FOR_INTERRUPT
+    with _accept_what_is_not_offered():
+        return str(task.in_stream.wait_mode.name)
+    return ""
+
+
+@contextmanager
+def _accept_what_is_not_offered() -> Iterator[None]:
+    try:
+        yield
+    except DaqError as error:
+        if error.error_code not in NOT_OFFERED:
+            raise

@@ -58,7 +58,7 @@ class SharedRegister:
 
     @property
     def volts(self) -> float:
-        """The voltage now on the output, whoever wrote it."""
+        """The voltage now on the output, from any process."""
         return self._volts[0]
 
     @volts.setter

@@ -204,7 +204,7 @@ class SimRig:
         return volts
 
     def _apply(self) -> None:
-        """Let the register's voltage, whoever wrote it, reach the valve."""
+        """Apply the register's voltage to the valve; any process may have written it."""
         self._command_v = valve_v(self._chain.calibration, self._register.volts)
 
     def _catch_up(self, now_ns: int) -> None:

@@ -6,6 +6,7 @@ raises `Failed` where there is no such error.
 
 from __future__ import annotations
 
+import errno
 import json
 import sys
 from collections.abc import Iterable, Sequence
@@ -17,6 +18,9 @@ from typer.core import TyperGroup
 from hal.rig import RigError
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.problems import ConfigError, Problem
+
+_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""What a package or a cache may meet that does not write through `pamctl.new_file`."""
 
 
 class Failed(typer.Exit):
@@ -69,6 +73,11 @@ class Verbs(TyperGroup):
             ) from error
         except RigError as error:
             raise Failed(ExitCode.UNAVAILABLE, str(error)) from error
+        except OSError as error:
+            if error.errno not in _NO_ROOM:
+                raise
+            reason = f"cannot write {error.filename or 'a file'}: {error.strerror}; make room there"
+            raise Failed(ExitCode.UNEXPECTED, reason) from error
         except Exception as error:
             code = getattr(error, "exit_code", None)
             if not isinstance(code, ExitCode):

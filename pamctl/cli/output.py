@@ -1,14 +1,18 @@
-"""What verbs write: JSON documents and files. Checked before anything is computed."""
+"""What verbs print: results as text, or as one JSON document."""
 
 from __future__ import annotations
 
 import json
-import os
-from pathlib import Path
+from collections.abc import Callable, Mapping
 
 import typer
 
+from pamctl.cli.failure import Failed
 from pamctl.json_text import to_json
+from pamctl.new_file import NewFileError
+
+PAGE_BEGIN = "<"
+"""An older page is replaced; a file that begins otherwise is something else."""
 
 
 def print_json(document: object) -> None:
@@ -16,54 +20,19 @@ def print_json(document: object) -> None:
     typer.echo(json.dumps(json.loads(to_json(document)), indent=2))
 
 
-def require_writable(path: Path | None, option: str) -> None:
-    """Refuse a file that cannot be written; exit with 2."""
-    if path is None:
-        return
-    if path.is_dir():
-        raise typer.BadParameter(f"{path} is a directory", param_hint=option)
-    if not path.parent.is_dir():
-        raise typer.BadParameter(f"there is no directory {path.parent}", param_hint=option)
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise typer.BadParameter(f"cannot write {path}: Permission denied", param_hint=option)
-
-
-def require_new_file(path: Path | None, option: str) -> None:
-    """Refuse a file that exists or cannot be written; exit with 2."""
-    require_writable(path, option)
-    if path is not None and path.exists():
-        message = f"{path} exists, and is never overwritten; give another name"
-        raise typer.BadParameter(message, param_hint=option)
-
-
-def require_empty_folder(path: Path, option: str) -> None:
-    """Refuse a folder that holds anything: nothing in it is overwritten; exit with 2."""
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        message = f"{path} exists and is not an empty folder; choose another"
-        raise typer.BadParameter(message, param_hint=option)
-
-
-def make_folder(path: Path, option: str) -> None:
-    """Make a folder if there is none; exit with 2 where that fails."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        message = f"cannot make the directory {path}: {error.strerror}"
-        raise typer.BadParameter(message, param_hint=option) from None
-
-
-def write_page(target: Path, text: str, option: str = "--out") -> None:
-    """Write a file; replace an older one of its kind and nothing else. Exit with 2 on failure."""
-    try:
-        if target.exists() and target.stat().st_size and not _begins_alike(target, text):
-            message = f"{target} exists and is something else; give another name"
-            raise typer.BadParameter(message, param_hint=option)
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        reason = f"cannot write {target}: {error.strerror}"
-        raise typer.BadParameter(reason, param_hint=option) from None
-
-
-def _begins_alike(target: Path, text: str) -> bool:
-    with target.open("rb") as file:
-        return file.read(1) == text[:1].encode()
+def print_result(
+    document: Mapping[str, object],
+    text: Callable[[], str],
+    failure: NewFileError | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Print a result; raise `Failed` if it could not be saved: it is not lost with the file."""
+    if not as_json:
+        typer.echo(text())
+    elif failure is None:
+        print_json(document)
+    if failure is not None:
+        kept = json.loads(to_json(document))
+        details = {key: kept[key] for key in kept if key not in {"exit_code", "reason"}}
+        raise Failed(failure.exit_code, str(failure), **details)

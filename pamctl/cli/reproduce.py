@@ -8,10 +8,12 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.options import JsonOption
-from pamctl.cli.output import make_folder, print_json, require_writable, write_page
+from pamctl.cli.output import PAGE_BEGIN, print_result
 from pamctl.json_text import to_json
+from pamctl.new_file import NewFileError, require_folder, require_place, write_files
 
 _ALL = "all"
+_NUMBERS_BEGIN = "{"
 
 
 def reproduce(
@@ -34,13 +36,16 @@ def reproduce(
         raise typer.BadParameter(f"{part}: unknown; there are {known}", param_hint="part")
     parts = list(PARTS) if part == _ALL else [part]
     page, numbers = out / "index.html", out / "numbers.json"
-    make_folder(out, "--out")
-    for file in (page, numbers):
-        require_writable(file, "--out")
+    require_folder(out)
+    if out.is_dir():
+        require_place(page, replaces=PAGE_BEGIN)
+        require_place(numbers, replaces=_NUMBERS_BEGIN)
     made = reproduce_paper(parts, seed, lambda name: typer.echo(f"{name} ...", err=True))
-    write_page(page, made.page.html())
-    write_page(numbers, to_json(made.numbers).decode() + "\n")
-    if as_json:
-        print_json(made.numbers)
-    else:
-        typer.echo(f"page: {page}\nnumbers: {numbers}")
+    text, failure = f"page: {page}\nnumbers: {numbers}", None
+    written = to_json(made.numbers).decode() + "\n"
+    try:
+        write_files({page: made.page.html()}, replaces=PAGE_BEGIN)
+        write_files({numbers: written}, replaces=_NUMBERS_BEGIN)
+    except NewFileError as error:
+        text, failure = written, error
+    print_result(made.numbers, lambda: text, failure, as_json=as_json)

@@ -86,5 +86,5 @@ def find_argument_file(section: str, name: str) -> Path:
     try:
         return find_config_file(section, name)
     except ConfigError as error:
-        told = "; ".join(problem.message for problem in error.problems)
-        raise typer.BadParameter(f"{name!r}: {told}") from None
+        messages = "; ".join(problem.message for problem in error.problems)
+        raise typer.BadParameter(f"{name!r}: {messages}") from None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pamctl.cli.options import ControllerFromOption, JsonOption
-from pamctl.cli.output import print_json
+from pamctl.cli.output import print_json, print_result
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.resolve import settings_to_data
 
@@ -105,7 +105,7 @@ def tune(
         typer.Option(
             "--start",
             metavar="GAINS",
-            help="Gains to begin the search beside",
+            help="Gains to start the search from",
             show_default="the usual ones",
         ),
     ] = None,
@@ -119,7 +119,7 @@ def tune(
 ) -> None:
     """Search gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
     from pamctl.settings.resolve import use_law_file
-    from pamctl.tune.tune_gains import check_gains, seek_gains
+    from pamctl.tune.tune_gains import check_gains, search_gains
     from pamctl.tune.tune_text import format_scores, make_scores_document
     from pamctl.tune.tuning_task import TuningTask
 
@@ -146,31 +146,33 @@ def tune(
         start, end = ("\r", "   ") if sys.stderr.isatty() else ("", "\n")
         print(start + line, end=end, file=sys.stderr, flush=True)
 
-    found = seek_gains(task, jobs, generations, command, show_progress)
-    _print_found(task, found, as_json=as_json)
+    found = search_gains(task, jobs, generations, command, show_progress)
+    _print_result(task, found, as_json=as_json)
     raise typer.Exit(ExitCode.SIGINT if found.interrupted else ExitCode.OK)
 
 
-def _print_found(task: TuningTask, found: FoundGains, *, as_json: bool) -> None:
+def _print_result(task: TuningTask, found: FoundGains, *, as_json: bool) -> None:
     from pamctl.tune.tune_text import format_scores, make_scores_document
 
-    if as_json:
-        print_json(
-            {
-                "law": task.law,
-                "gains": found.best.gains,
-                "cost": found.best.cost,
-                "generations": found.best.generation,
-                "runs": found.best.evaluations,
-                "took_s": found.took_s,
-                "interrupted": found.interrupted,
-                "scores": make_scores_document(found.scores),
-                "out": str(task.out),
-            }
-        )
-    else:
-        typer.echo(format_scores(task.law, found.scores) if found.scores else "not scored")
-        typer.echo(f"gains: {task.out}")
-    if found.interrupted:
+    failure = found.failure
+    document = {
+        "law": task.law,
+        "gains": found.best.gains,
+        "cost": found.best.cost,
+        "generations": found.best.generation,
+        "runs": found.best.evaluations,
+        "took_s": found.took_s,
+        "interrupted": found.interrupted,
+        "scores": make_scores_document(found.scores),
+        "out": None if failure else str(task.out),
+    }
+    if found.interrupted and not failure:
         again = f"without {task.out} the same command goes on from {found.state}"
         print(f"interrupted; {again}", file=sys.stderr)
+
+    def format_found() -> str:
+        scores = format_scores(task.law, found.scores) if found.scores else "not scored"
+        # The search took minutes: where the file cannot be written, its text is printed.
+        return f"{scores}\n{found.text.rstrip() if failure else f'gains: {task.out}'}"
+
+    print_result(document, format_found, failure, as_json=as_json)

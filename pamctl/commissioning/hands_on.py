@@ -41,6 +41,8 @@ class SensorStatistics(NamedTuple):
     """Mean."""
     noise_v: float
     """Standard deviation of a single sample."""
+    drift_v: float
+    """Mean of the second half minus mean of the first."""
     counts: float
     """Mean."""
     counts_span: int
@@ -58,11 +60,13 @@ def summarise_samples(samples: Sequence[RawSample]) -> SensorStatistics:
     """Return the statistics of at least one sample."""
     volts = [sample.pressure_v for sample in samples]
     counts = [sample.encoder_counts for sample in samples]
+    half = len(volts) // 2
     steps = [abs(b - a) for a, b in pairwise(counts)]
     return SensorStatistics(
         samples=len(samples),
         sensor_v=statistics.fmean(volts),
         noise_v=statistics.pstdev(volts),
+        drift_v=statistics.fmean(volts[half:]) - statistics.fmean(volts[:half] or volts),
         counts=statistics.fmean(counts),
         counts_span=max(counts) - min(counts),
         counts_jump=max(steps, default=0),

@@ -1,4 +1,4 @@
-"""The plots of a comparison, on one page that needs nothing but a browser."""
+"""The plots of a comparison, on one self-contained page."""
 
 from __future__ import annotations
 

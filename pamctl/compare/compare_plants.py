@@ -1,4 +1,4 @@
-"""Several plants against one log, by the names of their files."""
+"""Compare one log with several plants, given by the names of their files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OWN_PLANT = "the log's own"
 
 
 def compare_plants(log: Log, names: Sequence[str]) -> dict[str, Comparison]:
-    """Compare a log with each plant; without names with the log's own, or with the default.
+    """Compare a log with each plant; by default with the log's own plant, or the default plant.
 
     Raises `ConfigError` and `LogError`.
     """

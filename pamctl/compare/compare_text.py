@@ -1,4 +1,4 @@
-"""A comparison as tables for people, or as one document."""
+"""A comparison as text tables, or as one document."""
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@
     mechanics       pressure           -> position
 
 The coupled model shows how far a simulation is from this run. Each block alone is driven by the
-other's measured signal, so that an error of one block does not look like one of the other: a
-diagnosis begins there. Imported logs are compared in the signals that they hold.
+other's measured signal, so an error of one block does not appear in the other. A diagnosis begins
+there. Imported logs are compared in the signals that they hold.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ NEAR_NULL_V = 0.1
 """Below this opening the valve is near its null, where dead bands and leaks show."""
 AT_REST_M_PER_S = 1e-4
 _MOTION_S = 0.02
-"""Time over which the speed is measured (s): some counts of the encoder."""
+"""Time over which the speed is measured (s); a slow motion passes some counts in it."""
 _SHORTEST = 20
 """Shorter stretches (ticks) are left out."""
 _START_TICKS = 20
 
 
 class ComparisonGap(NamedTuple):
-    """Model minus measurement, in the unit of the signal; NaN where there is none."""
+    """Model minus measurement, in the unit of the signal; NaN if not available."""
 
     rms: float
     max: float
 
 
 class ModelOutput(NamedTuple):
-    """The model's signals, shape (n,) each; NaN where it was not driven, None if it cannot be."""
+    """The model's signals, each of shape (n,); NaN where not driven, None if not possible."""
 
     way: str
     position_m: Floats | None
@@ -53,7 +53,7 @@ class ModelOutput(NamedTuple):
 
 
 class Regime(NamedTuple):
-    """Part of a run: position by the mechanics alone, pressure by the pressure block alone."""
+    """Part of a run, with the gaps of the mechanics alone and of the pressure block alone."""
 
     name: str
     ticks: int
@@ -63,7 +63,7 @@ class Regime(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """A model against a log, over the ticks that can be compared."""
+    """The comparison of a model with a log, over the ticks that can be compared."""
 
     measured: Signals
     coupled: ModelOutput
@@ -96,11 +96,11 @@ class Comparison:
 
 
 def compare_model(log: Log, plant: PlantParameters) -> Comparison:
-    """Drive a model by a log; raise `LogError` if the log has nothing to drive it with."""
+    """Drive a model by a log; raise `LogError` if the log cannot drive it."""
     measured = select_comparable(log)
     stretches = list(_find_stretches(measured))
     if not stretches:
-        raise LogError(f"{log.path} has no {_SHORTEST} ticks in a row that are whole")
+        raise LogError(f"{log.path} has no {_SHORTEST} complete ticks in a row")
     rows = {name: np.full(len(measured), np.nan) for name in ("x", "p", "block_p", "block_x")}
     commanded = measured.valve_v is not None
     for stretch in stretches:
@@ -129,7 +129,7 @@ def compare_model(log: Log, plant: PlantParameters) -> Comparison:
 
 
 def select_comparable(log: Log) -> Signals:
-    """Return the signals of a log from the end of homing on: before it the zeros differ.
+    """Return the signals of a log after homing: the zeros differ before it.
 
     Raises `LogError` if the model cannot be driven or compared.
     """
@@ -180,20 +180,20 @@ def split_regimes(measured: Signals) -> Iterator[tuple[str, Mask]]:
 
 
 def _speed_m_per_s(t_s: Floats, position_m: Floats) -> Floats:
-    """Return the speed (m/s), over a time in which a slow motion still passes some counts."""
+    """Return the speed (m/s) over `_MOTION_S`."""
     before = np.interp(t_s - 0.5 * _MOTION_S, t_s, position_m)
     after = np.interp(t_s + 0.5 * _MOTION_S, t_s, position_m)
     return np.asarray((after - before) / _MOTION_S)
 
 
 def _find_stretches(measured: Signals) -> Iterator[slice]:
-    """Yield stretches without a lost tick, in which every signal is a number."""
+    """Yield stretches without lost ticks, in which all signals are numbers."""
     whole = np.ones(len(measured), bool)
     for name in ("valve_v", "pressure_pa", "position_m"):
         signal = getattr(measured, name)
         if signal is not None:
             whole &= np.isfinite(signal)
-    # Ticks that the log lost: the command in between is unknown.
+    # Where the log lost ticks, the command is unknown.
     lost = np.abs(np.diff(measured.t_s) - measured.dt_s[1:]) > 0.5 * np.median(measured.dt_s)
     breaks = {0, len(measured), *(np.flatnonzero(lost) + 1).tolist()}
     breaks |= set((np.flatnonzero(np.diff(whole.astype(np.int8))) + 1).tolist())
@@ -207,7 +207,7 @@ def _was_homed(log: Log) -> bool:
 
 
 def _find_start(plant: PlantParameters, part: Signals, *, follows_homing: bool) -> PlantState:
-    """Return the state at the first sample: vented after homing, else at rest as measured."""
+    """Return the state at the first sample: vented after homing, otherwise at rest as measured."""
     if follows_homing:
         return rest_state(plant, 0.0, plant.atmospheric_pressure_pa)
     quiet = part.valve_v is not None and bool(

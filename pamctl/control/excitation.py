@@ -1,8 +1,8 @@
-"""Excitation for diagnosis: valve commands that show what a model lacks.
+"""Excitation for diagnosis: valve commands that reveal effects that a model lacks.
 
 Each part shows something that the others do not. Squares show the flow and the spool. A
-staircase about null shows a dead band. Multisines show all that depends on amplitude. A chirp
-tells a delay from a lag. Fill-and-hold shows the leaks, and long holds show the creep.
+staircase about null shows a dead band. Multisines show effects that depend on amplitude. A
+chirp distinguishes a delay from a lag. Fill-and-hold shows leaks. Long holds show creep.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Square(Configured):
 
 
 class Staircase(Configured):
-    """Small pulses to both sides of null; after each the valve is closed."""
+    """Small pulses to both sides of null; the valve is closed after each."""
 
     wave: Literal["staircase"]
     levels_v: Annotated[tuple[Amplitude, ...], Field(min_length=1)]
@@ -66,7 +66,7 @@ class Multisine(Configured):
     wave: Literal["multisine"]
     low_hz: Hertz
     high_hz: Hertz
-    amplitude_v: Annotated[float, Field(gt=0, le=5, description="V, of the highest peak")]
+    amplitude_v: Annotated[float, Field(gt=0, le=5, description="V, highest peak")]
     duration_s: Seconds
     tones: Annotated[int, Field(ge=1, le=200)] = 30
     bias_v: Volts = 0.0

@@ -25,7 +25,7 @@ class TrackingSettings(Configured):
     """Square-like motion between two set points (Sec. VI-B), closed loop.
 
     It begins with a smooth approach from the vented muscle and a settling time. The figures of
-    merit leave both out.
+    merit exclude both.
     """
 
     kind: Literal["tracking"]
@@ -77,7 +77,7 @@ class HoldSettings(Configured):
     kind: Literal["hold"]
     position_mm: Annotated[float, Field(ge=-100, le=100)]
     transition_s: Duration = 3.0
-    hold_s: Annotated[Duration | None, Field(description="if absent, until it is stopped")] = None
+    hold_s: Annotated[Duration | None, Field(description="if absent, until the run stops")] = None
 
 
 ExperimentSettings = Annotated[
@@ -156,7 +156,7 @@ def _hold_segments(settings: HoldSettings) -> Iterator[Segment]:
 
 
 def start_at_position(course: Sequence[Segment], position_m: float) -> tuple[Segment, ...]:
-    """Let a closed-loop course begin at the muscle's position, instead of at the vented one."""
+    """Start a closed-loop course at the muscle's position, instead of at the vented length."""
     first, *others = course
     if math.isnan(first.start_m):
         return tuple(course)
@@ -168,10 +168,10 @@ def _command_segment(valve_v: float, duration_s: float) -> Segment:
 
 
 class Course:
-    """Walks through segments as time goes on: times must not go back."""
+    """Steps through segments; times must not decrease."""
 
     def __init__(self, course: Sequence[Segment], duration_s: float | None = None) -> None:
-        """`duration_s` ends the course early."""
+        """Start at the first segment; `duration_s` ends the course early."""
         self.segments = tuple(course)
         whole_s = sum(segment.duration_s for segment in course)
         self.duration_s = whole_s if duration_s is None else min(duration_s, whole_s)
@@ -180,7 +180,7 @@ class Course:
 
     def at(self, t_s: float) -> Reference | None:
         """Return the reference at `t_s`, or None when the course is over."""
-        # Half a nanosecond: the time of a tick is a rounded sum of floats.
+        # The tolerance is half a nanosecond: the time of a tick is a rounded sum of floats.
         if t_s >= self.duration_s - 5e-10:
             return None
         segment = self.segments[self._index]

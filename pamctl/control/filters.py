@@ -1,7 +1,7 @@
-"""The two low-pass filters and the derivatives, on the measured tick length.
+"""The two low-pass filters and the derivatives, with the measured tick length.
 
-Third-order Butterworth in trapezoidal form: its states are integrator states, so the
-coefficients may change from tick to tick with the measured dt without a jump. At a
+Third-order Butterworth in trapezoidal form. Its states are integrator states, so the
+coefficients may follow the measured dt from tick to tick without a jump. At a
 constant dt it equals `scipy.signal.butter(3, cutoff, fs=1/dt)` sample by sample.
 """
 
@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from pamctl.signals import Estimate, Measurement, Reference
 
-# Towards half the sampling rate the prewarped cut-off goes to infinity. Settings above this share
-# are refused, so a filter gets there only after missed ticks. It then passes the sample nearly
-# unchanged, as a filter that is fast beside the tick should.
+# Towards half the sampling rate the prewarped cut-off goes to infinity. Settings above this ratio
+# are refused, so the limit acts only after missed ticks. The filter then passes the sample nearly
+# unchanged, like any filter that is faster than the tick.
 HIGHEST_PER_RATE = 0.45
 
 
@@ -86,13 +86,13 @@ def estimate(
 ) -> tuple[Estimate, FilterState]:
     """Filter the displacement, and differentiate the error twice.
 
-    LPF_2 works on the derivatives of e = x - x_D. Filtering those of x and subtracting
-    the exact derivatives of x_D instead doubles the RMS error at the paper's 0.5 Hz.
+    LPF_2 filters the derivatives of e = x - x_D. Filtering the derivatives of x, and subtracting
+    the exact derivatives of x_D, would double the RMS error at the paper's 0.5 Hz.
     In open loop the reference is NaN, and so are the error and the states of its filters. They
-    are primed anew in the tick in which a law takes over.
+    are primed again in the tick in which a law takes over.
     """
     if not dt_s > 0.0:
-        # The sample is stale: it changes nothing here, and safety trips on it.
+        # The sample is stale. It changes no state here, and safety trips on it.
         dt_s = inf
     g = warp_cutoff(gains.displacement_hz, dt_s)
     position = state.position

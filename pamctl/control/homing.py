@@ -1,7 +1,7 @@
 """Homing: find the zeros of both sensors on the vented muscle.
 
-The encoder is incremental, and the pressure sensor's zero is good to 17 kPa only. So the muscle
-is vented until both sensors are steady. It is filled and vented again to settle the braid. The
+The encoder is incremental, and the pressure sensor's zero is uncertain by 17 kPa. So the muscle is
+vented until both sensors are steady. Then it is filled and vented again to settle the braid. The
 readings after that are the zeros.
 """
 
@@ -38,11 +38,11 @@ class HomingSettings(Configured):
     steady_s: Annotated[float, Field(gt=0, le=10)] = 0.25
     steady_counts: Annotated[int, Field(ge=0, le=1000)] = 1
     steady_v: Annotated[float, Field(gt=0, le=1, description="sensor volts")] = 0.01
-    timeout_s: Annotated[float, Field(gt=0, le=600, description="of each vent")] = 10.0
+    timeout_s: Annotated[float, Field(gt=0, le=600, description="limit of each vent")] = 10.0
 
 
 class HomingError(Exception):
-    """The rig cannot be homed; the message says what was seen and what to check."""
+    """The rig cannot be homed; the message gives the observation and what to check."""
 
 
 class _Block:
@@ -70,7 +70,7 @@ class Homing:
     """Sequence of vents and fills; ends with the `Zero` of both sensors."""
 
     def __init__(self, settings: HomingSettings, calibration: CalibrationSettings) -> None:
-        """`calibration` holds the electrical range that the sensor's zero must lie in."""
+        """`calibration` holds the permitted voltage range of the sensor's zero."""
         self._settings = settings
         self._calibration = calibration
         self._fills_left = settings.fills
@@ -83,8 +83,8 @@ class Homing:
     def next_reference(self, t_s: float, sample: RawSample) -> Reference | None:
         """Return the reference at `t_s` after `sample`, or None when homed.
 
-        Raises `HomingError` where the rig does not come to rest, does not react to a fill, or
-        rests at a sensor voltage that no vented sensor gives.
+        Raises `HomingError` if the rig does not come to rest, does not react to a fill, or rests at
+        a sensor voltage outside the permitted range.
         """
         settings = self._settings
         if self._filling:
@@ -123,7 +123,7 @@ class Homing:
             )
 
     def _is_steady(self, t_s: float, sample: RawSample) -> bool:
-        """Compare the last two halves of the steady time, whenever one is complete."""
+        """Compare the last two halves of the steady time when one is complete."""
         blocks = self._blocks
         if not blocks:
             blocks.append(_Block(t_s))

@@ -151,7 +151,7 @@ class _InstalledSettings:
 
 
 ControllerSettings = Annotated[LawSettings, _InstalledSettings()]
-"""The settings of any installed law, told apart by the key `law`."""
+"""The settings of any installed law; the key `law` selects the model."""
 
 
 # --- what a log says of its law ------------------------------------------------------------

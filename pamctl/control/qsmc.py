@@ -120,15 +120,15 @@ SLIDING_TERMS = LawTerms(
     robust=Term("u_rb", "V", "robust term of Eq. 15"),
 )
 
-_SOUGHT_AS = (1.75, "kp_v_s3_per_length", 1.0)
+_SEARCH_TERMS = (1.75, "kp_v_s3_per_length", 1.0)
 
 
-def _to_gains(sought: dict[str, float]) -> dict[str, Any]:
-    return sliding_gains_at(sought, *_SOUGHT_AS)
+def _to_gains(numbers: dict[str, float]) -> dict[str, Any]:
+    return sliding_gains_at(numbers, *_SEARCH_TERMS)
 
 
 def _from_gains(gains: dict[str, Any]) -> dict[str, float]:
-    return sliding_numbers_of(read_numbers(gains), *_SOUGHT_AS)
+    return sliding_numbers_of(read_numbers(gains), *_SEARCH_TERMS)
 
 
 LAW = Law(
@@ -143,7 +143,7 @@ LAW = Law(
     terms=SLIDING_TERMS,
     blended=SLIDING_BLENDED | {"kp_v_s3_per_length"},
     search=SearchSpace(
-        fixed={"law": "qsmc", **FIXED_SLIDING, "q": _SOUGHT_AS[0]},
+        fixed={"law": "qsmc", **FIXED_SLIDING, "q": _SEARCH_TERMS[0]},
         axes=(
             GainAxis("lambda_per_s", 5.0, 80.0, 30.0),
             GainAxis("stiffness_v_per_mm", *STIFFNESS_BOUNDS, 25.0),

@@ -1,14 +1,14 @@
-"""How the gains of the two sliding mode laws are sought.
+"""The search space of the two sliding mode laws.
 
-They are sought by what they do at rest, not by K_p and phi. With the reaching law saturated the
+The search varies the laws' response at rest, not K_p and phi. With the reaching law saturated the
 command is
 
     u = -K_p / g (l^3 + 3 eta l^2) e - ...,    l = lambda^q, g = 1 in Eq. 17, g-hat in Eq. 18.
 
-Gains that do nearly the same therefore lie decades apart in K_p when lambda or eta differ. The
-search takes the factor of e instead, in V/mm. K_P is that factor of a PID: all shipped laws are
-sought between the same bounds of it. Instead of phi the search takes the error, in mm, at which
-the term 3 l^2 e of s alone reaches phi.
+Gains with nearly the same effect can therefore differ by decades in K_p if lambda or eta differ.
+The search uses the factor of e instead, in V/mm. K_P is that factor of a PID, so all shipped laws
+have the same bounds of it. Instead of phi the search uses the error, in mm, at which the term
+3 l^2 e of s alone reaches phi.
 
 Only lambda^q enters the laws, so q keeps its value in the paper.
 """
@@ -29,17 +29,17 @@ REACHING_AXES = (GainAxis("eta", 1e-3, 1e3, 2.0), GainAxis("boundary_mm", 1e-5, 
 
 
 def sliding_gains_at(
-    sought: Numbers, q: float, kp_name: str, gain_mm_per_s3_v: float
+    numbers: Numbers, q: float, kp_name: str, gain_mm_per_s3_v: float
 ) -> dict[str, Any]:
-    """Return the keys of a gains file for sought numbers; `gain_mm_per_s3_v` is g."""
-    kp = sought["stiffness_v_per_mm"] * gain_mm_per_s3_v / _stiffness_per_s3(sought, q)
+    """Return the keys of a gains file for numbers of the search; `gain_mm_per_s3_v` is g."""
+    kp = numbers["stiffness_v_per_mm"] * gain_mm_per_s3_v / _stiffness_per_s3(numbers, q)
     return {
-        "lambda_per_s": sought["lambda_per_s"],
+        "lambda_per_s": numbers["lambda_per_s"],
         kp_name: kp,
-        "eta": sought["eta"],
-        "phi": sought["boundary_mm"] * _phi_per_mm(sought, q),
-        "lpf1_hz": sought["lpf1_hz"],
-        "lpf2_hz": sought["lpf2_hz"],
+        "eta": numbers["eta"],
+        "phi": numbers["boundary_mm"] * _phi_per_mm(numbers, q),
+        "lpf1_hz": numbers["lpf1_hz"],
+        "lpf2_hz": numbers["lpf2_hz"],
     }
 
 

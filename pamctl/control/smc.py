@@ -178,24 +178,24 @@ def smc(
     )
 
 
-def _sought_as(mass_kg: float) -> tuple[float, str, float]:
+def _make_search_terms(mass_kg: float) -> tuple[float, str, float]:
     """Return q, K_p's name, and g-hat with this mass: resting, half filled, at mid-stroke."""
     p = plant_parameters(PlantSettings()).paper._replace(mass_kg=mass_kg)
     half_filled_pa = 0.5 * (p.tank_pressure_pa + p.atmospheric_pressure_pa)
     return 1.0, "kp", 1e3 * linearise_model(p, 11.8e-3, 0.0, 0.0, half_filled_pa).fill_gain
 
 
-def _to_gains(sought: dict[str, float]) -> dict[str, Any]:
-    mass_kg = sought["model_mass_kg"]
+def _to_gains(numbers: dict[str, float]) -> dict[str, Any]:
+    mass_kg = numbers["model_mass_kg"]
     model = {"parameters": {"mass_kg": mass_kg}}
-    return {**sliding_gains_at(sought, *_sought_as(mass_kg)), "model": model}
+    return {**sliding_gains_at(numbers, *_make_search_terms(mass_kg)), "model": model}
 
 
 def _from_gains(gains: dict[str, Any]) -> dict[str, float]:
     parameters = gains["model"].get("parameters", {})
     mass_kg = float(parameters.get("mass_kg", PlantSettings().parameters.mass_kg))
     return {
-        **sliding_numbers_of(read_numbers(gains), *_sought_as(mass_kg)),
+        **sliding_numbers_of(read_numbers(gains), *_make_search_terms(mass_kg)),
         "model_mass_kg": mass_kg,
     }
 

@@ -91,8 +91,8 @@ def parse_request(line: bytes, methods: Mapping[str, Method]) -> Request:
     try:
         params = method.params.model_validate(document.get("params", {}))
     except ValidationError as error:
-        told = "; ".join(f"{_format_place(e['loc'])}{e['msg']}" for e in error.errors())
-        raise RequestError(INVALID_PARAMS, told, request_id) from None
+        messages = "; ".join(f"{_format_place(e['loc'])}{e['msg']}" for e in error.errors())
+        raise RequestError(INVALID_PARAMS, messages, request_id) from None
     return Request(request_id, str(name), method, params)
 
 
@@ -103,8 +103,8 @@ def encode_result(request_id: int | str | None, value: object) -> bytes:
 
 def encode_failure(error: RequestError) -> bytes:
     """Return the answer to a request that was not carried out."""
-    said = {"code": error.code, "message": str(error)}
-    return _encode_line({"jsonrpc": "2.0", "id": error.request_id, "error": said})
+    body = {"code": error.code, "message": str(error)}
+    return _encode_line({"jsonrpc": "2.0", "id": error.request_id, "error": body})
 
 
 def _encode_line(document: Mapping[str, object]) -> bytes:

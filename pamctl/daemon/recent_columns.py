@@ -27,12 +27,12 @@ def read_recent_columns(
     unknown = set(fields or ()) - set(names)
     if unknown:
         raise RequestRefusedError(f"no column {', '.join(sorted(unknown))}")
-    wanted = list(fields or names)
-    most = _MOST_VALUES // len(wanted)
+    chosen = list(fields or names)
+    most = _MOST_VALUES // len(chosen)
     ticks = [] if session is None else session.recent_ticks(after_tick, every, most)
     return {
-        "fields": wanted,
-        "ticks": [[_nan_to_none(tick[name]) for name in wanted] for tick in ticks],
+        "fields": chosen,
+        "ticks": [[_nan_to_none(tick[name]) for name in chosen] for tick in ticks],
     }
 
 

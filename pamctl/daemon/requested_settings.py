@@ -78,7 +78,7 @@ def _use_controller(settings: RunSettings, raw: RawSettings) -> RunSettings:
 
 
 def _make_refusal(error: ConfigError) -> RequestRefusedError:
-    """Name what was asked for: a client does not give the options of a start."""
+    """Name the requested value: a client does not give the options of a start."""
     return RequestRefusedError(
         str(error).replace("--set ", "").replace("with --controller", "by gains load")
     )

@@ -167,14 +167,14 @@ class Server:
                 if not request.method.changes:
                     return encode_result(request.id, _carry_out(request))
             events = asyncio.get_running_loop()
-            told = await events.run_in_executor(self._worker, _carry_out, request)
-            return encode_result(request.id, told)
+            result = await events.run_in_executor(self._worker, _carry_out, request)
+            return encode_result(request.id, result)
         except RequestError as error:
             return encode_failure(error)
 
     def _admit_request(self, line: bytes, allowance: Allowance) -> Request:
         request = parse_request(line, self._methods)
-        # The emergency stop is granted however much the client asked before.
+        # The emergency stop is granted after any number of requests.
         if request.name != "estop" and not allowance.spend(self._now_s()):
             message = f"more than {REQUESTS_PER_S:g} requests a second"
             raise RequestError(TOO_MANY, message, request.id)
@@ -186,7 +186,7 @@ def _carry_out(request: Request) -> object:
         return request.method.call(request.params)
     except RequestRefusedError as error:
         raise RequestError(REFUSED, str(error), request.id) from error
-    except Exception as error:  # our own fault: the client is told, the daemon goes on
+    except Exception as error:  # our own fault: report it to the client, and continue
         message = f"{type(error).__name__}: {error}"
         raise RequestError(INTERNAL_ERROR, message, request.id) from error
 

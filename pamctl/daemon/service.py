@@ -152,10 +152,10 @@ class Service:
         """Return columns of the newest ticks, as `read_recent_columns` does."""
         return read_recent_columns(self._session, after_tick, every, fields)
 
-    def _say(self, event: str, **details: object) -> None:
-        told = {"event": event, "time_s": time.time(), **details}
-        self.events.append(told)
-        self._tell(told)
+    def _announce_event(self, event: str, **details: object) -> None:
+        message = {"event": event, "time_s": time.time(), **details}
+        self.events.append(message)
+        self._tell(message)
 
     # --- orders ----------------------------------------------------------------------------------
 
@@ -170,7 +170,7 @@ class Service:
         with self._busy:
             self._require(DaemonState.IDLE, DaemonState.READY, DaemonState.RUNNING)
             self._require_within_stroke(position_m)
-            motion_s = within_s or abs(position_m - self._here_m()) / _LEISURELY_M_PER_S
+            motion_s = within_s or abs(position_m - self._current_position_m()) / _LEISURELY_M_PER_S
             hold = {
                 "kind": "hold",
                 "position_mm": position_m * 1e3,
@@ -200,7 +200,7 @@ class Service:
             if session is None or session.run is None:
                 raise RequestRefusedError(f"nothing is running: the state is {self.state}")
             session.order({"do": "stop", "reason": reason})
-            self._say("stopping", reason=reason)
+            self._announce_event("stopping", reason=reason)
 
     def disarm(self) -> None:
         """End the session, smoothly; the next run homes again."""
@@ -215,7 +215,7 @@ class Service:
         else:
             self._workshop.rig.make_safe()
         self._latch.engage("emergency stop")
-        self._say("estop")
+        self._announce_event("estop")
 
     def ack(self) -> str:
         """Acknowledge the fault; return what it was."""
@@ -225,7 +225,7 @@ class Service:
             if self._session is not None:
                 raise RequestRefusedError("the loop is still ending; try again in a moment")
             fault = self._latch.release()
-            self._say("acknowledged", fault=fault)
+            self._announce_event("acknowledged", fault=fault)
             return fault
 
     def set_gains(self, changes: Sequence[str], ramp_s: float) -> dict[str, Any]:
@@ -246,7 +246,7 @@ class Service:
             if self._session is None or self._session.run is None:
                 raise RequestRefusedError("nothing is being logged")
             self._session.order({"do": "mark", "text": text})
-            self._say("mark", text=text)
+            self._announce_event("mark", text=text)
 
     # --- the life of sessions --------------------------------------------------------------------
 
@@ -258,7 +258,7 @@ class Service:
         if not self._busy.acquire(blocking=False):
             return  # an order is being carried out; it looks after the session itself
         try:
-            self._look_after(session)
+            self._check_session(session)
         finally:
             self._busy.release()
 
@@ -269,7 +269,7 @@ class Service:
         before, self._seen_tick = self._seen_tick, -1 if tick is None else int(tick["tick"])
         return tick is None or self._seen_tick != before
 
-    def _look_after(self, session: Session | None) -> None:
+    def _check_session(self, session: Session | None) -> None:
         if session is None or session is not self._session:
             return
         if not session.is_alive:
@@ -290,7 +290,9 @@ class Service:
         report = session.finish_run()
         self._holds = False
         self._parked_since_s = time.monotonic()
-        self._say("run over", run=run.name, log=str(run.log), note=report.note if report else "")
+        self._announce_event(
+            "run over", run=run.name, log=str(run.log), note=report.note if report else ""
+        )
         self._shelf.tidy()
 
     def close(self) -> None:
@@ -299,7 +301,7 @@ class Service:
         with self._busy:
             self._end_session()
 
-    def hurry(self) -> None:
+    def stop_at_once(self) -> None:
         """End at once, at the safe voltage. This is no fault: nothing is left to acknowledge."""
         session = self._session
         if session is not None:
@@ -309,7 +311,7 @@ class Service:
         session = self._session
         if session is not None:
             self._close_session(session)
-            self._say("idle")
+            self._announce_event("idle")
 
     def _close_session(self, session: Session) -> Ending:
         ending = session.close()
@@ -319,7 +321,7 @@ class Service:
     def _conclude_session(self, ending: Ending) -> None:
         """Latch the reason of a loop that ended by itself."""
         self._latch.engage(ending.reason)
-        self._say("fault", reason=ending.reason, code=int(ending.code))
+        self._announce_event("fault", reason=ending.reason, code=int(ending.code))
 
     def _begin(self, experiment: Mapping[str, Any], name: str, duration_s: float | None) -> Path:
         settings = load_experiment(self._settings, experiment, name, duration_s)
@@ -341,7 +343,7 @@ class Service:
             self._parked_since_s = time.monotonic()
             raise
         self._holds = isinstance(settings.experiment, HoldSettings)
-        self._say("run begins", run=name, log=str(path))
+        self._announce_event("run begins", run=name, log=str(path))
         return path
 
     def _begin_session(self) -> Session:
@@ -359,7 +361,7 @@ class Service:
                 require_tunable(self._settings, changed)
             session.order({"do": "gains", "controller": controller, "ramp_s": ramp_s})
         self._settings = changed
-        self._say("gains", ramp_s=ramp_s)
+        self._announce_event("gains", ramp_s=ramp_s)
         return controller
 
     def _require(self, *allowed: DaemonState) -> None:
@@ -373,7 +375,7 @@ class Service:
         if state not in allowed:
             raise RequestRefusedError(f"not now: the state is {state}")
 
-    def _here_m(self) -> float:
+    def _current_position_m(self) -> float:
         tick = None if self._session is None else self._session.latest_tick()
         here_m = math.nan if tick is None else tick["position_m"]
         return 0.0 if math.isnan(here_m) else here_m

@@ -110,7 +110,7 @@ async def _serve(service: Service, path: Path, group: str | None, tell: Tell) ->
     """Answer until a signal comes; then leave the valve safe. A second signal ends it at once."""
     events = asyncio.get_running_loop()
     stop: asyncio.Future[Ending] = events.create_future()
-    _listen_for_signals(lambda number: _stop(stop, service, _ending_by_signal(number)))
+    _listen_for_signals(lambda number: _stop(stop, service, _make_signal_ending(number)))
     server = Server(methods_of(service))
     await server.listen(path, group)
     watch = _Watch(
@@ -155,12 +155,12 @@ def _ignore_signals() -> None:
 
 def _stop(stop: asyncio.Future[Ending], service: Service, ending: Ending) -> None:
     if stop.done():
-        service.hurry()
+        service.stop_at_once()
     else:
         stop.set_result(ending)
 
 
-def _ending_by_signal(number: signal.Signals) -> Ending:
+def _make_signal_ending(number: signal.Signals) -> Ending:
     """Return the ending by a signal, which is the normal one: exit code 0."""
     return Ending(ExitCode.OK, f"stopped by {number.name}")
 

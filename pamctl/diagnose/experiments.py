@@ -1,6 +1,6 @@
-"""Which experiment tells two effects apart, and which shows one best.
+"""Find the experiment that separates two effects, or that shows one best.
 
-An advice names a file of config/experiment, which `pamctl run --experiment NAME` runs.
+The advice names a file of config/experiment, which `pamctl run --experiment NAME` runs.
 """
 
 from __future__ import annotations

@@ -101,7 +101,7 @@ def _recalibrate(
 ) -> Model:
     """Recalibrate; drive the mechanics by a pressure that the pressure block has cleaned.
 
-    The pressure block takes whatever effects it needs: they tell the pressure from its noise.
+    The pressure block takes all effects that it needs, to separate the pressure from its noise.
     """
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
         return recalibrate(evidence)

@@ -22,10 +22,10 @@ class Broadcast:
         self._kept: deque[Glimpse] = deque(maxlen=_KEPT_LOOKS)
         self._count = 0
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._look_on, name="broadcast", daemon=True)
+        self._thread = threading.Thread(target=self._poll_feed, name="broadcast", daemon=True)
         self._thread.start()
 
-    def _look_on(self) -> None:
+    def _poll_feed(self) -> None:
         while not self._ended.wait(1.0 / LOOKS_PER_S):
             glimpse = self._feed.look()
             with self._news:

@@ -60,14 +60,14 @@ class DaemonFeed:
         newest = -1 if status["tick"] is None else int(status["tick"]["tick"])
         if newest < self._seen:
             self._seen = -1  # another session counts from zero
-        asked = {"after_tick": self._seen, "every": self._every, "fields": self._fields}
-        told = self._client.call("recent", asked)
+        request = {"after_tick": self._seen, "every": self._every, "fields": self._fields}
+        answer = self._client.call("recent", request)
         ticks = [
             {
                 name: math.nan if value is None else value
-                for name, value in zip(told["fields"], row, strict=True)
+                for name, value in zip(answer["fields"], row, strict=True)
             }
-            for row in told["ticks"]
+            for row in answer["ticks"]
         ]
         self._seen = newest
         if ticks and "tick" in ticks[-1]:

@@ -51,8 +51,8 @@ class Telemetry:
         for tick in glimpse.ticks:
             self._ticks.log(self._pack_tick(tick), log_time=int(tick["encoder_t_ns"]) + offset_ns)
         if glimpse.status is not None:
-            said = {k: v for k, v in glimpse.status.items() if k != "tick"}
-            self._status.log(said)
+            status = {k: v for k, v in glimpse.status.items() if k != "tick"}
+            self._status.log(status)
 
     def _pack_tick(self, tick: Mapping[str, float]) -> bytes:
         for name, value in tick.items():

@@ -47,13 +47,13 @@ def judge_request_head(head: bytes, port: int, origins: Collection[str]) -> Gate
         headers = parse_headers(io.BytesIO(rest))
     except (ValueError, HTTPException):
         return GateRefusal("400 Bad Request", "this is no request")
-    hosts, told = headers.get_all("Host", []), headers.get_all("Origin", [])
+    hosts, senders = headers.get_all("Host", []), headers.get_all("Origin", [])
     if hosts not in ([f"127.0.0.1:{port}"], [f"localhost:{port}"]):
         return GateRefusal("421 Misdirected Request", "this is not the host you asked for")
-    if not told or (told[0] in origins and len(told) == 1):
+    if not senders or (senders[0] in origins and len(senders) == 1):
         return None
-    is_page = any(one == "null" or one.lower().startswith(("http:", "https:")) for one in told)
-    if is_page or len(told) > 1:
+    is_page = any(one == "null" or one.lower().startswith(("http:", "https:")) for one in senders)
+    if is_page or len(senders) > 1:
         fix = "name this site with --live-origin if it may watch"
         return GateRefusal("403 Forbidden", f"pages of other sites may not watch; {fix}")
     return None
@@ -110,12 +110,12 @@ class Gate:
         its_reader, its_writer = await asyncio.open_connection(*self._behind)
         try:
             its_writer.write(head)
-            await _await_first(_pass_on(reader, its_writer), _pass_on(its_reader, writer))
+            await _await_first(_copy_stream(reader, its_writer), _copy_stream(its_reader, writer))
         finally:
             its_writer.close()
 
 
-async def _pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
+async def _copy_stream(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
     """Copy to the end. A slow reader slows the writer, which then skips values."""
     with suppress(ConnectionError):
         while piece := await source.read(_PIECE):

@@ -11,16 +11,18 @@ if TYPE_CHECKING:  # `pamctl status` does not wait for it
     from pamctl.live.feed import Glimpse
 
 
-def format_status(told: Mapping[str, Any]) -> str:
+def format_status(status: Mapping[str, Any]) -> str:
     """Write a status, as the daemon sends it, as a few lines."""
-    what = f": {told['fault']}" if told["fault"] else f" ({told['run']})" if told["run"] else ""
-    lines = [f"{told['state']}{what}, {told['backend']} {told['device']}"]
-    if told["tick"] is not None:
-        tick = {k: float("nan") if v is None else v for k, v in told["tick"].items()}
-        lines.append(format_progress(tick, told["worst_late_s"]).strip())
-    if told["log"]:
-        lines.append(f"log: {told['log']}")
-    lines.append(f"disk: {told['disk_free_bytes'] / 1e9:.1f} GB free")
+    what = f" ({status['run']})" if status["run"] else ""
+    if status["fault"]:
+        what = f": {status['fault']}"
+    lines = [f"{status['state']}{what}, {status['backend']} {status['device']}"]
+    if status["tick"] is not None:
+        tick = {k: float("nan") if v is None else v for k, v in status["tick"].items()}
+        lines.append(format_progress(tick, status["worst_late_s"]).strip())
+    if status["log"]:
+        lines.append(f"log: {status['log']}")
+    lines.append(f"disk: {status['disk_free_bytes'] / 1e9:.1f} GB free")
     return "\n".join(lines)
 
 

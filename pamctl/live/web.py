@@ -88,7 +88,7 @@ class PageServer(ThreadingHTTPServer):
         self._room = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
 
-    def may_ask(self) -> bool:
+    def spend_request(self) -> bool:
         """Take one request from the allowance that all browsers share."""
         with self._asking:
             return self._allowance.spend(time.monotonic())
@@ -151,8 +151,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._require_own_page()
             if self.path != "/do":
                 raise _RequestRefusal(HTTPStatus.NOT_FOUND, "there is no such page")
-            told = self._carry_out_order(self._read_order())
-            self._answer(HTTPStatus.OK, json.dumps(told).encode(), "application/json")
+            result = self._carry_out_order(self._read_order())
+            self._answer(HTTPStatus.OK, json.dumps(result).encode(), "application/json")
         except _RequestRefusal as refusal:
             self._refuse(refusal)
 
@@ -173,12 +173,12 @@ class _Handler(BaseHTTPRequestHandler):
     def _read_order(self) -> dict[str, Any]:
         """Read an order; raise `_RequestRefusal` if it is not permitted or not understood."""
         body = self._read_body()
-        told = self.headers.get("Authorization", "").removeprefix("Bearer ")
-        is_known = hmac.compare_digest(told.encode(), self.server.token.encode())
+        token = self.headers.get("Authorization", "").removeprefix("Bearer ")
+        is_known = hmac.compare_digest(token.encode(), self.server.token.encode())
         order = _parse_order(body)
-        # The emergency stop is granted however much was asked before.
+        # The emergency stop is granted after any number of requests.
         is_estop = bool(self.server.token) and is_known and order.get("do") == "estop"
-        if not is_estop and not self.server.may_ask():
+        if not is_estop and not self.server.spend_request():
             raise _RequestRefusal(HTTPStatus.TOO_MANY_REQUESTS, "too many requests")
         if not self.server.token:
             raise _RequestRefusal(HTTPStatus.FORBIDDEN, "read-only: start it with --allow-control")
@@ -219,8 +219,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(f"event: hello\ndata: {may_control}\n\n".encode())
         seen = 0
         while True:
-            seen, told = self.server.broadcast.after(seen, _STILL_THERE_S)
-            self.wfile.write(f"data: {told}\n\n".encode())
+            seen, line = self.server.broadcast.after(seen, _STILL_THERE_S)
+            self.wfile.write(f"data: {line}\n\n".encode())
 
     def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
         self._begin(status, kind, len(body))

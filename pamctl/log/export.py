@@ -14,18 +14,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.exit_codes import ExitCode
 from pamctl.json_text import to_json
-from pamctl.log.new_file import NewFileError, create_new_file
+from pamctl.log.framing import LogError
 from pamctl.log.reader import NoSuchColumn, read
 from pamctl.log.schema import TICK_TOPIC, unit_of_column
+from pamctl.new_file import create_new_file, require_place
 
 Columns = Mapping[str, NDArray[Any]]
 
 _CSV_ROWS = 4096
 
 
-class ExportError(NewFileError):
+class ExportError(LogError):
     """The log cannot be exported in this way. The message says why, and what to do."""
+
+    exit_code = ExitCode.USAGE
 
 
 @dataclass(frozen=True)
@@ -50,10 +54,12 @@ def export_ticks(
     """Write every `every`-th tick with from_s <= t_s <= to_s into a new file.
 
     The suffix of the destination is the format. `fields` are the columns in this order; default:
-    all. Raise ExportError if the destination cannot be written, LogError if the log cannot be read.
+    all. Raise ExportError if there is no such format or column, NewFileError if the destination
+    cannot be written, LogError if the log cannot be read.
     """
     destination = Path(destination)
     write = _choose_writer(destination)
+    require_place(destination)
     wanted = None if fields is None else {*fields, "t_s"}
     try:
         log = read(source, TICK_TOPIC, fields=wanted)

@@ -1,11 +1,11 @@
-"""The door for effects: every effect comes from the entry point group `pamctl.effects`.
+"""Load all effects, shipped and outside ones, from the entry point group `pamctl.effects`.
 
 An entry point names a record (`my_package.my_effect:DESCRIPTION`), a module that holds one as
-`DESCRIPTION`, or a package of such modules. The shipped effects are such a package; it is always
-among the entry points, so that an old installation does not lose them.
+`DESCRIPTION`, or a package of such modules. The shipped effects are such a package. It is
+always loaded, also where an old installation does not declare it.
 
-An outside effect that cannot be loaded is left out with a warning: it must not keep the valve
-from its safe voltage. A plant file that names it is refused as for any unknown effect.
+An outside effect that cannot be loaded is left out with a warning: a broken package must not keep
+the valve from its safe voltage. A plant file that names it is refused as for any unknown effect.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def load_effects() -> dict[str, EffectDescription]:
             for effect in _list_effects(point.load()):
                 check_effect(effect)
                 if effect.name in found:
-                    raise ValueError(f"there is an effect of the name {effect.name} already")
+                    raise ValueError(f"an effect of the name {effect.name} exists already")
                 found[effect.name] = effect
         except Exception as error:
             if point is SHIPPED:
@@ -60,11 +60,11 @@ def _list_effects(loaded: object) -> Iterator[EffectDescription]:
     elif isinstance(loaded, ModuleType):
         yield loaded.DESCRIPTION
     else:
-        raise TypeError(f"{type(loaded).__name__} is no EffectDescription")
+        raise TypeError(f"{type(loaded).__name__} is not an EffectDescription")
 
 
 def check_effect(effect: EffectDescription) -> None:
-    """Raise ValueError where a record contradicts itself or the places."""
+    """Raise ValueError if a record contradicts itself or its places."""
     if not effect.name.isidentifier() or effect.block not in BLOCKS:
         raise ValueError(f"name {effect.name!r} or block {effect.block!r} is not valid")
     if not any(p.role == "size" for p in effect.parameters):
@@ -112,4 +112,4 @@ def list_arguments(kernel: Any) -> list[str]:
 
 
 CATALOGUE: dict[str, EffectDescription] = load_effects()
-"""Every effect by its name: those on the pressure block, the mechanics, the sensors."""
+"""Every effect by its name: first the pressure block, then the mechanics, then the sensors."""

@@ -1,7 +1,7 @@
-"""The effects of the catalogue, composed: their parameters, their memories, a kernel a place.
+"""Compose the effects of the catalogue: their parameters, their memories, one kernel a place.
 
-Everything here is made once, at import, from the catalogue. `compile_kernel` needs a function
-whose source stands still, so each place gets one that calls the effects' kernels by name:
+All of it is made once, at import. `compile_kernel` needs a function with fixed source, so each
+place gets one that calls the effects' kernels by name:
 
     def pass_opening(effects, memory, opening_v, age_s):
         opening_v = valve_deadband_kernel(effects.valve_deadband, opening_v)
@@ -9,9 +9,9 @@ whose source stands still, so each place gets one that calls the effects' kernel
         ...
         return opening_v
 
-At neutral values a kernel without a memory must give back its value, or add 0: it is called all the
-same, because a test before each would cost the compiled plant 12 %. An effect that remembers is
-called, and its memory followed, only where it acts.
+A kernel without a memory is always called: a test before each call would cost the compiled plant
+12 %. At neutral values it must therefore return its value unchanged, or add 0. A kernel with a
+memory is called, and its memory updated, only if the effect is active.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _list_modules() -> tuple[str, ...]:
 
 
 KERNEL_MODULES = _list_modules()
-"""Modules that the code below depends on; `pamctl.compiled` keys its cache by them, too."""
+"""Modules that the code below depends on; they are part of the key of `pamctl.compiled`'s cache."""
 
 
 def _make_group(name: str, defaults: Mapping[str, Any]) -> Any:
@@ -53,22 +53,22 @@ def _effects_of(part: Part) -> dict[str, Any]:
 
 
 TimingEffects = _make_group("TimingEffects", _effects_of("timing"))
-"""Parameters of the effects on when a command arrives."""
+"""Parameters of the effects on the time at which a command arrives."""
 ValveEffects = _make_group("ValveEffects", _effects_of("valve"))
-"""Parameters of the effects on what makes the opening of a command."""
+"""Parameters of the effects between the command and the valve's opening."""
 AirEffects = _make_group("AirEffects", _effects_of("air"))
 """Parameters of the effects on the air's flow and pressure."""
 MechanicsEffects = _make_group("MechanicsEffects", _effects_of("mechanics"))
 """Parameters of the effects on forces and friction."""
 SensorEffects = _make_group("SensorEffects", _effects_of("sensors"))
-"""Parameters of the effects on what the sensors show."""
+"""Parameters of the effects on the sensors' readings."""
 
 
 class Effects(NamedTuple):
     """Parameters of every effect, by the part of a step that computes it; by default none acts.
 
-    An effect that two parts compute stands in both. One that changes the plant's own numbers
-    only stands in none.
+    An effect that two parts compute appears in both. An effect that only changes the plant's own
+    numbers appears in none.
     """
 
     timing: Any = TimingEffects()
@@ -80,7 +80,7 @@ class Effects(NamedTuple):
 
 @cache
 def order_entries(place: str) -> tuple[tuple[str, EffectEntry], ...]:
-    """Return the effects of a place with their entries, each after those whose result it takes."""
+    """Return the effects of a place with their entries, in the order in which they act."""
     entries = {
         name: entry
         for name, effect in CATALOGUE.items()
@@ -102,31 +102,31 @@ def _list_memories(part: Part) -> dict[str, Callable[[float, float], Any]]:
     }
 
 
-def _remember(part: Part, position_m: float, pressure_pa: float) -> dict[str, Any]:
+def _make_memories(part: Part, position_m: float, pressure_pa: float) -> dict[str, Any]:
     return {
         name: at_rest(position_m, pressure_pa) for name, at_rest in _list_memories(part).items()
     }
 
 
-ValveMemory = _make_group("ValveMemory", _remember("valve", 0.0, nan))
-"""What effects on command and opening remember."""
-MechanicsMemory = _make_group("MechanicsMemory", _remember("mechanics", 0.0, nan))
-"""What effects on forces and friction remember."""
-SensorMemory = _make_group("SensorMemory", _remember("sensors", 0.0, nan))
-"""What effects on the readings remember."""
+ValveMemory = _make_group("ValveMemory", _make_memories("valve", 0.0, nan))
+"""Memories of the effects on command and opening."""
+MechanicsMemory = _make_group("MechanicsMemory", _make_memories("mechanics", 0.0, nan))
+"""Memories of the effects on forces and friction."""
+SensorMemory = _make_group("SensorMemory", _make_memories("sensors", 0.0, nan))
+"""Memories of the effects on the readings."""
 
 
-def remember_rest(position_m: float, pressure_pa: float) -> tuple[Any, Any, Any]:
+def make_rest_memories(position_m: float, pressure_pa: float) -> tuple[Any, Any, Any]:
     """Return the memories of valve, mechanics and sensors after a long rest."""
     return (
-        ValveMemory(**_remember("valve", position_m, pressure_pa)),
-        MechanicsMemory(**_remember("mechanics", position_m, pressure_pa)),
-        SensorMemory(**_remember("sensors", position_m, pressure_pa)),
+        ValveMemory(**_make_memories("valve", position_m, pressure_pa)),
+        MechanicsMemory(**_make_memories("mechanics", position_m, pressure_pa)),
+        SensorMemory(**_make_memories("sensors", position_m, pressure_pa)),
     )
 
 
 def change_numbers(numbers: Any, values: Mapping[str, float]) -> Any:
-    """Return the plant's numbers (`PaperParameters`) as the effects of that place change them.
+    """Return the plant's numbers (`PaperParameters`) with the effects of the place `numbers`.
 
     `values` holds the effects' parameters by their flat names.
     """
@@ -144,7 +144,7 @@ def change_numbers(numbers: Any, values: Mapping[str, float]) -> Any:
 def _compose(
     name: str, arguments: Iterable[str], body: Iterable[str], used: Mapping[str, Any]
 ) -> Kernel:
-    """Make a kernel from lines of source; `used` are the functions and types that they name."""
+    """Make a kernel from lines of source; `used` holds the functions and types that they name."""
     source = "\n    ".join([f"def {name}({', '.join(arguments)}):", *body])
     scope: dict[str, Any] = {"__name__": __name__, **used}
     # The cache of machine code needs a file that exists.
@@ -154,13 +154,13 @@ def _compose(
 
 
 def _call(called: str, name: str, kernel: Kernel, **renamed: str) -> str:
-    """Write the call of an effect's kernel, with the arguments that it names."""
+    """Write the call of an effect's kernel with its arguments."""
     given = (renamed.get(argument, argument) for argument in list_arguments(kernel))
     return f"{called}({', '.join([f'effects.{name}', *given])})"
 
 
-def _acts(name: str) -> str:
-    """Write the test whether an effect acts."""
+def _write_activity_test(name: str) -> str:
+    """Write the test whether an effect is active."""
     sizes = [p for p in CATALOGUE[name].parameters if p.role == "size"]
     return " or ".join(f"effects.{name}.{p.name} != {p.neutral!r}" for p in sizes)
 
@@ -168,8 +168,8 @@ def _acts(name: str) -> str:
 def _make_pass(place: str) -> Kernel:
     """Make (effects, memory, value, ...) -> value: all kernels of a place, one after the other.
 
-    There is a `memory` only where effects may remember. `value` is the one that the place replaces,
-    or the sum to which it adds.
+    `memory` is an argument only if the place allows memories. `value` is the value that the place
+    replaces, or the sum to which it adds.
     """
     its, used, body = PLACES[place], {}, []
     value = its.replaces or "total"
@@ -177,7 +177,7 @@ def _make_pass(place: str) -> Kernel:
         kernel = f"{name}_kernel"
         used[kernel] = entry.kernel
         call = _call(kernel, name, entry.kernel, memory=f"memory.{name}")
-        acts = f"if {_acts(name)}: " if entry.memory is not None else ""
+        acts = f"if {_write_activity_test(name)}: " if entry.memory is not None else ""
         body.append(f"{acts}{value} {'=' if its.replaces else '+='} {call}")
     memory = ["memory"] if its.follows else []
     others = [argument for argument in its.gives if argument != value]
@@ -188,7 +188,7 @@ def _make_pass(place: str) -> Kernel:
 def _make_follow(place: str, group: Any) -> Kernel:
     """Make (effects, memory, begin, end, step_s, ...) -> memory after a step.
 
-    Where a value passes, a memory follows what the kernels before it make of that value.
+    If the place passes a value, a memory follows the result of the kernels before it.
     """
     its, new, body = PLACES[place], {}, []
     used: dict[str, Any] = {"Memory": group}
@@ -201,7 +201,7 @@ def _make_follow(place: str, group: Any) -> Kernel:
             used[follow] = entry.memory.follow
             call = _call(follow, name, entry.memory.follow, memory=f"memory.{name}")
             body.append(f"{new[name]} = memory.{name}")
-            body.append(f"if {_acts(name)}: {new[name]} = {call}")
+            body.append(f"if {_write_activity_test(name)}: {new[name]} = {call}")
             waiting -= 1
         if waiting and passes:
             kernel = f"{name}_kernel"
@@ -209,7 +209,7 @@ def _make_follow(place: str, group: Any) -> Kernel:
             for value, memory in (("begin", f"memory.{name}"), ("end", f"{name}_after")):
                 renamed = {"memory": memory, its.replaces: value}
                 call = _call(kernel, name, entry.kernel, **renamed)
-                body.append(f"if {_acts(name)}: {value} = {call}")
+                body.append(f"if {_write_activity_test(name)}: {value} = {call}")
     fields = [new.get(name, f"memory.{name}") for name in group._fields]
     others = [a for a in its.gives if a != its.replaces] if passes else []
     arguments = ["effects", *its.follows, *others]
@@ -219,9 +219,9 @@ def _make_follow(place: str, group: Any) -> Kernel:
 
 
 def _make_speed_test() -> Kernel:
-    """Make (effects) -> bool: whether an effect acts whose force depends on the speed."""
+    """Make (effects) -> bool: whether any active effect has a force that depends on speed."""
     tests = [
-        _acts(name)
+        _write_activity_test(name)
         for place in ("pulling_pressure", "force", "friction", "damping")
         for name, entry in order_entries(place)
         if "velocity_m_per_s" in list_arguments(entry.kernel)
@@ -252,7 +252,7 @@ depends_on_speed = _make_speed_test()
 
 
 def undo_reading(place: str, effects: Any, shown: Any, times_s: Any, atmosphere_pa: float) -> Any:
-    """Return what an ideal sensor would have shown (arrays), as far as effects can be undone."""
+    """Return the readings of an ideal sensor (arrays), as far as effects can be undone."""
     for name, entry in reversed(order_entries(place)):
         if entry.undo is not None:
             shown = entry.undo(getattr(effects, name), shown, times_s, atmosphere_pa)

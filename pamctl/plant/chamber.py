@@ -1,8 +1,9 @@
-"""The pressure block with what the paper leaves out: leaks, supply, line, volumes, thermodynamics.
+"""The pressure block with effects: leaks, supply, line, volumes, thermodynamics.
 
-The same midpoint step as `pressure.py`, and at neutral values the same to the bit. What is
-stiff is solved implicitly: the supply behind its regulator and the air in the line follow their
-lags exactly, with the flow of the middle of the step, however short their time constants are.
+It uses the midpoint step of `pressure.py`, and at neutral values gives the same bits. The stiff
+parts are solved implicitly: the supply behind its regulator and the air in the line follow their
+lags exactly, with the flow at the middle of the step. Their time constants may be arbitrarily
+short.
 """
 
 from __future__ import annotations
@@ -32,18 +33,18 @@ class Ports(NamedTuple):
 
 
 class MuscleFeed(NamedTuple):
-    """What feeds the muscle in the middle of a step."""
+    """Supply, node and flow in the middle of a step."""
 
     supply_pa: float
-    """Upstream of the valve."""
+    """Pressure upstream of the valve."""
     node_pa: float
-    """Downstream of it: the line's valve end, or the muscle itself."""
+    """Pressure downstream of the valve: at the line's valve end, or in the muscle."""
     inflow_kg_per_s: float
-    """Through the valve, into the node."""
+    """Flow through the valve into the node."""
 
 
 def port_areas(p: AirParameters, opening_v: float) -> Ports:
-    """Return what the valve's opening (V of command) and its leaks leave open."""
+    """Return the open areas for the valve's opening (V of command) and its leaks."""
     area = p.paper.valve_gain_m2_per_v * abs(opening_v)
     leak = leak_area_m2(p.effects.valve_leak, opening_v)
     if opening_v > 0.0:
@@ -52,7 +53,7 @@ def port_areas(p: AirParameters, opening_v: float) -> Ports:
 
 
 def port_flow(p: AirParameters, source_pa: float, pressure_pa: float) -> float:
-    """Mass flow per area from a source, kg/(s m^2); negative where the source is lower."""
+    """Return the mass flow per area from a source, kg/(s m^2); negative if the source is lower."""
     upstream, downstream, sign = source_pa, pressure_pa, 1.0
     if source_pa < pressure_pa:
         upstream, downstream, sign = pressure_pa, source_pa, -1.0
@@ -65,7 +66,7 @@ def port_flow(p: AirParameters, source_pa: float, pressure_pa: float) -> float:
 
 
 def flow_through_ports(p: AirParameters, open_to: Ports, supply_pa: float, node_pa: float) -> float:
-    """Mass flow into the node, kg/s."""
+    """Return the mass flow into the node, kg/s."""
     flow = 0.0
     if open_to.tank_m2 > 0.0:
         flow = open_to.tank_m2 * port_flow(p, supply_pa, node_pa)
@@ -75,16 +76,16 @@ def flow_through_ports(p: AirParameters, open_to: Ports, supply_pa: float, node_
 
 
 def false_position(one: float, miss_one: float, other: float, miss_other: float) -> float:
-    """Return the false position between two points: where the line through them is zero."""
+    """Return the zero of the line through two points (false position)."""
     return (one * miss_other - other * miss_one) / (miss_other - miss_one)
 
 
 def keep_bracket_end(
     one: float, miss_one: float, other: float, miss_other: float, miss: float
 ) -> tuple[float, float]:
-    """Return the point beyond the root from a new one, which misses by `miss`.
+    """Return the bracket's end on the other side of the root from a new point with residual `miss`.
 
-    A point that stays is halved in its miss, so that neither end stands still.
+    The residual of an end that stays is halved (Illinois method), so that both ends move.
     """
     if (miss > 0.0) == (miss_other > 0.0):
         return one, 0.5 * miss_one
@@ -94,7 +95,7 @@ def keep_bracket_end(
 def solve_supply_pa(
     p: AirParameters, before_pa: float, open_to: Ports, node_pa: float, step_s: float
 ) -> float:
-    """Return the supply's pressure after `step_s` of the flow that it then gives.
+    """Return the supply's pressure after `step_s`, with the flow at that pressure.
 
     s + (1 - kept) R m(s) = kept s_0 + (1 - kept) P_tank: m grows with s and is 0 at the node's
     pressure, so the root lies between that and the right-hand side.
@@ -129,9 +130,9 @@ def solve_feed(
     later_pa: float,
     step_s: float,
 ) -> MuscleFeed:
-    """Return what feeds the muscle after `step_s`, while its pressure goes straight to `later_pa`.
+    """Return the feed after `step_s`, while the muscle's pressure changes linearly to `later_pa`.
 
-    n - (1 - kept) R_l m(n) = what the line's end would be without flow: m falls with n.
+    n - (1 - kept) R_l m(n) = the pressure of the line's end without flow; m falls with n.
     """
     line = p.effects.line_restriction
     if line.resistance_pa_s_per_kg <= 0.0:
@@ -164,14 +165,14 @@ def solve_feed(
 def flow_into(
     p: AirParameters, air: AirState, open_to: Ports, node_pa: float, step_s: float
 ) -> float:
-    """Mass flow into the node at a pressure, after the supply has followed for `step_s`."""
+    """Return the mass flow into the node at a pressure, after the supply's response to `step_s`."""
     return flow_through_ports(
         p, open_to, solve_supply_pa(p, air.supply_pa, open_to, node_pa, step_s), node_pa
     )
 
 
 def leak_flow(p: AirParameters, pressure_pa: float) -> float:
-    """Mass flow into the muscle past the valve, kg/s; negative outwards."""
+    """Return the mass flow into the muscle that bypasses the valve, kg/s; negative outwards."""
     area: float = p.effects.chamber_leak.area_m2
     if area <= 0.0:
         return p.extra_kg_per_s
@@ -180,7 +181,7 @@ def leak_flow(p: AirParameters, pressure_pa: float) -> float:
 
 
 def air_volume_m3(p: AirParameters, position_m: float, pressure_pa: float) -> float:
-    """Volume that the air fills: Eq. 2, with stretched threads, and what else effects add."""
+    """Return the volume of the air: Eq. 2 with stretched threads, and added volumes."""
     braid = p.effects.braid_stretch
     if braid.compliance_per_pa == 0.0:
         room_m3 = volume_m3(p.paper, position_m)
@@ -194,7 +195,7 @@ def air_volume_m3(p: AirParameters, position_m: float, pressure_pa: float) -> fl
 
 
 def amount_of_air(p: AirParameters, position_m: float, pressure_pa: float) -> float:
-    """P V^a: the air in the muscle, as Eq. 7 counts it."""
+    """Return P V^a, the amount of air in the muscle in the sense of Eq. 7."""
     return pressure_pa * polytropic_volume(
         p.effects.polytropic, air_volume_m3(p, position_m, pressure_pa)
     )
@@ -203,7 +204,7 @@ def amount_of_air(p: AirParameters, position_m: float, pressure_pa: float) -> fl
 def solve_pressure_of_air(
     p: AirParameters, air: float, position_m: float, line_m3: float, guess_pa: float
 ) -> float:
-    """Return the pressure at which muscle, and a part of the line, hold `air` (P V^a)."""
+    """Return the pressure at which the muscle and a part of the line hold `air` (P V^a)."""
     polytropic, braid = p.effects.polytropic, p.effects.braid_stretch
     if braid.compliance_per_pa == 0.0:
         return air / (
@@ -214,7 +215,7 @@ def solve_pressure_of_air(
     grows = (
         2.0 * length * p.paper.volume_scale * p.paper.braid_length_m**2 * braid.compliance_per_pa
     )
-    for _ in range(4):  # Newton: the volume depends on the pressure
+    for _ in range(4):  # Newton's method: the volume depends on the pressure
         room = air_volume_m3(p, position_m, pressure_pa)
         gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
         slope = polytropic_slope(polytropic, room) * grows * stretch_ratio(braid, gauge_pa)
@@ -236,7 +237,7 @@ def fill_chamber(
 ) -> tuple[float, float]:
     """Return the pressure of the muscle and of the line's end after `step_s` of constant flows.
 
-    Air is conserved: what the line's own volume takes up does not reach the muscle.
+    Air is conserved: air that the line's volume takes up does not reach the muscle.
     """
     line = p.effects.line_restriction
     energy = step_s * p.paper.specific_energy_j_per_kg
@@ -258,7 +259,7 @@ def fill_chamber(
 def net_flow(
     p: AirParameters, air: AirState, open_to: Ports, pressure_pa: float, step_s: float
 ) -> float:
-    """Return the whole flow into the muscle at a pressure, kg/s."""
+    """Return the total flow into the muscle at a pressure, kg/s."""
     return flow_into(p, air, open_to, pressure_pa, step_s) + leak_flow(p, pressure_pa)
 
 
@@ -271,11 +272,11 @@ def stop_at_balance(
     net_kg_per_s: float,
     step_s: float,
 ) -> tuple[float, bool]:
-    """Stop at the pressure where inflow and outflow balance; tell whether it is reached.
+    """Stop at the pressure where inflow and outflow balance; return whether it is reached.
 
     `net_kg_per_s` is the net flow at `pressure_pa`, which the caller has computed already. With one
-    source the balance is at the source's pressure, as in `pressure.py`. A resistance in the line
-    lets the flow end gently, and needs no such stop.
+    source the balance is at the source's pressure, as in `pressure.py`. With a resistance in the
+    line the flow decays smoothly and needs no stop.
     """
     if p.effects.line_restriction.resistance_pa_s_per_kg > 0.0:
         return next_pa, False
@@ -315,7 +316,7 @@ def chamber_middle_pa(
     middle_m: float,
     step_s: float,
 ) -> tuple[float, bool]:
-    """Predict the muscle's absolute pressure in the middle of the step; tell if in balance."""
+    """Return the predicted absolute pressure in the middle of the step, and whether it balances."""
     open_to, half_s = port_areas(p, opening_v), 0.5 * step_s
     fed_by = solve_feed(p, air, open_to, pressure_pa, pressure_pa, half_s)
     leak = leak_flow(p, pressure_pa)
@@ -339,12 +340,12 @@ def chamber_step(
     end_m: float,
     step_s: float,
 ) -> tuple[float, AirState]:
-    """Advance the muscle's absolute pressure, and supply and line, by one midpoint step."""
+    """Advance the muscle's absolute pressure, the supply and the line by one midpoint step."""
     open_to, half_s = port_areas(p, opening_v), 0.5 * step_s
     fed_by = solve_feed(p, air, open_to, pressure_pa, middle_pa, half_s)
     supply_pa = advance_supply_pa(p, air, open_to, fed_by, step_s)
     if balanced:
-        # See `pressure_step`: the flow's way to its end is over within this step.
+        # See `pressure_step`: the flow ends within this step.
         return middle_pa, AirState(supply_pa, middle_pa)
     leak = leak_flow(p, middle_pa)
     worth = polytropic_slope(p.effects.polytropic, air_volume_m3(p, middle_m, middle_pa))
@@ -356,7 +357,7 @@ def chamber_step(
         end_pa, _ = stop_at_balance(p, air, open_to, middle_pa, end_pa, net, half_s)
         line_pa = end_pa
     elif p.effects.line_restriction.volume_m3 <= 0.0:
-        # Without air of its own the line's end shows the flow of this moment, not the middle's.
+        # Without a volume the line's end follows the flow at the end of the step, not the middle's.
         line_pa = solve_feed(
             p, AirState(supply_pa, line_pa), open_to, end_pa, end_pa, half_s
         ).node_pa
@@ -366,7 +367,7 @@ def chamber_step(
 def advance_supply_pa(
     p: AirParameters, air: AirState, open_to: Ports, fed_by: MuscleFeed, step_s: float
 ) -> float:
-    """Return the supply's pressure after a step of the flow of its middle."""
+    """Return the supply's pressure after a step with the flow of the step's middle."""
     droop = p.effects.supply_droop
     if droop.resistance_pa_s_per_kg <= 0.0:
         return p.paper.tank_pressure_pa
@@ -377,7 +378,7 @@ def advance_supply_pa(
     return kept * air.supply_pa + (1.0 - kept) * refilled_pa
 
 
-def behind_line_pa(
+def pressure_behind_line_pa(
     p: AirParameters,
     pressure_pa: float,
     begin_pa: float,
@@ -386,9 +387,9 @@ def behind_line_pa(
     velocity_m_per_s: float,
     step_s: float,
 ) -> float:
-    """Return the muscle's pressure after a step in which that at the sensor is known at both ends.
+    """Return the muscle's pressure after a step, from the sensor's pressure at both ends of it.
 
-    Through a line the muscle fills from the sensor's place: a lag of R_l V / (R T).
+    The muscle fills through the line from the sensor's end, with a lag of R_l V / (R T).
     """
     resistance = p.effects.line_restriction.resistance_pa_s_per_kg
     room = air_volume_m3(p, position_m, pressure_pa)

@@ -1,11 +1,10 @@
-"""Tables of what no known effect explains: a correction without a name, which is not a cause.
+"""Correction tables for errors that no known effect explains; they are not a cause.
 
     pull of the muscle (N)            over displacement and its load
     flow into the muscle (kg/s)       over the valve's opening and the pressure
 
-The moved mass acts within 0.1 ms, so that displacement and load settle the velocity too: a table
-over them can represent any missing force without memory. A model without tables does not compile
-them.
+The mass acts within 0.1 ms only, so displacement and load also determine the velocity. A table over
+them can represent any missing force without memory. A model without tables does not compile them.
 """
 
 from __future__ import annotations
@@ -14,13 +13,13 @@ from typing import NamedTuple
 
 
 class CorrectionTable(NamedTuple):
-    """Values on a grid; straight between its lines, constant beyond them."""
+    """Values on a grid: linear between its lines, constant beyond them."""
 
     first: tuple[float, ...]
     """Grid lines along the first axis, increasing."""
     second: tuple[float, ...]
     values: tuple[float, ...]
-    """One row after the other, a row for each line of the first axis."""
+    """Row by row, with one row for each line of the first axis."""
 
 
 class Correction(NamedTuple):
@@ -33,7 +32,7 @@ class Correction(NamedTuple):
 
 
 def interpolate_table(table: CorrectionTable | None, first: float, second: float) -> float:
-    """Return what a table adds at a point; 0 without one."""
+    """Return the value of a table at a point; 0 without a table."""
     if table is None:
         return 0.0
     row, along = locate_on_grid(table.first, first)
@@ -47,7 +46,7 @@ def interpolate_table(table: CorrectionTable | None, first: float, second: float
 
 
 def locate_on_grid(lines: tuple[float, ...], value: float) -> tuple[int, float]:
-    """Return the grid line before a value, and how far it is to the next one (0 to 1)."""
+    """Return the index of the grid line before a value, and the share of the way to the next."""
     last = len(lines) - 2
     index = 0
     while index < last and value >= lines[index + 1]:

@@ -30,7 +30,8 @@ def advance_delayed_plant(
     """Advance under commands (V) that act `command_delay` after they were written.
 
     `written_s` and `written_v` hold `count` commands with their times, in order; `arrived` is the
-    one that acts now, and the new one is returned. Time is cut exactly where a command arrives.
+    index of the command that acts now; the new index is returned. The time is cut exactly where a
+    command arrives.
     """
     delay_s = p.effects.timing.command_delay.delay_s
     end_s = now_s + duration_s

@@ -7,14 +7,14 @@
 
 The order of a tick is that of the simulated rig and of `pamctl.simulate.closed_loop`: sample k is
 taken, then command k is written, and the plant runs under it for `dt_s[k]` until sample k + 1
-is taken. So the samples of tick 0 are the start state, `command_v[k]` is never felt in sample k,
+is taken. So the samples of tick 0 are the start state, `command_v[k]` does not affect sample k,
 and the last command is not used. `dt_s` is one number for a regular grid, or one for each
-interval (n - 1 of them; an n-th is ignored); a missed tick is an interval twice as long, and is
-cut into twice as many steps. For many drives of one grid call `build_grid` once. For a rig whose
-output comes a tick late shift `command_v` by one.
+interval (n - 1 of them; an n-th is ignored); a missed tick is an interval of twice the length, and
+is cut into twice as many steps. For many drives of one grid call `build_grid` once. For a rig whose
+output is one tick late, shift `command_v` by one.
 
-Every `position_m` and `pressure_pa`, in and out, is what the sensors say: with the effects of
-sensors in it, and neither noise nor rounding. `true_...` is what they would say if ideal.
+Every `position_m` and `pressure_pa`, in and out, is a sensor's reading: with the effects of the
+sensors, without noise or rounding. `true_...` is the reading of an ideal sensor.
 All arrays are of float, of the same length n, SI, pressures absolute. The loops are compiled
 from the kernels of the simulated rig itself: a fit uses the simulation's own integrator.
 """
@@ -28,7 +28,7 @@ import numpy as np
 
 from pamctl.compiled import compile_kernel
 from pamctl.plant.chains import undo_reading
-from pamctl.plant.chamber import behind_line_pa
+from pamctl.plant.chamber import pressure_behind_line_pa
 from pamctl.plant.parameters import (
     PlantParameters,
     PlantState,
@@ -89,8 +89,8 @@ def drive_coupled(
 ) -> CoupledResponse:
     """Run the coupled plant under commands (V), from the vented muscle or from `start`.
 
-    `steps` is the number of steps in an interval of median length. ValueError for arrays that
-    do not fit together or hold NaN.
+    `steps` is the number of steps in an interval of median length. Raises ValueError for
+    arrays of different lengths or with NaN.
     """
     commands = _check_signal("command_v", command_v)
     grid = build_grid(dt_s, len(commands), steps)
@@ -111,7 +111,7 @@ def drive_pressure(
 ) -> PressureResponse:
     """Run the pressure block under commands (V) and a measured position (m).
 
-    The position is taken as straight between samples; no velocity is needed. By default the
+    The position is linear between samples; no velocity is needed. By default the
     muscle starts at atmospheric pressure at the first position.
     """
     commands = _check_signal("command_v", command_v)
@@ -135,9 +135,9 @@ def drive_mechanics(
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
 ) -> MechanicsResponse:
-    """Run the mechanics under a measured absolute pressure (Pa), straight between samples.
+    """Run the mechanics under a measured absolute pressure (Pa), linear between samples.
 
-    By default the muscle starts where it rests when vented.
+    By default the muscle starts vented, at rest.
     """
     pressures = _check_signal("pressure_pa", pressure_pa)
     grid = build_grid(dt_s, len(pressures), steps)
@@ -152,7 +152,7 @@ def drive_mechanics(
     return MechanicsResponse(*rows)
 
 
-# The kernels: each fills `rows`, a row for each field of its result.
+# The kernels. Each fills `rows`, with one row for each field of its result.
 
 
 def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: Array) -> None:
@@ -171,7 +171,7 @@ def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: 
 def run_pressure(
     p: PlantParameters, state: PlantState, steps: DriveSteps, positions_m: Array, rows: Array
 ) -> None:
-    """Kernel of `drive_pressure`. `positions_m` are those at the ends of the steps."""
+    """Kernel of `drive_pressure`. `positions_m` holds the positions at the ends of the steps."""
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
     age_s = state.age_s
     for k in range(rows.shape[1]):
@@ -201,7 +201,7 @@ def run_pressure(
 def run_mechanics(
     p: PlantParameters, state: PlantState, steps: DriveSteps, pressures_pa: Array, rows: Array
 ) -> None:
-    """Kernel of `drive_mechanics`. `pressures_pa` are those at the ends of the steps."""
+    """Kernel of `drive_mechanics`. `pressures_pa` holds the pressures at the ends of the steps."""
     x, v, sensors, mechanics = (
         state.position_m,
         state.velocity_m_per_s,
@@ -216,7 +216,7 @@ def run_mechanics(
                 step_s, begin_pa = steps.step_s[j], muscle_pa
                 muscle_pa = pressures_pa[j + 1]
                 if has_line:
-                    muscle_pa = behind_line_pa(
+                    muscle_pa = pressure_behind_line_pa(
                         take_air_parameters(p, 0.0),
                         begin_pa,
                         pressures_pa[j],
@@ -270,34 +270,34 @@ class DriveSteps(NamedTuple):
     """For each sample the index of the first step after it."""
     step_s: Array
     command_v: Array
-    """What has arrived at the valve in each step."""
+    """The command that acts at the valve in each step."""
     ends_s: Array
-    """One more than steps: from the first sample on."""
+    """Ends of the steps, from the first sample on: one more than steps."""
 
 
 SAME_INSTANT_S = 1e-10
-"""Instants closer than this are one."""
+"""Instants closer than this count as one."""
 
 
 class SampleGrid(NamedTuple):
     """Samples and the steps between them, before any command; made once for many drives."""
 
     samples_s: Array
-    """When samples are taken, from the first one on."""
+    """Times of the samples since the first one."""
     counts: NDArray[np.int64]
     """Steps in each interval."""
     first: NDArray[np.int64]
     """For each sample the index of the first step after it."""
     step_s: Array
     ends_s: Array
-    """One more than steps."""
+    """Ends of the steps: one more than steps."""
 
 
 def build_grid(dt_s: ArrayLike | SampleGrid, samples: int, steps: int = STEPS_A_TICK) -> SampleGrid:
-    """Cut each interval into equal steps; return what is a grid as it is.
+    """Cut each interval into equal steps; a grid is returned unchanged.
 
-    An interval of median length gets `steps` of them; a tenth of slack keeps jitter from adding
-    one. ValueError if the intervals do not fit the number of samples.
+    An interval of median length gets `steps` steps. A tolerance of a tenth keeps jitter from adding
+    one. Raises ValueError if the intervals do not fit the number of samples.
     """
     if isinstance(dt_s, SampleGrid):
         if len(dt_s.samples_s) != samples:
@@ -314,9 +314,9 @@ def build_grid(dt_s: ArrayLike | SampleGrid, samples: int, steps: int = STEPS_A_
 
 
 def build_steps(p: PlantParameters, command_v: Array, grid: SampleGrid) -> DriveSteps:
-    """Let the command arrive, and cut once more where it does so within a step.
+    """Assign commands to steps; a step is cut where a command arrives within it.
 
-    Before the first command is felt, the valve has that command already.
+    Before the first command arrives, the valve already has that command.
     """
     delay_s = p.effects.timing.command_delay.delay_s
     if delay_s <= 0.0:
@@ -331,7 +331,7 @@ def build_steps(p: PlantParameters, command_v: Array, grid: SampleGrid) -> Drive
 
 
 def undo_sensor(place: str, p: PlantParameters, shown: Array, times_s: Array) -> Array:
-    """Undo what the effects of a reading do to it, as far as they can be undone."""
+    """Undo the effects on a reading, as far as they can be undone."""
     if not p.sensors_act:
         return shown
     atmosphere_pa = p.paper.atmospheric_pressure_pa

@@ -1,8 +1,8 @@
-"""A plant as a flat mapping {name: value}, which is what a fit varies.
+"""A plant as a flat mapping {name: value}, which a fit varies.
 
-Names are those of a plant file: `stiffness_n_per_m` of its parameters, and of its effects
-`valve_spool.time_constant_s`. A missing name has the paper's value, or the neutral one. Only names
-are validated: a fit that evaluates thousands of vectors keeps to the catalogue's ranges itself.
+Names are those of a plant file: `stiffness_n_per_m` for a parameter, `valve_spool.time_constant_s`
+for an effect. A missing name has the paper's value, or the neutral value. Only names are validated:
+a fit evaluates thousands of vectors, and keeps to the catalogue's ranges itself.
 `pamctl.plant.model` converts to a plant file and back.
 """
 
@@ -22,11 +22,11 @@ from pamctl.plant.parameters import PaperParameters, PlantParameters
 PAPER: dict[str, float] = MuscleParameters().model_dump()
 """Tables I and II in SI."""
 ACTUATOR = "actuator"
-"""0 is the muscle, 1 a force that drives the mechanics directly."""
+"""0: a muscle; 1: a force that drives the mechanics directly."""
 
 
 def _lay_out_group(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
-    """Return for each effect of a group its class and the flat names of its fields."""
+    """Return the class and the flat names of the fields of each effect of a group."""
     return tuple(
         (type(effect), tuple(f"{name}.{field}" for field in effect._fields))
         for name, effect in group._asdict().items()
@@ -37,7 +37,7 @@ _LAYOUTS = tuple((type(group), _lay_out_group(group)) for group in Effects())
 NEUTRAL: dict[str, float] = {
     f"{effect.name}.{p.name}": p.neutral for effect in CATALOGUE.values() for p in effect.parameters
 }
-"""Every parameter of every effect, such that none acts."""
+"""The neutral value of every parameter of every effect."""
 
 
 def _sizes_of(part: Part) -> tuple[tuple[str, float], ...]:
@@ -55,7 +55,7 @@ _DEFAULTS = {ACTUATOR: 0.0, **PAPER, **NEUTRAL}
 
 
 def parameters_of(values: Mapping[str, float]) -> PlantParameters:
-    """Return the numbers that the kernels use. KeyError, with the nearest name, for an unknown."""
+    """Return the numbers that the kernels use; raise KeyError for an unknown name."""
     if unknown := values.keys() - _DEFAULTS.keys():
         raise KeyError(_explain_unknown(min(unknown)))
     v = {**_DEFAULTS, **values}

@@ -1,6 +1,6 @@
-"""The mechanical block with what the paper leaves out: friction's forms, springs, loads.
+"""The mechanical block with effects: forms of friction, springs, loads.
 
-The same exponential midpoint step as `mechanics.py`, and at neutral values the same to the bit.
+It uses the exponential midpoint step of `mechanics.py`, and at neutral values gives the same bits.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def mechanism_step(
     middle_age_s = age_s + half_s
     speed = velocity_m_per_s
     if depends_on_speed(p.effects):
-        # Friction falls as the muscle gets going: the speed in the middle, predicted twice.
+        # Friction falls with speed: the speed in the middle is predicted twice.
         for _ in range(2):
             forces = mechanism_forces(p, memory, middle_m, middle_load, speed, middle_age_s)
             _, speed, _ = move_muscle(
@@ -68,14 +68,14 @@ def mechanism_step(
 
 
 def gauge_pressure_pa(p: MechanismParameters, load: float) -> float:
-    """Return the gauge pressure that a load is; a direct actuator has none."""
+    """Return the gauge pressure of a load; 0 for a direct actuator."""
     return 0.0 if p.direct else load - p.paper.atmospheric_pressure_pa
 
 
 def follow_motion(
     e: Any, memory: Any, begin_m: float, end_m: float, gauge_pa: float, step_s: float
 ) -> Any:
-    """Let what the effects (`MechanicsEffects`) remember follow a straight motion."""
+    """Advance the memories of the effects (`MechanicsEffects`) over a motion of constant speed."""
     memory = follow_force(e, memory, begin_m, end_m, gauge_pa, step_s)
     memory = follow_friction(e, memory, begin_m, end_m, gauge_pa, step_s)
     return follow_damping(e, memory, begin_m, end_m, gauge_pa, step_s)
@@ -89,7 +89,7 @@ def mechanism_forces(
     velocity_m_per_s: float,
     age_s: float,
 ) -> AxialForces:
-    """Eq. 4 and 5 at (x, P, v) with the effects; the band at rest is that of zero speed."""
+    """Return Eq. 4 and 5 at (x, P, v) with effects; the band at rest is that of zero speed."""
     e, gauge_pa, pull_n, lever_m = p.effects, gauge_pressure_pa(p, load), load, 0.0
     if not p.direct:
         pulling_pa = pass_pulling_pressure(
@@ -128,7 +128,7 @@ def mechanism_forces(
 
 
 def pull_area_m2(p: MechanismParameters, position_m: float, gauge_pa: float) -> float:
-    """A(x) of Eq. 3, with stretched threads."""
+    """Return A(x) of Eq. 3 with stretched threads."""
     braid = p.effects.braid_stretch
     if braid.compliance_per_pa == 0.0:
         return force_area_m2(p.paper, position_m)
@@ -171,7 +171,7 @@ def slip_with_damping(
     width_n: float,
     step_s: float,
 ) -> SlipEnd:
-    """Slip; a bristle's own damping, if it has any, is that of the middle of the way."""
+    """Slip for one step; a bristle's damping is taken at the middle of the distance."""
     presliding, mass_kg = p.effects.presliding, p.paper.mass_kg
     bent = damping + bristle_damping(presliding, left_n, width_n)
     slipped = slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left_n, width_n, step_s)

@@ -31,14 +31,14 @@ def _make_effect_settings(effect: EffectDescription) -> type[Configured]:
 
 
 _of_effects = {name: _make_effect_settings(effect) for name, effect in CATALOGUE.items()}
-globals().update(_of_effects)  # where pickle looks for them, on their way to a worker process
+globals().update(_of_effects)  # pickle looks for them here when it sends them to a worker process
 _effect_fields: dict[str, Any] = {
     name: (settings | None, None) for name, settings in _of_effects.items()
 }
 EffectSettings = create_model(
     "EffectSettings",
     __base__=Configured,
-    __doc__="Effects switched on, by their names in the catalogue; one left out does not act.",
+    __doc__="Active effects, by their names in the catalogue; all others do not act.",
     **_effect_fields,
 )
 
@@ -47,7 +47,7 @@ Lines = Annotated[tuple[float, ...], Field(min_length=2, max_length=24)]
 
 
 class TableSettings(Configured):
-    """Values on a grid: straight between its lines, constant beyond them."""
+    """Values on a grid: linear between its lines, constant beyond them."""
 
     @model_validator(mode="after")
     def _check_table_shape(self) -> TableSettings:
@@ -69,7 +69,7 @@ class TableSettings(Configured):
 
 
 class PullSettings(TableSettings):
-    """A force that the model lacks, by where the muscle is and what pulls it there."""
+    """A force that the model lacks, over the muscle's displacement and its load."""
 
     displacement_m: Lines
     load: Annotated[Lines, Field(description="absolute pressure, Pa; a direct actuator's force, N")]
@@ -77,7 +77,7 @@ class PullSettings(TableSettings):
 
 
 class FlowSettings(TableSettings):
-    """A mass flow that the model lacks, by the valve's opening and the pressure behind it."""
+    """A mass flow that the model lacks, over the valve's opening and the muscle's pressure."""
 
     opening_v: Lines
     pressure_pa: Annotated[Lines, Field(description="absolute")]
@@ -85,7 +85,7 @@ class FlowSettings(TableSettings):
 
 
 class CorrectionSettings(Configured):
-    """Tables for what no known effect explains: unnamed, never a cause."""
+    """Tables for errors that no known effect explains; they are not a cause."""
 
     pull: PullSettings | None = None
     flow: FlowSettings | None = None
@@ -103,7 +103,7 @@ class PlantSettings(Configured):
     effects: EffectSettings = EffectSettings()
     correction: Annotated[
         CorrectionSettings | None,
-        Field(description="what no effect explains, as tables; `pamctl diagnose --correction`"),
+        Field(description="tables for what no effect explains; `pamctl diagnose --correction`"),
     ] = None
 
 
@@ -125,7 +125,7 @@ def plant_parameters(settings: PlantSettings) -> PlantParameters:
 def values_of(settings: PlantSettings) -> dict[str, float]:
     """Return a plant file as a flat mapping, without the effects that it leaves out.
 
-    Tables of a correction are no numbers of the mapping.
+    The tables of a correction are not part of the mapping.
     """
     values: dict[str, float] = settings.parameters.model_dump()
     if settings.actuator == "direct":
@@ -149,9 +149,9 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
         elif name != ACTUATOR:
             parameters[name] = value
     acting = {
-        name: _name_choices(name, given)
-        for name, given in effects.items()
-        if name not in CATALOGUE or acts(CATALOGUE[name], given)
+        name: _name_choices(name, numbers)
+        for name, numbers in effects.items()
+        if name not in CATALOGUE or acts(CATALOGUE[name], numbers)
     }
     actuator = "direct" if values.get(ACTUATOR) else "muscle"
     return PlantSettings.model_validate(
@@ -159,9 +159,9 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
     )
 
 
-def _name_choices(effect: str, given: Mapping[str, float]) -> dict[str, Any]:
-    """Put the names of choices in the place of their numbers."""
+def _name_choices(effect: str, numbers: Mapping[str, float]) -> dict[str, Any]:
+    """Replace the numbers of choices by their names."""
     choices = (
         {p.name: p.choices for p in CATALOGUE[effect].parameters} if effect in CATALOGUE else {}
     )
-    return {n: choices[n][round(v)] if choices.get(n) else v for n, v in given.items()}
+    return {n: choices[n][round(v)] if choices.get(n) else v for n, v in numbers.items()}

@@ -29,7 +29,7 @@ class MuscleParameters(Configured):
     gas_constant_j_per_kg_k: Positive = 287.1
     temperature_k: Annotated[float, Field(gt=0, le=1000)] = 273.0
     heat_capacity_ratio: Annotated[float, Field(gt=1, le=2, description="gamma of Psi")] = 1.4
-    valve_gain_m2_per_v: Annotated[float, Field(gt=0, description="K_Av, C_d inside")] = 1.03e-6
+    valve_gain_m2_per_v: Annotated[float, Field(gt=0, description="K_Av, including C_d")] = 1.03e-6
 
     @model_validator(mode="after")
     def _check_contraction(self) -> MuscleParameters:

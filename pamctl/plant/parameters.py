@@ -1,4 +1,4 @@
-"""Numbers of the plant as the kernels use them, and what it remembers."""
+"""The plant's numbers as the kernels use them, and its state."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pamctl.plant.chains import (
     SensorMemory,
     ValveMemory,
     add_force,
-    remember_rest,
+    make_rest_memories,
 )
 from pamctl.plant.correction_tables import Correction
 
 
 class PaperParameters(NamedTuple):
-    """The paper's Tables I and II in SI, with the products that every step would repeat."""
+    """The paper's Tables I and II in SI, with products computed once for all steps."""
 
     mass_kg: float
     damping_n_s_per_m: float
@@ -51,61 +51,61 @@ class PaperParameters(NamedTuple):
 class PlantParameters(NamedTuple):
     """The paper's numbers and those of the effects.
 
-    Made by `pamctl.plant.flat.parameters_of`, which keeps products and flags true. Kernels of the
-    paper's equations take `paper` alone, those of a part's effects what that part needs: a
-    compiled call hands over every number of a tuple.
+    `pamctl.plant.flat.parameters_of` makes it, with consistent products and flags. Kernels of the
+    paper's equations take `paper` alone, and kernels of a part's effects take that part alone: a
+    compiled call copies every number of a tuple.
     """
 
     paper: PaperParameters
     effects: Effects
     valve_acts: bool
-    """Whether any effect acts in this part; where none does, the paper's equations run alone."""
+    """Whether any effect is active in this part; otherwise the paper's equations run alone."""
     air_acts: bool
     mechanics_act: bool
     sensors_act: bool
     direct: bool
-    """A measured force drives the mechanics in the place of the muscle."""
+    """A measured force drives the mechanics instead of the muscle."""
     correction: Correction = Correction()
 
     @property
     def atmospheric_pressure_pa(self) -> float:
-        """Absolute; for those outside of the kernels."""
+        """Absolute pressure; for callers other than kernels."""
         return self.paper.atmospheric_pressure_pa
 
     @property
     def tank_pressure_pa(self) -> float:
-        """Absolute; for those outside of the kernels."""
+        """Absolute pressure; for callers other than kernels."""
         return self.paper.tank_pressure_pa
 
 
 class AirParameters(NamedTuple):
-    """What the air's part of a step needs."""
+    """Parameters of the air's part of a step."""
 
     paper: PaperParameters
     effects: Any
     """`AirEffects`."""
     extra_kg_per_s: float
-    """Into the muscle over this step, by effects of that place and an unnamed correction."""
+    """Extra flow into the muscle over this step, from effects and from the correction table."""
 
 
 def take_air_parameters(p: PlantParameters, extra_kg_per_s: float) -> AirParameters:
-    """Return what the air's part of a step needs."""
+    """Return the parameters of the air's part of a step."""
     return AirParameters(p.paper, p.effects.air, extra_kg_per_s)
 
 
 class MechanismParameters(NamedTuple):
-    """What the mechanics' part of a step needs."""
+    """Parameters of the mechanics' part of a step."""
 
     paper: PaperParameters
     effects: Any
     """`MechanicsEffects`."""
     direct: bool
     extra_n: float
-    """Of pull over this step, by an unnamed correction."""
+    """Extra pull over this step, from the correction table."""
 
 
 class ValveState(NamedTuple):
-    """What the valve remembers, for the effects that make it remember."""
+    """State of the valve and memories of its effects."""
 
     spool_v: float = 0.0
     spool_rate_v_per_s: float = 0.0
@@ -113,27 +113,27 @@ class ValveState(NamedTuple):
 
 
 class AirState(NamedTuple):
-    """What the air before the muscle remembers."""
+    """State of the air upstream of the muscle."""
 
     supply_pa: float = nan
-    """Upstream of the valve."""
+    """Pressure upstream of the valve."""
     line_pa: float = nan
-    """At the valve's end of the line, where the sensor sits; the muscle's own without a line."""
+    """Pressure at the line's valve end, where the sensor is; without a line, in the muscle."""
 
 
 class MechanicsState(NamedTuple):
-    """What the mechanics remember."""
+    """State of the bristles and memories of the effects on the mechanics."""
 
     bristle_n: float = inf
-    """Force of the bristles; infinite where they have not been loaded yet."""
+    """Force of the bristles; infinite until they are first loaded."""
     memory: Any = MechanicsMemory()
 
 
 class PlantState(NamedTuple):
-    """State of Eq. 9 (x, v, absolute P), and each part's memory for its effects.
+    """State of Eq. 9 (x, v, absolute P), and the memories of each part's effects.
 
-    With effects take `rest_state` or `vented_state`: by default the memories are those of a plant
-    at 0 m and an unknown pressure (NaN).
+    With effects, start from `rest_state` or `vented_state`: the default memories are those of a
+    plant at 0 m and an unknown pressure (NaN).
     """
 
     position_m: float
@@ -144,12 +144,12 @@ class PlantState(NamedTuple):
     sensors: Any = SensorMemory()
     mechanics: MechanicsState = MechanicsState()
     age_s: float = 0.0
-    """Since the plant's first moment, for what drifts."""
+    """Time since the plant's start, for drifts."""
 
 
 def rest_state(p: PlantParameters, position_m: float, pressure_pa: float) -> PlantState:
     """Return a plant that has rested for long at a position and absolute pressure."""
-    of_valve, of_mechanics, of_sensors = remember_rest(position_m, pressure_pa)
+    of_valve, of_mechanics, of_sensors = make_rest_memories(position_m, pressure_pa)
     return PlantState(
         position_m,
         0.0,

@@ -1,4 +1,4 @@
-"""What the sensors make of pressure and position, before noise and rounding."""
+"""The sensors' readings of pressure and position, before noise and rounding."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def sensors_step(
     age_s: float,
     step_s: float,
 ) -> Any:
-    """Return the `SensorMemory` after a step of straight motion; `..._pa` are at the sensor."""
+    """Return the `SensorMemory` after a step of linear change; `..._pa` are at the sensor."""
     if not p.sensors_act:
         return sensors
     e, atmosphere_pa = p.effects.sensors, p.paper.atmospheric_pressure_pa
@@ -32,7 +32,7 @@ def sensors_step(
 
 
 def pressure_at_sensor_pa(p: PlantParameters, pressure_pa: float, air: AirState) -> float:
-    """Return the absolute pressure where the sensor sits: at the valve's end of a line."""
+    """Return the absolute pressure at the sensor, which is at the line's valve end."""
     return (
         air.line_pa if p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0 else pressure_pa
     )

@@ -1,4 +1,4 @@
-"""A plant that lives in a simulated rig: parameters, a state, and time that passes."""
+"""The plant of a simulated rig: parameters and a state that advances in time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class SimulatedPlant:
         )
 
     def advance(self, command_v: float, duration_s: float) -> None:
-        """Let time pass under a constant valve command (V)."""
+        """Advance under a constant valve command (V)."""
         if self._line is not None:
             self.state = self._line.advance(self._parameters, self.state, command_v, duration_s)
             return
@@ -33,13 +33,13 @@ class SimulatedPlant:
 
     @property
     def position_m(self) -> float:
-        """Displacement, as the encoder has it before it counts."""
+        """Displacement at the encoder, before quantisation."""
         state = self.state
         return sensed_position_m(self._parameters, state.position_m, state.sensors, state.age_s)
 
     @property
     def pressure_pa(self) -> float:
-        """Absolute pressure, as the sensor has it before noise."""
+        """Absolute pressure at the sensor, before noise."""
         state = self.state
         return sensed_pressure_pa(
             self._parameters, state.pressure_pa, state.air, state.sensors, state.age_s
@@ -47,7 +47,7 @@ class SimulatedPlant:
 
 
 class CommandLine:
-    """The commands on their way to the valve; before the first one, the valve has that already."""
+    """Commands on their way to the valve; the first one acts from the start."""
 
     def __init__(self) -> None:
         self._now_s = 0.0
@@ -58,7 +58,7 @@ class CommandLine:
     def advance(
         self, p: PlantParameters, state: PlantState, command_v: float, duration_s: float
     ) -> PlantState:
-        """Write a command, and let time pass."""
+        """Write a command, and advance the plant."""
         self._written_s.append(self._now_s)
         self._written_v.append(command_v)
         state, self._arrived = advance_delayed_plant(
@@ -73,7 +73,7 @@ class CommandLine:
             LONGEST_STEP_S,
         )
         self._now_s += duration_s
-        if self._arrived > 1000:  # what has long arrived is forgotten
+        if self._arrived > 1000:  # forget commands that have arrived
             del self._written_s[: self._arrived], self._written_v[: self._arrived]
             self._arrived = 0
         return state

@@ -1,4 +1,4 @@
-"""The plant of Eq. 9: two blocks, each steppable alone, and the coupled step composed of them."""
+"""The plant of Eq. 9: two blocks, which can run alone, and the coupled step made of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pamctl.plant.valve_chain import valve_step
 def plant_step(
     p: PlantParameters, state: PlantState, command_v: float, step_s: float
 ) -> PlantState:
-    """Advance Eq. 9 by one step of second order under a constant valve command (V).
+    """Advance Eq. 9 by one second-order step under a constant valve command (V).
 
     The pressure block predicts the pressure in the middle, the mechanics move under it, and
     the pressure block completes its step with the motion.
@@ -62,9 +62,9 @@ def pressure_block_step(
 ) -> tuple[float, ValveState, AirState]:
     """Advance the pressure block alone: the muscle's positions (m) are given.
 
-    `middle_m` is where the middle of the step is expected. With x + v h / 2 there, and the
-    true position at the end, this is the coupled step's pressure to the bit; a measurement
-    has no velocity, so it takes the mean of both ends.
+    `middle_m` is the expected position at the middle of the step. With x + v h / 2, and the true
+    position at the end, the result equals the coupled step's pressure to the bit. A measurement
+    has no velocity; use the mean of both ends.
     """
     opening_v = command_v
     if p.valve_acts:
@@ -97,7 +97,7 @@ def mechanics_block_step(
     age_s: float,
     step_s: float,
 ) -> tuple[float, float, MechanicsState]:
-    """Advance the mechanics alone under a given load, by the paper's equations where they suffice.
+    """Advance the mechanics alone under a given load; without effects, by the paper's equations.
 
     The load is the absolute pressure (Pa) in the middle of the step, or, for a direct
     actuator, the force (N).
@@ -123,7 +123,7 @@ def air_middle_pa(
     age_s: float,
     step_s: float,
 ) -> tuple[float, bool]:
-    """Predict the pressure of the step's middle, by the paper's equations where they suffice."""
+    """Predict the pressure at the step's middle; without effects, by the paper's equations."""
     if p.air_acts:
         extra = interpolate_table(p.correction.flow, opening_v, pressure_pa)
         extra = add_flow(p.effects.air, extra, opening_v, pressure_pa, position_m, age_s)
@@ -189,5 +189,5 @@ def advance_plant(
 
 
 def count_steps(duration_s: float, longest_step_s: float) -> int:
-    """Return the number of equal steps; the small allowance keeps rounding from adding one."""
+    """Return the number of equal steps; the tolerance keeps rounding from adding one."""
     return max(1, math.ceil(duration_s / longest_step_s - 1e-6))

@@ -1,4 +1,4 @@
-"""From the command to the valve's opening, which are the same in the paper."""
+"""From the command to the valve's opening; in the paper both are equal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pamctl.plant.parameters import ValveState
 def valve_step(
     e: Any, valve: ValveState, command_v: float, age_s: float, step_s: float
 ) -> tuple[float, ValveState]:
-    """Return the opening in the middle of the step, and the valve at its end.
+    """Return the opening in the middle of the step, and the valve's state at its end.
 
     `e` are the `ValveEffects`. The opening is that of the paper's valve with the same area, in
     volts of command.

@@ -29,11 +29,10 @@ from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.realtime.scheduling import Mode, raise_front_priority
 from pamctl.recording.finish_apart import finish_in_own_process
 from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
-from pamctl.recording.recorder import spawn_recorder
+from pamctl.recording.recorder import RECORDER_PATIENCE_S, spawn_recorder
 from pamctl.recording.ring import RecorderFlag, Ring
 
 _POLL_S = 0.05
-_RECORDER_PATIENCE_S = 5.0
 
 Progress = Callable[[Mapping[str, float], float], None]
 """Called with the newest tick's columns and the worst lateness (s) so far."""
@@ -90,8 +89,10 @@ def conduct_run(
         if not ring.loop_done:
             put_event_for_dead_loop(ring, make_outcome_event(ending))
             ring.loop_done = 1
-        guardian.dismiss()
-        return close_log(ring, recorder, ending)
+        try:
+            return close_log(ring, recorder, ending)
+        finally:
+            guardian.dismiss()  # only now: if the front dies here, the guardian finishes the log
 
 
 @contextmanager
@@ -207,7 +208,7 @@ def _await_recorder(recorder: subprocess.Popen[bytes], ring: Ring) -> None:
     while recorder.poll() is None:
         if ring.recorder_beats != beats:
             beats, since_s = ring.recorder_beats, time.monotonic()
-        elif time.monotonic() - since_s > _RECORDER_PATIENCE_S:
+        elif time.monotonic() - since_s > RECORDER_PATIENCE_S:
             recorder.kill()
             recorder.wait()
         time.sleep(_POLL_S)

@@ -90,13 +90,17 @@ class Guardianship:
         return _ending_of_takeover(Takeover(**words), ending) if words else ending
 
     def dismiss(self) -> None:
-        """Wait for the guardian to leave, once the loop's last event is in the ring."""
+        """Let the guardian leave, once the log is finished: it would finish it otherwise."""
         if self._process:
+            assert self._process.stdin
+            assert self._process.stdout
+            self._process.stdin.close()
             try:
                 self._process.wait(_LEAVE_PATIENCE_S)
             except subprocess.TimeoutExpired:
                 self._process.kill()
-            self._process.communicate()
+                self._process.wait()
+            self._process.stdout.close()
 
     def _await_report(self, guardian: subprocess.Popen[bytes]) -> bytes:
         """Return the guardian's last line; nothing if it is dead or frozen.

@@ -2,7 +2,7 @@
 
 All it needs is in the ring's meta. The end of its standard input is the front's death. Its
 standard output is one JSON line: what it had to do. Signals do not end it: it stays as long as
-the loop does.
+the loop does, and then until the front has finished the log.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from contextlib import suppress
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig
-from pamctl.processes.guardian import POLL_MS, LoopProcess, Takeover, drive_safe, guard
+from pamctl.processes.finisher_main import start_finisher
+from pamctl.processes.guardian import LoopProcess, Takeover, drive_safe, guard
 from pamctl.realtime.scheduling import keep_single_threaded, prepare_guardian
 from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
-from pamctl.recording.ring import Ring
+from pamctl.recording.ring import Ring, RingError
 from pamctl.settings.resolve import from_resolved
 
 _IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -42,8 +43,9 @@ def main() -> int:
             put_event_for_dead_loop(ring, takeover.event())
         with suppress(BrokenPipeError):  # the front may be dead
             print(json.dumps(takeover and takeover._asdict()), flush=True)
-        if takeover is not None:
-            _await_log_end(ring, takeover)
+        while not _front_is_gone(within_ms=1000):
+            pass
+        _end_log(ring, takeover)
     return int(ExitCode.OK)
 
 
@@ -79,13 +81,21 @@ def _front_is_gone(within_ms: int = 0) -> bool:
     return bool(front.poll(within_ms))
 
 
-def _await_log_end(ring: Ring, takeover: Takeover) -> None:
-    """Wait until the front has ended the log; end it here where the front has died as well."""
-    while not ring.loop_done:
-        if _front_is_gone(within_ms=POLL_MS):
-            ending = Ending(ExitCode.UNEXPECTED, takeover.reason or "the loop process died")
-            put_event_for_dead_loop(ring, make_outcome_event(ending))
-            ring.loop_done = 1
+def _end_log(ring: Ring, takeover: Takeover | None) -> None:
+    """Do what a front does that has died before it has finished the log and removed the ring.
+
+    A daemon's guardian holds the ring of the session. The runs' own rings have names that begin
+    with the same process id.
+    """
+    reason = (takeover and takeover.reason) or "the loop process died"
+    for path in ring.path.parent.glob(f"{ring.path.name.rpartition('-')[0]}-*.ring"):
+        with suppress(RingError):  # finished meanwhile
+            with Ring.attach(path) as run:
+                if not run.loop_done:
+                    ending = Ending(ExitCode.UNEXPECTED, reason)
+                    put_event_for_dead_loop(run, make_outcome_event(ending))
+                    run.loop_done = 1
+            start_finisher(path)
 
 
 if __name__ == "__main__":

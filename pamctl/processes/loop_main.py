@@ -17,9 +17,12 @@ from typing import NoReturn
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
+from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
+from pamctl.realtime.tick import TickSetup
+from pamctl.realtime.tick_cost import TickCost, rehearse_tick_s
 from pamctl.recording.last_words import make_outcome_event, put_last_event
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.recording.run_journal import PatientJournal, RingJournal
@@ -31,9 +34,14 @@ def main() -> NoReturn:
     """Run the loop on the ring that the first argument names."""
     keep_single_threaded()
     with Ring.attach(sys.argv[1]) as ring:
-        ending = run_to_ending(partial(_run, ring))
+        settings = from_resolved(json.dumps(ring.meta.config))
+        pace, front = settings.rig.loop, sys.stdin.fileno()
+        supervisor = LoopSupervisor(ring, front, pace, patient=settings.fast)
+        ending = run_to_ending(partial(_run, ring, settings, supervisor))
         # If the ring has no room for it, the front puts it there once the recorder has made room.
         ring.loop_done = _put_outcome(ring, ending)
+        if supervisor.is_front_gone():
+            start_finisher(ring.path)
     report_and_exit(ending)
 
 
@@ -73,9 +81,7 @@ def _put_outcome(ring: Ring, ending: Ending) -> bool:
     return False
 
 
-def _run(ring: Ring) -> Ending:
-    settings = from_resolved(json.dumps(ring.meta.config))
-    supervisor = LoopSupervisor(ring, sys.stdin.fileno(), settings.rig.loop, patient=settings.fast)
+def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Ending:
     supervisor.listen()
     if not _await_recorder(ring):
         return Ending(ExitCode.UNEXPECTED, "the recorder did not start")
@@ -85,17 +91,42 @@ def _run(ring: Ring) -> Ending:
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
         _record_start(ring, settings, preparation)
+        setup = build_tick_setup(settings)
+        for event in () if settings.fast else check_rate(settings, setup):
+            ring.put_event(0, ring.meta.start_mono_ns, event)
         parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
         return run_loop(
             parts.rig,
             parts.clock,
-            build_tick_setup(settings),
+            setup,
             nominal_zero_of(settings),
             build_program(settings),
             PatientJournal(ring) if settings.fast else RingJournal(ring),
             supervisor,
             parts.truth,
+            opened=partial(free_foreign_threads, preparation),
         )
+
+
+def check_rate(settings: RunSettings, setup: TickSetup) -> list[dict[str, object]]:
+    """Warn of a rate that this PC cannot hold; return what to note in the log.
+
+    Call it in the loop's process as it is scheduled, before the rig is open.
+    """
+    rate_hz = settings.rig.loop.rate_hz
+    cost = TickCost.estimate(rehearse_tick_s(setup, 1.0 / rate_hz))
+    warning = cost.find_warning(rate_hz)
+    if not warning:
+        return []
+    with suppress(OSError):  # nobody may be there to read it; the log has it
+        print(f"warning: {warning}", file=sys.stderr, flush=True)
+    return [{"event": "rate_warning", "detail": warning, **cost._asdict()}]
+
+
+def free_foreign_threads(preparation: Preparation) -> list[dict[str, object]]:
+    """Free the threads of the rig's driver; return what to note in the log."""
+    steps = preparation.free_foreign_threads()
+    return [{"event": step.name, "done": step.done, "detail": step.detail} for step in steps]
 
 
 def _await_recorder(ring: Ring) -> bool:

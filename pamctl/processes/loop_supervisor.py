@@ -86,6 +86,10 @@ class LoopSupervisor:
             return Ending(ExitCode.UNEXPECTED, self._loss)
         return self._find_recorder_trouble() if self._is_time_to_look else None
 
+    def is_front_gone(self) -> bool:
+        """Tell whether the process that started this one is dead."""
+        return bool(self._front.poll(0))
+
     def _find_loss(self) -> str:
         """Return which of the other processes is gone; empty where all are alive."""
         ring, recorded = self._ring, self._recorded
@@ -96,7 +100,7 @@ class LoopSupervisor:
             return "the guardian is gone"
         if not self._patient and self._guardian.is_lost(ring.guardian_beats):
             return "the guardian gives no sign of life"
-        if self._front.poll(0):
+        if self.is_front_gone():
             return "the commanding process is gone"
         return ""
 

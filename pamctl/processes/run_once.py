@@ -206,9 +206,13 @@ def _compute_figures(
     text = format_run_summary(figures, settings.controller.law)
     if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
         from pamctl.log.flight import dump_last_seconds
+        from pamctl.new_file import NewFileError
 
-        figures["flight_record"] = str(dump_last_seconds(log))
-        text += f"\nlast two seconds: {figures['flight_record']}"
+        try:
+            figures["flight_record"] = str(dump_last_seconds(log))
+            text += f"\nlast two seconds: {figures['flight_record']}"
+        except NewFileError as error:
+            text += f"\nno table of the last two seconds: {error}"
     return figures, text
 
 

@@ -15,7 +15,14 @@ from typing import NoReturn
 
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
-from pamctl.processes.loop_main import await_guardian, report_and_exit, run_to_ending
+from pamctl.processes.finisher_main import start_finisher
+from pamctl.processes.loop_main import (
+    await_guardian,
+    check_rate,
+    free_foreign_threads,
+    report_and_exit,
+    run_to_ending,
+)
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.processes.session_supervisor import SessionSupervisor
 from pamctl.realtime.loop import run_loop
@@ -37,9 +44,12 @@ def main() -> NoReturn:
         supervisor = LoopSupervisor(ring, sys.stdin.fileno(), settings.rig.loop)
         journal = SessionJournal(ring, supervisor.watch_recording)
         ending = run_to_ending(partial(_run, ring, settings, orders, journal, supervisor))
+        recorded = journal.run
         with suppress(RingFull):
             journal.end_last_run(ending)
         ring.loop_done = 1
+        if recorded is not None and supervisor.is_front_gone():
+            start_finisher(recorded.path)
     report_and_exit(ending)
 
 
@@ -60,6 +70,8 @@ def _run(
         setup = build_tick_setup(settings)
         start = {"event": "timing_setup", **preparation.as_metadata()}
         journal.put_event(0, ring.meta.start_mono_ns, start)
+        for event in check_rate(settings, setup):
+            journal.put_event(0, ring.meta.start_mono_ns, event)
         parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
         steered = SteeredProgram(
             orders,
@@ -67,6 +79,7 @@ def _run(
             setup,
             settings.controller.model_dump(mode="json"),
             partial(build_ordered_program, settings),
+            preparation.defer_page_faults,
         )
         return run_loop(
             parts.rig,
@@ -78,6 +91,7 @@ def _run(
             SessionSupervisor(supervisor, orders),
             parts.truth,
             steered,
+            partial(free_foreign_threads, preparation),
         )
 
 

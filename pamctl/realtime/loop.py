@@ -108,16 +108,21 @@ def run_loop(
     supervisor: Supervisor,
     truth: Callable[[], Truth],
     helm: Helm | None = None,
+    opened: Callable[[], Sequence[Mapping[str, object]]] = tuple,
 ) -> Ending:
     """Run the program to its end; leave the rig safe and closed on every path.
 
     `nominal_zero` gives the sensors' zeros until homing finds better ones; `truth` is what
-    a simulated plant knows. Without a `helm` the set-up stays as it is. `RigError`, a safety
+    a simulated plant knows. Without a `helm` the set-up stays as it is. `opened` is called once,
+    right after the rig is open, and returns events for the log. `RigError`, a safety
     trip and a failed homing become the ending. Anything else is an error in pamctl and is raised.
     """
     try:
         with open_rig(rig):
+            noted = opened()
             journal.put_event(0, clock.now_ns(), {"event": "rig", **rig.describe().as_metadata()})
+            for event in noted:
+                journal.put_event(0, clock.now_ns(), event)
             helm = helm or FixedHelm(setup)
             loop = _Loop(rig, clock, setup, helm, nominal_zero, program, journal, supervisor, truth)
             try:

@@ -12,7 +12,14 @@ from hal.configured import Configured
 class LoopSettings(Configured):
     """How the loop is paced, and how it stops."""
 
-    rate_hz: Annotated[float, Field(ge=100, le=20_000)] = 1000.0
+    rate_hz: Annotated[
+        float,
+        Field(
+            ge=100,
+            le=20_000,
+            description="ticks a second; a run warns where this PC cannot hold the rate",
+        ),
+    ] = 1000.0
     spin_us: Annotated[
         float, Field(ge=0, le=500, description="busy wait before each deadline, under FIFO only")
     ] = 100.0

@@ -10,9 +10,13 @@ import contextlib
 import ctypes
 import gc
 import os
+import platform
+import struct
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 Mode = Literal["auto", "require", "off"]
@@ -29,11 +33,21 @@ tens of microseconds every 5 ms."""
 FRONT_PRIORITY = 1
 """Below all others of a run, above whatever else keeps the PC busy."""
 
+FOREIGN_THREAD_PRIORITY = 1
+"""For the threads that a driver starts in the loop's process: they preempt ordinary processes only.
+A killed process is dead when its last thread is, and only then does the device become free."""
+
 _INDISPENSABLE = frozenset({"fifo", "mlock"})
 _DMA_LATENCY = "/dev/cpu_dma_latency"
 _SCHED_RESET_ON_FORK = 0x40000000
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30
+_SLICE_NS = 100_000
+"""The shortest slice that the kernel grants to an ordinary process."""
+_SCHED_ATTR = struct.Struct("=IIQiIQQQ")
+"""Size, policy, flags, nice, priority, runtime, deadline, period: `sched_attr`, version 0."""
+_SET_AND_GET_ATTR = {"x86_64": (314, 315), "aarch64": (274, 275), "riscv64": (274, 275)}
+"""System call numbers of sched_setattr and sched_getattr, which the C library does not offer."""
 
 
 class PreparationStep(NamedTuple):
@@ -62,11 +76,21 @@ class SchedulingError(RuntimeError):
 class Preparation:
     """What was done to this process, and the way back. A context manager: leaving it releases."""
 
-    def __init__(self, mode: Mode, steps: tuple[PreparationStep, ...], undo: ExitStack) -> None:
-        """Take over `undo`, which holds one call for each step that was done."""
+    def __init__(
+        self,
+        mode: Mode,
+        steps: tuple[PreparationStep, ...],
+        undo: ExitStack,
+        cpus: frozenset[int] = frozenset(),
+    ) -> None:
+        """Take over `undo`, which holds one call for each step that was done.
+
+        `cpus` are those that the process was allowed before it was pinned.
+        """
         self.mode = mode
         self.steps = steps
         self._undo = undo
+        self._cpus = cpus
 
     @property
     def fifo(self) -> bool:
@@ -76,7 +100,33 @@ class Preparation:
     @property
     def may_spin(self) -> bool:
         """Spinning onto the deadline helps: nobody preempts it, and it leaves others a CPU."""
-        return self.fifo and (os.cpu_count() or 1) > 1
+        return self.fifo and len(self._cpus) > 1
+
+    @contextlib.contextmanager
+    def defer_page_faults(self) -> Iterator[None]:
+        """Lock what is mapped within the block page by page, as it is touched, not all at once.
+
+        A loop that ticks can then map megabytes, and touch them a piece at a time.
+        """
+        if not any(step.done for step in self.steps if step.name == "mlock"):
+            yield
+            return
+        libc = ctypes.CDLL(None, use_errno=True)
+        libc.mlockall(_MCL_FUTURE | _MCL_ONFAULT)
+        try:
+            yield
+        finally:
+            libc.mlockall(_MCL_FUTURE)
+
+    def free_foreign_threads(self) -> tuple[PreparationStep, ...]:
+        """Raise and unpin the threads that a driver has started; return a step where there are any.
+
+        Call it in the loop's thread, right after the rig is open. A thread inherits the loop's CPU
+        and not its priority. When the process is killed, it waits there behind all that is busy.
+        """
+        if self.mode == "off" or sys.platform != "linux":
+            return ()
+        return _free_foreign_threads(self._cpus)
 
     @property
     def refused(self) -> tuple[PreparationStep, ...]:
@@ -126,6 +176,7 @@ def prepare(mode: Mode = "auto", cpu: int | None = None) -> Preparation:
         SchedulingError: mode is `require`, and SCHED_FIFO or mlockall was refused; whatever
             had been done is undone again.
     """
+    cpus = frozenset(os.sched_getaffinity(0)) if sys.platform == "linux" else frozenset()
     with ExitStack() as undo:
         steps = [_collect_garbage_once(undo)]
         if mode != "off":
@@ -133,7 +184,7 @@ def prepare(mode: Mode = "auto", cpu: int | None = None) -> Preparation:
         refused = tuple(step for step in steps if not step.done)
         if mode == "require" and any(step.name in _INDISPENSABLE for step in refused):
             raise SchedulingError(refused)
-        return Preparation(mode, tuple(steps), undo.pop_all())
+        return Preparation(mode, tuple(steps), undo.pop_all(), cpus)
 
 
 def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[PreparationStep]:
@@ -146,6 +197,7 @@ def _real_time_steps(cpu: int | None, undo: ExitStack) -> list[PreparationStep]:
     ]
     if not steps[-1].done:  # under SCHED_FIFO the kernel allows timers no slack anyway
         steps.append(_attempt("timer_slack", _take_timer_slack, lambda: "", undo))
+        steps.append(_attempt("slice", _take_short_slice, _how_to_take_short_slice, undo))
     return steps
 
 
@@ -160,6 +212,7 @@ def prepare_guardian(mode: Mode, loop_cpu: int | None) -> tuple[PreparationStep,
     """
     undo = ExitStack()  # for good: this process does nothing else
     steps = [_collect_garbage_once(undo)]
+    cpus = frozenset(os.sched_getaffinity(0))
     if mode != "off":
         steps += [
             _attempt("mlock", _lock_memory, _how_to_lock_memory, undo),
@@ -170,6 +223,7 @@ def prepare_guardian(mode: Mode, loop_cpu: int | None) -> tuple[PreparationStep,
                 _how_to_run_as_fifo,
                 undo,
             ),
+            *_free_foreign_threads(cpus),  # the rehearsal has loaded the driver
         ]
     return tuple(steps)
 
@@ -186,6 +240,7 @@ def raise_front_priority(mode: Mode) -> Iterator[None]:
     with ExitStack() as undo:
         if mode != "off":
             _attempt("fifo", _run_front_as_fifo, _how_to_run_as_fifo, undo)
+            _free_foreign_threads(frozenset(os.sched_getaffinity(0)))
         yield
 
 
@@ -330,6 +385,72 @@ def _take_timer_slack(undo: ExitStack) -> str:
     if before_ns > 0:
         undo.callback(prctl, _PR_SET_TIMERSLACK, before_ns, 0, 0, 0)
     return "timer slack 1 ns"
+
+
+def _take_short_slice(undo: ExitStack) -> str:
+    """Ask the scheduler for short turns: a task that asks for little is served sooner.
+
+    Linux 6.12 and later grant this without privileges; earlier ones ignore it silently.
+    """
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    _set_slice(_SLICE_NS, nice)
+    if _granted_slice_ns() != _SLICE_NS:
+        raise OSError(0, "the kernel took no notice")
+    undo.callback(_undo_quietly, _set_slice, 0, nice)  # 0: the kernel's own choice
+    return f"slice {_SLICE_NS // 1000} us"
+
+
+def _how_to_take_short_slice() -> str:
+    return f"Linux 6.12 and later grant it to every user, this is {platform.release()}"
+
+
+def _set_slice(slice_ns: int, nice: int) -> None:
+    attr = _SCHED_ATTR.pack(_SCHED_ATTR.size, os.SCHED_OTHER, 0, nice, 0, slice_ns, 0, 0)
+    _call_sched_attr(0, ctypes.create_string_buffer(attr, len(attr)))
+
+
+def _granted_slice_ns() -> int:
+    attr = ctypes.create_string_buffer(_SCHED_ATTR.size)
+    _call_sched_attr(1, attr, _SCHED_ATTR.size)
+    runtime_ns: int = _SCHED_ATTR.unpack(attr.raw)[5]
+    return runtime_ns
+
+
+def _call_sched_attr(which: int, attr: ctypes.Array[ctypes.c_char], *size: int) -> None:
+    """Call sched_setattr (0) or sched_getattr (1) for the calling thread."""
+    numbers = _SET_AND_GET_ATTR.get(platform.machine())
+    if numbers is None:
+        raise OSError(0, f"not known on {platform.machine()}")
+    arguments = [ctypes.c_long(0), attr, *map(ctypes.c_long, (*size, 0))]
+    if ctypes.CDLL(None, use_errno=True).syscall(ctypes.c_long(numbers[which]), *arguments):
+        raise _make_errno_error()
+
+
+def _free_foreign_threads(cpus: frozenset[int]) -> tuple[PreparationStep, ...]:
+    """Raise and unpin all threads but the calling one; return a step where there are any."""
+    tasks = {int(entry.name) for entry in Path("/proc/self/task").iterdir()}
+    foreign = sorted(tasks - {threading.get_native_id()})
+    if not foreign:
+        return ()
+    refused = "; ".join(sorted({_free_thread(thread, cpus) for thread in foreign} - {""}))
+    taken = f"SCHED_FIFO, priority {FOREIGN_THREAD_PRIORITY}, all CPUs"
+    if refused:
+        taken = f"{refused}; a killed loop frees the device late; see fifo"
+    detail = f"{len(foreign)} threads of the driver: {taken}"
+    return (PreparationStep("foreign_threads", not refused, detail),)
+
+
+def _free_thread(thread: int, cpus: frozenset[int]) -> str:
+    """Raise and unpin one thread; return why not, empty where it was done or the thread ended."""
+    param = os.sched_param(FOREIGN_THREAD_PRIORITY)
+    try:
+        os.sched_setaffinity(thread, cpus)
+        os.sched_setscheduler(thread, os.SCHED_FIFO | _SCHED_RESET_ON_FORK, param)
+    except ProcessLookupError:
+        return ""
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
 
 
 def _raise_limit(name: str) -> int:

@@ -7,8 +7,9 @@ command: parked. Orders are taken in the slack after a tick, and hold from the n
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, NamedTuple, Protocol
 
 from hal.calibration import Zero
 from hal.rig import RawSample
@@ -19,6 +20,7 @@ from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup, TickState
+from pamctl.recording.ring import Ring
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.signals import Phase, Reference, Timing
 
@@ -32,6 +34,17 @@ class OrderSlot(Protocol):
         """Return the next order, or None."""
 
 
+class _ComingRun(NamedTuple):
+    """A run whose ring is being attached."""
+
+    order: Mapping[str, Any]
+    ring: Ring
+    pages: Iterator[None]
+
+
+_ALL_THERE = object()
+
+
 class SteeredProgram:
     """Program and gains of a loop that outlives its runs."""
 
@@ -42,17 +55,20 @@ class SteeredProgram:
         setup: TickSetup,
         controller: Mapping[str, object],
         program_of: Callable[[Mapping[str, Any]], Program],
+        defer_page_faults: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         """Begin parked and not homed.
 
         `controller` holds the gains of `setup` as a file has them; `program_of` makes the
-        program of an order.
+        program of an order. Within `defer_page_faults` new memory is mapped and not touched.
         """
         self._orders = orders
         self._journal = journal
         self._tuning = GainRamp(setup, read_controller(controller))
         self._gains_said: list[Mapping[str, object]] = [controller]
         self._program_of = program_of
+        self._defer_page_faults = defer_page_faults
+        self._coming: _ComingRun | None = None
         self._safe_valve_v = setup.limits.safe_valve_v
         self._run: Program | None = None
         self._run_ending = _COMPLETE
@@ -114,10 +130,19 @@ class SteeredProgram:
     # --- what the loop lets happen after each tick -----------------------------------------
 
     def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
-        """Close a run that is over, and take an order if there is one."""
+        """Close a run that is over, and take an order if there is one.
+
+        While a ring is attached no order is taken: orders hold in their sequence.
+        """
         self._valve_v = state.safety.valve_v
         if self._is_over:
             self._end_run(timing, raw)
+        coming = self._coming
+        if coming is not None and not self._is_leaving:
+            if next(coming.pages, _ALL_THERE) is _ALL_THERE:
+                self._coming = None
+                self._begin_run(coming.order, coming.ring, timing, raw, state)
+            return
         order = self._orders.take()
         if order is not None:
             self._obey(order, timing, raw, state)
@@ -127,7 +152,10 @@ class SteeredProgram:
     ) -> None:
         match order["do"]:
             case "run":
-                self._begin_run(order, timing, raw, state)
+                if order["ring"] is None:
+                    self._begin_run(order, None, timing, raw, state)
+                else:
+                    self._coming = self._attach(order)
             case "gains":
                 self._change_gains(order, timing, raw)
             case "stop":
@@ -136,14 +164,28 @@ class SteeredProgram:
                 event = {"event": "mark", "text": order["text"]}
                 self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
 
+    def _attach(self, order: Mapping[str, Any]) -> _ComingRun:
+        """Map the ring of an order; a few of its pages are touched after each of the next ticks.
+
+        All at once would take longer than a tick: a ring has megabytes.
+        """
+        with self._defer_page_faults():
+            ring = Ring.attach(order["ring"], populate=False)
+        return _ComingRun(order, ring, ring.populate_in_steps())
+
     def _begin_run(
-        self, order: Mapping[str, Any], timing: Timing, raw: RawSample, state: TickState
+        self,
+        order: Mapping[str, Any],
+        ring: Ring | None,
+        timing: Timing,
+        raw: RawSample,
+        state: TickState,
     ) -> None:
         """Begin a run with a log of its own; without a ring it goes on in the present one."""
         now = (timing.tick, raw.encoder_t_ns)
-        if order["ring"] is not None:
+        if ring is not None:
             self._end_run(timing, raw)  # ends the holding of a position
-            self._journal.begin_run(order["ring"], *now, self._current_gains(), freeze_state(state))
+            self._journal.begin_run(ring, *now, self._current_gains(), freeze_state(state))
         # All that the program depends on is recorded: a replay runs the program again.
         resolved = {
             "experiment": order["experiment"],

@@ -16,13 +16,13 @@ from time import monotonic_ns
 from typing import NamedTuple
 
 from pamctl.log.framing import LogError, map_log_file
-from pamctl.log.new_file import create_new_file
 from pamctl.log.repair.recover import LogCopy, Recovery, sign_recovery
 from pamctl.log.writer import LogWriter
 from pamctl.recording.ring import RecorderFlag, Ring
 from pamctl.recording.rows import RowLogger
 
-_LOOP_DEAD_NS = 2_000_000_000
+LOOP_DEAD_NS = 2_000_000_000
+"""A ring whose loop has been silent for this long may be finished."""
 
 
 class Orphan(NamedTuple):
@@ -58,7 +58,7 @@ def recover_orphans(directory: str | Path = "/dev/shm") -> list[Orphan]:
             if not _is_my_file(path):
                 continue
             with Ring.attach(path) as ring:
-                if ring.claim() and monotonic_ns() - ring.loop_beat_ns > _LOOP_DEAD_NS:
+                if ring.claim() and monotonic_ns() - ring.loop_beat_ns > LOOP_DEAD_NS:
                     _require_home(ring)
                     found.append(Orphan(path, _finish(ring), ""))
                     ring.unlink()
@@ -141,9 +141,15 @@ def _replacing(target: Path, ring: Ring) -> Iterator[BufferedWriter]:
     """Open a draft beside the target; it replaces the target when the block ends well."""
     draft = target.with_name(f"{target.name}.recovering")
     draft.unlink(missing_ok=True)
-    with create_new_file(draft) as stream:
-        yield stream
-        ring.mended_inode = os.fstat(stream.fileno()).st_ino
+    try:
+        with draft.open("xb") as stream:  # one fixed name: the next finisher removes what is left
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+            ring.mended_inode = os.fstat(stream.fileno()).st_ino
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
     draft.replace(target)
     directory = os.open(target.parent, os.O_RDONLY)
     os.fsync(directory)

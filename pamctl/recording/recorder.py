@@ -20,6 +20,8 @@ from pathlib import Path
 from pamctl.recording.disk_space import is_full
 from pamctl.recording.ring import RecorderFlag, Ring, RingError
 
+RECORDER_PATIENCE_S = 5.0
+"""A recorder without a heartbeat for this time, whose loop has ended, is killed."""
 _POLL_S = 0.005
 
 
@@ -72,6 +74,7 @@ def main(arguments: list[str]) -> int:
         (ring_path,) = arguments
         with Ring.attach(ring_path) as ring:
             ring.hold()
+            ring.recorder_pid = os.getpid()
             return _record(ring, _Pipe(sys.stdin.fileno()))
     except (ValueError, RingError) as error:
         print(f"recorder: {error}", file=sys.stderr)

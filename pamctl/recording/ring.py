@@ -7,8 +7,11 @@ row is complete, the tail after it is in the log. Rows between the two survive t
 process, or of both. Payloads longer than a row continue in the following rows, and become visible
 with a single move of the head.
 
-This relies on the order of stores of x86. Rows and header are little-endian; times are
-nanoseconds of the monotonic clock.
+Memory order: the loop stores the row and then the head; the recorder reads the head and then the
+row, and copies the row before it stores the tail. x86 keeps these orders. Elsewhere the readers
+call a barrier at each of these places, or the ring is refused: see `memory_order.py`.
+
+Rows and header are little-endian; times are nanoseconds of the monotonic clock.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ from typing import NamedTuple
 from pamctl.exit_codes import ExitCode
 from pamctl.json_text import to_json
 from pamctl.log.run_meta import RunMeta
+from pamctl.recording.memory_order import barrier_of_this_machine
 from pamctl.signals import TICK_FIELDS, Field, TickRecord
 
 ROW_BYTES = 512
@@ -41,6 +45,8 @@ _VERSION = 1
 _CODES = {int: "q", float: "d", bool: "?"}
 _HEAD = 8
 _MADV_POPULATE_WRITE = 23
+_POPULATE_BYTES = 64 * mmap.PAGESIZE
+"""Touched at once: some tens of microseconds."""
 
 
 class RowKind:
@@ -195,6 +201,8 @@ class Ring:
     """Inode of the recorder's log file; zero before it exists."""
     mended_inode = _Word(27)
     """Inode of the draft that replaces the log when another process finishes it; else zero."""
+    recorder_pid = _Word(28)
+    """Process id of the recorder; zero before it starts. Written by the recorder."""
     loop_beat_ns = _Word(32)
     """Monotonic time of the loop's last sign of life."""
     loop_done = _Word(33)
@@ -214,11 +222,15 @@ class Ring:
     guardian_lost = _Word(49)
     """Not zero once the guardian is dead or frozen. Written by the front."""
 
-    def __init__(self, path: Path, fd: int) -> None:
-        """Map the ring behind `fd`, which this object owns from now on."""
+    def __init__(self, path: Path, fd: int, *, populate: bool = True) -> None:
+        """Map the ring behind `fd`, which this object owns from now on.
+
+        Without `populate` the caller goes through `populate_in_steps` before it puts rows.
+        """
         self.path = path
         self._fd = fd
-        self._map = mmap.mmap(fd, 0, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        self._barrier = barrier_of_this_machine()
+        self._map = mmap.mmap(fd, 0, flags=mmap.MAP_SHARED | (mmap.MAP_POPULATE if populate else 0))
         self._buffer = memoryview(self._map)
         self._check_header()
         self._words = self._buffer[:HEADER_BYTES].cast("Q")
@@ -229,9 +241,9 @@ class Ring:
         self._head = self.head
         self._full_at = self.tail + self.rows
         self._prepare_packing()
-        # Touch every page now: the first write to a mapped page would fault within a tick.
-        with contextlib.suppress(OSError):
-            self._map.madvise(_MADV_POPULATE_WRITE)
+        if populate:
+            for _ in self.populate_in_steps(len(self._map)):
+                pass
 
     @classmethod
     def create(cls, path: str | Path, meta: RunMeta, rows: int = 16384) -> Ring:
@@ -257,12 +269,20 @@ class Ring:
         return ring
 
     @classmethod
-    def attach(cls, path: str | Path) -> Ring:
+    def attach(cls, path: str | Path, *, populate: bool = True) -> Ring:
         """Map an existing ring; raise RingError if it is not a ring of this version."""
         with _explain_errors(f"cannot attach to the ring {path}"):
             fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
             with _close_on_error(fd):
-                return cls(Path(path), fd)
+                return cls(Path(path), fd, populate=populate)
+
+    def populate_in_steps(self, step_bytes: int = _POPULATE_BYTES) -> Iterator[None]:
+        """Touch every page: the first write to a mapped page would fault within a tick."""
+        for start in range(0, len(self._map), step_bytes):
+            with contextlib.suppress(OSError):
+                length = min(step_bytes, len(self._map) - start)
+                self._map.madvise(_MADV_POPULATE_WRITE, start, length)
+            yield
 
     def _check_header(self) -> None:
         if len(self._buffer) < HEADER_BYTES or self._buffer[: len(_MAGIC)] != _MAGIC:
@@ -353,7 +373,9 @@ class Ring:
 
     def drain(self, max_rows: int) -> RowBatch:
         """Copy the oldest rows, at most about `max_rows`; they stay in the ring."""
+        self._barrier()  # after whatever the caller has read, such as `loop_done`
         first, head = self.tail, self.head
+        self._barrier()
         end = min(first + max_rows, head)
         while end < head and self._kind(end) == RowKind.CONTINUATION:
             end += 1
@@ -361,6 +383,7 @@ class Ring:
 
     def commit(self, end_row: int) -> None:
         """Return the rows before `end_row` to the loop."""
+        self._barrier()
         self.tail = end_row
 
     def raise_flag(self, flag: int) -> None:
@@ -385,11 +408,13 @@ class Ring:
         """Return the newest tick's columns by name, committed or not; None if there is none."""
         while True:
             head = self.head
+            self._barrier()
             # Rows up to half a ring back are not being overwritten, see `_put`.
             oldest = max(-1, head - 1 - self.rows // 4)
             newest = range(head - 1, oldest, -1)
             row = next((row for row in newest if self._kind(row) == RowKind.TICK), None)
             payload = b"" if row is None else self._copy(row, row + 1)[ROW_HEADER.size :]
+            self._barrier()
             if self.head - head <= self.rows // 4:
                 return None if row is None else self._tick_columns(payload)
 
@@ -401,6 +426,7 @@ class Ring:
         """
         while True:
             head = self.head
+            self._barrier()
             payloads: list[bytes] = []
             for row in range(head - 1, max(-1, head - 1 - self.rows // 4), -1):
                 kind, _, tick, _ = self._row_header(row)
@@ -409,6 +435,7 @@ class Ring:
                         break
                     if not tick % every:
                         payloads.append(self._copy(row, row + 1)[ROW_HEADER.size :])
+            self._barrier()
             if self.head - head <= self.rows // 4:
                 return [self._tick_columns(payload) for payload in reversed(payloads)]
 

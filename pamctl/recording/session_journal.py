@@ -14,7 +14,7 @@ from pamctl.recording.last_words import make_outcome_event
 from pamctl.recording.ring import LoopStage, Ring
 from pamctl.signals import TickRecord
 
-_FIRST_EVENTS = ("timing_setup", "rig", "zeroed")
+_FIRST_EVENTS = ("timing_setup", "rate_warning", "rig", "foreign_threads", "zeroed")
 """Events that begin the log of every run, repeated from when they were last put."""
 
 
@@ -36,17 +36,16 @@ class SessionJournal:
 
     def begin_run(
         self,
-        path: str,
+        ring: Ring,
         tick: int,
         t_ns: int,
         gains: Sequence[Mapping[str, object]],
         state: Sequence[float],
     ) -> None:
-        """Switch to the new ring at `path`, and put first what a replay of its log needs.
+        """Switch to the new ring, and put first what a replay of its log needs.
 
         This includes the frozen state after `tick`, the last tick before this log.
         """
-        ring = Ring.attach(path)
         for event in self._standing.values():
             ring.put_event(tick, t_ns, event)
         for said in gains:

@@ -106,11 +106,11 @@ class Differences:
 
     def all(self) -> tuple[Difference, ...]:
         """Return the differences in the order of their first tick, within a tick by stage."""
-        asked = list(self.compared)
+        places = list(self.compared)
 
         def order(difference: Difference) -> tuple[int, int, int]:
             place = difference.place
-            return difference.first.tick, STAGES.index(place.stage), asked.index(place)
+            return difference.first.tick, STAGES.index(place.stage), places.index(place)
 
         return tuple(sorted(self._found.values(), key=order))
 

@@ -71,8 +71,8 @@ class ProgramReplay:
             self._program = self._resume_program(begin)
         if self._program is None:
             return None
-        asked = None if self._plain else self._trace_course(self._program, begin, end)
-        return asked or self._ask_tick_by_tick(self._program, begin, end)
+        answer = None if self._plain else self._trace_course(self._program, begin, end)
+        return answer or self._ask_tick_by_tick(self._program, begin, end)
 
     def _trace_course(self, program: Program, begin: int, end: int) -> ProgramAnswer | None:
         """Return the references of a course in one compiled go, if they equal the log."""

@@ -58,15 +58,15 @@ class TickReplay:
     def take(self, begin: int, end: int) -> None:
         """Replay a stretch and compare it with the log."""
         self._state = self._recording.state_at(begin, self._state)
-        asked = self._program.ask(begin, end)
+        answer = self._program.ask(begin, end)
         if self._state is None:
             self.skipped += end - begin
             self._state = self._recording.keyframes.get(end - 1)
             return
-        if asked is None:
+        if answer is None:
             self.unasked += end - begin
         else:
-            self._compare_answer(asked, begin, end)
+            self._compare_answer(answer, begin, end)
         self._state, rows = self._replay_stretch(self._state, begin, end)
         for field, row in zip(REPLAYED_FIELDS, rows, strict=True):
             if field.name in self._recording.log.columns:
@@ -103,16 +103,16 @@ class TickReplay:
             and find_differing(self._read_memory(keyframe), self._read_memory(after)) is not None
         )
 
-    def _compare_answer(self, asked: ProgramAnswer, begin: int, end: int) -> None:
-        for name, row in zip(_REFERENCE, asked.references, strict=True):
+    def _compare_answer(self, answer: ProgramAnswer, begin: int, end: int) -> None:
+        for name, row in zip(_REFERENCE, answer.references, strict=True):
             logged = self._read_logged(name, begin, end)
             self.differences.take(
                 StageField("reference", name), begin, logged, np.ascontiguousarray(row)
             )
         nowhere = Zero(np.nan, np.nan)
-        for tick in sorted({begin} & self._recording.zeros.keys() | asked.zeros.keys()):
+        for tick in sorted({begin} & self._recording.zeros.keys() | answer.zeros.keys()):
             logged_zero = self._recording.zeros.get(tick, nowhere)
-            found = asked.zeros.get(tick, nowhere)
+            found = answer.zeros.get(tick, nowhere)
             for name, logged_v, found_v in zip(Zero._fields, logged_zero, found, strict=True):
                 self.differences.take(
                     StageField("zero", name), tick, np.array([logged_v]), np.array([found_v])

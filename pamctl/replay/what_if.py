@@ -10,6 +10,7 @@ import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log import Log
+from pamctl.new_file import write_files
 from pamctl.realtime.tick import TickState
 from pamctl.replay.read_source import read_replay_source
 from pamctl.replay.replay_source import NotReplayable
@@ -65,12 +67,13 @@ class WhatIf:
     phases: tuple[PhaseFigures, ...]
 
     def write_csv(self, path: Path) -> None:
-        """Write both commands, one row a tick."""
-        with path.open("w", newline="") as file:
-            table = csv.writer(file)
-            table.writerow(("tick", "t_s", "phase", "command_v", "what_if_command_v"))
-            columns = (self.ticks, self.t_s, self.phase, self.logged_v, self.other_v)
-            table.writerows(zip(*(column.tolist() for column in columns), strict=True))
+        """Write both commands into a new file, one row a tick; raise NewFileError."""
+        text = StringIO()
+        table = csv.writer(text)
+        table.writerow(("tick", "t_s", "phase", "command_v", "what_if_command_v"))
+        columns = (self.ticks, self.t_s, self.phase, self.logged_v, self.other_v)
+        table.writerows(zip(*(column.tolist() for column in columns), strict=True))
+        write_files({path: text.getvalue()})
 
 
 def replace_law(

@@ -126,10 +126,10 @@ def _write_about_qsmc(page: Page, measured: dict[str, Any], title: str) -> None:
         for name, limit in bound.items()
         if limit is not None and found[name] is not None
     ]
-    said = "stays inside" if kept else "does not stay inside"
+    verdict = "stays inside" if kept else "does not stay inside"
     spread = f": {min(ratios):.2f} to {max(ratios):.2f} of its errors" if ratios else ""
     page.note(
-        f"qSMC with the printed gains {said} Table IV in both experiments on the model "
+        f"qSMC with the printed gains {verdict} Table IV in both experiments on the model "
         f"{title}{spread}.",
         kind="good" if kept else "bad",
     )

@@ -1,6 +1,6 @@
 """From settings to what the tick and the program need, for a run and for its replay alike.
 
-Nothing is opened here.
+No device is opened here.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _EXPERIMENT: TypeAdapter[Any] = TypeAdapter(ExperimentSettings)
 
 
 def build_tick_setup(settings: RunSettings) -> TickSetup:
-    """Return what the tick needs to know."""
+    """Return the setup of the tick."""
     cal, law = calibration(settings.rig.calibration), law_of(settings.controller)
     return TickSetup(
         calibration=cal,
@@ -45,12 +45,12 @@ def build_tick_setup(settings: RunSettings) -> TickSetup:
 
 
 def safe_valve_v(settings: RunSettings, cal: Calibration) -> float:
-    """Return the valve command that the safe output voltage carries."""
+    """Return the valve command of the safe output voltage."""
     return valve_v(cal, settings.rig.safe_volts)
 
 
 def build_program(settings: RunSettings, *, course_begin_s: float | None = None) -> Program:
-    """Return the program of the run; with `course_begin_s`, without homing."""
+    """Return the program of the run; with `course_begin_s` it leaves out homing."""
     rig = settings.rig
     return Program(
         build_homing(settings) if course_begin_s is None else None,
@@ -62,7 +62,7 @@ def build_program(settings: RunSettings, *, course_begin_s: float | None = None)
 
 
 def build_ordered_program(settings: RunSettings, order: Mapping[str, Any]) -> Program:
-    """Return the program of a run that a daemon's loop was ordered to do.
+    """Return the program of a run that was ordered from a daemon's loop.
 
     `order` is the log's event: the experiment, where its motion starts, and whether to home first.
     """
@@ -89,7 +89,7 @@ def choose_homing_settings(settings: RunSettings) -> HomingSettings:
 
 
 def nominal_zero_of(settings: RunSettings) -> Callable[[RawSample], Zero]:
-    """Return the zeros until homing: the file's sensor zero, and the first encoder count."""
+    """Return the zeros before homing: the file's sensor zero, and the first encoder count."""
     sensor_zero_v = settings.rig.calibration.sensor_zero_v
     return lambda sample: Zero(sensor_zero_v, float(sample.encoder_counts))
 

@@ -1,8 +1,8 @@
 """Problems of a configuration, in the words of the person who wrote it.
 
-Pydantic finds the errors and names places in its own terms. This module translates both: keys as
-in the file, bounds as a sentence, the nearest name for a typing error, and a hint at the
-cause of a wrong value.
+Pydantic finds the errors, and describes them and their places in its own terms. This module
+translates: keys as in the file, bounds as a sentence, the nearest name for a typing error, and a
+hint at the cause of a wrong value.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Problem(NamedTuple):
 
 
 class ConfigError(Exception):
-    """Settings that cannot be used; it carries all problems."""
+    """Settings that cannot be used, with all their problems."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         """Keep the problems; the message has one line each."""
@@ -65,7 +65,7 @@ class _Place:
     at: KeyPath = ()
 
     def step(self, name: str | int) -> _Place:
-        if name == "[key]":  # pydantic's mark of an error in a key itself
+        if name == "[key]":  # pydantic marks an error in a key itself like this
             return self
         members = [member for node in self.nodes for member in self._members(node)]
         if any(len(self._members(node)) > 1 for node in self.nodes):
@@ -135,7 +135,7 @@ class _Complaint(NamedTuple):
 def explain_errors(
     errors: Iterable[ErrorDetails], schema: JsonSchema, title: str
 ) -> dict[KeyPath, str]:
-    """Describe each place's problem in one message, however many alternatives were tried."""
+    """Describe each place's problem in one message, for all the alternatives that were tried."""
     complaints = [_make_complaint(error, schema, title) for error in errors]
     meant = {complaint.meant for complaint in complaints}
     found: dict[KeyPath, list[_Complaint]] = {}
@@ -159,10 +159,10 @@ def _join_complaints(complaints: Sequence[_Complaint]) -> str:
 def _make_complaint(error: ErrorDetails, schema: JsonSchema, title: str) -> _Complaint:
     kind, way, context = error["type"], error["loc"], error.get("ctx", {})
     if kind in {"extra_forbidden", "missing"}:
-        return _complain_of_key(kind, _follow_location(schema, way[:-1]), way[-1], title)
+        return _explain_key(kind, _follow_location(schema, way[:-1]), way[-1], title)
     place = _follow_location(schema, way)
     if kind in {"union_tag_not_found", "union_tag_invalid"}:
-        return _complain_of_tag(place, context["discriminator"].strip("'"), error["input"])
+        return _explain_tag(place, context["discriminator"].strip("'"), error["input"])
     if kind in {"value_error", "assertion_error"}:
         return _Complaint(place.at, message=str(context["error"]))
     if kind in {"too_short", "too_long"}:
@@ -189,7 +189,7 @@ def _follow_location(schema: JsonSchema, way: Iterable[str | int]) -> _Place:
     return place
 
 
-def _complain_of_key(kind: str, parent: _Place, key: str | int, title: str) -> _Complaint:
+def _explain_key(kind: str, parent: _Place, key: str | int, title: str) -> _Complaint:
     at = (*parent.at, key)
     if isinstance(key, int):
         return _Complaint(parent.at, message=f"must hold more than {key} items")
@@ -197,13 +197,13 @@ def _complain_of_key(kind: str, parent: _Place, key: str | int, title: str) -> _
         about = parent.description(key)
         return _Complaint(at, message=f"{_MISSING} ({about})" if about else _MISSING)
     if (title, *at) in {(key, key), ("", key, key)}:
-        message = f"unknown key; a {key}'s keys stand in its file without this heading"
+        message = f"unknown key; the keys of a {key} file have no heading"
         return _Complaint(at, message=message)
     meant, hint = _guess_key(key, parent.names())
     return _Complaint(at, message=f"unknown key{hint}", meant=(*parent.at, meant))
 
 
-def _complain_of_tag(place: _Place, tag: str, given: Any) -> _Complaint:
+def _explain_tag(place: _Place, tag: str, given: Any) -> _Complaint:
     at = (*place.at, tag)
     expected = join_choices(place.choices(tag))
     if tag not in given:
@@ -215,7 +215,7 @@ def _complain_of_tag(place: _Place, tag: str, given: Any) -> _Complaint:
 
 
 _EXPLAIN_UNKNOWN: Mapping[str, Callable[[str], str]] = {"backend": hint_at_missing}
-"""Of keys whose values come from installed packages: says why a value may be unknown."""
+"""Explains an unknown value, for keys whose values come from installed packages."""
 
 
 # --- words -----------------------------------------------------------------------------
@@ -265,7 +265,7 @@ def _strip_unit(key: str) -> str:
 
 
 def _guess_key(key: str, known: Sequence[str]) -> tuple[str, str]:
-    """Return the key that was probably meant ('' if none is near), and a hint with it."""
+    """Return the key that was probably meant ('' if none is near), and a hint."""
     stems = {_strip_unit(name): name for name in reversed(known)}
     if _strip_unit(key) in stems and key not in known:
         name = stems[_strip_unit(key)]

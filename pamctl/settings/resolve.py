@@ -1,7 +1,7 @@
 """From names, files and overrides to one validated, immutable `RunSettings`.
 
 The models are beside the code that they configure. This module finds the files, applies the
-overrides, and reports all problems at once: one line a problem, with file and line.
+overrides, and reports all problems at once, one line each, with file and line.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class RunSettings(Configured):
     )
     fast: bool = Field(default=False, description="simulate without a clock")
     readonly: bool = Field(
-        default=False, description="the whole loop, but nothing leaves it except the safe voltage"
+        default=False, description="run the whole loop, but write only the safe voltage"
     )
     rt: Literal["auto", "require", "off"] = Field(
         default="auto", description="real-time scheduling: where permitted, or else fail, or never"
@@ -91,7 +91,7 @@ SECTIONS: Mapping[str, TypeAdapter[Any]] = {
 }
 """One folder of `config/` each."""
 KINDS: Mapping[str, TypeAdapter[Any]] = {**SECTIONS, "import-map": TypeAdapter(ImportMap)}
-"""Every kind of file that users write: the sections of a run, and the map of an import."""
+"""Every kind of user file: the sections of a run, and the map of an import."""
 
 DEFAULT_NAMES: Mapping[str, str] = {
     "controller": "qsmc",
@@ -103,10 +103,10 @@ DEFAULT_NAMES: Mapping[str, str] = {
 
 
 _CHOSEN_BY_FILE = {"controller": "law", "rig": "backend", "experiment": "kind"}
-"""The key of a section that decides which other keys it has."""
+"""The key of a section that determines its other keys."""
 
 
-# --- the whole way ---------------------------------------------------------------------
+# --- resolving a run ---------------------------------------------------------------------
 
 
 def resolve(
@@ -139,7 +139,7 @@ def resolve(
         "rt": ("--rt", rt),
     }
     raw = RawSettings()
-    _run_together(
+    _run_and_collect_problems(
         partial(raw.add_section, section, DEFAULT_NAMES[section] if name is None else name)
         for section, name in chosen.items()
         if not (section == "controller" and name is None and law is not None)
@@ -149,7 +149,7 @@ def resolve(
     for key, (option, value) in options.items():
         if value is not None:
             raw.put((key,), value, f"{option} {value}")
-    _run_together(partial(raw.override, override) for override in overrides)
+    _run_and_collect_problems(partial(raw.override, override) for override in overrides)
     try:
         return validate_settings(RUN, raw)
     except ConfigError as error:
@@ -167,9 +167,9 @@ def _advise_gains(problem: Problem) -> Problem:
 
 
 def use_law_file(spec: str) -> str:
-    """Add the law of `FILE.py` or `FILE.py:NAME` to those that settings know; return its name.
+    """Register the law of `FILE.py` or `FILE.py:NAME` for settings; return its name.
 
-    This process and those that it starts know it. Raises `ConfigError`.
+    It is known in this process and in its child processes. Raises `ConfigError`.
     """
     try:
         law = add_law_file(spec)
@@ -196,7 +196,7 @@ def check_config_file(path: Path) -> str:
 
 
 def kind_of(path: Path, data: Mapping[str, object]) -> str:
-    """Tell a file's kind from its folder, or else from its keys."""
+    """Determine a file's kind from its folder, or else from its keys."""
     if path.resolve().parent.name in SECTIONS:
         return path.resolve().parent.name
     known = {kind: names_in(adapter.json_schema()) & data.keys() for kind, adapter in KINDS.items()}
@@ -211,7 +211,7 @@ def kind_of(path: Path, data: Mapping[str, object]) -> str:
 def settings_to_data(settings: Configured) -> dict[str, Any]:
     """Return settings as mappings, lists and scalars, with all defaults.
 
-    Values that are None are left out: in every model, None is the default where it is allowed.
+    None is left out: where a model allows None, it is the default.
     """
     return settings.model_dump(mode="json", round_trip=True, exclude_none=True)
 
@@ -237,8 +237,8 @@ def from_resolved(text: str, name: str = "resolved configuration") -> RunSetting
 def build_config_schema() -> JsonSchema:
     """Return one JSON schema for the files of all sections.
 
-    The alternatives are the models, not the sections: an editor then checks a file against `qsmc`
-    or `tracking`, and completes the keys of that model.
+    Its alternatives are the models, not the sections. An editor can then check a file against
+    `qsmc` or `tracking`, and complete the keys of that model.
     """
     mode: Literal["validation"] = "validation"
     sections, shared = TypeAdapter.json_schemas(
@@ -255,7 +255,7 @@ def build_config_schema() -> JsonSchema:
 
 
 def config_dir() -> Path:
-    """Return the shipped configuration: inside an installed package, or the checkout's."""
+    """Return the folder of the shipped configuration, in an installed package or a checkout."""
     package = Path(str(files("pamctl")))
     installed = package / "_config"
     return installed if installed.is_dir() else package.parent / "config"
@@ -269,7 +269,7 @@ def list_shipped(section: str) -> list[str]:
 def find_config_file(section: str, name: str, option: str = "") -> Path:
     """Return the file for a name or path on the command line; raise `ConfigError`.
 
-    `option` is the text before the name in messages; default: `--` and the section.
+    `option` is the text before the name in messages [default: `--` and the section].
     """
     if Path(name).suffix in {".yaml", ".yml"} or Path(name).name != name:
         return Path(name)
@@ -288,10 +288,10 @@ def read_section_file(section: str, path: Path) -> Any:
 
 
 def shorten_path(path: Path) -> str:
-    """Return a path as short as it can be from the working directory."""
+    """Return the shortest form of a path from the working directory."""
     try:
         return str(path.resolve().relative_to(Path.cwd()))
-    except (ValueError, OSError):
+    except (ValueError, OSError, RuntimeError):  # RuntimeError: a link to itself
         return str(path)
 
 
@@ -313,7 +313,7 @@ class RawSettings:
     @classmethod
     def parse(cls, text: str, path: Path) -> RawSettings:
         """Read YAML or JSON text; errors call it `path`."""
-        try:  # JSON first: only its escaped surrogate pairs mean something else in YAML.
+        try:  # JSON first: its escaped surrogate pairs have another meaning in YAML.
             data = json.loads(text)
         except (ValueError, RecursionError):
             data = None
@@ -337,7 +337,7 @@ class RawSettings:
         self.origins |= {(section, *at): origin for at, origin in file.origins.items()}
 
     def choose_law(self, law: str, origin: str) -> None:
-        """Require the gains of a law, or take its defaults where there is no gains file.
+        """Require the gains of a law, or take its defaults without a gains file.
 
         Raises `ConfigError`.
         """
@@ -349,7 +349,7 @@ class RawSettings:
             raise ConfigError([Problem(origin, "", message)])
 
     def put(self, keys: Sequence[str], value: object, origin: str) -> None:
-        """Set one value; create the mappings on the way to it.
+        """Set one value; create missing mappings.
 
         Raises `LookupError` if the path leads through a value without keys.
         """
@@ -420,7 +420,7 @@ class RawSettings:
 
 
 def _explain_law(raw: RawSettings, at: KeyPath) -> str:
-    """Return why the law that stands there is not among the choices, if a package offers it."""
+    """Return why a law is not among the choices, if a package offers it."""
     value: Any = raw.data
     for key in at:
         value = value.get(key) if isinstance(value, dict) else None
@@ -441,7 +441,7 @@ def _walk_outwards(at: KeyPath) -> Iterable[KeyPath]:
     return (at[:depth] for depth in range(len(at), -1, -1))
 
 
-def _run_together(steps: Iterable[Callable[[], None]]) -> None:
+def _run_and_collect_problems(steps: Iterable[Callable[[], None]]) -> None:
     """Run all steps, then raise the problems of all of them."""
     problems: list[Problem] = []
     for step in steps:
@@ -459,7 +459,7 @@ def validate_settings(
     """Validate raw values; `title` names the section if the values are a single section.
 
     Raises `ConfigError`. Values are passed to pydantic as JSON: it is then strict about types (no
-    text for a number, no 1 for true) but accepts a list for a tuple.
+    text for a number, no 1 for true), but accepts a list for a tuple.
     """
     try:
         return adapter.validate_json(json.dumps(raw.data), strict=True)

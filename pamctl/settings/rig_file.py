@@ -1,7 +1,7 @@
 """A rig file: backend, calibration, limits, homing and loop of one test rig.
 
-There is one model per installed backend, made from the backend's record. `RigSettings` is the
-union of them, told apart by the key `backend`.
+There is one model per installed backend, made from the backend's record. `RigSettings` is
+their union, with the key `backend` as discriminator.
 """
 
 from __future__ import annotations
@@ -24,18 +24,20 @@ SafeVolts = Annotated[
     float,
     Field(ge=-10, le=10, description="output V that is safe: 0 vents, driver_offset_v holds"),
 ]
-_Faults = Annotated[tuple[FaultSettings, ...], Field(description="what goes wrong, for rehearsals")]
+_Faults = Annotated[
+    tuple[FaultSettings, ...], Field(description="faults to inject, for rehearsals")
+]
 
 
 class RigFile(Configured):
-    """What every rig file holds, whatever its backend."""
+    """The keys that all rig files share."""
 
     calibration: CalibrationSettings = CalibrationSettings()
     limits: LimitSettings = LimitSettings()
     homing: HomingSettings = HomingSettings()
     loop: LoopSettings = LoopSettings()
 
-    if TYPE_CHECKING:  # each backend's model declares these: name and default are its own
+    if TYPE_CHECKING:  # each backend's model declares these, with its own name and default
         backend: str
         safe_volts: float
 
@@ -46,18 +48,18 @@ class RigFile(Configured):
 
     @property
     def device_settings(self) -> Configured:
-        """What stands under the backend's own key."""
+        """The settings under the backend's own key."""
         settings: Configured = getattr(self, self.backend)
         return settings
 
     @property
     def faults_to_inject(self) -> tuple[FaultSettings, ...]:
-        """The faults of a simulated rig; a real one has none to inject."""
+        """The faults of a simulated rig; empty for a real rig."""
         return getattr(self, "faults", ())
 
     @model_validator(mode="after")
     def _check_driver_range(self) -> Self:
-        """Refuse commands that the driver would cut: safety reasons about what it admits."""
+        """Refuse commands that the driver would clip: safety must know the true command."""
         cal, limit_v = self.calibration, self.limits.command_v
         reach_v = [cal.driver_offset_v + cal.driver_gain * v for v in (-limit_v, limit_v)]
         for name, volts in (("limits.command_v", reach_v), ("safe_volts", [self.safe_volts])):
@@ -71,7 +73,7 @@ class RigFile(Configured):
 
     @model_validator(mode="after")
     def _check_safe_volts(self) -> Self:
-        """Refuse a safe voltage that the output cannot give; its ends are codes, within a step."""
+        """Refuse a safe voltage outside the output's range (within one code)."""
         output = self.record.output(self.device_settings)
         step_v = 2.0 * output.converter.full_scale_v / output.converter.levels
         if not output.lowest_v - step_v <= self.safe_volts <= output.highest_v + step_v:
@@ -86,7 +88,7 @@ class RigFile(Configured):
 
 
 def _make_model(record: Backend[Any]) -> type[RigFile]:
-    """Make the model of a backend's rig files; its own section is optional where it may be."""
+    """Make the model of a backend's rig files; a section with all defaults is optional."""
     section = record.settings
     needed = any(field.is_required() for field in section.model_fields.values())
     fields: dict[str, Any] = {
@@ -100,7 +102,7 @@ def _make_model(record: Backend[Any]) -> type[RigFile]:
     model = create_model(
         name, __base__=RigFile, __doc__=record.description, __module__=__name__, **fields
     )
-    globals()[name] = model  # where pickle looks for it
+    globals()[name] = model  # pickle looks for it here
     return model
 
 

@@ -3,7 +3,7 @@
 PyYAML implements YAML 1.1: `1e-4` is text, `on` is true, `010` is eight, `1:30` is ninety, and of
 two equal keys the last one wins silently. A wrong gain moves a muscle. Here scalars follow the
 YAML 1.2 core schema (https://yaml.org/spec/1.2.2/, section 10.3), equal keys are an error, and
-every problem of a file becomes one `YamlError` with its place.
+each problem of a file becomes one `YamlError` with its place.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ KeyPath = tuple[str | int, ...]
 """The path to a value: keys of mappings, indices of lists."""
 
 MAX_BYTES = 256 * 1024
-"""Far above any settings file, and far below a size that would stall the Python scanner."""
+"""Much larger than any settings file; a much larger file would stall the Python scanner."""
 MAX_VALUES = 20_000
 """Counted with aliases expanded, so that nine lines cannot become a billion values."""
 MAX_DEPTH = 40
@@ -51,17 +51,17 @@ class YamlDocument:
 
 
 class YamlError(Exception):
-    """A file that is not one valid YAML mapping: one line, with the place."""
+    """A file is not one valid YAML mapping; the message is one line with the place."""
 
     def __init__(self, message: str, path: Path, mark: FilePosition | None = None) -> None:
-        """`mark` is missing if the problem is the file itself, not a line of it."""
+        """`mark` is None if the problem concerns the whole file."""
         self.message = message
         self.where = f"{path}:{mark.line}:{mark.column}" if mark else str(path)
         super().__init__(f"{self.where}: {message}")
 
 
 def load_yaml(path: Path) -> YamlDocument:
-    """Read one file. Raises only `YamlError`, whatever the file holds."""
+    """Read one file. Raises only `YamlError`, for any content."""
     return parse_yaml(_read_text(path), path)
 
 
@@ -89,7 +89,7 @@ def parse_yaml_value(text: str) -> object:
 def dump_yaml(data: object) -> str:
     """Write mappings, lists and scalars; `parse_yaml` returns them equal, floats to the bit.
 
-    Texts that YAML 1.1 would misread (`on`, `1e-4`) are quoted for the sake of other tools.
+    Texts that YAML 1.1 would misread (`on`, `1e-4`) are quoted for other tools.
     """
     text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
     return text
@@ -189,7 +189,7 @@ class _Builder:
             here = (*at, key)
             if key in mapping:
                 first = self.marks[here].line
-                _refuse(f"the key '{key}' stands already in line {first}", key_node.start_mark)
+                _refuse(f"the key '{key}' is already defined in line {first}", key_node.start_mark)
             self.marks[here] = _position_of(key_node.start_mark)
             mapping[key] = self.value(value_node, here)
         return mapping
@@ -197,7 +197,7 @@ class _Builder:
     def _refuse_endless(self, node: yaml.Node) -> None:
         self._values += 1
         if any(node is one for one in self._open):
-            _refuse("an alias refers to what it stands in", node.start_mark)
+            _refuse("an alias refers to a value that contains it", node.start_mark)
         if len(self._open) >= MAX_DEPTH:
             _refuse(f"is nested more than {MAX_DEPTH} deep", node.start_mark)
         if self._values > MAX_VALUES:
@@ -238,12 +238,12 @@ _PLAINLY = (
     ("that cannot start any token", "a value cannot begin with this character; quote it"),
     ("end of stream", "a quote is never closed"),
     ("<stream end>", "a bracket or brace is never closed"),
-    ("second occurrence", "an anchor of this name stands already above"),
+    ("second occurrence", "an anchor of this name is already defined above"),
     ("mapping values are not allowed", "a second ':' in one line; quote the value, or indent"),
     ("could not find expected ':'", "a key without ':'"),
-    ("but found another document", "only one document may stand in a file"),
+    ("but found another document", "a file may hold only one document"),
 )
-"""PyYAML's message, and a message for people."""
+"""PyYAML's message, and the message for users."""
 
 
 def _read_text(path: Path) -> str:
@@ -293,8 +293,8 @@ def _translate_errors(path: Path) -> Iterator[None]:
 
 
 def _explain_plainly(error: yaml.MarkedYAMLError) -> str:
-    said = str(error.problem or error.context)
-    return next((plain for jargon, plain in _PLAINLY if jargon in said), said)
+    problem = str(error.problem or error.context)
+    return next((plain for jargon, plain in _PLAINLY if jargon in problem), problem)
 
 
 def _refuse(message: str, mark: yaml.Mark) -> NoReturn:

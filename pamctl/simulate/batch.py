@@ -50,7 +50,7 @@ class SimulatedRun:
 
 
 def simulate_run(settings: RunSettings) -> SimulatedRun:
-    """Simulate a run; raise ValueError for a rig that is not simulated."""
+    """Simulate a run; raise ValueError if the rig is not a simulated one."""
     rig, sim = settings.rig, settings.rig.device_settings
     if not isinstance(sim, SimSettings):
         raise ValueError("only a simulated rig can be run as a batch")
@@ -73,7 +73,7 @@ def simulate_merit(settings: RunSettings) -> Merit | None:
     return simulate_run(settings).merit()
 
 
-# Both are computed in plain Python and take longer than a run; many runs share them.
+# Both are computed in plain Python, which takes longer than a run, so runs share them.
 @lru_cache(maxsize=8)
 def _tabulate(course: tuple[Segment, ...], period_s: float, duration_s: float | None) -> Floats:
     return tabulate_references(course, period_s, duration_s)

@@ -66,7 +66,7 @@ class BatchRun:
 def tabulate_references(
     segments: Sequence[Segment], period_s: float, duration_s: float | None = None
 ) -> NDArray[np.float64]:
-    """Tabulate an experiment: one row a tick, columns of `Reference`."""
+    """Tabulate an experiment, with one row a tick and the columns of `Reference`."""
     course = Course(segments, duration_s)
     period_ns = round(period_s * 1e9)  # the loop's clock counts whole nanoseconds
     rows: list[Reference] = []
@@ -176,8 +176,8 @@ def run_closed_loop(
             t_ns,
             t_ns,
         )
-        asked = references[tick]
-        reference = Reference(int(asked[0]), asked[1], asked[2], asked[3], asked[4], asked[5])
+        row = references[tick]
+        reference = Reference(int(row[0]), row[1], row[2], row[3], row[4], row[5])
         timing = Timing(tick, tick * period_s, period_s, 0.0, 0)
         state, decision = step(setup, state, raw, reference, timing)
         rows[tick, 0] = muscle.position_m

@@ -10,9 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.exit_codes import ExitCode
+from pamctl.new_file import NewFileError, write_files
 from pamctl.tune.gains_trial import GainsTrial
 from pamctl.tune.plant_ensemble import Member
 from pamctl.tune.search_space import find_space
@@ -237,9 +238,8 @@ class GainsSearch:
             "population": self._population.tolist(),
             "costs": self._costs.tolist(),
         }
-        scratch = self.state.with_suffix(self.state.suffix + ".new")
-        scratch.write_text(json.dumps(kept))
-        os.replace(scratch, self.state)
+        with suppress(NewFileError):  # the search goes on: only an interrupted one needs the file
+            write_files({self.state: json.dumps(kept)}, replaces="{")
 
     def _resume(self, state: Path) -> None:
         try:

@@ -1,7 +1,7 @@
-"""A law's search space as a search walks through it: points, all on a logarithmic scale.
+"""A law's search space as points on logarithmic scales.
 
-A gain that is twice as large is as different as one half as large. Which gains a law has, and
-between which bounds they are sought, is in the law's record.
+A factor of 2 is as large a step as a factor of 1/2. The law's record holds its gains and their
+bounds.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class GainSpace:
 
     @property
     def axes(self) -> tuple[GainAxis, ...]:
-        """What is sought."""
+        """The axes of the search."""
         return self.space.axes
 
     @property
@@ -54,8 +54,8 @@ class GainSpace:
         The gains are rounded as the file will be: what is scored is what is written.
         """
         values = (10.0 ** np.asarray(point, dtype=np.float64)).tolist()
-        sought = dict(zip((a.name for a in self.axes), values, strict=True))
-        return {**self.space.fixed, **_round_gains(self.space.to_gains(sought))}
+        numbers = dict(zip((a.name for a in self.axes), values, strict=True))
+        return {**self.space.fixed, **_round_gains(self.space.to_gains(numbers))}
 
     def controller(self, point: Floats) -> Any:
         """Return a point as validated settings."""
@@ -63,8 +63,8 @@ class GainSpace:
 
     def point(self, gains: dict[str, Any]) -> Floats:
         """Return a gains file's keys as a point, moved inside the bounds."""
-        sought = self.space.from_gains(gains)
-        found = [np.log10(max(sought[a.name], a.low)) for a in self.axes]
+        numbers = self.space.from_gains(gains)
+        found = [np.log10(max(numbers[a.name], a.low)) for a in self.axes]
         low, high = np.array(self.bounds).T
         inside: Floats = np.clip(found, low, high)
         return inside
@@ -75,7 +75,6 @@ def find_space(law: str) -> GainSpace:
     space = find_law(law).search
     if space is None:
         raise ValueError(
-            f"the law {law!r} does not say how its gains are sought; "
-            "gains that exist can be scored with --check"
+            f"the law {law!r} defines no search space; gains that exist can be scored with --check"
         )
     return GainSpace(space)

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pamctl.new_file import NewFileError, write_files
 from pamctl.settings.resolve import SECTIONS
 from pamctl.tune.gains_file import Scores, format_gains_file, summarise_verdicts
 from pamctl.tune.gains_search import BestGains, GainsSearch
@@ -34,6 +35,10 @@ class FoundGains(NamedTuple):
     """Stopped by Ctrl-C; the best gains so far are written all the same."""
     state: Path
     """Where an interrupted search goes on from."""
+    text: str
+    """The gains file."""
+    failure: NewFileError | None
+    """Why the gains file could not be written; None where it was."""
 
 
 def check_gains(task: TuningTask, jobs: int | None) -> dict[str, Scores]:
@@ -42,7 +47,7 @@ def check_gains(task: TuningTask, jobs: int | None) -> dict[str, Scores]:
         return _score_gains(executor, task.checked, task)
 
 
-def seek_gains(
+def search_gains(
     task: TuningTask,
     jobs: int | None,
     generations: int,
@@ -76,11 +81,15 @@ def seek_gains(
         except KeyboardInterrupt:  # a second one: the gains are written without scores
             interrupted, scores = True, {}
     effort = describe_effort(task, best)
-    with task.out.open("x") as file:
-        file.write(format_gains_file(best.gains, command, effort, report_scores(scores)))
-    if not interrupted:
+    text = format_gains_file(best.gains, command, effort, report_scores(scores))
+    failure = None
+    try:
+        write_files({task.out: text})
+    except NewFileError as error:
+        failure = error
+    if not interrupted and failure is None:
         state.unlink(missing_ok=True)
-    return FoundGains(best, scores, time.monotonic() - began_s, interrupted, state)
+    return FoundGains(best, scores, time.monotonic() - began_s, interrupted, state, text, failure)
 
 
 @contextmanager
@@ -97,7 +106,7 @@ def _start_workers(jobs: int | None) -> Iterator[ProcessPoolExecutor]:
 def _begin_work() -> None:
     """Leave Ctrl-C to the parent process, and end when the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # A worker holds both ends of the pipe that it waits on: it would wait there for ever.
+    # A worker holds both ends of the pipe that it waits on: it would wait there without end.
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from pamctl.control.law_registry import installed_laws
 from pamctl.log.naming import bare_name
+from pamctl.new_file import require_place
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
 from pamctl.tune.gains_search import Jury
@@ -76,7 +77,7 @@ class TuningTask:
         if began is not None and began.law != law:
             raise _option_error(f"--start {start}", f"holds gains of {began.law}, not of {law}")
         if began is not None and began.length_unit != "mm":
-            raise _option_error(f"--start {start}", "gains are sought in mm, these are in inches")
+            raise _option_error(f"--start {start}", "the search works in mm, not in inches")
         named = make_fixed_members([(bare_name(name), _read("plant", name)) for name in plants])
         draws = size is not None or not plants
         if held_out is not None and not draws:
@@ -103,10 +104,7 @@ def _require_space(law: str) -> None:
 def _require_new(out: Path | None) -> None:
     if out is None:
         raise _option_error("--out is required", "name a new file for the gains")
-    if out.exists():
-        raise _option_error(f"--out {out}", "exists, and gains are never overwritten")
-    if not out.parent.is_dir():
-        raise _option_error(f"--out {out}", f"there is no directory {out.parent}")
+    require_place(out)
 
 
 def _read(section: str, name: str, option: str = "") -> Any:

@@ -1,4 +1,4 @@
-"""`--json` prints one document, however a verb ends."""
+"""`--json` prints one document, for every ending of a verb."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Ended:
         self.code, self.document = left.value.code, json.loads(out)
 
 
-def test_every_verb_that_steers_the_daemon_has_it() -> None:
+def test_every_verb_that_steers_the_daemon_has_failure_documents() -> None:
     assert len(VERBS) > 25
     assert {verb[0] for verb in STEERED} <= {verb[0] for verb in VERBS}
 
@@ -121,7 +121,7 @@ def test_a_wrong_value_is_one_document_with_a_reason(
     ],
     ids=lambda part: " ".join(part[:2]) if isinstance(part, tuple) else str(part),
 )
-def test_an_error_of_a_room_is_one_document_and_one_line(
+def test_an_error_of_any_module_is_one_document_and_one_line(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,

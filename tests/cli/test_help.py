@@ -110,6 +110,6 @@ def test_the_pressures_of_a_calibration_are_shown(what: str, points_kpa: tuple[f
         ("tune", "2<=x<=1000"),
     ],
 )
-def test_what_is_shown_reaches_the_terminal(verb: str, shown: str) -> None:
+def test_the_whole_help_text_reaches_the_terminal(verb: str, shown: str) -> None:
     done = CliRunner().invoke(app, [verb, "--help"], terminal_width=200, env={"COLUMNS": "200"})
     assert shown in " ".join(done.output.replace("│", " ").split())

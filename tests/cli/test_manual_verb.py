@@ -1,4 +1,4 @@
-"""`pamctl manual` lists the pages and prints one; what stands in them is tested with the manual."""
+"""`pamctl manual` lists the pages and prints one; other tests check their content."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pamctl.cli.app import app
 from pamctl.manual import list_pages, read_page
 
 
-def test_without_a_page_it_lists_every_page_below_its_kind() -> None:
+def test_the_manual_without_a_page_lists_every_page_below_its_kind() -> None:
     done = CliRunner().invoke(app, ["manual"])
     assert done.exit_code == 0
     lines = done.stdout.splitlines()

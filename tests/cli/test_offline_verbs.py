@@ -1,4 +1,4 @@
-"""Verbs that read logs write only what they were asked to, and overwrite no other file."""
+"""Verbs that read logs write only the requested file, and overwrite no other."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def log(tmp_path):
 
 
 def refused(*arguments):
-    """Run a verb that must leave with 2; return what it says, in one line."""
+    """Run a verb that must exit with 2; return its message in one line."""
     done = CliRunner().invoke(app, [str(word) for word in arguments])
     assert done.exit_code == 2, done.output
     assert not done.stdout
@@ -49,7 +49,8 @@ def test_a_page_that_cannot_be_written_is_refused(log):
     assert "there is no directory" in refused("compare", log, "--plot", log.parent / "a" / "b.html")
     assert "there is no directory" in refused("report", log, "--out", log.parent / "a" / "b.html")
     assert not (log.parent / "a").exists()
-    assert "cannot make the directory" in refused("reproduce", "fig3", "--out", log / "inside")
+    assert "is not a folder" in refused("reproduce", "fig3", "--out", log)
+    assert "Not a directory" in refused("reproduce", "fig3", "--out", log / "inside")
 
 
 def test_the_table_of_a_what_if_is_never_written_over_a_file(log):
@@ -73,7 +74,7 @@ def test_a_replay_from_after_the_end_is_a_wrong_option_not_a_bad_log(options, lo
 
 @pytest.fixture
 def impatient():
-    """An alarm that ends a test which waits or reads for ever."""
+    """An alarm that ends a test that waits or reads without end."""
     before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it hangs"))
     signal.alarm(20)
     yield
@@ -93,7 +94,7 @@ def impatient():
         ("run --dry-run --rig {}", 78), ("config check {}", 78),
     ],
 )  # fmt: skip
-def test_anything_but_a_regular_file_is_refused_without_waiting(
+def test_every_file_that_is_not_regular_is_refused_without_waiting(
     verb, code, kind, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)

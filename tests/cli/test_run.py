@@ -122,7 +122,7 @@ def of_every_phase(tmp_path_factory: pytest.TempPathFactory) -> Log:
     return fast_run(tmp_path_factory.mktemp("whole"), *BRISK)[1]
 
 
-def test_a_fast_run_says_how_well_it_tracked_beside_table_iv(tmp_path: Path) -> None:
+def test_a_fast_run_compares_its_tracking_with_table_iv(tmp_path: Path) -> None:
     report, log = fast_run(tmp_path)
     assert report["exit_code"] == 0
     tracked = np.isin(log["phase"], (Phase.TRACK, Phase.REST))
@@ -236,7 +236,7 @@ def test_ctrl_c_stops_smoothly_and_the_log_is_whole(tmp_path: Path) -> None:
     assert outcome(log)["code"] == 130
 
 
-def test_an_impatient_second_ctrl_c_stops_at_once(tmp_path: Path) -> None:
+def test_a_second_ctrl_c_stops_at_once(tmp_path: Path) -> None:
     with running(tmp_path, "--set", "rig.loop.stop_ramp_s=5") as front:
         await_ticks(front, 300)
         front.send_signal(signal.SIGINT)
@@ -457,7 +457,7 @@ def test_a_log_on_a_full_disk_ends_the_run_and_is_complete_to_its_last_tick(
         subprocess.run(["umount", small], check=True)
 
 
-def test_require_fails_where_real_time_scheduling_is_refused(tmp_path: Path) -> None:
+def test_the_mode_require_fails_if_real_time_scheduling_is_refused(tmp_path: Path) -> None:
     if os.geteuid():
         pytest.skip("giving up privileges needs root")
     # Without CAP_SYS_NICE and CAP_IPC_LOCK root is refused like anyone else.

@@ -516,7 +516,7 @@ def test_what_cannot_be_done_is_said_and_leaves_no_file(
 @pytest.mark.parametrize(
     ("arguments", "out", "complaint"),
     [
-        (("valve", "--yes"), "old.yaml", "never overwrites"),
+        (("valve", "--yes"), "old.yaml", "never overwritten"),
         (("valve", "--yes"), "no/x.yaml", "no directory"),
         (("valve", "--yes"), "mine", "end in .yaml"),
         (("pressure", "--yes", "--reading", "100"), "x.yaml", "1 values for 3 points"),

@@ -22,6 +22,8 @@ from hal.nidaq.card_checks import (
     check_device_nodes,
     examine_card,
     examine_card_clock,
+    examine_output,
+    judge_release,
     judge_reservations,
 )
 from hal.rig import RigError
@@ -30,8 +32,10 @@ from pamctl.commissioning.doctor.actuate import examine_actuation
 from pamctl.commissioning.doctor.examination import make_probe_request
 from pamctl.commissioning.doctor.findings import DoctorFinding, format_findings, worst_level
 from pamctl.commissioning.doctor.latency import (
+    CallCosts,
     WakeUps,
     judge_calls,
+    judge_rate,
     judge_wake_ups,
     measure_calls,
     measure_wake_ups,
@@ -261,6 +265,7 @@ def cards(*overrides: str) -> dict[str, DoctorFinding]:
 def test_a_sound_card_is_named_with_its_driver_and_writes_nothing_to_its_output(card: Card) -> None:
     card.registers.ao_v[0] = 3.0
     found = cards()
+    assert found.pop("card.kernel_driver").level == "warning"  # of this PC, which has no card
     assert worst_level(found.values()) == "ok"
     assert "NI-DAQmx 26.8.0" in found["card.driver"].found
     assert "PCI-6221, serial DECAF, bus PCI" in found["card.device"].found
@@ -335,8 +340,8 @@ def test_the_card_s_clock_is_tried_with_the_safe_voltage_on_the_output(card: Car
     settings = resolve(rig="pci6221", overrides=["rig.safe_volts=1.25"])
     found = examine_card_clock(make_probe_request(settings))
     assert (found.name, found.level) == ("timing.hardware", "ok")
-    assert "works" in found.found
-    assert card.written_v == [pytest.approx(1.25, abs=AO_STEP_V)] * card.registers.ao_writes
+    assert "100 edges" in found.found or "missed" in found.found  # a busy PC misses some
+    assert max(abs(volts - 1.25) for volts in card.written_v) < AO_STEP_V
 
 
 @pytest.mark.parametrize(("timing", "level"), [("on_demand", "ok"), ("hardware_timed", "fault")])
@@ -351,6 +356,66 @@ def test_a_card_whose_clock_cannot_pace_says_why_and_it_matters_where_the_file_a
     assert card.output_v == pytest.approx(0.0, abs=AO_STEP_V)
 
 
+@pytest.mark.parametrize("keeps", [0, 1])
+def test_what_the_driver_does_with_a_killed_process_s_output_is_measured(
+    card: Card, monkeypatch: pytest.MonkeyPatch, keeps: int
+) -> None:
+    card.registers.ao_v[0] = 3.0
+    card.registers.keeps_dead_owners = keeps
+    for key in ("LD_LIBRARY_PATH", "STANDIN_DEVICE"):
+        monkeypatch.setenv(key, card.environment()[key])
+    (found,) = examine_output(make_probe_request(resolve(rig="pci6221")))
+    assert found.name == "card.release"
+    assert card.registers.ao_writes == 0
+    if keeps:
+        assert found.level == "fault"
+        assert "reset_device" in found.fix
+        assert "--backend comedi" in found.fix
+    else:
+        assert found.level != "fault"
+        assert found.data["free_after_s"] < 1.0
+
+
+def examine_start(card: Card, *overrides: str) -> DoctorFinding:
+    settings = resolve(rig="pci6221", overrides=["rig.nidaq.loopback_channel=ai1", *overrides])
+    return index_by_name(list(examine_output(make_probe_request(settings))))["card.output_start"]
+
+
+@pytest.mark.parametrize(("glitch_ns", "level"), [(0, "ok"), (100_000, "warning")])
+def test_a_pulse_of_the_output_at_its_start_is_seen_through_the_loop_back_wire(
+    card: Card, glitch_ns: int, level: str
+) -> None:
+    card.stop_time()
+    card.registers.loopback_ai = 1
+    card.registers.ao_glitch_v, card.registers.ao_glitch_ns = 1.5, glitch_ns
+    found = examine_start(card)
+    assert found.level == level
+    if glitch_ns:
+        assert found.found.startswith("+1.500 V")
+        assert found.data["outside_s"] == pytest.approx(100e-6, abs=8e-6)
+
+
+def test_a_loop_back_wire_that_is_not_there_is_a_fault(card: Card) -> None:
+    card.stop_time()
+    found = examine_start(card, "rig.safe_volts=1.25")
+    assert found.level == "fault"
+    assert "nidaq.loopback_channel" in found.fix
+
+
+def test_without_a_declared_wire_nothing_is_said_of_the_start(card: Card) -> None:
+    found = examine_output(make_probe_request(resolve(rig="pci6221")))
+    assert [finding.name for finding in found] == ["card.release"]
+
+
+def test_a_slow_release_is_a_warning_and_one_that_could_not_be_measured_too(card: Card) -> None:
+    assert judge_release(0.02).level == "ok"
+    assert judge_release(0.4).level == "warning"
+    # The child finds no driver.
+    (found,) = examine_output(make_probe_request(resolve(rig="pci6221")))
+    assert found.level == "warning"
+    assert found.found.startswith("not measured")
+
+
 def test_the_card_s_own_rig_is_found_sound_and_each_of_its_faults(card: Card, wired) -> None:
     assert {finding.level for finding in examine_bench(wired()).values()} == {"ok"}
 
@@ -360,6 +425,46 @@ def test_an_unplugged_pressure_sensor_is_found_at_rest(card: Card, wired) -> Non
     found = examine_bench(wired(), actuate=False)
     assert found["sensor.voltage"].level == "fault"
     assert "voltmeter" in found["sensor.voltage"].fix
+
+
+@pytest.mark.parametrize("drift_v_per_s", [-0.03, 0.03])
+def test_an_open_input_that_drifts_is_suspected_to_lack_its_pull_down(
+    card: Card, wired, drift_v_per_s: float
+) -> None:
+    bench = wired()
+    card.registers.pull_down_is_missing = card.registers.wire_is_broken = 1
+    card.registers.open_v = 0.25
+    card.registers.open_drift_v_per_s = drift_v_per_s
+    found = examine_bench(bench, actuate=False)
+    assert found["sensor.noise"].level == "warning"
+    assert "mV while the muscle stands still" in found["sensor.noise"].found
+    assert "pull-down of 100 kOhm" in found["sensor.noise"].fix
+    assert "nidaq.pressure_channel" in found["sensor.noise"].fix
+
+
+def test_an_open_input_that_stands_still_is_found_only_by_moving_the_muscle(
+    card: Card, wired
+) -> None:
+    """Nothing at rest tells it from a sound sensor: plausible, quiet, steady."""
+    bench = wired()
+    card.registers.pull_down_is_missing = card.registers.wire_is_broken = 1
+    card.registers.open_v = 0.25
+    found = examine_bench(bench)
+    assert {found[name].level for name in ("sensor.voltage", "sensor.noise")} == {"ok"}
+    assert found["valve.sign"].level == "fault"
+    assert "pull-down" in found["valve.sign"].fix
+
+
+@pytest.mark.parametrize("has_37_pins", [0, 1])
+def test_terminals_that_the_37_pin_card_lacks_are_a_fault(card: Card, has_37_pins: int) -> None:
+    card.registers.has_37_pins = has_37_pins
+    lines = ["rig.nidaq.encoder_a_pfi=8", "rig.nidaq.encoder_b_pfi=10"]
+    found = cards(*lines)["card.channels"]
+    assert found.level == ("fault" if has_37_pins else "ok")
+    if has_37_pins:
+        assert "nidaq.encoder_b_pfi" in found.fix
+        assert "PFI7" in found.wanted
+        assert "PFI8" not in found.wanted
 
 
 def test_an_unplugged_encoder_is_found_once_the_muscle_moves(card: Card, wired) -> None:
@@ -391,6 +496,18 @@ def test_slow_calls_of_the_driver_are_found_and_the_slow_one_is_named(card: Card
     assert found["latency.pressure"].data["p50_us"] > 4000
     assert found["latency.encoder"].data["p50_us"] < 2000
     assert found["latency.output"].data["p50_us"] < 2000
+
+
+def test_a_rate_that_the_calls_do_not_allow_is_a_fault_with_the_rate_that_they_do() -> None:
+    calls = CallCosts(*[summarise_latencies([50_000] * 100)] * 3)
+    held = judge_rate(calls, 5e-6, 1e-3)
+    assert held.level == "ok"
+    assert "a tick takes about 180 us, 150 us of them in the rig's calls (p99)" in held.found
+    assert held.data["held_hz"] == pytest.approx(0.5 / 180e-6)
+    assert judge_rate(calls, 5e-6, 250e-6).level == "warning"
+    lost = judge_rate(calls, 5e-6, 100e-6)
+    assert lost.level == "fault"
+    assert "up to 2778 Hz can be held" in lost.found
 
 
 # --- the PC ------------------------------------------------------------------------------
@@ -530,6 +647,7 @@ def test_the_whole_examination_of_a_card_passes_and_ends_at_the_safe_voltage(
     assert found["latency.pressure"].data["samples"] > 100
     assert found["timing.on_demand"].level == "ok"
     assert "timing.hardware" in found
+    assert found["card.release"].data["free_after_s"] < 1.0
     assert found["valve.sign"].level == found["encoder.alive"].level == "ok"
     assert code in (0, 3)
     assert max(own.written_v) <= 10.0

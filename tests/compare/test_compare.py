@@ -1,4 +1,4 @@
-"""The model against a measurement: what agrees, what does not, and which block it is."""
+"""The comparison of a model with a measurement finds the block that differs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def measured(
     *leave_out: str,
     command_v: NDArray[np.float64] | None = None,
 ) -> Path:
-    """Let a plant that differs from the paper's be measured by another lab's system."""
+    """Simulate a measurement of another lab, on a plant that differs from the paper's."""
     valve_v = command() if command_v is None else command_v
     driven = drive_coupled(parameters_of(changes), valve_v, PERIOD_S)
     noise = np.random.default_rng(1).normal(0.0, NOISE_PA, len(valve_v))
@@ -59,7 +59,7 @@ def measured(
 @pytest.mark.parametrize(
     ("name", "rms_counts"), [("qsmc", 1.5), ("smc", 1.5), ("steps", 1.5), ("pid-delayed", 3.5)]
 )
-def test_a_simulated_run_agrees_with_its_own_plant_to_its_sensors(
+def test_a_simulated_run_agrees_with_its_own_plant_within_its_sensors(
     name: str, rms_counts: float
 ) -> None:
     log = read(GOLDEN / f"{name}.mcap")
@@ -182,7 +182,7 @@ def test_a_gap_is_rms_and_maximum_of_the_numbers() -> None:
     assert measure_gap(model, seen, np.array([True, False, True, False])) == (0.0, 0.0)
 
 
-def test_regimes_are_told_by_what_the_valve_did_before_the_sample(tmp_path: Path) -> None:
+def test_regimes_follow_the_valve_command_before_the_sample(tmp_path: Path) -> None:
     step = np.where(np.arange(1000) < 500, 1.0, -1.0)
     found = signals(read(measured(tmp_path / "a.mcap", {}, command_v=step)))
     regimes = dict(split_regimes(found))
@@ -194,7 +194,7 @@ def test_regimes_are_told_by_what_the_valve_did_before_the_sample(tmp_path: Path
 # --- the verb ------------------------------------------------------------------------------------
 
 
-def test_two_models_stand_side_by_side_and_the_next_step_is_named(tmp_path: Path) -> None:
+def test_two_models_appear_side_by_side_with_the_next_step(tmp_path: Path) -> None:
     log = GOLDEN / "pid-delayed.mcap"
     page = tmp_path / "compare.html"
     arguments = ["compare", str(log), "--plant", "paper", "--plant", "paper-valve109"]

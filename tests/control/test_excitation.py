@@ -49,7 +49,7 @@ def test_the_shipped_file_says_how_long_it_takes() -> None:
         one.duration_s for one in build_segments(run_settings(experiment="diagnosis").experiment)
     )
     said = (config_dir() / "experiment" / "diagnosis.yaml").read_text()
-    assert f"wants to see: {lasts_s:.0f} s," in said
+    assert f"`pamctl diagnose`: {lasts_s:.0f} s," in said
 
 
 def test_a_multisine_peaks_at_its_amplitude_about_its_bias() -> None:

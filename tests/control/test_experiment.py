@@ -1,4 +1,4 @@
-"""What the shipped experiments ask for, and that the walk through them loses nothing."""
+"""The references of the shipped experiments, and the steps through their segments."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_steps_are_held_in_order_and_repeated() -> None:
     assert [(s.valve_v, s.duration_s) for s in course] == [(1.0, 0.5), (-2.0, 0.25)] * 2
 
 
-def test_a_settling_time_of_nothing_leaves_no_segment() -> None:
+def test_a_settling_time_of_zero_leaves_no_segment() -> None:
     course = build_segments(TrackingSettings(kind="tracking", settle_s=0.0, cycles=1))
     assert [s.phase for s in course] == [Phase.APPROACH, Phase.TRACK, Phase.TRACK]
 
@@ -78,7 +78,7 @@ def test_a_set_point_below_the_vented_muscle_is_refused() -> None:
     assert min(s.start_m for s in lowest) == 0.0
 
 
-def test_a_held_command_asks_for_no_motion_and_a_motion_for_no_command() -> None:
+def test_a_held_command_has_no_reference_motion_and_a_motion_no_command() -> None:
     asked = make_valve_reference(Phase.OPEN_LOOP, -3.0)
     assert (asked.phase, asked.reference_valve_v) == (Phase.OPEN_LOOP, -3.0)
     assert all(math.isnan(value) for value in asked[1:5])
@@ -87,7 +87,7 @@ def test_a_held_command_asks_for_no_motion_and_a_motion_for_no_command() -> None
     assert moving.reference_m == pytest.approx(11.8e-3)
 
 
-def test_a_rest_asks_for_a_standing_muscle() -> None:
+def test_a_rest_has_a_reference_of_zero_velocity() -> None:
     resting = reference_at(Segment(Phase.REST, 10.0, LOW_M, LOW_M, math.nan), 3.3)
     assert resting[:5] == (Phase.REST, LOW_M, 0.0, 0.0, 0.0)
 
@@ -110,7 +110,7 @@ def test_the_reference_has_no_jump_anywhere_in_experiment_1() -> None:
     assert max(map(abs, steps)) <= fastest * 1.001
 
 
-def test_a_course_that_is_cut_short_ends_there() -> None:
+def test_a_shortened_course_ends_at_its_new_end() -> None:
     course = Course(shipped("tracking-2"), duration_s=1.5)
     assert course.duration_s == 1.5
     assert len(walked(course)) == 1500
@@ -121,7 +121,7 @@ def test_a_course_cannot_be_cut_longer() -> None:
     assert course.duration_s == sum(s.duration_s for s in shipped("square-2"))
 
 
-def test_after_the_end_there_is_nothing_more() -> None:
+def test_after_the_end_there_is_no_reference() -> None:
     course = Course(shipped("square-2"))
     assert course.at(course.duration_s) is None
     assert course.at(course.duration_s + 1.0) is None

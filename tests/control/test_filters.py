@@ -1,4 +1,4 @@
-"""The filters against SciPy, and the derivatives against motions that are known."""
+"""The filters agree with SciPy, and the derivatives with known motions."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_at_the_cut_off_half_the_power_and_three_eighths_of_a_turn_are_lost(cuto
 
 @pytest.mark.parametrize("dt_s", [2e-3, 5e-3, 20e-3, 50e-3])
 def test_the_300_hz_filter_lets_the_sample_through_after_missed_ticks(dt_s: float) -> None:
-    """Its cut-off lies above half the rate there: SciPy has no such filter, and none is needed."""
+    """The cut-off is above half the rate there: SciPy has no such filter; pamctl needs none."""
     values = np.random.default_rng(3).normal(size=500)
     expected = signal.sosfilt(signal.butter(3, 0.45, fs=1.0, output="sos"), values)
     found = filtered(300.0, values.tolist(), dt_s)
@@ -93,8 +93,8 @@ def test_no_change_of_dt_disturbs_a_constant(cutoff_hz, dts, level) -> None:
 
 
 @given(cutoffs.filter(lambda hz: hz > 1), tick_lengths, st.integers(0, 2**32 - 1))
-def test_whatever_dt_does_the_filter_stays_stable_and_comes_back(cutoff_hz, dts, seed) -> None:
-    """A fast filter may overshoot in a tick after a gap: it is bounded, and soon forgotten."""
+def test_the_filter_stays_stable_for_any_dt_and_recovers(cutoff_hz, dts, seed) -> None:
+    """A fast filter may overshoot after a gap; the overshoot is bounded and decays fast."""
     values = np.random.default_rng(seed).uniform(-1, 1, len(dts)).tolist()
     levels = filtered(cutoff_hz, values + [0.5] * 600, [*dts, *[DT_S] * 600])
     assert np.abs(levels).max() <= 8.0
@@ -150,7 +150,7 @@ def test_the_rate_of_a_ramp_is_its_slope(lpf2_hz: float, seconds: float) -> None
 
 
 @pytest.mark.parametrize(("lpf2_hz", "seconds"), [(0.5, 20.0), (20.0, 2.0), (185.0, 1.0)])
-def test_the_derivatives_of_a_parabola_are_its_own_a_little_late(lpf2_hz, seconds) -> None:
+def test_the_derivatives_of_a_parabola_are_correct_and_delayed(lpf2_hz, seconds) -> None:
     """A trapezoidal Butterworth of third order delays a ramp by dt / tan(pi f dt)."""
     times_s = np.arange(0, seconds, DT_S)
     last = estimates(FilterGains(300.0, lpf2_hz), 0.5 * 0.3 * times_s**2)[-1]
@@ -184,7 +184,7 @@ def test_the_derivatives_are_differences_through_lpf_2() -> None:
     )
 
 
-def test_the_derivatives_go_by_the_measured_dt() -> None:
+def test_the_derivatives_use_the_measured_dt() -> None:
     dts = [1e-3, 2e-3] * 2000
     times_s = np.cumsum(dts)
     found = estimates(FilterGains(20.0, 5.0), 0.02 * times_s, dts)
@@ -192,14 +192,14 @@ def test_the_derivatives_go_by_the_measured_dt() -> None:
     assert found[-2].error_rate_m_per_s == pytest.approx(0.02, rel=5e-3)
 
 
-def test_a_standing_muscle_has_no_derivatives_from_the_first_tick() -> None:
+def test_a_muscle_at_rest_has_zero_derivatives_from_the_first_tick() -> None:
     for found in estimates(FilterGains(300.0, 0.5), [7e-3] * 20, [1e-3, 30e-3] * 10):
         assert found.position_filtered_m == pytest.approx(7e-3, abs=1e-16)
         assert abs(found.error_rate_m_per_s) < 1e-12
         assert abs(found.error_acceleration_m_per_s2) < 1e-9
 
 
-def test_open_loop_there_is_no_error_and_the_law_takes_over_without_a_jump() -> None:
+def test_open_loop_has_no_error_and_the_law_takes_over_without_a_jump() -> None:
     ticks = 100
     positions = 0.01 * np.sin(np.linspace(0, 3, 2 * ticks))
     asked = [OPEN_LOOP] * ticks + [reference(0.5)] * ticks
@@ -215,7 +215,7 @@ def test_open_loop_there_is_no_error_and_the_law_takes_over_without_a_jump() -> 
     assert max(abs(e.error_rate_m_per_s) for e in found[ticks:]) < 1.2 * speed
 
 
-def test_the_law_takes_over_afresh_every_time() -> None:
+def test_the_filters_are_primed_again_every_time_the_law_takes_over() -> None:
     asked = ([OPEN_LOOP] * 5 + [reference(0.0)] * 5) * 2
     found = estimates(FilterGains(300.0, 185.0), 0.1 * DT_S * np.arange(20), DT_S, asked)
     assert [e.error_rate_m_per_s == 0.0 for e in found].count(True) == 2
@@ -223,7 +223,7 @@ def test_the_law_takes_over_afresh_every_time() -> None:
 
 
 @pytest.mark.parametrize("dt_s", [0.0, -1e-3, NAN])
-def test_a_sample_without_a_time_of_its_own_gives_numbers_for_safety_to_refuse(dt_s) -> None:
+def test_a_sample_with_an_invalid_dt_gives_finite_estimates(dt_s) -> None:
     for asked in (reference(0.0), OPEN_LOOP):
         last = estimates(FilterGains(300.0, 0.5), [0.0, 1e-3], [DT_S, dt_s], [asked] * 2)[-1]
         assert math.isfinite(last.position_filtered_m)

@@ -1,4 +1,4 @@
-"""Homing: of the simulated rig, whose zeros are known, and of rigs that cannot be homed."""
+"""Homing of the simulated rig, whose zeros are known, and of rigs that cannot be homed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NOMINAL = CalibrationSettings()
 def homed(
     *overrides: str, settings: HomingSettings = WATCHFUL, start: PlantState | None = None
 ) -> tuple[Zero, list[Reference], float]:
-    """Home a simulated rig; return the zeros, what was asked for, and the true end position."""
+    """Home a simulated rig; return the zeros, the references, and the true end position."""
     run = run_settings(*overrides)
     made = parts(run, run.rig.faults)
     if start is not None:
@@ -51,7 +51,7 @@ def test_homing_finds_both_zeros_however_far_the_nominal_ones_are_off(zero_v, st
     assert zero.encoder_zero_counts == math.floor(start)
 
 
-def test_homing_from_a_filled_muscle_waits_until_it_is_empty() -> None:
+def test_homing_of_a_filled_muscle_waits_until_it_is_empty() -> None:
     filled = PlantState(0.0236, 0.0, 441.3e3)
     zero, _, end_m = homed(start=filled)
     assert zero.sensor_zero_v == pytest.approx(0.215, abs=0.7e-3)
@@ -93,7 +93,7 @@ def synthetic(
 
 
 def fed(sample_at, settings=SETTINGS, calibration=NOMINAL) -> tuple[Zero, float]:
-    """Home on made-up samples; return the zero and when it was found."""
+    """Home on synthetic samples; return the zero and the time at which it was found."""
     homing = Homing(settings, calibration)
     for t_s, sample in synthetic(sample_at):
         if homing.next_reference(t_s, sample) is None:
@@ -114,7 +114,7 @@ def test_a_zero_outside_the_sensors_electrical_range_is_refused(zero_v: float) -
         fed(lambda t: (zero_v, 5))
 
 
-def test_the_electrical_range_is_the_users_to_set() -> None:
+def test_the_electrical_range_is_a_setting() -> None:
     wide = CalibrationSettings(sensor_zero_lowest_v=0.0, sensor_zero_highest_v=1.0)
     assert fed(lambda t: (0.9, 0), calibration=wide)[0].sensor_zero_v == pytest.approx(0.9)
 
@@ -129,7 +129,7 @@ LEAKS = {
 
 
 @pytest.mark.parametrize("what", LEAKS)
-def test_homing_gives_up_on(what: str) -> None:
+def test_homing_fails_if_the_sensors_do_not_settle(what: str) -> None:
     homing = Homing(SETTINGS, NOMINAL)
     said = r"still moving 10 s after venting.*counts.*mV.*check the exhaust and the encoder"
     samples = synthetic(LEAKS[what])
@@ -141,7 +141,7 @@ def test_homing_gives_up_on(what: str) -> None:
         deque((homing.next_reference(t_s, sample) for t_s, sample in islice(samples, 3)), maxlen=0)
 
 
-def test_every_vent_is_watched_for_the_whole_steady_time() -> None:
+def test_every_vent_must_be_steady_for_the_whole_steady_time() -> None:
     homing, watched = Homing(SETTINGS, NOMINAL), []
     for t_s, sample in synthetic(lambda t: (0.2, 0)):
         reference = homing.next_reference(t_s, sample)
@@ -153,7 +153,7 @@ def test_every_vent_is_watched_for_the_whole_steady_time() -> None:
     assert lengths == [vent, fill, vent, fill, vent]
 
 
-def test_noise_alone_is_steady() -> None:
+def test_sensor_noise_counts_as_steady() -> None:
     zero, t_s = fed(
         lambda t: (0.2 + 0.004 * (-1) ** round(t * 1e3), 101.0 + 0.4 * math.sin(50 * t))
     )
@@ -178,7 +178,7 @@ def test_each_vent_has_the_whole_time_allowed() -> None:
     assert t_s > 3 * 6.0
 
 
-def test_homing_goes_by_time_and_not_by_ticks() -> None:
+def test_homing_depends_on_time_and_not_on_ticks() -> None:
     """At a quarter of the ticks it takes as long and finds the same."""
     sparse = Homing(SETTINGS, NOMINAL)
     for t_s, sample in synthetic(lambda t: (0.25, 12)):

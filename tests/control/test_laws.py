@@ -1,4 +1,4 @@
-"""The laws against the paper's equations, written out anew, and against the model's own flow."""
+"""The laws agree with an independent form of the paper's equations and of the model's flow."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def test_smc_gains_convert_with_their_units_too(e, rate, acc, absement, reading)
 
 @pytest.mark.parametrize("share", [-3.0, -1.0, -0.5, 0.0, 0.25, 1.0, 7.0])
 def test_both_readings_of_eq_15(share: float) -> None:
-    """At rest with nothing but absement, s = lambda^(3 q) int e."""
+    """At rest with only an integral of the error, s = lambda^(3 q) int e."""
     eta, phi = 0.4016, 0.02008  # inch/s^2
     s = share * phi
     absement = s * INCH_M / (10.0**1.75) ** 3
@@ -286,7 +286,7 @@ def test_the_light_end_of_the_muscle_makes_the_gain_of_the_model_huge() -> None:
     st.floats(-1e4, 1e4),
     st.floats(-1e-6, 1e-6),
 )
-def test_smc_cancels_a_muscle_that_is_as_its_model(state, e, rate, error_acc, jerk, absement):
+def test_smc_cancels_a_muscle_that_equals_its_model(state, e, rate, error_acc, jerk, absement):
     """With K_p = 1 the muscle's x''' under the command is the x''' that Eq. 16 wants."""
     x, v, p = state
     a = acceleration_of(x, v, p)
@@ -311,7 +311,7 @@ def test_half_of_k_p_is_half_of_the_command() -> None:
 
 @pytest.mark.parametrize("x", [-10.0, -0.033, 0.2, 0.5, 10.0])
 @pytest.mark.parametrize("p", [0.0, P_ATM, P_TANK, 2e6])
-def test_an_encoder_gone_astray_makes_smc_no_error_but_a_number_for_safety(x, p) -> None:
+def test_a_wrong_encoder_value_keeps_the_command_of_smc_within_its_limit(x, p) -> None:
     for velocity in (-10.0, 0.0, 10.0):
         command, _ = respond(
             gains(SMC), ARMED, moving(velocity=velocity), errors(1e-3, 0, 0, x, p), DT_S
@@ -319,8 +319,8 @@ def test_an_encoder_gone_astray_makes_smc_no_error_but_a_number_for_safety(x, p)
         assert abs(command.command_v) <= 5.0
 
 
-def test_a_balanced_pressure_asks_for_no_infinite_command() -> None:
-    """At tank or atmospheric pressure no air flows whatever the valve does: g-hat is kept up."""
+def test_a_balanced_pressure_gives_a_finite_command() -> None:
+    """At tank or atmospheric pressure no air flows at any opening: g-hat has a lower limit."""
     for p in (P_ATM, P_TANK):
         for jerk in (1e3, -1e3):
             command, _ = respond(
@@ -355,7 +355,7 @@ every_law = pytest.mark.parametrize("law", [QSMC, SMC, PID], ids=lambda law: law
 
 
 @every_law
-def test_a_muscle_too_long_is_filled_and_one_too_short_exhausted(law) -> None:
+def test_pid_fills_a_muscle_that_is_too_long_and_exhausts_one_that_is_too_short(law) -> None:
     too_long, _ = respond(gains(law), ARMED, REST, errors(-1e-3, 0, 0), DT_S)
     too_short, _ = respond(gains(law), ARMED, REST, errors(1e-3, 0, 0), DT_S)
     assert too_long.command_v > 0 > too_short.command_v
@@ -363,7 +363,7 @@ def test_a_muscle_too_long_is_filled_and_one_too_short_exhausted(law) -> None:
 
 @every_law
 @pytest.mark.parametrize("limit_v", [1.0, 5.0])
-def test_the_command_stops_at_the_laws_limit_and_says_so(law, limit_v) -> None:
+def test_the_command_stops_at_the_limit_of_the_law_and_is_marked_as_saturated(law, limit_v) -> None:
     made = gains(law, command_limit_v=limit_v)
     for e, expected in ((0.5, -limit_v), (-0.5, limit_v)):
         command, _ = respond(made, ARMED, REST, errors(e, 0, 0), DT_S)
@@ -384,7 +384,7 @@ def answers(made: Gains, errors_m: Sequence[float], state: Absement = ARMED) -> 
 
 @every_law
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_ten_saturated_seconds_wind_nothing_up(law, sign) -> None:
+def test_ten_saturated_seconds_do_not_wind_up_the_integral(law, sign) -> None:
     made = gains(law)
     found = answers(made, [sign * 0.05] * 10_000)
     first_cut = next(n for n, (command, _) in enumerate(found) if command.saturated)
@@ -419,7 +419,9 @@ def test_an_integral_that_is_too_large_is_unwound_even_at_the_limit(law) -> None
 
 @every_law
 @given(valve_v=st.floats(-5, 5), absement=absements)
-def test_a_valve_command_is_obeyed_and_clears_the_integral(law, valve_v, absement) -> None:
+def test_an_open_loop_command_passes_unchanged_and_clears_the_integral(
+    law, valve_v, absement
+) -> None:
     asked = Reference(Phase.OPEN_LOOP, NAN, NAN, NAN, NAN, valve_v)
     nothing = Estimate(0.01, 2e5, NAN, NAN, NAN)
     command, state = respond(gains(law), Absement(absement), asked, nothing, DT_S)
@@ -431,7 +433,7 @@ def test_a_valve_command_is_obeyed_and_clears_the_integral(law, valve_v, absemen
 
 @every_law
 @given(inputs=st.lists(st.tuples(small, rates, accelerations, jerks), min_size=2, max_size=20))
-def test_a_law_is_pure_and_goes_on_from_a_thawed_state(law, inputs) -> None:
+def test_a_law_is_pure_and_continues_from_a_restored_state(law, inputs) -> None:
     made = gains(law)
 
     def replayed(thaw: Callable[[Absement], Absement]) -> list[tuple[Command, Absement]]:

@@ -1,4 +1,4 @@
-"""A law of another package, and a law from a file: all of pamctl works with them as with its own.
+"""Laws of another package or from a file work like the shipped laws.
 
 The package is `support/super_twisting.py` with an entry point; every process of a run must find it.
 """
@@ -70,7 +70,7 @@ def log(site: Path, gains: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return path
 
 
-def test_its_log_says_package_version_and_source(log: Path) -> None:
+def test_the_log_of_an_outside_law_names_package_and_version_and_source(log: Path) -> None:
     ran = read(log)
     record = ran.metadata["law"]
     assert record["package"] == "super-twisting-law"
@@ -80,7 +80,7 @@ def test_its_log_says_package_version_and_source(log: Path) -> None:
     assert {"law.twist_v", "law.surface"} <= ran.keyframes[0]["state"].keys()
 
 
-def test_its_log_replays_to_the_bit_from_the_beginning_and_from_inside(
+def test_the_log_of_an_outside_law_replays_to_the_bit_from_any_keyframe(
     log: Path, site: Path
 ) -> None:
     for begin in ([], ["--from", "2.5"], ["--plain"]):
@@ -119,7 +119,9 @@ def test_the_report_names_its_terms_with_and_without_the_package(
         assert "u_eq" not in text
 
 
-def test_its_gains_are_sought_and_the_file_has_its_equation(site: Path, tmp_path: Path) -> None:
+def test_tune_finds_gains_of_an_outside_law_and_writes_its_equation(
+    site: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "sought.yaml"
     small = ("--plant", "paper", "--generations", "1", "--jobs", "1", "--out", out)
     done = pamctl("tune", "--law", "super_twisting", *small, sites=(site,))
@@ -128,12 +130,12 @@ def test_its_gains_are_sought_and_the_file_has_its_equation(site: Path, tmp_path
     assert pamctl("config", "check", out, sites=(site,)).returncode == 0
 
 
-def test_a_law_without_a_search_space_is_not_sought(tmp_path: Path) -> None:
+def test_a_law_without_a_search_space_is_not_tuned(tmp_path: Path) -> None:
     file = tmp_path / "plain.py"
     file.write_text(SOURCE.read_text() + "\nLAW = LAW.__class__(**{**vars(LAW), 'search': None})\n")
     done = pamctl("tune", "--controller-from", file, "--out", tmp_path / "gains.yaml")
     assert done.returncode == 2
-    assert "does not say how its gains are sought" in done.stderr
+    assert "defines no search space" in done.stderr
 
 
 def test_a_law_without_default_gains_says_how_to_give_them(tmp_path: Path) -> None:
@@ -145,7 +147,7 @@ def test_a_law_without_default_gains_says_how_to_give_them(tmp_path: Path) -> No
     assert "give the gains with --controller GAINS.yaml" in done.stderr
 
 
-def test_its_gains_change_while_it_runs_and_its_unit_does_not(
+def test_gains_of_an_outside_law_change_during_a_run_and_its_unit_does_not(
     site: Path, gains: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", path_with(site))
@@ -170,7 +172,9 @@ def change(made: Daemon, setting: str) -> None:
     made.ask("set", changes=[setting], ramp_s=0.1)
 
 
-def test_its_keys_are_checked_as_those_of_a_shipped_law(site: Path, tmp_path: Path) -> None:
+def test_keys_of_an_outside_law_are_checked_like_those_of_a_shipped_law(
+    site: Path, tmp_path: Path
+) -> None:
     file = tmp_path / "wrong.yaml"
     file.write_text("law: super_twisting\nk_1: 0.3\nk2_v_per_s: -1\n")
     done = pamctl("run", "--controller", file, sites=(site,))
@@ -185,7 +189,7 @@ def test_without_its_package_a_gains_file_is_refused_with_the_laws_there_are(gai
     assert "must be 'qsmc', 'smc' or 'pid' (got 'super_twisting')" in done.stderr
 
 
-def test_a_broken_package_takes_only_its_own_law_away(gains: Path, tmp_path: Path) -> None:
+def test_a_broken_package_removes_only_its_own_law(gains: Path, tmp_path: Path) -> None:
     install(tmp_path, "super_twisting = super_twisting:MISSING")
     assert pamctl("config", "check", sites=(tmp_path,)).returncode == 0
     done = pamctl("run", "--controller", gains, sites=(tmp_path,))
@@ -217,14 +221,14 @@ def test_a_law_from_a_file_runs_with_its_defaults_and_replays(file_log: Path) ->
     assert ": equal," in done.stdout
 
 
-def test_a_replay_does_not_load_the_file_unasked_and_says_which_it_needs(file_log: Path) -> None:
+def test_a_replay_does_not_load_the_file_of_a_law_by_itself_and_names_it(file_log: Path) -> None:
     done = pamctl("replay", file_log)
     assert done.returncode == 65
     assert f"it was loaded from {file_log.with_name('my_law.py')}" in done.stderr
     assert "name that file with --controller-from" in done.stderr
 
 
-def test_another_law_answers_a_log_of_the_shipped_one(file_log: Path) -> None:
+def test_an_outside_law_can_be_compared_on_a_log_of_a_shipped_law(file_log: Path) -> None:
     gains = file_log.with_name("gains.yaml")
     gains.write_text("law: super_twisting\nlpf1_hz: 200\nlpf2_hz: 200\n")
     done = pamctl(

@@ -1,4 +1,4 @@
-"""What the shipped gains files claim, held against Table IV on the compiled closed loop."""
+"""The claims of the shipped gains files, checked against Table IV on the compiled closed loop."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_table_iii_of_the_paper_read_in_inches_lands_inside_table_iv(
 def test_gains_for_the_papers_plant_reach_a_tenth_of_both_columns_of_table_iv(
     experiment: str, controller: str
 ) -> None:
-    """But for the steady error, of which a tenth is half of an encoder's count."""
+    """The steady error is left out: a tenth of it is half a count of the encoder."""
     found = figures(controller, experiment, "paper", 0)
     for law in ("qsmc", "smc"):
         assert_inside(found, table_iv(experiment, law), share=0.1)

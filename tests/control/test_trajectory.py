@@ -1,4 +1,4 @@
-"""The 7th-order motion against NumPy's polynomials and against its own promises."""
+"""The 7th-order motion agrees with NumPy's polynomials and with its definition."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ def test_motion_and_derivatives_are_those_of_the_polynomial_that_rests_at_both_e
 
 
 @given(positions, positions, durations)
-def test_it_leaves_and_arrives_at_rest_to_the_third_derivative(start, end, duration) -> None:
+def test_the_motion_starts_and_ends_at_rest_up_to_the_third_derivative(
+    start, end, duration
+) -> None:
     assert rest_to_rest(start, end, duration, 0.0) == Motion(start, 0.0, 0.0, 0.0)
     assert rest_to_rest(start, end, duration, duration) == Motion(end, 0.0, 0.0, 0.0)
     for instant, place in ((1e-9 * duration, start), (duration * (1 - 1e-9), end)):
@@ -50,13 +52,13 @@ def test_it_leaves_and_arrives_at_rest_to_the_third_derivative(start, end, durat
 
 
 @given(positions, positions, durations, st.floats(0.0, 10.0))
-def test_before_and_after_it_stands_still(start, end, duration, beyond) -> None:
+def test_the_position_is_constant_before_and_after_the_motion(start, end, duration, beyond) -> None:
     assert rest_to_rest(start, end, duration, -beyond) == Motion(start, 0.0, 0.0, 0.0)
     assert rest_to_rest(start, end, duration, duration + beyond) == Motion(end, 0.0, 0.0, 0.0)
 
 
 @given(positions, positions, durations, shares, shares)
-def test_it_goes_one_way_only(start, end, duration, share, other) -> None:
+def test_the_motion_is_monotonic(start, end, duration, share, other) -> None:
     earlier, later = sorted((share, other))
     first = rest_to_rest(start, end, duration, earlier * duration).position_m
     second = rest_to_rest(start, end, duration, later * duration).position_m

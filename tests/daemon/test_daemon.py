@@ -92,7 +92,7 @@ def test_each_run_has_a_whole_log_of_its_own_that_replays_to_the_bit_and_the_fir
     assert read(second)["tick"][0] > read(first)["tick"][-1], "the loop went on between the runs"
 
 
-def test_a_position_is_held_until_another_is_asked_for_or_it_is_stopped(up: Daemon) -> None:
+def test_a_position_is_held_until_another_is_requested_or_the_run_is_stopped(up: Daemon) -> None:
     log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
     held = up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
     assert held["tick"]["reference_m"] == pytest.approx(8e-3)
@@ -141,7 +141,7 @@ def test_a_remark_is_in_the_log_at_its_time(up: Daemon) -> None:
 
 
 def ticks_since_the_encoder_counted(log: Log) -> np.ndarray:
-    """A count, of which the law takes derivatives, jolts the command by tenths of a volt."""
+    """The law differentiates a count, which moves the command by tenths of a volt."""
     index = np.arange(len(log))
     counted = np.diff(log["position_m"], prepend=log["position_m"][0]) != 0.0
     return index - np.maximum.accumulate(np.where(counted, index, 0))
@@ -170,8 +170,8 @@ def test_gains_change_without_a_jump_and_replay_follows_them(up: Daemon) -> None
     assert replayed.is_equal, replayed.differences
 
 
-def test_a_replay_with_the_gains_left_as_they_were_would_differ(up: Daemon) -> None:
-    """This shows that the test above proves something."""
+def test_a_replay_without_the_change_of_gains_differs(up: Daemon) -> None:
+    """Counter-check of the test above: without the change the replay differs."""
     log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
     up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
     up.ask("set", changes=["controller.kp_v_s3_per_length=5e-8"], ramp_s=0.1)
@@ -206,7 +206,7 @@ def test_a_gain_out_of_bounds_is_refused_with_the_bound_and_changes_nothing(
     assert up.ask("status")["controller"] == before
 
 
-def test_another_law_is_refused_while_a_run_goes_on_and_taken_between_runs(up: Daemon) -> None:
+def test_another_law_is_refused_during_a_run_and_accepted_between_runs(up: Daemon) -> None:
     from pamctl.settings.resolve import settings_to_data
 
     pid, qsmc = (settings_to_data(resolve(controller=name).controller) for name in ("pid", "qsmc"))
@@ -325,7 +325,7 @@ def test_only_user_and_group_may_steer(up: Daemon) -> None:
 
 
 @as_root
-def test_a_user_without_permission_is_told_who_has_it() -> None:
+def test_a_user_without_permission_learns_who_has_it() -> None:
     path = SHARED_MEMORY / "forbidden.sock"
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))

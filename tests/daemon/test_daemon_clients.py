@@ -1,4 +1,4 @@
-"""Clients of the daemon that hang, flood, lie or vanish disturb nobody else."""
+"""Clients of the daemon that hang, flood, send garbage or vanish do not disturb others."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ anything = st.recursive(
 
 
 @given(st.binary(max_size=400))
-def test_whatever_bytes_come_in_the_answer_is_one_line_of_json(line: bytes) -> None:
+def test_any_bytes_get_one_line_of_json_as_answer(line: bytes) -> None:
     assert_refused_in_one_line(line)
 
 
@@ -51,7 +51,7 @@ def test_whatever_bytes_come_in_the_answer_is_one_line_of_json(line: bytes) -> N
         {}, optional={"jsonrpc": st.just("2.0") | anything, "id": anything, "method": anything}
     )
 )
-def test_whatever_document_comes_in_the_answer_is_one_line_of_json(document: Any) -> None:
+def test_any_document_gets_one_line_of_json_as_answer(document: Any) -> None:
     assert_refused_in_one_line(json.dumps({**document, "params": {"x": 1}}).encode())
 
 
@@ -76,11 +76,11 @@ def test_an_answer_carries_the_number_of_its_request(number: int | str) -> None:
     }
 
 
-def test_deeply_nested_json_is_refused_like_any_other_nonsense() -> None:
+def test_deeply_nested_json_is_refused_as_invalid() -> None:
     assert_refused_in_one_line(b"[" * 100_000)
 
 
-def test_an_allowance_is_spent_and_fills_again() -> None:
+def test_an_allowance_is_spent_and_refilled() -> None:
     allowance = Allowance(0.0)
     assert all(allowance.spend(0.0) for _ in range(int(BURST)))
     assert not allowance.spend(0.0)
@@ -170,7 +170,7 @@ def test_a_client_may_vanish_within_a_message_or_before_its_answer(
             answered()
 
 
-def test_a_client_that_sends_garbage_is_answered_and_may_go_on(held: Daemon) -> None:
+def test_a_client_that_sends_garbage_is_answered_and_may_continue(held: Daemon) -> None:
     with unaffected(held), connected(held) as client:
         answers = client.makefile("rb")
         for garbage in (b"\x00\xff\n", b"{}\n", b"[1,2]\n", b'"stop"\n', b"\n"):

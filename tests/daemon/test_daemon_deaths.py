@@ -66,7 +66,7 @@ def own(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
         yield made
 
 
-def test_it_starts_idle_with_the_valve_safe(own: Daemon) -> None:
+def test_the_daemon_starts_idle_with_the_valve_safe(own: Daemon) -> None:
     status = own.ask("status")
     assert (status["state"], status["tick"], status["log"]) == ("idle", None, None)
     assert own.is_safe()
@@ -178,7 +178,7 @@ def test_a_daemon_that_is_killed_leaves_the_valve_safe_and_the_log_whole(own: Da
     assert "commanding process" in ran.events[-1]["reason"]
 
 
-def test_after_all_were_killed_the_next_start_finishes_the_log_and_stays_small(
+def test_the_next_start_after_all_were_killed_finishes_the_log_and_stays_small(
     own: Daemon, tmp_path: Path
 ) -> None:
     log = holding(own)
@@ -194,7 +194,7 @@ def test_after_all_were_killed_the_next_start_finishes_the_log_and_stays_small(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_a_signal_stops_it_smoothly_and_it_exits_with_0(
+def test_a_signal_stops_the_daemon_smoothly_and_it_exits_with_0(
     own: Daemon, number: signal.Signals
 ) -> None:
     log = holding(own)
@@ -230,7 +230,7 @@ def test_a_second_signal_ends_it_at_once_and_leaves_no_fault(tmp_path: Path) -> 
         assert not ao_path(made.device).with_suffix(".fault").exists()
 
 
-def test_many_signals_do_not_cut_its_end_short(tmp_path: Path) -> None:
+def test_many_signals_do_not_interrupt_its_end(tmp_path: Path) -> None:
     with daemon(tmp_path, "impatient", NOT_HOMED) as made:
         log = holding(made)
         deadline_s = time.monotonic() + PATIENCE_S
@@ -244,7 +244,7 @@ def test_many_signals_do_not_cut_its_end_short(tmp_path: Path) -> None:
         assert not made.socket.exists()
 
 
-def test_a_daemon_that_is_ending_begins_nothing(tmp_path: Path) -> None:
+def test_a_daemon_that_is_ending_starts_nothing(tmp_path: Path) -> None:
     settings = resolve()
     workshop = Workshop(
         [], [], build_rig(settings, VirtualClock(1)).rig, make_run_meta, "none", new_ring_path
@@ -304,7 +304,7 @@ def test_a_session_that_is_idle_for_long_ends(tmp_path: Path) -> None:
         assert made.wait_for("idle")["pids"] == {}
 
 
-def test_with_keep_only_the_newest_of_its_own_logs_stay(tmp_path: Path) -> None:
+def test_the_option_keep_leaves_only_its_newest_logs(tmp_path: Path) -> None:
     with daemon(tmp_path, "keep", NOT_HOMED, options=["--keep", "2"]) as made:
         others = [made.logs / "20250101-000000-qsmc-tracking-1.mcap", made.logs / "mine.csv"]
         for path in others:

@@ -1,4 +1,4 @@
-"""The page of a diagnosis, for every verdict."""
+"""The page of a diagnosis for every verdict."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_the_bars_are_the_gap_of_the_diagnosis(named, records):
     ]  # fmt: skip
 
 
-def test_a_name_comes_with_its_equation_its_intervals_and_its_rivals(named, records):
+def test_a_named_effect_has_its_equation_and_intervals_and_rivals(named, records):
     html = page(named, records)
     assert "A_v = K_Av (u - d_f) for u &gt; d_f" in html
     for number in named.numbers:
@@ -169,17 +169,17 @@ def test_every_other_verdict_has_a_page_that_says_so(named, records, verdict, ti
     assert "<svg" in html
 
 
-def test_what_no_known_effect_explains_is_drawn_but_never_called_a_cause(named, records):
+def test_an_unexplained_remainder_is_drawn_but_never_called_a_cause(named, records):
     html = page(as_if(named, Verdict.NONE_KNOWN), records)
     assert "Pressure block: unnamed correction" in html
     assert "not why" in html
-    assert "Unnamed correction, not a cause: what is left of the pressure" in html
+    assert "Unnamed correction, not a cause: the remainder of the pressure" in html
     assert ">The effect</h2>" not in html
     assert "Missing from the model" not in html
     assert "with valve deadband" not in html
 
 
-def test_two_equal_effects_are_both_on_top_with_the_experiment_that_separates_them(named, records):
+def test_two_equal_effects_both_come_first_with_the_experiment_that_separates_them(named, records):
     first, rest = page(as_if(named, Verdict.AMBIGUOUS), records).split("<h2", 1)
     assert "Do not repair the rig on this evidence" in first
     assert "<code>pamctl run --experiment null-staircase</code>" in first
@@ -245,7 +245,7 @@ def five_times(drive: Drive) -> Drive:
     return replace(drive, step_s=steps, **columns)
 
 
-def test_the_most_telling_stretch_is_where_the_gap_opens():
+def test_the_selected_stretch_is_where_the_gap_opens():
     t_s = np.arange(20_000) * 1e-3
     opens = 12.0
     gap_m = np.clip(t_s - opens, 0.0, 1.0) * 1e-3

@@ -1,4 +1,4 @@
-"""Fits end at their floor, from any start, and blame no number for what another hides."""
+"""Fits end at their floor from any start, and attribute errors to the right number."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_load_is_not_attributed_to_the_zero_of_the_pressure_sensor() -> None:
 
 
 def test_a_start_from_which_the_model_runs_away_is_moved_back() -> None:
-    """A spring this soft lets go of the muscle beyond 15 mm."""
+    """With a spring this soft the muscle runs away beyond 15 mm."""
     evidence = prepare_evidence(*pair(), PAPER).select_blocks({MECHANICS})
     cubic = find_candidate("cubic_stiffness", evidence)
     wild = with_values(PAPER, {"cubic_stiffness.n_per_m3": -1e7, "stiffness_n_per_m": 7000.0})
@@ -55,7 +55,7 @@ def test_a_start_from_which_the_model_runs_away_is_moved_back() -> None:
     assert abs(found.values["cubic_stiffness.n_per_m3"]) < 3e4
 
 
-def test_an_effect_may_explain_what_pulls_a_number_to_the_end_of_its_range() -> None:
+def test_an_effect_may_explain_a_number_at_the_end_of_its_range() -> None:
     evidence = prepare_evidence(*pair(end_cap__length_m=4e-3), PAPER).select_blocks({PRESSURE})
     base = recalibrate(evidence).fit_of(PRESSURE)
     assert "braid_length_m" in base.at_bound

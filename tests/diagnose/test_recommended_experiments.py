@@ -39,7 +39,7 @@ def audit(name: str) -> Audit:
 
 
 @pytest.mark.parametrize("name", RECOMMENDED)
-def test_it_exists_by_that_name_and_runs_open_loop_without_a_trip(name: str) -> None:
+def test_each_recommended_experiment_exists_and_runs_open_loop_without_a_trip(name: str) -> None:
     done = run(name)
     assert done.tripped_s is None
     assert all(math.isnan(x) for x in done["reference_m"])
@@ -54,7 +54,7 @@ def test_it_exists_by_that_name_and_runs_open_loop_without_a_trip(name: str) -> 
         if e.is_searched and not e.unidentifiable
     ],
 )
-def test_it_shows_the_effects_that_it_is_recommended_for(effect: str, experiment: str) -> None:
+def test_each_recommended_experiment_shows_its_effects(effect: str, experiment: str) -> None:
     found = audit(experiment)
     if effect in VISIBLE_LARGE:
         (spot,) = (s for s in found.blind_spots if s.name == effect)
@@ -63,7 +63,7 @@ def test_it_shows_the_effects_that_it_is_recommended_for(effect: str, experiment
         assert effect in found.sees
 
 
-def test_advice_is_looked_up_from_either_side() -> None:
+def test_advice_is_found_for_either_order_of_two_effects() -> None:
     told = {
         frozenset((name, other)): distinction
         for name, effect in CATALOGUE.items()

@@ -1,4 +1,4 @@
-"""What a rig does differently each time is no effect: its repeatability limits the diagnosis."""
+"""Differences between repeated runs are not an effect: repeatability limits the diagnosis."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEAD_BAND = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_widt
 
 
 def restless(program: str, seed: int, **hidden: float) -> Record:
-    """A run whose pressure wanders by 1.2 kPa after the rest, as no model does."""
+    """A run whose pressure drifts by 1.2 kPa after the rest, which no model explains."""
     record = measured(program, seed, **hidden)
     random = np.random.default_rng(100 + seed)
     kept = np.exp(-PERIOD_S / 0.1)
@@ -39,7 +39,7 @@ def found(*, again: bool, **hidden: float) -> Diagnosis:
     return diagnose(train, held, PlantSettings(), without=few)
 
 
-def test_two_runs_of_the_same_commands_are_a_repeat_and_one_run_in_two_lists_is_none() -> None:
+def test_two_runs_of_the_same_commands_are_repeats_and_one_run_in_two_lists_is_not() -> None:
     one, other = measured("fit", 1), measured("fit", 3)
     (repeat,) = find_repeats([one, other])
     assert (repeat.one, repeat.other, repeat.length) == (0, 1, len(one))
@@ -56,7 +56,7 @@ def test_periods_with_the_same_past_are_repeats() -> None:
     assert repeat.length >= 7000
 
 
-def test_a_rig_that_wanders_is_no_discrepancy_where_its_runs_are_repeated() -> None:
+def test_a_drifting_rig_with_repeated_runs_is_not_a_discrepancy() -> None:
     alone, repeated = found(again=False), found(again=True)
     assert alone.verdict is Verdict.NONE_KNOWN
     assert build_diagnosis_document(alone)["limits"]["pressure"]["decided_by"] == "self-simulation"
@@ -133,11 +133,11 @@ def test_in_closed_loop_a_missing_effect_is_not_counted_as_poor_repeatability() 
     assert spread_over_noise(**DEAD_BAND) < 1.3
 
 
-def test_in_closed_loop_what_the_rig_does_differently_is_counted() -> None:
+def test_differences_of_the_rig_in_closed_loop_are_counted() -> None:
     assert 3.0 < spread_over_noise(wander_pa=1.2e3) < 5.0
 
 
-def test_a_loop_that_hunts_gives_no_repeatability_rather_than_a_wrong_one() -> None:
+def test_a_hunting_loop_gives_no_repeatability() -> None:
     assert spread_over_noise(hand_v=0.3, **DEAD_BAND) < 3.0
 
 

@@ -16,7 +16,7 @@ from pamctl.plant.model import PlantSettings
 PAPER = PlantSettings()
 
 
-def test_a_rival_that_leaves_less_replaces_the_named_effect() -> None:
+def test_a_rival_with_a_smaller_remainder_replaces_the_named_effect() -> None:
     train, held = pair(valve_spool__time_constant_s=5e-4)
     evidence = prepare_evidence(train, held, PAPER).select_blocks({PRESSURE})
     late, slow = find_candidate("command_delay", evidence), find_candidate("valve_spool", evidence)
@@ -26,7 +26,7 @@ def test_a_rival_that_leaves_less_replaces_the_named_effect() -> None:
     assert search.add_models(standing.rival_models).best.names == ("valve_spool",)
 
 
-def test_a_rival_above_the_limit_is_no_equal_of_an_effect_below_it(
+def test_a_rival_above_the_limit_does_not_equal_an_effect_below_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(rivals, "MUCH", np.inf)  # the bootstrap calls every rival equal

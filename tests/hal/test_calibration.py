@@ -1,4 +1,4 @@
-"""Volts and counts against the data sheets, and the simulated sensors against both."""
+"""Volts and counts agree with the data sheets, and the simulated sensors with both."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_a_converter_saturates_one_step_below_its_upper_end(full_scale_v, beyond
 
 
 class Stand:
-    """A plant that stays where it was put."""
+    """A plant that keeps its state."""
 
     def __init__(self, position_m: float, pressure_pa: float) -> None:
         self.position_m = position_m

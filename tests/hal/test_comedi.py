@@ -82,7 +82,7 @@ def test_the_safe_voltage_is_the_first_thing_written_and_the_last(card: Card, ma
 
 
 @pytest.mark.parametrize("after", range(13))
-def test_an_encoder_that_cannot_be_set_up_is_found_out_at_the_safe_voltage(
+def test_an_encoder_that_cannot_be_set_up_is_reported_at_the_safe_voltage(
     card: Card, make: Make, after: int
 ) -> None:
     card.registers.ao_v[0] = 8.0  # left there by a run that was killed
@@ -222,7 +222,7 @@ def test_a_voltage_beyond_the_last_code_puts_out_the_last_code(card: Card, make:
     assert card.output_v == pytest.approx(9.7 - 0.02, abs=1e-3)
 
 
-def test_a_polynomial_with_a_bend_is_followed(card: Card, make: Make) -> None:
+def test_a_nonlinear_polynomial_is_applied(card: Card, make: Make) -> None:
     card.calibration_path.write_text(
         card.calibration_path.read_text().replace(
             "coefficients => [0.0, 0.000152587890625]",
@@ -575,7 +575,7 @@ def test_make_safe_outwaits_a_holder_that_is_just_dying(
         ("rig.comedi.timing=hardware_timed", "timing"),
     ],
 )
-def test_a_rig_file_that_cannot_be_is_refused(override: str, complaint: str) -> None:
+def test_an_impossible_rig_file_is_refused(override: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match="rig") as caught:
         resolve(rig="pci6221-comedi", overrides=[override])
     assert complaint in str(caught.value)

@@ -165,7 +165,7 @@ def test_an_input_range_that_hides_a_broken_wire_is_a_fault(examine: Examine) ->
     assert "set comedi.input_low_v to -5" in found["card.input_range"].fix
 
 
-def test_a_missing_calibration_is_a_fault_and_a_renounced_one_a_warning(
+def test_a_missing_calibration_is_a_fault_and_a_disabled_one_a_warning(
     examine: Examine, card: Card
 ) -> None:
     card.calibration_path.unlink()

@@ -1,4 +1,4 @@
-"""Where the edges of a card's clock lie, seen only by the returns of reads."""
+"""The edges of a card's clock, estimated from the times at which reads return."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def test_samples_are_in_order_and_never_from_the_future_whatever_the_times(times
 
 
 @pytest.mark.parametrize("drift_ppm", [-80.0, 0.0, 80.0])
-def test_the_grid_goes_with_the_cards_crystal_for_an_hour(drift_ppm: float) -> None:
-    """Two crystals part by 290 ms in an hour: the index and the time stay the card's."""
+def test_the_grid_follows_the_clock_of_the_card_for_an_hour(drift_ppm: float) -> None:
+    """Two crystals differ by 290 ms in an hour: index and time follow the card's clock."""
     chance, grid, count = random.Random(1), EdgeGrid(MS), 0
     for tick in range(1, 3_600_000, 9):
         delay_ns = PROMPT_NS + min(round(chance.expovariate(1e-5)), 800_000)
@@ -65,7 +65,7 @@ def test_the_grid_goes_with_the_cards_crystal_for_an_hour(drift_ppm: float) -> N
     assert abs(edge.t_ns - true_ns) < 150_000
 
 
-def test_a_late_wake_is_told_from_when_the_sample_was_taken() -> None:
+def test_a_late_wake_up_is_computed_from_the_time_of_the_sample() -> None:
     grid = EdgeGrid(MS)
     grid.place(5 * MS)
     edge = grid.place(6 * MS + 400_000)

@@ -1,4 +1,4 @@
-"""Each fault spoils what it names, from its tick on, for its ticks, and nothing else."""
+"""Each fault spoils only its own signal, from its tick on, for its number of ticks."""
 
 from __future__ import annotations
 
@@ -79,13 +79,13 @@ def test_a_fault_of_a_sensor_spoils_its_ticks_only(kind: str) -> None:
     assert samples(fault(kind, size=-250)) == expected
 
 
-def test_a_pressure_that_is_no_number_leaves_the_encoder_alone() -> None:
+def test_a_pressure_of_nan_does_not_change_the_encoder() -> None:
     for tick, sample in enumerate(samples(fault("pressure_nan"))):
         assert math.isnan(sample.pressure_v) == (tick in DUE)
         assert sample._replace(pressure_v=0.0) == good(tick)._replace(pressure_v=0.0)
 
 
-def test_a_fault_lasts_for_good_unless_told_otherwise() -> None:
+def test_a_fault_lasts_until_the_end_unless_it_has_a_duration() -> None:
     rig = FaultyRig(CountingRig(), [FaultSettings(kind="broken_wire", from_tick=2)])
     rig.open()
     assert [rig.read().pressure_v == 0.0 for _ in range(50)] == [False] * 2 + [True] * 48
@@ -148,7 +148,7 @@ def test_a_lost_device_is_made_safe_and_closed_all_the_same() -> None:
     assert inner.calls == ["open", "make_safe", "close"]
 
 
-def test_ticks_are_counted_anew_from_each_open() -> None:
+def test_ticks_are_counted_from_zero_after_each_open() -> None:
     inner = CountingRig()
     rig = FaultyRig(inner, [fault("stuck_encoder", from_tick=1, ticks=2)])
     rig.open()

@@ -176,6 +176,41 @@ def test_the_count_goes_on_where_the_counter_rolls_over(card: Card, make, unsign
         assert rig.read().encoder_counts == counts
 
 
+@pytest.mark.parametrize(
+    ("has_37_pins", "wired", "settings", "sign"),
+    [
+        (0, (8, 10), {}, 1),
+        (1, (0, 2), {}, 1),
+        (1, (8, 10), {}, 0),
+        (0, (3, 5), {}, 0),
+        (0, (3, 5), {"encoder_a_pfi": 3, "encoder_b_pfi": 5}, 1),
+        (0, (3, 5), {"encoder_a_pfi": 5, "encoder_b_pfi": 3}, -1),
+        (1, (3, 5), {"encoder_a_pfi": 3, "encoder_b_pfi": 5}, 1),
+    ],
+)
+def test_the_encoder_counts_where_it_is_wired_to_the_terminals_of_the_file(
+    card: Card, make, has_37_pins: int, wired: tuple[int, int], settings: dict[str, int], sign: int
+) -> None:
+    card.stop_time()
+    card.registers.has_37_pins, card.registers.encoder_pfi = has_37_pins, wired
+    rig = make(**settings)
+    rig.open()
+    rig.write(FILL_V)
+    card.set_time_ns(100 * MS)
+    assert rig.read().encoder_counts == sign * card.registers.encoder_edges
+    assert card.registers.encoder_edges > 1000
+    if sign == 1:
+        assert rig.describe().extra["encoder_terminals"] == [f"/Dev1/PFI{line}" for line in wired]
+
+
+def test_a_terminal_that_the_card_lacks_is_refused_with_those_it_has(card: Card, make) -> None:
+    card.registers.has_37_pins = 1
+    with pytest.raises(RigError, match=r"AInputTerm.*/Dev1/PFI8.*PFI0 to PFI7") as caught:
+        make(encoder_a_pfi=8, encoder_b_pfi=10).open()
+    assert caught.value.code == -200077
+    assert card.output_v == safe
+
+
 def test_an_unplugged_encoder_stands_still_while_the_muscle_moves(card: Card, make) -> None:
     card.stop_time()
     card.registers.encoder_is_unplugged = 1
@@ -192,6 +227,20 @@ def test_a_broken_sensor_wire_reads_zero_volts(card: Card, make) -> None:
     rig.open()
     card.registers.wire_is_broken = 1
     assert rig.read().pressure_v == 0.0
+
+
+def test_an_open_input_without_a_pull_down_reads_what_it_likes(card: Card, make) -> None:
+    card.stop_time()
+    card.registers.pull_down_is_missing = 1
+    card.registers.open_drift_v_per_s = -0.5
+    rig = make()
+    rig.open()
+    before_v = rig.read().pressure_v
+    card.registers.wire_is_broken = 1
+    card.set_time_ns(100 * MS)
+    assert rig.read().pressure_v == pytest.approx(before_v - 0.05, abs=1e-3)
+    card.set_time_ns(60_000 * MS)
+    assert rig.read().pressure_v == -5.0
 
 
 def test_an_input_outside_its_range_reads_the_end_of_it(card: Card, make) -> None:
@@ -261,6 +310,41 @@ def test_an_error_of_the_driver_names_what_failed_its_number_and_the_fix(
     assert fix in caught.value.fix
     card.mend()
     tick()
+
+
+def test_a_refused_value_is_told_whole_with_what_can_be_selected(
+    make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make()
+    # No value of the settings is refused, so that of the driver is asked for one.
+    monkeypatch.setattr(rig, "_settings", rig._settings.model_copy(update={"encoder_filter_ns": 9}))
+    with pytest.raises(RigError) as caught:
+        rig.open()
+    assert caught.value.code == -200077
+    assert caught.value.what == (
+        "opening Dev1: The stand-in driver says no. "
+        "Property: DAQmx_CI_Encoder_AInput_DigFltr_MinPulseWidth; Requested Value: 9e-09; "
+        "You Can Select: 125.0e-9, 6.425e-6, 2.55e-3"
+    )
+
+
+def test_no_line_of_the_driver_s_message_is_lost_but_task_and_status() -> None:
+    from hal.nidaq.driver import join_lines
+
+    said = """Requested value is not a supported value for this property.
+
+Property: DAQmx_AO_Min
+Requested Value: -10.0
+Maximum Value:  3.5
+Channel Name: Dev1/ao0
+
+Task Name: _unnamedTask<0>
+
+Status Code: -200077"""
+    assert join_lines(said) == (
+        "Requested value is not a supported value for this property. Property: DAQmx_AO_Min; "
+        "Requested Value: -10.0; Maximum Value: 3.5; Channel Name: Dev1/ao0"
+    )
 
 
 def test_a_driver_that_ctypes_cannot_call_is_a_rig_error_too(
@@ -448,6 +532,8 @@ def test_make_safe_outwaits_a_holder_that_is_just_dying(
         ("rig.nidaq.output_low_v=10", "output_low_v must be below output_high_v"),
         ("rig.nidaq.input_low_v=5", "input_low_v must be below input_high_v"),
         ("rig.nidaq.terminal=pseudo", "nidaq.terminal"),
+        ("rig.nidaq.encoder_a_pfi=3", "must be given both or not at all"),
+        ("rig.nidaq.encoder_b_pfi=16", "nidaq.encoder_b_pfi"),
         ("rig.nidaq.devise=Dev2", "did you mean 'device'?"),
         ("rig.nidaq.device=Gerät", "nidaq.device"),
     ],

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import pytest
+from nidaqmx.constants import WaitMode
 from standin.standin import PERMIT, USB, Card, here
 from support.runs import AO_STEP_V, MS
 
+from hal.nidaq.card_checks import judge_hardware_timing
 from hal.nidaq.card_settings import NidaqSettings
+from hal.nidaq.probe import try_hardware_timing
 from hal.rig import RigError, open_rig
 from pamctl.processes.backends import build_clock, build_rig
 from pamctl.realtime.clock import SampleClock
@@ -195,6 +198,65 @@ def test_a_card_that_samples_no_more_is_an_error_and_no_wait_for_ever(card: Card
     assert caught.value.code == -200284
 
 
+# --- how data move and reads wait --------------------------------------------------------
+
+
+def test_a_read_sleeps_until_the_card_interrupts_and_the_log_says_how_data_move(
+    card: Card, make
+) -> None:
+    rig = make()
+    rig.open()
+    assert card.registers.ai_wait_mode == WaitMode.WAIT_FOR_INTERRUPT.value
+    told = rig.describe().extra
+    assert told["wait_mode"] == "WAIT_FOR_INTERRUPT"
+    polled = {"input": "POLLED", "counter": "POLLED", "output": "POLLED"}
+    assert told["data_transfer_in_use"] == polled
+
+
+def test_a_driver_that_refuses_the_wait_mode_keeps_its_own_and_the_log_says_which(
+    card: Card, make
+) -> None:
+    card.fail("DAQmxSetReadAttribute", -200197)
+    rig = make()
+    rig.open()
+    assert rig.describe().extra["wait_mode"] == "POLL"
+    assert rig.read().encoder_counts == 0
+
+
+@pytest.mark.parametrize("how", ["the file leaves it", "the driver keeps its own"])
+def test_a_driver_that_does_not_choose_programmed_io_says_what_to_set(
+    card: Card, make, how: str
+) -> None:
+    fixed = how == "the driver keeps its own"
+    card.registers.transfer_is_fixed = fixed
+    rig = make(data_transfer="polled" if fixed else "driver")
+    with pytest.raises(RigError) as caught:
+        rig.open()
+    assert caught.value.code == -200842  # the counter starts first
+    assert "nidaq.data_transfer: polled" in caught.value.fix
+    assert "nidaq.timing: on_demand" in caught.value.fix
+    assert card.output_v == safe
+
+
+@pytest.mark.parametrize("skips", [0, 1, 4])
+def test_the_probe_of_the_clock_counts_the_edges_that_nobody_saw(card: Card, skips: int) -> None:
+    card.registers.clock_skips = skips
+    trial = try_hardware_timing(NidaqSettings(), 1e3, SAFE_V, card.now_ns)
+    assert trial.missed == 99 * skips
+    found = judge_hardware_timing(trial, 1e-3, is_wanted=True)
+    assert found.level == ("fault" if skips else "ok")
+    assert f"{trial.missed} missed" in found.found
+    assert judge_hardware_timing(trial, 1e-3, is_wanted=False).level == "ok"
+
+
+def test_the_probe_warns_of_a_read_that_polls(card: Card) -> None:
+    card.fail("DAQmxSetReadAttribute", -200197)
+    trial = try_hardware_timing(NidaqSettings(), 1e3, SAFE_V, card.now_ns)
+    found = judge_hardware_timing(trial, 1e-3, is_wanted=True)
+    assert found.level == "warning"
+    assert "POLL" in found.found
+
+
 # --- where it is not possible ------------------------------------------------------------
 
 
@@ -206,7 +268,9 @@ def test_a_card_on_usb_is_refused_with_what_to_do(card: Card, make) -> None:
     assert card.output_v == safe
 
 
-@pytest.mark.parametrize("code", [-200820, -200821, -200303, -200452, -200077])
+@pytest.mark.parametrize(
+    "code", [-200820, -200821, -200303, -200452, -200077, -200769, -200842, -200996, -50152]
+)
 @pytest.mark.parametrize("function", ["DAQmxCfgSampClkTiming", "DAQmxStartTask"])
 def test_a_card_that_does_not_do_it_says_its_number_and_what_to_do(
     card: Card, make, function: str, code: int

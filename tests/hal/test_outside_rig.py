@@ -1,4 +1,4 @@
-"""A rig from an outside package: found by its entry point, driven, replayed, and missed when gone.
+"""A rig from an outside package is found by its entry point, driven and replayed.
 
 The package is a module and an `entry_points.txt` in a directory on PYTHONPATH.
 """

@@ -1,4 +1,4 @@
-"""Every shipped rig keeps the contract, and what the simulated one does beyond it.
+"""Every shipped rig keeps the contract; more tests of the simulated rig.
 
 The cases are in `hal/rig_contract.py`. To test another backend, add a factory to `FACTORIES`.
 """
@@ -251,7 +251,7 @@ def test_a_rig_is_made_safe_before_it_is_closed_even_if_it_did_not_open() -> Non
 
 
 class BurstPlant:
-    """A simulated muscle whose numbers have gone where no kernel can follow."""
+    """A simulated muscle whose kernel raises an error."""
 
     position_m = 0.0
     pressure_pa = 101.3e3

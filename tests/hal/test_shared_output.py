@@ -61,7 +61,7 @@ def test_an_output_holds_its_voltage_after_its_owner_and_can_then_be_made_safe(
     assert peek_v(path) == pytest.approx(1.25, abs=AO_STEP_V)
 
 
-def test_what_another_process_puts_out_is_what_moves_the_muscle(tmp_path: Path) -> None:
+def test_the_output_of_another_process_moves_the_muscle(tmp_path: Path) -> None:
     path = tmp_path / "bench0.ao"
     with open_rig(shared_rig(path)) as rig:
         rig.write(5.0)

@@ -57,7 +57,7 @@ class Case:
 
 
 def null_cases(each: int = 100) -> Iterator[Case]:
-    """Nothing hidden, and only parameters off: silence is asked for."""
+    """Nothing is hidden and only parameters are wrong: no effect may be named."""
     for k in range(each):
         yield Case("null/nothing", "null", miscalibrated=False, repeat=k)
         yield Case("null/parameters", "null", repeat=k)
@@ -130,7 +130,7 @@ def unknown_cases() -> Iterator[Case]:
 
 
 def blind_cases() -> Iterator[Case]:
-    """The paper's squares cannot see these: silence, and the effect among the blind spots."""
+    """The paper's squares cannot show these: no name, and the effect among the blind spots."""
     sizes = {"valve_deadband": 3, "valve_leak": 1, "chamber_leak": 1, "valve_hysteresis": 1}
     for name, size in sizes.items():
         yield Case(f"blind/{name}", "blind", {name: size}, program="squares")
@@ -175,7 +175,7 @@ def own_cases() -> Iterator[Case]:
 
 
 def damaged_cases() -> Iterator[Case]:
-    """Records that nobody should diagnose, and one with overruns that everybody should."""
+    """Records that must be refused, and one with overruns that must be accepted."""
     for damage in ("clipped", "millimetres", "gap", "shifted", "stuck"):
         yield Case(f"bad/{damage}", "bad", {"valve_deadband": 5}, damage=damage)
     yield Case("odd/missed_ticks", "odd", {"valve_deadband": 5}, damage="missed_ticks")

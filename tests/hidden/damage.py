@@ -1,4 +1,4 @@
-"""What goes wrong with a user's files, done to a record."""
+"""Typical faults of users' files, applied to a record."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hidden.rig import Record
 
 
 def damaged(record: Record, damage: Damage) -> Record:
-    """Return the record as a careless user would hand it in."""
+    """Return the record with the faults of a careless user."""
     pressure, position = record.pressure_pa, record.position_m
     if pressure is None or position is None:
         raise ValueError("only a whole record can be damaged")

@@ -1,4 +1,4 @@
-"""What is done to a hidden rig: the diagnosis program, shorter ones, blind ones, a closed loop."""
+"""Excitations of a hidden rig: the diagnosis program, shorter ones, blind ones, a closed loop."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class _Eye:
 def _judged(
     name: str, size: int, differences: dict[tuple[str, int], Array], see: _Eye
 ) -> dict[str, float]:
-    """Return what is left of one effect, alone and against each rival of its blocks."""
+    """Return the remaining share of one effect, alone and against each rival of its blocks."""
     blocks = _blocks(name)
     truth = differences[name, size]
     found = {"alone": round(_left(truth, None, True, blocks, see), 3)}

@@ -18,7 +18,7 @@ BRIEF = {case.id: case for case in quick_cases()}
 REFUSED = [replace(c, program="brief") for c in damaged_cases() if c.group == "bad"]
 
 
-def test_where_only_parameters_are_off_no_effect_is_named() -> None:
+def test_no_effect_is_named_if_only_parameters_are_wrong() -> None:
     document = examine(BRIEF["null/parameters"])["document"]
     assert document["verdict"] == "miscalibrated"
     assert document["effects"] == []
@@ -33,14 +33,14 @@ def test_a_hidden_effect_is_named_and_its_gap_closed() -> None:
 
 
 @pytest.mark.parametrize("case", REFUSED, ids=lambda case: case.id)
-def test_what_nobody_should_diagnose_is_refused_with_the_reason(case: Case) -> None:
+def test_misleading_data_are_refused_with_the_reason(case: Case) -> None:
     document = examine(case)["document"]
     assert document["verdict"] == "bad_data"
     assert document["reason"]
     assert document["effects"] == []
 
 
-def test_an_effect_whose_derivatives_promise_nothing_is_found_by_its_fit() -> None:
+def test_an_effect_that_the_shortlist_misses_is_found_by_its_fit() -> None:
     # The recalibrated mechanics end in a wrong valley: a shortlist alone ends as none_known.
     scaled = next(c for c in all_cases(1, 1) if c.id == "single/encoder_scale/10")
     document = examine(replace(scaled, program="brief", lacks=("valve_v",)))["document"]
@@ -48,7 +48,7 @@ def test_an_effect_whose_derivatives_promise_nothing_is_found_by_its_fit() -> No
     assert [effect["name"] for effect in document["effects"]] == ["encoder_scale"]
 
 
-def test_an_examination_that_was_cut_short_is_resumed(tmp_path: Path) -> None:
+def test_an_interrupted_examination_is_resumed(tmp_path: Path) -> None:
     suite = runpy.run_path(str(ROOT / "scripts" / "hidden_suite.py"))
     results = tmp_path / "results.jsonl"
     first, second = REFUSED[:2]

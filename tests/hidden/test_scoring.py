@@ -1,4 +1,4 @@
-"""The examiner is examined: what a document says decides its mark, in every way it can go."""
+"""The scoring gives every kind of document its mark."""
 
 from __future__ import annotations
 
@@ -70,11 +70,11 @@ def said(verdict: str, *names: str, sets: tuple[tuple[str, ...], ...] = (), **mo
         ("blind/valve_deadband", said("miscalibrated"), "silent"),
     ],
 )
-def test_a_document_earns_its_mark(case: str, document: Any, expected: str) -> None:
+def test_a_document_gets_the_expected_mark(case: str, document: Any, expected: str) -> None:
     assert mark(CASES[case], document) == expected
 
 
-def test_what_the_squares_cannot_show_is_asked_of_nobody() -> None:
+def test_effects_that_the_squares_cannot_show_are_not_required() -> None:
     seen = oracle_of("squares")
     for case in blind_cases():
         if case.program == "squares":
@@ -83,7 +83,7 @@ def test_what_the_squares_cannot_show_is_asked_of_nobody() -> None:
         assert detectable(case) is False
 
 
-def test_the_program_shows_nearly_everything_that_is_large() -> None:
+def test_the_diagnosis_program_shows_nearly_all_large_effects() -> None:
     large = [case for case in single_cases() if case.id.endswith("/10")]
     assert {next(iter(case.effects)) for case in large} == set(SINGLES)
     assert all(detectable(case) for case in large)
@@ -95,7 +95,7 @@ def test_a_spool_and_a_delay_are_near_each_other_and_far_from_creep() -> None:
     assert "creep" not in twins(CASES["single/valve_spool/3"])
 
 
-def test_the_suite_holds_what_was_asked_for() -> None:
+def test_the_suite_holds_the_requested_cases() -> None:
     count = Counter(case.group for case in all_cases())
     assert count["null"] >= 200
     assert count["single"] == 3 * len(SINGLES) == count["left_out"] * 3

@@ -1,4 +1,4 @@
-"""The truths are right before anyone is examined on them.
+"""The truths are correct before the diagnosis is examined on them.
 
 What is expected comes from SciPy's solvers on the paper's equations, from conservation, or from
 the limits of friction.
@@ -106,7 +106,7 @@ def test_a_closed_muscle_keeps_its_air() -> None:
     assert np.ptp(air) < 1e-9 * air[0]
 
 
-def test_what_leaves_an_unrefilled_tank_enters_the_muscle() -> None:
+def test_air_from_a_tank_without_refill_enters_the_muscle() -> None:
     truth = PAPER._replace(regulator_pa_s_per_kg=1e13, tank_m3=1e-3)
     state = at_rest(truth, 0.0)
     before = truth.tank_m3 * state.tank_pa + state.air
@@ -153,7 +153,7 @@ def test_an_effect_of_size_zero_hides_nothing(key: str) -> None:
 
 
 @pytest.mark.parametrize("key", sorted({**IN_TRUTH, **ON_SENSORS}))
-def test_a_larger_effect_is_seen_more(key: str) -> None:
+def test_a_larger_effect_is_more_visible(key: str) -> None:
     name, _, form = key.partition("/")
     plain = hidden_rig({}, seed=3, miscalibrated=False)
     apart = []

@@ -53,7 +53,7 @@ def apart(passage: Passage, driven: CoupledResponse) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("excitation", EXCITATIONS, ids=lambda e: e.name)
-def test_the_papers_muscle_moves_alike_in_both(excitation: Excitation) -> None:
+def test_both_readings_move_the_papers_muscle_alike(excitation: Excitation) -> None:
     passage, driven = both(excitation, {}, {}, {})
     assert np.abs(passage.true_position_m - driven.true_position_m).max() < 2e-6
     assert np.abs(passage.true_pressure_pa - driven.true_pressure_pa).max() < 50.0
@@ -111,7 +111,7 @@ def without_effects() -> tuple[Passage, CoupledResponse]:
 
 
 @pytest.mark.parametrize("name", sorted(ALIKE))
-def test_an_effect_does_the_same_in_both(name: str) -> None:
+def test_both_readings_give_an_effect_the_same_result(name: str) -> None:
     plant, truth, sensors = ALIKE[name]
     flat = {f"{name}.{key}": value for key, value in plant.items()}
     passage, driven = both(EXCITATIONS[1], flat, truth, sensors)

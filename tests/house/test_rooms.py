@@ -1,4 +1,4 @@
-"""The house stays one that strangers can read: small rooms, unique names, verbs for functions."""
+"""The layout of the source: small folders, unique names, verbs for functions."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _require_unique(places: dict[str, list[str]]) -> None:
     assert not doubled
 
 
-def test_no_folder_holds_more_modules_than_a_reader_can_overlook() -> None:
+def test_no_folder_holds_too_many_modules() -> None:
     folders: dict[str, int] = defaultdict(int)
     for path in MODULES:
         folders[_name_of(path.parent)] += path.name != "__init__.py"
@@ -67,7 +67,7 @@ def test_no_two_public_types_share_a_name() -> None:
 
 
 @pytest.mark.parametrize("path", PACKAGES, ids=_name_of)
-def test_each_room_says_what_it_is_and_where_to_begin(path: Path) -> None:
+def test_each_folder_says_what_it_is_and_where_to_begin(path: Path) -> None:
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     advice = re.search(r"Read `([^`]+)`", text)
     assert advice, "add the line: Read `FILE` first."

@@ -161,7 +161,7 @@ def head(*lines: str) -> bytes:
     ],
     ids=str,
 )
-def test_only_programs_applications_and_named_sites_may_watch(
+def test_only_local_programs_and_named_sites_may_watch(
     lines: list[str], status: str | None
 ) -> None:
     refusal = judge_request_head(head(*lines), 8765, {SITE})

@@ -70,7 +70,7 @@ def test_a_peak_of_one_tick_is_not_averaged_away() -> None:
     assert max(history.bin_column("error_m", 40)) == 5.0
 
 
-def test_a_history_begins_again_with_a_session_whose_time_goes_back() -> None:
+def test_a_history_restarts_with_a_new_session() -> None:
     history = History(10.0)
     history.extend({"t_s": t_s, "error_m": 9.0} for t_s in (50.0, 50.5))
     history.extend([{"t_s": 0.1, "error_m": 1.0}])

@@ -88,7 +88,7 @@ def controlled(up: Daemon) -> Iterator[Served]:
 # --- in a browser ------------------------------------------------------------------------------
 
 
-def test_plots_move_nothing_overflows_and_the_emergency_stop_ends_at_the_safe_voltage(
+def test_plots_move_and_fit_the_page_and_the_emergency_stop_ends_at_the_safe_voltage(
     up: Daemon, controlled: Served, tmp_path: Path
 ) -> None:
     up.ask("goto", position_m=8e-3, within_s=1.0)
@@ -128,7 +128,7 @@ def test_plots_move_nothing_overflows_and_the_emergency_stop_ends_at_the_safe_vo
     up.ask("ack")
 
 
-def test_a_page_that_is_open_survives_the_restart_of_the_daemon(tmp_path: Path) -> None:
+def test_an_open_page_survives_a_restart_of_the_daemon(tmp_path: Path) -> None:
     with (
         daemon(tmp_path, "again", NOT_HOMED) as first,
         served(first) as shown,
@@ -148,7 +148,7 @@ def test_a_page_that_is_open_survives_the_restart_of_the_daemon(tmp_path: Path) 
 # --- who may ask what --------------------------------------------------------------------------
 
 
-def test_every_answer_has_a_policy_that_admits_nothing_from_elsewhere(controlled: Served) -> None:
+def test_every_answer_has_a_policy_that_admits_only_its_own_origin(controlled: Served) -> None:
     for path in ("/", "/page.js", "/page.css", "/uplot.js", "/uplot.css", "/icon.svg", "/nothing"):
         status, body, headers = controlled.ask("GET", path)
         assert status == (404 if path == "/nothing" else 200)
@@ -195,7 +195,7 @@ def test_without_the_token_nothing_can_be_ordered(controlled: Served, token: str
     assert controlled.daemon.state() != "fault"
 
 
-def test_without_allow_control_nothing_can_be_ordered_by_anybody(up: Daemon) -> None:
+def test_nothing_can_be_ordered_without_the_option_allow_control(up: Daemon) -> None:
     with served(up) as shown:
         assert shown.token == ""
         assert shown.order({"do": "estop"})[0] == 403
@@ -212,9 +212,7 @@ def test_without_allow_control_nothing_can_be_ordered_by_anybody(up: Daemon) -> 
         ({"do": "goto", "position_mm": 500}, 409), ({"do": "stop"}, 409),
     ],
 )  # fmt: skip
-def test_an_order_that_makes_no_sense_is_refused(
-    controlled: Served, what: object, status: int
-) -> None:
+def test_an_invalid_order_is_refused(controlled: Served, what: object, status: int) -> None:
     controlled.daemon.wait_for("idle", "ready")
     assert controlled.order(what)[0] == status
 
@@ -231,7 +229,9 @@ def test_an_order_is_small_json_with_a_length(controlled: Served) -> None:
     assert controlled.ask("POST", "/do", None, **huge)[0] == 413
 
 
-def test_a_flood_is_told_to_wait_but_the_emergency_stop_gets_through(controlled: Served) -> None:
+def test_a_flood_of_requests_is_limited_but_the_emergency_stop_gets_through(
+    controlled: Served,
+) -> None:
     body = b'{"do": "explode"}'
     request = (
         f"POST /do HTTP/1.1\r\nHost: 127.0.0.1:{controlled.port}\r\nContent-Length: {len(body)}\r\n"
@@ -251,7 +251,7 @@ def test_a_flood_is_told_to_wait_but_the_emergency_stop_gets_through(controlled:
     controlled.daemon.ask("ack")
 
 
-def test_it_listens_to_this_pc_only(controlled: Served) -> None:
+def test_the_page_listens_on_this_pc_only(controlled: Served) -> None:
     listening = Path("/proc/net/tcp").read_text().splitlines()[1:]
     ours = [line.split()[1] for line in listening if line.split()[3] == "0A"]
     assert f"0100007F:{controlled.port:04X}" in ours

@@ -41,6 +41,7 @@ from pamctl.log.framing import map_log_file, walk_records
 from pamctl.log.importing.imported_log import write_imported
 from pamctl.log.repair.recover import recover_file
 from pamctl.log.schema import SCHEMA_VERSION, TICK_TOPIC, tick_descriptor, unit_of_column
+from pamctl.new_file import NewFileError
 from pamctl.recording.ring import Ring
 from pamctl.signals import TICK_FIELDS, Field
 
@@ -493,7 +494,7 @@ def test_recovery_of_a_zero_filled_tail_saves_what_is_before_it(log_path, tmp_pa
 
 def test_recovery_never_overwrites_a_file(log_path, tmp_path):
     (tmp_path / "b.mcap").write_bytes(b"precious")
-    with pytest.raises(LogError, match="never overwritten"):
+    with pytest.raises(NewFileError, match="never overwritten"):
         recover_file(log_path, tmp_path / "b.mcap")
     assert (tmp_path / "b.mcap").read_bytes() == b"precious"
 

@@ -23,12 +23,12 @@ from pamctl.log.check.check_log import LogCheckReport, check_log
 from pamctl.log.check.log_problems import Severity
 from pamctl.log.container import DESCRIBED_EVERY, make_message_records
 from pamctl.log.framing import FileRecord, map_log_file, walk_records
-from pamctl.log.new_file import create_new_file
 from pamctl.log.repair.recover import recover_file
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
 from pamctl.log.wire import TickLayout
 from pamctl.log.writer import LogWriter, begin_log
+from pamctl.new_file import create_new_file
 from pamctl.signals import TICK_FIELDS
 
 

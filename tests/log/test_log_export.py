@@ -117,7 +117,7 @@ def test_what_was_exported_can_be_imported(log, tmp_path, suffix):
         ("a.csv", ("--from", "9"), 2, "no ticks to export there; the log is from 0 s to 0.299 s"),
         ("a.csv", ("--fields", "position_mm"), 2, "did you mean position_m?"),
         ("a.csv", ("--fields", ","), 2, "names no column"),
-        ("no/a.csv", (), 2, "cannot create"),
+        ("no/a.csv", (), 2, "there is no directory"),
         ("there.csv", (), 2, "never overwritten"),
     ],
 )

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.small_log import CHUNK_TICKS, write_small
+from mcap.opcode import Opcode
+from support.small_log import CHUNK_TICKS, rewritten, write_small
 
 from pamctl.log import Log, LogError, info, read
 from pamctl.log.check.check_log import check_log
@@ -125,3 +126,16 @@ def test_a_hole_costs_no_more_than_the_chunks_that_it_touches(whole, tmp_path):
         recovery = assert_nothing_wrong_is_passed_as_good(original, hurt)
         assert recovery is not None
         assert recovery.messages["/pam/tick"] >= len(original) - 2 * CHUNK_TICKS
+
+
+def test_a_description_that_is_no_text_costs_nothing_where_the_chunks_hold_another(whole, tmp_path):
+    """Found by scripts/fuzz.py, with a summary whose checksum is right."""
+
+    def spoil(record):
+        body = bytes(record.body)
+        return body.replace(b"protobuf", b"\xc9" * 8) if record.opcode == Opcode.SCHEMA else body
+
+    spoilt = written(tmp_path / "a.mcap", rewritten(whole, spoil))
+    assert b"\xc9" * 8 in spoilt.read_bytes()
+    recovery = recover_file(spoilt, tmp_path / "saved.mcap")
+    assert recovery.messages["/pam/tick"] == len(read(whole))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import struct
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from typer.testing import CliRunner
 
 import pamctl.log
 from pamctl.cli.app import app
+from pamctl.log.importing.mat_table import read_mat
 from pamctl.log.importing.pipeline import import_log
 from pamctl.log.importing.resample import resample_columns
 
@@ -427,3 +429,14 @@ def test_a_resampled_time_is_an_even_grid_within_what_was_measured(rows, rate_hz
     steps = np.diff(kept) * rate_hz
     assert steps == pytest.approx(np.rint(steps), abs=1e-6)
     assert values["position_m"] == pytest.approx(np.minimum(kept, t_s[-1]))
+
+
+def test_a_matrix_of_no_rows_and_a_thousand_million_columns_is_left_out(tmp_path):
+    """Found by scripts/fuzz.py: it took all memory."""
+    name = tmp_path / "a.mat"
+    t_s = T_S[:20]
+    savemat(name, {"t_s": t_s, "nothing": np.zeros((0, 3))}, format="4")
+    content, size = name.read_bytes(), struct.pack("<ii", 0, 3)
+    assert content.count(size) == 1
+    name.write_bytes(content.replace(size, struct.pack("<ii", 0, 1 << 30)))
+    assert list(read_mat(name).columns) == ["t_s"]

@@ -50,7 +50,7 @@ echo not tried
 """
 
 
-def test_a_block_that_fails_is_said_and_ends_its_page() -> None:
+def test_a_failing_block_is_reported_and_ends_its_page() -> None:
     results = list(run_page("made", PAGE, quick=True))
     assert [result.status for result in results] == [
         "ok", "failed: exit code 1", "skipped: after a failure",
@@ -91,7 +91,7 @@ def test_marks_that_do_not_exist_are_refused() -> None:
         read_blocks("<!-- run: slwo -->\n```sh\ntrue\n```\n")
 
 
-def test_what_a_block_left_running_is_ended_with_its_page() -> None:
+def test_processes_of_a_block_end_with_its_page() -> None:
     text = "```sh\nsleep 1000 & echo $! > pid\n```\n\n```sh\ncat pid\n```\n"
     _, second = run_page("made", text, quick=True)
     with pytest.raises(ProcessLookupError):

@@ -1,4 +1,4 @@
-"""The door for effects: what a record must hold, and what is told to whoever wrote a wrong one."""
+"""The catalogue of effects: the required parts of a record, and the errors of a wrong one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of a plant: what no effect explains, without a name, in the model all the same."""
+"""Correction tables: errors that no effect explains, as part of the model."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def apart_m(one: list[PlantState], other: list[PlantState]) -> float:
 # --- in the plant ----------------------------------------------------------------------
 
 
-def test_a_table_is_straight_between_its_lines_and_constant_beyond_them() -> None:
+def test_a_table_is_linear_between_its_lines_and_constant_beyond_them() -> None:
     for lookup in (interpolate_table, compile_kernel(interpolate_table)):
         for first, second in ((0.0, 10.0), (0.5, 13.0), (1.0, 20.0), (2.9, 19.0), (3.0, 10.0)):
             assert lookup(SLOPING, first, second) == pytest.approx(2.0 * first + second - 10.0)
@@ -125,7 +125,7 @@ def nameless() -> Diagnosis:
     return diagnose(*records, PlantSettings(), without=all_but("creep"), correction=True)
 
 
-def test_what_has_no_name_is_added_on_request_and_the_held_out_gap_shrinks() -> None:
+def test_a_correction_table_is_added_on_request_and_shrinks_the_held_out_gap() -> None:
     found = nameless()
     assert found.verdict is Verdict.NONE_KNOWN
     assert not found.standings
@@ -161,7 +161,7 @@ def test_a_table_that_makes_the_held_out_gap_larger_is_left_out(monkeypatch) -> 
     assert "left out of the model" in describe_correction(kept)
 
 
-def test_nothing_is_added_where_nobody_asks_or_nothing_is_left() -> None:
+def test_no_table_is_added_without_a_request_or_without_a_remainder() -> None:
     records = without_command()
     found = diagnose(*records, PlantSettings(), without=all_but("creep"), correction=True)
     assert found.verdict is Verdict.NO_DISCREPANCY

@@ -69,7 +69,7 @@ def test_the_two_blocks_alone_compose_to_the_coupled_step_to_the_bit(
 def test_each_block_driven_by_the_others_signal_follows_the_coupled_plant(
     p, command_v: NDArray[np.float64]
 ) -> None:
-    """Between samples the other's signal is straight: an error of the second order in the tick."""
+    """Between samples the other's signal is linear: an error of second order in the tick."""
     coupled = drive_coupled(p, command_v, TICK_S, steps=8)
     pressure = drive_pressure(p, command_v, coupled.position_m, TICK_S, steps=8)
     mechanics = drive_mechanics(p, coupled.pressure_pa, TICK_S, steps=8)
@@ -139,7 +139,7 @@ def test_a_drive_can_start_in_the_middle_of_another() -> None:
         ([1.0, 2.0], [0.0], "longer than 0"),
     ],
 )
-def test_arrays_that_make_no_sense_are_refused(command_v, dt_s, complaint: str) -> None:
+def test_invalid_arrays_are_refused(command_v, dt_s, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         drive_coupled(PAPER, command_v, dt_s)
     with pytest.raises(ValueError, match="where the command has 3"):
@@ -149,12 +149,12 @@ def test_arrays_that_make_no_sense_are_refused(command_v, dt_s, complaint: str) 
 # --- a plant as a flat mapping -----------------------------------------------------------------
 
 
-def test_no_values_at_all_are_the_papers_plant() -> None:
+def test_an_empty_mapping_is_the_papers_plant() -> None:
     assert parameters_of({}) == plant_parameters(PlantSettings()) == PAPER
     assert parameters_of(values_of(PlantSettings())) == PAPER
 
 
-def test_a_flat_mapping_and_a_plant_file_say_the_same() -> None:
+def test_a_flat_mapping_and_a_plant_file_are_equivalent() -> None:
     values = {"stiffness_n_per_m": 9500.0, "valve_spool.time_constant_s": 1e-3}
     settings = settings_of(values)
     assert settings.parameters.stiffness_n_per_m == 9500.0

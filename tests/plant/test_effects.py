@@ -1,6 +1,6 @@
 """The catalogue of effects: neutral to the bit, the same compiled, and described completely.
 
-The physics of each effect is held against independent solutions in `test_effects_physics.py`.
+`test_effects_physics.py` compares the physics of each effect with independent solutions.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ ALL_ON |= {
 
 
 def through_every_part(p: PlantParameters) -> PlantParameters:
-    """The general equations, even where none of their effects acts."""
+    """The general equations, also without an active effect."""
     return p._replace(valve_acts=True, air_acts=True, mechanics_act=True, sensors_act=True)
 
 
@@ -70,7 +70,7 @@ def test_the_general_equations_at_neutral_values_are_the_papers_to_the_bit() -> 
 
 
 @names
-def test_an_effect_whose_sizes_are_neutral_does_nothing_whatever_its_shapes(name: str) -> None:
+def test_an_effect_with_neutral_sizes_does_nothing_for_any_shape(name: str) -> None:
     shapes = {p.name: p.high for p in CATALOGUE[name].parameters if p.role == "shape"}
     neutral = {
         f"{name}.{p.name}": shapes.get(p.name, p.neutral) for p in CATALOGUE[name].parameters
@@ -86,8 +86,8 @@ def test_an_effect_whose_sizes_are_neutral_does_nothing_whatever_its_shapes(name
 
 
 @names
-def test_an_effect_enters_smoothly(name: str) -> None:
-    """A size of a thousandth is felt a thousandth as much, or less: a fit finds its way from 0."""
+def test_a_small_effect_has_a_small_result(name: str) -> None:
+    """A thousandth of a size has at most a thousandth of the result, so a fit can start from 0."""
     plain = np.array(drive_coupled(parameters_of({}), COMMAND_V, TICK_S))[:2]
 
     def change(share: float) -> float:
@@ -129,12 +129,12 @@ def test_compiled_and_plain_agree_to_the_bit(name: str, monkeypatch: pytest.Monk
     assert_twins_agree(parameters_of(switched_on(name)), monkeypatch)
 
 
-def test_they_agree_with_everything_on_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_and_plain_agree_with_all_effects_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert_twins_agree(parameters_of(ALL_ON), monkeypatch)
 
 
 @pytest.mark.parametrize("form", [0.0, 1.0, 2.0])
-def test_they_agree_in_every_form_of_presliding(
+def test_compiled_and_plain_agree_in_every_form_of_presliding(
     form: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values = switched_on("presliding", form=form, bristle_damping_n_s_per_m=20.0)
@@ -145,7 +145,7 @@ def test_they_agree_in_every_form_of_presliding(
 
 
 @names
-def test_the_blocks_alone_show_what_the_coupled_plant_shows(name: str) -> None:
+def test_the_blocks_alone_agree_with_the_coupled_plant(name: str) -> None:
     """Driven by sensed signals, with the sensors' own effects undone where they can be.
 
     The line's jumps and the sensor's lag fall between the samples: some are left. A backlash cannot
@@ -238,7 +238,7 @@ def test_every_effect_is_described_so_that_a_fit_can_start(name: str) -> None:
 
 
 @names
-def test_a_plant_file_can_name_it(name: str) -> None:
+def test_a_plant_file_can_name_every_effect(name: str) -> None:
     values = switched_on(name)
     settings = settings_of(values)
     assert list(settings.effects.model_dump(exclude_none=True)) == [name]
@@ -246,7 +246,7 @@ def test_a_plant_file_can_name_it(name: str) -> None:
     assert values_of(settings).items() >= values.items()
 
 
-def test_a_form_is_chosen_by_its_name() -> None:
+def test_a_form_of_presliding_is_chosen_by_its_name() -> None:
     settings = PlantSettings.model_validate(
         {"effects": {"presliding": {"compliance_m_per_n": 1e-5, "form": "dahl"}}}
     )

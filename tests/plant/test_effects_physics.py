@@ -1,4 +1,4 @@
-"""Every effect's physics, against SciPy's solution of equations written anew.
+"""Every effect's physics agrees with SciPy's solution of independent equations.
 
 Two steps a tick are within a part of the sensor's noise (300 Pa) and a count or two of the
 encoder (3.2 um); finer steps converge to the independent solution.
@@ -141,7 +141,7 @@ def test_the_mechanics_solve_the_effects_equations(case: str) -> None:
     assert error_um(32) < (1.0 if small_steps else 0.1)
 
 
-def test_every_effect_is_held_against_an_independent_solution() -> None:
+def test_every_effect_is_compared_with_an_independent_solution() -> None:
     """The encoder's two are closed forms, below."""
     solved = {case.split("/")[0] for case in (*PRESSURE_CASES, *MECHANICS_CASES)} - {"paper"}
     assert solved | {"encoder_scale", "encoder_backlash"} == set(CATALOGUE)

@@ -140,7 +140,7 @@ def test_choked_and_unchoked_flow_meet_without_a_step_or_a_kink() -> None:
 
 
 @given(pressures_pa, st.floats(-5.0, 5.0))
-def test_air_runs_down_the_pressure_gradient_and_rests_where_there_is_none(
+def test_air_flows_down_the_pressure_gradient_and_rests_without_one(
     pressure_pa: float, opening_v: float
 ) -> None:
     source_pa = P_TANK if opening_v > 0.0 else P_ATM
@@ -154,7 +154,7 @@ def test_air_runs_down_the_pressure_gradient_and_rests_where_there_is_none(
     assert valve_flow(PAPER, opening_v, source_pa) == 0.0
 
 
-def test_air_runs_back_into_a_source_of_lower_pressure() -> None:
+def test_air_flows_back_into_a_source_of_lower_pressure() -> None:
     """A contracted muscle that is pulled out compresses its air above the tank's pressure."""
     assert valve_flow(PAPER, 5.0, P_TANK + 1e3) < 0.0
     assert valve_flow(PAPER, -5.0, P_ATM - 1e3) > 0.0
@@ -173,7 +173,7 @@ def test_forces_are_those_of_the_paper(x: float, pressure_pa: float) -> None:
     assert forces.damping_down_n_s_per_m == paper.C
 
 
-def test_an_empty_muscle_pulls_with_nothing_but_its_spring() -> None:
+def test_an_empty_muscle_pulls_with_its_spring_only() -> None:
     """Eq. 3 takes gauge pressure: with absolute pressure it would rest at 11.6 mm."""
     forces = axial_forces(PAPER, 10e-3, P_ATM)
     assert forces.drive_n == pytest.approx(-paper.K * 10e-3, rel=1e-12)
@@ -187,7 +187,7 @@ def test_friction_is_47_newtons_at_340_kilopascals() -> None:
 
 
 @given(positions_m, pressures_pa, st.floats(-1.0, 1.0))
-def test_friction_takes_energy_from_motion_and_never_gives_any(
+def test_friction_only_takes_energy_from_motion(
     x: float, pressure_pa: float, velocity: float
 ) -> None:
     assume(abs(velocity) > 1e-9)
@@ -265,7 +265,7 @@ def test_a_slide_is_the_exact_motion_through_stop_and_reversal(
 
 
 @given(frozen_forces, masses_kg, speeds, durations_s, st.floats(0.0, 1.0))
-def test_a_slide_is_the_same_in_one_piece_and_in_two(
+def test_one_slide_equals_two_half_slides(
     forces: AxialForces, mass: float, v: float, duration: float, share: float
 ) -> None:
     whole = slide(forces, mass, 0.01, v, duration)
@@ -362,7 +362,7 @@ def test_a_closed_valve_keeps_the_air(commands: list[tuple[float, int]]) -> None
 
 
 def test_the_muscle_moves_while_the_valve_is_closed() -> None:
-    """Or the test above would prove nothing: 40 ms of filling leave it far from its balance."""
+    """Counter-check of the test above: 40 ms of filling leave the muscle far from its balance."""
     begin = run([(5.0, 40)])[-1]
     states = run([(0.0, 200)], begin)
     assert states[-1].position_m - begin.position_m > 1e-3
@@ -407,7 +407,7 @@ def test_pressing_a_full_closed_muscle_raises_its_pressure() -> None:
     assert shorter < 300e3 < longer
 
 
-def test_filling_a_muscle_that_is_held_takes_the_time_that_the_choked_flow_says() -> None:
+def test_filling_a_held_muscle_takes_the_time_of_the_choked_flow() -> None:
     """Pressure against quadrature: t = V / (R T) integral of dP / m'(P)."""
     x, opening_v = 5e-3, 1.0
     pressure_pa, steps = P_ATM, 200
@@ -485,7 +485,7 @@ def test_the_mechanics_driven_by_pressures_at_the_ends_of_the_steps_are_nearly_a
     assert 0.0 < largest_m < 2e-6
 
 
-def test_time_is_cut_into_equal_steps_none_longer_than_asked() -> None:
+def test_time_is_cut_into_equal_steps_of_at_most_the_given_length() -> None:
     begin = run([(5.0, 30)])[-1]
     in_three = begin
     for _ in range(3):
@@ -498,7 +498,7 @@ def test_time_is_cut_into_equal_steps_none_longer_than_asked() -> None:
     assert advance_plant(P, begin, 2.0, 0.7e-3, 0.1e-3) == in_seven
 
 
-def test_a_motion_too_slow_for_its_square_goes_on() -> None:
+def test_a_motion_whose_squared_speed_underflows_continues() -> None:
     forces = AxialForces(1e-200, 0.0, 0.0, 100.0, 100.0, 0.0, 0.0)
     x, v = slide(forces, 0.05, 0.01, 3e-200, 1e-3)
     assert x == 0.01

@@ -1,4 +1,4 @@
-"""The lagging spool of the valve, held against SciPy's linear systems."""
+"""The lagging spool of the valve agrees with SciPy's linear systems."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_the_spool_moves_as_a_linear_system_of_second_order(
 
 
 @pytest.mark.parametrize("damping", [1 - 1e-3, 1 - 1e-9, 1 - 2**-53, 1 + 2**-52, 1 + 1e-9])
-def test_nothing_happens_at_the_border_between_ringing_and_creeping(damping: float) -> None:
+def test_the_spool_is_continuous_at_critical_damping(damping: float) -> None:
     near = partial(spool_step, ValveSpool(1.46e-3, damping), 1.0, -200.0, 5.0)
     critical = partial(spool_step, ValveSpool(1.46e-3, 1.0), 1.0, -200.0, 5.0)
     for duration_s in (1e-5, 1e-3, 1e-2):
@@ -72,10 +72,10 @@ def test_nothing_happens_at_the_border_between_ringing_and_creeping(damping: flo
 
 
 @given(st.floats(1e-9, 1e-5), st.floats(0.2, 2.0), openings_v, commands_v, durations_s)
-def test_a_spool_that_is_much_faster_than_the_step_has_simply_arrived(
+def test_a_spool_much_faster_than_the_step_arrives_within_it(
     time_constant_s: float, damping: float, opening_v: float, command_v: float, duration_s: float
 ) -> None:
-    """A fit walks through such values on its way to the neutral one."""
+    """A fit passes such values on its way to the neutral value."""
     opening_v, rate = spool_step(
         ValveSpool(time_constant_s, damping), opening_v, 0.0, command_v, duration_s + 1e-3
     )

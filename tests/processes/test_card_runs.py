@@ -54,6 +54,27 @@ def test_the_first_thing_a_run_does_to_the_card_is_to_make_it_safe(own: Card) ->
     assert process.returncode == 0
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root is sure to be allowed SCHED_FIFO")
+def test_the_threads_that_the_driver_starts_in_the_loop_are_raised_and_unpinned(own: Card) -> None:
+    """Else a killed loop frees the card only when its busy CPU gets round to them."""
+    process = start(own, *AT_ONCE)
+    await_writes(own, process, 300)
+    loop = await_children(process.pid, "loop_main")["loop_main"]
+    tasks = [int(task) for task in os.listdir(f"/proc/{loop}/task")]
+    own_cpus = os.sched_getaffinity(loop)
+    found = [
+        (os.sched_getscheduler(task) & 0xFFFF, os.sched_getaffinity(task))
+        for task in tasks
+        if task != loop
+    ]
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=PATIENCE_S)
+    (noted,) = (e for e in log_of(own).events if e["event"] == "foreign_threads")
+    if os.sched_getaffinity(0) == own_cpus or not noted["done"]:
+        pytest.skip("needs two CPUs and SCHED_FIFO")
+    assert found == [(os.SCHED_FIFO, os.sched_getaffinity(0))] * 4
+
+
 def test_ctrl_c_leaves_the_card_at_the_safe_voltage(own: Card) -> None:
     process = start(own, *AT_ONCE)
     await_writes(own, process, 500)

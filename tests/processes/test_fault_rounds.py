@@ -6,7 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
+from standin.standin import require_compiler
+from support.patience import BUSY_PC, PATIENCE_S
 
+Fault = tuple[str, str]
 WELL = {"safe_after_ms": 3.0, "ticks_lost": 0}
 ROUNDS = [("sim loop killed", WELL), ("sim loop frozen", {"amiss": "8 V"})]
 
@@ -25,7 +28,7 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
     kept = tmp_path / "faults.jsonl"
     monkeypatch.setattr("sys.argv", ["fault_rounds.py", "--resume", str(kept)])
 
-    def stopped(count, timing, done, *, pairs):
+    def stopped(count, timing, done, hits, names):
         yield from ROUNDS
         raise KeyboardInterrupt
 
@@ -41,7 +44,7 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
         file.write('{"timing": "on_dem')  # killed while it wrote
     asked = []
     monkeypatch.setattr(
-        script, "rounds", lambda count, timing, done, *, pairs: asked.append(done) or ()
+        script, "rounds", lambda count, timing, done, hits, names: asked.append(done) or ()
     )
     assert script.main() == 3
     assert asked == [{"sim loop killed": 1, "sim loop frozen": 1}]
@@ -52,7 +55,7 @@ def test_rounds_that_are_done_are_left_out(script, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(script, "round_of", lambda *_: dict(WELL))
     monkeypatch.setattr(script, "next_start", lambda *_: None)
     all_of_them = [case for case, _ in script.rounds(2, "on_demand", script.Counter())]
-    assert len(all_of_them) == 2 * 2 * len(script.PROCESSES) * len(script.SIGNALS)
+    assert len(all_of_them) == 2 * 4 * len(script.PROCESSES) * len(script.SIGNALS)
     done = script.Counter({all_of_them[0]: 2, all_of_them[1]: 1})
     rest = [case for case, _ in script.rounds(2, "on_demand", done)]
     assert len(rest) == len(all_of_them) - 3
@@ -60,7 +63,56 @@ def test_rounds_that_are_done_are_left_out(script, monkeypatch: pytest.MonkeyPat
 
 
 def test_pairs_are_all_ordered_pairs_of_two_processes(script) -> None:
-    pairs = script.list_faults(pairs=True)
+    pairs = script.list_faults(2)
     assert len(pairs) == len({*pairs}) == 4 * 3 * 2 * 2
     assert all(one[0] != other[0] for one, other in pairs)
     assert (("loop", "frozen"), ("guardian", "killed")) in pairs
+
+
+def test_triples_leave_a_process_alive_that_can_make_the_valve_safe(script) -> None:
+    triples = script.list_faults(3)
+    assert len(triples) == len({*triples}) == 3 * 6 * 8
+    hit = [{process for process, _ in faults} for faults in triples]
+    assert all(len(processes & {"front", "loop", "guardian"}) == 2 for processes in hit)
+
+
+def test_the_table_has_a_row_for_each_choice_of_processes(script) -> None:
+    found = {
+        "sim loop killed, front frozen": [WELL, {"amiss": "8 V"}],
+        "sim front killed, loop killed": [{"safe_after_ms": 80.4, "ticks_lost": 0}],
+        "daemon loop killed, guardian killed": [WELL],
+    }
+    assert script.format_cases(found).splitlines()[2:] == [
+        "| front, loop | 2 of 3, 80 ms |  |",
+        "| guardian, loop |  | 1 of 1, 3 ms |",
+    ]
+
+
+# --- real processes -------------------------------------------------------------------------
+
+HARDEST = [
+    # Nobody but the front is left to see it.
+    ("sim", ("loop", "frozen"), ("guardian", "killed")),
+    ("nidaq", ("guardian", "frozen"), ("loop", "frozen")),
+    # Nobody but the guardian, or the loop.
+    ("nidaq", ("loop", "frozen"), ("front", "killed")),
+    ("sim", ("front", "killed"), ("guardian", "frozen")),
+    ("daemon", ("loop", "frozen"), ("guardian", "frozen")),
+    # Nobody is left who knows the ring but a guardian, or a loop: they start a finisher.
+    ("sim", ("recorder", "killed"), ("front", "killed")),
+    ("daemon", ("front", "killed"), ("recorder", "frozen")),
+]
+
+
+@pytest.mark.parametrize("case", HARDEST, ids=lambda case: " ".join(sum(case[1:], case[:1])))
+def test_a_real_run_keeps_its_promises_whichever_two_processes_are_hit(
+    script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, case: tuple[str, Fault, Fault]
+) -> None:
+    require_compiler()
+    name, *faults = case
+    monkeypatch.setattr(script, "PATIENCE_S", PATIENCE_S)
+    monkeypatch.setattr(script, "OPTIONS", [*script.OPTIONS, *BUSY_PC])
+    with script.benches(tmp_path, "on_demand") as rigs:
+        bench = next(rig for rig in rigs if rig.name == name)
+        found = script.round_of(bench, faults, tmp_path / "run.mcap")
+    assert found["ticks_lost"] == 0

@@ -24,6 +24,7 @@ from pamctl.realtime.clock import Clock
 from pamctl.realtime.loop import run_loop
 from pamctl.safety import (
     ENCODER_JUMP,
+    PRESSURE_LIMIT,
     PRESSURE_TOO_HIGH,
     PRESSURE_TOO_LOW,
     SENSOR_RANGE,
@@ -153,6 +154,9 @@ CARD: dict[str, Callable[[Card], None]] = {
     "read and write fail": lambda card: (fail(READ_COUNT)(card), fail(WRITE, times=3)(card)),
     "read hangs": fail(READ_VOLTS, code=0, hang_s=0.1, times=1),
     "broken wire": set_to(wire_is_broken=1),
+    "open input stands": set_to(wire_is_broken=1, pull_down_is_missing=1),
+    "open input rises": set_to(wire_is_broken=1, pull_down_is_missing=1, open_drift_v_per_s=3.0),
+    "open input falls": set_to(wire_is_broken=1, pull_down_is_missing=1, open_drift_v_per_s=-1.0),
     "encoder unplugged": set_to(encoder_is_unplugged=1),
     "encoder reversed": set_to(encoder_sign=-1),
     "encoder jumps": jump,
@@ -167,6 +171,9 @@ EXPECTED: dict[str, tuple[ExitCode, int]] = {
     "read and write fail": (UNAVAILABLE, 0),
     "read hangs": (UNAVAILABLE, 0),
     "broken wire": (TRIP, SENSOR_RANGE),
+    # Without a pull-down an open input trips once its voltage is no longer plausible.
+    "open input rises": (TRIP, PRESSURE_LIMIT | PRESSURE_TOO_HIGH),
+    "open input falls": (TRIP, SENSOR_RANGE | PRESSURE_TOO_LOW),
     "encoder unplugged": (TRIP, TRACKING_ERROR),
     "encoder reversed": (TRIP, TRACKING_ERROR | STROKE_LIMIT | ENCODER_JUMP),
     "encoder jumps": (TRIP, ENCODER_JUMP),
@@ -206,6 +213,16 @@ def ran(bench: str, fault: str, settings: RunSettings) -> tuple[Ending, MemoryJo
     finally:
         here().mend()
         made.rig.close()
+
+
+@pytest.mark.parametrize("bench", [bench for bench in BENCHES if bench != "sim"])
+def test_an_open_input_that_stands_still_is_noticed_by_nothing_in_a_run(bench: str) -> None:
+    """It is why the wiring page asks for a pull-down: this voltage is quiet and plausible."""
+    settings = run_settings(*MOVING, controller="qsmc")
+    ending, journal, output_v = ran(bench, "open input stands", settings)
+    assert ending.code == ExitCode.OK
+    assert len({tick.raw.pressure_v for tick in journal.ticks[-500:]}) == 1
+    assert output_v == pytest.approx(SAFE_V, abs=AO_STEP_V)
 
 
 @pytest.mark.parametrize(("bench", "fault"), CASES)

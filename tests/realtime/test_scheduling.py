@@ -131,6 +131,7 @@ with prepare("auto") as preparation:
     assert metadata["fifo"].endswith("LimitRTPRIO=80 into the service unit")
     assert "memlock unlimited" in metadata["mlock"]
     assert metadata["timer_slack"] == "done: timer slack 1 ns"
+    assert metadata["slice"].startswith(("done: slice 100 us", "not done: "))
     assert metadata["gc"].startswith("done:")
     assert all("\n" not in line for line in metadata.values())
 
@@ -171,6 +172,124 @@ print(json.dumps([before_ns, during_ns, slack_ns()]))
     assert during_ns == 1 < before_ns == after_ns
 
 
+@root_only
+def test_a_user_without_rights_gets_a_short_slice_where_the_kernel_grants_it() -> None:
+    seen = in_fresh_process(
+        """
+become_nobody()
+from pamctl.realtime.scheduling import _granted_slice_ns
+before_ns = _granted_slice_ns()
+with prepare("auto") as preparation:
+    during_ns = _granted_slice_ns()
+print(json.dumps([before_ns, during_ns, _granted_slice_ns(), preparation.as_metadata()["slice"]]))
+"""
+    )
+    before_ns, during_ns, after_ns, line = seen
+    if not before_ns:  # before Linux 6.12 the kernel tells of no slice
+        assert line.startswith("not done: the kernel took no notice; Linux 6.12 and later grant it")
+        return
+    assert line == "done: slice 100 us"
+    assert during_ns == 100_000 < before_ns == after_ns
+
+
+@linux_only
+def test_a_kernel_that_ignores_the_slice_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    for step in ("_lock_memory", "_keep_cpu_awake", "_pin"):
+        monkeypatch.setattr(scheduling, step, lambda *_: "pretended")
+
+    def refuse(_: object) -> str:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(scheduling, "_run_as_fifo", refuse)
+    monkeypatch.setattr(scheduling, "_call_sched_attr", lambda *_: None)  # Linux before 6.12
+    with prepare("auto") as preparation:
+        line = preparation.as_metadata()["slice"]
+    assert line.startswith("not done: the kernel took no notice; Linux 6.12 and later grant it")
+
+
+@linux_only
+def test_a_process_that_is_confined_to_one_cpu_does_not_spin(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The PC has several; a spinning loop would leave none to the others of its run."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    for step in ("_lock_memory", "_keep_cpu_awake", "_run_as_fifo"):
+        monkeypatch.setattr(scheduling, step, lambda _: "pretended")
+    allowed = {3}
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: allowed)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda _, cpus: None)
+    with prepare("auto") as confined:
+        assert confined.fifo
+        assert not confined.may_spin
+    allowed = {0, 3}
+    with prepare("auto") as free:
+        assert free.may_spin
+
+
+# The threads of a driver.
+
+DRIVER_THREADS = """
+import threading, time
+def start_threads():
+    for _ in range(4):
+        threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
+    return sorted({int(task.name) for task in Path("/proc/self/task").iterdir()} - {os.getpid()})
+def state_of(threads):
+    return [[os.sched_getscheduler(one) & 0xFFFF, os.sched_getparam(one).sched_priority,
+             sorted(os.sched_getaffinity(one))] for one in threads]
+"""
+
+
+@root_only
+def test_the_threads_of_a_driver_are_raised_and_unpinned() -> None:
+    seen = in_fresh_process(
+        DRIVER_THREADS
+        + """
+cpus = sorted(os.sched_getaffinity(0))
+with prepare("auto") as preparation:
+    none = preparation.free_foreign_threads()
+    threads = start_threads()
+    before = state_of(threads)
+    (step,) = preparation.free_foreign_threads()
+    print(json.dumps([preparation.fifo, cpus, none, before, step, state_of(threads),
+                      state_of([os.getpid()])]), flush=True)
+    os._exit(0)
+"""
+    )
+    fifo, cpus, none, before, step, after, loop = seen
+    if not fifo:
+        pytest.skip("this container refuses SCHED_FIFO even to root")
+    assert none == []
+    pinned = cpus[-1:]
+    assert before == [[os.SCHED_OTHER, 0, pinned]] * 4, "what a driver's thread inherits"
+    assert after == [[os.SCHED_FIFO, 1, cpus]] * 4
+    assert loop == [[os.SCHED_FIFO, scheduling.PRIORITY, pinned]], "the loop stays as it was"
+    assert step == [
+        "foreign_threads",
+        True,
+        "4 threads of the driver: SCHED_FIFO, priority 1, all CPUs",
+    ]
+
+
+@root_only
+def test_threads_of_a_driver_that_may_not_be_raised_are_unpinned_and_named() -> None:
+    seen = in_fresh_process(
+        DRIVER_THREADS
+        + """
+become_nobody()
+with prepare("auto") as preparation:
+    threads = start_threads()
+    (step,) = preparation.free_foreign_threads()
+    print(json.dumps([sorted(preparation._cpus), step, state_of(threads)]), flush=True)
+    os._exit(0)
+"""
+    )
+    cpus, (_, done, detail), after = seen
+    assert not done
+    assert detail.startswith("4 threads of the driver: Operation not permitted; ")
+    assert after == [[os.SCHED_OTHER, 0, cpus]] * 4
+
+
 # Refused in pretence, in this process: the steps that would succeed are kept from doing anything.
 
 
@@ -179,7 +298,8 @@ def nothing_is_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
-    for step in ("_lock_memory", "_keep_cpu_awake", "_pin", "_run_as_fifo", "_take_timer_slack"):
+    steps = ("_lock_memory", "_keep_cpu_awake", "_pin", "_run_as_fifo", "_take_timer_slack")
+    for step in (*steps, "_take_short_slice"):
         monkeypatch.setattr(scheduling, step, refuse)
 
 
@@ -189,7 +309,7 @@ def test_where_nothing_is_permitted_every_step_says_why() -> None:
     with prepare("auto") as preparation:
         refused = [step.name for step in preparation.refused]
         lines = [str(step) for step in preparation.refused]
-    assert refused == ["mlock", "dma_latency", "affinity", "fifo", "timer_slack"]
+    assert refused == ["mlock", "dma_latency", "affinity", "fifo", "timer_slack", "slice"]
     assert all("not done: Operation not permitted" in line for line in lines)
 
 

@@ -70,7 +70,9 @@ def pamctl(*arguments: object) -> tuple[int, str]:
 # --- the golden logs -------------------------------------------------------------------------
 
 
-def test_the_golden_logs_hold_what_they_are_kept_for(golden: Callable[[str], Log]) -> None:
+def test_the_golden_logs_hold_the_cases_that_they_are_kept_for(
+    golden: Callable[[str], Log],
+) -> None:
     laws = {golden(name).config["controller"]["law"] for name in NAMES}
     assert laws == {"qsmc", "smc", "pid"}
     assert golden("missed")["missed"].sum() > 10
@@ -130,7 +132,7 @@ segments = st.builds(
 
 
 @given(st.lists(segments, min_size=1, max_size=6), durations, st.floats(0, 10))
-def test_a_course_in_one_go_is_the_course_tick_by_tick(
+def test_a_course_computed_at_once_equals_the_course_tick_by_tick(
     course: list[Segment], duration_s: float, begin_s: float
 ) -> None:
     walked = Course(course, duration_s)
@@ -145,7 +147,7 @@ def test_a_course_in_one_go_is_the_course_tick_by_tick(
         assert trace_course(course, walked.duration_s, begin_s, t_s) is None
 
 
-def test_nothing_that_comes_from_the_wall_clock_is_compared() -> None:
+def test_values_from_the_wall_clock_are_not_compared() -> None:
     by_the_clock = {"late_s", "read_s", "compute_s", "write_s", "pressure_t_ns", "encoder_t_ns"}
     of_the_tick = {
         field.name
@@ -190,7 +192,7 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("key", SETTINGS)
-def test_another_setting_is_caught_and_its_stage_named_first(
+def test_a_changed_setting_is_found_and_its_stage_is_named_first(
     key: str, golden: Callable[[str], Log]
 ) -> None:
     value, stage = SETTINGS[key]
@@ -205,7 +207,7 @@ def test_a_stage_before_the_changed_one_stays_equal(golden: Callable[[str], Log]
     assert not stages & {"zero", "measurement", "reference", "estimate"}
 
 
-def test_the_first_difference_is_the_first_one(golden: Callable[[str], Log]) -> None:
+def test_the_first_difference_is_reported_first(golden: Callable[[str], Log]) -> None:
     log = golden("qsmc")
     command = log["command_v"].copy()
     at = 700
@@ -265,7 +267,7 @@ A law's kernel is called by the type of its gains.
 
 
 @pytest.mark.parametrize("what", MUTATIONS)
-def test_another_source_is_caught_and_its_stage_named_first(
+def test_a_changed_source_is_found_and_its_stage_is_named_first(
     what: str, golden: Callable[[str], Log], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name, stage, where, function, old, new = MUTATIONS[what]
@@ -399,7 +401,9 @@ def recovered_without_a_chunk(tmp_path: Path, name: str, which: int) -> Log:
     return read(tmp_path / "saved.mcap")
 
 
-def test_behind_a_loss_it_goes_on_from_the_next_frozen_state_and_says_so(tmp_path: Path) -> None:
+def test_after_a_loss_the_replay_continues_from_the_next_frozen_state_and_says_so(
+    tmp_path: Path,
+) -> None:
     log = recovered_without_a_chunk(tmp_path, "card", 2)
     lost = np.flatnonzero(np.diff(log["tick"]) - 1 != log["missed"][1:])
     assert len(lost) == 1
@@ -443,7 +447,7 @@ def test_a_truncated_log_replays_once_it_is_recovered(tmp_path: Path) -> None:
 # --- logs of other origin -------------------------------------------------------------------------
 
 
-def test_in_an_imported_log_there_is_nothing_to_replay(tmp_path: Path) -> None:
+def test_an_imported_log_cannot_be_replayed(tmp_path: Path) -> None:
     t_s = np.arange(100) * 1e-3
     write_imported(tmp_path / "lab.mcap", t_s, {"valve_v": 0 * t_s, "position_m": 0 * t_s}, {})
     done = CliRunner().invoke(app, ["replay", str(tmp_path / "lab.mcap"), "--json"])
@@ -479,7 +483,7 @@ def test_a_field_that_an_older_log_lacks_is_not_compared_and_named(
     assert found.absent == ("robust_v",)
 
 
-def test_a_frozen_state_of_another_version_is_thawed_by_its_names(
+def test_a_frozen_state_of_another_version_is_restored_by_its_names(
     golden: Callable[[str], Log],
 ) -> None:
     log = golden("smc")
@@ -502,7 +506,7 @@ def test_a_log_without_configuration_is_refused(golden: Callable[[str], Log]) ->
 # --- what if --------------------------------------------------------------------------------------
 
 
-def test_the_same_law_would_have_commanded_the_same() -> None:
+def test_a_what_if_with_the_same_law_gives_the_same_command() -> None:
     log = GOLDEN / "qsmc.mcap"
     code, said = pamctl("replay", log, "--set", "controller.lpf2_hz=107.0", "--json")
     answer = json.loads(said)
@@ -512,7 +516,7 @@ def test_the_same_law_would_have_commanded_the_same() -> None:
     assert all(row["difference_max_v"] < 1e-9 for row in answer["phases"])
 
 
-def test_twice_the_gain_would_have_commanded_twice_as_much(tmp_path: Path) -> None:
+def test_a_what_if_with_twice_the_gain_gives_twice_the_command(tmp_path: Path) -> None:
     log = read(GOLDEN / "qsmc.mcap")
     double = 2 * log.config["controller"]["kp_v_s3_per_length"]
     table = tmp_path / "what-if.csv"
@@ -530,7 +534,7 @@ def test_twice_the_gain_would_have_commanded_twice_as_much(tmp_path: Path) -> No
         assert float(row["what_if_command_v"]) == pytest.approx(doubled, abs=1e-9)
 
 
-def test_another_controller_file_can_be_asked() -> None:
+def test_a_what_if_accepts_another_controller_file() -> None:
     code, said = pamctl("replay", GOLDEN / "smc.mcap", "--controller", "pid", "--json")
     answer = json.loads(said)
     assert code == 0
@@ -549,7 +553,7 @@ def test_another_controller_file_can_be_asked() -> None:
         (("--controller", "pid", "--tolerance", "x.yaml"), "belongs to a comparison", 2),
     ],
 )
-def test_a_what_if_that_makes_no_sense_is_refused(
+def test_an_invalid_what_if_is_refused(
     arguments: tuple[str, ...], complaint: str, code: int
 ) -> None:
     done = CliRunner().invoke(app, ["replay", str(GOLDEN / "qsmc.mcap"), *arguments])
@@ -557,7 +561,7 @@ def test_a_what_if_that_makes_no_sense_is_refused(
     assert complaint in " ".join(done.stderr.split())
 
 
-def test_an_open_loop_run_has_nothing_to_ask_another_law() -> None:
+def test_a_what_if_on_an_open_loop_run_is_refused() -> None:
     done = CliRunner().invoke(
         app, ["replay", str(GOLDEN / "steps.mcap"), "--set", "controller.eta=0"]
     )

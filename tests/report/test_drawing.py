@@ -1,4 +1,4 @@
-"""Plots: all extremes are drawn, and everything is in its place."""
+"""Plots draw all extremes, at the right positions."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_step_line_holds_its_value_until_the_next():
 
 
 @given(st.floats(-1e9, 1e9), st.floats(1e-9, 1e9), st.integers(3, 10))
-def test_ticks_are_round_rising_within_the_axis_and_tell_themselves_apart(low, span, about):
+def test_ticks_are_round_and_rising_and_distinct_and_within_the_axis(low, span, about):
     scale = Scale(low, low + span)
     if not scale.high - scale.low > 1e-9 * max(abs(low), 1.0):
         return
@@ -109,7 +109,7 @@ def test_a_nice_step_is_one_two_or_five_times_a_power_of_ten(rough):
     ("data", "low", "high"),
     [([], 0.0, 1.0), ([np.nan, np.inf], 0.0, 1.0), ([0.0, 0.0], -1.0, 1.0), ([20.0], 19.0, 21.0)],
 )
-def test_an_axis_without_extent_still_has_one(data, low, high):
+def test_an_axis_for_a_constant_gets_an_extent(data, low, high):
     scale = fit_scale(PlotAxis("x"), [np.array(data)])
     assert (scale.low, scale.high) == (low, high)
 
@@ -121,12 +121,12 @@ def test_a_log_axis_leaves_out_what_it_cannot_show():
     assert [tick.text for tick in scale.ticks()] == ["1", "10", "100", "1000"]
 
 
-def test_numbers_far_from_zero_keep_the_digits_that_tell_them_apart():
+def test_numbers_far_from_zero_keep_the_digits_that_distinguish_them():
     assert format_tick(101_325.25, 0.25 / 5, 101_325.25) == "101325.25"
     assert format_tick(-0.5, 0.5, 1.0) == "\N{MINUS SIGN}0.5"
 
 
-def test_hostile_texts_stay_texts_everywhere():
+def test_hostile_texts_are_escaped_everywhere():
     page = Page(HOSTILE, HOSTILE)
     page.section(HOSTILE)
     page.heading(HOSTILE)

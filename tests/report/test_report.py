@@ -87,7 +87,7 @@ def test_the_figures_of_the_page_are_those_of_the_run(minute):
     assert f"{np.sqrt(np.mean(error_um**2)):.1f}</td>" in html
 
 
-def test_a_trip_is_told_with_its_reason_and_its_time(tripped):
+def test_a_trip_is_shown_with_its_reason_and_its_time(tripped):
     html = page_of(tripped)
     assert "Ended with exit code 4" in html
     at_s = read(tripped)["t_s"][-1] - read(tripped)["t_s"][name_runs([read(tripped)])[0].shown][0]
@@ -101,7 +101,7 @@ def test_an_open_loop_log_has_no_law_and_says_that_nothing_was_tracked(square):
     assert ">Displacement <" in html
 
 
-def test_an_imported_log_shows_what_it_has_and_its_source_stays_a_text(imported):
+def test_an_imported_log_shows_its_signals_and_its_source_is_escaped(imported):
     html = page_of(imported)
     assert ">Pressure <" in html
     assert ">Displacement <" not in html
@@ -130,7 +130,7 @@ def test_several_runs_share_a_page_a_time_axis_and_a_table_of_what_differs(minut
     assert html.count(">Displacement <") == 3  # three experiments, three time axes
 
 
-def test_gains_that_changed_in_the_run_are_told_with_their_time(square):
+def test_changed_gains_are_shown_with_their_time(square):
     log = read(square)
     later = {**log.gains[0], "lambda_per_s": 12.5, "tick": 3000}
     html = compose_report([type(log)(**{**vars(log), "gains": [log.gains[0], later]})]).html()
@@ -146,7 +146,7 @@ def test_a_run_that_never_tracked_does_not_hide_one_that_did(tripped, folder):
     assert "axis cuts the error" not in page_of(tripped)
 
 
-def test_logs_of_the_same_name_are_told_apart_by_their_folders(folder, square):
+def test_logs_of_the_same_name_are_distinguished_by_their_folders(folder, square):
     twin = folder / "elsewhere"
     twin.mkdir()
     (twin / square.name).write_bytes(square.read_bytes())
@@ -173,7 +173,7 @@ def test_the_command_names_the_page_and_its_size(folder, square):
 
 
 @pytest.mark.parametrize("which", ["minute", "tripped", "imported"])
-def test_a_phone_shows_the_page_without_complaint_and_without_scrolling_sideways(
+def test_a_phone_shows_the_page_without_errors_and_without_scrolling_sideways(
     which, request, tmp_path
 ):
     page = tmp_path / "report.html"
@@ -187,7 +187,7 @@ def test_a_phone_shows_the_page_without_complaint_and_without_scrolling_sideways
     assert found["smallest"] >= 11.0  # px: a plot's words keep their size
 
 
-def test_the_look_sees_what_is_wrong_with_a_page(tmp_path):
+def test_the_browser_check_finds_faults_of_a_page(tmp_path):
     page = tmp_path / "report.html"
     wrong = Page("wrong")
     wrong.figure(SvgPlot("p", PlotAxis("x"), PlotAxis("y")).line([0.0, 1.0], [0.0, 1.0]))

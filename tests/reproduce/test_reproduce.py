@@ -33,7 +33,7 @@ def numbers(whole: Path) -> dict[str, Any]:
     return found
 
 
-def test_the_numbers_are_those_of_a_run_that_begins_at_once(numbers, tmp_path):
+def test_the_numbers_are_those_of_a_run_that_starts_at_once(numbers, tmp_path):
     """The real loop, process and log instead of the compiled batch."""
     log = tmp_path / "run.mcap"
     begin_at_once = ["rig.homing.enabled=false", "rig.calibration.sensor_zero_v=0.215"]
@@ -62,7 +62,7 @@ def test_the_printed_smc_trips_and_without_the_limit_it_is_off_by_millimetres(nu
     assert found["SMC as printed, no limit"]["max_m"] > 10e-3
 
 
-def test_the_papers_values_stand_beside_as_the_paper_prints_them(numbers):
+def test_the_values_of_the_paper_appear_as_printed(numbers):
     assert {
         (experiment, law, row["max_m"], row["rms_m"])
         for experiment, laws in numbers["table4"]["paper"].items()
@@ -70,7 +70,7 @@ def test_the_papers_values_stand_beside_as_the_paper_prints_them(numbers):
     } == {(row.experiment, row.law, row.merit.max_m, row.merit.rms_m) for row in TABLE_IV}
 
 
-def test_the_squares_fill_to_the_tank_and_vent_to_the_air_until_they_are_too_fast(numbers):
+def test_slow_squares_reach_tank_and_atmospheric_pressure_and_fast_ones_do_not(numbers):
     slow, fast = (numbers["fig3"][f]["paper"] for f in ("0.25", "2"))
     assert slow["pressure_high_pa"] == pytest.approx(441.3e3, rel=1e-6)
     assert slow["position_low_m"] == pytest.approx(0.0, abs=1e-9)
@@ -81,7 +81,7 @@ def test_the_squares_fill_to_the_tank_and_vent_to_the_air_until_they_are_too_fas
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_each_part_can_be_had_alone(part, tmp_path):
+def test_each_part_can_be_made_alone(part, tmp_path):
     command = ["reproduce", part, "--out", str(tmp_path), "--json"]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
@@ -96,7 +96,7 @@ def test_an_unknown_part_is_refused_and_leaves_nothing_behind(tmp_path):
     assert not (tmp_path / "x").exists()
 
 
-def test_a_seed_that_no_noise_has_is_refused_and_leaves_nothing_behind(tmp_path):
+def test_an_invalid_seed_is_refused_and_leaves_nothing_behind(tmp_path):
     out = tmp_path / "out"
     result = CliRunner().invoke(app, ["reproduce", "fig3", "--seed", "-1", "--out", str(out)])
     assert result.exit_code == 2

@@ -180,7 +180,7 @@ def test_an_unknown_or_missing_tag_of_a_union_lists_the_choices() -> None:
     ]
 
 
-def test_a_rule_between_keys_speaks_for_itself_at_the_mapping() -> None:
+def test_a_rule_between_keys_is_reported_at_the_mapping() -> None:
     assert toy_problems(f"{SLIDING}limits:\n  low_m: 1\n  high_m: 0\n") == [
         "my.yaml:4:1: limits: low_m must lie below high_m"
     ]
@@ -280,7 +280,9 @@ def test_an_override_takes_a_scalar_or_a_flow_value_and_makes_the_mappings_on_it
         ("controller..x=1", "must read KEY=VALUE, as in controller.lambda_per_s=12"),
     ],
 )
-def test_a_bad_override_is_blamed_itself_and_not_the_file(override: str, problem: str) -> None:
+def test_a_bad_override_is_reported_as_the_override_and_not_as_the_file(
+    override: str, problem: str
+) -> None:
     (said,) = toy_problems(f"{SLIDING}steps: []\n", override)
     assert said.startswith(f"--set {override}: {problem}")
 
@@ -330,7 +332,7 @@ def test_the_committed_schema_equals_the_generated_one() -> None:
     )
 
 
-def test_every_reference_within_the_schema_leads_somewhere() -> None:
+def test_every_reference_within_the_schema_resolves() -> None:
     text = json.dumps(build_config_schema())
     used = {part.split('"')[0] for part in text.split('"#/$defs/')[1:]}
     assert used <= set(build_config_schema()["$defs"])
@@ -353,15 +355,15 @@ def _models(model: type[BaseModel], seen: set[type[BaseModel]]) -> set[type[Base
     return seen
 
 
-def test_where_none_is_allowed_it_is_the_default_so_that_it_need_not_be_written() -> None:
+def test_none_is_the_default_wherever_it_is_allowed() -> None:
     for model in _models(RunSettings, set()):
         for name, field in model.model_fields.items():
             if type(None) in getattr(field.annotation, "__args__", ()):
                 assert field.default is None, f"{model.__name__}.{name}"
 
 
-def test_the_default_of_a_nested_model_is_that_models_own() -> None:
-    """Or an override of one of its keys would silently change the others."""
+def test_the_default_of_a_nested_model_is_its_own_default() -> None:
+    """Otherwise an override of one of its keys would silently change the others."""
     for model in _models(RunSettings, set()):
         for name, field in model.model_fields.items():
             default = field.get_default(call_default_factory=True, validated_data={})
@@ -377,7 +379,7 @@ def test_every_settings_model_is_frozen_and_refuses_unknown_keys() -> None:
 # --- resolving a run ---------------------------------------------------------------------
 
 
-def test_a_run_told_nothing_is_the_default_run_and_comes_back_equal_from_its_log() -> None:
+def test_a_run_without_options_is_the_default_run_and_comes_back_equal_from_its_log() -> None:
     run = resolve()
     assert run == from_resolved(settings_to_yaml(run)) == from_resolved(settings_to_json(run))
     assert run.seed == 0
@@ -403,7 +405,7 @@ def test_options_and_overrides_reach_the_run() -> None:
     assert run.rig.safe_volts == 5
 
 
-def test_a_bad_option_is_blamed_by_its_name() -> None:
+def test_a_bad_option_is_reported_by_its_name() -> None:
     with pytest.raises(ConfigError) as caught:
         resolve(seed=-1, duration_s=0.0, rt="always")
     assert str(caught.value).splitlines() == [
@@ -449,7 +451,7 @@ def test_a_resolved_configuration_that_no_longer_fits_names_itself() -> None:
     assert "run.mcap: seed: must be at least 0 (got -1)" in str(caught.value).splitlines()
 
 
-def test_a_files_kind_is_told_by_its_folder_or_by_its_keys() -> None:
+def test_the_kind_of_a_file_follows_from_its_folder_or_its_keys() -> None:
     Path("rig").mkdir()
     for name, text in {
         "rig/mine.yaml": "backend: sim\n",
@@ -468,14 +470,13 @@ def test_a_files_kind_is_told_by_its_folder_or_by_its_keys() -> None:
         check_config_file(Path("what.yaml"))
 
 
-def test_a_file_with_its_sections_heading_is_told_to_drop_it() -> None:
+def test_a_file_with_the_heading_of_its_section_is_refused_with_the_fix() -> None:
     Path("plant").mkdir()
     Path("plant/mine.yaml").write_text("plant:\n  base: paper\n")
     with pytest.raises(ConfigError) as caught:
         check_config_file(Path("plant/mine.yaml"))
     assert str(caught.value) == (
-        "plant/mine.yaml:1:1: plant.plant: unknown key; "
-        "a plant's keys stand in its file without this heading"
+        "plant/mine.yaml:1:1: plant.plant: unknown key; the keys of a plant file have no heading"
     )
 
 
@@ -494,7 +495,7 @@ def config(*arguments: str) -> tuple[int, str, str]:
     return done.exit_code, done.stdout, done.stderr
 
 
-def test_config_check_says_ok_of_every_shipped_file() -> None:
+def test_config_check_accepts_every_shipped_file() -> None:
     code, out, err = config("check")
     assert code == 0
     assert err == ""
@@ -551,7 +552,7 @@ def test_config_show_knows_the_backend_as_run_does() -> None:
         ("experiment.kind=steps", "choose another file with --experiment"),
     ],
 )
-def test_a_law_a_backend_and_a_kind_of_experiment_belong_to_their_files(
+def test_an_override_cannot_change_the_law_or_backend_or_kind_of_a_file(
     override: str, says: str
 ) -> None:
     with pytest.raises(ConfigError) as caught:

@@ -66,7 +66,7 @@ def test_scalars_follow_the_core_schema_of_yaml_1_2(text: str, value: object) ->
 @pytest.mark.parametrize(
     "text", ["on", "off", "yes", "no", "y", "1:30", "1_000", "2026-01-01", "="]
 )
-def test_what_only_yaml_1_1_reads_otherwise_stays_text(text: str) -> None:
+def test_values_that_only_yaml_1_1_reads_otherwise_stay_text(text: str) -> None:
     assert parse_yaml_value(text) == text
     assert parse_yaml_value("!!str 1e-4") == "1e-4"
 
@@ -107,8 +107,8 @@ LADDER = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("a: 1\nb: 2\na: 3\n", "my.yaml:3:1: the key 'a' stands already in line 1"),
-        ("a: &x [*x]", "my.yaml:1:4: an alias refers to what it stands in"),
+        ("a: 1\nb: 2\na: 3\n", "my.yaml:3:1: the key 'a' is already defined in line 1"),
+        ("a: &x [*x]", "my.yaml:1:4: an alias refers to a value that contains it"),
         ("a: !gain 1", "my.yaml:1:4: the tag '!gain' is not allowed here"),
         ("a: !!python/name:os.system", "my.yaml:1:4: the tag '!!python/name:os.system' is not"),
         ("", "my.yaml: the file is empty"),
@@ -119,7 +119,7 @@ LADDER = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1
         (b"a: 1\nb: 20 \xb5m\n", "my.yaml: line 2 is not UTF-8 text (byte 0xb5); save"),
         ("a: 1\n".encode("utf-16"), "my.yaml: line 1 is not UTF-8 text (byte 0xff); save"),
         ("a: \x07", "my.yaml: character 4 is a control character"),
-        ("a: 1\n---\nb: 2\n", "my.yaml:2:1: only one document may stand in a file"),
+        ("a: 1\n---\nb: 2\n", "my.yaml:2:1: a file may hold only one document"),
         ("a: b: 1\n", "my.yaml:1:5: a second ':' in one line"),
         ("a: [1, 2", "my.yaml:1:9: a bracket or brace is never closed"),
         ("a: 'x", "my.yaml:1:6: a quote is never closed"),
@@ -154,7 +154,7 @@ def test_a_huge_file_is_refused_without_being_read(tmp_path: Path) -> None:
         load_yaml(path)
 
 
-def test_what_is_no_readable_file_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(YamlError, match="no such file"):
         load_yaml(tmp_path / "none.yaml")
     with pytest.raises(YamlError, match="is a directory, not a file"):
@@ -226,7 +226,7 @@ VALUES = st.recursive(
 
 @given(st.dictionaries(KEYS, VALUES, max_size=5))
 @settings(max_examples=200, deadline=None)
-def test_what_is_dumped_is_read_back_equal(data: dict[str, object]) -> None:
+def test_dumped_values_are_read_back_equal(data: dict[str, object]) -> None:
     assert parse_yaml(dump_yaml(data), HERE).data == data
 
 

@@ -130,7 +130,7 @@ def assert_same_to_the_bit(settings: RunSettings) -> tuple[Run, BatchRun]:
 
 @pytest.mark.parametrize("delay_ticks", [0, 1])
 @pytest.mark.parametrize("law", LAWS)
-def test_the_batch_is_the_loop_to_the_bit(folder: Path, law: str, delay_ticks: int) -> None:
+def test_the_batch_equals_the_loop_to_the_bit(folder: Path, law: str, delay_ticks: int) -> None:
     real, compiled = assert_same_to_the_bit(
         settled(folder, law, f"rig.sim.output_delay_ticks={delay_ticks}")
     )
@@ -144,7 +144,7 @@ def test_the_batch_is_the_loop_to_the_bit(folder: Path, law: str, delay_ticks: i
     assert 200.0 < noise_pa.std() < 400.0
 
 
-def test_so_is_an_open_loop_run_with_a_lagging_valve(folder: Path) -> None:
+def test_the_batch_equals_an_open_loop_run_with_a_lagging_valve(folder: Path) -> None:
     real, compiled = assert_same_to_the_bit(
         settled(folder, "qsmc", experiment="square", plant="paper-valve109")
     )
@@ -153,11 +153,15 @@ def test_so_is_an_open_loop_run_with_a_lagging_valve(folder: Path) -> None:
     assert np.isnan(compiled["error_m"]).all()
 
 
-def test_so_is_a_run_whose_period_is_no_whole_number_of_microseconds(folder: Path) -> None:
+def test_the_batch_equals_a_run_whose_period_is_not_a_whole_number_of_microseconds(
+    folder: Path,
+) -> None:
     assert_same_to_the_bit(settled(folder, "qsmc", "rig.loop.rate_hz=3000", experiment="square"))
 
 
-def test_so_is_a_run_that_starts_at_a_voltage_that_the_converter_must_round(folder: Path) -> None:
+def test_the_batch_equals_a_run_that_starts_at_a_voltage_that_the_converter_must_round(
+    folder: Path,
+) -> None:
     assert_same_to_the_bit(
         settled(
             folder,
@@ -169,7 +173,7 @@ def test_so_is_a_run_that_starts_at_a_voltage_that_the_converter_must_round(fold
     )
 
 
-def test_a_trip_ends_both_in_the_same_tick(folder: Path) -> None:
+def test_a_trip_ends_batch_and_loop_in_the_same_tick(folder: Path) -> None:
     real, compiled = assert_same_to_the_bit(
         settled(folder, "qsmc", "rig.limits.tracking_error_mm=0.02")
     )

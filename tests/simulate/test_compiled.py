@@ -1,4 +1,4 @@
-"""The machine-code twins of the kernels: the same values, and stale code never."""
+"""The machine-code twins of the kernels give the same values, and are never stale."""
 
 from __future__ import annotations
 
@@ -66,14 +66,14 @@ def test_a_kernel_that_another_one_calls_can_be_called_from_python_too() -> None
 
 
 def test_a_twin_raises_where_the_kernel_does() -> None:
-    """Numba's own way would be a silent infinity."""
+    """Numba's default would be a silent infinity."""
     p = plant_parameters(PlantSettings())
     for flow in (orifice_flow, compile_kernel(orifice_flow)):
         with pytest.raises(ZeroDivisionError):
             flow(p.paper, 0.0, 1e5)
 
 
-def test_compiling_leaves_the_plain_function_plain() -> None:
+def test_compiling_does_not_change_the_plain_function() -> None:
     before = advance_plant.__globals__["plant_step"]
     compile_kernel(advance_plant)
     assert advance_plant.__globals__["plant_step"] is before
@@ -123,7 +123,7 @@ def test_the_cache_is_keyed_by_every_source_that_a_kernel_can_depend_on(checkout
     assert len(seen) == 5
 
 
-def test_what_no_kernel_can_reach_leaves_the_cache_alone(checkout: Path) -> None:
+def test_sources_that_no_kernel_uses_do_not_change_the_cache(checkout: Path) -> None:
     before = digest(checkout)
     for changed in ("pamctl/cli/rig/run.py", "pamctl/log/writer.py"):
         with (checkout / changed).open("a") as source:
@@ -188,7 +188,7 @@ def test_the_next_process_finds_the_machine_code_unless_a_called_kernel_changed(
 
 
 def test_the_loop_process_imports_nothing_heavy() -> None:
-    """It starts in a blink, and a page fault of a megabyte of machine code cannot hit a tick."""
+    """It starts fast, and no page fault of compiled code can delay a tick."""
     heavy = {"numba", "llvmlite", "scipy", "numpy", "nidaqmx", "mcap", "matplotlib"}
     code = f"import sys, pamctl.processes.loop_main; print(sorted({heavy} & sys.modules.keys()))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

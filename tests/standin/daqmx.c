@@ -8,6 +8,7 @@
 #include "device.h"
 
 #include <math.h>
+#include <pthread.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -18,6 +19,7 @@
 
 typedef void *TaskHandle;
 typedef uint32_t bool32;
+typedef double float64; /* of an array */
 
 /* Names as in nidaqmx.error_codes.DAQmxErrors. */
 enum {
@@ -35,18 +37,25 @@ enum {
     CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK = -200478,
     CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING = -200479,
     INVALID_AO_DATA_WRITE = -200561,
+    HW_TIMED_SINGLE_POINT_AO_AND_DATA_XFER_NOT_PROG_IO = -200769,
+    CTR_HW_TIMED_SINGLE_POINT_AND_DATA_XFER_NOT_PROG_IO = -200842,
     CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING = -200846,
+    HW_TIMED_SINGLE_POINT_AND_DATA_XFER_NOT_PROG_IO = -200996,
     DEV_CANNOT_BE_ACCESSED = -201003,
 };
 
 /* Names as in nidaqmx.constants, the class before the double underscore. */
 enum {
+    AcquisitionType__FINITE = 10178,
     AcquisitionType__HW_TIMED_SINGLE_POINT = 12522,
     BusType__PCI = 12582,
     BusType__USB = 12586,
     ChannelType__ANALOG_INPUT = 10100,
     ChannelType__ANALOG_OUTPUT = 10102,
     ChannelType__COUNTER_INPUT = 10131,
+    DataTransferActiveTransferMode__DMA = 10054,
+    DataTransferActiveTransferMode__INTERRUPT = 10204,
+    DataTransferActiveTransferMode__POLLED = 10264,
     EncoderType__X_1 = 10090,
     EncoderType__X_2 = 10091,
     EncoderType__X_4 = 10092,
@@ -65,6 +74,10 @@ enum {
     TerminalConfiguration__NRSE = 10078,
     TerminalConfiguration__RSE = 10083,
     VoltageUnits__VOLTS = 10348,
+    WaitMode__POLL = 12524,
+    WaitMode__SLEEP = 12547,
+    WaitMode__WAIT_FOR_INTERRUPT = 12523,
+    WaitMode__YIELD = 12525,
 };
 
 typedef struct Task {
@@ -77,9 +90,14 @@ typedef struct Task {
     Resource resource;
     bool is_running;
     int64_t period_ns; /* of the sample clock; 0: on demand */
+    bool is_finite;    /* a buffer is filled from the start on, and read when it is full */
+    int64_t start_ns;
+    double start_v; /* of AO 0 */
     double lowest, highest; /* of the channel, V */
     double full_scale_v;
     int32_t terminal;
+    int32_t transfer;  /* a DataTransferActiveTransferMode */
+    int32_t wait_mode; /* a WaitMode */
     int32_t decoding;
     int32_t units;
     double metres_per_pulse;
@@ -87,12 +105,14 @@ typedef struct Task {
     double filter_s[2]; /* of inputs A and B */
     bool32 filter_is_on[2];
     bool32 z_resets;
+    int pfi[2]; /* the PFI lines of inputs A and B */
 } Task;
 
 static Task *tasks;
 static int64_t last_task_id;
 static char last_channel[64];
 static __thread int32_t last_error;
+static __thread char last_detail[512]; /* the lines below the message; empty for most errors */
 
 /* --- entering and leaving a call --- */
 
@@ -105,6 +125,7 @@ static int32_t outcome(int32_t code)
 
 static int32_t enter(const char *function, double timeout_s)
 {
+    last_detail[0] = 0;
     if (!device_attach())
         return outcome(INVALID_DEVICE_ID);
     int32_t fault = outcome(device_fault(function, timeout_s));
@@ -132,6 +153,16 @@ static Task *task_of(TaskHandle handle)
     while (task && task != handle)
         task = task->next;
     return task;
+}
+
+/* In NI's form: the property, what was asked of it, and what it offers. */
+static int32_t refuse_value(const Task *task, const char *property, const char *requested,
+                            const char *offered)
+{
+    snprintf(last_detail, sizeof last_detail,
+             "Property: %s\nRequested Value: %s\nYou Can Select: %s\n\nTask Name: %s\n\n", property,
+             requested, offered, task->name);
+    return INVALID_ATTRIBUTE_VALUE;
 }
 
 /* --- text and arrays: asked with no room, a getter says how much it needs --- */
@@ -166,6 +197,28 @@ static int32_t list_channels(const char *kind, int count, char *buffer, uint32_t
     return put_text(list, buffer, size);
 }
 
+/* --- threads of its own, as a driver library may start them --- */
+
+static void *idle(void *nothing)
+{
+    for (;;)
+        pause();
+    return nothing;
+}
+
+/* How many: STANDIN_THREADS, or four. They inherit what the calling thread is bound to. */
+static void start_idle_threads(void)
+{
+    const char *wanted = getenv("STANDIN_THREADS");
+    for (int count = wanted ? atoi(wanted) : 4; count > 0; count--) {
+        pthread_t thread;
+        if (pthread_create(&thread, NULL, idle, NULL) == 0)
+            pthread_detach(thread);
+    }
+}
+
+static pthread_once_t idle_threads = PTHREAD_ONCE_INIT;
+
 /* --- tasks --- */
 
 static int32_t create_task(const char *name, TaskHandle *handle)
@@ -175,6 +228,8 @@ static int32_t create_task(const char *name, TaskHandle *handle)
             return DUPLICATE_TASK;
     Task *task = calloc(1, sizeof *task);
     task->id = ++last_task_id;
+    task->transfer = DataTransferActiveTransferMode__DMA;
+    task->wait_mode = WaitMode__POLL;
     snprintf(task->name, sizeof task->name, "%s", name);
     if (!*name)
         snprintf(task->name, sizeof task->name, "_unnamedTask<%d>", (int)task->id);
@@ -186,6 +241,7 @@ static int32_t create_task(const char *name, TaskHandle *handle)
 
 EXPORT int32_t DAQmxCreateTask(const char *name, TaskHandle *handle)
 {
+    pthread_once(&idle_threads, start_idle_threads);
     CALL(0.0, create_task(name, handle));
 }
 
@@ -210,14 +266,40 @@ static int32_t reserve(Task *task)
     return device_reserve(task->resource, task->id) ? 0 : PAL_RESOURCE_RESERVED;
 }
 
+/* 1 as wired, -1 with A and B crossed, 0 where the encoder is on other lines. */
+static int wired_sign(const Task *task)
+{
+    const int64_t *line = device_attach()->encoder_pfi;
+    return task->pfi[0] == line[0] && task->pfi[1] == line[1]   ? 1
+           : task->pfi[0] == line[1] && task->pfi[1] == line[0] ? -1
+                                                                : 0;
+}
+
 static void start_counter(const Task *task)
 {
     bool in_ticks = task->units == LengthUnits__TICKS;
     double per_count = in_ticks ? 1.0 : counter_resolution(task);
     double filter_s = fmax(task->filter_is_on[0] ? task->filter_s[0] : 0.0,
                            task->filter_is_on[1] ? task->filter_s[1] : 0.0);
-    counter_start((int64_t)(task->initial_position / per_count), edges_per_count(task), filter_s,
-                  task->z_resets);
+    int sign = wired_sign(task);
+    counter_start((int64_t)(task->initial_position / per_count),
+                  (sign ? sign : 1) * edges_per_count(task), filter_s, task->z_resets);
+    device_attach()->counter_runs = sign != 0;
+}
+
+/* Single points are read and written by the processor itself: programmed I/O. */
+static int32_t check_transfer(const Task *task)
+{
+    if (!task->period_ns || task->is_finite || task->transfer == DataTransferActiveTransferMode__POLLED)
+        return 0;
+    switch (task->type) {
+    case ChannelType__ANALOG_OUTPUT:
+        return HW_TIMED_SINGLE_POINT_AO_AND_DATA_XFER_NOT_PROG_IO;
+    case ChannelType__COUNTER_INPUT:
+        return CTR_HW_TIMED_SINGLE_POINT_AND_DATA_XFER_NOT_PROG_IO;
+    default:
+        return HW_TIMED_SINGLE_POINT_AND_DATA_XFER_NOT_PROG_IO;
+    }
 }
 
 static int32_t start(Task *task)
@@ -225,14 +307,22 @@ static int32_t start(Task *task)
     int32_t code = reserve(task);
     if (code || task->is_running)
         return code;
+    code = check_transfer(task);
+    if (code)
+        return code;
     task->is_running = true;
     device_note_move(task->resource, true);
+    task->start_ns = device_now_ns();
+    task->start_v = device_attach()->ao_v[0];
+    if (task->resource == RESOURCE_AO0)
+        device_glitch();
     if (task->resource == RESOURCE_CTR0)
         start_counter(task);
     if (task->resource == RESOURCE_AI) {
         device_attach()->ai_terminal = task->terminal;
         device_attach()->ai_full_scale_v = task->full_scale_v;
-        if (task->period_ns)
+        device_attach()->ai_wait_mode = task->wait_mode;
+        if (task->period_ns && !task->is_finite)
             clock_start(task->period_ns);
     }
     return 0;
@@ -246,7 +336,7 @@ static int32_t unreserve(Task *task)
         device_note_move(task->resource, false);
         if (task->resource == RESOURCE_CTR0)
             device_attach()->counter_runs = 0;
-        if (task->resource == RESOURCE_AI && task->period_ns)
+        if (task->resource == RESOURCE_AI && task->period_ns && !task->is_finite)
             clock_stop();
     }
     /* An analog output keeps the voltage it has. */
@@ -430,6 +520,9 @@ static int32_t create_encoder(Task *task, const char *physical, const char *name
     task->resource = RESOURCE_CTR0 + (Resource)number;
     task->decoding = decoding;
     task->z_resets = z_resets;
+    /* What the two connector variants route to a counter by themselves. */
+    static const int DEFAULTS[2][COUNTERS][2] = {{{8, 10}, {3, 11}}, {{0, 2}, {3, 5}}};
+    memcpy(task->pfi, DEFAULTS[device_attach()->has_37_pins][number], sizeof task->pfi);
     task->units = units;
     task->metres_per_pulse = per_pulse;
     task->initial_position = initial;
@@ -466,8 +559,15 @@ static int32_t clock_task(Task *task, const char *source, double rate_hz, int32_
     snprintf(clock, sizeof clock, "/%s/ai/SampleClock", device_attach()->name);
     if (!is_master && !*source) /* a counter has no clock of its own */
         return EXT_SAMP_CLK_SRC_NOT_SPECIFIED;
+    if (mode == AcquisitionType__FINITE && is_master && rate_hz > 0.0 && rate_hz <= 250e3) {
+        task->is_finite = true;
+        task->period_ns = (int64_t)llround(1e9 / rate_hz);
+        return 0;
+    }
+    if (device_attach()->bus == BusType__USB)
+        return refuse_value(task, "DAQmx_SampQuant_SampMode", "DAQmx_Val_HWTimedSinglePoint",
+                            "DAQmx_Val_FiniteSamps, DAQmx_Val_ContSamps");
     if (mode != AcquisitionType__HW_TIMED_SINGLE_POINT || !(rate_hz > 0.0) ||
-        device_attach()->bus == BusType__USB ||
         strcmp(source, is_master ? "" : clock) != 0)
         return INVALID_ATTRIBUTE_VALUE;
     task->period_ns = (int64_t)llround(1e9 / rate_hz);
@@ -532,6 +632,27 @@ EXPORT int32_t DAQmxReadAnalogScalarF64(TaskHandle handle, double timeout, doubl
 {
     (void)reserved;
     CALL(timeout, read_voltage(task_of(handle), timeout, value));
+}
+
+/* Of a finite task whose input is wired to AO 0: what that put out since the task started. */
+static int32_t read_buffer(const Task *task, int32_t count, double *values, uint32_t size)
+{
+    if (!task || !task->is_finite || !task->is_running || count < 0 || size < (uint32_t)count)
+        return INVALID_TASK;
+    bool is_wired = number_of(task->physical, "ai", AI_CHANNELS) == device_attach()->loopback_ai;
+    for (int32_t i = 0; i < count; i++) {
+        int64_t then_ns = task->start_ns + i * task->period_ns;
+        values[i] = is_wired ? device_output_v(task->start_ns, task->start_v, then_ns) : 0.0;
+    }
+    return 0;
+}
+
+EXPORT int32_t DAQmxReadAnalogF64(TaskHandle handle, int32_t count, double timeout, int32_t fill,
+                                  float64 *values, uint32_t size, int32_t *read, bool32 *reserved)
+{
+    (void)fill, (void)reserved;
+    *read = count;
+    CALL(timeout, read_buffer(task_of(handle), count, values, size));
 }
 
 static int32_t counted(const Task *task, void *value)
@@ -624,6 +745,18 @@ static int32_t put_string(const char *text, va_list into)
     return put_text(text, buffer, va_arg(into, uint32_t));
 }
 
+static int pfi_lines(void)
+{
+    return device_attach()->has_37_pins ? 8 : 16;
+}
+
+static int32_t put_terminal(const Task *task, int input, va_list into)
+{
+    char terminal[80];
+    snprintf(terminal, sizeof terminal, "/%s/PFI%d", device_attach()->name, task->pfi[input]);
+    return put_string(terminal, into);
+}
+
 static int32_t channel_attribute(const Task *task, int32_t attribute, va_list into)
 {
     if (!task)
@@ -645,6 +778,10 @@ static int32_t channel_attribute(const Task *task, int32_t attribute, va_list in
         return put_double(-task->full_scale_v, into);
     case 0x1815: /* AI range, high */
         return put_double(task->full_scale_v, into);
+    case 0x1821: /* AI data transfer */
+    case 0x134:  /* AO */
+    case 0x200:  /* CI */
+        return put_int(task->transfer, into);
     case 0x21E6: /* encoder decoding */
         return put_int(task->decoding, into);
     case 0x890: /* index enable */
@@ -657,6 +794,9 @@ static int32_t channel_attribute(const Task *task, int32_t attribute, va_list in
     case 0x21FC: /* its shortest pulse */
     case 0x2201:
         return put_double(task->filter_s[attribute == 0x2201], into);
+    case 0x219D: /* input A */
+    case 0x219E: /* input B */
+        return put_terminal(task, attribute == 0x219E, into);
     case 0x148: /* count */
         device_catch_up();
         return put_int((int32_t)device_attach()->counter, into);
@@ -685,7 +825,38 @@ static int32_t set_filter_width(Task *task, int input, double width_s)
             task->filter_s[input] = width_s;
             return 0;
         }
-    return INVALID_ATTRIBUTE_VALUE;
+    char requested[32];
+    snprintf(requested, sizeof requested, "%g", width_s);
+    return refuse_value(task,
+                        input ? "DAQmx_CI_Encoder_BInput_DigFltr_MinPulseWidth"
+                              : "DAQmx_CI_Encoder_AInput_DigFltr_MinPulseWidth",
+                        requested, "125.0e-9, 6.425e-6, 2.55e-3");
+}
+
+static int32_t set_terminal(Task *task, int input, const char *terminal)
+{
+    char known[80];
+    for (int line = 0; line < pfi_lines(); line++) {
+        snprintf(known, sizeof known, "/%s/PFI%d", device_attach()->name, line);
+        if (strcmp(terminal, known) == 0) {
+            task->pfi[input] = line;
+            return 0;
+        }
+    }
+    return refuse_value(task,
+                        input ? "DAQmx_CI_Encoder_BInputTerm" : "DAQmx_CI_Encoder_AInputTerm",
+                        terminal, pfi_lines() == 8 ? "PFI0 to PFI7" : "PFI0 to PFI15");
+}
+
+static int32_t set_transfer(Task *task, const char *property, int32_t transfer)
+{
+    bool is_known = transfer == DataTransferActiveTransferMode__DMA ||
+                    transfer == DataTransferActiveTransferMode__INTERRUPT ||
+                    transfer == DataTransferActiveTransferMode__POLLED;
+    if (!is_known || (device_attach()->transfer_is_fixed && transfer != task->transfer))
+        return refuse_value(task, property, "DAQmx_Val_ProgrammedIO", "DAQmx_Val_DMA");
+    task->transfer = transfer;
+    return 0;
 }
 
 static int32_t set_channel_attribute(Task *task, int32_t attribute, va_list from)
@@ -702,6 +873,15 @@ static int32_t set_channel_attribute(Task *task, int32_t attribute, va_list from
     case 0x21FC:
     case 0x2201:
         return set_filter_width(task, attribute == 0x2201, va_arg(from, double));
+    case 0x219D:
+    case 0x219E:
+        return set_terminal(task, attribute == 0x219E, va_arg(from, const char *));
+    case 0x1821:
+        return set_transfer(task, "DAQmx_AI_DataXferMech", va_arg(from, int32_t));
+    case 0x134:
+        return set_transfer(task, "DAQmx_AO_DataXferMech", va_arg(from, int32_t));
+    case 0x200:
+        return set_transfer(task, "DAQmx_CI_DataXferMech", va_arg(from, int32_t));
     default:
         return ATTR_NOT_SUPPORTED;
     }
@@ -715,6 +895,56 @@ EXPORT int32_t DAQmxSetChanAttribute(TaskHandle handle, const char *channel, int
     int32_t fault = enter(__func__, 0.0);
     int32_t code =
         fault < 0 ? fault : leave(set_channel_attribute(task_of(handle), attribute, from), fault);
+    va_end(from);
+    return code;
+}
+
+static int32_t read_attribute(const Task *task, int32_t attribute, va_list into)
+{
+    if (!task)
+        return INVALID_TASK;
+    switch (attribute) {
+    case 0x2232: /* wait mode */
+        return put_int(task->wait_mode, into);
+    case 0x217B: /* number of channels */
+        return put_int(1, into);
+    default:
+        return ATTR_NOT_SUPPORTED;
+    }
+}
+
+EXPORT int32_t DAQmxGetReadAttribute(TaskHandle handle, int32_t attribute, ...)
+{
+    va_list into;
+    va_start(into, attribute);
+    int32_t fault = enter(__func__, 0.0);
+    int32_t code =
+        fault < 0 ? fault : leave(read_attribute(task_of(handle), attribute, into), fault);
+    va_end(into);
+    return code;
+}
+
+static int32_t set_read_attribute(Task *task, int32_t attribute, va_list from)
+{
+    if (!task)
+        return INVALID_TASK;
+    if (attribute != 0x2232)
+        return ATTR_NOT_SUPPORTED;
+    int32_t mode = va_arg(from, int32_t);
+    if (mode != WaitMode__POLL && mode != WaitMode__SLEEP && mode != WaitMode__YIELD &&
+        mode != WaitMode__WAIT_FOR_INTERRUPT)
+        return INVALID_ATTRIBUTE_VALUE;
+    task->wait_mode = mode;
+    return 0;
+}
+
+EXPORT int32_t DAQmxSetReadAttribute(TaskHandle handle, int32_t attribute, ...)
+{
+    va_list from;
+    va_start(from, attribute);
+    int32_t fault = enter(__func__, 0.0);
+    int32_t code =
+        fault < 0 ? fault : leave(set_read_attribute(task_of(handle), attribute, from), fault);
     va_end(from);
     return code;
 }
@@ -769,13 +999,22 @@ static int32_t put_channels(va_list into, const char *kind, int count)
     return list_channels(kind, count, buffer, va_arg(into, uint32_t));
 }
 
+static int32_t list_terminals(va_list into)
+{
+    char list[640] = "";
+    for (int line = 0, used = 0; line < pfi_lines(); line++)
+        used += snprintf(list + used, sizeof list - (size_t)used, "%s/%s/PFI%d", line ? ", " : "",
+                         device_attach()->name, line);
+    return put_string(list, into);
+}
+
 static int32_t device_attribute(const char *device, int32_t attribute, va_list into)
 {
     if (strcmp(device, device_attach()->name) != 0 || device_attach()->is_gone)
         return INVALID_DEVICE_ID;
     switch (attribute) {
     case 0x631: /* product type */
-        return put_string("PCI-6221", into);
+        return put_string(device_attach()->has_37_pins ? "PCI-6221 (37-pin)" : "PCI-6221", into);
     case 0x29A9: /* product category */
         return put_int(ProductCategory__M_SERIES_DAQ, into);
     case 0x632: /* serial number */
@@ -792,6 +1031,8 @@ static int32_t device_attribute(const char *device, int32_t attribute, va_list i
         return put_channels(into, "ao", AO_CHANNELS);
     case 0x2324: /* CI channels */
         return put_channels(into, "ctr", COUNTERS);
+    case 0x2A40: /* terminals */
+        return list_terminals(into);
     case 0x2990: /* AI ranges */
         return put_ranges(into, INPUT_RANGES_V, 4);
     case 0x299B: /* AO ranges */
@@ -873,7 +1114,8 @@ EXPORT int32_t DAQmxSetRuntimeEnvironment(const char *environment, const char *v
 
 EXPORT int32_t DAQmxGetExtendedErrorInfo(char *buffer, uint32_t size)
 {
-    snprintf(buffer, size, "The stand-in driver says no.\n\nStatus Code: %d", last_error);
+    snprintf(buffer, size, "The stand-in driver says no.\n%s\nStatus Code: %d", last_detail,
+             last_error);
     return 0;
 }
 

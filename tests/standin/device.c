@@ -138,7 +138,35 @@ static void put_out(int ao, double volts, int64_t when_ns)
     Registers *r = registers;
     r->ao_v[ao] = converted_v(volts, 10.0);
     r->ao_ns = when_ns;
+    r->ao_history_ns[r->ao_writes % HISTORY] = when_ns;
     r->ao_history_v[r->ao_writes++ % HISTORY] = r->ao_v[ao];
+}
+
+void device_glitch(void)
+{
+    Registers *r = registers;
+    double before_v = r->ao_v[0];
+    if (!r->ao_glitch_ns)
+        return;
+    put_out(0, r->ao_glitch_v, device_now_ns());
+    if (r->is_virtual)
+        r->virtual_ns += r->ao_glitch_ns;
+    else
+        sleep_s((double)r->ao_glitch_ns * 1e-9);
+    put_out(0, before_v, device_now_ns());
+}
+
+double device_output_v(int64_t since_ns, double before_v, int64_t then_ns)
+{
+    Registers *r = registers;
+    int64_t oldest = r->ao_writes > HISTORY ? r->ao_writes - HISTORY : 0;
+    double volts = before_v;
+    for (int64_t n = oldest; n < r->ao_writes; n++) {
+        int64_t at_ns = r->ao_history_ns[n % HISTORY];
+        if (at_ns >= since_ns && at_ns <= then_ns)
+            volts = r->ao_history_v[n % HISTORY];
+    }
+    return volts;
 }
 
 static double uniform(void)
@@ -159,12 +187,26 @@ static double noise_v(void)
     return registers->noise_v * radius * cos(2.0 * M_PI * uniform());
 }
 
+/* An open input keeps its charge, and the input's own current moves it: NI promises no value. */
+static double floating_v(double full_scale_v)
+{
+    Registers *r = registers;
+    double drift_v = r->open_drift_v_per_s * (double)(r->plant_ns - r->open_ns) * 1e-9;
+    r->open_v = fmin(fmax(r->open_v + drift_v, -full_scale_v), full_scale_v);
+    r->open_ns = r->plant_ns;
+    return r->open_v;
+}
+
 static double sensed_v(int ai, double full_scale_v)
 {
     Registers *r = registers;
-    if (ai != 0 || r->wire_is_broken)
-        return 0.0;
+    if (ai != 0)
+        return r->loopback_ai == ai ? converted_v(r->ao_v[0], full_scale_v) : 0.0;
+    if (r->wire_is_broken)
+        return r->pull_down_is_missing ? converted_v(floating_v(full_scale_v), full_scale_v) : 0.0;
     double sensor_v = r->sensor_zero_v + (r->plant.pressure_pa - 101.3e3) / r->sensor_pa_per_v;
+    r->open_v = sensor_v;
+    r->open_ns = r->plant_ns;
     return converted_v(sensor_v + noise_v(), full_scale_v);
 }
 
@@ -235,7 +277,7 @@ int32_t clock_await(double timeout_s)
     Registers *r = registers;
     device_catch_up();
     int64_t deadline_ns = device_now_ns() + (int64_t)(timeout_s * 1e9);
-    while (!r->clock_runs || r->clock_edges == r->clock_read) {
+    while (!r->clock_runs || r->clock_edges <= r->clock_read + r->clock_skips) {
         int64_t now_ns = device_now_ns(), edge_ns = next_edge_ns();
         if (!r->clock_runs || edge_ns > deadline_ns) {
             wait_unlocked(r->is_virtual ? 0.0 : (double)(deadline_ns - now_ns) * 1e-9);
@@ -326,7 +368,7 @@ bool device_reserve(Resource resource, int64_t task)
     Owner *owner = &registers->owners[resource];
     if (device_owns(resource, task))
         return true;
-    if (owner->pid && device_owner_lives(resource))
+    if (owner->pid && (registers->keeps_dead_owners || device_owner_lives(resource)))
         return false;
     *owner = (Owner){getpid(), birth_of(getpid()), task};
     return true;

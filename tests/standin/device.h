@@ -55,13 +55,21 @@ typedef struct {
     int64_t ao_ns; /* when an output was last written */
     int64_t ao_writes;
     double ao_history_v[HISTORY]; /* the last writes, a ring: number n is at n % HISTORY */
+    int64_t ao_history_ns[HISTORY];
+    double ao_glitch_v; /* what AO 0 puts out when its task starts, for `ao_glitch_ns` */
+    int64_t ao_glitch_ns;
+    int64_t loopback_ai; /* the input that AO 0 is wired to; 0: none */
     double driver_offset_v;
     double driver_gain; /* V of command per V of output; -1: a valve plumbed the wrong way */
     double sensor_zero_v;
     double sensor_pa_per_v;
     double noise_v;
     int64_t noise_state;
-    int64_t wire_is_broken; /* the pressure input reads 0 V */
+    int64_t wire_is_broken; /* the pressure input is open: a pull-down takes it to 0 V */
+    int64_t pull_down_is_missing; /* an open input drifts from where it was */
+    double open_drift_v_per_s;
+    double open_v;     /* of the open input, at `open_ns` */
+    int64_t open_ns;
     int64_t ai_terminal;    /* of the input task that was started last */
     double ai_full_scale_v;
     double encoder_m_per_edge;
@@ -77,6 +85,7 @@ typedef struct {
     int64_t ticks_are_unsigned; /* how a read in ticks shows a count below zero */
     int64_t counter_maxdata; /* all bits of the counter as comedi shows it */
     int64_t encoder_pfi[2];  /* the PFI lines that A and B are wired to */
+    int64_t has_37_pins;     /* the variant with PFI 0 to 7 only */
     /* What the card's own codes are off by: ideal volts become `volts * gain + offset_v`. */
     double ai_gain;
     double ai_offset_v;
@@ -96,9 +105,13 @@ typedef struct {
     int64_t sampled_count;
     int64_t ao_is_pending[AO_CHANNELS]; /* a voltage waits for the next edge */
     double ao_pending_v[AO_CHANNELS];
+    int64_t clock_skips; /* edges that pass unseen before each one that a read returns */
+    int64_t ai_wait_mode; /* a WaitMode: of the input task that was started last */
+    int64_t transfer_is_fixed; /* the driver refuses to change how data are transferred */
     int64_t late_code; /* what a read says that comes after a missed edge; 0: nothing */
     int64_t moves;     /* starts and stops of tasks ever */
     int64_t move[HISTORY]; /* the last ones: a Resource + 1, negative for a stop */
+    int64_t keeps_dead_owners; /* a killed process's reservation stays until a reset */
     Owner owners[RESOURCES];
     Fault faults[FAULTS];
     int64_t mutex_is_ready;
@@ -115,6 +128,10 @@ void device_catch_up(void);
 void device_drive(int ao, double volts);
 /* The same, but at the next edge of the sample clock. */
 void device_drive_at_edge(int ao, double volts);
+/* AO 0 starts: its glitch, if it has one. */
+void device_glitch(void);
+/* What AO 0 was at a time not before `since_ns`, when it was `before_v`. */
+double device_output_v(int64_t since_ns, double before_v, int64_t then_ns);
 double device_sense_v(int ai, double full_scale_v);
 
 void clock_start(int64_t period_ns);

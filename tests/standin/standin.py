@@ -73,6 +73,10 @@ class Registers(ctypes.Structure):
         ("ao_ns", ctypes.c_int64),
         ("ao_writes", ctypes.c_int64),
         ("ao_history_v", ctypes.c_double * _HISTORY),
+        ("ao_history_ns", ctypes.c_int64 * _HISTORY),
+        ("ao_glitch_v", ctypes.c_double),
+        ("ao_glitch_ns", ctypes.c_int64),
+        ("loopback_ai", ctypes.c_int64),
         ("driver_offset_v", ctypes.c_double),
         ("driver_gain", ctypes.c_double),
         ("sensor_zero_v", ctypes.c_double),
@@ -80,6 +84,10 @@ class Registers(ctypes.Structure):
         ("noise_v", ctypes.c_double),
         ("noise_state", ctypes.c_int64),
         ("wire_is_broken", ctypes.c_int64),
+        ("pull_down_is_missing", ctypes.c_int64),
+        ("open_drift_v_per_s", ctypes.c_double),
+        ("open_v", ctypes.c_double),
+        ("open_ns", ctypes.c_int64),
         ("ai_terminal", ctypes.c_int64),
         ("ai_full_scale_v", ctypes.c_double),
         ("encoder_m_per_edge", ctypes.c_double),
@@ -95,6 +103,7 @@ class Registers(ctypes.Structure):
         ("ticks_are_unsigned", ctypes.c_int64),
         ("counter_maxdata", ctypes.c_int64),
         ("encoder_pfi", ctypes.c_int64 * 2),
+        ("has_37_pins", ctypes.c_int64),
         ("ai_gain", ctypes.c_double),
         ("ai_offset_v", ctypes.c_double),
         ("ao_gain", ctypes.c_double),
@@ -112,9 +121,13 @@ class Registers(ctypes.Structure):
         ("sampled_count", ctypes.c_int64),
         ("ao_is_pending", ctypes.c_int64 * 2),
         ("ao_pending_v", ctypes.c_double * 2),
+        ("clock_skips", ctypes.c_int64),
+        ("ai_wait_mode", ctypes.c_int64),
+        ("transfer_is_fixed", ctypes.c_int64),
         ("late_code", ctypes.c_int64),
         ("moves", ctypes.c_int64),
         ("move", ctypes.c_int64 * _HISTORY),
+        ("keeps_dead_owners", ctypes.c_int64),
         ("owners", Owner * 5),
         ("faults", Fault * 8),
         ("mutex_is_ready", ctypes.c_int64),
@@ -336,9 +349,9 @@ def require_compiler() -> None:
 def here() -> Card:
     """Return the card of this very process; its driver is loaded once.
 
-    The nidaqmx package asks `ctypes.util.find_library`, whose linker heeds LD_LIBRARY_PATH as
-    it now is; the loader heeds what it was when the process began, but knows by its soname
-    what is loaded already. Afterwards the environment is as before: other tests count on a
+    The nidaqmx package asks `ctypes.util.find_library`, whose linker uses the present
+    LD_LIBRARY_PATH. The loader uses its value at the start of the process, but finds a loaded
+    library by its soname. Afterwards the environment is as before: other tests count on a
     computer without a driver.
     """
     require_compiler()

@@ -14,7 +14,6 @@ from mcap.writer import MCAP0_MAGIC
 from pamctl.json_text import to_json
 from pamctl.log.container import make_message_record, make_message_records
 from pamctl.log.framing import FRAME, FileRecord, map_log_file, walk_records
-from pamctl.log.new_file import create_new_file
 from pamctl.log.schema import (
     EVENT_TOPIC,
     IMPORTED,
@@ -26,6 +25,7 @@ from pamctl.log.schema import (
 )
 from pamctl.log.wire import TickLayout
 from pamctl.log.writer import NO_SCHEMA, LogWriter
+from pamctl.new_file import create_new_file
 
 CHUNKS = 2
 CHUNK_TICKS = 6

@@ -1,4 +1,4 @@
-"""Gains by search: the same seed gives the same gains, whatever happens on the way."""
+"""The search for gains: the same seed gives the same gains, also after an interruption."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_the_same_seed_draws_the_same_plants_and_a_larger_ensemble_only_adds() -
     assert draw_ensemble(5, 3) != draw_ensemble(5, 4)
 
 
-def test_no_parameter_is_further_off_than_promised_and_each_plant_can_do_the_experiments() -> None:
+def test_parameters_stay_in_their_range_and_each_plant_can_do_the_experiments() -> None:
     nominal = PlantSettings().parameters
     members = draw_ensemble(40, 0)
     for name in UNCERTAIN_PARAMETERS:
@@ -68,12 +68,12 @@ def test_no_parameter_is_further_off_than_promised_and_each_plant_can_do_the_exp
     assert all(holds_the_farthest_point(m.plant) for m in members)
 
 
-def test_a_drawn_plant_is_the_same_after_a_journey() -> None:
+def test_a_drawn_plant_is_the_same_after_pickling() -> None:
     members = draw_ensemble(3, 1)
     assert pickle.loads(pickle.dumps(members)) == members
 
 
-def test_a_muscle_too_weak_for_the_upper_set_point_is_known_as_such() -> None:
+def test_a_muscle_too_weak_for_the_upper_set_point_is_recognised() -> None:
     weak = {"parameters": {"tank_pressure_pa": 200e3}}
     assert not holds_the_farthest_point(PlantSettings.model_validate(weak))
     assert holds_the_farthest_point(PlantSettings())
@@ -82,7 +82,7 @@ def test_a_muscle_too_weak_for_the_upper_set_point_is_known_as_such() -> None:
 # --- the trial -----------------------------------------------------------------------
 
 
-def test_the_whole_trial_says_what_the_paper_s_experiments_say() -> None:
+def test_the_full_trial_agrees_with_the_experiments_of_the_paper() -> None:
     verdict = GainsTrial("whole").verdict(PID, PAPER[0])
     for number, experiment in (("1", "tracking-1"), ("2", "tracking-2")):
         found = simulate_merit(resolve(controller="pid", experiment=experiment))
@@ -92,7 +92,7 @@ def test_the_whole_trial_says_what_the_paper_s_experiments_say() -> None:
     assert verdict.is_inside
 
 
-def test_the_short_trial_ranks_gains_as_the_whole_one_does() -> None:
+def test_the_short_trial_ranks_gains_like_the_full_one() -> None:
     """It is what the search goes by."""
     weak = [PID.model_copy(update={"kp_v_per_length": kp}) for kp in (9.5, 3.0, 1.0, 0.3)]
     short, whole = (
@@ -104,8 +104,8 @@ def test_the_short_trial_ranks_gains_as_the_whole_one_does() -> None:
     assert np.corrcoef(np.log(short), np.log(whole))[0, 1] > 0.95
 
 
-def test_trials_take_as_long_as_they_say_and_the_short_one_rests_as_long_as_the_paper() -> None:
-    """A steady error counted too early asks for an integral that hunts."""
+def test_trials_last_as_long_as_stated_and_the_short_one_rests_as_long_as_the_paper() -> None:
+    """A steady error that is counted too early favours an integral that hunts."""
     experiments = [resolve(experiment=f"tracking-{number}").experiment for number in (1, 2)]
     assert SHORT.rest_s == experiments[0].rest_s  # type: ignore[union-attr]
     assert GainsTrial("short").duration_s == sum(s.duration_s for s in build_segments(SHORT))
@@ -113,7 +113,7 @@ def test_trials_take_as_long_as_they_say_and_the_short_one_rests_as_long_as_the_
     assert GainsTrial("whole").duration_s == pytest.approx(sum(both))
 
 
-def test_gains_that_trip_cost_more_than_any_that_do_not() -> None:
+def test_gains_that_trip_cost_more_than_gains_that_do_not() -> None:
     wild = PID.model_copy(update={"kp_v_per_length": 100.0, "kd_v_s_per_length": 2.0})
     verdict = GainsTrial().verdict(wild, Member("delayed", PAPER[0].plant, output_delay_ticks=1))
     assert verdict.worst > 5.0
@@ -139,8 +139,8 @@ def test_every_point_is_a_controller_that_can_be_written_and_read(
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_sought_stiffness_is_what_the_law_answers_an_error_with(law: str) -> None:
-    """So that all laws are sought between the same bounds of it."""
+def test_the_stiffness_of_the_search_is_the_response_of_the_law_to_an_error(law: str) -> None:
+    """All laws are therefore searched within the same bounds of it."""
     space = find_space(law)
     point = space.usual
     sought = dict(zip((axis.name for axis in space.axes), 10.0**point, strict=True))
@@ -160,12 +160,12 @@ def answer_v(controller: Any, rate_m_per_s: float, acceleration_m_per_s2: float)
     return respond(law_gains(controller), ARMED, ARMED, resting, estimate, 1e-9)[0].command_v
 
 
-def test_with_the_mass_of_table_i_smc_undamps_and_with_the_sought_one_it_damps() -> None:
-    """f-hat cancels the muscle's own damping: why the mass is sought."""
-    sought = find_space("smc").controller(find_space("smc").usual)
-    of_table_i = sought.model_copy(update={"model": PlantSettings()})
-    assert answer_v(of_table_i, -1e-3, 0.0) < 0.0 < answer_v(sought, -1e-3, 0.0)
-    assert answer_v(of_table_i, 0.0, -0.1) < 0.0 < answer_v(sought, 0.0, -0.1)
+def test_smc_is_undamped_with_the_mass_of_table_i_and_damped_with_the_fitted_one() -> None:
+    """f-hat cancels the muscle's own damping: therefore the search fits the mass."""
+    fitted = find_space("smc").controller(find_space("smc").usual)
+    of_table_i = fitted.model_copy(update={"model": PlantSettings()})
+    assert answer_v(of_table_i, -1e-3, 0.0) < 0.0 < answer_v(fitted, -1e-3, 0.0)
+    assert answer_v(of_table_i, 0.0, -0.1) < 0.0 < answer_v(fitted, 0.0, -0.1)
 
 
 # --- the jury ------------------------------------------------------------------------
@@ -189,7 +189,7 @@ def test_gains_cost_the_worst_named_plant_and_a_quantile_of_the_drawn_ones() -> 
     assert found.runs == 13
 
 
-def test_plants_are_spared_once_it_is_certain_that_the_gains_are_beyond_the_limit() -> None:
+def test_plants_are_skipped_once_the_gains_are_certainly_beyond_the_limit() -> None:
     jury = Jury(called(1, 1, 1, 5, 5, 5, 1, 1, 1, 1, 1), 0.9, called(1))
     in_order = compute_cost(PID, 4.0, jury, Told(), range(11))
     hardest_first = compute_cost(PID, 4.0, jury, Told(), [5, 4, 3, 0, 1, 2, 6, 7, 8, 9, 10])
@@ -205,7 +205,7 @@ def test_plants_are_spared_once_it_is_certain_that_the_gains_are_beyond_the_limi
     limit=st.floats(0.5, 20.0),
     data=st.data(),
 )
-def test_sparing_plants_never_changes_who_wins(
+def test_skipping_plants_never_changes_the_best_gains(
     drawn: list[int], named: list[int], quantile: float, limit: float, data: st.DataObject
 ) -> None:
     jury = Jury(called(*drawn), quantile, called(*named))
@@ -230,18 +230,18 @@ def three_generations() -> list[float]:
     return [going.advance().cost for _ in range(3)]
 
 
-def test_it_gets_better_and_never_worse(three_generations: list[float]) -> None:
+def test_the_search_improves_and_never_worsens(three_generations: list[float]) -> None:
     assert three_generations == sorted(three_generations, reverse=True)
     assert three_generations[-1] < 1.0
 
 
-def test_in_several_processes_or_threads_it_finds_the_same(three_generations: list[float]) -> None:
+def test_several_processes_or_threads_find_the_same_gains(three_generations: list[float]) -> None:
     going = search()
     with ThreadPoolExecutor(2) as executor:
         assert [going.advance(executor).cost for _ in range(2)] == three_generations[:2]
 
 
-def test_interrupted_and_resumed_it_goes_on_as_if_nothing_had_happened(
+def test_a_resumed_search_gives_the_same_result_as_an_uninterrupted_one(
     three_generations: list[float], tmp_path: Path
 ) -> None:
     state = tmp_path / "search.json"
@@ -276,7 +276,7 @@ def tune(*options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd)
 
 
-def test_the_file_says_how_it_was_made_and_can_be_run(tmp_path: Path) -> None:
+def test_the_gains_file_says_how_it_was_made_and_can_be_run(tmp_path: Path) -> None:
     small = ["--plant", "paper", "--generations", "1", "--jobs", "1"]
     made = tune("--law", "pid", *small, "--out", "mine.yaml", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
@@ -296,7 +296,7 @@ def test_given_gains_are_scored_and_nothing_is_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_drawn_plants_find_their_way_into_other_processes(tmp_path: Path) -> None:
+def test_drawn_plants_reach_other_processes(tmp_path: Path) -> None:
     which = ["--ensemble", "16", "--held-out", "2", "--plant", "paper"]
     made = tune("--check", "pid", *which, "--jobs", "2", "--json", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
@@ -327,14 +327,14 @@ def test_drawn_plants_find_their_way_into_other_processes(tmp_path: Path) -> Non
         (["--check", "pid", "--out", "x.yaml"], "for --out: belongs to a search: with --check"),
     ],
 )
-def test_what_makes_no_sense_is_refused(tmp_path: Path, options: list[str], said: str) -> None:
+def test_invalid_options_are_refused(tmp_path: Path, options: list[str], said: str) -> None:
     (tmp_path / "there.yaml").write_text("")
     made = tune(*options, cwd=tmp_path)
     assert made.returncode == 2
     assert said in made.stderr
 
 
-def test_ctrl_c_keeps_the_best_so_far_and_the_search(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_the_best_gains_so_far_and_the_state_of_the_search(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pamctl", "tune", "--law", "pid", "--plant", "paper"]
     process = subprocess.Popen(
         [*command, "--generations", "1000", "--out", "mine.yaml"],

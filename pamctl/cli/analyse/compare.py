@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.options import JsonOption
-from pamctl.cli.output import print_json, require_writable, write_page
+from pamctl.cli.output import PAGE_BEGIN, print_result
+from pamctl.new_file import NewFileError, require_place, write_files
 
 
 def compare(
@@ -31,19 +32,23 @@ def compare(
     as_json: JsonOption = False,
 ) -> None:
     """Drive models by the logged command, and compare them with the measurement."""
-    require_writable(plot, "--plot")
+    if plot is not None:
+        require_place(plot, replaces=PAGE_BEGIN)
     from pamctl.compare.compare_plants import compare_plants
     from pamctl.compare.compare_text import format_comparison, make_comparison_document
     from pamctl.log import read
 
     found = compare_plants(read(path), plants or [])
+    failure = None
     if plot is not None:
         from pamctl.compare.compare_page import draw_comparison_page
 
-        write_page(plot, draw_comparison_page(path.name, found).html(), "--plot")
-    if as_json:
-        print_json({**make_comparison_document(path, found), "plot": plot and str(plot)})
-    else:
-        typer.echo(format_comparison(path, found))
-        if plot is not None:
-            typer.echo(f"plots: {plot}")
+        page = draw_comparison_page(path.name, found).html()
+        try:
+            write_files({plot: page}, replaces=PAGE_BEGIN)
+        except NewFileError as error:
+            failure = error
+    saved = None if plot is None or failure else str(plot)
+    document = {**make_comparison_document(path, found), "plot": saved}
+    end = f"\nplots: {saved}" if saved else ""
+    print_result(document, lambda: format_comparison(path, found) + end, failure, as_json=as_json)

@@ -12,8 +12,9 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.options import JsonOption, PlantOption
-from pamctl.cli.output import print_json, require_empty_folder
+from pamctl.cli.output import print_result
 from pamctl.exit_codes import ExitCode
+from pamctl.new_file import NewFileError, require_empty_folder
 from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_section_file
 
 
@@ -61,15 +62,16 @@ def diagnose(
     plant.yaml is for --plant of run, tune, compare and a next diagnose.
     The exit code is 0 for every verdict, and 65 if the data cannot be used.
     """
-    require_empty_folder(out, "--out")
+    require_empty_folder(out)
     start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
     _require_known(without or [])
     from pamctl.diagnose import diagnose as find_missing_effects
     from pamctl.diagnose import summary
-    from pamctl.diagnose.measured.from_log import record_of
+    from pamctl.diagnose.measured.from_log import record_of, require_held_out
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
     from pamctl.diagnose.report.diagnosis_folder import write_diagnosis
 
+    require_held_out(logs, holdout or [])
     train = [record_of(path) for path in logs]
     held = [record_of(path) for path in holdout or []]
     if not held:
@@ -86,12 +88,14 @@ def diagnose(
             progress=lambda line: typer.echo(line, err=True),
         )
     names = [path.name for path in (*logs, *(holdout or []))]
-    write_diagnosis(diagnosis, out, names, [*train, *held])
-    if as_json:
-        print_json(build_diagnosis_document(diagnosis))
-    else:
-        typer.echo(summary(diagnosis))
-        typer.echo(f"\n{out}: {', '.join(sorted(p.name for p in out.iterdir()))}")
+    failure, end = None, ""
+    try:
+        written = write_diagnosis(diagnosis, out, names, [*train, *held])
+        end = f"\n\n{out}: {', '.join(written)}"
+    except NewFileError as error:
+        failure = error
+    document = build_diagnosis_document(diagnosis)
+    print_result(document, lambda: summary(diagnosis) + end, failure, as_json=as_json)
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
 
 

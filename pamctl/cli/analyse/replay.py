@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pamctl.cli.options import NO_CHANGES, ControllerFromOption, JsonOption
-from pamctl.cli.output import print_json, require_new_file
+from pamctl.cli.output import print_json, print_result
 from pamctl.exit_codes import ExitCode
+from pamctl.new_file import NewFileError, require_place
 
 if TYPE_CHECKING:
     from pamctl.log import Log
@@ -84,7 +85,8 @@ def replay(
     if tolerance is not None and is_what_if:
         message = "belongs to a comparison: without --controller and --set"
         raise typer.BadParameter(message, param_hint="--tolerance")
-    require_new_file(csv, "--csv")
+    if csv is not None:
+        require_place(csv)
     if from_s is not None and not 0.0 <= from_s < math.inf:
         raise typer.BadParameter("must be seconds, 0 or more", param_hint="--from")
     from pamctl.log import read
@@ -140,10 +142,17 @@ def _run_what_if(
 
     settings = replace_law(read_replay_source(log).settings, controller, overrides)
     answer = run_what_if(log, settings, from_s=from_s)
+    failure = None
     if csv is not None:
-        answer.write_csv(csv)
-    if as_json:
-        print_json({**make_what_if_document(log, settings, answer), "csv": csv and str(csv)})
-    else:
-        typer.echo(format_what_if(controller or "the changed law", answer))
+        try:
+            answer.write_csv(csv)
+        except NewFileError as error:
+            failure = error
+    saved = None if csv is None or failure else str(csv)
+    print_result(
+        {**make_what_if_document(log, settings, answer), "csv": saved},
+        lambda: format_what_if(controller or "the changed law", answer),
+        failure,
+        as_json=as_json,
+    )
     return ExitCode.OK

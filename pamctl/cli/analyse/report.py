@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.options import JsonOption
-from pamctl.cli.output import print_json, require_writable, write_page
+from pamctl.cli.output import PAGE_BEGIN, print_json
+from pamctl.new_file import require_place, write_files
 
 
 def report(
@@ -25,13 +26,14 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Write one self-contained HTML page with figures and plots of these logs."""
-    require_writable(out, "--out")
+    target = out or paths[0].with_suffix(".html")
     from pamctl.log import read
     from pamctl.report.compose import compose_report
 
-    html = compose_report([read(path) for path in paths]).html()
-    target = out or paths[0].with_suffix(".html")
-    write_page(target, html)
+    logs = [read(path) for path in paths]
+    require_place(target, replaces=PAGE_BEGIN)
+    html = compose_report(logs).html()
+    write_files({target: html}, replaces=PAGE_BEGIN)
     if as_json:
         print_json({"page": str(target), "bytes": len(html.encode()), "logs": paths})
     else:

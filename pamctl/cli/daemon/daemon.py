@@ -42,7 +42,7 @@ def daemon(
         typer.Option(
             "--group",
             metavar="GROUP",
-            help="Group that may steer the rig, beside this user",
+            help="Group that may steer the rig, besides this user",
             show_default="this user's group",
         ),
     ] = None,

@@ -11,10 +11,10 @@ from pamctl.cli.output import print_json
 
 def status(socket: SocketOption = None, as_json: JsonOption = False) -> None:
     """Show what the daemon is doing."""
-    told = ask(socket, "status")
+    answer = ask(socket, "status")
     if as_json:
-        print_json(told)
+        print_json(answer)
         return
     from pamctl.live.status_text import format_status
 
-    typer.echo(format_status(told))
+    typer.echo(format_status(answer))

@@ -9,7 +9,7 @@ import typer
 
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import BackendOption, JsonOption, RigOption, SetOption, require_linux
-from pamctl.cli.output import print_json
+from pamctl.cli.output import print_result
 from pamctl.cli.settings_from_options import resolve_options
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.problems import ConfigError, Problem
@@ -192,10 +192,5 @@ def _calibrate(
         made = calibrate_rig(task, answers, may_move=yes)
     except SignalInterrupt as error:
         raise Failed(error.code, str(error)) from error
-    document = make_calibration_document(made)
-    if not as_json:
-        typer.echo(format_calibration(made))
-    if made.failure:
-        raise Failed(ExitCode.UNEXPECTED, made.failure, **document)
-    if as_json:
-        print_json({"exit_code": int(ExitCode.OK), "reason": "", **document})
+    document = {"exit_code": int(ExitCode.OK), "reason": "", **make_calibration_document(made)}
+    print_result(document, lambda: format_calibration(made), made.failure, as_json=as_json)

@@ -68,7 +68,7 @@ def doctor(
         interrupt = error if isinstance(error, SignalInterrupt) else SignalInterrupt(2)
     code = _exit_code(findings, interrupt)
     if as_json:
-        told = {
+        document = {
             "schema": SCHEMA,
             "exit_code": code,
             "worst": worst_level(findings),
@@ -77,7 +77,7 @@ def doctor(
             "actuated": actuate,
             "findings": encode_findings(findings),
         }
-        print_json(told)
+        print_json(document)
     else:
         typer.echo(str(interrupt) if interrupt else _summarise(findings))
     raise typer.Exit(code)

@@ -1,4 +1,4 @@
-"""`pamctl safe`: the safe voltage, whatever has happened before."""
+"""`pamctl safe`: the safe voltage, in any situation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def safe(
     overrides: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Drive the rig to its safe voltage, whatever has happened before."""
+    """Drive the rig to its safe voltage, in any situation."""
     settings, _ = resolve_options(backend, rig, overrides, fast=False)
     require_linux()
     from pamctl.processes.backends import device_of

@@ -13,6 +13,7 @@ from pamctl.commissioning.calibrate.rig_file_text import insert_values
 from pamctl.commissioning.hands_on import Bench
 from pamctl.commissioning.open_bench import open_workplace
 from pamctl.commissioning.terminal_operator import Terminal
+from pamctl.new_file import NewFileError, require_place, write_files
 from pamctl.processes.backends import require_backend
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
@@ -65,8 +66,8 @@ class CalibratedRig(NamedTuple):
     """Before the calibration."""
     outcome: CalibrationOutcome
     out: Path
-    failure: str
-    """Why the file could not be written; empty where it was."""
+    failure: NewFileError | None
+    """Why the file could not be written; None where it was."""
 
 
 def calibrate_rig(
@@ -75,8 +76,8 @@ def calibrate_rig(
     """Calibrate, and write the new rig file; an error leaves no file behind.
 
     The person is asked where `answers` are missing, and whether the rig may move unless
-    `may_move`. Raises `ConfigError`, `NoAnswer`, `CalibrationError`, `LimitError`, `RigError`
-    and `SignalInterrupt`.
+    `may_move`. Raises `ConfigError`, `NewFileError`, `NoAnswer`, `CalibrationError`,
+    `LimitError`, `RigError` and `SignalInterrupt`.
     """
     settings = task.settings
     source = find_config_file("rig", task.rig)
@@ -89,19 +90,19 @@ def calibrate_rig(
     with open_workplace(settings) as bench:
         outcome = task.work(bench, terminal if answers is None else PreparedAnswers(answers))
     text = _make_rig_file(task.out, source, outcome, task.what)
-    return CalibratedRig(settings, outcome, task.out, _write_file(task.out, text))
+    failure = None
+    try:
+        write_files({task.out: text})
+    except NewFileError as error:  # the values must not be lost with the file
+        failure = error
+    return CalibratedRig(settings, outcome, task.out, failure)
 
 
 def _require_new(out: Path) -> None:
-    message = ""
-    if out.exists():
-        message = "exists, and a calibration never overwrites a file"
-    elif not out.parent.is_dir():
-        message = f"there is no directory {out.parent}"
-    elif out.suffix not in {".yaml", ".yml"}:
+    if out.suffix not in {".yaml", ".yml"}:
         message = "must end in .yaml, for --rig to take it as a file"
-    if message:
         raise ConfigError([Problem(f"--out {out}", "", message)])
+    require_place(out)
 
 
 def _require_within_limit(points_kpa: Sequence[float], settings: RunSettings) -> None:
@@ -120,16 +121,6 @@ def _make_rig_file(out: Path, source: Path, outcome: CalibrationOutcome, what: s
     text = insert_values(source.read_text(encoding="utf-8"), outcome, heading)
     validate_settings(SECTIONS["rig"], RawSettings.parse(text, out), title="rig")
     return text
-
-
-def _write_file(out: Path, text: str) -> str:
-    """Write the new file; return why that failed: the values must not be lost with it."""
-    try:
-        with out.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except OSError as error:
-        return f"--out {out}: cannot be written: {error.strerror}"
-    return ""
 
 
 def make_calibration_document(made: CalibratedRig) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from hal.doctor_finding import DoctorFinding
 from hal.rig import RawSample
+from pamctl.commissioning.doctor.sensors import OPEN_INPUT
 from pamctl.commissioning.hands_on import Bench, LimitError, SensorStatistics, summarise_samples
 
 _END_SAMPLES = 5
@@ -80,7 +81,8 @@ def judge_valve_sign(bench: Bench, answer: ActuationResponse) -> DoctorFinding:
     elif exhausts:
         fix = "it exhausted, but did not fill: was the muscle full already? check supply and null"
     elif abs(fill.counts) >= bench.homing.fill_counts:
-        fix = "the muscle moved, but the sensor's voltage did not change: check its wire"
+        fix = "the muscle moved, but the sensor's voltage did not follow: check its wire; "
+        fix += OPEN_INPUT
         fix += bench.point_to(bench.keys.pressure_input)
     else:
         fix = (

@@ -18,6 +18,7 @@ from pamctl.commissioning.open_bench import open_workplace
 from pamctl.commissioning.terminal_operator import NoAnswer, Terminal
 from pamctl.processes.backends import SHARED_MEMORY, build_clock, hold_device
 from pamctl.realtime.scheduling import prepare
+from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings
 
 
@@ -39,6 +40,7 @@ def examine_all(
         with open_workplace(settings) as bench:
             yield from examine_rig(
                 bench,
+                build_tick_setup(settings),
                 actuate=actuate,
                 by_hand=_ask_for_motion if may_ask else lambda bench: None,
                 loop_cpu=settings.rig.loop.cpu,
@@ -46,6 +48,9 @@ def examine_all(
         if probe is not None and probe.examine_clock is not None:
             with hold_device(settings):
                 yield probe.examine_clock(request)
+        if probe is not None and probe.examine_output is not None:
+            with hold_device(settings):
+                yield from probe.examine_output(request)
     except RigError as error:
         yield report_unavailable_rig(error)
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from hal.doctor_finding import DoctorFinding, Level
 from hal.rig import Rig
 from pamctl.realtime.clock import Clock
+from pamctl.realtime.tick_cost import TickCost
 
 CALLS = 2000
 _LONGEST_S = 2.0
@@ -151,6 +152,25 @@ def judge_calls(calls: CallCosts, period_s: float) -> Iterator[DoctorFinding]:
             "programs that use it; see pc.fifo; or lower loop.rate_hz",
             cost._asdict(),
         )
+
+
+def judge_rate(calls: CallCosts, rehearsed_s: float, period_s: float) -> DoctorFinding:
+    """Judge whether the loop can hold its rate: its own work, and the calls of the rig."""
+    calls_s = sum(cost.p99_us for cost in calls) * 1e-6
+    cost = TickCost.estimate(rehearsed_s, calls_s)
+    rate_hz = 1.0 / period_s
+    level: Level = "ok" if rate_hz <= cost.held_hz else "warning"
+    if cost.live_s > period_s:
+        level = "fault"
+    return DoctorFinding(
+        "latency.rate",
+        level,
+        f"a tick takes about {cost.live_s * 1e6:.0f} us, {calls_s * 1e6:.0f} us of them in the "
+        f"rig's calls (p99): up to {cost.held_hz:.0f} Hz can be held",
+        f"{rate_hz:.0f} Hz, as loop.rate_hz says",
+        "lower loop.rate_hz; or close other programs, see pc.wakeup",
+        {**cost._asdict(), "calls_s": calls_s, "rate_hz": rate_hz},
+    )
 
 
 def _judge_share(share: float) -> Level:

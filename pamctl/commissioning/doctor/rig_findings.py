@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from hal.doctor_finding import DoctorFinding, describe_rig_error
 from hal.rig import RigError
 from pamctl.commissioning.doctor.actuate import examine_actuation
-from pamctl.commissioning.doctor.latency import judge_calls, measure_calls
+from pamctl.commissioning.doctor.latency import judge_calls, judge_rate, measure_calls
 from pamctl.commissioning.doctor.sensors import (
     is_in_range,
     judge_hand_motion,
@@ -17,18 +17,22 @@ from pamctl.commissioning.doctor.sensors import (
 )
 from pamctl.commissioning.hands_on import Bench
 from pamctl.realtime.scheduling import prepare
+from pamctl.realtime.tick import TickSetup
+from pamctl.realtime.tick_cost import rehearse_tick_s
 
 CountsByHand = Callable[[Bench], int | None]
 """Asks for the carriage to be moved; returns how many counts it moved over, None if not asked."""
 
 
 def examine_rig(
-    bench: Bench, *, actuate: bool, by_hand: CountsByHand, loop_cpu: int | None
+    bench: Bench, setup: TickSetup, *, actuate: bool, by_hand: CountsByHand, loop_cpu: int | None
 ) -> Iterator[DoctorFinding]:
     """Check sensors and calls at the safe voltage; with `actuate`, move the muscle as well."""
     with prepare("auto", loop_cpu):  # as a run's loop makes these calls
         calls = measure_calls(bench.rig, bench.safe_volts)
+        rehearsed_s = rehearse_tick_s(setup, bench.period_s)
     yield from judge_calls(calls, bench.period_s)
+    yield judge_rate(calls, rehearsed_s, bench.period_s)
     rest = measure_at_rest(bench)
     yield from judge_sensors(bench, rest)
     if not actuate:

@@ -11,6 +11,12 @@ REST_S = 0.5
 VENT_S = 1.0
 _LOUD_V = 0.02
 """Some 3 kPa: ten times the noise of a sound MPX5700 and its wire."""
+_DRIFT_V = 0.005
+"""Some 0.8 kPa within the half second at rest: no vented muscle changes its pressure so."""
+OPEN_INPUT = (
+    "an open input floats, and reads a plausible voltage, where no pull-down of 100 kOhm from the "
+    "input to AI GND is fitted"
+)
 _JUMP_COUNTS = 50
 BY_HAND_COUNTS = 300
 """A millimetre."""
@@ -69,6 +75,17 @@ def judge_voltage(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
 def judge_noise(bench: Bench, rest: SensorStatistics) -> DoctorFinding:
     """Check the noise of the pressure sensor."""
     noise_pa = rest.noise_v * bench.settings.sensor_pa_per_v
+    stands_still = rest.counts_span <= bench.homing.steady_counts
+    if abs(rest.drift_v) > _DRIFT_V and stands_still and bench.vents_when_safe:
+        fix = f"is the sensor's wire broken? {OPEN_INPUT[0].upper()}{OPEN_INPUT[1:]}"
+        return DoctorFinding(
+            "sensor.noise",
+            "warning",
+            f"the voltage drifts by {rest.drift_v * 1e3:+.0f} mV while the muscle stands still",
+            f"below {_DRIFT_V * 1e3:.0f} mV at rest",
+            f"{fix}{bench.point_to(bench.keys.pressure_input, bench.keys.pressure_wiring)}",
+            {"noise_v": rest.noise_v, "noise_pa": noise_pa, "drift_v": rest.drift_v},
+        )
     level: Level = "ok" if rest.noise_v <= _LOUD_V else "warning"
     return DoctorFinding(
         "sensor.noise",

@@ -114,7 +114,7 @@ def fit_numbers(
     drives, free = tuple(drives), tuple(free)
     if not free:
         return Fit(start, (), drives, stack_residuals(drives, start))
-    start, first_residual = _tame_start(drives, start, free)
+    start, first_residual = _limit_start(drives, start, free)
     knee = ROBUST * max(float(np.median(np.abs(first_residual))) / 0.6745, 1.0)
     problem = _LeastSquares(drives, start, free, effort, knee)
     result = problem.descend(problem.first, STEP)
@@ -192,7 +192,7 @@ class _LeastSquares:
         return self._slope.jacobian.copy()  # the optimiser scales its argument in place
 
 
-def _tame_start(
+def _limit_start(
     drives: Sequence[Drive], start: PlantSettings, free: Sequence[FreeNumber]
 ) -> tuple[PlantSettings, Array]:
     """Move a start from which the model runs away towards its effects' neutral values.

@@ -1,8 +1,8 @@
-"""The effects that may be missing, and what a first small dose of each does.
+"""The effects that may be missing, and small doses of each.
 
-Of an effect's numbers some switch it on (a width, a stiffness), others only shape it (a
-time constant, a damping ratio). An effect with several forms (bristle or Maxwell slip, a
-stiff supply or a tank) is a candidate in each, under one name.
+Some numbers of an effect switch it on (a width, a stiffness). Others only shape it (a time
+constant, a damping ratio). An effect with several forms (elasto-plastic or Dahl, a static supply
+or a tank) is a candidate in each form, under one name.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from pamctl.plant.effects.description import EffectDescription, EffectForm
 from pamctl.plant.model import PlantSettings
 
 DOSES = (1.0, 6.0)
-"""In smallest sizes of interest: a large effect does not look like a small one."""
+"""In units of the smallest size of interest. Two doses, because large and small effects differ."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect of the catalogue, in one of its forms, as the search sees it."""
+    """An effect of the catalogue in one of its forms, for the search."""
 
     name: str
     form: str
@@ -39,11 +39,11 @@ class Candidate:
     held: tuple[tuple[str, float], ...]
     """Numbers that the form fixes, by full name."""
     blocks: frozenset[str]
-    """The blocks that it reaches."""
+    """The blocks that it affects."""
 
     @property
     def fixed_numbers(self) -> tuple[tuple[str, float], ...]:
-        """What the form fixes and no fit may move."""
+        """The numbers that the form fixes and no fit may move."""
         moved = {f.name for f in self.free}
         return tuple((name, value) for name, value in self.held if name not in moved)
 
@@ -59,10 +59,9 @@ class Candidate:
 
 
 def list_candidates(evidence: Evidence, without: Collection[str] = ()) -> tuple[Candidate, ...]:
-    """Return the effects that reach a block of the evidence; `without` leaves some out.
+    """Return the effects that affect a block of the evidence, except those in `without`.
 
-    Those that the start model has already, and those that no experiment can identify, are
-    not asked for.
+    Effects of the start model, and effects that no experiment can identify, are left out.
     """
     on = active_effects(evidence.nominal)
     return tuple(
@@ -86,7 +85,7 @@ def _list_forms(effect: EffectDescription, blocks: Collection[str]) -> Iterator[
 
 
 def apply_dose(number: FreeNumber, doses: float, neutral: float) -> float:
-    """Return the value that many smallest sizes of interest off neutral, within the range."""
+    """Return the value `doses` smallest sizes of interest away from neutral, within the range."""
     step = doses * number.scale
     if neutral + step <= number.high:
         return neutral + step
@@ -96,7 +95,7 @@ def apply_dose(number: FreeNumber, doses: float, neutral: float) -> float:
 def generate_doses(
     candidate: Candidate, settings: PlantSettings
 ) -> Iterator[list[dict[str, float]]]:
-    """Yield sets of small doses: in each set one dose of every switch, under one shape."""
+    """Yield sets of small doses; a set holds one dose of every switch, for one shape."""
     for shape, doses in product(_vary_shapes(candidate, settings), DOSES):
         yield [
             {
@@ -119,17 +118,17 @@ def _vary_shapes(candidate: Candidate, settings: PlantSettings) -> Iterator[dict
 
 
 def _usual_shape(number: FreeNumber, settings: PlantSettings) -> float:
-    """Return the catalogue's start of a shape, or else its value."""
+    """Return the catalogue's start value of a shape, or else the plant's value."""
     start = look_up_parameter(number).start
     return start if number.low < start < number.high else value_of(settings, number.name)
 
 
 def _geometric_mean(value: float, end: float, high: float) -> float:
-    """Geometric mean, since shapes are times and speeds; a zero counts as a hundredth."""
+    """Return a geometric mean: shapes are times and speeds. A zero counts as `high` / 100."""
     least = 1e-2 * high
     return float(np.sqrt(max(value, least) * max(end, least))) if high > 0.0 else value
 
 
 def select_reaching(found: Sequence[Candidate], blocks: Collection[str]) -> tuple[Candidate, ...]:
-    """Return the candidates that reach one of the blocks."""
+    """Return the candidates that affect one of the blocks."""
     return tuple(c for c in found if c.blocks & set(blocks))

@@ -25,7 +25,7 @@ from pamctl.diagnose.measured.sensor_noise import Noise, estimate_channel_noise
 from pamctl.plant.model import PlantSettings
 
 SMALLEST_MISFIT = {"pressure_pa": 60.0, "position_m": 3.2e-6}
-"""A smaller misfit does not matter, however significant it is; by channel, in SI."""
+"""A smaller misfit does not matter, even if it is significant; by channel, in SI."""
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ class FreeNumber:
     scale: float
     """A step of this size is small but visible."""
     is_nuisance: bool = False
-    """Always free, within what no homing can avoid, and never named."""
+    """Always free, within the uncertainty of homing, and never named."""
     is_calibrated: bool = False
-    """Of an effect that the start model has: recalibrated with its other numbers, not named."""
+    """A number of the start model's effects: recalibrated, not named."""
 
     @property
     def effect(self) -> str | None:
-        """The effect on trial that the number belongs to; None for what is free anyway."""
+        """The effect on trial that the number belongs to; None for numbers that are always free."""
         on_trial = "." in self.name and not (self.is_nuisance or self.is_calibrated)
         return self.name.split(".")[0] if on_trial else None
 
@@ -40,10 +40,11 @@ _CALIBRATION = {
     "kinetic_friction_per_m": (0.0, 3.0),
     "braid_length_m": (0.99, 1.01),
 }
-"""What is recalibrated before any effect is asked for, and how far it may go from the plant file.
+"""Numbers that are recalibrated before the search for effects, with their limits as factors of the
+plant file's values.
 
-The braid's length is measured with a tape, to 1 %. Rest length and turns are not among them:
-they would say the same as the braid's length and the stiffness.
+The braid's length is measured with a tape, to 1 %. Rest length and turns are left out: they cannot
+be distinguished from the braid's length and the stiffness.
 """
 
 CALIBRATED: Mapping[str, tuple[str, ...]] = {
@@ -55,7 +56,7 @@ CALIBRATED: Mapping[str, tuple[str, ...]] = {
         "braid_length_m",
     ),
 }
-"""The numbers that each block is recalibrated by; geometry is in both."""
+"""The numbers that are recalibrated in each block; geometry is in both."""
 
 SENSOR_ZERO = "pressure_sensor_offset.offset_pa"
 ZERO_PA = 250.0
@@ -63,9 +64,10 @@ ZERO_PA = 250.0
 
 
 def calibration_of(block: str, nominal: PlantSettings) -> tuple[str, ...]:
-    """Return the numbers that a block is recalibrated by.
+    """Return the numbers that are recalibrated in a block.
 
-    A mechanism without a muscle has no braid; its dry friction, where known, takes its place.
+    A mechanism without a muscle has no braid. Its dry friction is recalibrated instead, if the
+    model has one.
     """
     if nominal.actuator == "muscle":
         return CALIBRATED[block]
@@ -86,7 +88,7 @@ UNITS: Mapping[str, str] = {
 
 
 def calibrated_number(name: str, nominal: PlantSettings) -> FreeNumber:
-    """Return one of the muscle's numbers with its range about the plant file's value."""
+    """Return one of the muscle's numbers with its range around the plant file's value."""
     value = value_of(nominal, name)
     if name == DRY_FRICTION:
         return FreeNumber(name, 0.0, 3.0 * value, 0.01 * value, is_nuisance=True)
@@ -96,7 +98,7 @@ def calibrated_number(name: str, nominal: PlantSettings) -> FreeNumber:
 
 
 def sensor_zero(nominal: PlantSettings) -> FreeNumber:
-    """Return the pressure sensor's zero: homing leaves 100 Pa, which is 11 um of the muscle."""
+    """Return the pressure sensor's zero: homing leaves 100 Pa, which moves the muscle by 11 um."""
     value = value_of(nominal, SENSOR_ZERO)
     return FreeNumber(SENSOR_ZERO, value - ZERO_PA, value + ZERO_PA, 50.0, is_nuisance=True)
 
@@ -111,7 +113,7 @@ def numbers_of_effect(effect: str, names: Collection[str]) -> tuple[FreeNumber, 
 
 
 def active_effects(nominal: PlantSettings) -> tuple[str, ...]:
-    """Return the effects that the start model has; a zero that homing left is none."""
+    """Return the effects of the start model, without a sensor offset within homing's error."""
     zero_pa = value_of(nominal, SENSOR_ZERO)
     homed = {SENSOR_ZERO.split(".")[0]} if abs(zero_pa) <= ZERO_PA else set()
     return tuple(n for n in nominal.effects.model_dump(exclude_none=True) if n not in homed)
@@ -120,8 +122,8 @@ def active_effects(nominal: PlantSettings) -> tuple[str, ...]:
 def numbers_of_start(nominal: PlantSettings, blocks: Collection[str]) -> tuple[FreeNumber, ...]:
     """Return the numbers of the start model's effects that these blocks show.
 
-    Those off neutral and within their ranges: the form that the effect has stays as it is. The
-    sensor's zero, and a direct actuator's dry friction, are free already.
+    Only numbers off neutral and within their ranges are freed, so the form of the effect does not
+    change. The sensor's zero and a direct actuator's dry friction are always free.
     """
     free_anyway = {SENSOR_ZERO, *((DRY_FRICTION,) if nominal.actuator == "direct" else ())}
     return tuple(
@@ -137,24 +139,24 @@ def numbers_of_start(nominal: PlantSettings, blocks: Collection[str]) -> tuple[F
 
 
 def look_up_parameter(free: FreeNumber) -> EffectParameter:
-    """Return what the catalogue says of an effect's number; raise KeyError for a muscle's own."""
+    """Return the catalogue's entry of an effect's number; raise KeyError for a muscle's number."""
     effect, name = free.name.split(".")
     return next(p for p in CATALOGUE[effect].parameters if p.name == name)
 
 
 def unit_of(free: FreeNumber) -> str:
-    """Return the unit that a report gives; empty for a plain number."""
+    """Return the unit for reports; empty for a plain number."""
     unit = look_up_parameter(free).unit if "." in free.name else UNITS[free.name]
     return "" if unit == "1" else unit
 
 
 def value_of(settings: PlantSettings, name: str) -> float:
-    """Return a number of a plant; an effect that is off has its neutral values."""
+    """Return a number of a plant; an inactive effect has its neutral values."""
     values = values_of(settings)
     return values[name] if name in values else NEUTRAL[name]
 
 
 def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSettings:
-    """Return the plant with these numbers; raises pydantic's ValidationError out of range."""
+    """Return the plant with these numbers; raise pydantic's ValidationError if out of range."""
     moved = settings_of({**values_of(settings), **values})
     return moved.model_copy(update={"correction": settings.correction})

@@ -75,7 +75,7 @@ def _find_across_runs(a: tuple[int, Record], b: tuple[int, Record]) -> Iterator[
     if first is second or not same_grid:
         return
     for by_reference in (False, True):
-        demand, again = _demand_of(first, by_reference), _demand_of(second, by_reference)
+        demand, again = _choose_demand(first, by_reference), _choose_demand(second, by_reference)
         if demand is None or again is None:
             continue
         differs = _find_differences(demand[:size], again[:size], by_reference)
@@ -85,7 +85,7 @@ def _find_across_runs(a: tuple[int, Record], b: tuple[int, Record]) -> Iterator[
             return
 
 
-def _demand_of(record: Record, by_reference: bool) -> Array | None:
+def _choose_demand(record: Record, by_reference: bool) -> Array | None:
     return record.reference_m if by_reference else record.valve_v
 
 
@@ -98,7 +98,7 @@ def _find_differences(one: Array, other: Array, by_reference: bool) -> NDArray[n
 def _find_within_run(index: int, record: Record) -> Iterator[Repeat]:
     """Find the longest stretch that comes again after some time, as periods do."""
     for by_reference in (False, True):
-        demand = _demand_of(record, by_reference)
+        demand = _choose_demand(record, by_reference)
         best = None if demand is None else _find_longest(index, record, demand, by_reference)
         if best is not None:
             yield best

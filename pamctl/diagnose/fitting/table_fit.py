@@ -83,12 +83,12 @@ class _TableGrid:
         measured = np.concatenate([d.measured for d in drives])
         if block == MECHANICS:
             load = np.concatenate([d.driven for d in drives])
-            first, second = _even_lines(measured, 6), _even_lines(load, 6)
+            first, second = _make_even_lines(measured, 6), _make_even_lines(load, 6)
         else:
             # Finest near null, where valves differ most from their formula.
             widest_v = max(float(np.max(np.abs(d.valve_v))) for d in drives)
             even = np.linspace(-1.0, 1.0, 9)
-            first, second = widest_v * even * np.abs(even), _even_lines(measured, 4)
+            first, second = widest_v * even * np.abs(even), _make_even_lines(measured, 4)
         return cls(block, first, second, step, np.zeros(len(first) * len(second)))
 
     @property
@@ -112,6 +112,6 @@ class _TableGrid:
         return plant.model_copy(update={"correction": correction})
 
 
-def _even_lines(values: Array, lines: int) -> Array:
+def _make_even_lines(values: Array, lines: int) -> Array:
     low, high = np.quantile(values, [0.001, 0.999])
     return np.linspace(low, max(high, low + 1e-9), lines)

@@ -36,7 +36,7 @@ def check_time_shifts(record: Record) -> Iterator[str]:
     for channel in ("pressure_pa", "position_m"):
         if channel not in record.channels:
             continue
-        answers = [_find_answer_s(record, channel, step) for step in steps]
+        answers = [_find_response_s(record, channel, step) for step in steps]
         late = [a - c for c, a in zip(causes, answers, strict=True) if np.isfinite(a - c)]
         causes = answers
         if not late:
@@ -65,7 +65,7 @@ def _find_steps(record: Record) -> list[int]:
     ]
 
 
-def _find_answer_s(record: Record, channel: str, step: int) -> float:
+def _find_response_s(record: Record, channel: str, step: int) -> float:
     """Return when a channel begins to answer a step; NaN if it does not answer or did not rest."""
     quiet, before, after = (round(s / record.period_s) for s in (QUIET_S, BEFORE_S, AFTER_S))
     values: Array = record[channel]

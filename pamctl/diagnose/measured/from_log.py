@@ -2,13 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
 import pamctl.log
 from pamctl.diagnose.measured.record import Record
+from pamctl.exit_codes import ExitCode
+from pamctl.log.framing import map_log_file
 from pamctl.signals import Phase
+
+
+class HoldoutError(Exception):
+    """A log is to be fitted and to judge the fit. The message names it."""
+
+    exit_code = ExitCode.USAGE
+
+
+def require_held_out(train: Sequence[Path], holdout: Sequence[Path]) -> None:
+    """Raise HoldoutError if a log of `holdout` is fitted too, under whatever name.
+
+    Raise `LogError` if a file cannot be read.
+    """
+    fitted = {_hash_content(path): path for path in train} if holdout else {}
+    for path in holdout:
+        same = fitted.get(_hash_content(path))
+        if same is not None:
+            raise HoldoutError(
+                f"--holdout {path} holds the same run as {same}: a log that is fitted cannot "
+                "judge the fit; give another run, or no --holdout"
+            )
+
+
+def _hash_content(path: Path) -> bytes:
+    return sha256(map_log_file(path)).digest()
 
 
 def record_of(path: str | Path) -> Record:

@@ -70,14 +70,14 @@ def _find_partial(search: EffectSearch) -> Model | None:
     best: Model | None = None
     before = search.base
     for level in search.levels:
-        worthy = [m for m in level if _is_worth(before, m, search.base)]
+        worthy = [m for m in level if _is_worth_adding(before, m, search.base)]
         if not worthy:
             break
         best = before = worthy[0]
     return best
 
 
-def _is_worth(before: Model, model: Model, base: Model) -> bool:
+def _is_worth_adding(before: Model, model: Model, base: Model) -> bool:
     """Tell whether another effect closes most of what was left and makes no block worse."""
     if not {*before.names} <= {*model.names} or {*model.unexplained} - {*base.unexplained}:
         return False

@@ -11,19 +11,20 @@ from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
+from pamctl.new_file import write_files
 
 
 def write_diagnosis(
     diagnosis: Diagnosis, out: Path, logs: Sequence[str], records: Sequence[Record]
-) -> None:
-    """Write the folder; there is no plant.yaml where the data were refused.
+) -> list[str]:
+    """Write the folder, return the names in it; no plant.yaml where the data were refused.
 
-    `logs` are the names of the files behind `records`.
+    `logs` are the names of the files behind `records`. Raise NewFileError: then nothing is left.
     """
-    out.mkdir(parents=True, exist_ok=True)
     document = json.dumps(build_diagnosis_document(diagnosis), indent=2, allow_nan=False)
-    (out / "diagnosis.json").write_text(document + "\n")
+    texts = {out / "diagnosis.json": document + "\n"}
     if not diagnosis.reason:
-        (out / "plant.yaml").write_text(format_plant_file(diagnosis, logs))
-    page = build_diagnosis_page(diagnosis, records).html()
-    (out / "report.html").write_text(page, encoding="utf-8")
+        texts[out / "plant.yaml"] = format_plant_file(diagnosis, logs)
+    texts[out / "report.html"] = build_diagnosis_page(diagnosis, records).html()
+    write_files(texts)
+    return sorted(path.name for path in texts)

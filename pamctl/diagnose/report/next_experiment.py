@@ -1,4 +1,4 @@
-"""What the records leave open, and the experiment that would tell more."""
+"""The questions that the records leave open, and the experiment that would answer more."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from pamctl.diagnose.experiments import find_separating_experiment, find_showing
 from pamctl.diagnose.naming.verdict import Verdict
 
 NEARLY_SEEN = 3.0
-"""An effect that shows from this many smallest sizes on needs no other experiment."""
+"""An effect visible from this many smallest sizes on needs no other experiment."""
 
 
 def list_ambiguous_sets(diagnosis: Diagnosis) -> list[list[str]]:
-    """Return the sets of effects that the data do not tell apart."""
+    """Return the sets of effects that the data cannot distinguish."""
     return [[s.effect.name, *s.equal_rivals] for s in diagnosis.standings if s.equal_rivals]
 
 
 def list_blind_spots(diagnosis: Diagnosis) -> list[dict[str, object]]:
-    """Return what these records could not have shown."""
+    """Return the effects that these records could not have shown."""
     audit = diagnosis.audit
     return [spot.as_dict() for spot in audit.blind_spots] if audit else []
 
 
 def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """Return the experiment that would tell more, if there is one."""
+    """Return the experiment that would answer more, if there is one."""
     sets = list_ambiguous_sets(diagnosis)
     if sets:
         return find_separating_experiment(sets[0])
@@ -32,7 +32,7 @@ def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
         return {
             "name": "diagnosis",
             "separates": [],
-            "why": "the whole program, to see in which regime the remainder lies",
+            "why": "the full program, to see in which regime the remainder lies",
         }
     spots = [s for s in diagnosis.audit.blind_spots if s.experiment] if diagnosis.audit else []
     hidden = max(spots, key=lambda s: s.sizes, default=None)

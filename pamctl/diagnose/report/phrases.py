@@ -119,7 +119,7 @@ def describe_remainder(remainder: Remainder) -> str:
         return f"Unnamed correction of the {remainder.block}: no simple shape fits what is left."
     terms = " ".join(f"{value:+.3g} {term}" for term, value in remainder.terms)
     return (
-        f"Unnamed correction, not a cause: what is left of the {remainder.block} looks like "
+        f"Unnamed correction, not a cause: the remainder of the {remainder.block} looks like "
         f"{terms} {remainder.unit}. This covers {100.0 * remainder.explained:.0f} % of its square; "
         "each signal is scaled to its largest magnitude."
     )

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log.container import make_message_records
-from pamctl.log.new_file import create_new_file
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import IMPORTED, TICK_TOPIC, imported_fields
 from pamctl.log.wire import TickLayout
 from pamctl.log.writer import LogWriter, begin_log
+from pamctl.new_file import create_new_file
 
 CHUNK_TICKS = 2048
 
@@ -32,7 +32,7 @@ def write_imported(
 
     `t_s`, shape (n,) with n > 1, rises strictly from zero. `quantities` holds arrays of shape (n,)
     by their names in `IMPORTED_QUANTITIES`. `story` becomes the metadata record `import`.
-    Raise LogError if the file exists.
+    Raise NewFileError if it cannot be written.
     """
     fields = imported_fields(quantities)
     layout = TickLayout.of_fields(fields)

@@ -75,6 +75,8 @@ def _read_columns(name: str, value: Any) -> Iterator[_Column]:
 
 
 def _read_array(name: str, value: NDArray[Any]) -> Iterator[_Column]:
+    if not value.size:  # it may claim a thousand million columns of nothing
+        return
     called = _SIMULINK_TIME if name.rpartition(".")[2] == "tout" else ""
     if 1 in value.shape:
         if value.size > 1:

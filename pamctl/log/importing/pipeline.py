@@ -19,6 +19,7 @@ from pamctl.log.importing.judge import judge_sign, judge_time, judge_values
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
 from pamctl.log.importing.quantities import TIME, ColumnReading, parse_column_name
 from pamctl.log.importing.resample import resample_columns
+from pamctl.new_file import require_place
 from pamctl.regular_file import describe_irregular_file
 
 Floats = NDArray[np.float64]
@@ -53,9 +54,11 @@ def import_log(
     """Make a log from a CSV or MAT file, unless `findings` has an error.
 
     `accept_units` turns errors about implausible units into warnings. Raise ImportRefused if the
-    file cannot be read or its columns cannot be identified, LogError if the log exists.
+    file cannot be read or its columns cannot be identified, NewFileError if the log cannot be
+    written.
     """
     source, destination = Path(source), Path(destination)
+    require_place(destination)
     table = _read_table(source)
     findings = LogFindings()
     readings = import_map.readings() if import_map else _match_names(table, findings)

@@ -25,11 +25,11 @@ from pamctl.log.framing import (
     translate_parse_errors,
     verify_checksum,
 )
-from pamctl.log.new_file import create_new_file
 from pamctl.log.repair.salvage import Hole, is_data_verified, read_summary, salvage_records
 from pamctl.log.schema import JSON_SCHEMAS, TICK_TOPIC
 from pamctl.log.ticks import find_message_run
 from pamctl.log.writer import NO_SCHEMA, LogWriter
+from pamctl.new_file import create_new_file
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,8 @@ class Recovery:
 
 def recover_file(source: str | Path, destination: str | Path) -> Recovery:
     """Save the undamaged parts of a log into a new file; raise LogError if there are none.
+
+    Raise NewFileError if the file cannot be written.
 
     Works on any MCAP file. A damaged chunk is left out. If lengths are damaged, the next chunk is
     found by its checksum. The source is not changed.
@@ -147,7 +149,8 @@ class LogCopy:
         """Learn the channels from an undamaged summary, in case the first chunk is damaged."""
         for record in read_summary(file):
             if _is_description(record):
-                self._copy(file, record)
+                with suppress(Damage), translate_parse_errors(record):
+                    self._copy(file, record)
 
     def _learn_ahead(self, file: memoryview, first: FileRecord) -> None:
         """Learn the channels from the first chunk that describes them."""

@@ -1,7 +1,7 @@
 """What an effect is: its numbers, its kernels and where they enter, and what a reader must know.
 
-An effect is one file with one record, `DESCRIPTION`. Whatever else the program knows of effects
-(the plant file, the steps of the plant, the search of `pamctl diagnose`) is derived from it.
+An effect is one file with one record, `DESCRIPTION`. Everything else is derived from it: the plant
+file, the steps of the plant, the search of `pamctl diagnose`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class EffectParameter:
     """One number of an effect.
 
     A `size` at its neutral value (0 or 1) switches the effect off exactly. A `shape` says how
-    an effect acts that is on, and does nothing by itself.
+    an active effect acts, and does nothing by itself.
     """
 
     name: str
@@ -31,10 +31,10 @@ class EffectParameter:
     smallest_of_interest: float
     meaning: str
     start: float = 0.0
-    """Where a fit may start: off every bound, and large enough to be felt."""
+    """Where a fit may start: inside the bounds, and large enough to be seen."""
     role: Literal["size", "shape"] = "size"
     choices: tuple[str, ...] = ()
-    """Names of the whole numbers from 0 on, where the number chooses among forms."""
+    """Names of the values 0, 1, ... of a number that selects a form."""
 
 
 def size(
@@ -71,7 +71,7 @@ def shape(
 
 @dataclass(frozen=True)
 class EffectForm:
-    """One of several forms of an effect: what a fit holds, and what it frees."""
+    """One of several forms of an effect: the numbers that a fit holds, and those that it frees."""
 
     name: str
     free: tuple[str, ...]
@@ -92,9 +92,9 @@ class EffectMemory:
 class EffectEntry:
     """A kernel of an effect and the place in the plant where it enters.
 
-    The kernel's first argument is the effect's parameters. It names the others: those of its
-    place (`pamctl.plant.effects.places`), in any order and only those that it needs. It is
-    called at neutral values, too, and must then return its value, or 0 where results are added up.
+    The kernel's first argument is the effect's parameters. It names the others: any of
+    those of its place (`pamctl.plant.effects.places`), in any order. It is also called at neutral
+    values, and must then return its value unchanged, or 0 if results are added up.
     A kernel with a memory is called only where its effect acts.
     """
 
@@ -102,15 +102,15 @@ class EffectEntry:
     kernel: Callable[..., Any]
     memory: EffectMemory | None = None
     after: tuple[str, ...] = ()
-    """Effects of the same place whose result this kernel takes."""
+    """Effects of the same place that must act before this kernel."""
     undo: Callable[..., Any] | None = None
-    """For a reading: (parameters, readings, times_s, atmosphere_pa) -> what a sensor without the
-    effect would have shown, all arrays. It may add noise; None where nothing can be undone."""
+    """For a reading: (parameters, readings, times_s, atmosphere_pa) -> the readings of a sensor
+    without the effect, all arrays. It may add noise; None if the effect cannot be undone."""
 
 
 @dataclass(frozen=True)
 class Distinction:
-    """How an effect is told from another one."""
+    """How to distinguish two effects."""
 
     experiment: str
     """Name of an experiment file."""
@@ -125,11 +125,11 @@ class EffectDescription:
     kind: type[Any]
     """NamedTuple of the parameters, whose defaults are neutral."""
     block: Block
-    """The block that it belongs to, for the reader."""
+    """The block that it belongs to, for readers only."""
     equation: str
     parameters: tuple[EffectParameter, ...]
     signature: str
-    """What it does to simulation minus measurement when the model lacks it."""
+    """How simulation minus measurement looks when the model lacks the effect."""
     best_experiment: str
     """Name of the experiment file that shows it best; empty where none does."""
     seen_by: tuple[Block, ...]
@@ -141,9 +141,9 @@ class EffectDescription:
     forms: tuple[EffectForm, ...] = ()
     """Empty: one form, all parameters free."""
     told_from: Mapping[str, Distinction] = field(default_factory=dict)
-    """How it is told from other effects, by their names; once for each pair."""
+    """How to distinguish it from other effects, by name; each pair appears once."""
     unidentifiable: str = ""
-    """Why no experiment on this rig can tell its size; empty where one can."""
+    """Why no experiment on this rig can identify its size; empty if one can."""
     is_searched: bool = True
     """False where `diagnose` must not name it: it would explain too much."""
 
@@ -155,7 +155,7 @@ class EffectDescription:
 
 
 def acts(effect: EffectDescription, values: Mapping[str, float]) -> bool:
-    """Tell whether any size among an effect's parameters (by name) is off its neutral value."""
+    """Return whether any size among an effect's parameters (by name) is off its neutral value."""
     return any(
         values.get(p.name, p.neutral) != p.neutral for p in effect.parameters if p.role == "size"
     )

@@ -1,9 +1,9 @@
 """The places where effects enter the plant, from the command to the readings of the sensors.
 
-A kernel names the arguments that it wants of those that its place gives. Kernels of a place
-run one after the other. Where a value passes (`replaces`), each takes what the one before
-it returned; else what they return is added up. Units are in the names; pressures are absolute,
-but for `gauge_pa`; `age_s` counts from the plant's first moment.
+A kernel names the arguments that it needs, out of those that its place gives. The kernels of a
+place run one after the other. If the place replaces a value (`replaces`), each kernel takes the
+result of the one before; otherwise the results are added up. Units are in the names; pressures are
+absolute, except `gauge_pa`; `age_s` is the time since the plant's start.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 Part = Literal["numbers", "timing", "valve", "air", "mechanics", "sensors"]
-"""Parts of the plant. A part of a step runs the paper's equations alone where no effect acts."""
+"""Parts of the plant. A part without an active effect runs the paper's equations alone."""
 
 
 class FrictionBand(NamedTuple):
-    """Dry friction: moving up it is `upper_n`, moving down `lower_n`, at rest anything between."""
+    """Dry friction: `upper_n` when moving up, `lower_n` when moving down, between them at rest."""
 
     lower_n: float
     upper_n: float
@@ -24,24 +24,24 @@ class FrictionBand(NamedTuple):
 
 @dataclass(frozen=True)
 class Place:
-    """One place: what it gives a kernel, and what becomes of the result."""
+    """One place: what it gives a kernel, and how the result is used."""
 
     part: Part
     result: str
     """What a kernel returns."""
     gives: tuple[str, ...]
-    """Arguments that a kernel may name; a kernel with a memory may name `memory`, too."""
+    """Arguments that a kernel may name; a kernel with a memory may also name `memory`."""
     follows: tuple[str, ...] = ()
-    """Arguments that the kernel of a memory may name; empty where no effect may remember."""
+    """Arguments that the kernel of a memory may name; empty if no effect may have a memory here."""
     replaces: str = ""
     """The argument whose value the result replaces; empty where results are added up."""
 
 
 _MUSCLE = ("position_m", "velocity_m_per_s", "gauge_pa", "age_s")
 _MOTION = ("memory", "begin_m", "end_m", "gauge_pa", "step_s")
-"""The muscle moves straight from `begin_m` to `end_m`."""
+"""The muscle moves at constant speed from `begin_m` to `end_m`."""
 _HELD = ("memory", "begin", "end", "step_s")
-"""What enters the place goes straight from `begin` to `end`; a command is constant in a step."""
+"""The value changes linearly from `begin` to `end`; a command is constant in a step."""
 
 PLACES: dict[str, Place] = {
     "numbers": Place(
@@ -88,4 +88,4 @@ PLACES: dict[str, Place] = {
         "position_m",
     ),
 }
-"""In the order in which a step comes to them."""
+"""In the order of a step."""

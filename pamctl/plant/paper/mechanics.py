@@ -1,9 +1,9 @@
 """The mechanical block: pressure in, motion out.
 
-The fast pole (c + mu_k N A_b P_g) / M is 2e4 1/s and friction jumps at zero velocity,
-so RK4 needs eight sub-steps a millisecond to be stable and is first order at the
-jump. With the forces frozen at the middle of the step the motion is an exponential
-that is known exactly, and so is the moment at which it comes to rest.
+The fast pole (c + mu_k N A_b P_g) / M is 2e4 1/s, and friction jumps at zero velocity. RK4 would
+need eight sub-steps a millisecond to be stable, and is of first order at the jump. With the forces
+held at their values of the step's middle, the motion is a known exponential, and so is the moment
+at which it comes to rest.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def mechanics_step(
 def slide(
     forces: AxialForces, mass_kg: float, position_m: float, velocity_m_per_s: float, step_s: float
 ) -> tuple[float, float]:
-    """Move exactly under frozen forces, through a stop and a reversal if there is one.
+    """Move exactly under constant forces, also through a stop and a reversal.
 
     Returns position (m) and velocity (m/s) after `step_s`.
     """
@@ -49,10 +49,10 @@ def slide(
     excess = velocity_m_per_s - terminal
     decay = exp(-rate * step_s)
     velocity = terminal + excess * decay
-    # Signs, not their product: that would underflow for the last of a decaying motion.
+    # Compare signs: the product would underflow at the end of a decaying motion.
     if velocity != 0.0 and (velocity > 0.0) == (velocity_m_per_s > 0.0):
         return position_m + terminal * step_s + excess * (1.0 - decay) / rate, velocity
-    # It comes to rest within the step, and friction decides anew what happens then.
+    # It comes to rest within the step; then friction decides whether it sticks.
     stop_s = min(log(excess / -terminal) / rate, step_s) if terminal != 0.0 else step_s
     rest_m = position_m + terminal * stop_s + velocity_m_per_s / rate
     return leave_rest(forces, mass_kg, rest_m, step_s - stop_s)

@@ -1,8 +1,7 @@
 """The pressure block: valve opening and motion in, pressure out.
 
-Eq. 7 is integrated as d(P V)/dt = R T m_dot. In that form the air mass is conserved
-exactly, whatever the step, and no velocity is needed: a measured, quantised position
-drives it as well as a simulated one.
+Eq. 7 is integrated as d(P V)/dt = R T m_dot. This form conserves the air mass
+exactly for any step, and needs no velocity: a measured, quantised position can drive it.
 """
 
 from __future__ import annotations
@@ -43,8 +42,8 @@ def pressure_step(
     if opening_v != 0.0:
         source_pa = p.tank_pressure_pa if opening_v > 0.0 else p.atmospheric_pressure_pa
         if middle_pa == source_pa:
-            # The prediction arrived within half a step of the first flow. The flow goes with the
-            # root of the difference, so the true way takes twice that: it ends in this step.
+            # The prediction reached the end within half a step of the first flow. The flow goes
+            # as the root of the difference: the true time is twice that, and ends in this step.
             return middle_pa
     energy = pressure_pa * volume_m3(p, position_m)
     inflow = valve_flow(p, opening_v, middle_pa)
@@ -57,8 +56,8 @@ def _stop_at_source(
 ) -> float:
     """Stop at the source's pressure.
 
-    The flow goes with the square root of the last pressure difference: it reaches zero
-    in finite time, and an explicit step would jump across and chatter by some 30 Pa.
+    The flow goes as the square root of the pressure difference, and reaches zero in finite time.
+    An explicit step would overshoot and chatter by some 30 Pa.
     """
     if opening_v == 0.0:
         return next_pa

@@ -8,7 +8,7 @@ from pamctl.plant.parameters import PaperParameters
 
 
 def orifice_flow(p: PaperParameters, upstream_pa: float, downstream_pa: float) -> float:
-    """Psi(P_u, P_d): mass flow per aperture area, kg/(s m^2), for P_u >= P_d > 0."""
+    """Return Psi(P_u, P_d): mass flow per aperture area, kg/(s m^2), for P_u >= P_d > 0."""
     ratio = downstream_pa / upstream_pa
     if ratio <= p.critical_ratio:
         return p.choked_flow_s_per_m * upstream_pa
@@ -22,10 +22,10 @@ def orifice_flow(p: PaperParameters, upstream_pa: float, downstream_pa: float) -
 
 
 def valve_flow(p: PaperParameters, opening_v: float, pressure_pa: float) -> float:
-    """Mass flow into the muscle, kg/s, with A_v = K_Av u.
+    """Return the mass flow into the muscle, kg/s, with A_v = K_Av u.
 
-    u > 0 opens to the tank, u < 0 to the atmosphere. Either way the air runs down the
-    pressure gradient, so a muscle stretched below atmospheric pressure sucks air in.
+    u > 0 opens to the tank, u < 0 to the atmosphere. Air flows towards the lower pressure, so a
+    muscle stretched below atmospheric pressure sucks in air.
     """
     source_pa = p.tank_pressure_pa if opening_v > 0.0 else p.atmospheric_pressure_pa
     area = p.valve_gain_m2_per_v * abs(opening_v)

@@ -174,7 +174,7 @@ class SvgPlot:
             f'<svg class="data" width="100%" height="{self.height_px}" '
             f'viewBox="0 0 {FRAME_WIDTH} {self.height_px * PIXEL:.0f}" '
             f'preserveAspectRatio="none">{drawn}{self._draw_levels(frame)}</svg>'
-            f"{self._draw_level_texts(frame)}{self._draw_nothing()}</svg></svg></div></div>"
+            f"{self._draw_level_texts(frame)}{self._draw_missing_data()}</svg></svg></div></div>"
         )
 
     def _y_name(self) -> str:
@@ -226,7 +226,7 @@ class SvgPlot:
             texts.append(f"{escape(label)}</text>")
         return "".join(texts)
 
-    def _draw_nothing(self) -> str:
+    def _draw_missing_data(self) -> str:
         shown = any(
             np.isfinite(x).any() and np.isfinite(y).any()
             for mark in self._marks

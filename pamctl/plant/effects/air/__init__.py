@@ -1,4 +1,4 @@
-"""Effects on the air: its sources, its ways and its volumes.
+"""Effects on the air: supply, lines, leaks and volumes.
 
 One file an effect: parameters, kernel and description.
 Read `chamber_leak.py` first.

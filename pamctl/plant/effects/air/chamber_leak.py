@@ -21,15 +21,16 @@ DESCRIPTION = EffectDescription(
     parameters=(
         size("area_m2", "m2", 3e-7, smallest=1e-9, start=1e-8, meaning="A_c, area of the leak"),
     ),
-    signature="with the valve closed the pressure falls to the atmosphere's, the faster the higher "
-    "it is",
+    signature="with the valve closed the pressure falls towards atmospheric pressure, faster at "
+    "higher pressure",
     best_experiment="fill-and-hold",
     seen_by=("pressure",),
     woven=("air",),
     told_from={
         "valve_leak": Distinction(
             "fill-and-hold",
-            "with the valve closed one drifts towards the middle, the other to the atmosphere",
+            "with the valve closed a valve leak ends between tank and atmosphere, a chamber leak "
+            "at atmospheric pressure",
         ),
     },
 )

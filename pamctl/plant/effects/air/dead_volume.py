@@ -1,4 +1,4 @@
-"""Air that takes no part in the muscle's change of volume: tubes, fittings, the sensor's port."""
+"""Constant air volume beside the muscle: tubes, fittings, the sensor's port."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class DeadVolume(NamedTuple):
 
 
 def add_dead_volume_m3(dead: DeadVolume, volume_m3: float) -> float:
-    """Return the whole volume."""
+    """Return the total volume."""
     return volume_m3 + dead.volume_m3
 
 
@@ -26,7 +26,7 @@ DESCRIPTION = EffectDescription(
     parameters=(
         size("volume_m3", "m3", 6e-5, smallest=1e-6, start=4e-6, meaning="V_d, added volume"),
     ),
-    signature="pressure moves too fast in the simulation, most where the muscle is longest",
+    signature="the simulated pressure changes too fast, most where the muscle is longest",
     best_experiment="slow-ramps",
     seen_by=("pressure",),
     entries=(EffectEntry("volume", add_dead_volume_m3),),

@@ -1,4 +1,4 @@
-"""The valve chokes at another pressure ratio than an ideal nozzle: b of ISO 6358 is 0.2 to 0.5."""
+"""The valve chokes at a lower pressure ratio than an ideal nozzle (ISO 6358: b = 0.2 to 0.5)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def nozzle_ratio(discharge: DischargeRatio, ratio: float, critical_ratio: float)
     """Return the pressure ratio at which an ideal nozzle would pass the same share of the flow.
 
     It stretches the unchoked branch, so that choking begins at `critical_ratio + shift` and the
-    flow still ends at equal pressures. Within 0.3 % of ISO 6358's ellipse.
+    flow is still 0 at equal pressures. The result is within 0.3 % of ISO 6358's ellipse.
     """
     if discharge.shift == 0.0:
         return ratio
@@ -41,7 +41,7 @@ DESCRIPTION = EffectDescription(
             low=-0.4,
         ),
     ),
-    signature="right while choked, wrong in the unchoked half: near the end of filling and venting",
+    signature="the flow is wrong while it is not choked: near the end of filling and of venting",
     best_experiment="square-1",
     seen_by=("pressure",),
     woven=("air",),

@@ -1,6 +1,6 @@
-"""A tube between valve and muscle: it resists, it holds air, and the sensor sits at its valve end.
+"""A tube between valve and muscle, with resistance and volume; the sensor is at its valve end.
 
-What the sensor shows then leads what moves the muscle.
+The pressure at the sensor therefore leads the pressure in the muscle.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ def line_time_s(line: LineRestriction, specific_energy_j_per_kg: float) -> float
 
 
 def lag_weights(time_s: float, step_s: float) -> tuple[float, float]:
-    """Return how a lag follows over a step: its share of the past, and its weight of a ramp.
+    """Return the weights of a lag over a step: of its last value, and of a ramp of its input.
 
-    y(h) = kept y(0) + (1 - kept) r(0) + weight (r(h) - r(0)) for a straight r: exact.
+    y(h) = kept y(0) + (1 - kept) r(0) + weight (r(h) - r(0)) is exact for a linear r.
     """
     if time_s <= 0.0:
         return 0.0, 1.0
@@ -58,8 +58,8 @@ DESCRIPTION = EffectDescription(
             meaning="V_l, volume at the valve's end",
         ),
     ),
-    signature="the measured pressure leads: it jumps with the flow, and the motion lags behind it; "
-    "both blocks show it",
+    signature="the measured pressure jumps with the flow, and the motion follows later; both "
+    "blocks show it",
     best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
     woven=("air",),

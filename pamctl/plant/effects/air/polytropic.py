@@ -15,12 +15,12 @@ class Polytropic(NamedTuple):
 
 
 def polytropic_volume(polytropic: Polytropic, volume_m3: float) -> float:
-    """V^a: the pressure times this is what inflow adds to."""
+    """Return V^a; inflow adds to P V^a."""
     return volume_m3 if polytropic.exponent == 1.0 else pow(volume_m3, polytropic.exponent)
 
 
 def polytropic_slope(polytropic: Polytropic, volume_m3: float) -> float:
-    """A V^(a-1), the slope of V^a."""
+    """Return a V^(a-1), the slope of V^a."""
     if polytropic.exponent == 1.0:
         return 1.0
     return polytropic.exponent * pow(volume_m3, polytropic.exponent - 1.0)
@@ -43,7 +43,7 @@ DESCRIPTION = EffectDescription(
             low=1.0,
         ),
     ),
-    signature="the flow's and the motion's share of the pressure's rate are scaled alike",
+    signature="the rate of pressure is wrong by one factor, under flow and under motion",
     best_experiment="square-1",
     seen_by=("pressure",),
     woven=("air",),

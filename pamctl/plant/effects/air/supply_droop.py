@@ -9,7 +9,7 @@ from pamctl.plant.effects.description import EffectDescription, EffectForm, shap
 
 
 class SupplyDroop(NamedTuple):
-    """Static where the refill takes no time; else a finite tank that the regulator fills.
+    """A static droop without a refill time; otherwise a finite tank that the regulator fills.
 
     The tank's volume is refill_time R T / resistance.
     """
@@ -19,7 +19,7 @@ class SupplyDroop(NamedTuple):
 
 
 def kept_share(droop: SupplyDroop, step_s: float) -> float:
-    """Return how much of a tank's present pressure is left after `step_s` of refill."""
+    """Return the share of a tank's present pressure that remains after `step_s` of refill."""
     return exp(-step_s / droop.refill_time_s) if droop.refill_time_s > 0.0 else 0.0
 
 
@@ -47,7 +47,7 @@ DESCRIPTION = EffectDescription(
             meaning="tau = V_t R_s / (R T) of a tank of volume V_t between regulator and valve",
         ),
     ),
-    signature="while filling only, in proportion to the flow; with a tank it lingers after it",
+    signature="an error while filling only, in proportion to the flow; a tank makes it last",
     best_experiment="square-1",
     seen_by=("pressure",),
     woven=("air",),

@@ -26,7 +26,7 @@ DESCRIPTION = EffectDescription(
     block="mechanics",
     equation="F = max(P_g - P_th, 0) A(x)",
     parameters=(size("pressure_pa", "Pa", 6e4, smallest=1e3, start=5e3, meaning="P_th"),),
-    signature="at the vented end: the stroke begins late; a constant loss of pressure above",
+    signature="the stroke begins late at the vented end; above, a constant loss of pressure",
     best_experiment="square-1",
     seen_by=("mechanics",),
     entries=(EffectEntry("pulling_pressure", reduce_pulling_pa),),

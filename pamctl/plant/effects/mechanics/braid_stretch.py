@@ -14,7 +14,7 @@ class BraidStretch(NamedTuple):
 
 
 def stretch_ratio(braid: BraidStretch, gauge_pa: float) -> float:
-    """Return the length of the threads over that without pressure."""
+    """Return the ratio of the threads' length to their length without pressure."""
     return 1.0 + braid.compliance_per_pa * gauge_pa
 
 
@@ -33,7 +33,7 @@ DESCRIPTION = EffectDescription(
             meaning="e, strain per gauge pressure",
         ),
     ),
-    signature="static, grows with the square of the pressure; near to a change of k and b together",
+    signature="a static error in the square of the pressure; similar to a change of k and b",
     best_experiment="fill-and-hold",
     seen_by=("mechanics", "pressure"),
     woven=(

@@ -1,4 +1,4 @@
-"""The bladder creeps: after a step the muscle goes on for seconds."""
+"""The bladder creeps: after a step the muscle keeps moving for seconds."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ FAST = 0.1
 
 
 class Creep(NamedTuple):
-    """A spring and a dashpot beside the muscle, or two such branches."""
+    """A spring and a dashpot parallel to the muscle, or two such branches."""
 
     stiffness_n_per_m: float = 0.0
     time_constant_s: float = 1.0
     fast_share: float = 0.0
-    """Of the stiffness, in a second branch that is ten times as fast."""
+    """Share of the stiffness in a second branch, which is ten times as fast."""
 
 
 class DashpotPositions(NamedTuple):
-    """Positions at which the dashpots are."""
+    """Positions of the dashpots."""
 
     slow_m: float
     fast_m: float
 
 
 def start_dashpots(position_m: float, pressure_pa: float) -> DashpotPositions:
-    """Return dashpots that have long relaxed."""
+    """Return relaxed dashpots."""
     return DashpotPositions(position_m, position_m)
 
 
 def advance_dashpots(
     creep: Creep, memory: DashpotPositions, begin_m: float, end_m: float, step_s: float
 ) -> DashpotPositions:
-    """Let the dashpots follow a straight motion: exact."""
+    """Advance the dashpots over a motion of constant speed, exactly."""
     kept, weight = lag_weights(creep.time_constant_s, step_s)
     slow_m = kept * memory.slow_m + (1.0 - kept) * begin_m + weight * (end_m - begin_m)
     if creep.fast_share == 0.0:

@@ -14,7 +14,7 @@ class CubicStiffness(NamedTuple):
 
 
 def cubic_force_n(cubic: CubicStiffness, position_m: float) -> float:
-    """Return the pull, which is against displacement."""
+    """Return the pull; it opposes the displacement."""
     return -(cubic.n_per_m3 * position_m * position_m * position_m)
 
 
@@ -24,7 +24,7 @@ DESCRIPTION = EffectDescription(
     block="mechanics",
     equation="-k x - k_3 x^3",
     parameters=(size("n_per_m3", "N/m3", 1e7, smallest=2e5, start=1e6, meaning="k_3", low=-1e7),),
-    signature="static, a function of the displacement only",
+    signature="a static error, a function of the displacement only",
     best_experiment="fill-and-hold",
     seen_by=("mechanics",),
     entries=(EffectEntry("force", cubic_force_n),),

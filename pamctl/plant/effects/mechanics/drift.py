@@ -7,11 +7,11 @@ from typing import NamedTuple
 from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectForm, size
 
 LEAST_FACTOR = 0.1
-"""Of its first value, that a drifting number never falls below."""
+"""A drifting number keeps at least this share of its first value."""
 
 
 class Drift(NamedTuple):
-    """Trends from the plant's first moment on, relative, in 1/s."""
+    """Relative trends since the plant's start, in 1/s."""
 
     valve_gain_per_s: float = 0.0
     stiffness_per_s: float = 0.0
@@ -62,7 +62,7 @@ DESCRIPTION = EffectDescription(
             low=-0.01,
         ),
     ),
-    signature="parameters fitted to one part of a record after the other show a trend in time",
+    signature="parameters fitted to successive parts of a record show a trend in time",
     best_experiment="squares-apart",
     seen_by=("pressure", "mechanics"),
     entries=(EffectEntry("opening", apply_gain_drift_v, after=("valve_asymmetry",)),),

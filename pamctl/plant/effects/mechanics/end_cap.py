@@ -1,4 +1,4 @@
-"""The ends of the muscle are not cylindrical: a part of its length takes no part."""
+"""The ends of the muscle are not cylindrical: a part of the length neither fills nor pulls."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DESCRIPTION = EffectDescription(
     parameters=(
         size("length_m", "m", 0.02, smallest=1e-3, start=3e-3, meaning="l_e, lost length"),
     ),
-    signature="static, a function of the displacement times pressure",
+    signature="a static error: a function of the displacement, multiplied by the pressure",
     best_experiment="fill-and-hold",
     seen_by=("mechanics", "pressure"),
     entries=(EffectEntry("numbers", shorten_muscle),),

@@ -14,7 +14,7 @@ class ExternalLoad(NamedTuple):
 
 
 def load_force_n(load: ExternalLoad) -> float:
-    """Return the pull, which is against contraction."""
+    """Return the pull; it opposes contraction."""
     return -load.force_n
 
 
@@ -34,7 +34,7 @@ DESCRIPTION = EffectDescription(
             low=-20.0,
         ),
     ),
-    signature="a constant static offset; gone if the encoder is homed at the loaded rest",
+    signature="a constant static offset; it vanishes if the encoder is homed under the load",
     best_experiment="fill-and-hold",
     seen_by=("mechanics",),
     entries=(EffectEntry("force", load_force_n),),

@@ -1,4 +1,4 @@
-"""A load moves along. It cannot be identified here: M / c is 88 us, below a tick."""
+"""A load moves with the muscle. It cannot be identified here: M / c is 88 us, below a tick."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class MovingMass(NamedTuple):
 
 
 def add_mass(mass: MovingMass, numbers: PaperParameters) -> PaperParameters:
-    """Return the plant's numbers with the whole mass."""
+    """Return the plant's numbers with the total mass."""
     return numbers._replace(mass_kg=numbers.mass_kg + mass.added_kg)
 
 
@@ -27,7 +27,7 @@ DESCRIPTION = EffectDescription(
     block="mechanics",
     equation="(M + m) x''",
     parameters=(size("added_kg", "kg", 2.0, smallest=0.03, start=0.2, meaning="m"),),
-    signature="none above the noise: velocity settles within M / c = 88 us, long before a sample",
+    signature="nothing above the noise: velocity settles within M / c = 88 us, a tenth of a sample",
     best_experiment="",
     seen_by=("mechanics",),
     entries=(EffectEntry("numbers", add_mass),),

@@ -1,8 +1,8 @@
-"""Before it slides, friction is a spring: bristles bend, and hold where motion turned.
+"""Before it slides, friction acts as a spring: bristles bend, and keep their force at reversals.
 
-It takes the place of the set-valued friction at rest. Three forms of one name: elasto-plastic (a
-spring on a slider), Dahl's (the spring softens towards its limit), and LuGre's, which is Dahl's
-with a damping of the bristle; its Stribeck part is the effect of that name.
+This replaces the set-valued friction at rest. There are three forms: elasto-plastic (a spring on
+a slider), Dahl (the spring softens towards its limit), and LuGre (Dahl, with damping of the
+bristle). The Stribeck part of LuGre's model is the effect `stribeck`.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ class SlipEnd(NamedTuple):
 
 
 def clamp_bristle_n(force_n: float, drive_n: float, lower_n: float, upper_n: float) -> float:
-    """Return a bristle's force within the band; one not loaded yet (infinite) holds the drive."""
+    """Return a bristle's force within the band; an unloaded one (infinite) takes the drive."""
     return min(max(drive_n if isinf(force_n) else force_n, lower_n), upper_n)
 
 
 def bristle_damping(presliding: Presliding, left_n: float, width_n: float) -> float:
-    """Return sigma_1 dz/dx, what LuGre's bristle adds to damping at `left_n` below its limit."""
+    """Return sigma_1 dz/dx, the damping that LuGre's bristle adds at `left_n` below its limit."""
     if presliding.form != LUGRE:
         return 0.0
     return presliding.bristle_damping_n_s_per_m * left_n / width_n
@@ -55,13 +55,13 @@ def slip(
     width_n: float,
     step_s: float,
 ) -> SlipEnd:
-    """Slip forwards for a step; everything counted in the direction of motion.
+    """Slip for one step; all values are positive in the direction of motion.
 
-    `surplus_n` is the drive beyond the bristle's present force, `left_n` what that force may still
-    grow. Mean force and way determine each other: way = a v + b (drive - mean force), exact for
-    mass and damping under a constant force, and the mean force of a bristle over a way is a
-    closed form. Both grow with the way, so there is one solution, however stiff the bristle.
-    The way is 0 where it would go backwards; the force that the bristle has gained is returned.
+    `surplus_n` is the drive minus the bristle's present force; `left_n` is how much that force can
+    still grow. Mean force and distance depend on each other. The distance a v + b (drive - mean
+    force) is exact for mass and damping under a constant force. The mean force of a bristle over a
+    distance has a closed form, and grows with the distance: there is one solution for any
+    stiffness. The distance is at least 0. Also returns the force that the bristle has gained.
     """
     rate = damping_n_s_per_m / mass_kg
     decay = exp(-rate * step_s)
@@ -82,11 +82,11 @@ def slip(
 def _elasto_plastic(
     free_m: float, by_force: float, stiffness: float, left_n: float
 ) -> tuple[float, float, float]:
-    """Return way, gain and mean gain of a spring on a slider."""
+    """Return distance, gain and mean gain of a spring on a slider."""
     way_m = free_m / (1.0 + 0.5 * by_force * stiffness)
     if stiffness * way_m <= left_n:
         return way_m, stiffness * way_m, 0.5 * stiffness * way_m
-    # It begins to slide on the way: the mean is left - left^2 / (2 stiffness way).
+    # It begins to slide within the distance: the mean is left - left^2 / (2 stiffness way).
     past_m = free_m - by_force * left_n
     lag_m2 = 0.5 * by_force * left_n * left_n / stiffness
     root_m = sqrt(past_m * past_m + 4.0 * lag_m2)
@@ -97,9 +97,9 @@ def _elasto_plastic(
 def _dahl(
     free_m: float, by_force: float, per_m: float, left_n: float
 ) -> tuple[float, float, float]:
-    """Return way, gain and mean gain of a bristle that softens: left (1 - e^(-q)), q = way per_m.
+    """Return distance, gain and mean gain of a softening bristle: left (1 - e^(-q)), q = way per_m.
 
-    Newton's method from 0: the miss is increasing and concave, so no step goes too far.
+    Newton's method from 0: the residual is increasing and concave, so no step overshoots.
     """
     way_m, mean_n, gained_n = 0.0, 0.0, 0.0
     for _ in range(50):
@@ -133,7 +133,7 @@ DESCRIPTION = EffectDescription(
             2e-4,
             smallest=1e-6,
             start=1e-5,
-            meaning="1 / sigma_0, how far bristles bend per force",
+            meaning="1 / sigma_0, deflection of the bristles per force",
         ),
         shape(
             "form",
@@ -142,7 +142,7 @@ DESCRIPTION = EffectDescription(
             2.0,
             usual=0.0,
             smallest=1.0,
-            meaning="how the bristle yields",
+            meaning="law of the bristle's deflection",
             choices=("elasto_plastic", "dahl", "lugre"),
         ),
         shape(
@@ -155,8 +155,8 @@ DESCRIPTION = EffectDescription(
             meaning="sigma_1, in the form lugre only",
         ),
     ),
-    signature="at reversals only: the muscle gives way before it slides, by some micrometres, and "
-    "remembers where it turned; grows with pressure",
+    signature="at reversals only: the muscle moves some micrometres before it slides, and the "
+    "force depends on where it reversed; the error grows with pressure",
     best_experiment="multisine-small",
     seen_by=("mechanics",),
     woven=("mechanics",),

@@ -1,4 +1,4 @@
-"""Viscous friction grows with pressure on both ways."""
+"""Viscous friction grows with pressure, in both directions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class PressureDamping(NamedTuple):
 
 
 def pressure_damping_n_s_per_m(damping: PressureDamping, gauge_pa: float) -> float:
-    """Return the damping beyond c; none below the atmosphere's pressure."""
+    """Return the damping added to c; 0 below atmospheric pressure."""
     return damping.per_pa * max(gauge_pa, 0.0)
 
 
@@ -24,7 +24,7 @@ DESCRIPTION = EffectDescription(
     block="mechanics",
     equation="c = c_0 + c_p P_g",
     parameters=(size("per_pa", "N s/(m Pa)", 2e-3, smallest=5e-5, start=2e-4, meaning="c_p"),),
-    signature="an error with speed times pressure",
+    signature="an error in proportion to speed times pressure",
     best_experiment="square-1",
     seen_by=("mechanics",),
     entries=(EffectEntry("damping", pressure_damping_n_s_per_m),),

@@ -1,4 +1,4 @@
-"""Kinetic friction acts on the way back, too; the paper has it when contracting only."""
+"""Kinetic friction also acts when the muscle lengthens; in the paper only when it contracts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pamctl.plant.effects.places import FrictionBand
 
 
 class ReturnFriction(NamedTuple):
-    """Share of the contracting friction that acts when the muscle lengthens."""
+    """Share of the friction of contraction that acts when the muscle lengthens."""
 
     share: float = 0.0
 
@@ -31,10 +31,10 @@ DESCRIPTION = EffectDescription(
             2.0,
             smallest=0.025,
             start=0.1,
-            meaning="r, of the friction when contracting",
+            meaning="r, share of the friction when contracting",
         ),
     ),
-    signature="only while the muscle lengthens, in proportion to pressure",
+    signature="an error only while the muscle lengthens, in proportion to pressure",
     best_experiment="slow-ramps",
     seen_by=("mechanics",),
     entries=(EffectEntry("friction", add_return_friction),),

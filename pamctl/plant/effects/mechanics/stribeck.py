@@ -17,7 +17,7 @@ from pamctl.plant.effects.places import FrictionBand
 
 
 class Stribeck(NamedTuple):
-    """Rise of friction's band towards zero speed."""
+    """Rise of the friction band towards zero speed."""
 
     rise: float = 0.0
     speed_m_per_s: float = 5e-3
@@ -26,7 +26,7 @@ class Stribeck(NamedTuple):
 
 
 def stribeck_factor(stribeck: Stribeck, velocity_m_per_s: float) -> float:
-    """Return dry friction over that at high speed."""
+    """Return the ratio of dry friction to that at high speed."""
     if stribeck.rise == 0.0:
         return 1.0
     share = abs(velocity_m_per_s) / stribeck.speed_m_per_s
@@ -76,7 +76,8 @@ DESCRIPTION = EffectDescription(
     told_from={
         "return_friction": Distinction(
             "slow-ramps",
-            "one scales with the pressure on the way back only, the other with slowness both ways",
+            "return friction grows with pressure, while the muscle lengthens only; this one grows "
+            "at low speed, in both directions",
         ),
     },
 )

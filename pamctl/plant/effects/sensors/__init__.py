@@ -1,4 +1,4 @@
-"""Effects on what the pressure sensor and the encoder say.
+"""Effects on the readings of the pressure sensor and the encoder.
 
 One file an effect: parameters, kernel and description.
 Read `pressure_sensor_lag.py` first.

@@ -26,7 +26,7 @@ def start_carrier(position_m: float, pressure_pa: float) -> ScaleCarrier:
 
 
 def follow_backlash_m(backlash: EncoderBacklash, memory: ScaleCarrier, end: float) -> ScaleCarrier:
-    """Follow the muscle with a slack of `width_m` in all."""
+    """Follow the muscle with a total slack of `width_m`."""
     return ScaleCarrier(follow_with_play(memory.position_m, end, backlash.width_m))
 
 
@@ -43,7 +43,7 @@ DESCRIPTION = EffectDescription(
     parameters=(
         size("width_m", "m", 1e-3, smallest=12e-6, start=50e-6, meaning="w, width of the play"),
     ),
-    signature="a flat spot of one width at every reversal, whatever the pressure",
+    signature="a flat spot of constant width at every reversal, at any pressure",
     best_experiment="chirp",
     seen_by=("mechanics",),
     entries=(

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class EncoderScale(NamedTuple):
-    """Shown displacement over the true one."""
+    """Ratio of shown to true displacement."""
 
     scale: float = 1.0
 
@@ -27,7 +27,7 @@ def scale_position_m(encoder: EncoderScale, position_m: float) -> float:
 def undo_scale_m(
     encoder: EncoderScale, position_m: Array, times_s: Array, atmosphere_pa: float
 ) -> Array:
-    """Return the displacement that a true scale would show."""
+    """Return the displacement that a correct scale would show."""
     return position_m / encoder.scale
 
 
@@ -43,7 +43,7 @@ DESCRIPTION = EffectDescription(
             1.1,
             smallest=0.004,
             start=1.01,
-            meaning="s, shown over true displacement",
+            meaning="s, ratio of shown to true displacement",
             neutral=1.0,
             low=0.9,
         ),

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class PressureSensorGain(NamedTuple):
-    """Shown gauge pressure over the true one."""
+    """Ratio of shown to true gauge pressure."""
 
     gain: float = 1.0
 
@@ -22,7 +22,7 @@ class PressureSensorGain(NamedTuple):
 def scale_pressure_pa(
     sensor: PressureSensorGain, pressure_pa: float, atmosphere_pa: float
 ) -> float:
-    """Return what is shown of an absolute pressure."""
+    """Return the absolute pressure that the sensor shows."""
     if sensor.gain == 1.0:
         return pressure_pa
     return atmosphere_pa + sensor.gain * (pressure_pa - atmosphere_pa)
@@ -31,7 +31,7 @@ def scale_pressure_pa(
 def undo_gain_pa(
     sensor: PressureSensorGain, pressure_pa: Array, times_s: Array, atmosphere_pa: float
 ) -> Array:
-    """Return the absolute pressure that a true scale would show."""
+    """Return the absolute pressure that a correct scale would show."""
     return atmosphere_pa + (pressure_pa - atmosphere_pa) / sensor.gain
 
 
@@ -47,12 +47,12 @@ DESCRIPTION = EffectDescription(
             1.2,
             smallest=0.006,
             start=1.02,
-            meaning="g, shown over true gauge pressure",
+            meaning="g, ratio of shown to true gauge pressure",
             neutral=1.0,
             low=0.8,
         ),
     ),
-    signature="an error in proportion to the gauge pressure, at plateaus too; both blocks show it",
+    signature="an error in proportion to the gauge pressure, also at plateaus; both blocks show it",
     best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
     entries=(

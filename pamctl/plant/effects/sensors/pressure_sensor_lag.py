@@ -1,4 +1,4 @@
-"""The pressure sensor, or the tube to it, follows late."""
+"""The pressure sensor, or the tube to it, lags."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def start_lag(position_m: float, pressure_pa: float) -> LaggedPressure:
 def lag_pressure_pa(
     lag: PressureSensorLag, memory: LaggedPressure, begin: float, end: float, step_s: float
 ) -> LaggedPressure:
-    """Follow a pressure that goes straight from `begin` to `end` (Pa): exact."""
+    """Follow a pressure that changes linearly from `begin` to `end` (Pa), exactly."""
     kept, weight = lag_weights(lag.time_constant_s, step_s)
     return LaggedPressure(kept * memory.pressure_pa + (1.0 - kept) * begin + weight * (end - begin))
 
@@ -53,7 +53,7 @@ def show_lagged_pa(lag: PressureSensorLag, memory: LaggedPressure) -> float:
 def undo_lag_pa(
     lag: PressureSensorLag, pressure_pa: Array, times_s: Array, atmosphere_pa: float
 ) -> Array:
-    """Return the absolute pressure before the lag, by the signal's slope: it adds noise."""
+    """Return the absolute pressure before the lag, from the signal's slope, which adds noise."""
     if lag.time_constant_s <= 0.0 or len(times_s) <= 2:
         return pressure_pa
     import numpy as np  # the process of the control loop, which never calls this, has no numpy
@@ -69,8 +69,8 @@ DESCRIPTION = EffectDescription(
     parameters=(
         size("time_constant_s", "s", 20e-3, smallest=4e-4, start=1e-3, meaning="tau of the sensor"),
     ),
-    signature="the measured pressure is late in the pressure block, and the motion early in the "
-    "mechanics, by the same time",
+    signature="the measured pressure is late in the pressure block; the measured motion is early "
+    "in the mechanics, by the same time",
     best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
     entries=(
@@ -84,7 +84,7 @@ DESCRIPTION = EffectDescription(
     told_from={
         "valve_spool": Distinction(
             "fill-and-hold",
-            "after the valve closes the spool is silent and the sensor still catches up",
+            "after the valve closes the spool has settled and the sensor still catches up",
         ),
         "command_delay": Distinction(
             "fill-and-hold",

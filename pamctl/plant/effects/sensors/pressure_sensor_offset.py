@@ -14,20 +14,20 @@ if TYPE_CHECKING:
 
 
 class PressureSensorOffset(NamedTuple):
-    """What the sensor shows too much."""
+    """Shown minus true pressure."""
 
     offset_pa: float = 0.0
 
 
 def add_offset_pa(sensor: PressureSensorOffset, pressure_pa: float) -> float:
-    """Return the absolute pressure that is shown."""
+    """Return the absolute pressure that the sensor shows."""
     return pressure_pa + sensor.offset_pa
 
 
 def undo_offset_pa(
     sensor: PressureSensorOffset, pressure_pa: Array, times_s: Array, atmosphere_pa: float
 ) -> Array:
-    """Return the absolute pressure that a true zero would show."""
+    """Return the absolute pressure that a correct zero would show."""
     return pressure_pa - sensor.offset_pa
 
 
@@ -43,11 +43,11 @@ DESCRIPTION = EffectDescription(
             2e4,
             smallest=1e3,
             start=2e3,
-            meaning="o, shown at true pressure",
+            meaning="o, shown minus true pressure",
             low=-2e4,
         ),
     ),
-    signature="the vented muscle does not read the atmosphere's pressure; both blocks show it",
+    signature="the vented muscle does not read atmospheric pressure; both blocks show it",
     best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
     entries=(

@@ -1,8 +1,8 @@
 """The command reaches the valve late: converters, driver, bus.
 
-The delay re-times the stream of commands before it comes to the valve; a step of the plant
-knows nothing of it. It is exact: a step is cut where a command arrives, so that a fit sees no
-grid and a fraction of a tick counts as what it is.
+The delay shifts the commands in time before they reach the valve; a step of the plant does not
+contain it. It is exact: a step is cut where a command arrives, so a fit can resolve a fraction of
+a tick.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ DESCRIPTION = EffectDescription(
             "delay_s", "s", 20e-3, smallest=2e-4, start=1e-3, meaning="tau, any fraction of a tick"
         ),
     ),
-    signature="in the first milliseconds after every change of the command; a phase lag that grows "
+    signature="an error in the first milliseconds after every change of the command; a phase lag "
     "in proportion to frequency",
     best_experiment="chirp",
     seen_by=("pressure",),
     woven=("timing",),
     told_from={
         "valve_spool": Distinction(
-            "chirp", "a lag of second order and a pure delay part at high frequency only"
+            "chirp", "a lag of second order and a pure delay differ at high frequency only"
         ),
     },
 )

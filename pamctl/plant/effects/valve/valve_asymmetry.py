@@ -8,7 +8,7 @@ from pamctl.plant.effects.description import Distinction, EffectDescription, Eff
 
 
 class ValveAsymmetry(NamedTuple):
-    """Gain of the exhaust, over that of filling."""
+    """Ratio of the exhaust gain to the filling gain."""
 
     exhaust_gain: float = 1.0
 
@@ -30,12 +30,12 @@ DESCRIPTION = EffectDescription(
             2.0,
             smallest=0.03,
             start=0.9,
-            meaning="gain for u < 0 over that for u > 0",
+            meaning="ratio of the gain for u < 0 to that for u > 0",
             neutral=1.0,
             low=0.4,
         ),
     ),
-    signature="filling is right and exhausting wrong by a constant factor of the flow",
+    signature="filling is right; the flow of exhausting is wrong by a constant factor",
     best_experiment="null-staircase",
     seen_by=("pressure",),
     entries=(EffectEntry("opening", apply_asymmetry_v, after=("valve_curve",)),),

@@ -10,7 +10,7 @@ from pamctl.plant.effects.valve.valve_saturation import FULL_COMMAND_V
 
 
 class ValveCurve(NamedTuple):
-    """A quadratic part of the area, or a power; the power's line meets the straight one at 5 V."""
+    """A quadratic part of the area, or a power law, which equals the linear area at 5 V."""
 
     curvature_per_v: float = 0.0
     exponent: float = 1.0
@@ -51,7 +51,7 @@ DESCRIPTION = EffectDescription(
             low=0.5,
         ),
     ),
-    signature="the flow's error depends on the size of the command and not on its side",
+    signature="the flow's error depends on the size of the command and not on its sign",
     best_experiment="null-staircase",
     seen_by=("pressure",),
     entries=(EffectEntry("opening", apply_curve_v, after=("valve_deadband",)),),

@@ -8,14 +8,14 @@ from pamctl.plant.effects.description import EffectDescription, EffectEntry, Eff
 
 
 class ValveDeadband(NamedTuple):
-    """Overlap on either side of null, each at least 0."""
+    """Overlap on each side of null, at least 0."""
 
     fill_width_v: float = 0.0
     exhaust_width_v: float = 0.0
 
 
 def apply_deadband_v(deadband: ValveDeadband, opening_v: float) -> float:
-    """Return what the overlap leaves of the spool's travel."""
+    """Return the spool's travel minus the overlap."""
     if opening_v > 0.0:
         return max(opening_v - deadband.fill_width_v, 0.0)
     return min(opening_v + deadband.exhaust_width_v, 0.0)
@@ -32,8 +32,8 @@ DESCRIPTION = EffectDescription(
             "exhaust_width_v", "V", 1.5, smallest=0.02, start=0.1, meaning="dead band where u < 0"
         ),
     ),
-    signature="where the command is within some three widths of null the simulated pressure drifts "
-    "and the measured one stays; invisible under full-scale squares, where it is a loss of gain",
+    signature="with commands within some three widths of null the simulated pressure drifts and "
+    "the measured one stays; full-scale squares show only a loss of gain",
     best_experiment="null-staircase",
     seen_by=("pressure",),
     entries=(EffectEntry("opening", apply_deadband_v),),

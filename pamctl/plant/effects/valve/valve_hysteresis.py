@@ -28,12 +28,12 @@ def start_hysteresis(position_m: float, pressure_pa: float) -> PushedSpool:
 def follow_hysteresis_v(
     hysteresis: ValveHysteresis, memory: PushedSpool, end: float
 ) -> PushedSpool:
-    """Follow the command with a slack of `width_v` in all."""
+    """Follow the command with a total slack of `width_v`."""
     return PushedSpool(follow_with_play(memory.spool_v, end, hysteresis.width_v))
 
 
 def give_spool_v(hysteresis: ValveHysteresis, memory: PushedSpool) -> float:
-    """Return where the spool is."""
+    """Return the spool's position (V)."""
     return memory.spool_v
 
 
@@ -45,7 +45,7 @@ DESCRIPTION = EffectDescription(
     parameters=(
         size("width_v", "V", 0.5, smallest=0.02, start=0.1, meaning="w, width of the slack"),
     ),
-    signature="the opening depends on where the command came from; small commands only",
+    signature="the opening depends on the previous commands; visible with small commands only",
     best_experiment="null-staircase",
     seen_by=("pressure",),
     entries=(

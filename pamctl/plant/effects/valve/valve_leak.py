@@ -1,4 +1,4 @@
-"""Air leaks past the spool's lands: from the tank into the muscle, and on to the atmosphere."""
+"""Air leaks past the spool's lands: from the tank to the muscle, and from there to the room."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pamctl.plant.effects.description import EffectDescription, EffectForm, shap
 
 
 class ValveLeak(NamedTuple):
-    """Two equal leaks at null; with travel the lands cover them more or less."""
+    """Two equal leaks at null; they shrink as the spool moves."""
 
     area_m2: float = 0.0
     fade_per_v: float = 0.0
@@ -33,11 +33,11 @@ DESCRIPTION = EffectDescription(
             5.0,
             usual=0.0,
             smallest=0.2,
-            meaning="k: how the leak fades as the spool leaves null",
+            meaning="k, fading of the leak as the spool leaves null",
         ),
     ),
-    signature="with the valve closed the pressure drifts towards one between tank and atmosphere; "
-    "the end pressures are not reached",
+    signature="with the valve closed the pressure drifts to a value between tank and atmosphere; "
+    "filling and exhausting do not reach their end pressures",
     best_experiment="fill-and-hold",
     seen_by=("pressure",),
     woven=("air",),

@@ -10,13 +10,13 @@ FULL_COMMAND_V = 5.0
 
 
 class ValveSaturation(NamedTuple):
-    """How far before the full command of 5 V the opening stops to grow."""
+    """How far below the full command of 5 V the opening stops growing."""
 
     shortfall_v: float = 0.0
 
 
 def saturate_command_v(saturation: ValveSaturation, command_v: float) -> float:
-    """Return what of the command the driver passes on."""
+    """Return the command that the driver passes on."""
     if saturation.shortfall_v <= 0.0:
         return command_v
     limit_v = FULL_COMMAND_V - saturation.shortfall_v
@@ -38,7 +38,7 @@ DESCRIPTION = EffectDescription(
             meaning="by how much the limit is below the full command of 5 V",
         ),
     ),
-    signature="only at large commands, on both sides: the measured flow is smaller",
+    signature="at large commands only, in both directions, the measured flow is smaller",
     best_experiment="null-staircase",
     seen_by=("pressure",),
     entries=(EffectEntry("command", saturate_command_v),),

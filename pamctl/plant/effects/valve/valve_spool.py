@@ -30,14 +30,14 @@ def spool_step(
     decay_rate = spool.damping_ratio * natural
     offset = spool_v - command_v
     curvature = natural * natural - decay_rate * decay_rate
-    # What a unit of offset, and of push, has become at the end of the step.
+    # `level` and `swing`: what a unit of offset and of push leave at the end of the step.
     if curvature > 0.0:
         decay = math.exp(-decay_rate * step_s)
         ringing = math.sqrt(curvature)
         swing = decay * math.sin(ringing * step_s) / ringing
         level = decay * math.cos(ringing * step_s)
     elif curvature < 0.0:
-        # By the slower pole, because cosh and sinh overflow where the spool has long arrived.
+        # Written with the slower pole: cosh and sinh overflow in a long step.
         spread = math.sqrt(-curvature)
         decay = math.exp((spread - decay_rate) * step_s)
         swing = -decay * math.expm1(-2.0 * spread * step_s) / (2.0 * spread)
@@ -79,7 +79,8 @@ DESCRIPTION = EffectDescription(
             role="shape",
         ),
     ),
-    signature="in the first milliseconds after every step of the command; grows with frequency",
+    signature="an error in the first milliseconds after every step of the command; it grows with "
+    "frequency",
     best_experiment="chirp",
     seen_by=("pressure",),
     woven=("valve",),

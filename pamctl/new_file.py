@@ -1,0 +1,238 @@
+"""Write files for all verbs: complete under another name first, then put in place.
+
+A file that is written here is whole or not there, and never overwrites another one unless asked.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from io import BufferedWriter
+from pathlib import Path
+from stat import S_ISDIR, S_ISREG
+from typing import NamedTuple
+
+from pamctl.exit_codes import ExitCode
+
+_TRIAL_BYTES = 64 * 1024
+_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+"""What the disk does; everything else is the path that was given."""
+
+
+class NewFileError(Exception):
+    """A file cannot be written. The message holds the path, the reason, and what to do."""
+
+    def __init__(self, path: Path, reason: str, fix: str, code: ExitCode = ExitCode.USAGE) -> None:
+        """`reason` and `fix` are clauses without a full stop."""
+        super().__init__(f"cannot write {path}: {reason}; {fix}")
+        self.path = path
+        self.reason = reason
+        self.fix = fix
+        self.exit_code = code
+
+
+class _Draft(NamedTuple):
+    stream: BufferedWriter
+    name: Path
+    """Where the content is until it is complete."""
+    target: Path
+
+
+@contextmanager
+def create_new_file(path: Path, *, replaces: str | None = None) -> Iterator[BufferedWriter]:
+    """Open a file for writing; it appears at `path` when the block ends well, and is on the disk.
+
+    An existing file is refused, unless it is empty or begins with `replaces`. If the block fails,
+    nothing is left. Raises NewFileError.
+    """
+    path = Path(path)
+    with _translate_errors(path):
+        _require_place(path, replaces)
+        if _is_device(path):
+            with path.open("wb") as device:
+                yield device
+            return
+        draft = _begin_draft(path)
+        try:
+            yield draft.stream
+            _complete(draft)
+            _put_in_place(draft, replace=replaces is not None)
+        finally:
+            _remove(draft)
+
+
+def write_files(texts: Mapping[Path, str], *, replaces: str | None = None) -> None:
+    """Write texts as UTF-8 files, all or none; make their folders. Raises NewFileError."""
+    drafts: list[_Draft] = []
+    made: list[Path] = []
+    try:
+        for path, text in texts.items():
+            with _translate_errors(path):
+                made += _make_folder(path.parent)
+                _require_place(path, replaces)
+                if _is_device(path):
+                    path.write_text(text, encoding="utf-8")
+                    continue
+                drafts.append(_begin_draft(path))
+                drafts[-1].stream.write(text.encode())
+                _complete(drafts[-1])
+        for draft in drafts:
+            with _translate_errors(draft.target):
+                _put_in_place(draft, replace=replaces is not None)
+    except BaseException:
+        for draft in drafts:
+            _remove(draft)
+        for folder in reversed(made):
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
+def require_place(path: Path, *, replaces: str | None = None) -> None:
+    """Raise NewFileError now if `create_new_file` would, and the reason is there already.
+
+    A file of some size is written and removed: a full disk is noticed before the work.
+    """
+    path = Path(path)
+    with _translate_errors(path):
+        _require_place(path, replaces)
+        if not _is_device(path):
+            _try_to_write(path)
+
+
+def require_empty_folder(path: Path) -> None:
+    """Raise NewFileError if the folder holds anything, or nothing can be written into it.
+
+    It may be missing: then `write_files` makes it.
+    """
+    with _translate_errors(path):
+        if os.path.lexists(path) and (not path.is_dir() or any(path.iterdir())):
+            raise NewFileError(path, "it exists and is not an empty folder", "give another name")
+    require_folder(path)
+
+
+def require_folder(path: Path) -> None:
+    """Raise NewFileError if no files can be written into a folder, which may be missing."""
+    with _translate_errors(path):
+        if os.path.lexists(path) and not path.is_dir():
+            raise NewFileError(path, "it exists and is not a folder", "give another name")
+        made = _make_folder(path)
+        try:
+            _try_to_write(path / "trial")
+        finally:
+            for folder in reversed(made):
+                folder.rmdir()
+
+
+@contextmanager
+def _translate_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:  # the output is a pipe, and its reader is gone
+        raise
+    except OSError as error:
+        reason = error.strerror or str(error)
+        if error.errno in _DISK:
+            fix = "make room there, or choose another place"
+            raise NewFileError(path, reason, fix, ExitCode.UNEXPECTED) from error
+        raise NewFileError(path, reason, "choose another place") from error
+    except ValueError as error:
+        if "\0" not in str(path):
+            raise
+        raise NewFileError(path, str(error), "give another name") from error
+
+
+def _require_place(path: Path, replaces: str | None) -> None:
+    if not path.parent.is_dir():
+        raise NewFileError(path, f"there is no directory {path.parent}", "make it first")
+    if not os.path.lexists(path):
+        return
+    if path.is_dir():
+        raise NewFileError(path, "it is a directory", "give another name")
+    if replaces is None:
+        raise NewFileError(path, "it exists and is never overwritten", "give another name")
+    with suppress(FileNotFoundError):  # a link to a file that is not there yet
+        if S_ISREG(path.stat().st_mode) and path.stat().st_size:
+            with path.open("rb") as file:
+                if file.read(len(replaces.encode())) != replaces.encode():
+                    raise NewFileError(path, "it exists and is something else", "give another name")
+
+
+def _is_device(path: Path) -> bool:
+    """Tell whether the path is a pipe or a device, such as /dev/stdout: it is not replaced."""
+    with suppress(FileNotFoundError):
+        mode = path.stat().st_mode
+        return not S_ISREG(mode) and not S_ISDIR(mode)
+    return False
+
+
+def _begin_draft(path: Path) -> _Draft:
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
+    name = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
+    return _Draft(name.open("xb"), name, target)
+
+
+def _complete(draft: _Draft) -> None:
+    draft.stream.flush()
+    os.fsync(draft.stream.fileno())
+    draft.stream.close()
+
+
+def _put_in_place(draft: _Draft, *, replace: bool) -> None:
+    if replace:
+        draft.name.replace(draft.target)
+    else:
+        try:
+            os.link(draft.name, draft.target)  # unlike a rename, this overwrites nothing
+            draft.name.unlink()
+        except FileExistsError:
+            reason = "it exists by now and is never overwritten"
+            raise NewFileError(draft.target, reason, "give another name") from None
+        except OSError:  # the file system has no links
+            _require_place(draft.target, None)
+            draft.name.rename(draft.target)
+    _sync_folder(draft.target.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring the new name to the disk, where folders can be opened."""
+    with suppress(OSError):
+        opened = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(opened)
+        finally:
+            os.close(opened)
+
+
+def _remove(draft: _Draft) -> None:
+    with suppress(OSError):  # what is still unwritten would be written
+        draft.stream.close()
+    with suppress(OSError):
+        draft.name.unlink(missing_ok=True)
+
+
+def _make_folder(folder: Path) -> list[Path]:
+    """Make a folder and those above it; return the new ones, outermost first."""
+    missing = [place for place in (folder, *folder.parents) if not place.is_dir()]
+    made: list[Path] = []
+    try:
+        for place in reversed(missing):
+            place.mkdir()
+            made.append(place)
+    except OSError:
+        for place in reversed(made):
+            place.rmdir()
+        raise
+    return made
+
+
+def _try_to_write(path: Path) -> None:
+    draft = _begin_draft(path)
+    try:
+        draft.stream.write(bytes(_TRIAL_BYTES))
+        _complete(draft)
+    finally:
+        _remove(draft)

@@ -1,0 +1,235 @@
+"""Outputs that cannot be written: the reason in one line, the exit code, and nothing half-made."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.patience import PATIENCE_S
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+LOG = str(GOLDEN / "readonly.mcap")
+PAMCTL = [sys.executable, "-m", "pamctl"]
+CSV = "t_s,position_m\n" + "".join(f"{n * 1e-3},{0.01 + n * 1e-6}\n" for n in range(3000))
+
+VERBS = {
+    "log export": ["log", "export", LOG, "{}/new.csv"],
+    "log export mat": ["log", "export", LOG, "{}/new.mat"],
+    "log export npz": ["log", "export", LOG, "{}/new.npz"],
+    "log recover": ["log", "recover", LOG, "{}/new.mcap"],
+    "log import": ["log", "import", "table.csv", "{}/new.mcap"],
+    "report": ["report", LOG, "--out", "{}/new.html"],
+    "compare": ["compare", LOG, "--plot", "{}/new.html"],
+    "replay": ["replay", str(GOLDEN / "qsmc.mcap"), "--set", "controller.eta=0", "--csv",
+               "{}/new.csv"],
+    "diagnose": ["diagnose", LOG, "--out", "{}/new"],
+    "tune": ["tune", "--law", "pid", "--plant", "paper", "--generations", "1", "--out",
+             "{}/new.yaml"],
+    "calibrate": ["calibrate", "valve", "--backend", "sim", "--yes", "--out", "{}/new.yaml"],
+    "reproduce": ["reproduce", "fig3", "--out", "{}/new"],
+}  # fmt: skip
+
+
+def pamctl(
+    *words: str, cwd: Path, largest_bytes: int | None = None, stdout: int | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a verb; it may be forbidden to write files beyond a size."""
+
+    def limit() -> None:
+        if largest_bytes is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (largest_bytes, largest_bytes))
+
+    return subprocess.run(
+        [*PAMCTL, *words],
+        cwd=cwd,
+        text=True,
+        stdout=subprocess.PIPE if stdout is None else stdout,
+        stderr=subprocess.PIPE,
+        timeout=PATIENCE_S,
+        preexec_fn=limit,
+        check=False,
+    )
+
+
+def assert_said(done: subprocess.CompletedProcess[str], code: int, reason: str) -> None:
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("error: cannot write")
+    assert reason in last
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("outputs")
+    (folder / "table.csv").write_text(CSV)
+    return folder
+
+
+@pytest.fixture(scope="module", params=["full", "read-only"])
+def disk(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Path, int, str]]:
+    """A file system on which nothing can be written, with the code and reason of a refusal."""
+    folder = tmp_path_factory.mktemp("disk")
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("only root may mount a small file system")
+    try:
+        if request.param == "full":
+            (folder / "ballast").write_bytes(bytes(60 * 1024))
+            yield folder, 1, "No space left on device"
+        else:
+            again = ["mount", "-o", "remount,ro", str(folder)]
+            subprocess.run(again, capture_output=True, check=True)
+            yield folder, 2, "Read-only file system"
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_disk_that_takes_nothing_is_noticed_before_the_work(
+    verb: str, disk: tuple[Path, int, str], place: Path
+) -> None:
+    folder, code, reason = disk
+    before = sorted(folder.iterdir())
+    done = pamctl(*(word.format(folder) for word in VERBS[verb]), cwd=place)
+    assert_said(done, code, reason)
+    assert not done.stdout
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_link_to_itself_is_no_place_for_a_file(verb: str, place: Path, tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    words = [word.replace("{}/new", "{}/loop/new").format(tmp_path) for word in VERBS[verb]]
+    done = pamctl(*words, cwd=place)
+    assert done.returncode == 2, done.stderr
+    assert "error: cannot write" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["loop"]
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("log info loop", 65), ("log check loop", 65), ("log recover loop new.mcap", 65),
+        ("log export loop new.csv", 65), ("log import loop new.mcap", 65), ("replay loop", 65),
+        ("report loop", 65), ("compare loop", 65), ("diagnose loop --out new", 65),
+        ("diagnose {} --holdout loop --out new", 65), ("tune --check loop.yaml", 78),
+        ("run --dry-run --rig loop.yaml", 78), ("config check loop.yaml", 78),
+        ("log import {} new.mcap --map loop.yaml", 78),
+        ("log export {} loop.csv", 2), ("log recover {} loop", 2), ("report {} --out loop", 2),
+        ("compare {} --plot loop", 2), ("diagnose {} --out loop", 2),
+        ("tune --law pid --out loop.yaml", 2), ("reproduce fig3 --out loop", 2),
+        ("calibrate valve --yes --out loop.yaml", 2), ("run --fast --log loop.mcap", 2),
+    ],
+)  # fmt: skip
+def test_a_link_to_itself_is_an_error_and_no_traceback(
+    words: str, code: int, tmp_path: Path
+) -> None:
+    names = ["loop", "loop.csv", "loop.mcap", "loop.yaml"]
+    for name in names:
+        (tmp_path / name).symlink_to(name)
+    done = pamctl(*words.format(LOG).split(), cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    assert (done.stderr or done.stdout).strip()
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+
+
+@pytest.mark.parametrize(
+    "verb", ["log export", "log export mat", "log export npz", "log recover", "log import"]
+)
+def test_a_disk_that_fills_while_a_file_is_written_leaves_nothing(
+    verb: str, place: Path, tmp_path: Path
+) -> None:
+    # More than the trial before the work, less than the file.
+    words = [word.format(tmp_path).replace(LOG, str(GOLDEN / "card.mcap")) for word in VERBS[verb]]
+    if verb == "log import":
+        noise = random.Random(1)
+        rows = (f"{n * 1e-3},{0.01 + 1e-4 * noise.random()}\n" for n in range(20_000))
+        (place / "large.csv").write_text("t_s,position_m\n" + "".join(rows))
+        words[2] = "large.csv"
+    done = pamctl(*words, cwd=place, largest_bytes=66_000)
+    assert_said(done, 1, "File too large")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_comparison_whose_page_finds_no_room_is_printed(place: Path, tmp_path: Path) -> None:
+    # The disk fills between the trial and the page. Machine code is not kept: the cache would
+    # be the first to find no room.
+    start = "import pamctl.new_file as n; n._TRIAL_BYTES = 9; from pamctl.__main__ import main"
+    words = [word.format(tmp_path) for word in VERBS["compare"]]
+    done = subprocess.run(
+        [sys.executable, "-c", f"{start}; main()", *words, "--json"],
+        cwd=place,
+        text=True,
+        capture_output=True,
+        timeout=PATIENCE_S,
+        env={**os.environ, "XDG_CACHE_HOME": "/proc/none"},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000)),
+        check=False,
+    )
+    assert_said(done, 1, "File too large")
+    assert not [*tmp_path.iterdir()]
+    document = json.loads(done.stdout)
+    assert (document["exit_code"], document["plot"]) == (1, None)
+    assert document["plants"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "config schema",
+        "log info {}",
+        "run --fast --duration 0.3 --log new.mcap",
+        "log info {} --json",
+    ],
+)
+def test_standard_output_on_a_full_disk_is_an_error_after_the_work(
+    words: str, tmp_path: Path
+) -> None:
+    full = os.open("/dev/full", os.O_WRONLY)
+    done = pamctl(*words.format(LOG).split(), cwd=tmp_path, stdout=full)
+    os.close(full)
+    assert_said(done, 1, "the output: No space left on device")
+    if words.startswith("run"):
+        whole = pamctl("log", "check", "new.mcap", cwd=tmp_path)
+        assert whole.returncode == 0, whole.stdout
+
+
+def test_a_verb_keeps_its_own_exit_code_where_its_output_is_lost(tmp_path: Path) -> None:
+    shutil.copy(LOG, tmp_path / "cut.mcap")
+    os.truncate(tmp_path / "cut.mcap", 30_000)
+    full = os.open("/dev/full", os.O_WRONLY)
+    done = pamctl("log", "info", "cut.mcap", cwd=tmp_path, stdout=full)
+    os.close(full)
+    assert done.returncode == 3
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("same", ["the file", "a link", "a copy"])
+def test_a_log_that_is_fitted_cannot_be_the_held_out_one(same: str, tmp_path: Path) -> None:
+    other = tmp_path / "other.mcap"
+    match same:
+        case "the file":
+            other = Path(LOG)
+        case "a link":
+            other.symlink_to(LOG)
+        case "a copy":
+            shutil.copy(LOG, other)
+    out = tmp_path / "out"
+    done = pamctl("diagnose", LOG, "--holdout", str(other), "--out", str(out), cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert f"--holdout {other} holds the same run as {LOG}" in done.stderr
+    assert not out.exists()

@@ -1,0 +1,142 @@
+"""A loop that takes orders begins a run without a long tick, and loses none."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.made_up import meta, tick
+
+from hal.calibration import Zero
+from pamctl.realtime.steering import SteeredProgram
+from pamctl.realtime.tick import first_state
+from pamctl.recording.ring import LoopStage, Ring, RowKind
+from pamctl.recording.session_journal import SessionJournal
+from pamctl.settings.build import build_ordered_program, build_tick_setup
+from pamctl.settings.resolve import resolve
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="rings need Linux")
+
+ROWS = 2048
+"""A megabyte."""
+SETTINGS = resolve()
+SETUP = build_tick_setup(SETTINGS)
+STATE = first_state(SETUP, Zero(0.0, 0.0))
+
+
+class Slot:
+    """Orders from a list."""
+
+    def __init__(self) -> None:
+        self.orders: list[dict[str, Any]] = []
+
+    def take(self) -> dict[str, Any] | None:
+        return self.orders.pop(0) if self.orders else None
+
+
+class Session:
+    """A session's journal and program, ticked by hand."""
+
+    def __init__(self, folder: Path) -> None:
+        self.slot = Slot()
+        self.ring = Ring.create(folder / "a.session", meta(folder / "none"), 256)
+        self.journal = SessionJournal(self.ring, lambda ring: None)
+        self.program = SteeredProgram(
+            self.slot,
+            self.journal,
+            SETUP,
+            SETTINGS.controller.model_dump(mode="json"),
+            lambda order: build_ordered_program(SETTINGS, order),
+        )
+        self.ticked = 0
+
+    def tick(self) -> None:
+        """Do what the loop does with a tick that is computed."""
+        record = tick(self.ticked)
+        self.ticked += 1
+        self.program.next_reference(record.timing.t_s, record.raw)
+        self.journal.put_tick(record)
+        self.program.finish_tick(record.timing, record.raw, STATE)
+
+    def tick_until_recorded(self) -> int:
+        """Tick until a run is recorded; return how many ticks that took."""
+        before = self.ticked
+        while self.journal.run is None:
+            assert self.ticked - before < 1000
+            self.tick()
+        return self.ticked - before
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    return Session(tmp_path)
+
+
+def order_run(ring: Ring) -> dict[str, Any]:
+    experiment = SETTINGS.experiment.model_dump(mode="json")
+    return {"do": "run", "ring": str(ring.path), "experiment": experiment, "duration_s": None}
+
+
+def make_ring(folder: Path, name: str) -> Ring:
+    fields = tuple(f"f{i}" for i in range(len(_frozen())))
+    return Ring.create(folder / name, meta(folder / "a.mcap", keyframe_fields=fields), ROWS)
+
+
+def _frozen() -> tuple[float, ...]:
+    from pamctl.realtime.keyframe import freeze_state
+
+    return tuple(freeze_state(STATE))
+
+
+def ticks_in(ring: Ring) -> list[int]:
+    entries = ring.drain(ROWS).entries()
+    return [entry.tick for entry in entries if entry.kind == RowKind.TICK]
+
+
+def test_a_ring_is_attached_over_many_ticks_and_not_in_one(tmp_path, session, monkeypatch) -> None:
+    touched: list[int] = []
+    populate = Ring.populate_in_steps
+
+    def watch(ring: Ring, *sizes: int) -> Any:
+        for _ in populate(ring, *sizes):
+            touched.append(session.ticked)
+            yield
+
+    with make_ring(tmp_path, "run.ring") as ring:
+        monkeypatch.setattr(Ring, "populate_in_steps", watch)
+        session.slot.orders.append(order_run(ring))
+        took = session.tick_until_recorded()
+        size = ring.path.stat().st_size
+        assert touched == sorted(set(touched)), "at most one piece in a tick"
+        assert len(touched) == -(-size // (64 * 4096))
+        assert took == len(touched) + 2, "one tick to map it, one to begin"
+        assert ring.loop_stage == LoopStage.TICKING
+
+
+def test_the_ticks_of_two_runs_in_a_row_are_all_recorded(tmp_path, session) -> None:
+    """The first run goes on while the ring of the second is attached."""
+    with make_ring(tmp_path, "one.ring") as one, make_ring(tmp_path, "two.ring") as two:
+        session.slot.orders.append(order_run(one))
+        session.tick_until_recorded()
+        first = session.ticked
+        session.slot.orders.append(order_run(two))
+        while not one.loop_done:
+            session.tick()
+        switch = session.ticked
+        for _ in range(20):
+            session.tick()
+        assert ticks_in(one) == list(range(first, switch))
+        assert ticks_in(two) == list(range(switch, switch + 20))
+
+
+def test_an_order_that_follows_a_run_holds_for_that_run(tmp_path, session) -> None:
+    stop: Mapping[str, Any] = {"do": "stop", "reason": "stopped by a client"}
+    with make_ring(tmp_path, "run.ring") as ring:
+        session.slot.orders += [order_run(ring), dict(stop)]
+        session.tick_until_recorded()
+        session.tick()
+        events = [entry for entry in ring.drain(ROWS).entries() if entry.kind == RowKind.EVENT]
+        assert b"stopped by a client" in events[-1].payload

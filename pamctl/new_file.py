@@ -217,6 +217,8 @@ def _remove(draft: _Draft) -> None:
 def _make_folder(folder: Path) -> list[Path]:
     """Make a folder and those above it; return the new ones, outermost first."""
     missing = [place for place in (folder, *folder.parents) if not place.is_dir()]
+    if missing and os.path.lexists(missing[-1]):
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(missing[-1]))
     made: list[Path] = []
     try:
         for place in reversed(missing):

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from standin.standin import KERNEL_SONAME, Card, library, require_compiler
+from support.installing import alone, apt_install
 from support.patience import PATIENCE_S
 
 from hal.comedi import libcomedi
@@ -46,11 +47,19 @@ print(json.dumps(told))
 """
 
 
+def has_libcomedi() -> bool:
+    loads = f"import ctypes; ctypes.CDLL({libcomedi.SONAME!r})"
+    done = subprocess.run([sys.executable, "-c", loads], capture_output=True, timeout=60)
+    return done.returncode == 0
+
+
 @pytest.fixture
 def environment(tmp_path: Path) -> dict[str, str]:
     """What lets a process drive a card of its own through the real library."""
-    loads = f"import ctypes; ctypes.CDLL({libcomedi.SONAME!r})"
-    if subprocess.run([sys.executable, "-c", loads], capture_output=True, timeout=60).returncode:
+    if not has_libcomedi():
+        with alone():
+            apt_install("libcomedi0")
+    if not has_libcomedi():
         pytest.skip("no libcomedi on this computer: apt install libcomedi0")
     require_compiler()
     card = Card(tmp_path / "registers", "comedi0")

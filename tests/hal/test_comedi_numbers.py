@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from standin.standin import HERE, require_compiler
+from support.installing import alone, apt_install
 
 from hal.comedi import libcomedi
 
@@ -34,6 +35,9 @@ def numbers() -> dict[str, int]:
 def compute(tmp_path: Path, expressions: list[str]) -> list[int]:
     """Let a C program that includes the kernel's header compute expressions."""
     require_compiler()
+    if not HEADER.exists():
+        with alone():
+            apt_install("linux-libc-dev")
     if not HEADER.exists():
         pytest.skip(f"no {HEADER}: apt install linux-libc-dev")
     lines = "".join(f'    printf("%lld\\n", (long long)({one}));\n' for one in expressions)

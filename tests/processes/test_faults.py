@@ -293,4 +293,7 @@ def test_an_exception_in_the_law_leaves_the_output_safe(
 
 
 def test_every_fault_is_met_over_the_simulation_and_over_the_card() -> None:
-    assert {*SIM, "read hangs"} == CARD.keys() == EXPECTED.keys()
+    on_a_card_only = {"read hangs", "open input stands", "open input rises", "open input falls"}
+    assert {*SIM} | on_a_card_only == CARD.keys()
+    # An open input that stands still trips nothing: it has a test of its own.
+    assert CARD.keys() - {"open input stands"} == EXPECTED.keys()

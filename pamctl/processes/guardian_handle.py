@@ -12,12 +12,11 @@ import select
 import subprocess
 import time
 from collections.abc import Sequence
-from contextlib import suppress
-from pathlib import Path
 
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian import POLL_MS, Silence, Takeover, drive_safe
+from pamctl.processes.starvation import read_state
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.recording.last_words import put_event_for_dead_loop
 from pamctl.recording.ring import Ring
@@ -115,7 +114,7 @@ class Guardianship:
         while (waited_s := time.monotonic() - began_s) < _REPORT_PATIENCE_S:
             if select.select([guardian.stdout], [], [], LOOK_EVERY_S)[0]:
                 return guardian.stdout.readline()
-            if _is_stopped(guardian.pid):
+            if read_state(guardian.pid) in {"T", "t"}:  # a signal or a debugger stopped it
                 return b""
             if waited_s > _HEAD_START_S and not is_safe:
                 self._rig.make_safe()
@@ -139,14 +138,6 @@ class Guardianship:
 
 def _spawn(command: Sequence[str]) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0)
-
-
-def _is_stopped(pid: int) -> bool:
-    """Tell whether a signal or a debugger has stopped a process."""
-    with suppress(OSError):
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-        return state in {"T", "t"}
-    return False
 
 
 def _ending_of_takeover(takeover: Takeover, ending: Ending, who: str = "the guardian") -> Ending:

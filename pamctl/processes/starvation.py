@@ -19,7 +19,7 @@ class CpuBooks:
 
     def __init__(self, pid: int) -> None:
         """Read the books of `pid`, which need not live any more."""
-        self._process = Path(f"/proc/{pid}")
+        self._pid = pid
         self._begin_ns = 0
         self._ran_ns: int | None = None
 
@@ -30,19 +30,22 @@ class CpuBooks:
     def is_starved(self, now_ns: int) -> bool:
         """Tell whether the process has wanted to run since `open_account`, and could not."""
         ran_ns = self._read_ran_ns()
-        if self._ran_ns is None or ran_ns is None or not self._is_runnable():
+        is_runnable = read_state(self._pid) == "R"
+        if self._ran_ns is None or ran_ns is None or not is_runnable:
             return False
         return ran_ns - self._ran_ns < _STARVED_SHARE * (now_ns - self._begin_ns)
 
     def _read_ran_ns(self) -> int | None:
         try:
-            return int((self._process / "schedstat").read_text().split()[0])
+            return int(Path(f"/proc/{self._pid}/schedstat").read_text().split()[0])
         except (OSError, ValueError, IndexError):
             return None
 
-    def _is_runnable(self) -> bool:
-        try:
-            # The name in brackets may hold spaces and brackets.
-            return (self._process / "stat").read_text().rpartition(")")[2].split()[0] == "R"
-        except (OSError, IndexError):
-            return False
+
+def read_state(pid: int) -> str:
+    """Return the kernel's letter for what a process is doing; empty if it is gone."""
+    try:
+        # The name in brackets may hold spaces and brackets.
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (OSError, IndexError):
+        return ""

@@ -197,7 +197,9 @@ def test_the_front_judges_an_ending_as_the_model_does(
         return ([process.stdout] if line or life == Life.DEAD else []), [], []
 
     monkeypatch.setattr(guardian_handle, "select", SimpleNamespace(select=select))
-    monkeypatch.setattr(guardian_handle, "_is_stopped", lambda pid: process.life == Life.FROZEN)
+    monkeypatch.setattr(
+        guardian_handle, "read_state", lambda pid: "T" if process.life == Life.FROZEN else "S"
+    )
     ending = handle.judge_ending(DIED)
 
     verdicts = []

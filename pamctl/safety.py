@@ -88,6 +88,9 @@ class LimitSettings(Configured):
     pressure_model_memory_s: Annotated[
         float, Field(gt=0, description="how fast the model forgets a difference")
     ] = 0.1
+    pressure_model_step_s: Annotated[
+        float, Field(gt=0, description="a longer tick is cut into such steps of the model")
+    ] = 2e-3
     patience_s: Annotated[
         float, Field(ge=0, description="how long a sensor, error or model limit may be broken")
     ] = 0.02
@@ -167,6 +170,8 @@ def convert_limits(
 
 
 _HOMING = int(Phase.HOMING)
+MOST_MODEL_STEPS = 50
+"""Steps of the pressure model in one interval; with more the sample is stale by any limit."""
 
 
 def admit(
@@ -272,6 +277,17 @@ def _clip_command(
     return valve_v, clips
 
 
+def _count_model_steps(limits: Limits, dt_s: float) -> int:
+    """Return how many steps of the pressure model a tick needs: 1 if it is in time.
+
+    The muscle fills in some 50 ms. One step over a late tick would fill it at the first rate all
+    the time.
+    """
+    if not limits.pressure_model_step_s < dt_s < math.inf:
+        return 1
+    return min(math.ceil(dt_s / limits.pressure_model_step_s), MOST_MODEL_STEPS)
+
+
 def _follow_pressure(
     limits: Limits, state: SafetyState, measurement: Measurement, dt_s: float
 ) -> tuple[float, float]:
@@ -281,23 +297,30 @@ def _follow_pressure(
     the two differ; the sign says whether it is stuck open to the tank or to the atmosphere.
     """
     x, measured_pa = measurement
-    model_pa = state.model_pressure_pa
-    excess_pa = measured_pa - model_pa
+    followed_pa = state.model_pressure_pa
+    excess_pa = measured_pa - followed_pa
     if not isfinite(excess_pa):
         return measured_pa, 0.0
     p = limits.model
-    inflow = valve_flow(p, state.valve_v, model_pa)
-    energy = model_pa * volume_m3(p, state.position_m)
-    filled = energy + dt_s * p.specific_energy_j_per_kg * inflow
-    volume = volume_m3(p, x)
-    if not volume > 0.0:
+    volume, last_volume = volume_m3(p, state.position_m), volume_m3(p, x)
+    if not last_volume > 0.0:
         # The displacement is impossible: the rules for the encoder trip.
         return measured_pa, 0.0
-    followed_pa = filled / volume
-    if followed_pa > p.tank_pressure_pa:
-        followed_pa = p.tank_pressure_pa
-    elif followed_pa < p.atmospheric_pressure_pa:
-        followed_pa = p.atmospheric_pressure_pa
+    steps = _count_model_steps(limits, dt_s)
+    for step in range(1, steps + 1):
+        energy = followed_pa * volume
+        inflow = valve_flow(p, state.valve_v, followed_pa)
+        if step < steps:
+            volume += (last_volume - volume) / (steps - step + 1)
+        else:
+            volume = last_volume
+        followed_pa = (energy + dt_s / steps * p.specific_energy_j_per_kg * inflow) / volume
+        if followed_pa > p.tank_pressure_pa:
+            followed_pa = p.tank_pressure_pa
+        elif followed_pa < p.atmospheric_pressure_pa:
+            followed_pa = p.atmospheric_pressure_pa
+    if steps > 1:  # in a late tick the pressure has gone far from the last one
+        excess_pa = measured_pa - followed_pa
     forget = dt_s / limits.pressure_model_memory_s
     if forget > 1.0:
         forget = 1.0

@@ -122,11 +122,8 @@ def main() -> None:
     rounds = parser.parse_args().rounds
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        with benches(folder, "on_demand") as rigs:
-            both = rigs[:2]
-            timed = both[1]._replace(
-                settings=[*both[1].settings, "rig.nidaq.timing=hardware_timed"]
-            )
+        with benches(folder) as rigs:
+            both, timed = rigs[:2], rigs[2]
             report = {
                 "ticks": ticks(both, timed, folder, rounds),
                 "deaths": deaths(both, folder, rounds),

@@ -135,6 +135,7 @@ class SteeredProgram:
         While a ring is attached no order is taken: orders hold in their sequence.
         """
         self._valve_v = state.safety.valve_v
+        self._journal.close_a_little()
         if self._is_over:
             self._end_run(timing, raw)
         coming = self._coming

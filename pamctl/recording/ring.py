@@ -44,7 +44,7 @@ _MAGIC = b"PAMRING\n"
 _VERSION = 1
 _CODES = {int: "q", float: "d", bool: "?"}
 _HEAD = 8
-_MADV_POPULATE_WRITE = 23
+_MADV_POPULATE_WRITE, _MADV_DONTNEED_LOCKED = 23, 24
 _POPULATE_BYTES = 64 * mmap.PAGESIZE
 """Touched at once: some tens of microseconds."""
 
@@ -472,6 +472,18 @@ class Ring:
         self._buffer.release()
         self._map.close()
         os.close(self._fd)
+
+    def close_in_steps(self, step_bytes: int = _POPULATE_BYTES) -> Iterator[None]:
+        """Give back some pages in each step, and close in the last; the ring keeps its content.
+
+        All pages at once would take longer than a tick may.
+        """
+        for start in range(0, len(self._map), step_bytes):
+            with contextlib.suppress(OSError):  # before Linux 5.18
+                length = min(step_bytes, len(self._map) - start)
+                self._map.madvise(_MADV_DONTNEED_LOCKED, start, length)
+            yield
+        self.close()
 
     def __enter__(self) -> Ring:
         """Return itself."""

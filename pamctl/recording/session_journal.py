@@ -7,7 +7,8 @@ lateness are always in the session's ring, which the guardian watches while the 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from pamctl.exit_codes import Ending
 from pamctl.recording.last_words import make_outcome_event
@@ -16,6 +17,7 @@ from pamctl.signals import TickRecord
 
 _FIRST_EVENTS = ("timing_setup", "rate_warning", "rig", "foreign_threads", "zeroed")
 """Events that begin the log of every run, repeated from when they were last put."""
+_CLOSED = object()
 
 
 class SessionJournal:
@@ -28,6 +30,7 @@ class SessionJournal:
         self._ring = session
         self._standing: dict[str, Mapping[str, object]] = {}
         self._worst_late_s = 0.0
+        self._closing: deque[Iterator[None]] = deque()
 
     @property
     def run(self) -> Ring | None:
@@ -63,8 +66,13 @@ class SessionJournal:
         self._recorded(None)
         ring.put_event(tick, t_ns, make_outcome_event(ending))
         ring.loop_done = 1
-        ring.close()
+        self._closing.append(ring.close_in_steps())
         self._ring = self._session
+
+    def close_a_little(self) -> None:
+        """Take one step in closing the ring of a run that is over; called once a tick."""
+        if self._closing and next(self._closing[0], _CLOSED) is _CLOSED:
+            self._closing.popleft()
 
     def end_last_run(self, ending: Ending) -> None:
         """End the current run at its last tick, because the session ends."""

@@ -100,13 +100,24 @@ def _read_settings(log: Log) -> RunSettings:
     if not log.config:
         raise NotReplayable(f"{log.path} carries no configuration (config.json): nothing to replay")
     try:
-        return from_resolved(to_json(log.config).decode(), f"{log.path}:config.json")
+        config = _with_earlier_behaviour(log.config)
+        return from_resolved(to_json(config).decode(), f"{log.path}:config.json")
     except ConfigError as error:
         _require_backend_of(log)
         raise NotReplayable(
             f"the configuration in {log.path} does not fit this version; "
             f"{_suggest_version(log)}. What does not fit:\n{error}"
         ) from error
+
+
+def _with_earlier_behaviour(config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the configuration of an older log with what was fixed when it was written.
+
+    The pressure model of safety took one step in a late tick.
+    """
+    rig = config.get("rig", {})
+    limits = {"pressure_model_step_s": 1.0, **rig.get("limits", {})}
+    return {**config, "rig": {**rig, "limits": limits}}
 
 
 def _require_backend_of(log: Log) -> None:

@@ -28,7 +28,7 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
     kept = tmp_path / "faults.jsonl"
     monkeypatch.setattr("sys.argv", ["fault_rounds.py", "--resume", str(kept)])
 
-    def stopped(count, timing, done, hits, names):
+    def stopped(count, done, hits, names):
         yield from ROUNDS
         raise KeyboardInterrupt
 
@@ -41,11 +41,9 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
     assert json.loads(said.out)["cases"]["sim loop frozen"]["amiss"] == ["8 V"]
 
     with kept.open("a") as file:
-        file.write('{"timing": "on_dem')  # killed while it wrote
+        file.write('{"case": "sim lo')  # killed while it wrote
     asked = []
-    monkeypatch.setattr(
-        script, "rounds", lambda count, timing, done, hits, names: asked.append(done) or ()
-    )
+    monkeypatch.setattr(script, "rounds", lambda count, done, hits, names: asked.append(done) or ())
     assert script.main() == 3
     assert asked == [{"sim loop killed": 1, "sim loop frozen": 1}]
     assert json.loads(capsys.readouterr().out)["cases"]["sim loop killed"]["well"] == 1
@@ -54,10 +52,10 @@ def test_what_was_done_before_ctrl_c_is_told_kept_and_not_done_again(
 def test_rounds_that_are_done_are_left_out(script, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(script, "round_of", lambda *_: dict(WELL))
     monkeypatch.setattr(script, "next_start", lambda *_: None)
-    all_of_them = [case for case, _ in script.rounds(2, "on_demand", script.Counter())]
-    assert len(all_of_them) == 2 * 4 * len(script.PROCESSES) * len(script.SIGNALS)
+    all_of_them = [case for case, _ in script.rounds(2, script.Counter())]
+    assert len(all_of_them) == 2 * 5 * len(script.PROCESSES) * len(script.SIGNALS)
     done = script.Counter({all_of_them[0]: 2, all_of_them[1]: 1})
-    rest = [case for case, _ in script.rounds(2, "on_demand", done)]
+    rest = [case for case, _ in script.rounds(2, done)]
     assert len(rest) == len(all_of_them) - 3
     assert all_of_them[0] not in rest
 
@@ -78,7 +76,7 @@ def test_triples_leave_a_process_alive_that_can_make_the_valve_safe(script) -> N
 
 def test_the_table_has_a_row_for_each_choice_of_processes(script) -> None:
     found = {
-        "sim loop killed, front frozen": [WELL, {"amiss": "8 V"}],
+        "sim loop killed, front frozen": [WELL, {"amiss": "8 V"}, {"starved": "no CPU"}],
         "sim front killed, loop killed": [{"safe_after_ms": 80.4, "ticks_lost": 0}],
         "daemon loop killed, guardian killed": [WELL],
     }
@@ -95,7 +93,7 @@ HARDEST = [
     ("sim", ("loop", "frozen"), ("guardian", "killed")),
     ("nidaq", ("guardian", "frozen"), ("loop", "frozen")),
     # Nobody but the guardian, or the loop.
-    ("nidaq", ("loop", "frozen"), ("front", "killed")),
+    ("nidaq_hardware_timed", ("loop", "frozen"), ("front", "killed")),
     ("sim", ("front", "killed"), ("guardian", "frozen")),
     ("daemon", ("loop", "frozen"), ("guardian", "frozen")),
     # Nobody is left who knows the ring but a guardian, or a loop: they start a finisher.
@@ -112,7 +110,7 @@ def test_a_real_run_keeps_its_promises_whichever_two_processes_are_hit(
     name, *faults = case
     monkeypatch.setattr(script, "PATIENCE_S", PATIENCE_S)
     monkeypatch.setattr(script, "OPTIONS", [*script.OPTIONS, *BUSY_PC])
-    with script.benches(tmp_path, "on_demand") as rigs:
+    with script.benches(tmp_path) as rigs:
         bench = next(rig for rig in rigs if rig.name == name)
         found = script.round_of(bench, faults, tmp_path / "run.mcap")
     assert found["ticks_lost"] == 0

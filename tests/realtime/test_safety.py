@@ -6,9 +6,12 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from support.paper_equations import pressure_rate
 from support.runs import COUNT_M, run_settings
 
 from hal.calibration import Zero, calibration
@@ -466,6 +469,32 @@ def test_a_burst_hose_is_noticed_while_filling() -> None:
     found = driven(square(0.25), 1.0, really=lambda t_s, command_v: 0.1 * command_v)
     assert found.decision.verdicts == PRESSURE_TOO_LOW
     assert found.t_s < 0.2
+
+
+@pytest.mark.parametrize("late_s", [10e-3, 25e-3, 45e-3])
+@pytest.mark.parametrize("command_v", [5.0, 2.0, -5.0])
+def test_a_tick_that_comes_late_while_the_muscle_fills_or_empties_trips_nothing(
+    command_v: float, late_s: float
+) -> None:
+    """The measured pressure is that of the paper's equations, solved by scipy."""
+    instants_s = np.cumsum([0.0, 1e-3, 1e-3, late_s, 1e-3, late_s, *[1e-3] * 40])
+    start_pa = 120e3 if command_v > 0.0 else 420e3
+    solved = solve_ivp(
+        lambda t_s, pressure_pa: [pressure_rate(command_v, 0.010, 0.0, pressure_pa[0])],
+        (0.0, instants_s[-1]),
+        [start_pa],
+        t_eval=instants_s,
+        rtol=1e-8,
+        max_step=1e-4,
+    )
+    ticks = [
+        Seen(command_v, pressure_pa=pressure_pa, dt_s=dt_s, open_loop=True)
+        for pressure_pa, dt_s in zip(solved.y[0], [1e-3, *np.diff(instants_s)], strict=True)
+    ]
+    found = admitted(limited(), ticks)
+    assert {decision.verdicts for decision, _ in found} == {0}
+    model_pa = [state.model_pressure_pa for _, state in found]
+    assert np.max(np.abs(model_pa[:-1] - solved.y[0][:-1])) < 20e3
 
 
 def plant_with(**changes: Any) -> PlantParameters:

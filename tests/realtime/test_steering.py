@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +131,32 @@ def test_the_ticks_of_two_runs_in_a_row_are_all_recorded(tmp_path, session) -> N
             session.tick()
         assert ticks_in(one) == list(range(first, switch))
         assert ticks_in(two) == list(range(switch, switch + 20))
+
+
+def test_the_ring_of_a_run_that_is_over_is_given_back_in_pieces_with_its_rows_intact(
+    tmp_path, session
+) -> None:
+    def resident_bytes(name: str) -> int:
+        """Return how much of a mapping of this process is in its memory."""
+        parts = Path("/proc/self/smaps").read_text().split(name)[1:]
+        return 1024 * sum(int(part.split("Rss:")[1].split()[0]) for part in parts)
+
+    with make_ring(tmp_path, "one.ring") as one, make_ring(tmp_path, "two.ring") as two:
+        before = resident_bytes("one.ring")  # mapped here once already, by its maker
+        session.slot.orders.append(order_run(one))
+        session.tick_until_recorded()
+        first = session.ticked
+        assert resident_bytes("one.ring") > before
+        session.slot.orders.append(order_run(two))
+        while not one.loop_done:
+            session.tick()
+        held = [resident_bytes("one.ring")]
+        while held[-1] > before:
+            session.tick()
+            held.append(resident_bytes("one.ring"))
+        largest = max(a - b for a, b in pairwise(held))
+        assert largest <= 64 * 4096, "at most one piece in a tick"
+        assert ticks_in(one)[0] == first
 
 
 def test_an_order_that_follows_a_run_holds_for_that_run(tmp_path, session) -> None:

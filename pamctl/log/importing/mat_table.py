@@ -10,6 +10,10 @@ The label of a Simulink signal serves as its name if it states a quantity and a 
 
 from __future__ import annotations
 
+import os
+import pickle
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +35,35 @@ class _Column(NamedTuple):
 
 
 def read_mat(path: Path) -> MeasuredTable:
-    """Read a file of version 4, 6 or 7; raise ImportRefused with the fix if that is impossible."""
+    """Read a file of version 4, 6 or 7; raise ImportRefused with the fix if that is impossible.
+
+    A process of its own parses the file. A damaged file may crash scipy's parser.
+    """
+    command = [sys.executable, "-m", "pamctl.log.importing.mat_table", os.fspath(path)]
+    parser = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    if parser.returncode:
+        raise ImportRefused(
+            f"{path} is a damaged MAT file: its parser crashed (code {parser.returncode}); "
+            "save the file again"
+        )
+    outcome = pickle.loads(parser.stdout)
+    if isinstance(outcome, str):
+        raise ImportRefused(outcome)
+    table: MeasuredTable = outcome
+    return table
+
+
+def main() -> None:
+    """Parse the file that is named by the argument; write the table or the refusal to stdout."""
+    try:
+        outcome: MeasuredTable | str = parse_mat(Path(sys.argv[1]))
+    except ImportRefused as refusal:
+        outcome = str(refusal)
+    sys.stdout.buffer.write(pickle.dumps(outcome))
+
+
+def parse_mat(path: Path) -> MeasuredTable:
+    """Read a file in this process; raise ImportRefused with the fix if that is impossible."""
     from scipy.io import loadmat
 
     try:
@@ -126,3 +158,7 @@ def _flatten_values(value: Any) -> Floats:
 def _read_label(signal: Any) -> str:
     label = signal["label"] if "label" in signal.dtype.names else ""
     return str(np.asarray(label).reshape(-1)[0]) if np.size(label) else ""
+
+
+if __name__ == "__main__":
+    main()

@@ -72,6 +72,8 @@ class Drive:
     """False for a pressure block whose position was not measured: the model then simulates it."""
     rows: NDArray[np.bool_] | None = None
     """The samples that count, shape (n,); None for all."""
+    acts_after_s: Array | None = None
+    """Time from each sample to the instant from which its command acts; None: at the sample."""
 
     @property
     def samples(self) -> int:
@@ -81,7 +83,7 @@ class Drive:
     @cached_property
     def grid(self) -> SampleGrid:
         """The simulation's steps."""
-        return build_grid(self.step_s, len(self.measured), self.steps)
+        return build_grid(self.step_s, len(self.measured), self.steps, self.acts_after_s)
 
     def simulate(self, settings: PlantSettings) -> Array:
         """Simulate the block; return the output of its sensor without noise."""
@@ -159,6 +161,7 @@ def prepare_pressure_drive(record: Record, noises: dict[str, Noise], atmosphere_
         0.0,
         _initial_pressure_pa(record, noises["pressure_pa"], atmosphere_pa),
         has_position=has_position,
+        acts_after_s=record.acts_after_s,
     )
 
 

@@ -36,7 +36,12 @@ def _measure_coupled_rms(
     errors: dict[str, list[Array]] = {"position_m": [], "pressure_pa": []}
     for record, drive in zip(holdout, evidence.holdout[MECHANICS], strict=True):
         counted = slice(None) if drive.rows is None else drive.rows
-        driven = drive_coupled(plant_parameters(plant), record["valve_v"], record.step_s)
+        driven = drive_coupled(
+            plant_parameters(plant),
+            record["valve_v"],
+            record.step_s,
+            acts_after_s=record.acts_after_s,
+        )
         for channel in errors:
             error = (record[channel] - getattr(driven, channel))[counted]
             if channel == "position_m":

@@ -111,7 +111,12 @@ def _simulate_both_blocks(
     pressure: Drive, mechanics: Drive, stages: list[ModelStage]
 ) -> HeldOutRun:
     simulated = {
-        stage.key: drive_coupled(plant_parameters(stage.plant), pressure.valve_v, pressure.step_s)
+        stage.key: drive_coupled(
+            plant_parameters(stage.plant),
+            pressure.valve_v,
+            pressure.step_s,
+            acts_after_s=pressure.acts_after_s,
+        )
         for stage in stages
     }
     position = HeldOutSignal(

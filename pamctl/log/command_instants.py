@@ -1,0 +1,113 @@
+"""When each command of a log acts at the valve, from the log's own columns.
+
+Who paces the loop decides it:
+
+    no clock               at the sample: the plant stands still while the tick computes
+    the computer, sim      when the tick has read and computed; the write itself acts first
+    the computer, a card   when the driver's write call is done
+    a card's sample clock  at the first edge after the write
+    delayed by a tick      at the next sample
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.log.reader import Log
+
+Floats = NDArray[np.float64]
+
+_DURATIONS = ("late_s", "read_s", "compute_s", "write_s")
+
+
+class OutputSteps(NamedTuple):
+    """The output's voltages and when they act, each of shape (n,)."""
+
+    output_v: Floats
+    acts_after_s: Floats | None
+    """Time from sample k to the instant from which `output_v[k]` acts; None: all at once.
+
+    Negative where it acted already before sample k: the loop missed edges of a card's clock.
+    """
+
+
+def find_output_steps(log: Log) -> OutputSteps:
+    """Return the voltages on the output of a log of pamctl, with the instants at which they act."""
+    applied_v: Floats = log["applied_v"]
+    rig = log.metadata.get("rig", {})
+    times = _read_durations(log)
+    if not len(log):
+        return OutputSteps(applied_v, None)
+    if rig.get("output_delay_ticks", "0") == "0":
+        return OutputSteps(applied_v, None if times is None else _find_write_instants(log, times))
+    before_v = np.concatenate(([float(rig["safe_output_v"])], applied_v[:-1]))
+    # Without a sample clock the rig puts it out when the loop reads next, missed ticks or not.
+    if "sample_clock" not in rig or times is None:
+        return OutputSteps(before_v, None)
+    return OutputSteps(before_v, _find_edge_instants(log, times))
+
+
+def _read_durations(log: Log) -> Mapping[str, Floats] | None:
+    """Return the durations within each tick; None in a log without them or without a clock."""
+    times: dict[str, Any] = {name: log.columns.get(name) for name in _DURATIONS}
+    if any(time is None for time in times.values()):
+        return None
+    timed = any(np.any(time) for time in times.values())
+    return times if timed else None
+
+
+def _find_write_instants(log: Log, times: Mapping[str, Floats]) -> Floats:
+    """Return the time from the encoder's sample to the output's change, shape (n,).
+
+    `read_s` begins at the wake-up, a little before the sample; a loop that loses the CPU in
+    between samples late, and the command is not late for that.
+    """
+    acts_s = times["read_s"] - _find_wait_for_sample(log, times) + times["compute_s"]
+    # A simulated rig changes its output first; the write's duration is the plant catching up. A
+    # driver's call returns when the converter has its code.
+    if _is_simulated(log):
+        return acts_s
+    return np.asarray(acts_s + times["write_s"])
+
+
+def _find_wait_for_sample(log: Log, times: Mapping[str, Floats]) -> Floats:
+    """Return the time from each wake-up to the encoder's sample.
+
+    The grid's phase is not in the log. It follows from the promptest tick, which samples within
+    a microsecond or two.
+    """
+    woke_s = log["tick"] * _find_period_s(log) + times["late_s"]
+    waited_s = log["t_s"] - woke_s
+    return np.clip(waited_s - waited_s.min(), 0.0, times["read_s"])
+
+
+def _find_edge_instants(log: Log, times: Mapping[str, Floats]) -> Floats | None:
+    """Return when the command of the tick before acted, from each sample on; None: all at it.
+
+    The card puts a voltage out at the first edge after its write, also at an edge that the loop
+    missed. A write that came too late for the next edge waits for the one after it.
+    """
+    period_s = _find_period_s(log)
+    written_s = sum(times[name] for name in _DURATIONS)
+    edges = np.floor(written_s[:-1] / period_s) + 1.0
+    passed = 1.0 + log["missed"][1:]
+    acts_s = np.concatenate(([0.0], (edges - passed) * period_s))
+    return acts_s if acts_s.any() else None
+
+
+def _find_period_s(log: Log) -> float:
+    """Return the loop's period: as configured, otherwise as the ticks show it."""
+    rate_hz = log.config.get("rig", {}).get("loop", {}).get("rate_hz")
+    if rate_hz is not None:
+        return round(1e9 / float(rate_hz)) * 1e-9
+    ticks = np.diff(log["tick"])
+    return float(np.median(np.diff(log["t_s"]) / ticks)) if len(ticks) else 1.0
+
+
+def _is_simulated(log: Log) -> bool:
+    truth = log.columns.get("true_pressure_pa")
+    return truth is not None and bool(np.isfinite(truth).any())

@@ -94,7 +94,7 @@ def drive_coupled(
 ) -> CoupledResponse:
     """Run the coupled plant under commands (V), from the vented muscle or from `start`.
 
-    `steps` is the number of steps in an interval of median length. A grid has its own
+    `steps` is the number of steps in an interval of one period. A grid has its own
     `acts_after_s`. Raises ValueError for arrays of different lengths or with NaN.
     """
     commands = _check_signal("command_v", command_v)
@@ -123,14 +123,42 @@ def drive_pressure(
     commands = _check_signal("command_v", command_v)
     positions = _check_signal("position_m", position_m, len(commands))
     grid = build_grid(dt_s, len(commands), steps, acts_after_s)
+    return _run_pressure(p, commands, positions, grid, start)[0]
+
+
+def find_pressure_course(
+    p: PlantParameters,
+    command_v: Array,
+    position_m: Array,
+    grid: SampleGrid,
+    *,
+    start: PlantState | None = None,
+) -> tuple[Array, Array]:
+    """Return the ends of the steps (s) and the pressure there (Pa), as `drive_pressure` runs it."""
+    response, ends_s = _run_pressure(p, command_v, position_m, grid, start, every_step=True)
+    return ends_s, response.pressure_pa
+
+
+def _run_pressure(
+    p: PlantParameters,
+    commands: Array,
+    positions: Array,
+    grid: SampleGrid,
+    start: PlantState | None,
+    *,
+    every_step: bool = False,
+) -> tuple[PressureResponse, Array]:
+    """Return the response at each sample, or at the end of each step; and the ends of the steps."""
     true_m = undo_sensor("position_reading", p, positions, grid.samples_s)
     if start is None:
         start = rest_state(p, float(true_m[0]), p.paper.atmospheric_pressure_pa)
-    rows = np.empty((len(PressureResponse._fields), len(commands)))
     cut = build_steps(p, commands, grid)
+    if every_step:
+        cut = cut._replace(first=np.arange(len(cut.ends_s)))
+    rows = np.empty((len(PressureResponse._fields), len(cut.first)))
     ends_m = np.interp(cut.ends_s, grid.samples_s, true_m)
     _get_twin(run_pressure)(p, start, cut, ends_m, rows)
-    return PressureResponse(*rows)
+    return PressureResponse(*rows), cut.ends_s
 
 
 def drive_mechanics(
@@ -140,10 +168,12 @@ def drive_mechanics(
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
+    bend_pa: ArrayLike = 0.0,
 ) -> MechanicsResponse:
     """Run the mechanics under a measured absolute pressure (Pa), linear between samples.
 
-    By default the muscle starts vented, at rest.
+    `bend_pa` is added at the ends of the steps: how the pressure leaves the line between two
+    samples. By default the muscle starts vented, at rest.
     """
     pressures = _check_signal("pressure_pa", pressure_pa)
     grid = build_grid(dt_s, len(pressures), steps)
@@ -153,7 +183,7 @@ def drive_mechanics(
     true_pa = pressures
     if not p.direct:
         true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
-    ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
+    ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa) + bend_pa
     _get_twin(run_mechanics)(p, state, cut, ends_pa, rows)
     return MechanicsResponse(*rows)
 
@@ -320,7 +350,7 @@ def build_grid(
 ) -> SampleGrid:
     """Cut each interval where a command acts, and each part into equal steps.
 
-    An interval of median length gets `steps` steps. A tolerance of a tenth keeps jitter from adding
+    An interval of one period gets `steps` steps. A tolerance of a tenth keeps jitter from adding
     one. `acts_after_s` is one number, or one for each sample; None: commands act at their samples.
     A grid is returned unchanged. Raises ValueError if arrays do not fit the number of samples, or
     if a grid is given another `acts_after_s`.
@@ -332,7 +362,7 @@ def build_grid(
             raise ValueError("acts_after_s: a grid has its own; give it to build_grid")
         return dt_s
     intervals = _check_intervals(dt_s, samples)
-    longest_s = 1.1 * float(np.median(intervals)) / steps if len(intervals) else 1.0
+    longest_s = 1.1 * find_period_s(intervals) / steps if len(intervals) else 1.0
     samples_s = _accumulate_times(intervals)
     late_s = _check_acts_after("acts_after_s", acts_after_s, samples)
     if late_s is None:
@@ -351,6 +381,11 @@ def build_grid(
     return SampleGrid(
         samples_s, acts_s, np.repeat(acting, counts), first, step_s, _accumulate_times(step_s)
     )
+
+
+def find_period_s(intervals_s: Array) -> float:
+    """Return the period of a record: its lower quartile, for half of its ticks may be missed."""
+    return float(np.quantile(intervals_s, 0.25))
 
 
 def build_steps(p: PlantParameters, command_v: Array, grid: SampleGrid) -> DriveSteps:

@@ -12,7 +12,7 @@ Who paces the loop decides it:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,21 +43,19 @@ def find_output_steps(log: Log) -> OutputSteps:
     if not len(log):
         return OutputSteps(applied_v, None)
     if rig.get("output_delay_ticks", "0") == "0":
-        return OutputSteps(applied_v, None if times is None else _find_write_instants(log, times))
+        has_clock = any(time.any() for time in times.values())
+        return OutputSteps(applied_v, _find_write_instants(log, times) if has_clock else None)
     before_v = np.concatenate(([float(rig["safe_output_v"])], applied_v[:-1]))
     # Without a sample clock the rig puts it out when the loop reads next, missed ticks or not.
-    if "sample_clock" not in rig or times is None:
+    if "sample_clock" not in rig or len(log) < 2:
         return OutputSteps(before_v, None)
     return OutputSteps(before_v, _find_edge_instants(log, times))
 
 
-def _read_durations(log: Log) -> Mapping[str, Floats] | None:
-    """Return the durations within each tick; None in a log without them or without a clock."""
-    times: dict[str, Any] = {name: log.columns.get(name) for name in _DURATIONS}
-    if any(time is None for time in times.values()):
-        return None
-    timed = any(np.any(time) for time in times.values())
-    return times if timed else None
+def _read_durations(log: Log) -> Mapping[str, Floats]:
+    """Return the durations within each tick; zeros for those that an old log does not have."""
+    none = np.zeros(len(log))
+    return {name: log.columns.get(name, none) for name in _DURATIONS}
 
 
 def _find_write_instants(log: Log, times: Mapping[str, Floats]) -> Floats:
@@ -75,13 +73,15 @@ def _find_write_instants(log: Log, times: Mapping[str, Floats]) -> Floats:
 
 
 def _find_wait_for_sample(log: Log, times: Mapping[str, Floats]) -> Floats:
-    """Return the time from each wake-up to the encoder's sample.
+    """Return the time from each wake-up to the encoder's sample; zeros if the rate is not known.
 
     The grid's phase is not in the log. It follows from the promptest tick, which samples within
     a microsecond or two.
     """
-    woke_s = log["tick"] * _find_period_s(log) + times["late_s"]
-    waited_s = log["t_s"] - woke_s
+    period_s = _read_period_s(log)
+    if period_s is None:
+        return np.zeros(len(log))
+    waited_s = log["t_s"] - (log["tick"] * period_s + times["late_s"])
     return np.clip(waited_s - waited_s.min(), 0.0, times["read_s"])
 
 
@@ -91,7 +91,8 @@ def _find_edge_instants(log: Log, times: Mapping[str, Floats]) -> Floats | None:
     The card puts a voltage out at the first edge after its write, also at an edge that the loop
     missed. A write that came too late for the next edge waits for the one after it.
     """
-    period_s = _find_period_s(log)
+    ticks = np.diff(log["tick"])
+    period_s = _read_period_s(log) or float(np.median(np.diff(log["t_s"]) / ticks))
     written_s = sum(times[name] for name in _DURATIONS)
     edges = np.floor(written_s[:-1] / period_s) + 1.0
     passed = 1.0 + log["missed"][1:]
@@ -99,13 +100,10 @@ def _find_edge_instants(log: Log, times: Mapping[str, Floats]) -> Floats | None:
     return acts_s if acts_s.any() else None
 
 
-def _find_period_s(log: Log) -> float:
-    """Return the loop's period: as configured, otherwise as the ticks show it."""
+def _read_period_s(log: Log) -> float | None:
+    """Return the loop's period as configured."""
     rate_hz = log.config.get("rig", {}).get("loop", {}).get("rate_hz")
-    if rate_hz is not None:
-        return round(1e9 / float(rate_hz)) * 1e-9
-    ticks = np.diff(log["tick"])
-    return float(np.median(np.diff(log["t_s"]) / ticks)) if len(ticks) else 1.0
+    return None if rate_hz is None else round(1e9 / float(rate_hz)) * 1e-9
 
 
 def _is_simulated(log: Log) -> bool:

@@ -22,6 +22,11 @@ from pamctl.log.reader import Log
 Floats = NDArray[np.float64]
 
 _DURATIONS = ("late_s", "read_s", "compute_s", "write_s")
+_SLOWER = 2e-4
+"""The card's crystal may be slower than the computer's by this share: twice what is usual."""
+_WAKE_S = 50e-6
+"""The loop places an edge at the promptest return of a read, and the edge itself was earlier by
+the time of a wake-up: some 20 us in real time, 70 us otherwise."""
 
 
 class OutputSteps(NamedTuple):
@@ -85,19 +90,38 @@ def _find_wait_for_sample(log: Log, times: Mapping[str, Floats]) -> Floats:
     return np.clip(waited_s - waited_s.min(), 0.0, times["read_s"])
 
 
+def find_sample_times(log: Log) -> Floats:
+    """Return when the samples were taken, shape (n,): as logged, but for a card's own clock.
+
+    The loop places such a sample by the return of its read. A read that returned almost a period
+    late was taken for the next edge; the next sample, too soon after it, shows the mistake. Two
+    samples are at least a period apart.
+    """
+    t_s: Floats = log["t_s"]
+    if "sample_clock" not in log.metadata.get("rig", {}) or len(log) < 2:
+        return t_s
+    least_s = _find_edge_period_s(log) * (1.0 - _SLOWER) * np.arange(len(log))
+    latest_s = np.minimum.accumulate((t_s - least_s)[::-1])[::-1] + least_s
+    return np.asarray(np.where(t_s - latest_s > 1e-9, latest_s, t_s))
+
+
 def _find_edge_instants(log: Log, times: Mapping[str, Floats]) -> Floats | None:
     """Return when the command of the tick before acted, from each sample on; None: all at it.
 
     The card puts a voltage out at the first edge after its write, also at an edge that the loop
     missed. A write that came too late for the next edge waits for the one after it.
     """
-    ticks = np.diff(log["tick"])
-    period_s = _read_period_s(log) or float(np.median(np.diff(log["t_s"]) / ticks))
+    period_s = _find_edge_period_s(log)
     written_s = sum(times[name] for name in _DURATIONS)
-    edges = np.floor(written_s[:-1] / period_s) + 1.0
-    passed = 1.0 + log["missed"][1:]
+    edges = np.floor((written_s[:-1] + min(_WAKE_S, 0.05 * period_s)) / period_s) + 1.0
+    passed = np.maximum(1.0, np.rint(np.diff(find_sample_times(log)) / period_s))
     acts_s = np.concatenate(([0.0], (edges - passed) * period_s))
     return acts_s if acts_s.any() else None
+
+
+def _find_edge_period_s(log: Log) -> float:
+    """Return the distance of two edges: as configured, otherwise as most ticks show it."""
+    return _read_period_s(log) or float(np.median(np.diff(log["t_s"]) / np.diff(log["tick"])))
 
 
 def _read_period_s(log: Log) -> float | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from hal.calibration import CalibrationSettings, calibration, valve_v
-from pamctl.log.command_instants import find_output_steps
+from pamctl.log.command_instants import find_output_steps, find_sample_times
 from pamctl.log.framing import LogError
 from pamctl.log.reader import Log
 
@@ -84,9 +84,10 @@ def signals(log: Log) -> Signals:
     else:
         output = find_output_steps(log)
         valve, acts_after_s = _compute_valve_v(log, output.output_v), output.acts_after_s
+    t_s = find_sample_times(log)
     return Signals(
-        t_s=log["t_s"],
-        dt_s=log["dt_s"],
+        t_s=t_s,
+        dt_s=log["dt_s"] + np.diff(t_s - log["t_s"], prepend=0.0),
         valve_v=valve,
         pressure_pa=log.columns.get("pressure_pa"),
         position_m=log.columns.get("position_m"),

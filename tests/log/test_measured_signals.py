@@ -60,10 +60,9 @@ CLOCKED = {**DELAYED, "sample_clock": "/Dev1/ai/SampleClock"}
 @pytest.mark.parametrize("rig", [DELAYED, CLOCKED], ids=["computer", "card"])
 def test_a_delayed_output_reaches_the_valve_a_tick_later(tmp_path, rig):
     log = recorded(tmp_path)
-    missed = log["missed"].copy()
-    missed[200] = 3
+    t_s = log["t_s"] + 3e-3 * (np.arange(TICKS) >= 200)
     at_once = pamctl.log.signals(timed(log, {}))
-    late = pamctl.log.signals(timed(log, rig, missed=missed))
+    late = pamctl.log.signals(timed(log, rig, t_s=t_s))
     assert at_once.acts_after_s is None
     assert late.valve_v[0] == -5.0
     assert np.array_equal(late.valve_v[1:], at_once.valve_v[:-1])

@@ -24,9 +24,7 @@ def find_long_intervals(step_s: Array) -> NDArray[np.bool_]:
     return long
 
 
-def smooth_over_missed(
-    values: Array, step_s: Array, smooth: Callable[[Array], Array]
-) -> Array:
+def smooth_over_missed(values: Array, step_s: Array, smooth: Callable[[Array], Array]) -> Array:
     """Apply a filter that takes its samples as evenly spaced; missed ones are filled by lines."""
     if not find_long_intervals(step_s).any():
         return smooth(values)

@@ -8,7 +8,8 @@ called faulty. Ctrl-C ends it with the results so far (130). With `--resume` eac
 stored, and stored cases are not run again. `--keep` keeps the logs of alarms.
 
 A round records every bench with every experiment, on a PC that is left alone and on a busy one
-without real-time scheduling, which misses ticks. A PC that others keep busy is left as it is. The benches: `pamctl run` over the simulation, and
+without real-time scheduling, which misses ticks. A PC that others keep busy is left as it is.
+The benches: `pamctl run` over the simulation, and
 over the stand-in for NI's driver, on demand and paced by its own clock (they need gcc). The plant
 that a log is compared with is the very plant that moved. Every third case has a second run, held
 out; every third run over the stand-in has a pressure sensor without noise.
@@ -74,6 +75,7 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
+        """What identifies the case; with `busy` in it where it is."""
         return f"{self.bench} {self.experiment}{' busy' if self.busy else ''} {self.number}"
 
     @property
@@ -83,6 +85,7 @@ class Case(NamedTuple):
 
     @property
     def noise_v(self) -> float:
+        """Noise of the stand-in's pressure sensor."""
         return 0.0 if self.number % 3 == 1 else NOISE_V
 
     @property
@@ -146,8 +149,8 @@ def record_run(case: Case, path: Path, seed: int) -> None:
     try:
         with keep_busy(burdened):
             run = subprocess.run(
-                [*PAMCTL, "run", "--quiet", "--backend", backend]
-                + [*options, *sets, "--log", str(path)],
+                [*PAMCTL, "run", "--quiet", "--backend", backend, *options, *sets]
+                + ["--log", str(path)],
                 env=environment,
                 capture_output=True,
                 text=True,
@@ -178,6 +181,7 @@ def judge_case(case: Case, logs: Sequence[Path]) -> dict[str, Any]:
     ratios = {} if model is None else {b: round(model.ratio(b), 2) for b in model.evidence.blocks}
     return {
         "verdict": str(diagnosis.verdict),
+        "said": diagnosis.reason,
         "effects": [] if model is None else sorted(model.names),
         "residual_over_floor": ratios,
         "coupled_um": round(gap_m.rms * 1e6, 2),

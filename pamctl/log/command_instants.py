@@ -86,7 +86,7 @@ def _find_wait_for_sample(log: Log, times: Mapping[str, Floats]) -> Floats:
     period_s = _read_period_s(log)
     if period_s is None:
         return np.zeros(len(log))
-    waited_s = log["t_s"] - (log["tick"] * period_s + times["late_s"])
+    waited_s: Floats = log["t_s"] - (log["tick"] * period_s + times["late_s"])
     return np.clip(waited_s - waited_s.min(), 0.0, times["read_s"])
 
 
@@ -112,7 +112,7 @@ def _find_edge_instants(log: Log, times: Mapping[str, Floats]) -> Floats | None:
     missed. A write that came too late for the next edge waits for the one after it.
     """
     period_s = _find_edge_period_s(log)
-    written_s = sum(times[name] for name in _DURATIONS)
+    written_s = np.sum([times[name] for name in _DURATIONS], axis=0)
     edges = np.floor((written_s[:-1] + min(_WAKE_S, 0.05 * period_s)) / period_s) + 1.0
     passed = np.maximum(1.0, np.rint(np.diff(find_sample_times(log)) / period_s))
     acts_s = np.concatenate(([0.0], (edges - passed) * period_s))

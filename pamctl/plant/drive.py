@@ -168,7 +168,7 @@ def drive_mechanics(
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
-    bend_pa: ArrayLike = 0.0,
+    bend_pa: Array | None = None,
 ) -> MechanicsResponse:
     """Run the mechanics under a measured absolute pressure (Pa), linear between samples.
 
@@ -183,7 +183,9 @@ def drive_mechanics(
     true_pa = pressures
     if not p.direct:
         true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
-    ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa) + bend_pa
+    ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
+    if bend_pa is not None:
+        ends_pa = ends_pa + bend_pa
     _get_twin(run_mechanics)(p, state, cut, ends_pa, rows)
     return MechanicsResponse(*rows)
 

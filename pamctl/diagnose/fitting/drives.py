@@ -127,8 +127,8 @@ class Drive:
         return ends_s, np.where(bent, course_pa - line_pa, 0.0)
 
     @cached_property
-    def _bend_pa(self) -> Array | float:
-        return 0.0 if self.bend is None else np.interp(self.grid.ends_s, *self.bend)
+    def _bend_pa(self) -> Array | None:
+        return None if self.bend is None else np.interp(self.grid.ends_s, *self.bend)
 
     def _find_start_pressure(self, p: PlantParameters) -> PlantState | None:
         rests = self.start == p.atmospheric_pressure_pa

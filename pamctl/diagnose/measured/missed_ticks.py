@@ -31,4 +31,5 @@ def smooth_over_missed(values: Array, step_s: Array, smooth: Callable[[Array], A
     steps = np.maximum(1, np.rint(step_s / find_period_s(step_s))).astype(np.int64)
     ticks = np.concatenate([[0], np.cumsum(steps)])
     even = np.interp(np.arange(ticks[-1] + 1), ticks, values)
-    return smooth(even)[ticks]
+    smoothed: Array = smooth(even)[ticks]
+    return smoothed

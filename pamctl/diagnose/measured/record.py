@@ -32,8 +32,8 @@ correlated."""
 class Record:
     """A run: `pressure_pa[k]` and `position_m[k]` were sampled at `t_s[k]`.
 
-    `valve_v[k]` acts from `t_s[k] + acts_after_s[k]` until the next one does. Pressure is absolute. A channel that
-    was not measured is None. The run should begin vented and at rest.
+    `valve_v[k]` acts from `t_s[k] + acts_after_s[k]` until the next one does. Pressure is absolute.
+    A channel that was not measured is None. The run should begin vented and at rest.
     """
 
     name: str

@@ -145,12 +145,12 @@ def record_run(case: Case, path: Path, seed: int) -> None:
     options = ["--experiment", case.experiment, "--duration", f"{EXPERIMENTS[case.experiment]:g}"]
     burdened = case.busy and is_idle()
     options += ["--plant", case.plant, "--seed", str(seed), *(["--rt", "off"] * burdened)]
+    command = [*PAMCTL, "run", "--quiet", "--backend", backend]
     sets = [word for setting in settings for word in ("--set", setting)]
     try:
         with keep_busy(burdened):
             run = subprocess.run(
-                [*PAMCTL, "run", "--quiet", "--backend", backend, *options, *sets]
-                + ["--log", str(path)],
+                [*command, *options, *sets, "--log", str(path)],
                 env=environment,
                 capture_output=True,
                 text=True,
@@ -229,7 +229,7 @@ def main() -> int:
     try:
         for case, found in run_cases([c for c in cases if c.name not in results], options.keep):
             results[case.name] = found
-            print(f"{case.name:<36}{describe(found)}", file=sys.stderr, flush=True)
+            print(f"{case.name:<38}{describe(found)}", file=sys.stderr, flush=True)
             if options.resume is not None:
                 with options.resume.open("a") as file:
                     file.write(json.dumps({"case": case.name, **found}) + "\n")

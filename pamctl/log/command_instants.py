@@ -87,7 +87,7 @@ def _find_wait_for_sample(log: Log, times: Mapping[str, Floats]) -> Floats:
     if period_s is None:
         return np.zeros(len(log))
     waited_s: Floats = log["t_s"] - (log["tick"] * period_s + times["late_s"])
-    return np.clip(waited_s - waited_s.min(), 0.0, times["read_s"])
+    return np.asarray(np.clip(waited_s - waited_s.min(), 0.0, times["read_s"]))
 
 
 def find_sample_times(log: Log) -> Floats:

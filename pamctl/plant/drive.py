@@ -386,8 +386,9 @@ def build_grid(
 
 
 def find_period_s(intervals_s: Array) -> float:
-    """Return the period of a record: its lower quartile, for half of its ticks may be missed."""
-    return float(np.quantile(intervals_s, 0.25))
+    """Return the period of a record: the median interval; less if half of its ticks are missed."""
+    usual_s, quick_s = float(np.median(intervals_s)), float(np.quantile(intervals_s, 0.25))
+    return quick_s if usual_s > 1.5 * quick_s else usual_s
 
 
 def build_steps(p: PlantParameters, command_v: Array, grid: SampleGrid) -> DriveSteps:

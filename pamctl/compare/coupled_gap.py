@@ -107,7 +107,9 @@ def compare_model(log: Log, plant: PlantParameters) -> Comparison:
         part = measured[stretch]
         start = _find_start(plant, part, follows_homing=stretch.start == 0 and _was_homed(log))
         # The mechanics have no command, and need no step where one acts.
-        grid = build_grid(part.dt_s[1:], len(part), acts_after_s=part.acts_after_s)
+        grid = build_grid(
+            part.dt_s[1:], len(part), acts_after_s=part.acts_after_s, held_v=part.held_v
+        )
         if part.valve_v is not None:
             driven = drive_coupled(plant, part.valve_v, grid, start=start)
             rows["x"][stretch], rows["p"][stretch] = driven.position_m, driven.pressure_pa

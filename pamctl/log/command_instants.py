@@ -38,6 +38,8 @@ class OutputSteps(NamedTuple):
 
     Negative where it acted already before sample k: the loop missed edges of a card's clock.
     """
+    held_v: float | None
+    """The voltage before the first tick: the safe one; None where the log does not tell it."""
 
 
 def find_output_steps(log: Log) -> OutputSteps:
@@ -45,16 +47,18 @@ def find_output_steps(log: Log) -> OutputSteps:
     applied_v: Floats = log["applied_v"]
     rig = log.metadata.get("rig", {})
     times = _read_durations(log)
+    held_v = float(rig["safe_output_v"]) if "safe_output_v" in rig else None
     if not len(log):
-        return OutputSteps(applied_v, None)
+        return OutputSteps(applied_v, None, held_v)
     if rig.get("output_delay_ticks", "0") == "0":
         has_clock = any(time.any() for time in times.values())
-        return OutputSteps(applied_v, _find_write_instants(log, times) if has_clock else None)
+        acts_s = _find_write_instants(log, times) if has_clock else None
+        return OutputSteps(applied_v, acts_s, held_v)
     before_v = np.concatenate(([float(rig["safe_output_v"])], applied_v[:-1]))
     # Without a sample clock the rig puts it out when the loop reads next, missed ticks or not.
     if "sample_clock" not in rig or len(log) < 2:
-        return OutputSteps(before_v, None)
-    return OutputSteps(before_v, _find_edge_instants(log, times))
+        return OutputSteps(before_v, None, held_v)
+    return OutputSteps(before_v, _find_edge_instants(log, times), held_v)
 
 
 def _read_durations(log: Log) -> Mapping[str, Floats]:

@@ -57,6 +57,8 @@ class Signals:
     Negative for a command that acted before its sample, at an edge of a card's clock that the loop
     missed.
     """
+    held_v: float | None = None
+    """The command before the first one here, which acts until that one does; None: unknown."""
 
     def __len__(self) -> int:
         """Return the number of ticks."""
@@ -67,7 +69,10 @@ class Signals:
         parts: dict[str, Any] = {}
         for field in fields(self):
             whole = getattr(self, field.name)
-            parts[field.name] = None if whole is None else whole[ticks]
+            parts[field.name] = whole[ticks] if isinstance(whole, np.ndarray) else whole
+        first = ticks.indices(len(self))[0]
+        if first and self.valve_v is not None:
+            parts["held_v"] = find_held_v(self.valve_v, first)
         return Signals(**parts)
 
 
@@ -79,11 +84,14 @@ def signals(log: Log) -> Signals:
     the log turns it back into a command; raise LogError if there is none.
     """
     count = len(log)
+    held_v = None
     if log.is_imported:
         valve, acts_after_s = log.columns.get("valve_v"), _find_stated_delay(log)
     else:
         output = find_output_steps(log)
         valve, acts_after_s = _compute_valve_v(log, output.output_v), output.acts_after_s
+        if output.held_v is not None:
+            held_v = float(_compute_valve_v(log, np.array(output.held_v)))
     t_s = find_sample_times(log)
     return Signals(
         t_s=t_s,
@@ -95,7 +103,14 @@ def signals(log: Log) -> Signals:
         missed=log["missed"],
         phase=np.full(count, NO_PHASE) if log.is_imported else log["phase"],
         acts_after_s=acts_after_s,
+        held_v=held_v,
     )
+
+
+def find_held_v(valve_v: Floats, first: int) -> float | None:
+    """Return the command before a row; None if that write failed."""
+    held_v = float(valve_v[first - 1])
+    return held_v if np.isfinite(held_v) else None
 
 
 def _find_stated_delay(log: Log) -> Floats | None:

@@ -335,8 +335,10 @@ class SampleGrid(NamedTuple):
     """Times of the samples since the first one."""
     acts_s: Array
     """When each command acts, on the same clock, never falling."""
+    held_v: float | None
+    """The command that acts until the first one does; None: the first one itself."""
     acting: NDArray[np.int64]
-    """For each step the index of the command that acts."""
+    """For each step the index of the command that acts; -1 until the first one does."""
     first: NDArray[np.int64]
     """For each sample the index of the first step after it."""
     step_s: Array
@@ -349,11 +351,13 @@ def build_grid(
     samples: int,
     steps: int = STEPS_A_TICK,
     acts_after_s: ArrayLike | None = None,
+    held_v: float | None = None,
 ) -> SampleGrid:
     """Cut each interval where a command acts, and each part into equal steps.
 
     An interval of one period gets `steps` steps. A tolerance of a tenth keeps jitter from adding
     one. `acts_after_s` is one number, or one for each sample; None: commands act at their samples.
+    Until the first command acts the valve has `held_v`, by default that command.
     A grid is returned unchanged. Raises ValueError if arrays do not fit the number of samples, or
     if a grid is given another `acts_after_s`.
     """
@@ -375,14 +379,13 @@ def build_grid(
         acts_s = np.maximum.accumulate(samples_s + late_s)
         cuts_s = _merge_instants(samples_s, acts_s)
         acting = np.searchsorted(acts_s, cuts_s[:-1] + SAME_INSTANT_S, "right") - 1
-        acting, parts_s = np.maximum(acting, 0), np.diff(cuts_s)
+        parts_s = np.diff(cuts_s)
         begins = np.searchsorted(cuts_s, samples_s - SAME_INSTANT_S)
     counts = np.maximum(1, np.ceil(parts_s / longest_s - 1e-6)).astype(np.int64)
     step_s = np.repeat(parts_s / counts, counts)
     first = np.concatenate([[0], np.cumsum(counts)])[begins]
-    return SampleGrid(
-        samples_s, acts_s, np.repeat(acting, counts), first, step_s, _accumulate_times(step_s)
-    )
+    acting = np.repeat(acting, counts)
+    return SampleGrid(samples_s, acts_s, held_v, acting, first, step_s, _accumulate_times(step_s))
 
 
 def find_period_s(intervals_s: Array) -> float:
@@ -392,18 +395,26 @@ def find_period_s(intervals_s: Array) -> float:
 
 
 def build_steps(p: PlantParameters, command_v: Array, grid: SampleGrid) -> DriveSteps:
-    """Assign commands to steps; a step is cut where a delayed command arrives within it.
-
-    Before the first command arrives, the valve already has that command.
-    """
+    """Assign commands to steps; a step is cut where a delayed command arrives within it."""
     delay_s = p.effects.timing.command_delay.delay_s
     if delay_s <= 0.0:
-        return DriveSteps(grid.first, grid.step_s, command_v[grid.acting], grid.ends_s)
+        acting_v = _select_commands(command_v, grid.acting, grid.held_v)
+        return DriveSteps(grid.first, grid.step_s, acting_v, grid.ends_s)
     arrivals_s = grid.acts_s + delay_s
     ends_s = _merge_instants(grid.ends_s, arrivals_s)
     arrived = np.searchsorted(arrivals_s, ends_s[:-1] + SAME_INSTANT_S, "right") - 1
     first = np.searchsorted(ends_s, grid.samples_s - SAME_INSTANT_S)
-    return DriveSteps(first, np.diff(ends_s), command_v[np.maximum(arrived, 0)], ends_s)
+    return DriveSteps(
+        first, np.diff(ends_s), _select_commands(command_v, arrived, grid.held_v), ends_s
+    )
+
+
+def _select_commands(command_v: Array, indices: NDArray[np.int64], held_v: float | None) -> Array:
+    """Return the command of each step; the indices never fall, and -1 is before the first."""
+    waiting = int(np.searchsorted(indices, 0))
+    selected_v = command_v[indices]
+    selected_v[:waiting] = command_v[0] if held_v is None else held_v
+    return selected_v
 
 
 def _merge_instants(ends_s: Array, more_s: Array) -> Array:

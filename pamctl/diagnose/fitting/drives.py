@@ -78,6 +78,8 @@ class Drive:
     """The samples that count, shape (n,); None for all."""
     acts_after_s: Array | None = None
     """Time from each sample to the instant from which its command acts; None: at the sample."""
+    held_v: float | None = None
+    """The command before the first, which acts until the first does; None: the first itself."""
     bend: tuple[Array, Array] | None = None
     """How the driving pressure leaves the line between two samples where ticks were missed: times
     since the first sample (s), and pressures (Pa). None: nowhere."""
@@ -90,7 +92,9 @@ class Drive:
     @cached_property
     def grid(self) -> SampleGrid:
         """The simulation's steps."""
-        return build_grid(self.step_s, len(self.measured), self.steps, self.acts_after_s)
+        return build_grid(
+            self.step_s, len(self.measured), self.steps, self.acts_after_s, self.held_v
+        )
 
     def simulate(self, settings: PlantSettings) -> Array:
         """Simulate the block; return the output of its sensor without noise."""
@@ -196,6 +200,7 @@ def prepare_pressure_drive(record: Record, noises: dict[str, Noise], atmosphere_
         _initial_pressure_pa(record, noises["pressure_pa"], atmosphere_pa),
         has_position=has_position,
         acts_after_s=record.acts_after_s,
+        held_v=record.held_v,
     )
 
 

@@ -69,5 +69,6 @@ def record_of(path: str | Path) -> Record:
         **channels,
         reference_m=reference_m,
         acts_after_s=part.acts_after_s,
+        held_v=part.held_v,
         experiment=experiment,
     )

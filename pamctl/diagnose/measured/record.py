@@ -46,6 +46,8 @@ class Record:
     """Reference position in closed loop, NaN elsewhere; it shows which runs are repeats."""
     acts_after_s: Array | None = None
     """Time from each sample to the instant from which its command acts; None: at the sample."""
+    held_v: float | None = None
+    """The command before the first, which acts until the first does; None: the first itself."""
     notes: tuple[str, ...] = field(default=(), compare=False)
     experiment: str = field(default="", compare=False)
     """Name of the experiment that was run; empty if unknown."""
@@ -98,12 +100,16 @@ class Record:
 
     def cut_samples(self, start: int, stop: int, name: str) -> Record:
         """Return the samples [start, stop) as a record of their own."""
+        held_v = self.held_v
+        if start and self.valve_v is not None:
+            held_v = float(self.valve_v[start - 1])
         return Record(
             name,
             self.t_s[start:stop],
             **{channel: self[channel][start:stop] for channel in self.channels},
             reference_m=None if self.reference_m is None else self.reference_m[start:stop],
             acts_after_s=None if self.acts_after_s is None else self.acts_after_s[start:stop],
+            held_v=held_v,
             notes=self.notes,
             experiment=self.experiment,
         )

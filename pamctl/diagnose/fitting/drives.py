@@ -16,18 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
+from pamctl.diagnose.measured.missed_ticks import find_long_intervals, smooth_over_missed
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.measured.sensor_noise import Noise
 from pamctl.plant.drive import (
+    SAME_INSTANT_S,
     STEPS_A_TICK,
     SampleGrid,
     build_grid,
     drive_coupled,
     drive_mechanics,
     drive_pressure,
+    find_period_s,
+    find_pressure_course,
 )
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.parameters import PlantParameters, rest_state
+from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
 
 PRESSURE, MECHANICS = "pressure", "mechanics"
 
@@ -72,6 +76,13 @@ class Drive:
     """False for a pressure block whose position was not measured: the model then simulates it."""
     rows: NDArray[np.bool_] | None = None
     """The samples that count, shape (n,); None for all."""
+    acts_after_s: Array | None = None
+    """Time from each sample to the instant from which its command acts; None: at the sample."""
+    held_v: float | None = None
+    """The command before the first, which acts until the first does; None: the first itself."""
+    bend: tuple[Array, Array] | None = None
+    """How the driving pressure leaves the line between two samples where ticks were missed: times
+    since the first sample (s), and pressures (Pa). None: nowhere."""
 
     @property
     def samples(self) -> int:
@@ -81,7 +92,9 @@ class Drive:
     @cached_property
     def grid(self) -> SampleGrid:
         """The simulation's steps."""
-        return build_grid(self.step_s, len(self.measured), self.steps)
+        return build_grid(
+            self.step_s, len(self.measured), self.steps, self.acts_after_s, self.held_v
+        )
 
     def simulate(self, settings: PlantSettings) -> Array:
         """Simulate the block; return the output of its sensor without noise."""
@@ -92,11 +105,38 @@ class Drive:
         if not self.has_position:
             return drive_coupled(p, self.valve_v, self.grid).pressure_pa
         if self.block == PRESSURE:
-            rests = self.start == p.atmospheric_pressure_pa
-            start = None if rests else rest_state(p, float(self.driven[0]), self.start)
+            start = self._find_start_pressure(p)
             return drive_pressure(p, self.valve_v, self.driven, self.grid, start=start).pressure_pa
         start = rest_state(p, self.start, p.atmospheric_pressure_pa) if self.start else None
-        return drive_mechanics(p, self.driven, self.grid, start=start).position_m
+        return drive_mechanics(
+            p, self.driven, self.grid, start=start, bend_pa=self._bend_pa
+        ).position_m
+
+    def find_bend(self, settings: PlantSettings) -> tuple[Array, Array] | None:
+        """Return `bend` for the mechanics, from this pressure block's simulation.
+
+        Within a missed tick the muscle may fill by tens of kilopascals, along no straight line.
+        """
+        long = find_long_intervals(self.step_s)
+        if not (self.has_position and long.any()):
+            return None
+        p = plant_parameters(settings)
+        ends_s, course_pa = find_pressure_course(
+            p, self.valve_v, self.driven, self.grid, start=self._find_start_pressure(p)
+        )
+        samples_s = self.grid.samples_s
+        line_pa = np.interp(ends_s, samples_s, np.interp(samples_s, ends_s, course_pa))
+        within = np.searchsorted(samples_s, ends_s[1:-1] - SAME_INSTANT_S) - 1
+        bent = np.concatenate([[False], long[within], [False]])
+        return ends_s, np.where(bent, course_pa - line_pa, 0.0)
+
+    @cached_property
+    def _bend_pa(self) -> Array | None:
+        return None if self.bend is None else np.interp(self.grid.ends_s, *self.bend)
+
+    def _find_start_pressure(self, p: PlantParameters) -> PlantState | None:
+        rests = self.start == p.atmospheric_pressure_pa
+        return None if rests else rest_state(p, float(self.driven[0]), self.start)
 
     def resting_gauge_pa(self, settings: PlantSettings, samples: int) -> float:
         """Return the true gauge pressure that the valve leaves at rest."""
@@ -134,7 +174,7 @@ class Drive:
             drawn = noise.simulate_sensor(
                 np.zeros(len(self.driven)), self.random_generator(replica, 0)
             )
-            smooth = _smooth_signal(drawn, float(np.median(self.step_s)), self.cutoff_hz)
+            smooth = _smooth_signal(drawn, self.step_s, self.cutoff_hz)
             self._disturbances[replica] = smooth
         return self._disturbances[replica]
 
@@ -152,13 +192,15 @@ def prepare_pressure_drive(record: Record, noises: dict[str, Noise], atmosphere_
         record.name,
         record.step_s,
         record["valve_v"],
-        _smooth_signal(position_m, record.period_s, 0.0),
+        _smooth_signal(position_m, record.step_s, 0.0),
         0.0,
         record["pressure_pa"],
         max(noises["pressure_pa"].total, 1.0),
         0.0,
         _initial_pressure_pa(record, noises["pressure_pa"], atmosphere_pa),
         has_position=has_position,
+        acts_after_s=record.acts_after_s,
+        held_v=record.held_v,
     )
 
 
@@ -180,7 +222,7 @@ def prepare_mechanics_drive(
         record.name,
         record.step_s,
         np.zeros(len(record)),
-        base + _smooth_signal(record["pressure_pa"] - base, record.period_s, cutoff_hz),
+        base + _smooth_signal(record["pressure_pa"] - base, record.step_s, cutoff_hz),
         cutoff_hz,
         record["position_m"],
         max(noise.total, 1e-7),
@@ -204,7 +246,7 @@ def prepare_force_drive(record: Record, noises: dict[str, Noise]) -> Drive:
         record.name,
         record.step_s,
         np.zeros(len(record)),
-        _smooth_signal(record["force_n"], record.period_s, SMOOTH_HZ),
+        _smooth_signal(record["force_n"], record.step_s, SMOOTH_HZ),
         SMOOTH_HZ,
         record["position_m"],
         max(noise.total, 1e-7),
@@ -227,8 +269,16 @@ def _initial_pressure_pa(record: Record, noise: Noise, atmosphere_pa: float) -> 
     return atmosphere_pa if near else pressure_pa
 
 
-def _smooth_signal(values: Array, period_s: float, cutoff_hz: float) -> Array:
-    """Smooth without delay: second order in both directions, or a cubic over 15 samples."""
+def _smooth_signal(values: Array, step_s: Array, cutoff_hz: float) -> Array:
+    """Smooth without delay, also over missed ticks."""
+    period_s = find_period_s(step_s)
+    return smooth_over_missed(
+        values, step_s, lambda even: _smooth_even_signal(even, period_s, cutoff_hz)
+    )
+
+
+def _smooth_even_signal(values: Array, period_s: float, cutoff_hz: float) -> Array:
+    """Smooth by second order in both directions, or by a cubic over 15 samples."""
     if cutoff_hz == 0.0:
         cubic: Array = savgol_filter(values, 15, 3)
         return cubic

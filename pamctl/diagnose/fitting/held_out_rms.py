@@ -10,7 +10,7 @@ from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
 from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.plant.drive import drive_coupled
+from pamctl.plant.drive import build_grid, drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 
 
@@ -36,7 +36,10 @@ def _measure_coupled_rms(
     errors: dict[str, list[Array]] = {"position_m": [], "pressure_pa": []}
     for record, drive in zip(holdout, evidence.holdout[MECHANICS], strict=True):
         counted = slice(None) if drive.rows is None else drive.rows
-        driven = drive_coupled(plant_parameters(plant), record["valve_v"], record.step_s)
+        grid = build_grid(
+            record.step_s, len(record), acts_after_s=record.acts_after_s, held_v=record.held_v
+        )
+        driven = drive_coupled(plant_parameters(plant), record["valve_v"], grid)
         for channel in errors:
             error = (record[channel] - getattr(driven, channel))[counted]
             if channel == "position_m":

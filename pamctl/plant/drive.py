@@ -54,6 +54,23 @@ if TYPE_CHECKING:
 STEPS_A_TICK = 2
 
 
+class Restarts(NamedTuple):
+    """Samples at which a drive goes on from a measured state; the effects keep their memories.
+
+    Creep, a spool or bristles are not measured: they are where the model's own run left them.
+    """
+
+    rows: NDArray[np.int64]
+    """The samples, increasing."""
+    outputs: Array
+    """Readings of the sensor there: position (m) or absolute pressure (Pa)."""
+    rates: Array
+    """Velocities there (m/s); not used for a pressure."""
+
+
+NO_RESTARTS = Restarts(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+
+
 class CoupledResponse(NamedTuple):
     """The coupled plant at each sample."""
 
@@ -108,6 +125,7 @@ def drive_pressure(
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
+    restarts: Restarts = NO_RESTARTS,
 ) -> PressureResponse:
     """Run the pressure block under commands (V) and a measured position (m).
 
@@ -123,7 +141,8 @@ def drive_pressure(
     rows = np.empty((len(PressureResponse._fields), len(commands)))
     cut = build_steps(p, commands, grid)
     ends_m = np.interp(cut.ends_s, grid.samples_s, true_m)
-    _get_twin(run_pressure)(p, start, cut, ends_m, rows)
+    restarts = _undo_restarts("pressure_reading", p, restarts, grid)
+    _get_twin(run_pressure)(p, start, cut, ends_m, restarts, rows)
     return PressureResponse(*rows)
 
 
@@ -134,6 +153,7 @@ def drive_mechanics(
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
+    restarts: Restarts = NO_RESTARTS,
 ) -> MechanicsResponse:
     """Run the mechanics under a measured absolute pressure (Pa), linear between samples.
 
@@ -148,7 +168,8 @@ def drive_mechanics(
     if not p.direct:
         true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
     ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
-    _get_twin(run_mechanics)(p, state, cut, ends_pa, rows)
+    restarts = _undo_restarts("position_reading", p, restarts, grid)
+    _get_twin(run_mechanics)(p, state, cut, ends_pa, restarts, rows)
     return MechanicsResponse(*rows)
 
 
@@ -169,11 +190,17 @@ def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: 
 
 
 def run_pressure(
-    p: PlantParameters, state: PlantState, steps: DriveSteps, positions_m: Array, rows: Array
+    p: PlantParameters,
+    state: PlantState,
+    steps: DriveSteps,
+    positions_m: Array,
+    restarts: Restarts,
+    rows: Array,
 ) -> None:
     """Kernel of `drive_pressure`. `positions_m` holds the positions at the ends of the steps."""
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
     age_s = state.age_s
+    again = 0
     for k in range(rows.shape[1]):
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
@@ -194,12 +221,20 @@ def run_pressure(
                 end_pa = pressure_at_sensor_pa(p, pressure_pa, air)
                 sensors = sensors_step(p, sensors, begin_pa, end_pa, x, end_m, age_s, step_s)
                 age_s += step_s
+        if again < len(restarts.rows) and restarts.rows[again] == k:
+            pressure_pa = restarts.outputs[again]
+            again += 1
         rows[0, k] = sensed_pressure_pa(p, pressure_pa, air, sensors, age_s)
         rows[1, k] = pressure_pa
 
 
 def run_mechanics(
-    p: PlantParameters, state: PlantState, steps: DriveSteps, pressures_pa: Array, rows: Array
+    p: PlantParameters,
+    state: PlantState,
+    steps: DriveSteps,
+    pressures_pa: Array,
+    restarts: Restarts,
+    rows: Array,
 ) -> None:
     """Kernel of `drive_mechanics`. `pressures_pa` holds the pressures at the ends of the steps."""
     x, v, sensors, mechanics = (
@@ -210,6 +245,7 @@ def run_mechanics(
     )
     muscle_pa, age_s = pressures_pa[0], state.age_s
     has_line = p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0 and not p.direct
+    again = 0
     for k in range(rows.shape[1]):
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
@@ -230,6 +266,9 @@ def run_mechanics(
                 x, v, mechanics = mechanics_block_step(p, x, v, mechanics, middle_pa, age_s, step_s)
                 sensors = sensors_step(p, sensors, begin_pa, muscle_pa, begin_m, x, age_s, step_s)
                 age_s += step_s
+        if again < len(restarts.rows) and restarts.rows[again] == k:
+            x, v = restarts.outputs[again], restarts.rates[again]
+            again += 1
         rows[0, k] = sensed_position_m(p, x, sensors, age_s)
         rows[1, k] = x
         rows[2, k] = v
@@ -337,6 +376,14 @@ def undo_sensor(place: str, p: PlantParameters, shown: Array, times_s: Array) ->
     atmosphere_pa = p.paper.atmospheric_pressure_pa
     true: Array = undo_reading(place, p.effects.sensors, shown, times_s, atmosphere_pa)
     return true
+
+
+def _undo_restarts(
+    place: str, p: PlantParameters, restarts: Restarts, grid: SampleGrid
+) -> Restarts:
+    """Return the restarts with the true values behind the sensor's readings."""
+    times_s = grid.samples_s[restarts.rows]
+    return restarts._replace(outputs=undo_sensor(place, p, restarts.outputs, times_s))
 
 
 def _accumulate_times(dt_s: Array) -> Array:

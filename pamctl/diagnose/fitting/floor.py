@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pamctl.diagnose.fitting.block_fit import Fit, rms, sensitivity
-from pamctl.diagnose.fitting.drives import MECHANICS, Drive
+from pamctl.diagnose.fitting.drives import Drive
 from pamctl.diagnose.fitting.repeatability import RepeatSpread
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.measured.sensor_noise import Noise
@@ -134,7 +134,7 @@ def imitate_records(
 
 def sensor_noise_of(drives: Sequence[Drive], noises: dict[str, Noise]) -> Noise:
     """Return the noise of the sensor of a block's output."""
-    return noises["position_m" if drives[0].block == MECHANICS else "pressure_pa"]
+    return noises[drives[0].channel]
 
 
 def _estimate_memory(residual: Array, drives: Sequence[Drive]) -> float:
@@ -168,9 +168,9 @@ def _add_noise(
     replica: int,
 ) -> Drive:
     """Return the drive with new noise on its input and on its ideal output."""
-    inner, outer = "position_m", "pressure_pa"
-    if drive.block == MECHANICS:
-        inner, outer = ("force_n" if settings.actuator == "direct" else "pressure_pa"), inner
+    inner, outer = "position_m", drive.channel
+    if outer == "position_m":
+        inner = "force_n" if settings.actuator == "direct" else "pressure_pa"
     driven = drive.driven
     if inner in noises:
         driven = driven + drive.draw_disturbance(noises[inner], replica)

@@ -1,0 +1,108 @@
+"""Windows of a record: each starts from the measured state, and its start's error does not count.
+
+A mass without a spring never forgets its start, and adds up every small force. A free run then
+drifts away, and what is judged is the drift. In a short window the drift is small. The start of
+a window is estimated from the window's own first samples, so that a simulated record is treated
+exactly like a measured one. What an error of the start moves is projected out of the residual, to
+first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.diagnose.measured.record import Array
+from pamctl.plant.drive import Restarts
+
+FEWEST_SAMPLES = 8
+"""A shorter window tells nothing but its own start."""
+START_SHARE = 0.2
+"""Share of a window from which its start is estimated."""
+LONGEST_START_S = 0.02
+"""More than this of a window is not used for its start: the acceleration may change."""
+FEWEST_START_SAMPLES = 5
+
+
+def cut_windows(segments: Sequence[slice], samples: int) -> tuple[slice, ...]:
+    """Cut each segment into equal windows of about `samples`; leave out segments that are short."""
+    windows = []
+    for segment in segments:
+        length = segment.stop - segment.start
+        if length < FEWEST_SAMPLES:
+            continue
+        count = max(round(length / max(samples, FEWEST_SAMPLES)), 1)
+        ends = np.linspace(segment.start, segment.stop, count + 1).round().astype(int)
+        windows += [slice(int(a), int(b)) for a, b in pairwise(ends)]
+    return tuple(windows)
+
+
+def find_rows_inside(windows: Sequence[slice], samples: int) -> NDArray[np.bool_] | None:
+    """Return which samples lie in a window, shape (samples,); None for all."""
+    inside = np.zeros(samples, dtype=bool)
+    for window in windows:
+        inside[window] = True
+    return None if inside.all() else inside
+
+
+def estimate_starts(times_s: Array, measured: Array, windows: Sequence[slice]) -> Restarts:
+    """Estimate value and rate at the first sample of each window, by a parabola or a line.
+
+    `times_s` and `measured` have shape (n,).
+    """
+    values, rates = np.zeros(len(windows)), np.zeros(len(windows))
+    for index, window in enumerate(windows):
+        length = window.stop - window.start
+        near = np.searchsorted(times_s[window], times_s[window.start] + LONGEST_START_S)
+        used = max(min(round(START_SHARE * length), int(near)), FEWEST_START_SAMPLES)
+        part = slice(window.start, min(window.start + used, window.stop))
+        since_s = times_s[part] - times_s[part.start]
+        span_s = float(since_s[-1]) or 1.0
+        powers = np.vander(since_s / span_s, 3 if used >= FEWEST_START_SAMPLES else 2)
+        fitted = np.linalg.lstsq(powers, measured[part], rcond=None)[0]
+        values[index], rates[index] = fitted[-1], fitted[-2] / span_s
+    rows = np.array([window.start for window in windows], dtype=np.int64)
+    return Restarts(rows, values, rates)
+
+
+@dataclass(frozen=True)
+class StartModes:
+    """What errors of the starts move, as an orthonormal basis for each window."""
+
+    groups: tuple[tuple[NDArray[np.int64], Array], ...]
+    """For each length of window: the samples, shape (windows, length), and the basis, shape
+    (windows, length, modes)."""
+
+    def project_out(self, error: Array) -> Array:
+        """Return an error, shape (n,), without what errors of the starts explain of it."""
+        rest = error.copy()
+        for rows, basis in self.groups:
+            part = rest[rows]
+            amounts = np.einsum("wlm,wl->wm", basis, part)
+            rest[rows] = part - np.einsum("wlm,wm->wl", basis, amounts)
+        return rest
+
+
+def build_start_modes(
+    times_s: Array, windows: Sequence[slice], velocity_time_s: float | None
+) -> StartModes:
+    """Build the modes: a constant and, with `velocity_time_s`, the way of a dying velocity.
+
+    A velocity that friction damps with a time constant T goes 1 - exp(-t / T) of its way; for a T
+    beyond the window that is a line.
+    """
+    lengths = {window.stop - window.start for window in windows}
+    groups = []
+    for length in sorted(lengths):
+        firsts = [w.start for w in windows if w.stop - w.start == length]
+        rows = np.add.outer(np.array(firsts, dtype=np.int64), np.arange(length))
+        since_s = times_s[rows] - times_s[rows[:, :1]]
+        columns = [np.ones_like(since_s)]
+        if velocity_time_s is not None:
+            columns.append(-np.expm1(-since_s / velocity_time_s))
+        groups.append((rows, np.linalg.qr(np.stack(columns, axis=2))[0]))
+    return StartModes(tuple(groups))

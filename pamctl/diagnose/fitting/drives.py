@@ -217,7 +217,7 @@ class Drive:
         if not self.windows:
             return NO_RESTARTS
         started = self.windows[1:] if self.has_known_start else self.windows
-        return estimate_starts(self._times_s, self.measured, started)
+        return estimate_starts(self._times_s, self.measured, started, self.deviation)
 
     @cached_property
     def _start_modes(self) -> StartModes:
@@ -290,8 +290,10 @@ def prepare_force_drive(record: Record, noises: dict[str, Noise], judge: Judge) 
     If the judge is the equation, the motion is the input and the force is the output.
     """
     if judge.kind is not JudgeKind.EQUATION:
-        load = smooth_signal(record["force_n"], record.step_s, SMOOTH_HZ)
-        return judge_drive(_drive_by_load(record, noises, load, SMOOTH_HZ), judge)
+        # A free mass averages the noise of the force by itself, and answers its jumps.
+        cutoff_hz = SMOOTH_HZ if judge.forgets_start else np.inf
+        load = smooth_signal(record["force_n"], record.step_s, cutoff_hz)
+        return judge_drive(_drive_by_load(record, noises, load, cutoff_hz), judge)
     position_m = record["position_m"]
     speed_noise = noises["position_m"].total * slope_gain(judge.slope_s, record.period_s)
     drive = Drive(

@@ -42,7 +42,7 @@ def smooth_by_cubic(values: Array, period_s: float, length_s: float = CUBIC_S) -
 def smooth_below(values: Array, period_s: float, cutoff_hz: float) -> Array:
     """Smooth without delay by a filter of second order in both directions."""
     relative = 2.0 * cutoff_hz * period_s
-    if relative >= 0.9 or len(values) < 3:
+    if relative >= 0.9 or len(values) < 3:  # also without a cutoff, at infinity
         return values
     # The ends are mirrored for a whole period. Otherwise the filter starts from a single noisy
     # sample, and the muscle at rest follows every pascal of it.

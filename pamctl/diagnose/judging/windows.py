@@ -25,7 +25,10 @@ START_SHARE = 0.2
 """Share of a window from which its start is estimated."""
 LONGEST_START_S = 0.02
 """More than this of a window is not used for its start: the acceleration may change."""
-FEWEST_START_SAMPLES = 5
+START_SAMPLES = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 224)
+"""Samples that are tried for a start."""
+FITS = 1.5
+"""A parabola fits if it leaves less than this multiple of the noise."""
 
 
 def cut_windows(segments: Sequence[slice], samples: int) -> tuple[slice, ...]:
@@ -49,24 +52,49 @@ def find_rows_inside(windows: Sequence[slice], samples: int) -> NDArray[np.bool_
     return None if inside.all() else inside
 
 
-def estimate_starts(times_s: Array, measured: Array, windows: Sequence[slice]) -> Restarts:
-    """Estimate value and rate at the first sample of each window, by a parabola or a line.
+def estimate_starts(
+    times_s: Array, measured: Array, windows: Sequence[slice], deviation: float
+) -> Restarts:
+    """Estimate value and rate at the first sample of each window, by a parabola.
 
-    `times_s` and `measured` have shape (n,).
+    `times_s` and `measured` have shape (n,); `deviation` is that of the noise. The parabola covers
+    as many samples as it fits within the noise: the acceleration may jump. Where a constant fits
+    all of them, the start rests: friction at rest is another than in the slowest motion.
     """
-    values, rates = np.zeros(len(windows)), np.zeros(len(windows))
-    for index, window in enumerate(windows):
-        length = window.stop - window.start
-        near = np.searchsorted(times_s[window], times_s[window.start] + LONGEST_START_S)
-        used = max(min(round(START_SHARE * length), int(near)), FEWEST_START_SAMPLES)
-        part = slice(window.start, min(window.start + used, window.stop))
-        since_s = times_s[part] - times_s[part.start]
-        span_s = float(since_s[-1]) or 1.0
-        powers = np.vander(since_s / span_s, 3 if used >= FEWEST_START_SAMPLES else 2)
-        fitted = np.linalg.lstsq(powers, measured[part], rcond=None)[0]
-        values[index], rates[index] = fitted[-1], fitted[-2] / span_s
     rows = np.array([window.start for window in windows], dtype=np.int64)
+    values, rates = np.zeros(len(windows)), np.zeros(len(windows))
+    ends = np.array([window.stop for window in windows], dtype=np.int64)
+    room = START_SHARE * (ends - rows)
+    for samples in START_SAMPLES:
+        near = rows + samples <= ends
+        near[near] &= times_s[rows[near] + samples - 1] - times_s[rows[near]] <= LONGEST_START_S
+        near &= (samples <= room) | (samples == START_SAMPLES[0])
+        if samples == START_SAMPLES[0]:
+            near = rows + samples <= ends
+        if not near.any():
+            break
+        index = np.add.outer(rows[near], np.arange(samples))
+        since_s = times_s[index] - times_s[index[:, :1]]
+        shown = measured[index]
+        fitted, left = _fit_parabolas(since_s, shown)
+        good = (left <= FITS * deviation) | (samples == START_SAMPLES[0])
+        still = np.std(shown, axis=1) <= deviation
+        chosen = np.flatnonzero(near)[good]
+        values[chosen] = np.where(still, shown.mean(axis=1), fitted[:, 0])[good]
+        rates[chosen] = np.where(still, 0.0, fitted[:, 1])[good]
     return Restarts(rows, values, rates)
+
+
+def _fit_parabolas(since_s: Array, shown: Array) -> tuple[Array, Array]:
+    """Return value, rate and bend at the start of each row, and the deviation from them."""
+    span_s = since_s[:, -1:, None]
+    powers = np.stack([np.ones_like(since_s), since_s, since_s**2], axis=2)
+    scale = np.concatenate([np.ones_like(span_s), span_s, span_s**2], axis=2)
+    basis, triangle = np.linalg.qr(powers / scale)
+    fitted = np.linalg.solve(triangle, np.einsum("wnm,wn->wm", basis, shown)[:, :, None])[:, :, 0]
+    left = shown - np.einsum("wnm,wm->wn", powers / scale, fitted)
+    freedom = shown.shape[1] - 3
+    return fitted / scale[:, 0], np.sqrt(np.sum(left**2, axis=1) / freedom)
 
 
 @dataclass(frozen=True)

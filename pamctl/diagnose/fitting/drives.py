@@ -57,6 +57,8 @@ MODELLED_HZ = 1.0
 """Cutoff for measured minus modelled pressure where the pressure block is at its floor."""
 LONGEST_STEP_S = 5e-4
 """Step of the simulation at 1 kHz; slower records get more steps in a period."""
+VELOCITY_S = 0.031
+"""Length of the parabolas that show the velocity."""
 SURE = 3.0
 """A speed above this multiple of its noise has a sure direction."""
 VENTED_PA = 20e3
@@ -135,6 +137,11 @@ class Drive:
     def load(self) -> Array:
         """Pressure (Pa) or force (N) on the mechanics, shape (n,)."""
         return self.driven if self.channel == "position_m" else self.measured
+
+    @cached_property
+    def velocity_m_per_s(self) -> Array:
+        """The velocity of the measured position, for regimes and pictures, shape (n,)."""
+        return self._differentiate_motion(VELOCITY_S, 1)
 
     @cached_property
     def grid(self) -> SampleGrid:
@@ -226,15 +233,18 @@ class Drive:
 
     @cached_property
     def _motion(self) -> Motion:
-        """The motion of an equation, differentiated between gaps."""
-        period_s = float(np.median(self.step_s))
-        velocity, acceleration = np.zeros((2, len(self.driven)))
-        for part in find_segments(self.step_s):
-            path_m = self.driven[part]
-            velocity[part] = differentiate(path_m, period_s, self.slope_s, 1)
-            acceleration[part] = differentiate(path_m, period_s, self.slope_s, 2)
+        """The motion of an equation."""
+        velocity, acceleration = (self._differentiate_motion(self.slope_s, n) for n in (1, 2))
         step_s = np.concatenate([[0.0], self.step_s])
         return Motion(self.driven, velocity, acceleration, step_s, self.rest_speed_m_per_s)
+
+    def _differentiate_motion(self, length_s: float, order: int) -> Array:
+        """Differentiate the position, each stretch between gaps, shape (n,)."""
+        period_s = float(np.median(self.step_s))
+        slope = np.zeros(len(self.measured))
+        for part in find_segments(self.step_s):
+            slope[part] = differentiate(self.position_m[part], period_s, length_s, order)
+        return slope
 
 
 def prepare_pressure_drive(

@@ -72,6 +72,8 @@ class Drive:
     """False for a pressure block whose position was not measured: the model then simulates it."""
     rows: NDArray[np.bool_] | None = None
     """The samples that count, shape (n,); None for all."""
+    pressed_pa: Array | None = None
+    """Absolute pressure on a direct mechanism's piston, smoothed, shape (n,); None without one."""
 
     @property
     def samples(self) -> int:
@@ -96,7 +98,13 @@ class Drive:
             start = None if rests else rest_state(p, float(self.driven[0]), self.start)
             return drive_pressure(p, self.valve_v, self.driven, self.grid, start=start).pressure_pa
         start = rest_state(p, self.start, p.atmospheric_pressure_pa) if self.start else None
-        return drive_mechanics(p, self.driven, self.grid, start=start).position_m
+        if not p.direct:
+            return drive_mechanics(p, self.driven, self.grid, start=start).position_m
+        pressed_pa = self.pressed_pa
+        if pressed_pa is None:
+            pressed_pa = np.full(len(self.driven), p.atmospheric_pressure_pa)
+        forced = drive_mechanics(p, pressed_pa, self.grid, force_n=self.driven, start=start)
+        return forced.position_m
 
     def resting_gauge_pa(self, settings: PlantSettings, samples: int) -> float:
         """Return the true gauge pressure that the valve leaves at rest."""
@@ -197,19 +205,25 @@ def contraction_m(settings: PlantSettings, gauge_pa: float) -> float:
 
 
 def prepare_force_drive(record: Record, noises: dict[str, Noise]) -> Drive:
-    """Prepare a record of a mechanism that a measured force drives, without a muscle."""
+    """Prepare a record of a mechanism without a muscle, driven by force, pressure or both."""
     noise = noises["position_m"]
+    force_n, pressed_pa = record.force_n, record.pressure_pa
+    if pressed_pa is not None:
+        pressed_pa = _smooth_signal(pressed_pa, record.period_s, SMOOTH_HZ)
     return Drive(
         MECHANICS,
         record.name,
         record.step_s,
         np.zeros(len(record)),
-        _smooth_signal(record["force_n"], record.period_s, SMOOTH_HZ),
+        np.zeros(len(record))
+        if force_n is None
+        else _smooth_signal(force_n, record.period_s, SMOOTH_HZ),
         SMOOTH_HZ,
         record["position_m"],
         max(noise.total, 1e-7),
         noise.resolution,
         initial_position_m(record, noise),
+        pressed_pa=pressed_pa,
     )
 
 

@@ -20,10 +20,13 @@ from pamctl.diagnose.fitting.drives import (
 )
 from pamctl.diagnose.fitting.floor import Floor
 from pamctl.diagnose.fitting.repeatability import Repeat, find_repeats
+from pamctl.diagnose.measured.reach import Reach, measure_reach
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
 from pamctl.diagnose.measured.sensor_noise import Noise, estimate_channel_noise
-from pamctl.plant.model import PlantSettings
+from pamctl.plant.model import PlantSettings, values_of
 
+PISTON = "piston.area_m2"
+"""The number by which a measured pressure drives a direct mechanism."""
 SMALLEST_MISFIT = {"pressure_pa": 60.0, "position_m": 3.2e-6}
 """A smaller misfit does not matter, even if it is significant; by channel, in SI."""
 
@@ -43,6 +46,9 @@ class Evidence:
     """Training drives for a fit of both blocks, weighed against each other; may be empty."""
     repeated: tuple[Repeat, ...] = ()
     """Where the same commands come again; records are numbered through `train`, then `holdout`."""
+
+    reach: Reach | None = None
+    """How far a direct mechanism's records reach; None for a muscle."""
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -97,11 +103,18 @@ def prepare_evidence(
     }
     # A single run that is cut is in both lists; it does not repeat itself.
     different = [*train, *(r for r in holdout if all(r is not t for t in train))]
-    evidence = Evidence(nominal, {}, {}, noises, repeated=find_repeats(different))
+    reach = None
+    if nominal.actuator == "direct" and "position_m" in noises:
+        position = noises["position_m"]
+        reach = measure_reach(records, nominal, position.deviation, position.resolution)
+    evidence = Evidence(
+        nominal, {}, {}, noises, repeated=find_repeats(different), reach=reach
+    )
     preparers: dict[str, Callable[[Record], Drive]] = {}
     atmosphere_pa = nominal.parameters.atmospheric_pressure_pa
     if nominal.actuator == "direct":
-        if {"force_n", "position_m"} <= {*measured}:
+        presses = "pressure_pa" in measured and PISTON in values_of(nominal)
+        if "position_m" in measured and ("force_n" in measured or presses):
             preparers[MECHANICS] = lambda record: prepare_force_drive(record, noises)
     else:
         if {"valve_v", "pressure_pa"} <= {*measured}:

@@ -210,7 +210,7 @@ def _list_smallest_doses(candidate: Candidate, fitted: Fit) -> list[dict[str, fl
 
 def _describe_blind_spot(candidate: Candidate, power: float) -> BlindSpot:
     switch = candidate.switches[0]
-    size = look_up_parameter(switch).smallest_of_interest
+    size = switch.scale
     effect = CATALOGUE[candidate.name]
     dose = f"{size:g} {unit_of(switch)}".rstrip()
     if neutral := look_up_parameter(switch).neutral:

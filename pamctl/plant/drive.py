@@ -151,25 +151,29 @@ def drive_mechanics(
     pressure_pa: ArrayLike,
     dt_s: ArrayLike | SampleGrid,
     *,
+    force_n: ArrayLike | None = None,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
     restarts: Restarts = NO_RESTARTS,
 ) -> MechanicsResponse:
     """Run the mechanics under a measured absolute pressure (Pa), linear between samples.
 
-    By default the muscle starts vented, at rest.
+    A direct mechanism also takes a measured force (N). By default the muscle starts vented, at
+    rest.
     """
     pressures = _check_signal("pressure_pa", pressure_pa)
+    forces = _check_signal(
+        "force_n", np.zeros(len(pressures)) if force_n is None else force_n, len(pressures)
+    )
     grid = build_grid(dt_s, len(pressures), steps)
     state = vented_state(p) if start is None else start
     rows = np.empty((len(MechanicsResponse._fields), len(pressures)))
     cut = build_steps(p, pressures, grid)
-    true_pa = pressures
-    if not p.direct:
-        true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
+    true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
     ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
+    ends_n = np.interp(cut.ends_s, grid.samples_s, forces)
     restarts = _undo_restarts("position_reading", p, restarts, grid)
-    _get_twin(run_mechanics)(p, state, cut, ends_pa, restarts, rows)
+    _get_twin(run_mechanics)(p, state, cut, ends_pa, ends_n, restarts, rows)
     return MechanicsResponse(*rows)
 
 
@@ -233,10 +237,11 @@ def run_mechanics(
     state: PlantState,
     steps: DriveSteps,
     pressures_pa: Array,
+    forces_n: Array,
     restarts: Restarts,
     rows: Array,
 ) -> None:
-    """Kernel of `drive_mechanics`. `pressures_pa` holds the pressures at the ends of the steps."""
+    """Kernel of `drive_mechanics`. The loads are those at the ends of the steps."""
     x, v, sensors, mechanics = (
         state.position_m,
         state.velocity_m_per_s,
@@ -263,7 +268,10 @@ def run_mechanics(
                     )
                 middle_pa = 0.5 * (begin_pa + muscle_pa)
                 begin_m = x
-                x, v, mechanics = mechanics_block_step(p, x, v, mechanics, middle_pa, age_s, step_s)
+                middle_n = 0.5 * (forces_n[j] + forces_n[j + 1])
+                x, v, mechanics = mechanics_block_step(
+                    p, x, v, mechanics, middle_pa, middle_n, age_s, step_s
+                )
                 sensors = sensors_step(p, sensors, begin_pa, muscle_pa, begin_m, x, age_s, step_s)
                 age_s += step_s
         if again < len(restarts.rows) and restarts.rows[again] == k:

@@ -13,11 +13,14 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class MuscleParameters(Configured):
-    """Tables I and II of the paper, in SI; the defaults are the paper's values."""
+    """Tables I and II of the paper, in SI; the defaults are the paper's values.
 
-    mass_kg: Annotated[float, Field(gt=0, le=100, description="M, moving mass")] = 0.05
-    damping_n_s_per_m: Annotated[float, Field(gt=0, description="c of Eq. 5")] = 570.0
-    stiffness_n_per_m: Annotated[float, Field(gt=0, description="k of Eq. 4")] = 9680.0
+    A direct mechanism has mass, damping, stiffness (0: no spring) and the atmosphere of them.
+    """
+
+    mass_kg: Annotated[float, Field(gt=0, description="M, moving mass")] = 0.05
+    damping_n_s_per_m: Annotated[float, Field(ge=0, description="c of Eq. 5")] = 570.0
+    stiffness_n_per_m: Annotated[float, Field(ge=0, description="k of Eq. 4")] = 9680.0
     rest_length_m: Annotated[float, Field(gt=0, le=10, description="L_0")] = 0.200
     braid_length_m: Annotated[float, Field(gt=0, le=10, description="b")] = 0.232
     braid_turns: Annotated[float, Field(gt=0, description="n")] = 1.94

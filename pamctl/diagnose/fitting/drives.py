@@ -35,6 +35,7 @@ from pamctl.diagnose.judging.windows import (
 )
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.measured.sensor_noise import Noise
+from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.drive import (
     NO_RESTARTS,
     STEPS_A_TICK,
@@ -47,7 +48,6 @@ from pamctl.plant.drive import (
 )
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, rest_state
-from pamctl.plant.required_force import Motion, find_required_force
 
 PRESSURE, MECHANICS = "pressure", "mechanics"
 
@@ -113,8 +113,8 @@ class Drive:
     """The output is the force that the motion `driven` needs; nothing is simulated."""
     slope_s: float = 0.0
     """Length of the parabolas that differentiate the motion of an equation."""
-    rest_speed_m_per_s: float = 0.0
-    """Noise of a speed so found: a slower motion counts as rest."""
+    pressed_pa: Array | None = None
+    """Absolute pressure on a direct mechanism's piston, smoothed, shape (n,); None without one."""
 
     @property
     def samples(self) -> int:
@@ -141,7 +141,7 @@ class Drive:
     @cached_property
     def velocity_m_per_s(self) -> Array:
         """The velocity of the measured position, for regimes and pictures, shape (n,)."""
-        return self._differentiate_motion(VELOCITY_S, 1)
+        return self.differentiate_motion(VELOCITY_S, 1)
 
     @cached_property
     def grid(self) -> SampleGrid:
@@ -155,8 +155,10 @@ class Drive:
     def simulate_with(self, p: PlantParameters) -> Array:
         """Simulate the block with the kernels' parameters."""
         if self.is_equation:
-            need = find_required_force(p, self._motion, self.measured)
-            return np.clip(self.measured, need.lower_n, need.upper_n)
+            velocity, acceleration = (self.differentiate_motion(self.slope_s, n) for n in (1, 2))
+            return required_force_n(
+                p, self._times_s, self.driven, velocity, acceleration, self._find_pressed_pa(p)
+            )
         if not self.has_position:
             return drive_coupled(p, self.valve_v, self.grid).pressure_pa
         again = self._restarts
@@ -167,7 +169,17 @@ class Drive:
                 p, self.valve_v, self.driven, self.grid, start=start, restarts=again
             ).pressure_pa
         start = rest_state(p, self.start, p.atmospheric_pressure_pa) if self.start else None
-        return drive_mechanics(p, self.driven, self.grid, start=start, restarts=again).position_m
+        pressed_pa = self._find_pressed_pa(p) if p.direct else self.driven
+        force_n = self.driven if p.direct else None
+        return drive_mechanics(
+            p, pressed_pa, self.grid, force_n=force_n, start=start, restarts=again
+        ).position_m
+
+    def _find_pressed_pa(self, p: PlantParameters) -> Array:
+        """Return the absolute pressure on a direct mechanism's piston, if it has one."""
+        if self.pressed_pa is None:
+            return np.full(len(self.driven), p.atmospheric_pressure_pa)
+        return self.pressed_pa
 
     def resting_gauge_pa(self, settings: PlantSettings, samples: int) -> float:
         """Return the true gauge pressure that the valve leaves at rest."""
@@ -231,14 +243,7 @@ class Drive:
         time_s = self.velocity_time_s if self.block == MECHANICS else None
         return build_start_modes(self._times_s, self.windows, time_s)
 
-    @cached_property
-    def _motion(self) -> Motion:
-        """The motion of an equation."""
-        velocity, acceleration = (self._differentiate_motion(self.slope_s, n) for n in (1, 2))
-        step_s = np.concatenate([[0.0], self.step_s])
-        return Motion(self.driven, velocity, acceleration, step_s, self.rest_speed_m_per_s)
-
-    def _differentiate_motion(self, length_s: float, order: int) -> Array:
+    def differentiate_motion(self, length_s: float, order: int) -> Array:
         """Differentiate the position, each stretch between gaps, shape (n,)."""
         period_s = float(np.median(self.step_s))
         slope = np.zeros(len(self.measured))
@@ -295,35 +300,50 @@ def prepare_mechanics_drive(
 
 
 def prepare_force_drive(record: Record, noises: dict[str, Noise], judge: Judge) -> Drive:
-    """Prepare a record of a mechanism that a measured force drives, without a muscle.
+    """Prepare a record of a mechanism without a muscle, driven by force, pressure or both.
 
     If the judge is the equation, the motion is the input and the force is the output.
     """
-    if judge.kind is not JudgeKind.EQUATION:
-        # A free mass averages the noise of the force by itself, and answers its jumps.
-        cutoff_hz = SMOOTH_HZ if judge.forgets_start else np.inf
-        load = smooth_signal(record["force_n"], record.step_s, cutoff_hz)
-        return judge_drive(_drive_by_load(record, noises, load, cutoff_hz), judge)
-    position_m = record["position_m"]
-    speed_noise = noises["position_m"].total * slope_gain(judge.slope_s, record.period_s)
+    # A free mass averages the noise of the force by itself, and answers its jumps.
+    cutoff_hz = SMOOTH_HZ if judge.forgets_start else np.inf
+    pressed_pa = record.pressure_pa
+    if pressed_pa is not None:
+        pressed_pa = smooth_signal(pressed_pa, record.step_s, cutoff_hz)
+    if judge.kind is JudgeKind.EQUATION:
+        return _prepare_equation(record, noises, judge, pressed_pa)
+    force_n = np.zeros(len(record)) if record.force_n is None else record.force_n
+    load = smooth_signal(force_n, record.step_s, cutoff_hz)
+    drive = replace(_drive_by_load(record, noises, load, cutoff_hz), pressed_pa=pressed_pa)
+    return judge_drive(drive, judge)
+
+
+def _prepare_equation(
+    record: Record, noises: dict[str, Noise], judge: Judge, pressed_pa: Array | None
+) -> Drive:
+    force_n = record["force_n"]
     drive = Drive(
         MECHANICS,
         record.name,
         record.step_s,
         np.zeros(len(record)),
-        position_m,
+        record["position_m"],
         np.inf,
-        record["force_n"],
-        max(noises["force_n"].total, 1e-9 * float(np.ptp(record["force_n"]))),
+        force_n,
+        max(noises["force_n"].total, 1e-9 * float(np.ptp(force_n))),
         0.0,
-        float(position_m[0]),
-        slope_s=judge.slope_s,
-        rest_speed_m_per_s=SURE * speed_noise,
+        float(record["position_m"][0]),
         is_equation=True,
+        slope_s=judge.slope_s,
+        pressed_pa=pressed_pa,
     )
+    velocity = drive.differentiate_motion(judge.slope_s, 1)
+    speed_noise = noises["position_m"].total * slope_gain(judge.slope_s, record.period_s)
+    # At rest friction may take any value in its band: the force tells nothing.
+    moves = np.abs(velocity) > SURE * speed_noise
     margin = count_samples(judge.slope_s, record.period_s) // 2
     inside = [slice(p.start + margin, p.stop - margin) for p in find_segments(record.step_s)]
-    return replace(drive, rows=find_rows_inside(inside, len(record)))
+    whole = find_rows_inside(inside, len(record))
+    return replace(drive, rows=moves if whole is None else moves & whole)
 
 
 def judge_drive(drive: Drive, judge: Judge) -> Drive:

@@ -29,10 +29,13 @@ from pamctl.diagnose.judging.judge import (
     judge_mechanism,
     judge_muscle,
 )
+from pamctl.diagnose.measured.reach import Reach, measure_reach
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
 from pamctl.diagnose.measured.sensor_noise import Noise, estimate_channel_noise
-from pamctl.plant.model import PlantSettings
+from pamctl.plant.model import PlantSettings, values_of
 
+PISTON = "piston.area_m2"
+"""The number by which a measured pressure drives a direct mechanism."""
 SMALLEST_MISFIT = {"pressure_pa": 60.0, "position_m": 3.2e-6, "force_n": 1e-3}
 """A smaller misfit does not matter, even if it is significant; by channel, in SI."""
 
@@ -57,6 +60,9 @@ class Evidence:
     needs no simulation, and finds a start from any guess."""
     repeated: tuple[Repeat, ...] = ()
     """Where the same commands come again; records are numbered through `train`, then `holdout`."""
+
+    reach: Reach | None = None
+    """How far a direct mechanism's records reach; None for a muscle."""
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -112,17 +118,19 @@ def prepare_evidence(
     }
     # A single run that is cut is in both lists; it does not repeat itself.
     different = [*train, *(r for r in holdout if all(r is not t for t in train))]
-    evidence = Evidence(nominal, {}, {}, noises, repeated=find_repeats(different))
+    reach = None
+    if nominal.actuator == "direct" and "position_m" in noises:
+        position = noises["position_m"]
+        reach = measure_reach(records, nominal, position.deviation, position.resolution)
+    evidence = Evidence(nominal, {}, {}, noises, repeated=find_repeats(different), reach=reach)
     preparers: dict[str, Callable[[Record], Drive]] = {}
     judge: dict[str, Judge] = {}
     if nominal.actuator == "direct":
-        if {"force_n", "position_m"} <= {*measured}:
-            of_force = judge[MECHANICS] = judge_mechanism(records, noises)
-            preparers[MECHANICS] = lambda record: prepare_force_drive(record, noises, of_force)
-            slope_s = choose_slope_s(records, noises["position_m"])
-            by_balance = Judge(JudgeKind.EQUATION, "to find a start", slope_s=slope_s)
-            balance = tuple(prepare_force_drive(r, noises, by_balance) for r in train)
-            evidence = replace(evidence, balance=balance)
+        presses = "pressure_pa" in measured and PISTON in values_of(nominal)
+        if "position_m" in measured and ("force_n" in measured or presses):
+            of_axis = judge[MECHANICS] = judge_mechanism(records, noises)
+            preparers[MECHANICS] = lambda record: prepare_force_drive(record, noises, of_axis)
+            evidence = replace(evidence, balance=_prepare_balance(train, records, noises))
     else:
         is_closed = has_constant_volume(nominal) and "valve_v" not in measured
         if "pressure_pa" in measured and ("valve_v" in measured or is_closed):
@@ -138,6 +146,17 @@ def prepare_evidence(
         evidence.train[block] = tuple(map(prepare, train))
         evidence.holdout[block] = tuple(map(prepare, holdout))
     return evidence
+
+
+def _prepare_balance(
+    train: Sequence[Record], records: Sequence[Record], noises: dict[str, Noise]
+) -> tuple[Drive, ...]:
+    """Prepare the training records as an equation; none without a force."""
+    if "force_n" not in noises:
+        return ()
+    slope_s = choose_slope_s(records, noises["position_m"])
+    judge = Judge(JudgeKind.EQUATION, "to find a start", slope_s=slope_s)
+    return tuple(prepare_force_drive(record, noises, judge) for record in train)
 
 
 def with_modelled_pressure(

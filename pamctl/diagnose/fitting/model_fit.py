@@ -51,9 +51,9 @@ def list_free_numbers(
     has_zero = nominal.actuator == "muscle" and all(f.name != SENSOR_ZERO for f in own)
     zero = (sensor_zero(nominal),) if has_zero else ()
     return (
-        *(calibrated_number(n, nominal) for n in names),
+        *(calibrated_number(n, nominal, evidence.reach) for n in names),
         *zero,
-        *numbers_of_start(nominal, {PRESSURE, MECHANICS} if blind else blocks),
+        *numbers_of_start(nominal, {PRESSURE, MECHANICS} if blind else blocks, evidence.reach),
         *own,
     )
 

@@ -8,7 +8,7 @@ What the record itself says decides, not the guesses of a plant file.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from math import inf
@@ -85,7 +85,7 @@ def judge_muscle(records: Sequence[Record]) -> Judge:
 
 
 def judge_mechanism(records: Sequence[Record], noises: dict[str, Noise]) -> Judge:
-    """Choose the judge of a mechanism whose force and position are measured."""
+    """Choose the judge of a mechanism whose position is measured, and its force or pressure."""
     slope_s = choose_slope_s(records, noises["position_m"])
     balance = regress_balance(records, slope_s)
     longest_s = max(
@@ -95,7 +95,7 @@ def judge_mechanism(records: Sequence[Record], noises: dict[str, Noise]) -> Judg
     )
     if balance.memory_s <= FORGETS_SHARE * longest_s:
         return _explain_gaps(FREE_RUN, records)
-    if balance.inertia < INERTIA_SHOWS:
+    if balance.inertia < INERTIA_SHOWS and "force_n" in noises:
         why = (
             "inertia does not show in the force: the motion is imposed, and the force that it "
             "needs is compared"
@@ -150,7 +150,10 @@ class Balance(NamedTuple):
 
 
 def regress_balance(records: Sequence[Record], slope_s: float) -> Balance:
-    """Fit the force by acceleration, speed, direction, position and, where measured, pressure."""
+    """Fit the force by acceleration, speed, direction, position and, where measured, pressure.
+
+    Without a force, the pressure on the piston stands for it: all ratios are then the same.
+    """
     columns, forces = [], []
     for record in records:
         for part in find_segments(record.step_s):
@@ -164,11 +167,11 @@ def regress_balance(records: Sequence[Record], slope_s: float) -> Balance:
                 for order in (1, 2)
             )
             terms = [acceleration, rate, position_m[inner], np.sign(rate)]
-            if record.pressure_pa is not None:
+            if record.force_n is not None and record.pressure_pa is not None:
                 pressure = record["pressure_pa"][part][inner]
                 terms += [pressure, pressure * np.sign(rate)]
             columns.append(np.column_stack([*terms, np.ones(len(rate))]))
-            forces.append(record["force_n"][part][inner])
+            forces.append(record[_find_drive(record.channels)][part][inner])
     if not columns:
         return Balance(0.0, 0.0, 0.0, 0.0)
     table, force = np.concatenate(columns), np.concatenate(forces)
@@ -181,6 +184,10 @@ def regress_balance(records: Sequence[Record], slope_s: float) -> Balance:
     return Balance(
         float(amounts[0]), float(amounts[1]), float(amounts[2]), shows if amounts[0] > 0.0 else 0.0
     )
+
+
+def _find_drive(channels: Collection[str]) -> str:
+    return "force_n" if "force_n" in channels else "pressure_pa"
 
 
 def _regress(table: Array, force: Array) -> tuple[Array, float]:
@@ -213,7 +220,7 @@ def _choose_horizon_s(
     period_s = float(np.median([r.period_s for r in records]))
     longest_s = MOST_WINDOWS_SHARE * min(r.duration_s for r in records)
     shortest_s = SHORTEST_HORIZON * period_s
-    drift_m = _simulate_drift_m(noises["force_n"], balance, period_s, round(longest_s / period_s))
+    drift_m = _simulate_drift_m(noises[_find_drive(noises)], balance, period_s, round(longest_s / period_s))
     times_s: Array = period_s * np.arange(len(drift_m), dtype=np.float64)
     sensor_m = noises["position_m"].total
     horizon_s = shortest_s

@@ -12,7 +12,13 @@ from typing import Any, Literal
 
 from pamctl.plant.effects.places import PLACES, Part
 
+MECHANICAL_UNITS = frozenset(
+    {"N", "m", "m/s", "kg", "N/m", "N/m3", "m/N", "N s/m", "N/Pa", "N s/(m Pa)", "m2", "m3"}
+)
+"""Units of numbers whose size follows the machine's: its force, travel, speed and pressure."""
+
 Block = Literal["pressure", "mechanics", "sensors"]
+Actuator = Literal["muscle", "direct"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +41,22 @@ class EffectParameter:
     role: Literal["size", "shape"] = "size"
     choices: tuple[str, ...] = ()
     """Names of the values 0, 1, ... of a number that selects a form."""
+
+    @property
+    def is_scaled(self) -> bool:
+        """Tell whether its range grows with the machine: a force or a length, no ratio or time.
+
+        `low` and `high` are then those of the paper's muscle. They limit a fit on such a muscle,
+        and no plant file.
+        """
+        return self.unit in MECHANICAL_UNITS
+
+    @property
+    def allowed(self) -> dict[str, float]:
+        """The limits of a plant file, as pydantic's `Field` takes them."""
+        if not self.is_scaled:
+            return {"ge": self.low, "le": self.high}
+        return {"gt": 0.0} if self.low > 0.0 else {"ge": 0.0} if self.low == 0.0 else {}
 
 
 def size(
@@ -146,6 +168,8 @@ class EffectDescription:
     """Why no experiment on this rig can identify its size; empty if one can."""
     is_searched: bool = True
     """False where `diagnose` must not name it: it would explain too much."""
+    actuators: tuple[Actuator, ...] = ("muscle", "direct")
+    """The actuators in whose plants `diagnose` looks for it; a plant file may always hold it."""
 
     @property
     def parts(self) -> tuple[Part, ...]:

@@ -22,6 +22,7 @@ from pamctl.diagnose.judging.segments import (
     count_samples,
     differentiate,
     find_segments,
+    find_strokes,
     slope_gain,
     smooth_below,
     smooth_by_cubic,
@@ -338,12 +339,11 @@ def _prepare_equation(
     )
     velocity = drive.differentiate_motion(judge.slope_s, 1)
     speed_noise = noises["position_m"].total * slope_gain(judge.slope_s, record.period_s)
-    # At rest friction may take any value in its band: the force tells nothing.
-    moves = np.abs(velocity) > SURE * speed_noise
-    margin = count_samples(judge.slope_s, record.period_s) // 2
-    inside = [slice(p.start + margin, p.stop - margin) for p in find_segments(record.step_s)]
-    whole = find_rows_inside(inside, len(record))
-    return replace(drive, rows=moves if whole is None else moves & whole)
+    # At rest friction may take any value in its band: the force tells nothing there.
+    direction = np.where(np.abs(velocity) > SURE * speed_noise, np.sign(velocity), 0.0)
+    edge = count_samples(judge.slope_s, record.period_s) // 2
+    strokes = find_strokes(direction, find_segments(record.step_s), edge)
+    return replace(drive, rows=find_rows_inside(strokes, len(record)))
 
 
 def judge_drive(drive: Drive, judge: Judge) -> Drive:

@@ -72,9 +72,12 @@ class Evidence:
     def margin(self, block: str) -> float:
         """Return the smallest misfit that matters, in the unit of the block's residuals."""
         drive = self.train[block][0]
-        noise = self.noises[drive.channel].total
+        noise = self.noises[drive.channel]
+        smallest = SMALLEST_MISFIT[drive.channel]
+        if self.nominal.actuator == "direct":  # of any size: what its own sensor can show
+            smallest = noise.resolution
         # For a poor sensor: a fifth of its noise.
-        return max(SMALLEST_MISFIT[drive.channel], 0.2 * noise) / drive.deviation
+        return max(smallest, 0.2 * noise.total) / drive.deviation
 
     def weigh_by_floors(self, floors: Mapping[str, Floor]) -> Evidence:
         """Return the evidence with weights for a fit of both blocks.

@@ -59,6 +59,9 @@ FREE_RUN = Judge(JudgeKind.FREE_RUN, "the block forgets its start")
 
 FORGETS_SHARE = 0.1
 """A block forgets its start if the slowest of its motions dies within this share of a stretch."""
+SPRING_SHARE = 0.2
+"""A spring restrains if its force over the travel is at least this share of the force's span. A
+softer one lets a small force move the mass through all its travel."""
 INERTIA_SHOWS = 2.0
 """The mean square without the mass, over that with it, from which the mass counts."""
 MOST_WINDOWS_SHARE = 0.1
@@ -66,7 +69,7 @@ MOST_WINDOWS_SHARE = 0.1
 SHORTEST_HORIZON = 20
 """In samples."""
 SLOPE_PERIODS = (5, 7, 9, 13, 17, 25, 35, 51)
-SLOPE_NOISE = 0.02
+SLOPE_NOISE = 0.05
 """The noise of a speed, over the usual speed, that the parabolas may leave."""
 
 
@@ -93,7 +96,7 @@ def judge_mechanism(records: Sequence[Record], noises: dict[str, Noise]) -> Judg
         for r in records
         for part in find_segments(r.step_s)
     )
-    if balance.memory_s <= FORGETS_SHARE * longest_s:
+    if balance.spring_share >= SPRING_SHARE and balance.memory_s <= FORGETS_SHARE * longest_s:
         return _explain_gaps(FREE_RUN, records)
     if balance.inertia < INERTIA_SHOWS and "force_n" in noises:
         why = (
@@ -130,6 +133,8 @@ class Balance(NamedTuple):
     stiffness_n_per_m: float
     inertia: float
     """Mean square of what is left without the mass, over that with it."""
+    spring_share: float
+    """Span of the spring's force over that of the force."""
 
     @property
     def velocity_time_s(self) -> float:
@@ -173,7 +178,7 @@ def regress_balance(records: Sequence[Record], slope_s: float) -> Balance:
             columns.append(np.column_stack([*terms, np.ones(len(rate))]))
             forces.append(record[_find_drive(record.channels)][part][inner])
     if not columns:
-        return Balance(0.0, 0.0, 0.0, 0.0)
+        return Balance(0.0, 0.0, 0.0, 0.0, 0.0)
     table, force = np.concatenate(columns), np.concatenate(forces)
     table_scale = np.sqrt(np.mean(table**2, axis=0))
     scaled = table / np.where(table_scale > 0.0, table_scale, 1.0)
@@ -181,9 +186,9 @@ def regress_balance(records: Sequence[Record], slope_s: float) -> Balance:
     _, left_without = _regress(scaled[:, 1:], force)
     amounts = full / np.where(table_scale > 0.0, table_scale, 1.0)
     shows = left_without / max(left, 1e-12 * float(np.mean(force**2)), 1e-300)
-    return Balance(
-        float(amounts[0]), float(amounts[1]), float(amounts[2]), shows if amounts[0] > 0.0 else 0.0
-    )
+    mass, damping, stiffness = (float(amount) for amount in amounts[:3])
+    spring = stiffness * float(np.ptp(table[:, 2])) / max(float(np.ptp(force)), 1e-300)
+    return Balance(mass, damping, stiffness, shows if mass > 0.0 else 0.0, spring)
 
 
 def _find_drive(channels: Collection[str]) -> str:
@@ -220,7 +225,9 @@ def _choose_horizon_s(
     period_s = float(np.median([r.period_s for r in records]))
     longest_s = MOST_WINDOWS_SHARE * min(r.duration_s for r in records)
     shortest_s = SHORTEST_HORIZON * period_s
-    drift_m = _simulate_drift_m(noises[_find_drive(noises)], balance, period_s, round(longest_s / period_s))
+    drift_m = _simulate_drift_m(
+        noises[_find_drive(noises)], balance, period_s, round(longest_s / period_s)
+    )
     times_s: Array = period_s * np.arange(len(drift_m), dtype=np.float64)
     sensor_m = noises["position_m"].total
     horizon_s = shortest_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +15,8 @@ LONGEST_STEP_S = 0.05
 unknown."""
 LONGEST_STEP_PERIODS = 5.0
 """The same for slow records, in periods."""
+STROKE_END = 0.1
+"""Share of a stroke that is left out at each end."""
 CUBIC_S = 0.015
 """Length of the cubic that smooths a position: 15 samples at 1 kHz."""
 
@@ -68,3 +71,20 @@ def slope_gain(length_s: float, period_s: float, order: int = 1) -> float:
     if order == 1:
         return float(np.sqrt(12.0 / (n * (n**2 - 1.0)))) / period_s
     return float(np.sqrt(720.0 / (n * (n**2 - 1.0) * (n**2 - 4.0)))) / period_s**2
+
+
+def find_strokes(direction: Array, segments: Sequence[slice], edge: int) -> tuple[slice, ...]:
+    """Return the stretches of one direction, without their ends.
+
+    `direction` is 1, -1 or, at rest, 0, shape (n,). A tenth of a stroke is left out at both ends,
+    or `edge` samples if that is more: about a reversal seals and drives bend before they slide, and
+    the parabolas that differentiate the motion bend over it.
+    """
+    strokes = []
+    for part in segments:
+        turns = np.flatnonzero(np.diff(direction[part])) + 1 + part.start
+        for start, stop in pairwise([part.start, *(int(turn) for turn in turns), part.stop]):
+            left_out = max(round(STROKE_END * (stop - start)), edge)
+            if direction[start] and stop - start > 2 * left_out:
+                strokes.append(slice(start + left_out, stop - left_out))
+    return tuple(strokes)

@@ -212,20 +212,20 @@ class Drive:
         """Return a random generator that is fixed by this record and the key."""
         return np.random.default_rng([crc32(self.measured.tobytes()), *key])
 
-    def draw_disturbance(self, noise: Noise, replica: int) -> Array:
-        """Draw noise of the driving signal, smoothed like the signal itself, shape (n,).
+    def draw_disturbance(self, noise: Noise, replica: int, stream: int = 0) -> Array:
+        """Draw noise of a driving signal, smoothed like the signal itself, shape (n,).
 
         The draws are kept: the floors of all models use the same noise.
         """
-        if replica not in self._disturbances:
-            drawn = noise.simulate_sensor(
-                np.zeros(len(self.driven)), self.random_generator(replica, 0)
-            )
-            self._disturbances[replica] = smooth_signal(drawn, self.step_s, self.cutoff_hz)
-        return self._disturbances[replica]
+        if (replica, stream) not in self._disturbances:
+            random = self.random_generator(replica, stream)
+            drawn = noise.simulate_sensor(np.zeros(len(self.driven)), random)
+            smooth = smooth_signal(drawn, self.step_s, self.cutoff_hz)
+            self._disturbances[replica, stream] = smooth
+        return self._disturbances[replica, stream]
 
     @cached_property
-    def _disturbances(self) -> dict[int, Array]:
+    def _disturbances(self) -> dict[tuple[int, int], Array]:
         return {}
 
     @cached_property

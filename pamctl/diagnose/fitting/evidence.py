@@ -157,7 +157,7 @@ def _prepare_balance(
     """Prepare the training records as an equation; none without a force."""
     if "force_n" not in noises:
         return ()
-    slope_s = choose_slope_s(records, noises["position_m"])
+    slope_s = choose_slope_s(records, noises["position_m"], 2)
     judge = Judge(JudgeKind.EQUATION, "to find a start", slope_s=slope_s)
     return tuple(prepare_force_drive(record, noises, judge) for record in train)
 

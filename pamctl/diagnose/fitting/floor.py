@@ -24,6 +24,8 @@ REPLICAS = 12
 LIMIT_SIGMAS = 3.0
 """Limit above the mean, in scatters. A short record holds few slow waves, and all may be high; what
 a named effect leaves must not count as unexplained for that."""
+PRESSED = 2
+"""Stream of the draws for a piston's pressure; 0 is the driving signal's, 1 the output's."""
 STRETCH_S = 0.25
 """Residuals this far apart count as independent."""
 
@@ -174,7 +176,10 @@ def _add_noise(
     driven = drive.driven
     if inner in noises:
         driven = driven + drive.draw_disturbance(noises[inner], replica)
+    pressed_pa = drive.pressed_pa
+    if pressed_pa is not None and "pressure_pa" in noises:
+        pressed_pa = pressed_pa + drive.draw_disturbance(noises["pressure_pa"], replica, PRESSED)
     measured = noises[outer].simulate_sensor(ideal, drive.random_generator(replica, 1))
-    noisy = replace(drive, driven=driven, measured=measured)
+    noisy = replace(drive, driven=driven, measured=measured, pressed_pa=pressed_pa)
     noisy.__dict__["grid"] = drive.grid  # the steps are the same
     return noisy

@@ -89,8 +89,8 @@ def judge_muscle(records: Sequence[Record]) -> Judge:
 
 def judge_mechanism(records: Sequence[Record], noises: dict[str, Noise]) -> Judge:
     """Choose the judge of a mechanism whose position is measured, and its force or pressure."""
-    slope_s = choose_slope_s(records, noises["position_m"])
-    balance = regress_balance(records, slope_s)
+    position = noises["position_m"]
+    balance = regress_balance(records, choose_slope_s(records, position, 2))
     longest_s = max(
         float(np.sum(r.step_s[part.start : part.stop - 1]))
         for r in records
@@ -103,7 +103,7 @@ def judge_mechanism(records: Sequence[Record], noises: dict[str, Noise]) -> Judg
             "inertia does not show in the force: the motion is imposed, and the force that it "
             "needs is compared"
         )
-        return Judge(JudgeKind.EQUATION, why, slope_s=slope_s)
+        return Judge(JudgeKind.EQUATION, why, slope_s=choose_slope_s(records, position))
     horizon_s, limit = _choose_horizon_s(records, noises, balance)
     why = f"no spring brings the mass back, and a free run drifts; {limit}"
     return Judge(
@@ -200,18 +200,26 @@ def _regress(table: Array, force: Array) -> tuple[Array, float]:
     return amounts, float(np.mean((force - table @ amounts) ** 2))
 
 
-def choose_slope_s(records: Sequence[Record], noise: Noise) -> float:
-    """Return the shortest parabolas that leave little noise in the speed."""
+def choose_slope_s(records: Sequence[Record], noise: Noise, order: int = 1) -> float:
+    """Return the shortest parabolas that leave little noise in the speed, or the acceleration.
+
+    Where no acceleration stands out of its noise, those of the speed are returned.
+    """
     period_s = float(np.median([r.period_s for r in records]))
-    speeds = [
-        differentiate(r["position_m"][p], r.period_s, SLOPE_PERIODS[2] * r.period_s, 1)
-        for r in records
-        for p in find_segments(r.step_s)
-    ]
-    usual = float(np.sqrt(np.mean(np.concatenate(speeds) ** 2)))
     lengths_s = [n * period_s for n in SLOPE_PERIODS]
-    quiet = (s for s in lengths_s if noise.total * slope_gain(s, period_s) <= SLOPE_NOISE * usual)
-    return next(quiet, lengths_s[-1])
+    for length_s in lengths_s:
+        noisy = noise.total * slope_gain(length_s, period_s, order)
+        shown = np.concatenate(
+            [
+                differentiate(r["position_m"][p], r.period_s, length_s, order)
+                for r in records
+                for p in find_segments(r.step_s)
+            ]
+        )
+        true_square = float(np.mean(shown**2)) - noisy**2
+        if noisy**2 <= SLOPE_NOISE**2 * true_square:
+            return length_s
+    return lengths_s[-1] if order == 1 else choose_slope_s(records, noise)
 
 
 def _choose_horizon_s(

@@ -21,12 +21,15 @@ from pamctl.plant.drive import Restarts
 
 FEWEST_SAMPLES = 8
 """A shorter window tells nothing but its own start."""
+SHORTEST_TIME_S = 1e-9
 START_SHARE = 0.2
 """Share of a window from which its start is estimated."""
 LONGEST_START_S = 0.02
 """More than this of a window is not used for its start: the acceleration may change."""
 START_SAMPLES = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112, 160, 224)
 """Samples that are tried for a start."""
+CHANCE = 2.0
+"""A start rests if its samples scatter by the noise and this many sigma of chance, or less."""
 FITS = 1.5
 """A parabola fits if it leaves less than this multiple of the noise."""
 
@@ -67,10 +70,9 @@ def estimate_starts(
     room = START_SHARE * (ends - rows)
     for samples in START_SAMPLES:
         near = rows + samples <= ends
-        near[near] &= times_s[rows[near] + samples - 1] - times_s[rows[near]] <= LONGEST_START_S
-        near &= (samples <= room) | (samples == START_SAMPLES[0])
-        if samples == START_SAMPLES[0]:
-            near = rows + samples <= ends
+        if samples > START_SAMPLES[0]:
+            took_s = times_s[np.minimum(rows + samples, len(times_s)) - 1] - times_s[rows]
+            near &= (samples <= room) & (took_s <= LONGEST_START_S)
         if not near.any():
             break
         index = np.add.outer(rows[near], np.arange(samples))
@@ -78,7 +80,8 @@ def estimate_starts(
         shown = measured[index]
         fitted, left = _fit_parabolas(since_s, shown)
         good = (left <= FITS * deviation) | (samples == START_SAMPLES[0])
-        still = np.std(shown, axis=1) <= deviation
+        by_chance = 1.0 + CHANCE / np.sqrt(2.0 * samples)
+        still = np.std(shown, axis=1) <= by_chance * deviation
         chosen = np.flatnonzero(near)[good]
         values[chosen] = np.where(still, shown.mean(axis=1), fitted[:, 0])[good]
         rates[chosen] = np.where(still, 0.0, fitted[:, 1])[good]
@@ -120,8 +123,8 @@ def build_start_modes(
 ) -> StartModes:
     """Build the modes: a constant and, with `velocity_time_s`, the way of a dying velocity.
 
-    A velocity that friction damps with a time constant T goes 1 - exp(-t / T) of its way; for a T
-    beyond the window that is a line.
+    A velocity that friction damps with a time constant T goes 1 - exp(-t / T) of its way; without
+    friction, T infinite, that is a line.
     """
     lengths = {window.stop - window.start for window in windows}
     groups = []
@@ -131,6 +134,9 @@ def build_start_modes(
         since_s = times_s[rows] - times_s[rows[:, :1]]
         columns = [np.ones_like(since_s)]
         if velocity_time_s is not None:
-            columns.append(-np.expm1(-since_s / velocity_time_s))
+            way_s = since_s
+            if np.isfinite(velocity_time_s):
+                way_s = -np.expm1(-since_s / max(velocity_time_s, SHORTEST_TIME_S))
+            columns.append(way_s / np.max(way_s, initial=SHORTEST_TIME_S))
         groups.append((rows, np.linalg.qr(np.stack(columns, axis=2))[0]))
     return StartModes(tuple(groups))

@@ -79,7 +79,9 @@ class PullSettings(TableSettings):
     """A force that the model lacks, over the muscle's displacement and its load."""
 
     displacement_m: Lines
-    load: Annotated[Lines, Field(description="absolute pressure, Pa; a direct mechanism's force, N")]
+    load: Annotated[
+        Lines, Field(description="absolute pressure, Pa; a direct mechanism's force, N")
+    ]
     pull_n: Annotated[tuple[tuple[float, ...], ...], Field(description="added to the pull")]
 
 

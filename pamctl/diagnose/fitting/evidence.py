@@ -107,9 +107,7 @@ def prepare_evidence(
     if nominal.actuator == "direct" and "position_m" in noises:
         position = noises["position_m"]
         reach = measure_reach(records, nominal, position.deviation, position.resolution)
-    evidence = Evidence(
-        nominal, {}, {}, noises, repeated=find_repeats(different), reach=reach
-    )
+    evidence = Evidence(nominal, {}, {}, noises, repeated=find_repeats(different), reach=reach)
     preparers: dict[str, Callable[[Record], Drive]] = {}
     atmosphere_pa = nominal.parameters.atmospheric_pressure_pa
     if nominal.actuator == "direct":

@@ -122,9 +122,7 @@ UNITS: Mapping[str, str] = {
 }
 
 
-def calibrated_number(
-    name: str, nominal: PlantSettings, reach: Reach | None = None
-) -> FreeNumber:
+def calibrated_number(name: str, nominal: PlantSettings, reach: Reach | None = None) -> FreeNumber:
     """Return one of the plant file's numbers with its range around the file's value.
 
     Any number that `list_plant_numbers` gives may be asked. `reach` is that of the records; a
@@ -225,7 +223,9 @@ def numbers_of_effect(
 ) -> tuple[FreeNumber, ...]:
     """Return numbers of an effect with their ranges on this machine."""
     ranges = {
-        p.name: _range_on(p, nominal, reach) for p in CATALOGUE[effect].parameters if p.name in names
+        p.name: _range_on(p, nominal, reach)
+        for p in CATALOGUE[effect].parameters
+        if p.name in names
     }
     return tuple(
         FreeNumber(f"{effect}.{name}", low, high, smallest, usual=usual)
@@ -256,8 +256,7 @@ def numbers_of_start(
         for name in active_effects(nominal)
         if not CATALOGUE[name].unidentifiable and {*CATALOGUE[name].seen_by} & {*blocks}
         for p in CATALOGUE[name].parameters
-        if not p.choices
-        and f"{name}.{p.name}" not in (SENSOR_ZERO, *nominal.known)
+        if not p.choices and f"{name}.{p.name}" not in (SENSOR_ZERO, *nominal.known)
         for free in (_number_of_start(name, p, nominal, reach),)
         if free.low < value_of(nominal, free.name) < free.high
         and (p.role == "shape" or value_of(nominal, free.name) != p.neutral)
@@ -302,6 +301,4 @@ def value_of(settings: PlantSettings, name: str) -> float:
 def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSettings:
     """Return the plant with these numbers; raise pydantic's ValidationError if out of range."""
     moved = settings_of({**values_of(settings), **values})
-    return moved.model_copy(
-        update={"correction": settings.correction, "known": settings.known}
-    )
+    return moved.model_copy(update={"correction": settings.correction, "known": settings.known})

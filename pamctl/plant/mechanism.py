@@ -22,14 +22,14 @@ from pamctl.plant.chains import (
     pass_friction,
     pass_pulling_pressure,
 )
-from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
-from pamctl.plant.effects.mechanics.drift import drift_factor
 from pamctl.plant.effects.friction.presliding import (
     SlipEnd,
     bristle_damping,
     clamp_bristle_n,
     slip,
 )
+from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
+from pamctl.plant.effects.mechanics.drift import drift_factor
 from pamctl.plant.effects.places import FrictionBand
 from pamctl.plant.paper.friction import AxialForces
 from pamctl.plant.paper.mechanics import slide

@@ -18,16 +18,28 @@ from pydantic import (
 from hal.configured import Configured
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.correction_tables import Correction, CorrectionTable
-from pamctl.plant.effects.description import EffectDescription, acts
+from pamctl.plant.effects.description import EffectDescription, EffectParameter, acts
 from pamctl.plant.flat import ACTUATOR, NEUTRAL, PAPER, parameters_of
 from pamctl.plant.muscle_parameters import MuscleParameters
 from pamctl.plant.parameters import PlantParameters
 
 
+def _limit_number(p: EffectParameter) -> Any:
+    """Return the limits of a plant file; where the range follows the machine, only the sign."""
+    meaning = f"{p.meaning} ({p.unit})"
+    if not p.is_scaled:
+        return Field(ge=p.low, le=p.high, description=meaning)
+    if p.low < 0.0:
+        return Field(description=meaning)
+    return (
+        Field(ge=0.0, description=meaning) if p.low == 0.0 else Field(gt=0.0, description=meaning)
+    )
+
+
 def _make_effect_settings(effect: EffectDescription) -> type[Configured]:
     fields: dict[str, Any] = {
         p.name: (
-            Annotated[float, Field(**p.allowed, description=f"{p.meaning} ({p.unit})")],
+            Annotated[float, _limit_number(p)],
             p.neutral,
         )
         if not p.choices

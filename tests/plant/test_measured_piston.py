@@ -1,7 +1,7 @@
 """The piston plant reaches the hand fits of a measured cylinder: seals whose friction grows.
 
-The set is public (CC0: github.com/EvaZillen/3D-printed-pneumatic-actuator). Its files `SEAL_BAR.csv`
-are looked for in the folder that PAMCTL_MEASURED_DATA names, or in `zillen` below it.
+The set is public (CC0: github.com/EvaZillen/3D-printed-pneumatic-actuator). Its files
+`SEAL_BAR.csv` are looked for in the folder that PAMCTL_MEASURED_DATA names, or in `zillen` below.
 """
 
 from __future__ import annotations

@@ -51,13 +51,6 @@ class EffectParameter:
         """
         return self.unit in MECHANICAL_UNITS
 
-    @property
-    def allowed(self) -> dict[str, float]:
-        """The limits of a plant file, as pydantic's `Field` takes them."""
-        if not self.is_scaled:
-            return {"ge": self.low, "le": self.high}
-        return {"gt": 0.0} if self.low > 0.0 else {"ge": 0.0} if self.low == 0.0 else {}
-
 
 def size(
     name: str,

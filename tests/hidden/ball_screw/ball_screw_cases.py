@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from hidden.ball_screw.ball_screw_rig import ASYMMETRIC, SYMMETRIC, BallScrew, BallScrewRig
 from hidden.rig import Record
-
 from pamctl.plant.model import PlantSettings
 
 GUESSES = (0.5, 1.0, 2.0)

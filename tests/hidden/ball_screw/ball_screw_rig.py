@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hidden.machine_code import kernel
 from hidden.rig import Record
-from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hidden.ball_screw.ball_screw_cases import BallScrewCase, ball_screw_cases
-from hidden.ball_screw.ball_screw_rig import ASYMMETRIC, SYMMETRIC, BallScrewRig
 from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
+from hidden.ball_screw.ball_screw_cases import BallScrewCase, ball_screw_cases
+from hidden.ball_screw.ball_screw_rig import ASYMMETRIC, SYMMETRIC, BallScrewRig
 from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import values_of

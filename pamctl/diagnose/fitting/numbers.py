@@ -217,8 +217,10 @@ def _range_on(
         usual, high = max(usual, 4.0 * smallest), max(high, 40.0 * smallest)
     if parameter.unit in ("N", "N/Pa", "m2"):
         high *= max(reach.load_n / reach.force_n, 1.0)
-    least = 0.1 * smallest if parameter.low > 0.0 else -high if parameter.low < 0.0 else 0.0
-    return least, high, smallest, usual
+    if parameter.role == "shape":  # as wide as the catalogue says, at least
+        low, high = min(low, 0.1 * smallest), max(parameter.high, high)
+        return low, high, smallest, usual
+    return (-high if low < 0.0 else 0.0), high, smallest, usual
 
 
 _PAPER = reach_of_muscle(PlantSettings())

@@ -146,7 +146,7 @@ class EffectDescription:
     signature: str
     """How simulation minus measurement looks when the model lacks the effect."""
     best_experiment: str
-    """Name of the experiment file that shows it best; empty where none does."""
+    """Name of the muscle's experiment file that shows it best; empty where none does."""
     seen_by: tuple[Block, ...]
     """The blocks whose residual shows it when each is driven by the other's measured signal."""
     entries: tuple[EffectEntry, ...] = ()

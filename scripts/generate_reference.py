@@ -423,8 +423,9 @@ def write_effects() -> str:
         words.append(f"Seen by: {', '.join(effect.seen_by) or 'no block'}.")
         if effect.best_experiment:
             words.append(f"Best experiment: `{effect.best_experiment}`.")
-        if len(effect.actuators) == 1:
-            words.append(f"Looked for in plants with `actuator: {effect.actuators[0]}` only.")
+        if not {"muscle", "direct"} <= {*effect.actuators}:
+            kinds = " or ".join(f"`{actuator}`" for actuator in effect.actuators)
+            words.append(f"Looked for in plants with the actuator {kinds} only.")
         if effect.unidentifiable:
             words.append(f"No experiment can tell its size: {_plain(effect.unidentifiable)}.")
         parts.append(" ".join(words) + "\n")

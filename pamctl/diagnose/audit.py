@@ -235,7 +235,7 @@ def _list_unseen_effects(model: Model, candidates: Sequence[Candidate]) -> list[
     here = {
         name: effect
         for name, effect in CATALOGUE.items()
-        if actuator in effect.actuators and (actuator == "muscle" or effect.block != "pressure")
+        if actuator in effect.actuators and (actuator != "direct" or effect.block != "pressure")
     }
     spots = [
         BlindSpot(name, effect.unidentifiable, "", None)

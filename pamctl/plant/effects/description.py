@@ -18,7 +18,8 @@ MECHANICAL_UNITS = frozenset(
 """Units of numbers whose size follows the machine's: its force, travel, speed and pressure."""
 
 Block = Literal["pressure", "mechanics", "sensors"]
-Actuator = Literal["muscle", "direct"]
+Actuator = Literal["muscle", "direct", "chamber"]
+"""What a plant file calls `actuator`; a chamber has a constant volume and no mechanics."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,7 @@ class EffectDescription:
     """Why no experiment on this rig can identify its size; empty if one can."""
     is_searched: bool = True
     """False where `diagnose` must not name it: it would explain too much."""
-    actuators: tuple[Actuator, ...] = ("muscle", "direct")
+    actuators: tuple[Actuator, ...] = ("muscle", "direct", "chamber")
     """The actuators in whose plants `diagnose` looks for it; a plant file may always hold it."""
 
     @property

@@ -231,12 +231,18 @@ def _find_visible_size(switch: FreeNumber, size: float, power: float) -> tuple[f
 def _list_unseen_effects(model: Model, candidates: Sequence[Candidate]) -> list[BlindSpot]:
     """List effects that reach no block that these records drive, or that nothing can identify."""
     examined = {c.name for c in candidates} | {*model.names}
+    actuator = model.evidence.nominal.actuator
+    here = {
+        name: effect
+        for name, effect in CATALOGUE.items()
+        if actuator in effect.actuators and (actuator != "direct" or effect.block != "pressure")
+    }
     spots = [
         BlindSpot(name, effect.unidentifiable, "", None)
-        for name, effect in CATALOGUE.items()
+        for name, effect in here.items()
         if effect.unidentifiable
     ]
-    for name, effect in CATALOGUE.items():
+    for name, effect in here.items():
         if name in examined or effect.unidentifiable or not effect.is_searched:
             continue
         if effect.block not in (*model.evidence.blocks, "sensors"):

@@ -18,16 +18,28 @@ from pydantic import (
 from hal.configured import Configured
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.correction_tables import Correction, CorrectionTable
-from pamctl.plant.effects.description import EffectDescription, acts
+from pamctl.plant.effects.description import EffectDescription, EffectParameter, acts
 from pamctl.plant.flat import ACTUATOR, NEUTRAL, PAPER, parameters_of
 from pamctl.plant.muscle_parameters import MuscleParameters
 from pamctl.plant.parameters import PlantParameters
 
 
+def _limit_number(p: EffectParameter) -> Any:
+    """Return the limits of a plant file; where the range follows the machine, only the sign."""
+    meaning = f"{p.meaning} ({p.unit})"
+    if not p.is_scaled:
+        return Field(ge=p.low, le=p.high, description=meaning)
+    if p.low < 0.0:
+        return Field(description=meaning)
+    return (
+        Field(ge=0.0, description=meaning) if p.low == 0.0 else Field(gt=0.0, description=meaning)
+    )
+
+
 def _make_effect_settings(effect: EffectDescription) -> type[Configured]:
     fields: dict[str, Any] = {
         p.name: (
-            Annotated[float, Field(**p.allowed, description=f"{p.meaning} ({p.unit})")],
+            Annotated[float, _limit_number(p)],
             p.neutral,
         )
         if not p.choices
@@ -79,7 +91,9 @@ class PullSettings(TableSettings):
     """A force that the model lacks, over the muscle's displacement and its load."""
 
     displacement_m: Lines
-    load: Annotated[Lines, Field(description="absolute pressure, Pa; a direct mechanism's force, N")]
+    load: Annotated[
+        Lines, Field(description="absolute pressure, Pa; a direct mechanism's force, N")
+    ]
     pull_n: Annotated[tuple[tuple[float, ...], ...], Field(description="added to the pull")]
 
 
@@ -130,11 +144,13 @@ class PlantSettings(Configured):
             for name in ("damping_n_s_per_m", "stiffness_n_per_m"):
                 if getattr(numbers, name) == 0.0:
                     raise ValueError(f"parameters.{name} of a muscle must be greater than 0")
-        elif missing := [name for name in AXIS if name not in numbers.model_fields_set]:
-            raise ValueError(
-                f"actuator direct needs parameters.{missing[0]}: the paper's value is that of a "
-                "muscle; give a guess (stiffness_n_per_m: 0 for no spring)"
-            )
+        if self.actuator == "direct":
+            missing = [name for name in AXIS if name not in numbers.model_fields_set]
+            if missing:
+                raise ValueError(
+                    f"actuator direct needs parameters.{missing[0]}: the paper's value is that of "
+                    "a muscle; give a guess (stiffness_n_per_m: 0 for no spring)"
+                )
         return self
 
     @model_validator(mode="after")

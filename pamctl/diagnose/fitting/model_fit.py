@@ -48,7 +48,8 @@ def list_free_numbers(
         n for b in (PRESSURE, MECHANICS) if b in blocks or blind for n in calibration_of(b, nominal)
     )
     own = [f for c in effects if c.blocks & blocks for f in c.free]
-    has_zero = nominal.actuator == "muscle" and all(f.name != SENSOR_ZERO for f in own)
+    has_zero = nominal.actuator == "muscle" and SENSOR_ZERO not in nominal.known
+    has_zero = has_zero and all(f.name != SENSOR_ZERO for f in own)
     zero = (sensor_zero(nominal),) if has_zero else ()
     return (
         *(calibrated_number(n, nominal, evidence.reach) for n in names),

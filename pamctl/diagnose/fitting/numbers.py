@@ -9,9 +9,15 @@ from math import inf, sqrt
 from pamctl.diagnose.measured.reach import Reach, reach_of_muscle
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectParameter
-from pamctl.plant.flat import NEUTRAL
+from pamctl.plant.flat import NEUTRAL, PAPER
 from pamctl.plant.model import AXIS, PlantSettings, settings_of, values_of
-from pamctl.plant.muscle_parameters import MuscleParameters
+from pamctl.plant.muscle_parameters import (
+    HIGHEST_ATMOSPHERE_PA,
+    HIGHEST_TANK_PA,
+    HOTTEST_K,
+    LONGEST_M,
+    MuscleParameters,
+)
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,8 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 Lengths are measured with a tape, to 1 %; places of work lie between 60 and 110 kPa. What a user
 guesses (gain, damping, stiffness, mass) may be three times off, and is then inside.
 """
+_STEPS = {"braid_length_m": 2e-4, "rest_length_m": 2e-4}
+"""Share of a number that is a small but visible step; for all others a hundredth."""
 _AXIS_FACTOR = 30.0
 """Limits of mass, damping, stiffness and area of a direct mechanism: the value times or over it."""
 
@@ -131,18 +139,16 @@ def calibrated_number(name: str, nominal: PlantSettings, reach: Reach | None = N
     value = value_of(nominal, name)
     if name == LOAD:
         low, high, scale, _ = _range_on(_parameter(name), nominal, reach)
-        return FreeNumber(name, min(low, 2.0 * value), max(high, 2.0 * value), scale,
-                          is_calibrated=True)  # fmt: skip
-    if value == 0.0:  # no spring, no damping: a suspect from nothing on
-        size = reach.size_of(UNITS[name]) if reach is not None else 1.0
+        low, high = min(low, 2.0 * value), max(high, 2.0 * value)
+        return FreeNumber(name, low, high, scale, is_calibrated=True)
+    if value == 0.0:  # no spring, no friction: it may be there, from nothing on
+        size = PAPER[name] if reach is None else reach.size_of(UNITS[name])
         return FreeNumber(name, 0.0, 3.0 * size, 1e-2 * size)
     low, high = _RANGES[name]
     if nominal.actuator == "direct" and name in AXIS:
         low, high = 1.0 / _AXIS_FACTOR, _AXIS_FACTOR
     low, high = _limit_by_others(name, low * value, high * value, nominal)
-    scale = 1e-3 if name in ("braid_length_m", "rest_length_m") else 1e-2
-    scale = 2e-4 if name == "braid_length_m" else scale
-    return FreeNumber(name, low, high, scale * value)
+    return FreeNumber(name, low, high, _STEPS.get(name, 1e-2) * value)
 
 
 def _limit_by_others(
@@ -151,11 +157,11 @@ def _limit_by_others(
     """Keep a number where the plant file's other numbers allow it (`MuscleParameters`)."""
     p, inside = nominal.parameters, 1e-6
     limits = {
-        "braid_length_m": (p.rest_length_m, sqrt(3.0) * p.rest_length_m),
+        "braid_length_m": (p.rest_length_m, min(sqrt(3.0) * p.rest_length_m, LONGEST_M)),
         "rest_length_m": (p.braid_length_m / sqrt(3.0), p.braid_length_m),
-        "tank_pressure_pa": (p.atmospheric_pressure_pa, 2e6),
-        "atmospheric_pressure_pa": (0.0, min(p.tank_pressure_pa, 2e5)),
-        "temperature_k": (0.0, 1000.0),
+        "tank_pressure_pa": (p.atmospheric_pressure_pa, HIGHEST_TANK_PA),
+        "atmospheric_pressure_pa": (0.0, min(p.tank_pressure_pa, HIGHEST_ATMOSPHERE_PA)),
+        "temperature_k": (0.0, HOTTEST_K),
         "heat_capacity_ratio": (1.0, 2.0),
     }
     least, most = limits.get(name, (0.0, inf))
@@ -183,7 +189,7 @@ _SHARES: Mapping[str, tuple[float, float, float]] = {
     "m2": (0.01, 0.05, 1.0),
 }
 SAME_SIZE = 1.5
-"""A muscle whose forces and lengths are within this factor of the paper's has the paper's ranges."""
+"""A muscle whose forces and lengths differ by less than this factor has the catalogue's ranges."""
 
 
 def _range_on(
@@ -211,8 +217,10 @@ def _range_on(
         usual, high = max(usual, 4.0 * smallest), max(high, 40.0 * smallest)
     if parameter.unit in ("N", "N/Pa", "m2"):
         high *= max(reach.load_n / reach.force_n, 1.0)
-    least = 0.1 * smallest if parameter.low > 0.0 else -high if parameter.low < 0.0 else 0.0
-    return least, high, smallest, usual
+    if parameter.role == "shape":  # as wide as the catalogue says, at least
+        low, high = min(low, 0.1 * smallest), max(parameter.high, high)
+        return low, high, smallest, usual
+    return (-high if low < 0.0 else 0.0), high, smallest, usual
 
 
 _PAPER = reach_of_muscle(PlantSettings())
@@ -271,8 +279,10 @@ def _number_of_start(
     low, high, scale, _ = _range_on(parameter, nominal, reach)
     value = value_of(nominal, name)
     if nominal.actuator == "direct" and parameter.is_scaled and value != 0.0:
-        ends = sorted((value / _AXIS_FACTOR, value * _AXIS_FACTOR))
-        low, high, scale = *ends, 0.01 * abs(value)
+        most = _AXIS_FACTOR * abs(value)
+        # Where a number may have either sign, the guess may have the wrong one.
+        low, high = -most if parameter.low < 0.0 else value / _AXIS_FACTOR, most
+        scale = 0.01 * abs(value)
     return FreeNumber(name, low, high, scale, is_calibrated=True)
 
 

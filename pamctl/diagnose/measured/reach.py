@@ -13,7 +13,7 @@ from pamctl.plant.model import PlantSettings
 
 LONGEST_S = 0.25
 """The speed is the way over a time that grows to this where noise would hide a shorter way."""
-SPEED_OVER_NOISE = 20.0
+SPEED_OVER_NOISE = 100.0
 """Wanted way over its noise."""
 
 

@@ -68,7 +68,7 @@ def required_force_n(
     named = dict(zip((*given, "pressure_pa"), (times, *motion, pressures), strict=True))
     for name, values in named.items():
         if values.shape != (len(times),) or not len(values):
-            raise ValueError(f"{name}: shape {values.shape}, where t_s has {len(times)} samples")
+            raise ValueError(f"{name}: shape {values.shape}, where t_s has {len(times)}")
         if not np.isfinite(values).all():
             raise ValueError(f"{name}: sample {int(np.argmin(np.isfinite(values)))} is no number")
     if pressure_pa is not None and p.sensors_act:
@@ -102,7 +102,9 @@ def fill_required_force(
                 p.effects.mechanics, memory, begin_m, x, gauge_pa, now_s - begin_s
             )
         forces = mechanism_forces(plain, memory, x, gauge_pa, 0.0, v, now_s - columns[0, 0])
-        bristle_n, held_n = friction_force(plain, forces, bristle_n, x - begin_m, v, rest_speed_m_per_s)
+        bristle_n, held_n = friction_force(
+            plain, forces, bristle_n, x - begin_m, v, rest_speed_m_per_s
+        )
         load = 0.0 if p.direct else pressure_pa
         table_n = interpolate_table(p.correction.pull, x, load)
         needed_n[k] = p.paper.mass_kg * push - forces.drive_n - table_n + held_n

@@ -18,7 +18,8 @@ MECHANICAL_UNITS = frozenset(
 """Units of numbers whose size follows the machine's: its force, travel, speed and pressure."""
 
 Block = Literal["pressure", "mechanics", "sensors"]
-Actuator = Literal["muscle", "direct"]
+Actuator = Literal["muscle", "direct", "chamber"]
+"""What a plant file calls `actuator`; a chamber has a constant volume and no mechanics."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +51,6 @@ class EffectParameter:
         and no plant file.
         """
         return self.unit in MECHANICAL_UNITS
-
-    @property
-    def allowed(self) -> dict[str, float]:
-        """The limits of a plant file, as pydantic's `Field` takes them."""
-        if not self.is_scaled:
-            return {"ge": self.low, "le": self.high}
-        return {"gt": 0.0} if self.low > 0.0 else {"ge": 0.0} if self.low == 0.0 else {}
 
 
 def size(
@@ -153,7 +147,7 @@ class EffectDescription:
     signature: str
     """How simulation minus measurement looks when the model lacks the effect."""
     best_experiment: str
-    """Name of the experiment file that shows it best; empty where none does."""
+    """Name of the muscle's experiment file that shows it best; empty where none does."""
     seen_by: tuple[Block, ...]
     """The blocks whose residual shows it when each is driven by the other's measured signal."""
     entries: tuple[EffectEntry, ...] = ()
@@ -168,7 +162,7 @@ class EffectDescription:
     """Why no experiment on this rig can identify its size; empty if one can."""
     is_searched: bool = True
     """False where `diagnose` must not name it: it would explain too much."""
-    actuators: tuple[Actuator, ...] = ("muscle", "direct")
+    actuators: tuple[Actuator, ...] = ("muscle", "direct", "chamber")
     """The actuators in whose plants `diagnose` looks for it; a plant file may always hold it."""
 
     @property

@@ -38,7 +38,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="a constant load, unless dry friction changes with pressure or speed",
-    best_experiment="slow-ramps",
+    best_experiment="",
     seen_by=("mechanics",),
     entries=(
         EffectEntry(

@@ -38,7 +38,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="an error with the sign of the speed, in proportion to pressure",
-    best_experiment="slow-ramps",
+    best_experiment="",
     seen_by=("mechanics",),
     entries=(EffectEntry("friction", add_pressed_friction, after=("return_friction",)),),
     actuators=("direct",),

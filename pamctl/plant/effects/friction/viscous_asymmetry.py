@@ -30,7 +30,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="an error in proportion to the absolute value of the speed",
-    best_experiment="chirp",
+    best_experiment="",
     seen_by=("mechanics",),
     woven=("mechanics",),
     actuators=("direct",),

@@ -35,7 +35,7 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     signature="an error in proportion to pressure, at any position and speed",
-    best_experiment="fill-and-hold",
+    best_experiment="",
     seen_by=("mechanics",),
     entries=(EffectEntry("force", piston_force_n),),
     actuators=("direct",),

@@ -74,7 +74,7 @@ class Evidence:
         drive = self.train[block][0]
         noise = self.noises[drive.channel]
         smallest = SMALLEST_MISFIT[drive.channel]
-        if self.nominal.actuator == "direct":  # of any size: what its own sensor can show
+        if self.nominal.actuator != "muscle":  # of any size: what its own sensor can show
             smallest = noise.resolution
         # For a poor sensor: a fifth of its noise.
         return max(smallest, 0.2 * noise.total) / drive.deviation

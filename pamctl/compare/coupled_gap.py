@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log import NO_PHASE, Log, LogError, Signals, signals
-from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
+from pamctl.plant.drive import build_grid, drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
 from pamctl.signals import Phase
 
@@ -106,12 +106,16 @@ def compare_model(log: Log, plant: PlantParameters) -> Comparison:
     for stretch in stretches:
         part = measured[stretch]
         start = _find_start(plant, part, follows_homing=stretch.start == 0 and _was_homed(log))
+        # The mechanics have no command, and need no step where one acts.
+        grid = build_grid(
+            part.dt_s[1:], len(part), acts_after_s=part.acts_after_s, held_v=part.held_v
+        )
         if part.valve_v is not None:
-            driven = drive_coupled(plant, part.valve_v, part.dt_s[1:], start=start)
+            driven = drive_coupled(plant, part.valve_v, grid, start=start)
             rows["x"][stretch], rows["p"][stretch] = driven.position_m, driven.pressure_pa
         if part.valve_v is not None and part.position_m is not None:
             rows["block_p"][stretch] = drive_pressure(
-                plant, part.valve_v, part.position_m, part.dt_s[1:], start=start
+                plant, part.valve_v, part.position_m, grid, start=start
             ).pressure_pa
         if part.pressure_pa is not None:
             rows["block_x"][stretch] = drive_mechanics(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from hal.calibration import CalibrationSettings, calibration, valve_v
+from pamctl.log.command_instants import find_output_steps, find_sample_times
 from pamctl.log.framing import LogError
 from pamctl.log.reader import Log
 
@@ -26,13 +27,13 @@ Floats = NDArray[np.float64]
 class Signals:
     """The measured signals of a log: arrays of shape (n,), None if not measured.
 
-    `valve_v[i]` is written at the end of tick i, after the samples of tick i, and holds
-    until tick i + 1: it drives the muscle from `t_s[i]` (plus the tick's own microseconds)
-    to `t_s[i + 1]`. A slice, `measured[1000:]`, is the same signals over those ticks.
+    `valve_v[i]` is written at the end of tick i, after the samples of tick i. It drives the muscle
+    from `t_s[i] + acts_after_s[i]` until the next command acts. A slice, `measured[1000:]`, is the
+    same signals over those ticks.
     """
 
     t_s: Floats
-    """Time of the samples, strictly rising; a whole log starts at zero."""
+    """Time of the encoder's samples, as taken and not as planned; strictly rising, from zero."""
     dt_s: Floats
     """Time since the previous tick, by the clock; the nominal period for the first tick."""
     valve_v: Floats | None
@@ -50,6 +51,14 @@ class Signals:
 
     During homing, position and pressure refer to the nominal zeros; they jump at its end.
     """
+    acts_after_s: Floats | None = None
+    """Time from sample i to the instant from which `valve_v[i]` acts; None: all act at the sample.
+
+    Negative for a command that acted before its sample, at an edge of a card's clock that the loop
+    missed.
+    """
+    held_v: float | None = None
+    """The command before the first one here, which acts until that one does; None: unknown."""
 
     def __len__(self) -> int:
         """Return the number of ticks."""
@@ -60,7 +69,10 @@ class Signals:
         parts: dict[str, Any] = {}
         for field in fields(self):
             whole = getattr(self, field.name)
-            parts[field.name] = None if whole is None else whole[ticks]
+            parts[field.name] = whole[ticks] if isinstance(whole, np.ndarray) else whole
+        first = ticks.indices(len(self))[0]
+        if first and self.valve_v is not None:
+            parts["held_v"] = find_held_v(self.valve_v, first)
         return Signals(**parts)
 
 
@@ -68,39 +80,46 @@ def signals(log: Log) -> Signals:
     """Return the measured signals of a log of pamctl or of an imported log.
 
     In a log of pamctl the valve command is the output that the converter really applied, at the
-    time when it applied it: one tick later if a sample clock paces the card. The calibration in
+    tick at which it applied it: one tick later if a sample clock paces the card. The calibration in
     the log turns it back into a command; raise LogError if there is none.
     """
     count = len(log)
+    held_v = None
+    if log.is_imported:
+        valve, acts_after_s = log.columns.get("valve_v"), _find_stated_delay(log)
+    else:
+        output = find_output_steps(log)
+        valve, acts_after_s = _compute_valve_v(log, output.output_v), output.acts_after_s
+        if output.held_v is not None:
+            held_v = float(_compute_valve_v(log, np.array(output.held_v)))
+    t_s = find_sample_times(log)
     return Signals(
-        t_s=log["t_s"],
-        dt_s=log["dt_s"],
-        valve_v=log.columns.get("valve_v") if log.is_imported else _compute_applied_valve_v(log),
+        t_s=t_s,
+        dt_s=log["dt_s"] + np.diff(t_s - log["t_s"], prepend=0.0),
+        valve_v=valve,
         pressure_pa=log.columns.get("pressure_pa"),
         position_m=log.columns.get("position_m"),
         force_n=log.columns.get("force_n"),
         missed=log["missed"],
         phase=np.full(count, NO_PHASE) if log.is_imported else log["phase"],
+        acts_after_s=acts_after_s,
+        held_v=held_v,
     )
 
 
-def _compute_output_v(log: Log) -> Floats:
-    """Return the driver's voltage between each tick's samples and the next, shape (n,)."""
-    applied_v: Floats = log["applied_v"]
-    rig = log.metadata.get("rig", {})
-    if rig.get("output_delay_ticks", "0") == "0" or not len(log):
-        return applied_v
-    before_v = np.concatenate(([float(rig["safe_output_v"])], applied_v[:-1]))
-    if "sample_clock" not in rig:  # put out when the loop reads next
-        return before_v
-    # A device with a clock of its own puts it out at its next edge, even if the loop missed it: of
-    # a tick of several periods the first has the old voltage and the others the new. Their mean
-    # moves as much air.
-    old_share = 1.0 / (1.0 + np.concatenate((log["missed"][1:], [0])))
-    return np.asarray(old_share * before_v + (1.0 - old_share) * applied_v)
+def find_held_v(valve_v: Floats, first: int) -> float | None:
+    """Return the command before a row; None if that write failed."""
+    held_v = float(valve_v[first - 1])
+    return held_v if np.isfinite(held_v) else None
 
 
-def _compute_applied_valve_v(log: Log) -> Floats:
+def _find_stated_delay(log: Log) -> Floats | None:
+    """Return the constant that the map of an import stated."""
+    stated_s = float(log.metadata.get("import", {}).get("acts_after_s", 0.0))
+    return np.full(len(log), stated_s) if stated_s else None
+
+
+def _compute_valve_v(log: Log, output: Floats) -> Floats:
     written: Any = log.config.get("rig", {}).get("calibration")
     try:
         settings = CalibrationSettings.model_validate(written)
@@ -110,4 +129,4 @@ def _compute_applied_valve_v(log: Log) -> Floats:
             f"the voltage at the valve is unknown ({error.error_count()} problems)"
         ) from error
     # Plain arithmetic works on arrays as on numbers.
-    return valve_v(calibration(settings), _compute_output_v(log))  # type: ignore[arg-type,return-value]
+    return valve_v(calibration(settings), output)  # type: ignore[arg-type,return-value]

@@ -10,8 +10,12 @@ taken, then command k is written, and the plant runs under it for `dt_s[k]` unti
 is taken. So the samples of tick 0 are the start state, `command_v[k]` does not affect sample k,
 and the last command is not used. `dt_s` is one number for a regular grid, or one for each
 interval (n - 1 of them; an n-th is ignored); a missed tick is an interval of twice the length, and
-is cut into twice as many steps. For many drives of one grid call `build_grid` once. For a rig whose
-output is one tick late, shift `command_v` by one.
+is cut into twice as many steps. For many drives of one grid call `build_grid` once.
+
+In real time a command is computed first: it acts `acts_after_s[k]` after sample k, and the command
+before it acts until then. The interval is cut at that instant. A negative number is a command that
+acted already before its sample: the loop missed edges of the card's clock. The effect
+`command_delay` comes on top. For a rig whose output is one tick late, shift `command_v` by one.
 
 Every `position_m` and `pressure_pa`, in and out, is a sensor's reading: with the effects of the
 sensors, without noise or rounding. `true_...` is the reading of an ideal sensor.
@@ -103,14 +107,15 @@ def drive_coupled(
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
+    acts_after_s: ArrayLike | None = None,
 ) -> CoupledResponse:
     """Run the coupled plant under commands (V), from the vented muscle or from `start`.
 
-    `steps` is the number of steps in an interval of median length. Raises ValueError for
-    arrays of different lengths or with NaN.
+    `steps` is the number of steps in an interval of one period. A grid has its own
+    `acts_after_s`. Raises ValueError for arrays of different lengths or with NaN.
     """
     commands = _check_signal("command_v", command_v)
-    grid = build_grid(dt_s, len(commands), steps)
+    grid = build_grid(dt_s, len(commands), steps, acts_after_s)
     state = vented_state(p) if start is None else start
     rows = np.empty((len(CoupledResponse._fields), len(commands)))
     _get_twin(run_coupled)(p, state, build_steps(p, commands, grid), rows)
@@ -125,6 +130,7 @@ def drive_pressure(
     *,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
+    acts_after_s: ArrayLike | None = None,
     restarts: Restarts = NO_RESTARTS,
 ) -> PressureResponse:
     """Run the pressure block under commands (V) and a measured position (m).
@@ -134,16 +140,49 @@ def drive_pressure(
     """
     commands = _check_signal("command_v", command_v)
     positions = _check_signal("position_m", position_m, len(commands))
-    grid = build_grid(dt_s, len(commands), steps)
+    grid = build_grid(dt_s, len(commands), steps, acts_after_s)
+    return _run_pressure(p, commands, positions, grid, start, restarts)[0]
+
+
+def find_pressure_course(
+    p: PlantParameters,
+    command_v: Array,
+    position_m: Array,
+    grid: SampleGrid,
+    *,
+    start: PlantState | None = None,
+    restarts: Restarts = NO_RESTARTS,
+) -> tuple[Array, Array]:
+    """Return the ends of the steps (s) and the pressure there (Pa), as `drive_pressure` runs it."""
+    response, ends_s = _run_pressure(
+        p, command_v, position_m, grid, start, restarts, every_step=True
+    )
+    return ends_s, response.pressure_pa
+
+
+def _run_pressure(
+    p: PlantParameters,
+    commands: Array,
+    positions: Array,
+    grid: SampleGrid,
+    start: PlantState | None,
+    restarts: Restarts,
+    *,
+    every_step: bool = False,
+) -> tuple[PressureResponse, Array]:
+    """Return the response at each sample, or at the end of each step; and the ends of the steps."""
     true_m = undo_sensor("position_reading", p, positions, grid.samples_s)
     if start is None:
         start = rest_state(p, float(true_m[0]), p.paper.atmospheric_pressure_pa)
-    rows = np.empty((len(PressureResponse._fields), len(commands)))
     cut = build_steps(p, commands, grid)
-    ends_m = np.interp(cut.ends_s, grid.samples_s, true_m)
     restarts = _undo_restarts("pressure_reading", p, restarts, grid)
+    if every_step:
+        restarts = restarts._replace(rows=cut.first[restarts.rows])
+        cut = cut._replace(first=np.arange(len(cut.ends_s)))
+    rows = np.empty((len(PressureResponse._fields), len(cut.first)))
+    ends_m = np.interp(cut.ends_s, grid.samples_s, true_m)
     _get_twin(run_pressure)(p, start, cut, ends_m, restarts, rows)
-    return PressureResponse(*rows)
+    return PressureResponse(*rows), cut.ends_s
 
 
 def drive_mechanics(
@@ -155,11 +194,13 @@ def drive_mechanics(
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
     restarts: Restarts = NO_RESTARTS,
+    bend_pa: Array | None = None,
 ) -> MechanicsResponse:
     """Run the mechanics under a measured absolute pressure (Pa), linear between samples.
 
-    A direct mechanism also takes a measured force (N). By default the muscle starts vented, at
-    rest.
+    A direct mechanism also takes a measured force (N). `bend_pa` is added at the ends of the
+    steps: how the pressure leaves the line between two samples. By default the muscle starts
+    vented, at rest.
     """
     pressures = _check_signal("pressure_pa", pressure_pa)
     forces = _check_signal(
@@ -171,6 +212,8 @@ def drive_mechanics(
     cut = build_steps(p, pressures, grid)
     true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
     ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
+    if bend_pa is not None:
+        ends_pa = ends_pa + bend_pa
     ends_n = np.interp(cut.ends_s, grid.samples_s, forces)
     restarts = _undo_restarts("position_reading", p, restarts, grid)
     _get_twin(run_mechanics)(p, state, cut, ends_pa, ends_n, restarts, rows)
@@ -310,6 +353,17 @@ def _check_intervals(dt_s: ArrayLike, samples: int) -> Array:
     return intervals
 
 
+def _check_acts_after(name: str, given: ArrayLike | None, samples: int) -> Array | None:
+    """Return when commands act after their samples; None where all act at their samples."""
+    if given is None:
+        return None
+    late_s: Any = np.asarray(given, dtype=np.float64)
+    if late_s.ndim == 0:
+        late_s = np.full(samples, late_s)
+    late_s = _check_signal(name, late_s, samples)
+    return late_s if np.any(np.abs(late_s) > SAME_INSTANT_S) else None
+
+
 class DriveSteps(NamedTuple):
     """The steps of a whole drive."""
 
@@ -327,12 +381,16 @@ SAME_INSTANT_S = 1e-10
 
 
 class SampleGrid(NamedTuple):
-    """Samples and the steps between them, before any command; made once for many drives."""
+    """Samples and the steps between them, made once for many drives."""
 
     samples_s: Array
     """Times of the samples since the first one."""
-    counts: NDArray[np.int64]
-    """Steps in each interval."""
+    acts_s: Array
+    """When each command acts, on the same clock, never falling."""
+    held_v: float | None
+    """The command that acts until the first one does; None: the first one itself."""
+    acting: NDArray[np.int64]
+    """For each step the index of the command that acts; -1 until the first one does."""
     first: NDArray[np.int64]
     """For each sample the index of the first step after it."""
     step_s: Array
@@ -340,41 +398,83 @@ class SampleGrid(NamedTuple):
     """Ends of the steps: one more than steps."""
 
 
-def build_grid(dt_s: ArrayLike | SampleGrid, samples: int, steps: int = STEPS_A_TICK) -> SampleGrid:
-    """Cut each interval into equal steps; a grid is returned unchanged.
+def build_grid(
+    dt_s: ArrayLike | SampleGrid,
+    samples: int,
+    steps: int = STEPS_A_TICK,
+    acts_after_s: ArrayLike | None = None,
+    held_v: float | None = None,
+) -> SampleGrid:
+    """Cut each interval where a command acts, and each part into equal steps.
 
-    An interval of median length gets `steps` steps. A tolerance of a tenth keeps jitter from adding
-    one. Raises ValueError if the intervals do not fit the number of samples.
+    An interval of one period gets `steps` steps. A tolerance of a tenth keeps jitter from adding
+    one. `acts_after_s` is one number, or one for each sample; None: commands act at their samples.
+    Until the first command acts the valve has `held_v`, by default that command.
+    A grid is returned unchanged. Raises ValueError if arrays do not fit the number of samples, or
+    if a grid is given another `acts_after_s`.
     """
     if isinstance(dt_s, SampleGrid):
         if len(dt_s.samples_s) != samples:
             raise ValueError(f"dt_s: a grid of {len(dt_s.samples_s)} samples, where {samples} are")
+        if acts_after_s is not None:
+            raise ValueError("acts_after_s: a grid has its own; give it to build_grid")
         return dt_s
     intervals = _check_intervals(dt_s, samples)
-    longest_s = 1.1 * float(np.median(intervals)) / steps if len(intervals) else 1.0
-    counts = np.maximum(1, np.ceil(intervals / longest_s - 1e-6)).astype(np.int64)
-    step_s = np.repeat(intervals / counts, counts)
-    first = np.concatenate([[0], np.cumsum(counts)])
-    return SampleGrid(
-        _accumulate_times(intervals), counts, first, step_s, _accumulate_times(step_s)
-    )
+    longest_s = 1.1 * find_period_s(intervals) / steps if len(intervals) else 1.0
+    samples_s = _accumulate_times(intervals)
+    late_s = _check_acts_after("acts_after_s", acts_after_s, samples)
+    if late_s is None:
+        acts_s, acting, parts_s = samples_s, np.arange(samples - 1), intervals
+        begins = np.arange(samples)
+    else:
+        # A command that was written later replaces one that is still on its way.
+        acts_s = np.maximum.accumulate(samples_s + late_s)
+        cuts_s = _merge_instants(samples_s, acts_s)
+        acting = np.searchsorted(acts_s, cuts_s[:-1] + SAME_INSTANT_S, "right") - 1
+        parts_s = np.diff(cuts_s)
+        begins = np.searchsorted(cuts_s, samples_s - SAME_INSTANT_S)
+    counts = np.maximum(1, np.ceil(parts_s / longest_s - 1e-6)).astype(np.int64)
+    step_s = np.repeat(parts_s / counts, counts)
+    first = np.concatenate([[0], np.cumsum(counts)])[begins]
+    acting = np.repeat(acting, counts)
+    return SampleGrid(samples_s, acts_s, held_v, acting, first, step_s, _accumulate_times(step_s))
+
+
+def find_period_s(intervals_s: Array) -> float:
+    """Return the period of a record: the median interval; less if half of its ticks are missed."""
+    usual_s, quick_s = float(np.median(intervals_s)), float(np.quantile(intervals_s, 0.25))
+    return quick_s if usual_s > 1.5 * quick_s else usual_s
 
 
 def build_steps(p: PlantParameters, command_v: Array, grid: SampleGrid) -> DriveSteps:
-    """Assign commands to steps; a step is cut where a command arrives within it.
-
-    Before the first command arrives, the valve already has that command.
-    """
+    """Assign commands to steps; a step is cut where a delayed command arrives within it."""
     delay_s = p.effects.timing.command_delay.delay_s
     if delay_s <= 0.0:
-        arrived_v = np.repeat(command_v[: len(grid.counts)], grid.counts)
-        return DriveSteps(grid.first, grid.step_s, arrived_v, grid.ends_s)
-    arrivals_s = grid.samples_s[:-1] + delay_s
-    cuts_s = np.sort(np.concatenate([grid.ends_s, arrivals_s[arrivals_s < grid.ends_s[-1]]]))
-    ends_s = cuts_s[np.concatenate([[True], np.diff(cuts_s) > SAME_INSTANT_S])]
+        acting_v = _select_commands(command_v, grid.acting, grid.held_v)
+        return DriveSteps(grid.first, grid.step_s, acting_v, grid.ends_s)
+    arrivals_s = grid.acts_s + delay_s
+    ends_s = _merge_instants(grid.ends_s, arrivals_s)
     arrived = np.searchsorted(arrivals_s, ends_s[:-1] + SAME_INSTANT_S, "right") - 1
     first = np.searchsorted(ends_s, grid.samples_s - SAME_INSTANT_S)
-    return DriveSteps(first, np.diff(ends_s), command_v[np.maximum(arrived, 0)], ends_s)
+    return DriveSteps(
+        first, np.diff(ends_s), _select_commands(command_v, arrived, grid.held_v), ends_s
+    )
+
+
+def _select_commands(command_v: Array, indices: NDArray[np.int64], held_v: float | None) -> Array:
+    """Return the command of each step; the indices never fall, and -1 is before the first."""
+    waiting = int(np.searchsorted(indices, 0))
+    selected_v = command_v[indices]
+    selected_v[:waiting] = command_v[0] if held_v is None else held_v
+    return selected_v
+
+
+def _merge_instants(ends_s: Array, more_s: Array) -> Array:
+    """Return the instants of both within the span of the first; nearly equal ones count once."""
+    inside = (more_s > ends_s[0]) & (more_s < ends_s[-1])
+    cuts_s = np.sort(np.concatenate([ends_s, more_s[inside]]))
+    merged: Array = cuts_s[np.concatenate([[True], np.diff(cuts_s) > SAME_INSTANT_S])]
+    return merged
 
 
 def undo_sensor(place: str, p: PlantParameters, shown: Array, times_s: Array) -> Array:

@@ -22,7 +22,8 @@ TICKS = 300
 def recorded(directory: Path, **calibration: float) -> pamctl.log.Log:
     settings = CalibrationSettings(**calibration).model_dump()
     path = directory / "run.mcap"
-    log_run(directory / "a.ring", path, TICKS, config={"rig": {"calibration": settings}})
+    config = {"rig": {"calibration": settings, "loop": {"rate_hz": 1000.0}}}
+    log_run(directory / "a.ring", path, TICKS, config=config)
     return pamctl.log.read(path)
 
 
@@ -44,20 +45,81 @@ def test_the_valve_command_of_a_run_is_what_was_applied_and_not_what_was_asked_f
     assert not log.is_imported
 
 
-@pytest.mark.parametrize("clock", [{}, {"sample_clock": "/Dev1/ai/SampleClock"}])
-def test_a_delayed_output_reaches_the_valve_a_tick_later(tmp_path, clock):
+def timed(log: pamctl.log.Log, rig: dict[str, str], **columns: object) -> pamctl.log.Log:
+    """Return the log as of another rig, with other columns; all durations that are not given: 0."""
+    zero = np.zeros(len(log))
+    none = dict.fromkeys(("late_s", "read_s", "compute_s", "write_s"), zero)
+    metadata = {**log.metadata, "rig": rig}
+    return replace(log, metadata=metadata, columns={**log.columns, **none, **columns})
+
+
+DELAYED = {"output_delay_ticks": "1", "safe_output_v": "0.0"}
+CLOCKED = {**DELAYED, "sample_clock": "/Dev1/ai/SampleClock"}
+
+
+@pytest.mark.parametrize("rig", [DELAYED, CLOCKED], ids=["computer", "card"])
+def test_a_delayed_output_reaches_the_valve_a_tick_later(tmp_path, rig):
     log = recorded(tmp_path)
-    rig = {"output_delay_ticks": "1", "safe_output_v": "0.0", **clock}
-    late = replace(log, metadata={**log.metadata, "rig": rig})
-    late.columns["missed"][200] = 3
-    at_once, put_out = (pamctl.log.signals(one).valve_v for one in (log, late))
-    assert put_out[0] == -5.0
-    usual = np.arange(1, TICKS) != 199
-    assert np.array_equal(put_out[1:][usual], at_once[:-1][usual])
-    # Between ticks 199 and 200 the card had three more edges; without its clock there are none.
-    new_share = 0.75 if clock else 0.0
-    expected_v = (1.0 - new_share) * at_once[198] + new_share * at_once[199]
-    assert put_out[199] == pytest.approx(expected_v)
+    t_s = log["t_s"] + 3e-3 * (np.arange(TICKS) >= 200)
+    at_once = pamctl.log.signals(timed(log, {}))
+    late = pamctl.log.signals(timed(log, rig, t_s=t_s))
+    assert at_once.acts_after_s is None
+    assert late.valve_v[0] == -5.0
+    assert np.array_equal(late.valve_v[1:], at_once.valve_v[:-1])
+    if rig is DELAYED:
+        assert late.acts_after_s is None
+    else:  # between ticks 199 and 200 the card had three more edges, and put it out at the first
+        assert late.acts_after_s[200] == pytest.approx(-3e-3)
+        assert not np.delete(late.acts_after_s, 200).any()
+
+
+def test_a_write_that_misses_the_next_edge_waits_for_the_one_after_it(tmp_path):
+    log = recorded(tmp_path)
+    compute_s = np.full(TICKS, 2e-4)
+    compute_s[50] = 1.3e-3
+    late = pamctl.log.signals(timed(log, CLOCKED, compute_s=compute_s))
+    assert late.acts_after_s[51] == pytest.approx(1e-3)
+    assert not np.delete(late.acts_after_s, 51).any()
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_command_in_real_time_acts_when_its_tick_has_read_and_computed(tmp_path, simulated):
+    log = recorded(tmp_path)
+    random = np.random.default_rng(1)
+    waited_s, read_s, compute_s, write_s, late_s = random.uniform(5e-6, 9e-5, (5, TICKS))
+    waited_s[7] = 0.0  # the promptest tick shows the phase of the grid
+    late_s[100] = 6e-4
+    woke_s = log["tick"] * 1e-3 + late_s
+    truth = np.full(TICKS, 1e5 if simulated else np.nan)
+    whole = timed(
+        log,
+        {},
+        t_s=woke_s + waited_s - waited_s[0] - woke_s[0],
+        late_s=late_s,
+        read_s=waited_s + read_s,
+        compute_s=compute_s,
+        write_s=write_s,
+        true_pressure_pa=truth,
+    )
+    acts_s = pamctl.log.signals(whole).acts_after_s
+    expected_s = read_s + compute_s + (0.0 if simulated else write_s)
+    np.testing.assert_allclose(acts_s, expected_s, rtol=0, atol=1e-12)
+    assert np.array_equal(pamctl.log.signals(whole)[20:30].acts_after_s, acts_s[20:30])
+
+
+def test_a_log_without_durations_lets_its_commands_act_at_their_samples(tmp_path):
+    log = recorded(tmp_path)
+    old = {n: c for n, c in log.columns.items() if not n.endswith(("read_s", "compute_s", "e_s"))}
+    assert "write_s" not in old
+    assert pamctl.log.signals(replace(log, columns=old)).acts_after_s is None
+
+
+def test_an_import_may_state_when_commands_act(tmp_path):
+    t_s = np.arange(TICKS) * 1e-3
+    columns = {"position_m": np.sin(t_s), "valve_v": np.cos(t_s)}
+    write_imported(tmp_path / "a.mcap", t_s, columns, {"acts_after_s": "0.00015"})
+    measured = pamctl.log.signals(pamctl.log.read(tmp_path / "a.mcap"))
+    assert measured.acts_after_s.tolist() == [1.5e-4] * TICKS
 
 
 def test_a_run_without_its_calibration_says_that_the_applied_command_is_not_known(tmp_path):

@@ -21,6 +21,7 @@ from pamctl.diagnose.judging.judge import Judge, JudgeKind
 from pamctl.diagnose.judging.segments import (
     count_samples,
     differentiate,
+    filter_segments,
     find_segments,
     find_strokes,
     slope_gain,
@@ -34,11 +35,13 @@ from pamctl.diagnose.judging.windows import (
     estimate_starts,
     find_rows_inside,
 )
+from pamctl.diagnose.measured.missed_ticks import find_long_intervals
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.measured.sensor_noise import Noise
 from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.drive import (
     NO_RESTARTS,
+    SAME_INSTANT_S,
     STEPS_A_TICK,
     Restarts,
     SampleGrid,
@@ -46,9 +49,11 @@ from pamctl.plant.drive import (
     drive_coupled,
     drive_mechanics,
     drive_pressure,
+    find_period_s,
+    find_pressure_course,
 )
 from pamctl.plant.model import PlantSettings, plant_parameters
-from pamctl.plant.parameters import PlantParameters, rest_state
+from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
 
 PRESSURE, MECHANICS = "pressure", "mechanics"
 
@@ -116,6 +121,13 @@ class Drive:
     """Length of the parabolas that differentiate the motion of an equation."""
     pressed_pa: Array | None = None
     """Absolute pressure on a direct mechanism's piston, smoothed, shape (n,); None without one."""
+    acts_after_s: Array | None = None
+    """Time from each sample to the instant from which its command acts; None: at the sample."""
+    held_v: float | None = None
+    """The command before the first, which acts until the first does; None: the first itself."""
+    bend: tuple[Array, Array] | None = None
+    """How the driving pressure leaves the line between two samples where ticks were missed: times
+    since the first sample (s), and pressures (Pa). None: nowhere."""
 
     @property
     def samples(self) -> int:
@@ -147,7 +159,9 @@ class Drive:
     @cached_property
     def grid(self) -> SampleGrid:
         """The simulation's steps."""
-        return build_grid(self.step_s, len(self.measured), self.steps)
+        return build_grid(
+            self.step_s, len(self.measured), self.steps, self.acts_after_s, self.held_v
+        )
 
     def simulate(self, settings: PlantSettings) -> Array:
         """Simulate the block; return the output of its sensor without noise."""
@@ -164,16 +178,23 @@ class Drive:
             return drive_coupled(p, self.valve_v, self.grid).pressure_pa
         again = self._restarts
         if self.block == PRESSURE:
-            rests = self.start == p.atmospheric_pressure_pa
-            start = None if rests else rest_state(p, float(self.driven[0]), self.start)
             return drive_pressure(
-                p, self.valve_v, self.driven, self.grid, start=start, restarts=again
+                p,
+                self.valve_v,
+                self.driven,
+                self.grid,
+                start=self._find_start_pressure(p),
+                restarts=again,
             ).pressure_pa
         start = rest_state(p, self.start, p.atmospheric_pressure_pa) if self.start else None
-        pressed_pa = self._find_pressed_pa(p) if p.direct else self.driven
-        force_n = self.driven if p.direct else None
         return drive_mechanics(
-            p, pressed_pa, self.grid, force_n=force_n, start=start, restarts=again
+            p,
+            self._find_pressed_pa(p) if p.direct else self.driven,
+            self.grid,
+            force_n=self.driven if p.direct else None,
+            start=start,
+            restarts=again,
+            bend_pa=self._bend_pa,
         ).position_m
 
     def _find_pressed_pa(self, p: PlantParameters) -> Array:
@@ -181,6 +202,37 @@ class Drive:
         if self.pressed_pa is None:
             return np.full(len(self.driven), p.atmospheric_pressure_pa)
         return self.pressed_pa
+
+    def find_bend(self, settings: PlantSettings) -> tuple[Array, Array] | None:
+        """Return `bend` for the mechanics, from this pressure block's simulation.
+
+        Within a missed tick the muscle may fill by tens of kilopascals, along no straight line.
+        """
+        long = find_long_intervals(self.step_s)
+        if not (self.has_position and long.any()):
+            return None
+        p = plant_parameters(settings)
+        ends_s, course_pa = find_pressure_course(
+            p,
+            self.valve_v,
+            self.driven,
+            self.grid,
+            start=self._find_start_pressure(p),
+            restarts=self._restarts,
+        )
+        samples_s = self.grid.samples_s
+        line_pa = np.interp(ends_s, samples_s, np.interp(samples_s, ends_s, course_pa))
+        within = np.searchsorted(samples_s, ends_s[1:-1] - SAME_INSTANT_S) - 1
+        bent = np.concatenate([[False], long[within], [False]])
+        return ends_s, np.where(bent, course_pa - line_pa, 0.0)
+
+    @cached_property
+    def _bend_pa(self) -> Array | None:
+        return None if self.bend is None else np.interp(self.grid.ends_s, *self.bend)
+
+    def _find_start_pressure(self, p: PlantParameters) -> PlantState | None:
+        rests = self.start == p.atmospheric_pressure_pa
+        return None if rests else rest_state(p, float(self.driven[0]), self.start)
 
     def resting_gauge_pa(self, settings: PlantSettings, samples: int) -> float:
         """Return the true gauge pressure that the valve leaves at rest."""
@@ -245,12 +297,14 @@ class Drive:
         return build_start_modes(self._times_s, self.windows, time_s)
 
     def differentiate_motion(self, length_s: float, order: int) -> Array:
-        """Differentiate the position, each stretch between gaps, shape (n,)."""
-        period_s = float(np.median(self.step_s))
-        slope = np.zeros(len(self.measured))
-        for part in find_segments(self.step_s):
-            slope[part] = differentiate(self.position_m[part], period_s, length_s, order)
-        return slope
+        """Differentiate the position, over missed ticks but not over gaps, shape (n,)."""
+        period_s = find_period_s(self.step_s)
+        return filter_segments(
+            self.position_m,
+            self.step_s,
+            lambda even: differentiate(even, period_s, length_s, order),
+            short=0.0,
+        )
 
 
 def prepare_pressure_drive(
@@ -274,6 +328,8 @@ def prepare_pressure_drive(
         _initial_pressure_pa(record, noises["pressure_pa"], atmosphere_pa),
         count_steps(record.period_s),
         has_position=has_position or has_constant_volume(nominal),
+        acts_after_s=record.acts_after_s,
+        held_v=record.held_v,
     )
     return judge_drive(drive, judge)
 
@@ -415,16 +471,17 @@ def _initial_pressure_pa(record: Record, noise: Noise, atmosphere_pa: float) -> 
 
 
 def smooth_signal(values: Array, step_s: Array, cutoff_hz: float) -> Array:
-    """Smooth without delay, each stretch between gaps: by cubics (`cutoff_hz` 0) or a filter."""
-    period_s = float(np.median(step_s))
-    smooth = values.copy()
-    for part in find_segments(step_s):
-        smooth[part] = (
-            smooth_below(values[part], period_s, cutoff_hz)
-            if cutoff_hz
-            else smooth_by_cubic(values[part], period_s)
-        )
-    return smooth
+    """Smooth without delay, over missed ticks but not over gaps: by cubics (`cutoff_hz` 0), or by a
+    filter.
+    """
+    period_s = find_period_s(step_s)
+
+    def smooth_evenly(even: Array) -> Array:
+        if cutoff_hz == 0.0:
+            return smooth_by_cubic(even, period_s)
+        return smooth_below(even, period_s, cutoff_hz)
+
+    return filter_segments(values, step_s, smooth_evenly)
 
 
 def stack_residuals(drives: Sequence[Drive], settings: PlantSettings) -> Array:

@@ -10,7 +10,7 @@ from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.drives import MECHANICS, stack_residuals
 from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.plant.drive import drive_coupled
+from pamctl.plant.drive import build_grid, drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 
 
@@ -36,9 +36,14 @@ def _measure_coupled_rms(
     errors: dict[str, list[Array]] = {"position_m": [], "pressure_pa": []}
     for record, drive in zip(holdout, evidence.holdout[MECHANICS], strict=True):
         counted = slice(None) if drive.rows is None else drive.rows
-        driven = drive_coupled(
-            plant_parameters(plant), record["valve_v"], record.step_s, steps=drive.steps
+        grid = build_grid(
+            record.step_s,
+            len(record),
+            drive.steps,
+            acts_after_s=record.acts_after_s,
+            held_v=record.held_v,
         )
+        driven = drive_coupled(plant_parameters(plant), record["valve_v"], grid)
         for channel in errors:
             error = (record[channel] - getattr(driven, channel))[counted]
             if channel == "position_m":

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfiltfilt
 
+from pamctl.diagnose.measured.missed_ticks import smooth_over_missed
 from pamctl.diagnose.measured.record import Array
 
 LONGEST_STEP_S = 0.05
@@ -26,6 +27,23 @@ def find_segments(step_s: Array) -> tuple[slice, ...]:
     longest_s = max(LONGEST_STEP_S, LONGEST_STEP_PERIODS * float(np.median(step_s)))
     ends = [0, *(int(row) + 1 for row in np.flatnonzero(step_s > longest_s)), len(step_s) + 1]
     return tuple(slice(a, b) for a, b in pairwise(ends))
+
+
+def filter_segments(
+    values: Array, step_s: Array, of_even: Callable[[Array], Array], short: float | None = None
+) -> Array:
+    """Apply a filter of evenly spaced samples, over missed ticks but not over gaps, shape (n,).
+
+    A stretch of one or two samples is left as it is, or set to `short`.
+    """
+    result = values.copy()
+    for part in find_segments(step_s):
+        if part.stop - part.start > 2:
+            inside_s = step_s[part.start : part.stop - 1]
+            result[part] = smooth_over_missed(values[part], inside_s, of_even)
+        elif short is not None:
+            result[part] = short
+    return result
 
 
 def count_samples(length_s: float, period_s: float) -> int:

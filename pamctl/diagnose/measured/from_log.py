@@ -68,5 +68,7 @@ def record_of(path: str | Path) -> Record:
         part.t_s - part.t_s[0],
         **channels,
         reference_m=reference_m,
+        acts_after_s=part.acts_after_s,
+        held_v=part.held_v,
         experiment=experiment,
     )

@@ -32,8 +32,8 @@ correlated."""
 class Record:
     """A run: `pressure_pa[k]` and `position_m[k]` were sampled at `t_s[k]`.
 
-    `valve_v[k]` acts from `t_s[k]` to `t_s[k + 1]`. Pressure is absolute. A channel that
-    was not measured is None. The run should begin vented and at rest.
+    `valve_v[k]` acts from `t_s[k] + acts_after_s[k]` until the next one does. Pressure is absolute.
+    A channel that was not measured is None. The run should begin vented and at rest.
     """
 
     name: str
@@ -44,6 +44,10 @@ class Record:
     force_n: Array | None = None
     reference_m: Array | None = None
     """Reference position in closed loop, NaN elsewhere; it shows which runs are repeats."""
+    acts_after_s: Array | None = None
+    """Time from each sample to the instant from which its command acts; None: at the sample."""
+    held_v: float | None = None
+    """The command before the first, which acts until the first does; None: the first itself."""
     notes: tuple[str, ...] = field(default=(), compare=False)
     experiment: str = field(default="", compare=False)
     """Name of the experiment that was run; empty if unknown."""
@@ -51,7 +55,7 @@ class Record:
     def __post_init__(self) -> None:
         """Accept any sequence of numbers; raise ValueError where lengths differ."""
         object.__setattr__(self, "t_s", _as_column(self.t_s))
-        for channel in (*CHANNELS, "reference_m"):
+        for channel in (*CHANNELS, "reference_m", "acts_after_s"):
             values = getattr(self, channel)
             if values is None:
                 continue
@@ -96,11 +100,16 @@ class Record:
 
     def cut_samples(self, start: int, stop: int, name: str) -> Record:
         """Return the samples [start, stop) as a record of their own."""
+        held_v = self.held_v
+        if start and self.valve_v is not None:
+            held_v = float(self.valve_v[start - 1])
         return Record(
             name,
             self.t_s[start:stop],
             **{channel: self[channel][start:stop] for channel in self.channels},
             reference_m=None if self.reference_m is None else self.reference_m[start:stop],
+            acts_after_s=None if self.acts_after_s is None else self.acts_after_s[start:stop],
+            held_v=held_v,
             notes=self.notes,
             experiment=self.experiment,
         )

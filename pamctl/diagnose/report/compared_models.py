@@ -112,7 +112,7 @@ def _simulate_both_blocks(
     pressure: Drive, mechanics: Drive, stages: list[ModelStage]
 ) -> HeldOutRun:
     simulated = {
-        stage.key: drive_coupled(plant_parameters(stage.plant), pressure.valve_v, pressure.step_s)
+        stage.key: drive_coupled(plant_parameters(stage.plant), pressure.valve_v, pressure.grid)
         for stage in stages
     }
     position = HeldOutSignal(

@@ -48,6 +48,15 @@ class ValveMap(Configured):
     unit: Literal["V", "mV"] = "V"
     gain: Gain = 1.0
     offset: Offset = 0.0
+    acts_after_s: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1,
+            description="from a row's samples to the instant from which its command acts, where "
+            "it is known: the loop's own time to compute and write",
+        ),
+    ] = 0.0
 
 
 class PressureMap(Configured):

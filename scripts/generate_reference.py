@@ -402,6 +402,9 @@ def write_effects() -> str:
         "the neutral values of its sizes an effect is off, and the model is the paper's to the "
         "bit. `pamctl diagnose` looks for these effects by these names. "
         "[Add an effect](../how_to/add-an-effect.md) says how to add one.\n",
+        "Ranges of forces, lengths, areas and speeds are those of the paper's muscle. Of another "
+        "machine they follow its size or [its records](../how_to/describe-a-mechanism.md); a plant "
+        "file limits only their sign.\n",
         "## Places\n",
         "Where effects enter, in the order in which a step comes to them. A kernel names the "
         "arguments that it wants.\n",
@@ -420,6 +423,9 @@ def write_effects() -> str:
         words.append(f"Seen by: {', '.join(effect.seen_by) or 'no block'}.")
         if effect.best_experiment:
             words.append(f"Best experiment: `{effect.best_experiment}`.")
+        if not {"muscle", "direct"} <= {*effect.actuators}:
+            kinds = " or ".join(f"`{actuator}`" for actuator in effect.actuators)
+            words.append(f"Looked for in plants with the actuator {kinds} only.")
         if effect.unidentifiable:
             words.append(f"No experiment can tell its size: {_plain(effect.unidentifiable)}.")
         parts.append(" ".join(words) + "\n")

@@ -210,7 +210,7 @@ def _list_smallest_doses(candidate: Candidate, fitted: Fit) -> list[dict[str, fl
 
 def _describe_blind_spot(candidate: Candidate, power: float) -> BlindSpot:
     switch = candidate.switches[0]
-    size = look_up_parameter(switch).smallest_of_interest
+    size = switch.scale
     effect = CATALOGUE[candidate.name]
     dose = f"{size:g} {unit_of(switch)}".rstrip()
     if neutral := look_up_parameter(switch).neutral:
@@ -231,12 +231,18 @@ def _find_visible_size(switch: FreeNumber, size: float, power: float) -> tuple[f
 def _list_unseen_effects(model: Model, candidates: Sequence[Candidate]) -> list[BlindSpot]:
     """List effects that reach no block that these records drive, or that nothing can identify."""
     examined = {c.name for c in candidates} | {*model.names}
+    actuator = model.evidence.nominal.actuator
+    here = {
+        name: effect
+        for name, effect in CATALOGUE.items()
+        if actuator in effect.actuators and (actuator != "direct" or effect.block != "pressure")
+    }
     spots = [
         BlindSpot(name, effect.unidentifiable, "", None)
-        for name, effect in CATALOGUE.items()
+        for name, effect in here.items()
         if effect.unidentifiable
     ]
-    for name, effect in CATALOGUE.items():
+    for name, effect in here.items():
         if name in examined or effect.unidentifiable or not effect.is_searched:
             continue
         if effect.block not in (*model.evidence.blocks, "sensors"):

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d
-from scipy.signal import savgol_filter
 from scipy.stats import false_discovery_control
 from scipy.stats import t as student
 
@@ -107,9 +106,12 @@ def find_regimes(drive: Drive, model: Model) -> Mapping[str, Rows]:
     p = model.evidence.nominal.parameters
     period_s = float(np.median(drive.step_s))
     if drive.block == MECHANICS:
+        motion = _find_motion_regimes(drive.velocity_m_per_s, period_s)
+        if model.evidence.nominal.actuator == "direct":
+            return motion
         gauge = drive.driven - p.atmospheric_pressure_pa
         return {
-            **_find_motion_regimes(drive.measured, period_s),
+            **motion,
             **_find_pressure_regimes(gauge, p.tank_pressure_pa - p.atmospheric_pressure_pa),
         }
     command = drive.valve_v
@@ -138,8 +140,7 @@ def find_regimes(drive: Drive, model: Model) -> Mapping[str, Rows]:
     }
 
 
-def _find_motion_regimes(position_m: Array, period_s: float) -> dict[str, Rows]:
-    velocity = savgol_filter(position_m, 31, 2, deriv=1, delta=period_s)
+def _find_motion_regimes(velocity: Array, period_s: float) -> dict[str, Rows]:
     up, down = velocity > SLOW_M_PER_S, velocity < -SLOW_M_PER_S
     rest = ~up & ~down
     sign = np.sign(np.where(rest, 0.0, velocity))

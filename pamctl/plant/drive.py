@@ -59,6 +59,23 @@ if TYPE_CHECKING:
 STEPS_A_TICK = 2
 
 
+class Restarts(NamedTuple):
+    """Samples at which a drive goes on from a measured state; the effects keep their memories.
+
+    Creep, a spool or bristles are not measured: they are where the model's own run left them.
+    """
+
+    rows: NDArray[np.int64]
+    """The samples, increasing."""
+    outputs: Array
+    """Readings of the sensor there: position (m) or absolute pressure (Pa)."""
+    rates: Array
+    """Velocities there (m/s); not used for a pressure."""
+
+
+NO_RESTARTS = Restarts(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+
+
 class CoupledResponse(NamedTuple):
     """The coupled plant at each sample."""
 
@@ -115,6 +132,7 @@ def drive_pressure(
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
     acts_after_s: ArrayLike | None = None,
+    restarts: Restarts = NO_RESTARTS,
 ) -> PressureResponse:
     """Run the pressure block under commands (V) and a measured position (m).
 
@@ -124,7 +142,7 @@ def drive_pressure(
     commands = _check_signal("command_v", command_v)
     positions = _check_signal("position_m", position_m, len(commands))
     grid = build_grid(dt_s, len(commands), steps, acts_after_s)
-    return _run_pressure(p, commands, positions, grid, start)[0]
+    return _run_pressure(p, commands, positions, grid, start, restarts)[0]
 
 
 def find_pressure_course(
@@ -134,9 +152,12 @@ def find_pressure_course(
     grid: SampleGrid,
     *,
     start: PlantState | None = None,
+    restarts: Restarts = NO_RESTARTS,
 ) -> tuple[Array, Array]:
     """Return the ends of the steps (s) and the pressure there (Pa), as `drive_pressure` runs it."""
-    response, ends_s = _run_pressure(p, command_v, position_m, grid, start, every_step=True)
+    response, ends_s = _run_pressure(
+        p, command_v, position_m, grid, start, restarts, every_step=True
+    )
     return ends_s, response.pressure_pa
 
 
@@ -146,6 +167,7 @@ def _run_pressure(
     positions: Array,
     grid: SampleGrid,
     start: PlantState | None,
+    restarts: Restarts,
     *,
     every_step: bool = False,
 ) -> tuple[PressureResponse, Array]:
@@ -155,11 +177,13 @@ def _run_pressure(
         start = rest_state(p, float(true_m[0]), p.paper.atmospheric_pressure_pa)
     start = _settle_valve(p, start, grid.held_v)
     cut = build_steps(p, commands, grid)
+    restarts = _undo_restarts("pressure_reading", p, restarts, grid)
     if every_step:
+        restarts = restarts._replace(rows=cut.first[restarts.rows])
         cut = cut._replace(first=np.arange(len(cut.ends_s)))
     rows = np.empty((len(PressureResponse._fields), len(cut.first)))
     ends_m = np.interp(cut.ends_s, grid.samples_s, true_m)
-    _get_twin(run_pressure)(p, start, cut, ends_m, rows)
+    _get_twin(run_pressure)(p, start, cut, ends_m, restarts, rows)
     return PressureResponse(*rows), cut.ends_s
 
 
@@ -168,27 +192,33 @@ def drive_mechanics(
     pressure_pa: ArrayLike,
     dt_s: ArrayLike | SampleGrid,
     *,
+    force_n: ArrayLike | None = None,
     start: PlantState | None = None,
     steps: int = STEPS_A_TICK,
+    restarts: Restarts = NO_RESTARTS,
     bend_pa: Array | None = None,
 ) -> MechanicsResponse:
     """Run the mechanics under a measured absolute pressure (Pa), linear between samples.
 
-    `bend_pa` is added at the ends of the steps: how the pressure leaves the line between two
-    samples. By default the muscle starts vented, at rest.
+    A direct mechanism also takes a measured force (N). `bend_pa` is added at the ends of the
+    steps: how the pressure leaves the line between two samples. By default the muscle starts
+    vented, at rest.
     """
     pressures = _check_signal("pressure_pa", pressure_pa)
+    forces = _check_signal(
+        "force_n", np.zeros(len(pressures)) if force_n is None else force_n, len(pressures)
+    )
     grid = build_grid(dt_s, len(pressures), steps)
     state = vented_state(p) if start is None else start
     rows = np.empty((len(MechanicsResponse._fields), len(pressures)))
     cut = build_steps(p, pressures, grid)
-    true_pa = pressures
-    if not p.direct:
-        true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
+    true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
     ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
     if bend_pa is not None:
         ends_pa = ends_pa + bend_pa
-    _get_twin(run_mechanics)(p, state, cut, ends_pa, rows)
+    ends_n = np.interp(cut.ends_s, grid.samples_s, forces)
+    restarts = _undo_restarts("position_reading", p, restarts, grid)
+    _get_twin(run_mechanics)(p, state, cut, ends_pa, ends_n, restarts, rows)
     return MechanicsResponse(*rows)
 
 
@@ -216,11 +246,17 @@ def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: 
 
 
 def run_pressure(
-    p: PlantParameters, state: PlantState, steps: DriveSteps, positions_m: Array, rows: Array
+    p: PlantParameters,
+    state: PlantState,
+    steps: DriveSteps,
+    positions_m: Array,
+    restarts: Restarts,
+    rows: Array,
 ) -> None:
     """Kernel of `drive_pressure`. `positions_m` holds the positions at the ends of the steps."""
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
     age_s = state.age_s
+    again = 0
     for k in range(rows.shape[1]):
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
@@ -241,14 +277,23 @@ def run_pressure(
                 end_pa = pressure_at_sensor_pa(p, pressure_pa, air)
                 sensors = sensors_step(p, sensors, begin_pa, end_pa, x, end_m, age_s, step_s)
                 age_s += step_s
+        if again < len(restarts.rows) and restarts.rows[again] == k:
+            pressure_pa = restarts.outputs[again]
+            again += 1
         rows[0, k] = sensed_pressure_pa(p, pressure_pa, air, sensors, age_s)
         rows[1, k] = pressure_pa
 
 
 def run_mechanics(
-    p: PlantParameters, state: PlantState, steps: DriveSteps, pressures_pa: Array, rows: Array
+    p: PlantParameters,
+    state: PlantState,
+    steps: DriveSteps,
+    pressures_pa: Array,
+    forces_n: Array,
+    restarts: Restarts,
+    rows: Array,
 ) -> None:
-    """Kernel of `drive_mechanics`. `pressures_pa` holds the pressures at the ends of the steps."""
+    """Kernel of `drive_mechanics`. The loads are those at the ends of the steps."""
     x, v, sensors, mechanics = (
         state.position_m,
         state.velocity_m_per_s,
@@ -257,6 +302,7 @@ def run_mechanics(
     )
     muscle_pa, age_s = pressures_pa[0], state.age_s
     has_line = p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0 and not p.direct
+    again = 0
     for k in range(rows.shape[1]):
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
@@ -274,9 +320,15 @@ def run_mechanics(
                     )
                 middle_pa = 0.5 * (begin_pa + muscle_pa)
                 begin_m = x
-                x, v, mechanics = mechanics_block_step(p, x, v, mechanics, middle_pa, age_s, step_s)
+                middle_n = 0.5 * (forces_n[j] + forces_n[j + 1])
+                x, v, mechanics = mechanics_block_step(
+                    p, x, v, mechanics, middle_pa, middle_n, age_s, step_s
+                )
                 sensors = sensors_step(p, sensors, begin_pa, muscle_pa, begin_m, x, age_s, step_s)
                 age_s += step_s
+        if again < len(restarts.rows) and restarts.rows[again] == k:
+            x, v = restarts.outputs[again], restarts.rates[again]
+            again += 1
         rows[0, k] = sensed_position_m(p, x, sensors, age_s)
         rows[1, k] = x
         rows[2, k] = v
@@ -442,6 +494,14 @@ def undo_sensor(place: str, p: PlantParameters, shown: Array, times_s: Array) ->
     atmosphere_pa = p.paper.atmospheric_pressure_pa
     true: Array = undo_reading(place, p.effects.sensors, shown, times_s, atmosphere_pa)
     return true
+
+
+def _undo_restarts(
+    place: str, p: PlantParameters, restarts: Restarts, grid: SampleGrid
+) -> Restarts:
+    """Return the restarts with the true values behind the sensor's readings."""
+    times_s = grid.samples_s[restarts.rows]
+    return restarts._replace(outputs=undo_sensor(place, p, restarts.outputs, times_s))
 
 
 def _accumulate_times(dt_s: Array) -> Array:

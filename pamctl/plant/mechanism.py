@@ -1,12 +1,17 @@
 """The mechanical block with effects: forms of friction, springs, loads.
 
 It uses the exponential midpoint step of `mechanics.py`, and at neutral values gives the same bits.
+The same forces move a muscle and a direct mechanism, whose drive is a measured force and, with a
+piston, a measured pressure:
+
+    M x'' = F + A (P - P_atm) - k x - load - c x' - friction
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+from pamctl.plant.axis.glide import glide
 from pamctl.plant.chains import (
     add_damping,
     add_force,
@@ -17,14 +22,14 @@ from pamctl.plant.chains import (
     pass_friction,
     pass_pulling_pressure,
 )
-from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
-from pamctl.plant.effects.mechanics.drift import drift_factor
-from pamctl.plant.effects.mechanics.presliding import (
+from pamctl.plant.effects.friction.presliding import (
     SlipEnd,
     bristle_damping,
     clamp_bristle_n,
     slip,
 )
+from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
+from pamctl.plant.effects.mechanics.drift import drift_factor
 from pamctl.plant.effects.places import FrictionBand
 from pamctl.plant.paper.friction import AxialForces
 from pamctl.plant.paper.mechanics import slide
@@ -37,39 +42,35 @@ def mechanism_step(
     position_m: float,
     velocity_m_per_s: float,
     before: MechanicsState,
-    middle_load: float,
+    middle_pa: float,
+    middle_n: float,
     age_s: float,
     step_s: float,
 ) -> tuple[float, float, MechanicsState]:
     """Advance (x, v) and the memory of the mechanics by one step.
 
-    `middle_load` is the absolute pressure (Pa) in the middle of the step, or the force (N) on a
-    direct actuator.
+    `middle_pa` is the absolute pressure (Pa) in the middle of the step, `middle_n` the force (N)
+    on a direct mechanism.
     """
     half_s = 0.5 * step_s
     middle_m = position_m + half_s * velocity_m_per_s
-    gauge_pa = gauge_pressure_pa(p, middle_load)
+    gauge_pa = middle_pa - p.paper.atmospheric_pressure_pa
     memory = follow_motion(p.effects, before.memory, position_m, middle_m, gauge_pa, half_s)
     middle_age_s = age_s + half_s
     speed = velocity_m_per_s
     if depends_on_speed(p.effects):
         # Friction falls with speed: the speed in the middle is predicted twice.
         for _ in range(2):
-            forces = mechanism_forces(p, memory, middle_m, middle_load, speed, middle_age_s)
+            forces = mechanism_forces(p, memory, middle_m, gauge_pa, middle_n, speed, middle_age_s)
             _, speed, _ = move_muscle(
                 p, forces, before.bristle_n, position_m, velocity_m_per_s, half_s
             )
-    forces = mechanism_forces(p, memory, middle_m, middle_load, speed, middle_age_s)
+    forces = mechanism_forces(p, memory, middle_m, gauge_pa, middle_n, speed, middle_age_s)
     end_m, end_v, bristle_n = move_muscle(
         p, forces, before.bristle_n, position_m, velocity_m_per_s, step_s
     )
     memory = follow_motion(p.effects, before.memory, position_m, end_m, gauge_pa, step_s)
     return end_m, end_v, MechanicsState(bristle_n, memory)
-
-
-def gauge_pressure_pa(p: MechanismParameters, load: float) -> float:
-    """Return the gauge pressure of a load; 0 for a direct actuator."""
-    return 0.0 if p.direct else load - p.paper.atmospheric_pressure_pa
 
 
 def follow_motion(
@@ -85,23 +86,28 @@ def mechanism_forces(
     p: MechanismParameters,
     memory: Any,
     position_m: float,
-    load: float,
+    gauge_pa: float,
+    force_n: float,
     velocity_m_per_s: float,
     age_s: float,
 ) -> AxialForces:
-    """Return Eq. 4 and 5 at (x, P, v) with effects; the band at rest is that of zero speed."""
-    e, gauge_pa, pull_n, lever_m = p.effects, gauge_pressure_pa(p, load), load, 0.0
+    """Return Eq. 4 and 5 at (x, P, v) with effects; the band at rest is that of zero speed.
+
+    `force_n` drives a direct mechanism, in place of the muscle's pull.
+    """
+    e, pull_n, lever_m = p.effects, force_n, 0.0
+    pressing_pa = gauge_pa if gauge_pa > 0.0 else 0.0
+    grip = 0.0
     if not p.direct:
         pulling_pa = pass_pulling_pressure(
             e, gauge_pa, position_m, velocity_m_per_s, gauge_pa, age_s
         )
         pull_n = pulling_pa * pull_area_m2(p, position_m, gauge_pa)
         lever_m = braid_lever_m(p.paper, position_m)
-    pressing_pa = gauge_pa if gauge_pa > 0.0 else 0.0
+        grip = p.paper.friction_area_m * pressing_pa * drift_factor(e.drift.friction_per_s, age_s)
     stiffness = p.paper.stiffness_n_per_m * drift_factor(e.drift.stiffness_per_s, age_s)
     drive_n = pull_n + p.extra_n - stiffness * position_m
     drive_n = add_force(e, memory, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s)
-    grip = p.paper.friction_area_m * pressing_pa * drift_factor(e.drift.friction_per_s, age_s)
     kinetic = FrictionBand(0.0, grip * lever_m)
     now = pass_friction(e, memory, kinetic, position_m, velocity_m_per_s, gauge_pa, age_s)
     at_rest = now
@@ -120,8 +126,8 @@ def mechanism_forces(
         drive_n,
         now.lower_n,
         now.upper_n,
-        damping + grip,
-        damping,
+        damping * (1.0 + e.viscous_asymmetry.share) + grip,
+        damping * (1.0 - e.viscous_asymmetry.share),
         at_rest.lower_n,
         at_rest.upper_n,
     )
@@ -149,7 +155,10 @@ def move_muscle(
     presliding = p.effects.presliding
     width_n = forces.upper_n - forces.lower_n
     if presliding.compliance_m_per_n <= 0.0 or width_n <= 0.0:
-        end_m, end_v = slide(forces, p.paper.mass_kg, position_m, velocity_m_per_s, step_s)
+        if p.direct:
+            end_m, end_v = glide(forces, p.paper.mass_kg, position_m, velocity_m_per_s, step_s)
+        else:
+            end_m, end_v = slide(forces, p.paper.mass_kg, position_m, velocity_m_per_s, step_s)
         return end_m, end_v, forces.lower_n if width_n <= 0.0 else bristle_n
     held = clamp_bristle_n(bristle_n, forces.drive_n, forces.lower_n, forces.upper_n)
     surplus_n, left_n = forces.drive_n - held, forces.upper_n - held

@@ -3,24 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from itertools import chain, pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, create_model, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    create_model,
+    model_serializer,
+    model_validator,
+)
 
 from hal.configured import Configured
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.correction_tables import Correction, CorrectionTable
-from pamctl.plant.effects.description import EffectDescription, acts
-from pamctl.plant.flat import ACTUATOR, parameters_of
+from pamctl.plant.effects.description import EffectDescription, EffectParameter, acts
+from pamctl.plant.flat import ACTUATOR, NEUTRAL, PAPER, parameters_of
 from pamctl.plant.muscle_parameters import MuscleParameters
 from pamctl.plant.parameters import PlantParameters
+
+
+def _limit_number(p: EffectParameter) -> Any:
+    """Return the limits of a plant file; where the range follows the machine, only the sign."""
+    meaning = f"{p.meaning} ({p.unit})"
+    if not p.is_scaled:
+        return Field(ge=p.low, le=p.high, description=meaning)
+    if p.low < 0.0:
+        return Field(description=meaning)
+    return (
+        Field(ge=0.0, description=meaning) if p.low == 0.0 else Field(gt=0.0, description=meaning)
+    )
 
 
 def _make_effect_settings(effect: EffectDescription) -> type[Configured]:
     fields: dict[str, Any] = {
         p.name: (
-            Annotated[float, Field(ge=p.low, le=p.high, description=f"{p.meaning} ({p.unit})")],
+            Annotated[float, _limit_number(p)],
             p.neutral,
         )
         if not p.choices
@@ -72,7 +91,9 @@ class PullSettings(TableSettings):
     """A force that the model lacks, over the muscle's displacement and its load."""
 
     displacement_m: Lines
-    load: Annotated[Lines, Field(description="absolute pressure, Pa; a direct actuator's force, N")]
+    load: Annotated[
+        Lines, Field(description="absolute pressure, Pa; a direct mechanism's force, N")
+    ]
     pull_n: Annotated[tuple[tuple[float, ...], ...], Field(description="added to the pull")]
 
 
@@ -92,12 +113,15 @@ class CorrectionSettings(Configured):
 
 
 class PlantSettings(Configured):
-    """The model of a muscle and its valve."""
+    """The model of a muscle and its valve, or of a mechanism of one axis."""
 
     base: Annotated[Literal["paper"], Field(description="Eq. 1 to 9")] = "paper"
     actuator: Annotated[
         Literal["muscle", "direct"],
-        Field(description="direct: a measured force drives mass, spring and friction; no muscle"),
+        Field(
+            description="direct: a measured force, and a piston if there is one, drive mass, "
+            "spring and friction; no muscle"
+        ),
     ] = "muscle"
     parameters: MuscleParameters = MuscleParameters()
     effects: EffectSettings = EffectSettings()
@@ -105,6 +129,57 @@ class PlantSettings(Configured):
         CorrectionSettings | None,
         Field(description="tables for what no effect explains; `pamctl diagnose --correction`"),
     ] = None
+    known: Annotated[
+        tuple[str, ...],
+        Field(
+            description="numbers that were measured well, by their dotted names (`mass_kg`, "
+            "`piston.area_m2`): `pamctl diagnose` does not fit them"
+        ),
+    ] = ()
+
+    @model_validator(mode="after")
+    def _check_actuator(self) -> PlantSettings:
+        numbers = self.parameters
+        if self.actuator == "muscle":
+            for name in ("damping_n_s_per_m", "stiffness_n_per_m"):
+                if getattr(numbers, name) == 0.0:
+                    raise ValueError(f"parameters.{name} of a muscle must be greater than 0")
+        if self.actuator == "direct":
+            missing = [name for name in AXIS if name not in numbers.model_fields_set]
+            if missing:
+                raise ValueError(
+                    f"actuator direct needs parameters.{missing[0]}: the paper's value is that of "
+                    "a muscle; give a guess (stiffness_n_per_m: 0 for no spring)"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _check_known(self) -> PlantSettings:
+        names = {*MuscleParameters.model_fields, *NEUTRAL}
+        for name in self.known:
+            if name not in names:
+                near = get_close_matches(name, names, n=1)
+                hint = f"; did you mean {near[0]}?" if near else ""
+                raise ValueError(f"known: no number of a plant is called {name}{hint}")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _leave_out_idle_numbers(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what says nothing: no known numbers; the muscle's, where there is no muscle."""
+        data: dict[str, Any] = write(self)
+        if not self.known:
+            data.pop("known", None)
+        if self.actuator == "direct" and "parameters" in data:
+            data["parameters"] = {
+                name: value
+                for name, value in data["parameters"].items()
+                if name in AXIS or value != PAPER[name]
+            }
+        return data
+
+
+AXIS = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+"""The parameters of a direct mechanism; all others are its effects, or the muscle's."""
 
 
 def plant_parameters(settings: PlantSettings) -> PlantParameters:
@@ -125,7 +200,7 @@ def plant_parameters(settings: PlantSettings) -> PlantParameters:
 def values_of(settings: PlantSettings) -> dict[str, float]:
     """Return a plant file as a flat mapping, without the effects that it leaves out.
 
-    The tables of a correction are not part of the mapping.
+    The tables of a correction, and the names of known numbers, are not part of the mapping.
     """
     values: dict[str, float] = settings.parameters.model_dump()
     if settings.actuator == "direct":

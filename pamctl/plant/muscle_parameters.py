@@ -10,24 +10,36 @@ from pydantic import Field, model_validator
 from hal.configured import Configured
 
 Positive = Annotated[float, Field(gt=0)]
+LONGEST_M = 10.0
+HIGHEST_TANK_PA = 2e6
+HIGHEST_ATMOSPHERE_PA = 2e5
+HOTTEST_K = 1000.0
+"""Beyond these a number is in another unit. A fit keeps to them too."""
 
 
 class MuscleParameters(Configured):
-    """Tables I and II of the paper, in SI; the defaults are the paper's values."""
+    """Tables I and II of the paper, in SI; the defaults are the paper's values.
 
-    mass_kg: Annotated[float, Field(gt=0, le=100, description="M, moving mass")] = 0.05
-    damping_n_s_per_m: Annotated[float, Field(gt=0, description="c of Eq. 5")] = 570.0
-    stiffness_n_per_m: Annotated[float, Field(gt=0, description="k of Eq. 4")] = 9680.0
-    rest_length_m: Annotated[float, Field(gt=0, le=10, description="L_0")] = 0.200
-    braid_length_m: Annotated[float, Field(gt=0, le=10, description="b")] = 0.232
+    A direct mechanism has mass, damping, stiffness (0: no spring) and the atmosphere of them.
+    """
+
+    mass_kg: Annotated[float, Field(gt=0, description="M, moving mass")] = 0.05
+    damping_n_s_per_m: Annotated[float, Field(ge=0, description="c of Eq. 5")] = 570.0
+    stiffness_n_per_m: Annotated[float, Field(ge=0, description="k of Eq. 4")] = 9680.0
+    rest_length_m: Annotated[float, Field(gt=0, le=LONGEST_M, description="L_0")] = 0.200
+    braid_length_m: Annotated[float, Field(gt=0, le=LONGEST_M, description="b")] = 0.232
     braid_turns: Annotated[float, Field(gt=0, description="n")] = 1.94
     kinetic_friction_per_m: Annotated[float, Field(ge=0, description="mu_k")] = 55.3
     braid_count: Annotated[float, Field(ge=0, description="N")] = 100.0
     braid_contact_area_m2: Annotated[float, Field(ge=0, description="A_b")] = 0.233e-6
-    tank_pressure_pa: Annotated[float, Field(gt=0, le=2e6, description="absolute")] = 441.3e3
-    atmospheric_pressure_pa: Annotated[float, Field(gt=0, le=2e5, description="absolute")] = 101.3e3
+    tank_pressure_pa: Annotated[float, Field(gt=0, le=HIGHEST_TANK_PA, description="absolute")] = (
+        441.3e3
+    )
+    atmospheric_pressure_pa: Annotated[
+        float, Field(gt=0, le=HIGHEST_ATMOSPHERE_PA, description="absolute")
+    ] = 101.3e3
     gas_constant_j_per_kg_k: Positive = 287.1
-    temperature_k: Annotated[float, Field(gt=0, le=1000)] = 273.0
+    temperature_k: Annotated[float, Field(gt=0, le=HOTTEST_K)] = 273.0
     heat_capacity_ratio: Annotated[float, Field(gt=1, le=2, description="gamma of Psi")] = 1.4
     valve_gain_m2_per_v: Annotated[float, Field(gt=0, description="K_Av, including C_d")] = 1.03e-6
 

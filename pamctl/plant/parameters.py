@@ -64,7 +64,7 @@ class PlantParameters(NamedTuple):
     mechanics_act: bool
     sensors_act: bool
     direct: bool
-    """A measured force drives the mechanics instead of the muscle."""
+    """A measured force, and a piston if there is one, drive the mechanics instead of the muscle."""
     correction: Correction = Correction()
 
     @property
@@ -163,8 +163,9 @@ def rest_state(p: PlantParameters, position_m: float, pressure_pa: float) -> Pla
 
 def vented_state(p: PlantParameters) -> PlantState:
     """Return the muscle at rest at atmospheric pressure: only an effect's force moves it."""
-    pull_n = 0.0
+    rest_m = 0.0
     if p.mechanics_act and not p.direct:
         memory = MechanicsState().memory
         pull_n = add_force(p.effects.mechanics, memory, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return rest_state(p, 0.0 + pull_n / p.paper.stiffness_n_per_m, p.paper.atmospheric_pressure_pa)
+        rest_m += pull_n / p.paper.stiffness_n_per_m
+    return rest_state(p, rest_m, p.paper.atmospheric_pressure_pa)

@@ -37,7 +37,9 @@ def plant_step(
         opening_v, valve = valve_step(p.effects.valve, valve, command_v, age_s, step_s)
     middle_m = x + 0.5 * step_s * v
     middle_pa, balanced = air_middle_pa(p, pressure_pa, air, opening_v, x, middle_m, age_s, step_s)
-    end_m, end_v, mechanics = mechanics_block_step(p, x, v, mechanics, middle_pa, age_s, step_s)
+    end_m, end_v, mechanics = mechanics_block_step(
+        p, x, v, mechanics, middle_pa, 0.0, age_s, step_s
+    )
     end_pa, end_air = air_step(
         p, pressure_pa, air, middle_pa, balanced, opening_v, x, middle_m, end_m, age_s, step_s
     )
@@ -93,23 +95,32 @@ def mechanics_block_step(
     position_m: float,
     velocity_m_per_s: float,
     mechanics: MechanicsState,
-    middle_load: float,
+    middle_pa: float,
+    middle_n: float,
     age_s: float,
     step_s: float,
 ) -> tuple[float, float, MechanicsState]:
     """Advance the mechanics alone under a given load; without effects, by the paper's equations.
 
-    The load is the absolute pressure (Pa) in the middle of the step, or, for a direct
-    actuator, the force (N).
+    The load is the absolute pressure (Pa) in the middle of the step, for a direct mechanism also
+    the force (N).
     """
     if p.mechanics_act:
         middle_m = position_m + 0.5 * step_s * velocity_m_per_s
-        extra_n = interpolate_table(p.correction.pull, middle_m, middle_load)
+        load = middle_n if p.direct else middle_pa
+        extra_n = interpolate_table(p.correction.pull, middle_m, load)
         with_effects = MechanismParameters(p.paper, p.effects.mechanics, p.direct, extra_n)
         return mechanism_step(
-            with_effects, position_m, velocity_m_per_s, mechanics, middle_load, age_s, step_s
+            with_effects,
+            position_m,
+            velocity_m_per_s,
+            mechanics,
+            middle_pa,
+            middle_n,
+            age_s,
+            step_s,
         )
-    end_m, end_v = mechanics_step(p.paper, position_m, velocity_m_per_s, middle_load, step_s)
+    end_m, end_v = mechanics_step(p.paper, position_m, velocity_m_per_s, middle_pa, step_s)
     return end_m, end_v, mechanics
 
 

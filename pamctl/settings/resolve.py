@@ -81,6 +81,15 @@ class RunSettings(Configured):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _check_muscle(self) -> RunSettings:
+        if self.plant.actuator == "direct":
+            raise ValueError(
+                "plant.actuator direct is a mechanism without a valve, which no run can drive: it "
+                "is for `pamctl diagnose`; give the plant of a muscle"
+            )
+        return self
+
 
 RUN: TypeAdapter[RunSettings] = TypeAdapter(RunSettings)
 SECTIONS: Mapping[str, TypeAdapter[Any]] = {

@@ -82,7 +82,10 @@ MECHANICS_CASES = {
     "stribeck/tustin": {"rise": 0.1, "speed_m_per_s": 3e-2, "exponent": 1.0},
     "return_friction": {"share": 0.5},
     "coulomb_friction": {"force_n": 5.0},
+    "friction_asymmetry": {"share": 0.3},
+    "pressure_friction": {"n_per_pa": 2e-5},
     "pressure_damping": {"per_pa": 1e-3},
+    "viscous_asymmetry": {"share": -0.4},
     "cubic_stiffness": {"n_per_m3": 3e6},
     "creep": {"stiffness_n_per_m": 1500.0, "time_constant_s": 0.1},
     "creep/two_branches": {
@@ -95,6 +98,7 @@ MECHANICS_CASES = {
     "end_cap": {"length_m": 5e-3},
     "external_load": {"force_n": 8.0},
     "moving_mass": {"added_kg": 1.0},
+    "piston": {"area_m2": -2e-5},
     "drift": {"stiffness_per_s": 0.01, "friction_per_s": -0.01},
 }
 

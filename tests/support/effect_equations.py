@@ -252,6 +252,7 @@ class Mechanics:
         force = pull * (3 * length**2 - braid**2) / (4 * math.pi * paper.TURNS**2)
         force -= paper.K * (1 + e("drift.stiffness_per_s") * t) * x
         force -= e("cubic_stiffness.n_per_m3") * x**3 + e("external_load.force_n")
+        force += e("piston.area_m2") * p
         fast = e("creep.fast_share")
         return force - self.stiff * ((1 - fast) * (x - float(y[2])) + fast * (x - float(y[3])))
 
@@ -267,12 +268,17 @@ class Mechanics:
         if e("stribeck.rise"):
             speed = abs(v) / e("stribeck.speed_m_per_s", 5e-3)
             rise += e("stribeck.rise") * math.exp(-(speed ** e("stribeck.exponent", 2.0)))
-        dry = e("coulomb_friction.force_n")
-        return -rise * (e("return_friction.share") * kinetic + dry), rise * (kinetic + dry)
+        dry = e("coulomb_friction.force_n") + e("pressure_friction.n_per_pa") * max(
+            0.0, self.gauge(t)
+        )
+        tilt = rise * e("friction_asymmetry.share")
+        lower = e("return_friction.share") * kinetic + dry
+        return -(rise - tilt) * lower, (rise + tilt) * (kinetic + dry)
 
     def damping(self, t: float, up: bool) -> float:
         c = paper.C + self.e("pressure_damping.per_pa") * max(0.0, self.gauge(t))
-        return c + self.grip(t) if up else c
+        tilt = self.e("viscous_asymmetry.share")
+        return c * (1 + tilt) + self.grip(t) if up else c * (1 - tilt)
 
     def rates(self, t: float, y: Array, mode: str) -> list[float]:
         x, v, slow, fast, bristle = y.tolist()

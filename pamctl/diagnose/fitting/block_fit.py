@@ -8,10 +8,12 @@ deviation of the sensor, so that both blocks weigh the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from math import log
 
 import numpy as np
+from pydantic import ValidationError
 from scipy.optimize import OptimizeResult, least_squares
 
 from pamctl.diagnose.fitting.drives import RUNAWAY, Drive, stack_residuals
@@ -29,11 +31,13 @@ class Effort:
     tolerance: float
     updates: int = 0
     """Rank-one updates of the derivatives before they are computed again."""
+    most_rounds: int = 1
+    """Rounds of `evaluations`; another follows while the last one still gained `PROGRESS`."""
 
 
 QUICK = Effort(8, 1e-3, updates=2)
 """To compare candidates."""
-FULL = Effort(15, 1e-6)
+FULL = Effort(15, 1e-6, most_rounds=10)
 """For numbers that are reported."""
 STEP = 3e-3
 """Step of a derivative, in scales of the number. The simulation is exact between events, so a short
@@ -41,10 +45,20 @@ step costs only rounding. A step of 0.1 moves the moments at which the muscle st
 such slopes a fit stops in the valley of braid, stiffness and friction, well above its floor."""
 LONG_STEP = 3e-2
 """Step that reaches beyond a kink, where the muscle begins to stick in another place."""
+PROGRESS = 0.01
+"""A fit goes on while a round reduces its cost by more than this share."""
+NOT_ENDED = 0
+"""The optimiser's status when it has used up its evaluations."""
 STUCK = 3
 """The optimiser's status for steps that became too small on a slope."""
 ROBUST = 10.0
 """Residuals above this multiple of the usual one count linearly, not by their square."""
+LOGARITHMIC = 12.0
+"""A plant's number whose range spans more than this factor is fitted by its logarithm."""
+AT_END = 1e-3
+"""A number this near to an end of its range, as a share of the range, is at its bound."""
+BISECTIONS = 40
+"""Halvings that find the end of a plant's own range."""
 HALVINGS = 10
 """Halvings of the effects at a start from which the model runs away; then they are neutral."""
 
@@ -80,10 +94,21 @@ class Fit:
         return tuple(
             free.name
             for free in self.free
-            if min(self.values[free.name] - free.low, free.high - self.values[free.name])
-            < 1e-3 * (free.high - free.low)
+            if _is_at_end(free, self.values[free.name])
             and not (free.effect and abs(self.values[free.name] - NEUTRAL[free.name]) < free.scale)
         )
+
+
+def is_logarithmic(free: FreeNumber) -> bool:
+    """Tell whether a number of the plant spans decades; effects keep their own scale."""
+    return free.effect is None and free.low > 0.0 and free.high > LOGARITHMIC * free.low
+
+
+def _is_at_end(free: FreeNumber, value: float) -> bool:
+    low, high = free.low, free.high
+    if is_logarithmic(free):
+        low, high, value = log(low), log(high), log(max(value, free.low))
+    return min(value - low, high - value) < AT_END * (high - low)
 
 
 @dataclass(frozen=True)
@@ -111,7 +136,7 @@ def fit_numbers(
     effort: Effort = FULL,
 ) -> Fit:
     """Fit the numbers `free` from the values of `start`; robust to what the model cannot show."""
-    drives, free = tuple(drives), tuple(free)
+    drives, free = tuple(drives), limit_to_plant(free, start)
     if not free:
         return Fit(start, (), drives, stack_residuals(drives, start))
     start, first_residual = _limit_start(drives, start, free)
@@ -139,16 +164,41 @@ class _LeastSquares:
         self.drives, self.start, self.free = drives, start, free
         self.effort, self.knee = effort, knee
         self.scale = np.array([f.scale for f in free])
-        self.low = np.array([f.low for f in free]) / self.scale
-        self.high = np.array([f.high for f in free]) / self.scale
         values = np.array([value_of(start, f.name) for f in free])
-        self.first: Array = np.clip(values / self.scale, self.low, self.high)
+        low, high = np.array([f.low for f in free]), np.array([f.high for f in free])
+        self.is_log = np.array([is_logarithmic(f) for f in free])
+        # The unit of a logarithm is the scale at the start: there, both kinds of steps are equal.
+        self.middle = np.where(self.is_log, np.clip(values, low, high), 1.0)
+        self.low, self.high = self._to_vector(low), self._to_vector(high)
+        self.first: Array = np.clip(self._to_vector(values), self.low, self.high)
         # The optimiser needs the slope where it has just computed the residual.
         self._last_residuals: list[tuple[Array, Array]] = []
         self._slope: _Slope | None = None
 
+    def _to_vector(self, values: Array) -> Array:
+        ratio = np.maximum(np.where(self.is_log, values / self.middle, 1.0), 1e-300)
+        vector: Array = np.where(self.is_log, np.log(ratio) * self.middle, values) / self.scale
+        return vector
+
+    def _to_values(self, vector: Array) -> Array:
+        inside = np.clip(vector, self.low, self.high) * self.scale
+        exponent = np.where(self.is_log, inside / self.middle, 0.0)
+        values: Array = np.where(self.is_log, self.middle * np.exp(exponent), inside)
+        return values
+
     def descend(self, vector: Array, step: float) -> OptimizeResult:
         """Minimise from a vector, with derivatives by differences of `step` scales."""
+        result = self._descend_round(vector, step)
+        for _ in range(self.effort.most_rounds - 1):
+            if result.status != NOT_ENDED:
+                break
+            before = float(result.cost)
+            result = self._descend_round(result.x, step)
+            if float(result.cost) > (1.0 - PROGRESS) * before:
+                break
+        return result
+
+    def _descend_round(self, vector: Array, step: float) -> OptimizeResult:
         self._slope = None
         return least_squares(
             self._residual_at,
@@ -166,11 +216,14 @@ class _LeastSquares:
 
     def settings_at(self, vector: Array) -> PlantSettings:
         """Return the plant with the numbers of a vector."""
-        values = np.clip(vector, self.low, self.high) * self.scale
+        values = self._to_values(vector)
         return with_values(self.start, dict(zip((f.name for f in self.free), values, strict=True)))
 
     def _residual_at(self, vector: Array) -> Array:
-        residual = stack_residuals(self.drives, self.settings_at(vector))
+        try:
+            residual = stack_residuals(self.drives, self.settings_at(vector))
+        except ValidationError:  # each number is within its range, but not all together
+            residual = np.full(sum(d.samples for d in self.drives), RUNAWAY)
         self._last_residuals = [*self._last_residuals[-1:], (vector.copy(), residual)]
         return residual
 
@@ -187,9 +240,43 @@ class _LeastSquares:
         ):
             self._slope = last.carry_to(vector, residual)
         else:
-            jacobian = sensitivity(self.drives, settings, self.free, residual, step)
+            slope = sensitivity(self.drives, settings, self.free, residual, step)
+            # Along a logarithm the number moves in proportion to itself.
+            jacobian = slope * np.where(self.is_log, self._to_values(vector) / self.middle, 1.0)
             self._slope = _Slope(vector.copy(), residual.copy(), jacobian)
         return self._slope.jacobian.copy()  # the optimiser scales its argument in place
+
+
+def limit_to_plant(free: Sequence[FreeNumber], settings: PlantSettings) -> tuple[FreeNumber, ...]:
+    """Return the numbers with ranges that end where a plant file's own limits do."""
+    return tuple(map(partial(_limit_number, settings=settings), free))
+
+
+def _limit_number(free: FreeNumber, settings: PlantSettings) -> FreeNumber:
+    value = value_of(settings, free.name)
+    low, high = (_find_last_valid(settings, free.name, value, end) for end in (free.low, free.high))
+    return free if (low, high) == (free.low, free.high) else replace(free, low=low, high=high)
+
+
+def _find_last_valid(settings: PlantSettings, name: str, inside: float, end: float) -> float:
+    """Return the value nearest to `end`, on the way from `inside`, that a plant may have."""
+    if _is_valid(settings, name, end):
+        return end
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (inside + end)
+        if _is_valid(settings, name, middle):
+            inside = middle
+        else:
+            end = middle
+    return inside
+
+
+def _is_valid(settings: PlantSettings, name: str, value: float) -> bool:
+    try:
+        with_values(settings, {name: value})
+    except ValidationError:
+        return False
+    return True
 
 
 def _limit_start(

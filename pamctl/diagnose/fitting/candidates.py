@@ -13,6 +13,7 @@ from itertools import product
 
 import numpy as np
 
+from pamctl.diagnose.fitting.drives import Drive
 from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.diagnose.fitting.numbers import (
     FreeNumber,
@@ -20,11 +21,15 @@ from pamctl.diagnose.fitting.numbers import (
     look_up_parameter,
     numbers_of_effect,
     value_of,
+    with_values,
 )
+from pamctl.diagnose.measured.record import Array
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectDescription, EffectForm
 from pamctl.plant.model import PlantSettings
 
+INERT = 1e-9
+"""A dose that moves every output by less, as a share of what it spans, moves nothing."""
 DOSES = (1.0, 6.0)
 """In units of the smallest size of interest. Two doses, because large and small effects differ."""
 
@@ -59,29 +64,80 @@ class Candidate:
 
 
 def list_candidates(evidence: Evidence, without: Collection[str] = ()) -> tuple[Candidate, ...]:
-    """Return the effects that affect a block of the evidence, except those in `without`.
+    """Return the effects that move a block of the evidence, except those in `without`.
 
-    Effects of the start model, and effects that no experiment can identify, are left out.
+    Effects of the start model, effects that no experiment can identify, and those of another
+    actuator are left out; so are effects that change nothing here, such as friction that grows
+    with a pressure that nobody measured.
     """
-    on = active_effects(evidence.nominal)
-    return tuple(
+    nominal = evidence.nominal
+    on = active_effects(nominal)
+    found = [
         candidate
         for name, effect in CATALOGUE.items()
-        if name not in {*without, *on} and effect.is_searched and not effect.unidentifiable
-        for candidate in _list_forms(effect, evidence.blocks)
-    )
+        if name not in {*without, *on}
+        and effect.is_searched
+        and not effect.unidentifiable
+        and nominal.actuator in effect.actuators
+        for candidate in _list_forms(effect, evidence)
+    ]
+    return tuple(_leave_out_inert(found, evidence))
 
 
-def _list_forms(effect: EffectDescription, blocks: Collection[str]) -> Iterator[Candidate]:
-    reached = frozenset(block for block in effect.seen_by if block in blocks)
+def _leave_out_inert(found: Sequence[Candidate], evidence: Evidence) -> Iterator[Candidate]:
+    """Yield the candidates of which a dose moves an output by more than rounding.
+
+    Some act on another effect only (dry friction that falls with speed needs dry friction): each
+    is tried alone, then in the company of all others. An effect that moves one drive in one form
+    stays in every form.
+    """
+    nominal = evidence.nominal
+    drives = [d for block in evidence.blocks for d in evidence.train[block]]
+    doses = {c.name: dict(c.held) | _largest_dose(c, nominal) for c in reversed(found)}
+    crowd: dict[str, float] = {}
+    for dose in doses.values():
+        crowd |= dose
+    moving: dict[str, bool] = {}
+    unmoved: dict[tuple[str, int], Array] = {}
+
+    def moves(name: str, drive: Drive, company: dict[str, float], key: str) -> bool:
+        known = (key, id(drive))
+        if known not in unmoved:
+            unmoved[known] = drive.simulate(with_values(nominal, company))
+        moved = drive.simulate(with_values(nominal, company | doses[name]))
+        change = np.nan_to_num(np.abs(moved - unmoved[known]), nan=np.inf)
+        return bool(np.max(change) > INERT * np.ptp(drive.measured))
+
+    for candidate in found:
+        name = candidate.name
+        if name not in moving:
+            reached = [d for d in drives if d.block in candidate.blocks]
+            others = {n: v for n, v in crowd.items() if n not in doses[name]}
+            moving[name] = not drives or (
+                any(moves(name, d, {}, "alone") for d in reached)
+                or any(moves(name, d, others, name) for d in reached)
+            )
+        if moving[name]:
+            yield candidate
+
+
+def _largest_dose(candidate: Candidate, nominal: PlantSettings) -> dict[str, float]:
+    """Return the numbers of a visible dose of an effect."""
+    shapes = {f.name: _usual_shape(f, nominal) for f in candidate.shapes}
+    return shapes | {
+        s.name: apply_dose(s, DOSES[-1], value_of(nominal, s.name)) for s in candidate.switches
+    }
+
+
+def _list_forms(effect: EffectDescription, evidence: Evidence) -> Iterator[Candidate]:
+    reached = frozenset(block for block in effect.seen_by if block in evidence.blocks)
     if not reached:
         return
     everything = tuple(p.name for p in effect.parameters if not p.choices)
     for form in effect.forms or (EffectForm(effect.name, everything),):
         held = tuple((f"{effect.name}.{n}", float(v)) for n, v in form.held.items())
-        yield Candidate(
-            effect.name, form.name, numbers_of_effect(effect.name, form.free), held, reached
-        )
+        free = numbers_of_effect(effect.name, form.free, evidence.nominal, evidence.reach)
+        yield Candidate(effect.name, form.name, free, held, reached)
 
 
 def apply_dose(number: FreeNumber, doses: float, neutral: float) -> float:
@@ -118,8 +174,8 @@ def _vary_shapes(candidate: Candidate, settings: PlantSettings) -> Iterator[dict
 
 
 def _usual_shape(number: FreeNumber, settings: PlantSettings) -> float:
-    """Return the catalogue's start value of a shape, or else the plant's value."""
-    start = look_up_parameter(number).start
+    """Return the usual value of a shape, or else the plant's value."""
+    start = look_up_parameter(number).start if number.usual is None else number.usual
     return start if number.low < start < number.high else value_of(settings, number.name)
 
 

@@ -2,26 +2,48 @@
 
     pressure block:  u, measured x -> P          mechanics block:  measured P -> x
 
-A block without a fault then stays at its noise floor, whatever the other block hides.
+A block without a fault then stays at its noise floor, whatever the other block hides. Where a
+block never forgets its start, it is driven in windows; where a motion is imposed, the force that
+it needs is compared (`judging/judge.py`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, savgol_filter, sosfiltfilt
 
-from pamctl.diagnose.measured.missed_ticks import find_long_intervals, smooth_over_missed
+from pamctl.diagnose.judging.judge import Judge, JudgeKind
+from pamctl.diagnose.judging.segments import (
+    count_samples,
+    differentiate,
+    filter_segments,
+    find_segments,
+    find_strokes,
+    slope_gain,
+    smooth_below,
+    smooth_by_cubic,
+)
+from pamctl.diagnose.judging.windows import (
+    StartModes,
+    build_start_modes,
+    cut_windows,
+    estimate_starts,
+    find_rows_inside,
+)
+from pamctl.diagnose.measured.missed_ticks import find_long_intervals
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.measured.sensor_noise import Noise
+from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.drive import (
+    NO_RESTARTS,
     SAME_INSTANT_S,
     STEPS_A_TICK,
+    Restarts,
     SampleGrid,
     build_grid,
     drive_coupled,
@@ -39,6 +61,12 @@ SMOOTH_HZ = 60.0
 """Cutoff for a measured pressure before it drives the mechanics: friction rectifies its noise."""
 MODELLED_HZ = 1.0
 """Cutoff for measured minus modelled pressure where the pressure block is at its floor."""
+LONGEST_STEP_S = 5e-4
+"""Step of the simulation at 1 kHz; slower records get more steps in a period."""
+VELOCITY_S = 0.031
+"""Length of the parabolas that show the velocity."""
+SURE = 3.0
+"""A speed above this multiple of its noise has a sure direction."""
 VENTED_PA = 20e3
 """Tolerance of a sensor's zero; a muscle that starts higher does not start vented."""
 SETTLED_MS = 1000
@@ -50,7 +78,11 @@ does so."""
 
 @dataclass(frozen=True)
 class Drive:
-    """One record for one block: the inputs, and the measured output."""
+    """One record for one block: the inputs, and the measured output.
+
+    The output is the block's own (pressure or position), by simulation; or, with `is_equation`,
+    the force that a measured motion needs.
+    """
 
     block: str
     name: str
@@ -59,9 +91,9 @@ class Drive:
     valve_v: Array
     """Command after each sample, shape (n,); zeros for the mechanics."""
     driven: Array
-    """Position (pressure block) or pressure (mechanics), smoothed, shape (n,)."""
+    """Position (pressure block; equation), or pressure or force (mechanics), shape (n,)."""
     cutoff_hz: float
-    """Cutoff of the filter on `driven`; 0 stands for the cubic over 15 samples."""
+    """Cutoff of the filter on `driven`; 0 stands for a cubic over 15 ms, infinity for none."""
     measured: Array
     """Measured output of the block, shape (n,)."""
     deviation: float
@@ -76,6 +108,19 @@ class Drive:
     """False for a pressure block whose position was not measured: the model then simulates it."""
     rows: NDArray[np.bool_] | None = None
     """The samples that count, shape (n,); None for all."""
+    windows: tuple[slice, ...] = ()
+    """Stretches that are simulated each from the measured state; empty for one free run."""
+    has_known_start: bool = True
+    """The first window starts like a free run, and starts are taken as they are measured. Else
+    all starts are measured, and what their errors move is projected out of the residual."""
+    velocity_time_s: float = np.inf
+    """Time in which the block forgets a velocity; for what an error of a start moves."""
+    is_equation: bool = False
+    """The output is the force that the motion `driven` needs; nothing is simulated."""
+    slope_s: float = 0.0
+    """Length of the parabolas that differentiate the motion of an equation."""
+    pressed_pa: Array | None = None
+    """Absolute pressure on a direct mechanism's piston, smoothed, shape (n,); None without one."""
     acts_after_s: Array | None = None
     """Time from each sample to the instant from which its command acts; None: at the sample."""
     held_v: float | None = None
@@ -88,6 +133,28 @@ class Drive:
     def samples(self) -> int:
         """Number of samples that count."""
         return len(self.measured) if self.rows is None else int(self.rows.sum())
+
+    @property
+    def channel(self) -> str:
+        """The channel of the output."""
+        if self.is_equation:
+            return "force_n"
+        return "pressure_pa" if self.block == PRESSURE else "position_m"
+
+    @property
+    def position_m(self) -> Array:
+        """The position that the record holds; zeros where it was not measured, shape (n,)."""
+        return self.measured if self.channel == "position_m" else self.driven
+
+    @property
+    def load(self) -> Array:
+        """Pressure (Pa) or force (N) on the mechanics, shape (n,)."""
+        return self.driven if self.channel == "position_m" else self.measured
+
+    @cached_property
+    def velocity_m_per_s(self) -> Array:
+        """The velocity of the measured position, for regimes and pictures, shape (n,)."""
+        return self.differentiate_motion(VELOCITY_S, 1)
 
     @cached_property
     def grid(self) -> SampleGrid:
@@ -102,15 +169,39 @@ class Drive:
 
     def simulate_with(self, p: PlantParameters) -> Array:
         """Simulate the block with the kernels' parameters."""
+        if self.is_equation:
+            velocity, acceleration = (self.differentiate_motion(self.slope_s, n) for n in (1, 2))
+            return required_force_n(
+                p, self._times_s, self.driven, velocity, acceleration, self._find_pressed_pa(p)
+            )
         if not self.has_position:
             return drive_coupled(p, self.valve_v, self.grid).pressure_pa
+        again = self._restarts
         if self.block == PRESSURE:
-            start = self._find_start_pressure(p)
-            return drive_pressure(p, self.valve_v, self.driven, self.grid, start=start).pressure_pa
+            return drive_pressure(
+                p,
+                self.valve_v,
+                self.driven,
+                self.grid,
+                start=self._find_start_pressure(p),
+                restarts=again,
+            ).pressure_pa
         start = rest_state(p, self.start, p.atmospheric_pressure_pa) if self.start else None
         return drive_mechanics(
-            p, self.driven, self.grid, start=start, bend_pa=self._bend_pa
+            p,
+            self._find_pressed_pa(p) if p.direct else self.driven,
+            self.grid,
+            force_n=self.driven if p.direct else None,
+            start=start,
+            restarts=again,
+            bend_pa=self._bend_pa,
         ).position_m
+
+    def _find_pressed_pa(self, p: PlantParameters) -> Array:
+        """Return the absolute pressure on a direct mechanism's piston, if it has one."""
+        if self.pressed_pa is None:
+            return np.full(len(self.driven), p.atmospheric_pressure_pa)
+        return self.pressed_pa
 
     def find_bend(self, settings: PlantSettings) -> tuple[Array, Array] | None:
         """Return `bend` for the mechanics, from this pressure block's simulation.
@@ -122,7 +213,12 @@ class Drive:
             return None
         p = plant_parameters(settings)
         ends_s, course_pa = find_pressure_course(
-            p, self.valve_v, self.driven, self.grid, start=self._find_start_pressure(p)
+            p,
+            self.valve_v,
+            self.driven,
+            self.grid,
+            start=self._find_start_pressure(p),
+            restarts=self._restarts,
         )
         samples_s = self.grid.samples_s
         line_pa = np.interp(ends_s, samples_s, np.interp(samples_s, ends_s, course_pa))
@@ -155,6 +251,9 @@ class Drive:
         """Return measurement minus a simulated output, in deviations of the sensor."""
         most = RUNAWAY * self.deviation
         error = np.nan_to_num(self.measured - simulated, nan=most).clip(-most, most)
+        # A model that runs away does so in a straight line: that is no error of a start.
+        if not self.has_known_start and np.max(np.abs(error)) < most:
+            error = self._start_modes.project_out(error)
         if self.rows is not None:
             error = error[self.rows]
         if self.slack:
@@ -165,48 +264,85 @@ class Drive:
         """Return a random generator that is fixed by this record and the key."""
         return np.random.default_rng([crc32(self.measured.tobytes()), *key])
 
-    def draw_disturbance(self, noise: Noise, replica: int) -> Array:
-        """Draw noise of the driving signal, smoothed like the signal itself, shape (n,).
+    def draw_disturbance(self, noise: Noise, replica: int, stream: int = 0) -> Array:
+        """Draw noise of a driving signal, smoothed like the signal itself, shape (n,).
 
         The draws are kept: the floors of all models use the same noise.
         """
-        if replica not in self._disturbances:
-            drawn = noise.simulate_sensor(
-                np.zeros(len(self.driven)), self.random_generator(replica, 0)
-            )
-            smooth = _smooth_signal(drawn, self.step_s, self.cutoff_hz)
-            self._disturbances[replica] = smooth
-        return self._disturbances[replica]
+        if (replica, stream) not in self._disturbances:
+            random = self.random_generator(replica, stream)
+            drawn = noise.simulate_sensor(np.zeros(len(self.driven)), random)
+            smooth = smooth_signal(drawn, self.step_s, self.cutoff_hz)
+            self._disturbances[replica, stream] = smooth
+        return self._disturbances[replica, stream]
 
     @cached_property
-    def _disturbances(self) -> dict[int, Array]:
+    def _disturbances(self) -> dict[tuple[int, int], Array]:
         return {}
 
+    @cached_property
+    def _times_s(self) -> Array:
+        return np.concatenate([[0.0], np.cumsum(self.step_s)])
 
-def prepare_pressure_drive(record: Record, noises: dict[str, Noise], atmosphere_pa: float) -> Drive:
-    """Prepare a record for the pressure block."""
+    @cached_property
+    def _restarts(self) -> Restarts:
+        if not self.windows:
+            return NO_RESTARTS
+        started = self.windows[1:] if self.has_known_start else self.windows
+        return estimate_starts(self._times_s, self.measured, started, self.deviation)
+
+    @cached_property
+    def _start_modes(self) -> StartModes:
+        time_s = self.velocity_time_s if self.block == MECHANICS else None
+        return build_start_modes(self._times_s, self.windows, time_s)
+
+    def differentiate_motion(self, length_s: float, order: int) -> Array:
+        """Differentiate the position, over missed ticks but not over gaps, shape (n,)."""
+        period_s = find_period_s(self.step_s)
+        return filter_segments(
+            self.position_m,
+            self.step_s,
+            lambda even: differentiate(even, period_s, length_s, order),
+            short=0.0,
+        )
+
+
+def prepare_pressure_drive(
+    record: Record, noises: dict[str, Noise], nominal: PlantSettings, judge: Judge
+) -> Drive:
+    """Prepare a record for the pressure block; without a valve in the record, it is closed."""
     has_position = record.position_m is not None
     position_m = record["position_m"] if has_position else np.zeros(len(record))
-    return Drive(
+    closed_v = np.zeros(len(record))
+    atmosphere_pa = nominal.parameters.atmospheric_pressure_pa
+    drive = Drive(
         PRESSURE,
         record.name,
         record.step_s,
-        record["valve_v"],
-        _smooth_signal(position_m, record.step_s, 0.0),
+        closed_v if record.valve_v is None else record["valve_v"],
+        smooth_signal(position_m, record.step_s, 0.0),
         0.0,
         record["pressure_pa"],
         max(noises["pressure_pa"].total, 1.0),
         0.0,
         _initial_pressure_pa(record, noises["pressure_pa"], atmosphere_pa),
-        has_position=has_position,
+        count_steps(record.period_s),
+        has_position=has_position or has_constant_volume(nominal),
         acts_after_s=record.acts_after_s,
         held_v=record.held_v,
     )
+    return judge_drive(drive, judge)
+
+
+def has_constant_volume(nominal: PlantSettings) -> bool:
+    """Tell whether the plant is a chamber without a moving wall, which needs no position."""
+    return str(nominal.actuator) == "chamber"
 
 
 def prepare_mechanics_drive(
     record: Record,
     noises: dict[str, Noise],
+    judge: Judge,
     modelled_pa: Array | None = None,
     cutoff_hz: float = SMOOTH_HZ,
 ) -> Drive:
@@ -215,20 +351,102 @@ def prepare_mechanics_drive(
     `modelled_pa` is the pressure block's simulation of the measured pressure. With it, only the
     difference is smoothed, so that steep flanks stay as they are.
     """
-    noise = noises["position_m"]
     base = 0.0 if modelled_pa is None else modelled_pa
+    load = base + smooth_signal(record["pressure_pa"] - base, record.step_s, cutoff_hz)
+    return judge_drive(_drive_by_load(record, noises, load, cutoff_hz), judge)
+
+
+def prepare_force_drive(record: Record, noises: dict[str, Noise], judge: Judge) -> Drive:
+    """Prepare a record of a mechanism without a muscle, driven by force, pressure or both.
+
+    If the judge is the equation, the motion is the input and the force is the output.
+    """
+    # A free mass averages the noise of the force by itself, and answers its jumps.
+    cutoff_hz = SMOOTH_HZ if judge.forgets_start else np.inf
+    pressed_pa = record.pressure_pa
+    if pressed_pa is not None:
+        pressed_pa = smooth_signal(pressed_pa, record.step_s, cutoff_hz)
+    if judge.kind is JudgeKind.EQUATION:
+        return _prepare_equation(record, noises, judge, pressed_pa)
+    force_n = np.zeros(len(record)) if record.force_n is None else record.force_n
+    load = smooth_signal(force_n, record.step_s, cutoff_hz)
+    drive = replace(_drive_by_load(record, noises, load, cutoff_hz), pressed_pa=pressed_pa)
+    return judge_drive(drive, judge)
+
+
+def _prepare_equation(
+    record: Record, noises: dict[str, Noise], judge: Judge, pressed_pa: Array | None
+) -> Drive:
+    force_n = record["force_n"]
+    drive = Drive(
+        MECHANICS,
+        record.name,
+        record.step_s,
+        np.zeros(len(record)),
+        record["position_m"],
+        np.inf,
+        force_n,
+        max(noises["force_n"].total, 1e-9 * float(np.ptp(force_n))),
+        0.0,
+        float(record["position_m"][0]),
+        is_equation=True,
+        slope_s=judge.slope_s,
+        pressed_pa=pressed_pa,
+    )
+    velocity = drive.differentiate_motion(judge.slope_s, 1)
+    speed_noise = noises["position_m"].total * slope_gain(judge.slope_s, record.period_s)
+    # At rest friction may take any value in its band: the force tells nothing there.
+    direction = np.where(np.abs(velocity) > SURE * speed_noise, np.sign(velocity), 0.0)
+    edge = count_samples(judge.slope_s, record.period_s) // 2
+    strokes = find_strokes(direction, find_segments(record.step_s), edge)
+    return replace(drive, rows=find_rows_inside(strokes, len(record)))
+
+
+def judge_drive(drive: Drive, judge: Judge) -> Drive:
+    """Return the drive with the windows of a judge; a gap always begins a new one."""
+    segments = find_segments(drive.step_s)
+    if judge.kind is JudgeKind.FREE_RUN and len(segments) == 1:
+        return drive
+    period_s = float(np.median(drive.step_s))
+    samples = len(drive.measured)
+    length = samples if judge.horizon_s is None else round(judge.horizon_s / period_s)
+    windows = cut_windows(segments, length)
+    rows = find_rows_inside(windows, samples)
+    if judge.forgets_start:
+        return replace(drive, windows=windows, rows=rows)
+    return replace(
+        drive,
+        windows=windows,
+        rows=rows,
+        has_known_start=False,
+        velocity_time_s=judge.velocity_time_s,
+        slack=0.0,
+        start=float(drive.measured[0]),
+    )
+
+
+def _drive_by_load(
+    record: Record, noises: dict[str, Noise], load: Array, cutoff_hz: float
+) -> Drive:
+    noise = noises["position_m"]
     return Drive(
         MECHANICS,
         record.name,
         record.step_s,
         np.zeros(len(record)),
-        base + _smooth_signal(record["pressure_pa"] - base, record.step_s, cutoff_hz),
+        load,
         cutoff_hz,
         record["position_m"],
         max(noise.total, 1e-7),
         noise.resolution,
         initial_position_m(record, noise),
+        count_steps(record.period_s),
     )
+
+
+def count_steps(period_s: float) -> int:
+    """Return the steps of the simulation in a period: none much longer than half a millisecond."""
+    return max(STEPS_A_TICK, round(period_s / LONGEST_STEP_S))
 
 
 def contraction_m(settings: PlantSettings, gauge_pa: float) -> float:
@@ -236,23 +454,6 @@ def contraction_m(settings: PlantSettings, gauge_pa: float) -> float:
     p = plant_parameters(settings)
     steady_pa = np.full(SETTLED_MS, p.atmospheric_pressure_pa + gauge_pa)
     return float(drive_mechanics(p, steady_pa, 1e-3).position_m[-1])
-
-
-def prepare_force_drive(record: Record, noises: dict[str, Noise]) -> Drive:
-    """Prepare a record of a mechanism that a measured force drives, without a muscle."""
-    noise = noises["position_m"]
-    return Drive(
-        MECHANICS,
-        record.name,
-        record.step_s,
-        np.zeros(len(record)),
-        _smooth_signal(record["force_n"], record.step_s, SMOOTH_HZ),
-        SMOOTH_HZ,
-        record["position_m"],
-        max(noise.total, 1e-7),
-        noise.resolution,
-        initial_position_m(record, noise),
-    )
 
 
 def initial_position_m(record: Record, noise: Noise) -> float:
@@ -269,29 +470,18 @@ def _initial_pressure_pa(record: Record, noise: Noise, atmosphere_pa: float) -> 
     return atmosphere_pa if near else pressure_pa
 
 
-def _smooth_signal(values: Array, step_s: Array, cutoff_hz: float) -> Array:
-    """Smooth without delay, also over missed ticks."""
+def smooth_signal(values: Array, step_s: Array, cutoff_hz: float) -> Array:
+    """Smooth without delay, over missed ticks but not over gaps: by cubics (`cutoff_hz` 0), or by a
+    filter.
+    """
     period_s = find_period_s(step_s)
-    return smooth_over_missed(
-        values, step_s, lambda even: _smooth_even_signal(even, period_s, cutoff_hz)
-    )
 
+    def smooth_evenly(even: Array) -> Array:
+        if cutoff_hz == 0.0:
+            return smooth_by_cubic(even, period_s)
+        return smooth_below(even, period_s, cutoff_hz)
 
-def _smooth_even_signal(values: Array, period_s: float, cutoff_hz: float) -> Array:
-    """Smooth by second order in both directions, or by a cubic over 15 samples."""
-    if cutoff_hz == 0.0:
-        cubic: Array = savgol_filter(values, 15, 3)
-        return cubic
-    relative = 2.0 * cutoff_hz * period_s
-    if relative >= 0.9:
-        return values
-    # The ends are mirrored for a whole period. Otherwise the filter starts from a single noisy
-    # sample, and the muscle at rest follows every pascal of it.
-    mirrored = min(round(2.0 / relative), len(values) - 1)
-    smooth: Array = sosfiltfilt(
-        butter(2, relative, output="sos"), values, padtype="even", padlen=mirrored
-    )
-    return smooth
+    return filter_segments(values, step_s, smooth_evenly)
 
 
 def stack_residuals(drives: Sequence[Drive], settings: PlantSettings) -> Array:

@@ -14,17 +14,29 @@ from pamctl.diagnose.fitting.drives import (
     SMOOTH_HZ,
     Drive,
     contraction_m,
+    has_constant_volume,
     prepare_force_drive,
     prepare_mechanics_drive,
     prepare_pressure_drive,
 )
 from pamctl.diagnose.fitting.floor import Floor
 from pamctl.diagnose.fitting.repeatability import Repeat, find_repeats
+from pamctl.diagnose.judging.judge import (
+    Judge,
+    JudgeKind,
+    choose_slope_s,
+    judge_chamber,
+    judge_mechanism,
+    judge_muscle,
+)
+from pamctl.diagnose.measured.reach import Reach, measure_reach
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
 from pamctl.diagnose.measured.sensor_noise import Noise, estimate_channel_noise
-from pamctl.plant.model import PlantSettings
+from pamctl.plant.model import PlantSettings, values_of
 
-SMALLEST_MISFIT = {"pressure_pa": 60.0, "position_m": 3.2e-6}
+PISTON = "piston.area_m2"
+"""The number by which a measured pressure drives a direct mechanism."""
+SMALLEST_MISFIT = {"pressure_pa": 60.0, "position_m": 3.2e-6, "force_n": 1e-3}
 """A smaller misfit does not matter, even if it is significant; by channel, in SI."""
 
 
@@ -41,8 +53,16 @@ class Evidence:
     """By channel."""
     together: Mapping[str, tuple[Drive, ...]] = field(default_factory=dict)
     """Training drives for a fit of both blocks, weighed against each other; may be empty."""
+    judge: Mapping[str, Judge] = field(default_factory=dict)
+    """How each block is judged: free run, windows or equation."""
+    balance: tuple[Drive, ...] = ()
+    """Training drives of the mechanics as an equation, where a force was measured: a fit of them
+    needs no simulation, and finds a start from any guess."""
     repeated: tuple[Repeat, ...] = ()
     """Where the same commands come again; records are numbered through `train`, then `holdout`."""
+
+    reach: Reach | None = None
+    """How far a direct mechanism's records reach; None for a muscle."""
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -52,9 +72,12 @@ class Evidence:
     def margin(self, block: str) -> float:
         """Return the smallest misfit that matters, in the unit of the block's residuals."""
         drive = self.train[block][0]
-        channel = "pressure_pa" if block == PRESSURE else "position_m"
+        noise = self.noises[drive.channel]
+        smallest = SMALLEST_MISFIT[drive.channel]
+        if self.nominal.actuator != "muscle":  # of any size: what its own sensor can show
+            smallest = noise.resolution
         # For a poor sensor: a fifth of its noise.
-        return max(SMALLEST_MISFIT[channel], 0.2 * self.noises[channel].total) / drive.deviation
+        return max(smallest, 0.2 * noise.total) / drive.deviation
 
     def weigh_by_floors(self, floors: Mapping[str, Floor]) -> Evidence:
         """Return the evidence with weights for a fit of both blocks.
@@ -80,6 +103,7 @@ class Evidence:
             self,
             train={b: d for b, d in self.train.items() if b in blocks},
             together={},
+            judge={b: j for b, j in self.judge.items() if b in blocks},
             holdout={b: d for b, d in self.holdout.items() if b in blocks},
         )
 
@@ -97,23 +121,45 @@ def prepare_evidence(
     }
     # A single run that is cut is in both lists; it does not repeat itself.
     different = [*train, *(r for r in holdout if all(r is not t for t in train))]
-    evidence = Evidence(nominal, {}, {}, noises, repeated=find_repeats(different))
+    reach = None
+    if nominal.actuator == "direct" and "position_m" in noises:
+        position = noises["position_m"]
+        reach = measure_reach(records, nominal, position.deviation, position.resolution)
+    evidence = Evidence(nominal, {}, {}, noises, repeated=find_repeats(different), reach=reach)
     preparers: dict[str, Callable[[Record], Drive]] = {}
-    atmosphere_pa = nominal.parameters.atmospheric_pressure_pa
+    judge: dict[str, Judge] = {}
     if nominal.actuator == "direct":
-        if {"force_n", "position_m"} <= {*measured}:
-            preparers[MECHANICS] = lambda record: prepare_force_drive(record, noises)
+        presses = "pressure_pa" in measured and PISTON in values_of(nominal)
+        if "position_m" in measured and ("force_n" in measured or presses):
+            of_axis = judge[MECHANICS] = judge_mechanism(records, noises)
+            preparers[MECHANICS] = lambda record: prepare_force_drive(record, noises, of_axis)
+            evidence = replace(evidence, balance=_prepare_balance(train, records, noises))
     else:
-        if {"valve_v", "pressure_pa"} <= {*measured}:
+        is_closed = has_constant_volume(nominal) and "valve_v" not in measured
+        if "pressure_pa" in measured and ("valve_v" in measured or is_closed):
+            of_air = judge[PRESSURE] = judge_chamber(records)
             preparers[PRESSURE] = lambda record: prepare_pressure_drive(
-                record, noises, atmosphere_pa
+                record, noises, nominal, of_air
             )
-        if {"position_m", "pressure_pa"} <= {*measured}:
-            preparers[MECHANICS] = lambda record: prepare_mechanics_drive(record, noises)
+        if {"position_m", "pressure_pa"} <= {*measured} and not has_constant_volume(nominal):
+            of_muscle = judge[MECHANICS] = judge_muscle(records)
+            preparers[MECHANICS] = lambda record: prepare_mechanics_drive(record, noises, of_muscle)
+    evidence = replace(evidence, judge=judge)
     for block, prepare in preparers.items():
         evidence.train[block] = tuple(map(prepare, train))
         evidence.holdout[block] = tuple(map(prepare, holdout))
     return evidence
+
+
+def _prepare_balance(
+    train: Sequence[Record], records: Sequence[Record], noises: dict[str, Noise]
+) -> tuple[Drive, ...]:
+    """Prepare the training records as an equation; none without a force."""
+    if "force_n" not in noises:
+        return ()
+    slope_s = choose_slope_s(records, noises["position_m"], 2)
+    judge = Judge(JudgeKind.EQUATION, "to find a start", slope_s=slope_s)
+    return tuple(prepare_force_drive(record, noises, judge) for record in train)
 
 
 def with_modelled_pressure(
@@ -132,7 +178,9 @@ def with_modelled_pressure(
 
     def prepare_drive(record: Record, pressure: Drive) -> Drive:
         modelled_pa = _hold_rest_pressure(pressure.simulate(pressure_model), record.rest_samples)
-        drive = prepare_mechanics_drive(record, evidence.noises, modelled_pa, cutoff_hz)
+        drive = prepare_mechanics_drive(
+            record, evidence.noises, evidence.judge[MECHANICS], modelled_pa, cutoff_hz
+        )
         drive = replace(drive, bend=pressure.find_bend(pressure_model))
         gauge_pa = pressure.resting_gauge_pa(pressure_model, record.rest_samples) if trusted else 0
         moved_m = contraction_m(evidence.nominal, gauge_pa) if gauge_pa > 0.0 else 0.0

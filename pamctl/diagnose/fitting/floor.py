@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pamctl.diagnose.fitting.block_fit import Fit, rms, sensitivity
-from pamctl.diagnose.fitting.drives import MECHANICS, Drive
+from pamctl.diagnose.fitting.drives import Drive
 from pamctl.diagnose.fitting.repeatability import RepeatSpread
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.measured.sensor_noise import Noise
@@ -24,6 +24,8 @@ REPLICAS = 12
 LIMIT_SIGMAS = 3.0
 """Limit above the mean, in scatters. A short record holds few slow waves, and all may be high; what
 a named effect leaves must not count as unexplained for that."""
+PRESSED = 2
+"""Stream of the draws for a piston's pressure; 0 is the driving signal's, 1 the output's."""
 STRETCH_S = 0.25
 """Residuals this far apart count as independent."""
 
@@ -134,7 +136,7 @@ def imitate_records(
 
 def sensor_noise_of(drives: Sequence[Drive], noises: dict[str, Noise]) -> Noise:
     """Return the noise of the sensor of a block's output."""
-    return noises["position_m" if drives[0].block == MECHANICS else "pressure_pa"]
+    return noises[drives[0].channel]
 
 
 def _estimate_memory(residual: Array, drives: Sequence[Drive]) -> float:
@@ -168,13 +170,16 @@ def _add_noise(
     replica: int,
 ) -> Drive:
     """Return the drive with new noise on its input and on its ideal output."""
-    inner, outer = "position_m", "pressure_pa"
-    if drive.block == MECHANICS:
-        inner, outer = ("force_n" if settings.actuator == "direct" else "pressure_pa"), inner
+    inner, outer = "position_m", drive.channel
+    if outer == "position_m":
+        inner = "force_n" if settings.actuator == "direct" else "pressure_pa"
     driven = drive.driven
     if inner in noises:
         driven = driven + drive.draw_disturbance(noises[inner], replica)
+    pressed_pa = drive.pressed_pa
+    if pressed_pa is not None and "pressure_pa" in noises:
+        pressed_pa = pressed_pa + drive.draw_disturbance(noises["pressure_pa"], replica, PRESSED)
     measured = noises[outer].simulate_sensor(ideal, drive.random_generator(replica, 1))
-    noisy = replace(drive, driven=driven, measured=measured)
+    noisy = replace(drive, driven=driven, measured=measured, pressed_pa=pressed_pa)
     noisy.__dict__["grid"] = drive.grid  # the steps are the same
     return noisy

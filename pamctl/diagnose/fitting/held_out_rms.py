@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pamctl.diagnose.fitting.block_fit import rms
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
+from pamctl.diagnose.fitting.drives import MECHANICS, stack_residuals
 from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.plant.drive import build_grid, drive_coupled
@@ -27,7 +27,7 @@ def measure_rms_by_channel(
     block = evidence.blocks[0]
     drives = evidence.holdout[block]
     left = rms(stack_residuals(drives, plant)) * drives[0].deviation
-    return {"pressure_pa" if block == PRESSURE else "position_m": left}
+    return {drives[0].channel: left}
 
 
 def _measure_coupled_rms(
@@ -37,7 +37,11 @@ def _measure_coupled_rms(
     for record, drive in zip(holdout, evidence.holdout[MECHANICS], strict=True):
         counted = slice(None) if drive.rows is None else drive.rows
         grid = build_grid(
-            record.step_s, len(record), acts_after_s=record.acts_after_s, held_v=record.held_v
+            record.step_s,
+            len(record),
+            drive.steps,
+            acts_after_s=record.acts_after_s,
+            held_v=record.held_v,
         )
         driven = drive_coupled(plant_parameters(plant), record["valve_v"], grid)
         for channel in errors:

@@ -10,6 +10,7 @@ from pamctl.diagnose.fitting.block_fit import FULL, QUICK, Effort, Fit, fit_numb
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose.fitting.far_starts import search_starts
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.numbers import (
     SENSOR_ZERO,
@@ -47,12 +48,13 @@ def list_free_numbers(
         n for b in (PRESSURE, MECHANICS) if b in blocks or blind for n in calibration_of(b, nominal)
     )
     own = [f for c in effects if c.blocks & blocks for f in c.free]
-    has_zero = nominal.actuator == "muscle" and all(f.name != SENSOR_ZERO for f in own)
+    has_zero = nominal.actuator == "muscle" and SENSOR_ZERO not in nominal.known
+    has_zero = has_zero and all(f.name != SENSOR_ZERO for f in own)
     zero = (sensor_zero(nominal),) if has_zero else ()
     return (
-        *(calibrated_number(n, nominal) for n in names),
+        *(calibrated_number(n, nominal, evidence.reach) for n in names),
         *zero,
-        *numbers_of_start(nominal, {PRESSURE, MECHANICS} if blind else blocks),
+        *numbers_of_start(nominal, {PRESSURE, MECHANICS} if blind else blocks, evidence.reach),
         *own,
     )
 
@@ -60,9 +62,19 @@ def list_free_numbers(
 def recalibrate(evidence: Evidence, known: Mapping[frozenset[str], Fit] | None = None) -> Model:
     """Fit the start model's calibrated numbers, and no effect.
 
-    `known` are earlier fits on the same drives.
+    `known` are earlier fits on the same drives. Where a force was measured, its balance gives a
+    second start. A fit that misses much of what moves is repeated from starts all over the ranges.
     """
-    return fit_model(Model(evidence, (), {}), (), [{}], effort=FULL, known=known or {})
+    starts = [{}, *([_fit_balance(evidence)] if evidence.balance else ())]
+    model = fit_model(Model(evidence, (), {}), (), starts, effort=FULL, known=known or {})
+    fits = {b: f if known and b in known else search_starts(f) for b, f in model.fits.items()}
+    return replace(model, fits=fits)
+
+
+def _fit_balance(evidence: Evidence) -> dict[str, float]:
+    """Return the numbers that balance a measured force: nearly linear, so from any guess."""
+    free = list_free_numbers(frozenset({MECHANICS}), (), evidence)
+    return fit_numbers(evidence.balance, evidence.nominal, free, FULL).values
 
 
 def weigh_blocks(base: Model) -> Model:

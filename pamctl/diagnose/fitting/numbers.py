@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from math import inf, sqrt
 
+from pamctl.diagnose.measured.reach import Reach, reach_of_muscle
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectParameter
-from pamctl.plant.flat import NEUTRAL
-from pamctl.plant.model import PlantSettings, settings_of, values_of
+from pamctl.plant.flat import NEUTRAL, PAPER
+from pamctl.plant.model import AXIS, PlantSettings, settings_of, values_of
+from pamctl.plant.muscle_parameters import (
+    HIGHEST_ATMOSPHERE_PA,
+    HIGHEST_TANK_PA,
+    HOTTEST_K,
+    LONGEST_M,
+    MuscleParameters,
+)
 
 
 @dataclass(frozen=True)
@@ -24,6 +33,8 @@ class FreeNumber:
     """Always free, within the uncertainty of homing, and never named."""
     is_calibrated: bool = False
     """A number of the start model's effects: recalibrated, not named."""
+    usual: float | None = None
+    """An effect's usual value on this machine, from which a fit may start."""
 
     @property
     def effect(self) -> str | None:
@@ -32,20 +43,32 @@ class FreeNumber:
         return self.name.split(".")[0] if on_trial else None
 
 
-_CALIBRATION = {
-    "valve_gain_m2_per_v": (0.5, 2.0),
+_RANGES: Mapping[str, tuple[float, float]] = {
+    "valve_gain_m2_per_v": (0.2, 5.0),
     "tank_pressure_pa": (0.8, 1.25),
-    "damping_n_s_per_m": (0.3, 3.0),
-    "stiffness_n_per_m": (0.6, 1.6),
-    "kinetic_friction_per_m": (0.0, 3.0),
+    "damping_n_s_per_m": (0.1, 10.0),
+    "stiffness_n_per_m": (0.2, 5.0),
+    "kinetic_friction_per_m": (0.0, 5.0),
     "braid_length_m": (0.99, 1.01),
+    "mass_kg": (0.1, 10.0),
+    "rest_length_m": (0.95, 1.05),
+    "braid_turns": (0.8, 1.25),
+    "braid_count": (0.5, 2.0),
+    "braid_contact_area_m2": (0.2, 5.0),
+    "atmospheric_pressure_pa": (0.6, 1.08),
+    "temperature_k": (0.85, 1.2),
+    "gas_constant_j_per_kg_k": (0.5, 2.0),
+    "heat_capacity_ratio": (0.8, 1.25),
 }
-"""Numbers that are recalibrated before the search for effects, with their limits as factors of the
-plant file's values.
+"""Every number of a plant file, with its limits as factors of the file's value.
 
-The braid's length is measured with a tape, to 1 %. Rest length and turns are left out: they cannot
-be distinguished from the braid's length and the stiffness.
+Lengths are measured with a tape, to 1 %; places of work lie between 60 and 110 kPa. What a user
+guesses (gain, damping, stiffness, mass) may be three times off, and is then inside.
 """
+_STEPS = {"braid_length_m": 2e-4, "rest_length_m": 2e-4}
+"""Share of a number that is a small but visible step; for all others a hundredth."""
+_AXIS_FACTOR = 30.0
+"""Limits of mass, damping, stiffness and area of a direct mechanism: the value times or over it."""
 
 CALIBRATED: Mapping[str, tuple[str, ...]] = {
     "pressure": ("valve_gain_m2_per_v", "tank_pressure_pa", "braid_length_m"),
@@ -56,45 +79,93 @@ CALIBRATED: Mapping[str, tuple[str, ...]] = {
         "braid_length_m",
     ),
 }
-"""The numbers that are recalibrated in each block; geometry is in both."""
+"""The numbers that are recalibrated in each block of a muscle; geometry is in both.
+
+Rest length and turns are left out: they cannot be distinguished from the braid's length and the
+stiffness.
+"""
 
 SENSOR_ZERO = "pressure_sensor_offset.offset_pa"
 ZERO_PA = 250.0
 """A quarter of the smallest offset of interest."""
+LOAD = "external_load.force_n"
+"""The constant load of a direct mechanism; the zero of its force sensor is the same to all data."""
 
 
 def calibration_of(block: str, nominal: PlantSettings) -> tuple[str, ...]:
-    """Return the numbers that are recalibrated in a block.
+    """Return the numbers that are recalibrated in a block, without those that are known.
 
-    A mechanism without a muscle has no braid. Its dry friction is recalibrated instead, if the
-    model has one.
+    A direct mechanism has no braid. Its spring is recalibrated if it has one.
     """
-    if nominal.actuator == "muscle":
-        return CALIBRATED[block]
-    dry = (DRY_FRICTION,) if nominal.effects.model_dump().get("coulomb_friction") else ()
-    return ("damping_n_s_per_m", "stiffness_n_per_m", *dry)
+    names = CALIBRATED[block]
+    if nominal.actuator == "direct":
+        spring = ("stiffness_n_per_m",) if nominal.parameters.stiffness_n_per_m > 0.0 else ()
+        names = ("mass_kg", "damping_n_s_per_m", *spring, LOAD)
+    return tuple(name for name in names if name not in nominal.known)
 
 
-DRY_FRICTION = "coulomb_friction.force_n"
+def list_plant_numbers(nominal: PlantSettings) -> tuple[str, ...]:
+    """Return every number of the plant file that acts on this actuator, known ones included."""
+    if nominal.actuator == "direct":
+        return (*AXIS, "atmospheric_pressure_pa")
+    return tuple(MuscleParameters.model_fields)
+
 
 UNITS: Mapping[str, str] = {
-    "valve_gain_m2_per_v": "m^2/V",
-    "tank_pressure_pa": "Pa",
+    "mass_kg": "kg",
     "damping_n_s_per_m": "N s/m",
     "stiffness_n_per_m": "N/m",
-    "kinetic_friction_per_m": "1/m",
+    "rest_length_m": "m",
     "braid_length_m": "m",
+    "braid_turns": "",
+    "kinetic_friction_per_m": "1/m",
+    "braid_count": "",
+    "braid_contact_area_m2": "m^2",
+    "tank_pressure_pa": "Pa",
+    "atmospheric_pressure_pa": "Pa",
+    "gas_constant_j_per_kg_k": "J/(kg K)",
+    "temperature_k": "K",
+    "heat_capacity_ratio": "",
+    "valve_gain_m2_per_v": "m^2/V",
 }
 
 
-def calibrated_number(name: str, nominal: PlantSettings) -> FreeNumber:
-    """Return one of the muscle's numbers with its range around the plant file's value."""
+def calibrated_number(name: str, nominal: PlantSettings, reach: Reach | None = None) -> FreeNumber:
+    """Return one of the plant file's numbers with its range around the file's value.
+
+    Any number that `list_plant_numbers` gives may be asked. `reach` is that of the records; a
+    direct mechanism needs it for numbers that the file has as 0.
+    """
     value = value_of(nominal, name)
-    if name == DRY_FRICTION:
-        return FreeNumber(name, 0.0, 3.0 * value, 0.01 * value, is_nuisance=True)
-    low, high = _CALIBRATION[name]
-    scale = 2e-4 if name == "braid_length_m" else 1e-2
-    return FreeNumber(name, low * value, high * value, scale * value)
+    if name == LOAD:
+        low, high, scale, _ = _range_on(_parameter(name), nominal, reach)
+        low, high = min(low, 2.0 * value), max(high, 2.0 * value)
+        return FreeNumber(name, low, high, scale, is_calibrated=True)
+    if value == 0.0:  # no spring, no friction: it may be there, from nothing on
+        size = PAPER[name] if reach is None else reach.size_of(UNITS[name])
+        return FreeNumber(name, 0.0, 3.0 * size, 1e-2 * size)
+    low, high = _RANGES[name]
+    if nominal.actuator == "direct" and name in AXIS:
+        low, high = 1.0 / _AXIS_FACTOR, _AXIS_FACTOR
+    low, high = _limit_by_others(name, low * value, high * value, nominal)
+    return FreeNumber(name, low, high, _STEPS.get(name, 1e-2) * value)
+
+
+def _limit_by_others(
+    name: str, low: float, high: float, nominal: PlantSettings
+) -> tuple[float, float]:
+    """Keep a number where the plant file's other numbers allow it (`MuscleParameters`)."""
+    p, inside = nominal.parameters, 1e-6
+    limits = {
+        "braid_length_m": (p.rest_length_m, min(sqrt(3.0) * p.rest_length_m, LONGEST_M)),
+        "rest_length_m": (p.braid_length_m / sqrt(3.0), p.braid_length_m),
+        "tank_pressure_pa": (p.atmospheric_pressure_pa, HIGHEST_TANK_PA),
+        "atmospheric_pressure_pa": (0.0, min(p.tank_pressure_pa, HIGHEST_ATMOSPHERE_PA)),
+        "temperature_k": (0.0, HOTTEST_K),
+        "heat_capacity_ratio": (1.0, 2.0),
+    }
+    least, most = limits.get(name, (0.0, inf))
+    return max(low, least * (1.0 + inside)), min(high, most * (1.0 - inside))
 
 
 def sensor_zero(nominal: PlantSettings) -> FreeNumber:
@@ -103,44 +174,125 @@ def sensor_zero(nominal: PlantSettings) -> FreeNumber:
     return FreeNumber(SENSOR_ZERO, value - ZERO_PA, value + ZERO_PA, 50.0, is_nuisance=True)
 
 
-def numbers_of_effect(effect: str, names: Collection[str]) -> tuple[FreeNumber, ...]:
-    """Return numbers of an effect with the ranges of the catalogue."""
-    return tuple(
-        FreeNumber(f"{effect}.{p.name}", p.low, p.high, p.smallest_of_interest)
+# Of an effect on a direct mechanism, over the usual size of its unit in the records: the smallest
+# size of interest, the start of a fit, the most. The catalogue's sizes are a muscle's.
+_SHARES: Mapping[str, tuple[float, float, float]] = {
+    "N": (0.01, 0.05, 1.0),
+    "N/m": (0.02, 0.05, 3.0),
+    "N/m3": (0.02, 0.1, 3.0),
+    "N s/m": (0.05, 0.1, 10.0),
+    "m": (1e-4, 1e-3, 0.2),
+    "m/s": (0.01, 0.05, 1.0),
+    "m/N": (2e-3, 0.02, 1.0),
+    "N/Pa": (0.01, 0.05, 2.0),
+    "N s/(m Pa)": (0.01, 0.05, 5.0),
+    "m2": (0.01, 0.05, 1.0),
+}
+SAME_SIZE = 1.5
+"""A muscle whose forces and lengths differ by less than this factor has the catalogue's ranges."""
+
+
+def _range_on(
+    parameter: EffectParameter, nominal: PlantSettings, reach: Reach | None
+) -> tuple[float, float, float, float]:
+    """Return least, most, smallest of interest and usual value of an effect's number.
+
+    They follow the machine: what the records of a direct mechanism reach, or what a muscle of
+    this size can do.
+    """
+    low, high, smallest = parameter.low, parameter.high, parameter.smallest_of_interest
+    usual = parameter.start
+    if not parameter.is_scaled:
+        return low, high, smallest, usual
+    if nominal.actuator == "muscle":
+        ratio = reach_of_muscle(nominal).size_of(parameter.unit) / _PAPER.size_of(parameter.unit)
+        ratio = 1.0 if 1.0 / SAME_SIZE < ratio < SAME_SIZE else ratio
+        return low * ratio, high * ratio, smallest * ratio, usual * ratio
+    if reach is None or parameter.unit not in _SHARES:
+        return low, high, smallest, usual
+    size = reach.size_of(parameter.unit)
+    smallest, usual, high = (share * size for share in _SHARES[parameter.unit])
+    if parameter.unit == "m":
+        smallest = max(smallest, reach.least_way_m)
+        usual, high = max(usual, 4.0 * smallest), max(high, 40.0 * smallest)
+    if parameter.unit in ("N", "N/Pa", "m2"):
+        high *= max(reach.load_n / reach.force_n, 1.0)
+    if parameter.role == "shape":  # as wide as the catalogue says, at least
+        low, high = min(low, 0.1 * smallest), max(parameter.high, high)
+        return low, high, smallest, usual
+    return (-high if low < 0.0 else 0.0), high, smallest, usual
+
+
+_PAPER = reach_of_muscle(PlantSettings())
+
+
+def numbers_of_effect(
+    effect: str, names: Collection[str], nominal: PlantSettings, reach: Reach | None = None
+) -> tuple[FreeNumber, ...]:
+    """Return numbers of an effect with their ranges on this machine."""
+    ranges = {
+        p.name: _range_on(p, nominal, reach)
         for p in CATALOGUE[effect].parameters
         if p.name in names
+    }
+    return tuple(
+        FreeNumber(f"{effect}.{name}", low, high, smallest, usual=usual)
+        for name, (low, high, smallest, usual) in ranges.items()
     )
 
 
 def active_effects(nominal: PlantSettings) -> tuple[str, ...]:
-    """Return the effects of the start model, without a sensor offset within homing's error."""
+    """Return the effects of the start model, without zeros that are recalibrated anyway."""
     zero_pa = value_of(nominal, SENSOR_ZERO)
     homed = {SENSOR_ZERO.split(".")[0]} if abs(zero_pa) <= ZERO_PA else set()
+    if nominal.actuator == "direct" and LOAD not in nominal.known:
+        homed.add(LOAD.split(".")[0])
     return tuple(n for n in nominal.effects.model_dump(exclude_none=True) if n not in homed)
 
 
-def numbers_of_start(nominal: PlantSettings, blocks: Collection[str]) -> tuple[FreeNumber, ...]:
-    """Return the numbers of the start model's effects that these blocks show.
+def numbers_of_start(
+    nominal: PlantSettings, blocks: Collection[str], reach: Reach | None = None
+) -> tuple[FreeNumber, ...]:
+    """Return the numbers of the start model's effects that these blocks show, and that may move.
 
     Only numbers off neutral and within their ranges are freed, so the form of the effect does not
-    change. The sensor's zero and a direct actuator's dry friction are always free.
+    change. The sensor's zero and a direct mechanism's load are always free; known numbers never
+    are.
     """
-    free_anyway = {SENSOR_ZERO, *((DRY_FRICTION,) if nominal.actuator == "direct" else ())}
     return tuple(
-        FreeNumber(f"{name}.{p.name}", p.low, p.high, p.smallest_of_interest, is_calibrated=True)
+        free
         for name in active_effects(nominal)
         if not CATALOGUE[name].unidentifiable and {*CATALOGUE[name].seen_by} & {*blocks}
         for p in CATALOGUE[name].parameters
-        if not p.choices
-        and f"{name}.{p.name}" not in free_anyway
-        and p.low < value_of(nominal, f"{name}.{p.name}") < p.high
-        and (p.role == "shape" or value_of(nominal, f"{name}.{p.name}") != p.neutral)
+        if not p.choices and f"{name}.{p.name}" not in (SENSOR_ZERO, *nominal.known)
+        for free in (_number_of_start(name, p, nominal, reach),)
+        if free.low < value_of(nominal, free.name) < free.high
+        and (p.role == "shape" or value_of(nominal, free.name) != p.neutral)
     )
+
+
+def _number_of_start(
+    effect: str, parameter: EffectParameter, nominal: PlantSettings, reach: Reach | None
+) -> FreeNumber:
+    """Return a number of the start model; a guess may be off by decades on a direct mechanism."""
+    name = f"{effect}.{parameter.name}"
+    low, high, scale, _ = _range_on(parameter, nominal, reach)
+    value = value_of(nominal, name)
+    if nominal.actuator == "direct" and parameter.is_scaled and value != 0.0:
+        most = _AXIS_FACTOR * abs(value)
+        # Where a number may have either sign, the guess may have the wrong one.
+        low, high = -most if parameter.low < 0.0 else value / _AXIS_FACTOR, most
+        scale = 0.01 * abs(value)
+    return FreeNumber(name, low, high, scale, is_calibrated=True)
 
 
 def look_up_parameter(free: FreeNumber) -> EffectParameter:
     """Return the catalogue's entry of an effect's number; raise KeyError for a muscle's number."""
-    effect, name = free.name.split(".")
+    return _parameter(free.name)
+
+
+def _parameter(dotted: str) -> EffectParameter:
+    effect, name = dotted.split(".")
     return next(p for p in CATALOGUE[effect].parameters if p.name == name)
 
 
@@ -159,4 +311,4 @@ def value_of(settings: PlantSettings, name: str) -> float:
 def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSettings:
     """Return the plant with these numbers; raise pydantic's ValidationError if out of range."""
     moved = settings_of({**values_of(settings), **values})
-    return moved.model_copy(update={"correction": settings.correction})
+    return moved.model_copy(update={"correction": settings.correction, "known": settings.known})

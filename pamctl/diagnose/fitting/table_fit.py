@@ -82,8 +82,9 @@ class _TableGrid:
             return cls(block, first, second, step, np.array(table.values))
         measured = np.concatenate([d.measured for d in drives])
         if block == MECHANICS:
-            load = np.concatenate([d.driven for d in drives])
-            first, second = _make_even_lines(measured, 6), _make_even_lines(load, 6)
+            position_m = np.concatenate([d.position_m for d in drives])
+            load = np.concatenate([d.load for d in drives])
+            first, second = _make_even_lines(position_m, 6), _make_even_lines(load, 6)
         else:
             # Finest near null, where valves differ most from their formula.
             widest_v = max(float(np.max(np.abs(d.valve_v))) for d in drives)

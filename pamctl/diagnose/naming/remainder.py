@@ -10,17 +10,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.judging.segments import differentiate
 from pamctl.diagnose.measured.record import Array
 
 MOST_TERMS = 3
 LEAST_GAIN = 0.05
 """A term that explains a smaller share of the remaining square is left out."""
-SMOOTH = 41
-"""Samples of the filter that differentiates position and pressure."""
+SMOOTH_S = 0.041
+"""Length of the parabolas that differentiate position and pressure."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,12 @@ def _build_terms(drive: Drive) -> dict[str, Array]:
     """Signals and their simplest products, each scaled to its largest magnitude."""
     period_s = float(np.median(drive.step_s))
     if drive.block == MECHANICS:
-        position, load = drive.measured, drive.driven - drive.driven[0]
-        rate = savgol_filter(position, SMOOTH, 2, deriv=1, delta=period_s)
+        position, load = drive.position_m, drive.load - drive.load[0]
+        rate = differentiate(position, period_s, SMOOTH_S, 1)
         base = {"x": position, "P": load, "v": rate}
         extra = {"sgn v": np.tanh(rate / 1e-3), "|v|": np.abs(rate)}
     else:
-        rate = savgol_filter(drive.measured, SMOOTH, 2, deriv=1, delta=period_s)
+        rate = differentiate(drive.measured, period_s, SMOOTH_S, 1)
         base = {"u": drive.valve_v, "P": drive.measured - drive.measured[0], "x": drive.driven}
         extra = {"dP/dt": rate, "|u|": np.abs(drive.valve_v), "sgn u": np.sign(drive.valve_v)}
     one = {name: _scale_signal(values) for name, values in {**base, **extra}.items()}

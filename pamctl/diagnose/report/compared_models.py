@@ -42,6 +42,7 @@ class SignalDisplay(NamedTuple):
 SIGNAL_DISPLAYS: Mapping[str, SignalDisplay] = {
     "position_m": SignalDisplay("Displacement", "mm", 1e3, "µm", 1e6),
     "pressure_pa": SignalDisplay("Pressure, absolute", "kPa", 1e-3, "kPa", 1e-3),
+    "force_n": SignalDisplay("Force", "N", 1.0, "N", 1.0),
 }
 
 
@@ -130,10 +131,9 @@ def _simulate_both_blocks(
 
 
 def _simulate_one_block(drive: Drive, stages: list[ModelStage]) -> HeldOutRun:
-    name = "pressure_pa" if drive.block == PRESSURE else "position_m"
     simulated = {stage.key: drive.simulate(stage.plant) for stage in stages}
     command_v = drive.valve_v if drive.block == PRESSURE else None
-    signal = HeldOutSignal(name, drive.measured, simulated, drive.deviation)
+    signal = HeldOutSignal(drive.channel, drive.measured, simulated, drive.deviation)
     return _collect_run(drive, command_v, (signal,))
 
 

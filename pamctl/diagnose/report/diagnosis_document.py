@@ -50,6 +50,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "explained": diagnosis.explained,
         "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
         "limits": _list_limits(diagnosis),
+        "judge": _list_judges(diagnosis),
         "integrator": {
             block: {"change_over_floor": change, "is_small": change <= SMALL}
             for block, change in diagnosis.substep_changes.items()
@@ -76,6 +77,12 @@ def _list_limits(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
         block: {"limit_over_floor": f.limit / f.mean, "decided_by": f.decided_by}
         for block, f in floors.items()
     }
+
+
+def _list_judges(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+    """Return how each block was judged: free run, windows or equation, with the horizon."""
+    judges = diagnosis.model.evidence.judge if diagnosis.model else {}
+    return {block: judge.as_dict() for block, judge in judges.items()}
 
 
 def _correction_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:

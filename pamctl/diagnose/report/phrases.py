@@ -153,4 +153,8 @@ def describe_substeps(changes: Mapping[str, float]) -> str:
 
 def gap_units(channel: str) -> tuple[float, str]:
     """Return the factor from SI to the unit of a terminal, and the label with that unit."""
-    return (1e6, "position, um") if channel == "position_m" else (1e-3, "pressure, kPa")
+    return {
+        "position_m": (1e6, "position, um"),
+        "pressure_pa": (1e-3, "pressure, kPa"),
+        "force_n": (1.0, "force, N"),
+    }[channel]

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.locate import RATE, RegimeMisfit
 from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 
@@ -89,8 +89,9 @@ def write_shape(page: Page, diagnosis: Diagnosis) -> None:
         return
     for block in model.unexplained:
         plane = plane_of(model.evidence.holdout[block], model)
-        factor, unit = (1e-3, "kPa") if block == PRESSURE else (1e6, "µm")
-        deviation = model.evidence.holdout[block][0].deviation
+        first = model.evidence.holdout[block][0]
+        display, deviation = SIGNAL_DISPLAYS[first.channel], first.deviation
+        factor, unit = display.gap_factor, display.gap_unit
         grid = _cell_means(plane, model.residuals[block] * deviation * factor)
         widest = float(np.nanmax(np.abs(grid))) if np.isfinite(grid).any() else 1.0
         plot = SvgPlot(f"{_NAMES[block]}: unnamed correction", plane.x_axis, plane.y_axis)
@@ -112,20 +113,14 @@ def plane_of(drives: Sequence[Drive], model: Model) -> WorkingPlane:
         y = np.concatenate(gauge) * 1e-3
         axes = PlotAxis("valve command", "V"), PlotAxis("pressure, gauge", "kPa")
     else:
-        x = np.concatenate([_select_counted(d, _velocity(d)) for d in drives]) * 1e3
-        y = np.concatenate([_select_counted(d, d.measured) for d in drives]) * 1e3
+        x = np.concatenate([_select_counted(d, d.velocity_m_per_s) for d in drives]) * 1e3
+        y = np.concatenate([_select_counted(d, d.position_m) for d in drives]) * 1e3
         axes = PlotAxis("velocity", "mm/s"), PlotAxis("displacement", "mm")
     return WorkingPlane(x, y, *axes, _cell_edges(x, 41), _cell_edges(y, 15))
 
 
 def _select_counted(drive: Drive, values: Array) -> Array:
     return values if drive.rows is None else values[drive.rows]
-
-
-def _velocity(drive: Drive) -> Array:
-    period_s = float(np.median(drive.step_s))
-    velocity: Array = savgol_filter(drive.measured, 31, 2, deriv=1, delta=period_s)
-    return velocity
 
 
 def _cell_edges(values: Array, cells: int) -> Array:

@@ -12,7 +12,14 @@ from typing import Any, Literal
 
 from pamctl.plant.effects.places import PLACES, Part
 
+MECHANICAL_UNITS = frozenset(
+    {"N", "m", "m/s", "kg", "N/m", "N/m3", "m/N", "N s/m", "N/Pa", "N s/(m Pa)", "m2", "m3"}
+)
+"""Units of numbers whose size follows the machine's: its force, travel, speed and pressure."""
+
 Block = Literal["pressure", "mechanics", "sensors"]
+Actuator = Literal["muscle", "direct", "chamber"]
+"""What a plant file calls `actuator`; a chamber has a constant volume and no mechanics."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,15 @@ class EffectParameter:
     role: Literal["size", "shape"] = "size"
     choices: tuple[str, ...] = ()
     """Names of the values 0, 1, ... of a number that selects a form."""
+
+    @property
+    def is_scaled(self) -> bool:
+        """Tell whether its range grows with the machine: a force or a length, no ratio or time.
+
+        `low` and `high` are then those of the paper's muscle. They limit a fit on such a muscle,
+        and no plant file.
+        """
+        return self.unit in MECHANICAL_UNITS
 
 
 def size(
@@ -131,7 +147,7 @@ class EffectDescription:
     signature: str
     """How simulation minus measurement looks when the model lacks the effect."""
     best_experiment: str
-    """Name of the experiment file that shows it best; empty where none does."""
+    """Name of the muscle's experiment file that shows it best; empty where none does."""
     seen_by: tuple[Block, ...]
     """The blocks whose residual shows it when each is driven by the other's measured signal."""
     entries: tuple[EffectEntry, ...] = ()
@@ -146,6 +162,8 @@ class EffectDescription:
     """Why no experiment on this rig can identify its size; empty if one can."""
     is_searched: bool = True
     """False where `diagnose` must not name it: it would explain too much."""
+    actuators: tuple[Actuator, ...] = ("muscle", "direct", "chamber")
+    """The actuators in whose plants `diagnose` looks for it; a plant file may always hold it."""
 
     @property
     def parts(self) -> tuple[Part, ...]:

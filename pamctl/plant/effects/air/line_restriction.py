@@ -71,4 +71,5 @@ DESCRIPTION = EffectDescription(
             held={"volume_m3": 3e-6},
         ),
     ),
+    actuators=("muscle", "chamber"),
 )

@@ -30,4 +30,5 @@ DESCRIPTION = EffectDescription(
     best_experiment="square-1",
     seen_by=("mechanics",),
     entries=(EffectEntry("pulling_pressure", reduce_pulling_pa),),
+    actuators=("muscle",),
 )

@@ -40,4 +40,5 @@ DESCRIPTION = EffectDescription(
         "air",
         "mechanics",
     ),
+    actuators=("muscle",),
 )

@@ -33,4 +33,5 @@ DESCRIPTION = EffectDescription(
     best_experiment="fill-and-hold",
     seen_by=("mechanics", "pressure"),
     entries=(EffectEntry("numbers", shorten_muscle),),
+    actuators=("muscle",),
 )

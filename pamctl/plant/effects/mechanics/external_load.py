@@ -38,4 +38,5 @@ DESCRIPTION = EffectDescription(
     best_experiment="fill-and-hold",
     seen_by=("mechanics",),
     entries=(EffectEntry("force", load_force_n),),
+    actuators=("muscle",),
 )

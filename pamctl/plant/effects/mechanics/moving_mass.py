@@ -32,4 +32,5 @@ DESCRIPTION = EffectDescription(
     seen_by=("mechanics",),
     entries=(EffectEntry("numbers", add_mass),),
     unidentifiable="it acts within 0.1 ms, a tenth of a sample: no experiment at 1 kHz shows it",
+    actuators=("muscle",),
 )

@@ -58,4 +58,5 @@ DESCRIPTION = EffectDescription(
             undo=undo_offset_pa,
         ),
     ),
+    actuators=("muscle", "chamber"),
 )

@@ -68,7 +68,13 @@ DESCRIPTION = EffectDescription(
     signature="a late break-away that overshoots, and an error at low speed",
     best_experiment="multisine-small",
     seen_by=("mechanics",),
-    entries=(EffectEntry("friction", scale_band, after=("coulomb_friction", "return_friction")),),
+    entries=(
+        EffectEntry(
+            "friction",
+            scale_band,
+            after=("coulomb_friction", "pressure_friction", "return_friction"),
+        ),
+    ),
     forms=(
         EffectForm("Gaussian", ("rise", "speed_m_per_s"), {"exponent": 2.0}),
         EffectForm("Tustin", ("rise", "speed_m_per_s"), {"exponent": 1.0}),

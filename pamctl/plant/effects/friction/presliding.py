@@ -10,6 +10,7 @@ from __future__ import annotations
 from math import exp, isinf, sqrt
 from typing import NamedTuple
 
+from pamctl.plant.axis.glide import travel_weights
 from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
 
 ELASTO_PLASTIC, DAHL, LUGRE = 0.0, 1.0, 2.0
@@ -64,9 +65,8 @@ def slip(
     stiffness. The distance is at least 0. Also returns the force that the bristle has gained.
     """
     rate = damping_n_s_per_m / mass_kg
-    decay = exp(-rate * step_s)
-    by_speed_s = (1.0 - decay) / rate
-    by_force = (step_s - by_speed_s) / damping_n_s_per_m
+    by_speed_s, by_push_s2 = travel_weights(rate, step_s)
+    by_force = by_push_s2 / mass_kg
     free_m = by_speed_s * velocity_m_per_s + by_force * surplus_n
     if free_m <= 0.0:
         return SlipEnd(0.0, 0.0, 0.0)
@@ -75,8 +75,23 @@ def slip(
         way_m, gained_n, mean_n = _elasto_plastic(free_m, by_force, stiffness, left_n)
     else:
         way_m, gained_n, mean_n = _dahl(free_m, by_force, stiffness / width_n, left_n)
-    terminal = (surplus_n - mean_n) / damping_n_s_per_m
-    return SlipEnd(way_m, terminal + (velocity_m_per_s - terminal) * decay, gained_n)
+    end_m_per_s = velocity_m_per_s * exp(-rate * step_s)
+    return SlipEnd(way_m, end_m_per_s + (surplus_n - mean_n) / mass_kg * by_speed_s, gained_n)
+
+
+def advance_bristle_n(
+    presliding: Presliding, force_n: float, lower_n: float, upper_n: float, way_m: float
+) -> float:
+    """Return a bristle's force after a given way within the band [lower, upper].
+
+    Unloaded bristles (infinite) start in the middle of the band.
+    """
+    held_n = clamp_bristle_n(force_n, 0.5 * (lower_n + upper_n), lower_n, upper_n)
+    bent = way_m / presliding.compliance_m_per_n
+    if presliding.form == ELASTO_PLASTIC:
+        return min(max(held_n + bent, lower_n), upper_n)
+    limit_n = upper_n if way_m > 0.0 else lower_n
+    return limit_n + (held_n - limit_n) * exp(-abs(bent) / (upper_n - lower_n))
 
 
 def _elasto_plastic(

@@ -38,4 +38,5 @@ DESCRIPTION = EffectDescription(
     best_experiment="slow-ramps",
     seen_by=("mechanics",),
     entries=(EffectEntry("friction", add_return_friction),),
+    actuators=("muscle",),
 )

@@ -1,0 +1,1 @@
+"""A mechanism of one axis without a muscle: how it moves, and the force that it needs."""

@@ -1,0 +1,83 @@
+"""The ball screw moves as its equation says, and its numbers come back from what it shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.signal import butter, sosfiltfilt
+
+from hidden.ball_screw.ball_screw_cases import BallScrewCase, ball_screw_cases
+from hidden.ball_screw.ball_screw_rig import ASYMMETRIC, SYMMETRIC, BallScrewRig
+from pamctl.plant.axis.required_force import required_force_n
+from pamctl.plant.flat import parameters_of
+from pamctl.plant.model import values_of
+
+CASES = {case.id: case for case in ball_screw_cases()}
+SMOOTH_HZ = 15.0
+EDGE = 200
+"""Samples at both ends that the smoothing needs."""
+SLOW_M_PER_S = 5e-3
+"""Below, the smoothed speed does not show the direction."""
+
+
+def smooth(values: np.ndarray) -> np.ndarray:
+    return sosfiltfilt(butter(3, SMOOTH_HZ * 2e-3, output="sos"), values)
+
+
+def motion(position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    x = smooth(position_m)
+    v = np.gradient(x, 1e-3)
+    return x, v, np.gradient(v, 1e-3)
+
+
+def test_without_noise_force_and_motion_obey_the_published_equation() -> None:
+    truth = ASYMMETRIC
+    rig = BallScrewRig(truth, motor_noise_n=0.0, sensor_noise_n=0.0, encoder_step_m=1e-10)
+    record = rig.run("calm", seed=1, seconds=8.0)
+    assert record.force_n is not None
+    _, v, a = motion(record.position_m)
+    up, down = v > 0.02, v < -0.02
+    force = truth.mass_kg * a + np.where(
+        up, truth.viscous_up * v + truth.dry_up_n, truth.viscous_down * v - truth.dry_down_n
+    )
+    steady = (up | down) & (np.abs(a) < 0.02)
+    assert steady.sum() > 1000
+    assert np.median(np.abs(force - smooth(record.force_n))[steady]) < 0.3
+
+
+def test_the_drive_follows_its_profile_as_far_and_as_fast_as_the_benchmark() -> None:
+    record = BallScrewRig(SYMMETRIC).run("look", seed=1)
+    assert record.position_m is not None
+    assert record.force_n is not None
+    assert len(record.t_s) == 25_000
+    assert np.ptp(record.position_m) == pytest.approx(0.24, abs=2e-3)
+    speed = np.abs(motion(record.position_m)[1]).max()
+    assert 0.3 < speed < 0.45
+    assert np.abs(record.force_n).max() < 350.0
+    counts = record.position_m / 1e-6
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_least_squares_over_the_required_force_finds_the_published_numbers(name: str) -> None:
+    case: BallScrewCase = CASES[name]
+    record = case.records()[0][0]
+    assert record.force_n is not None
+    x, v, a = motion(record.position_m)
+    felt_n = smooth(record.force_n)
+    start = values_of(case.start_plant())
+    true = case.numbers
+    first = {n: start.get(n, {"coulomb_friction.force_n": 1.0}.get(n, 0.0)) for n in true}
+    unit = np.array([max(abs(first[n]), 0.1) for n in true])
+    counts = np.abs(v) > SLOW_M_PER_S
+    counts[:EDGE] = counts[-EDGE:] = False
+
+    def residual(numbers: np.ndarray) -> np.ndarray:
+        values = start | dict(zip(true, numbers * unit, strict=True))
+        return (required_force_n(parameters_of(values), record.t_s, x, v, a) - felt_n)[counts]
+
+    found = least_squares(residual, np.array([*first.values()]) / unit).x * unit
+    for n, value in zip(true, found, strict=True):
+        # Of a load that is nearly nothing only a part of the dry friction can be known.
+        assert value == pytest.approx(true[n], rel=0.05, abs=0.2 if "load" in n else 0.0), n

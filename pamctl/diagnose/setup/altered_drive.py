@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -91,7 +92,7 @@ class AlteredDrive(Drive):
         edges = sorted(c for c in cuts if 0 <= c <= n)
         overlap = round(OVERLAP_S / float(np.median(self.step_s)))
         simulated: Array = np.zeros(n)
-        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+        for begin, end in pairwise(edges):
             first = max(begin - overlap, 0)
             start = self.start if not first else float(simulated[first])
             piece = replace(
@@ -162,8 +163,12 @@ def _change_gamma(paper: PaperParameters, factor: float) -> PaperParameters:
     )
 
 
-_FLAGS = {"valve": "valve_acts", "air": "air_acts", "mechanics": "mechanics_act",
-          "sensors": "sensors_act"}  # fmt: skip
+_ACTING: dict[str, dict[str, Any]] = {
+    "valve": {"valve_acts": True},
+    "air": {"air_acts": True},
+    "mechanics": {"mechanics_act": True},
+    "sensors": {"sensors_act": True},
+}
 
 
 def _change_effect(p: PlantParameters, name: str, amount: float) -> PlantParameters:
@@ -175,5 +180,5 @@ def _change_effect(p: PlantParameters, name: str, amount: float) -> PlantParamet
             numbers = getattr(group, effect)
             moved = numbers._replace(**{number: getattr(numbers, number) + amount})
             effects = p.effects._replace(**{part: group._replace(**{effect: moved})})
-            return p._replace(effects=effects, **{_FLAGS[part]: True})
+            return p._replace(effects=effects, **_ACTING[part])
     raise KeyError(name)

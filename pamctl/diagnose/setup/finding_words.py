@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pamctl.diagnose.setup.suspects import ATMOSPHERE, UNITS, Suspect
+from pamctl.diagnose.setup.suspects import ATMOSPHERE, CONSTANTS, Suspect
 
 _COLUMNS = {"valve_v": "the command", "pressure_pa": "the pressure", "position_m": "the position"}
 _MEND_CONSTANT = {
@@ -35,20 +35,23 @@ def describe(suspect: Suspect, value: float, said: float | None) -> str:
     if suspect.kind == "sign":
         return f"{column} has the wrong sign"
     if suspect.kind == "decimated_command":
-        return (
-            f"the command was logged once in {value:.0f} samples, and the rig got it more often"
-        )
+        return f"the command was logged once in {value:.0f} samples, and the rig got it more often"
     return f"{column} is shown {value:.4g} times as large as it is"
 
 
 def _describe_change(suspect: Suspect, value: float) -> str:
     number = suspect.number
-    size = f"{100.0 * value:+.1f} %" if number in UNITS and "." not in number else f"{value:+.3g} {suspect.unit}"
+    share = number in CONSTANTS
+    size = f"{100.0 * value:+.1f} %" if share else f"{value:+.3g} {suspect.unit}"
     if suspect.kind == "change_at_instant":
-        where = f" of {suspect.record}" if suspect.record else " of every record"
-        return f"{number} changes by {size} at {suspect.after_s:.1f} s{where}"
+        if suspect.variant:
+            when = f"after {100.0 * suspect.after_s:.0f} % of every record"
+        else:
+            when = f"at {suspect.after_s:.1f} s of {suspect.record or 'every record'}"
+        return f"{number} changed by {size} {when}"
     if suspect.over_s:
-        return f"{number} drifts by {size} within {suspect.over_s:.1f} s of a record"
+        span = "from start to end" if suspect.variant else f"within {suspect.over_s:.1f} s"
+        return f"{number} drifts by {size} {span} of a record"
     return f"{number} differs between the records: {size} from the lowest to the highest"
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, restore_command, shift_command
 from pamctl.plant.model import PlantSettings
 
@@ -25,11 +26,16 @@ def mend_record(record: Record, suspect: Suspect, amount: float, nominal: PlantS
     if kind == "decimated_command":
         return replace(record, valve_v=restore_command(values, round(amount)))
     if kind in ("scale", "sign"):
-        return replace(record, **{column: values / (1.0 + amount)})
+        return _with_column(record, column, values / (1.0 + amount))
     if kind in ("skew", "clock_rate"):
         late_s = amount if kind == "skew" else amount * (t_s - t_s[0])
         true_s = t_s + late_s
         if column == "valve_v":
             return replace(record, valve_v=shift_command(values, t_s, true_s))
-        return replace(record, **{column: np.interp(true_s, t_s, values)})
+        return _with_column(record, column, np.interp(true_s, t_s, values))
     return record
+
+
+def _with_column(record: Record, column: str, values: Array) -> Record:
+    changed: dict[str, Any] = {column: values}
+    return replace(record, **changed)

@@ -7,8 +7,10 @@ clearly better. Where an effect does as well, both are said, and nothing is corr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.drives import Drive
@@ -17,11 +19,11 @@ from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.numbers import value_of, with_values
 from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.setup.decimation import fit_decimation
 from pamctl.diagnose.setup.finding_words import advise_mending, describe
 from pamctl.diagnose.setup.mended_records import mend_record
 from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, list_suspects
-from pamctl.diagnose.setup.wholesale import fit_wholesale
 from pamctl.diagnose.setup.time_changes import fit_time_changes
 from pamctl.diagnose.setup.weighed_fit import (
     SuspectFit,
@@ -29,20 +31,35 @@ from pamctl.diagnose.setup.weighed_fit import (
     held_out_margins,
     score_suspect,
 )
+from pamctl.diagnose.setup.wholesale import fit_wholesale
 
 MOST_FINDINGS = 3
 PROMISING = 0.3
 """Share of what is left that a suspect must promise to be fitted."""
 MOST_FITTED = 3
 """Suspects that are fitted for each set of blocks."""
+NEAR_PROMISE = 0.7
+"""Once a suspect reaches the floor, another must promise this share of what that one promised."""
 LEAST_CLOSED = 0.8
 """Share of the way to the floor that a suspect must go in a block."""
 MUCH = 0.05
 """Logs of mean squares that differ by less count as equal."""
 GEOMETRY = ("rest_length_m", "braid_length_m")
 
-FitEffects = Callable[[Model], Sequence[Model]]
-"""Fits the most promising effects of the catalogue to a base model."""
+HOPELESS = 5.0
+"""A suspect that leaves so many times the square that an effect promises to leave is not fitted."""
+
+
+class Effects(Protocol):
+    """The catalogue's single effects upon a base: rivals of every suspect."""
+
+    def promise(self, base: Model, block: str) -> float:
+        """Return the largest share of a block's residual that an effect promises to explain."""
+        ...
+
+    def fit(self, base: Model) -> Sequence[Model]:
+        """Return the base with each of the most promising effects, fitted."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -57,25 +74,34 @@ class CheckedSetup:
     findings: tuple[SetupFinding, ...] = ()
     open_fits: tuple[SuspectFit, ...] = ()
     """Those that an effect equals: not corrected, the search decides beside them."""
+    refusal: str = ""
+    """Why nothing more can be said with these records; empty if more can."""
 
 
 def suspect_setup(
     base: Model,
     train: Sequence[Record],
     holdout: Sequence[Record],
-    fit_effects: FitEffects,
+    effects: Effects,
     progress: Callable[[str], None] = lambda line: None,
 ) -> CheckedSetup:
     """Return the findings, and the base to search upon."""
     setup = CheckedSetup(base, tuple(train), tuple(holdout))
+    decimated = fit_decimation(base)
+    if decimated is not None:
+        finding = _word_finding(decimated, (), corrected=True)
+        setup = replace(_correct(setup, decimated), findings=(finding,))
+        lost = "; its jumps between two logged rows are lost, and nothing more can be concluded. "
+        refusal = f"{finding.text[:1].upper()}{finding.text[1:]}{lost}To mend it: "
+        if setup.base.unexplained:
+            return replace(setup, refusal=refusal + finding.how_to_mend)
     while len(setup.findings) < MOST_FINDINGS and setup.base.unexplained and not setup.open_fits:
-        found = _find_best(setup.base, fit_effects)
+        found = _find_best(setup.base, effects)
         if found is None:
             break
         fitted, rivals = found
-        effects = tuple(r for r in rivals if isinstance(r, str))
-        corrected = not effects
-        finding = _word_finding(fitted, effects, corrected=corrected)
+        corrected = not rivals
+        finding = _word_finding(fitted, rivals, corrected=corrected)
         progress(f"set-up: {finding.text}")
         if corrected:
             setup = _correct(setup, fitted)
@@ -85,20 +111,27 @@ def suspect_setup(
     return setup
 
 
-def _find_best(
-    base: Model, fit_effects: FitEffects
-) -> tuple[SuspectFit, tuple[str, ...]] | None:
+def is_refuted_by(fitted: SuspectFit, model: Model) -> bool:
+    """Tell whether a model with effects leaves clearly less than a suspect."""
+    base, blocks = fitted.base, _blocks_of(fitted)
+    low, _ = held_out_margins(model.residuals, fitted.residuals, base, blocks)
+    return bool(model.effects) and low > MUCH
+
+
+def _find_best(base: Model, effects: Effects) -> tuple[SuspectFit, tuple[str, ...]] | None:
     """Return the best accepted suspect, and the names of what it cannot be told from."""
-    fits = [f for f in _fit_promising(base) if _is_worth_saying(f)]
+    least = {b: 1.0 - HOPELESS * (1.0 - effects.promise(base, b)) for b in base.unexplained}
+    fits = [f for f in _fit_promising(base, least) if _is_worth_saying(f)]
     if not fits:
-        fits = [f for f in fit_time_changes(base) if _is_worth_saying(f)]
+        least = {b: effects.promise(base, b) for b in base.unexplained}
+        fits = [f for f in fit_time_changes(base, least) if _is_worth_saying(f)]
     if not fits:
         return None
     fits.sort(key=_left)
     best = fits[0]
     blocks = _blocks_of(best)
     equals: list[str] = []
-    for model in fit_effects(base):
+    for model in effects.fit(base):
         low, high = held_out_margins(best.residuals, model.residuals, base, blocks)
         if high < -MUCH:
             return None  # an effect leaves clearly less
@@ -115,17 +148,33 @@ def _find_best(
     return best, tuple(dict.fromkeys(equals))
 
 
-def _fit_promising(base: Model) -> list[SuspectFit]:
-    promises = [score_suspect(base, s) for s in list_suspects(base.evidence) if _may_matter(base, s)]
-    promises.sort(key=lambda p: -p.explained)
-    chosen = []
-    for blocks in {p.suspect.blocks for p in promises}:
-        own = [p for p in promises if p.suspect.blocks == blocks and p.explained > PROMISING]
-        chosen += own[:MOST_FITTED]
-    pushed = any("braid_length_m" in f.at_bound for f in base.fits.values())
-    if pushed:  # derivatives promise nothing where a number is at its bound
-        chosen += [p for p in promises if p.suspect.number in GEOMETRY and p not in chosen]
-    return [*(fit_suspect(base, p.suspect, p.start) for p in chosen), *fit_wholesale(base)]
+def _fit_promising(base: Model, least: Mapping[str, float]) -> list[SuspectFit]:
+    """Fit the suspects that promise most; `least` is what they must promise, by block."""
+    wholesale = fit_wholesale(base)
+    if any(f.is_good for f in wholesale):
+        return wholesale
+    at_bound = {name for f in base.fits.values() for name in f.at_bound}
+    asked = [s for s in list_suspects(base.evidence, at_bound) if _may_matter(base, s)]
+    promises = sorted((score_suspect(base, s) for s in asked), key=lambda p: -p.explained)
+    fits: list[SuspectFit] = []
+    counts: Counter[frozenset[str]] = Counter()
+    for promise in promises:
+        blocks = promise.suspect.blocks
+        enough = max(PROMISING, min(least[b] for b in blocks if b in least))
+        better = max((f.promised for f in fits if f.is_good), default=0.0)
+        if promise.explained > max(enough, NEAR_PROMISE * better) and counts[blocks] < MOST_FITTED:
+            counts[blocks] += 1
+            fitted = fit_suspect(base, promise.suspect, promise.start)
+            fits.append(replace(fitted, promised=promise.explained))
+    if not any(f.is_good for f in fits) and "braid_length_m" in at_bound:
+        # Derivatives promise nothing where a number is at its bound.
+        known = {f.suspect.key for f in fits}
+        fits += [
+            fit_suspect(base, p.suspect, p.start)
+            for p in promises
+            if p.suspect.number in GEOMETRY and p.suspect.key not in known
+        ]
+    return [*fits, *wholesale]
 
 
 def _may_matter(base: Model, suspect: Suspect) -> bool:
@@ -158,9 +207,7 @@ def _is_worth_saying(fitted: SuspectFit) -> bool:
     return low > MUCH and (fitted.is_explained(best) or fitted.closed(best) >= LEAST_CLOSED)
 
 
-def _word_finding(
-    fitted: SuspectFit, effects: tuple[str, ...], *, corrected: bool
-) -> SetupFinding:
+def _word_finding(fitted: SuspectFit, effects: tuple[str, ...], *, corrected: bool) -> SetupFinding:
     suspect, base = fitted.suspect, fitted.base
     block = max(_blocks_of(fitted), key=fitted.closed)
     value, (low, high), said = fitted.value_and_interval()

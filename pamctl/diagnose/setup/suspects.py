@@ -6,14 +6,16 @@ list is made for the plant and the blocks at hand: a suspect that changes nothin
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose.fitting.numbers import calibration_of
 from pamctl.diagnose.setup.altered_drive import AlteredDrive, PlantChange, add_change, alter
 from pamctl.plant.model import PlantSettings
 
@@ -31,6 +33,8 @@ Kind = Literal[
 ]
 
 ATMOSPHERE = "atmospheric_pressure_pa"
+OF_RECORD = "of each record"
+"""Variant of a change over time: its times are shares of each record's length."""
 LOWEST_ATMOSPHERE_PA, HIGHEST_ATMOSPHERE_PA = 55e3, 108.5e3
 """From the highest laboratories to the highest pressure that the weather has made."""
 
@@ -56,7 +60,9 @@ class Suspect:
     record: str = ""
     """The record that a change belongs to; empty for all records."""
     over_s: float = 0.0
+    """Above 0: grows from nothing at the start of a record to the amount after this time."""
     after_s: float = 0.0
+    """Above 0: acts from this instant of a record on."""
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -89,7 +95,9 @@ class Suspect:
 def _change_constant(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     if suspect.number == "valve_v":
         return _move_null(suspect, drive, amount)
-    change = PlantChange(suspect.number, amount, suspect.over_s, suspect.after_s)
+    # With the variant, times are shares of the record's length.
+    unit_s = float(np.sum(drive.step_s)) if suspect.variant == OF_RECORD else 1.0
+    change = PlantChange(suspect.number, amount, unit_s * suspect.over_s, unit_s * suspect.after_s)
     if suspect.number == ATMOSPHERE and suspect.variant == "gauge":
         # The sensor measures against the atmosphere; the plant file's was added to its reading.
         raised = amount * drive.start if drive.block == PRESSURE else 0.0
@@ -110,6 +118,7 @@ def _move_null(suspect: Suspect, drive: Drive, amount: float) -> Drive:
 def _profile(suspect: Suspect, drive: Drive) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """Return how much of an amount acts at each sample."""
     t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
+    t_s = t_s / t_s[-1] if suspect.variant == OF_RECORD else t_s
     if suspect.over_s:
         return np.asarray(t_s / suspect.over_s)
     return np.asarray(t_s >= suspect.after_s, dtype=np.float64)
@@ -123,9 +132,7 @@ def _shift_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
         output, driven = driven, output
     if suspect.number == output:
         before = drive if isinstance(drive, AlteredDrive) else alter(drive)
-        return alter(
-            drive, late_s=before.late_s + late_s, late_per_s=before.late_per_s + per_s
-        )
+        return alter(drive, late_s=before.late_s + late_s, late_per_s=before.late_per_s + per_s)
     t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
     true_s = t_s + late_s + per_s * t_s  # what a late column shows later happened now
     if suspect.number == driven:
@@ -179,13 +186,16 @@ def find_decimation(valve_v: np.ndarray) -> int:
 
 
 def restore_command(valve_v: np.ndarray, held: int) -> np.ndarray:
-    """Return the command between the rows at which it was logged, where it ran smoothly."""
+    """Return the command between the rows at which it was logged, where it ran smoothly.
+
+    Between two rows that differ by much more than usual the command stays as it was logged.
+    """
     changes = np.flatnonzero(np.diff(valve_v)) + 1
     if held < 2 or not len(changes):
         return valve_v
     first = int(changes[0]) % held
     knots = np.arange(first, len(valve_v), held)
-    restored = np.interp(np.arange(len(valve_v)) + 0.5, knots, valve_v[knots])
+    restored = CubicSpline(knots, valve_v[knots])(np.arange(len(valve_v)))
     steps = np.abs(np.diff(valve_v[knots]))
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     jumps = np.append(steps > 6.0 * usual, True)  # a step stays a step
@@ -206,14 +216,13 @@ _ACTIONS = {
     "gauge": _scale_column,
 }
 
-_CONSTANTS: dict[str, tuple[frozenset[str], float]] = {
+# Turns and temperature are not here: a recalibration imitates them exactly (`symmetries.py`).
+CONSTANTS: dict[str, tuple[frozenset[str], float]] = {
     # name: (blocks that show it, step of a small change as a share)
     "rest_length_m": (frozenset({PRESSURE, MECHANICS}), 2e-3),
     "braid_length_m": (frozenset({PRESSURE, MECHANICS}), 2e-3),
-    "braid_turns": (frozenset({PRESSURE, MECHANICS}), 5e-3),
     "tank_pressure_pa": (frozenset({PRESSURE}), 1e-2),
     "heat_capacity_ratio": (frozenset({PRESSURE}), 1e-2),
-    "temperature_k": (frozenset({PRESSURE}), 1e-2),
     "valve_gain_m2_per_v": (frozenset({PRESSURE}), 1e-2),
     "mass_kg": (frozenset({MECHANICS}), 0.2),
     "damping_n_s_per_m": (frozenset({MECHANICS}), 1e-2),
@@ -239,18 +248,24 @@ UNITS = {
 _TWINS = {"rest_length_m": frozenset({"end_cap"}), "mass_kg": frozenset({"moving_mass"})}
 
 
-def list_suspects(evidence: Evidence) -> tuple[Suspect, ...]:
-    """Return what to ask about these records and this plant."""
+def list_suspects(evidence: Evidence, at_bound: Collection[str] = ()) -> tuple[Suspect, ...]:
+    """Return what to ask about these records and this plant.
+
+    A number that is recalibrated anyway is asked only where it is at a bound of its range.
+    """
     return tuple(
         replace(s, blocks=s.blocks & {*evidence.blocks})
-        for s in (*_list_constants(evidence.nominal), *_list_columns(evidence))
+        for s in (*_list_constants(evidence.nominal, at_bound), *_list_columns(evidence))
         if s.blocks & {*evidence.blocks}
     )
 
 
-def _list_constants(nominal: PlantSettings) -> Iterator[Suspect]:
+def _list_constants(nominal: PlantSettings, at_bound: Collection[str]) -> Iterator[Suspect]:
     muscle = nominal.actuator == "muscle"
-    for name, (blocks, scale) in _CONSTANTS.items():
+    free = {n for block in (PRESSURE, MECHANICS) for n in calibration_of(block, nominal)}
+    for name, (blocks, scale) in CONSTANTS.items():
+        if name in free and name not in at_bound:
+            continue
         if muscle or name in _DIRECT:
             doses = (scale, -scale, 5.0 * scale, -5.0 * scale)
             twins = _TWINS.get(name, frozenset())
@@ -298,9 +313,7 @@ def _list_columns(evidence: Evidence) -> Iterator[Suspect]:
         yield _rate("position_m", both)
 
 
-def _skew(
-    column: str, blocks: frozenset[str], twins: frozenset[str], sign: float = 1.0
-) -> Suspect:
+def _skew(column: str, blocks: frozenset[str], twins: frozenset[str], sign: float = 1.0) -> Suspect:
     doses = tuple(sign * d for d in (5e-4, -5e-4, 2e-3, -2e-3))
     return Suspect("skew", column, "s", -0.012, 0.012, doses, 2e-4, blocks, same_as=twins)
 

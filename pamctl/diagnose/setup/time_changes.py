@@ -7,16 +7,16 @@ promises most is then simulated as it would be.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pamctl.diagnose.fitting.block_fit import Fit, fit_numbers, project_out, stack_residuals
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
+from pamctl.diagnose.fitting.block_fit import Fit, fit_numbers, project_out
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.measured.record import Array
-from pamctl.diagnose.setup.suspects import UNITS, Suspect
+from pamctl.diagnose.setup.suspects import OF_RECORD, UNITS, Suspect
 from pamctl.diagnose.setup.weighed_fit import SuspectFit, fit_suspect, score_suspect, weights_of
 from pamctl.plant.catalogue import CATALOGUE
 
@@ -24,9 +24,10 @@ PROMISING = 0.3
 """Share of what is left that a profile must promise to be fitted."""
 INSTANTS = 24
 """Instants of a record that are tried first."""
-REFINED = 8
+REFINED = 4
 """Instants that are simulated between two of those."""
-MOST_FITTED = 3
+MOST_OF_A_WAY = 2
+"""Numbers that are fitted for each way of changing."""
 ROUNDS = 3
 
 _NUMBERS: dict[str, tuple[tuple[str, float], ...]] = {
@@ -56,17 +57,27 @@ class _Profile:
     by_record: bool = False
 
 
-def fit_time_changes(base: Model) -> list[SuspectFit]:
-    """Return the fits of the most promising changes over time."""
-    profiles = [p for block in base.unexplained for p in _list_profiles(base, block)]
+def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit]:
+    """Return the fits of the most promising changes over time.
+
+    `least` is what they must promise, by block.
+    """
+    profiles = [
+        p
+        for block in base.unexplained
+        for p in _list_profiles(base, block)
+        if p.explained > least[block]
+    ]
     profiles.sort(key=lambda p: -p.explained)
     chosen: list[_Profile] = []
     for profile in profiles:
-        known = {(p.suspect.number, p.suspect.kind, p.by_record) for p in chosen}
-        own = (profile.suspect.number, profile.suspect.kind, profile.by_record)
-        if profile.explained > PROMISING and own not in known:
+        ways = [(p.suspect.kind, p.by_record) for p in chosen]
+        numbers = [(*way, p.suspect.number) for way, p in zip(ways, chosen, strict=True)]
+        way = (profile.suspect.kind, profile.by_record)
+        known = (*way, profile.suspect.number) in numbers
+        if profile.explained > PROMISING and not known and ways.count(way) < MOST_OF_A_WAY:
             chosen.append(profile)
-    return [_fit_profile(base, p) for p in chosen[:MOST_FITTED]]
+    return [_fit_profile(base, p) for p in chosen]
 
 
 def _fit_profile(base: Model, profile: _Profile) -> SuspectFit:
@@ -101,6 +112,10 @@ def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
         clock = np.concatenate(times)
         explained, amount = promise(moved * clock / longest_s)
         yield _Profile(replace(suspect, over_s=longest_s), explained, amount * dose)
+        if len(times) > 1:
+            explained, amount = promise(moved * np.concatenate([t / t[-1] for t in times]))
+            drift = replace(suspect, over_s=1.0, variant=OF_RECORD)
+            yield _Profile(drift, explained, amount * dose)
         yield _best_instant(fitted, suspect, dose, moved, times, promise)
         names = [d.name for d in fitted.drives]
         if len(names) > 1:
@@ -141,17 +156,22 @@ def _best_instant(fitted: Fit, suspect: Suspect, dose: float, moved: Array,
                   times: list[Array], promise: object) -> _Profile:  # fmt: skip
     """Return the best instant at which the number changes, of all records or of one."""
     clock = np.concatenate(times)
+    shares = np.concatenate([t / t[-1] for t in times])
     marks = np.concatenate([np.full(len(t), i) for i, t in enumerate(times)])
     best = _Profile(replace(suspect, kind="change_at_instant"), 0.0, 0.0)
-    records = ["", *(d.name for d in fitted.drives)] if len(fitted.drives) > 1 else [""]
-    for place, record in enumerate(records):
-        own = np.ones(len(clock), bool) if not record else marks == place - 1
-        end_s = float(clock[own].max())
-        for instant_s in np.linspace(0.0, end_s, INSTANTS + 2)[1:-1]:
-            explained, amount = promise(moved * (own & (clock >= instant_s)))  # type: ignore[operator]
+    of_one = [(d.name, "", clock, marks == i) for i, d in enumerate(fitted.drives)]
+    of_all = np.ones(len(clock), bool)
+    several = [("", "", clock, of_all), ("", OF_RECORD, shares, of_all)]
+    for record, variant, when, own in [*several, *of_one] if len(times) > 1 else several[:1]:
+        for instant in np.linspace(0.0, float(when[own].max()), INSTANTS + 2)[1:-1]:
+            explained, amount = promise(moved * (own & (when >= instant)))  # type: ignore[operator]
             if explained > best.explained:
                 changed = replace(
-                    suspect, kind="change_at_instant", record=record, after_s=float(instant_s)
+                    suspect,
+                    kind="change_at_instant",
+                    record=record,
+                    variant=variant,
+                    after_s=float(instant),
                 )
                 best = _Profile(changed, explained, amount * dose)
     return best
@@ -162,10 +182,11 @@ def _refine_instant(base: Model, profile: _Profile) -> Suspect:
     suspect = profile.suspect
     own = [d for d in base.fit_of(next(iter(suspect.blocks))).drives
            if suspect.record in ("", d.name)]  # fmt: skip
-    width_s = max(float(_times_of(d)[-1]) for d in own) / (INSTANTS + 1)
+    longest_s = max(float(_times_of(d)[-1]) for d in own)
+    width_s = (1.0 if suspect.variant == OF_RECORD else longest_s) / (INSTANTS + 1)
     for _ in range(2):
         tried = [
-            replace(suspect, after_s=float(s), doses=(profile.start, 0.5 * profile.start))
+            replace(suspect, after_s=float(s), doses=(profile.start,))
             for s in suspect.after_s + np.linspace(-1.0, 1.0, REFINED + 1) * width_s
             if s > 0.0
         ]
@@ -203,7 +224,8 @@ def _fit_amount(drive: Drive, settings: object, suspect: Suspect, amount: float)
     for _ in range(3):
         here = stack_residuals([suspect.apply(drive, amount)], settings)  # type: ignore[arg-type]
         there = stack_residuals(
-            [suspect.apply(drive, amount + suspect.scale)], settings  # type: ignore[arg-type]
+            [suspect.apply(drive, amount + suspect.scale)],
+            settings,  # type: ignore[arg-type]
         )
         slope = (there - here) / suspect.scale
         size = float(slope @ slope)

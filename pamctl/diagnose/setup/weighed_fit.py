@@ -14,7 +14,7 @@ from pamctl.diagnose.fitting.drives import Drive, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import FORM_SHARE, Model
 from pamctl.diagnose.fitting.numbers import value_of, with_values
 from pamctl.diagnose.measured.record import Array
-from pamctl.diagnose.setup.suspects import UNITS, Suspect
+from pamctl.diagnose.setup.suspects import CONSTANTS, Suspect
 from pamctl.plant.model import PlantSettings
 
 EVALUATIONS = 15
@@ -49,6 +49,8 @@ class SuspectFit:
     """Amounts by record, for a number that differs between them; `amount` is their span."""
     equal_suspects: tuple[str, ...] = ()
     """Other suspects that explain as much."""
+    promised: float = 0.0
+    """What it promised to first order."""
 
     def apply(self, drive: Drive) -> Drive:
         """Return the drive as it is with what was found."""
@@ -96,6 +98,13 @@ class SuspectFit:
         return float((self.base.rms[block] - rms(self.residuals[block])) / way) if way > 0 else 1.0
 
     @property
+    def twins(self) -> frozenset[str]:
+        """Effects of the catalogue that say the same with other words, with this amount."""
+        late = self.suspect.kind == "skew" and self.amount > 0.0
+        longer = self.suspect.number == "rest_length_m" and self.amount > 0.0
+        return frozenset() if late or longer else self.suspect.same_as
+
+    @property
     def is_at_bound(self) -> bool:
         """Tell whether the amount is at an end of its range."""
         width = self.suspect.high - self.suspect.low
@@ -113,9 +122,7 @@ def weights_of(base: Model, fitted: Fit) -> Array:
         block: base.evidence.holdout[block][0].deviation * base.floors[block].mean
         for block in base.evidence.blocks
     }
-    return np.concatenate(
-        [np.full(d.samples, d.deviation / units[d.block]) for d in fitted.drives]
-    )
+    return np.concatenate([np.full(d.samples, d.deviation / units[d.block]) for d in fitted.drives])
 
 
 def score_suspect(base: Model, suspect: Suspect) -> Promise:
@@ -143,9 +150,7 @@ def score_suspect(base: Model, suspect: Suspect) -> Promise:
             continue
         times = -sum(float(m @ r) for m, r in zip(parts, left, strict=True)) / size
         times = min(max(times, 0.0), 4.0)
-        after = sum(
-            float(np.sum((r + times * m) ** 2)) for m, r in zip(parts, left, strict=True)
-        )
+        after = sum(float(np.sum((r + times * m) ** 2)) for m, r in zip(parts, left, strict=True))
         explained = 1.0 - after / before
         if explained > best.explained:
             start = float(np.clip(times * dose, 0.98 * suspect.low, 0.98 * suspect.high))
@@ -167,8 +172,7 @@ def fit_suspect(base: Model, suspect: Suspect, start: float) -> SuspectFit:
 def _mean_squares(fitted: SuspectFit) -> list[float]:
     """Return the training residuals of each fit, in floors."""
     return [
-        float(np.mean((weights_of(fitted.base, f) * f.residual) ** 2))
-        for f in fitted.fits.values()
+        float(np.mean((weights_of(fitted.base, f) * f.residual) ** 2)) for f in fitted.fits.values()
     ]
 
 
@@ -300,9 +304,7 @@ class _Problem:
         ):
             drives = [self.suspect.apply(d, amount) for d in fitted.drives]
             rows = slice(row, row + len(weight))
-            own = sensitivity(
-                drives, settings, fitted.free, residual[rows] / weight, self.step
-            )
+            own = sensitivity(drives, settings, fitted.free, residual[rows] / weight, self.step)
             slope[rows, column : column + own.shape[1]] = weight[:, None] * own
             row, column = row + len(weight), column + own.shape[1]
         return slope
@@ -321,7 +323,10 @@ class _Problem:
 
 
 def _hold(settings: PlantSettings, nominal: PlantSettings, held: Collection[str]) -> PlantSettings:
-    return with_values(settings, {name: value_of(nominal, name) for name in held if "_" in name and name in UNITS})
+    """Give numbers of the plant their values of the plant file; columns are not of the plant."""
+    return with_values(
+        settings, {name: value_of(nominal, name) for name in held if name in CONSTANTS}
+    )
 
 
 def held_out_margins(
@@ -349,5 +354,3 @@ def _pair_stretches(one: Array, other: Array, base: Model, block: str) -> tuple[
         return np.asarray((whole**2).mean(axis=1)) / floor**2
 
     return squares(one), squares(other)
-
-

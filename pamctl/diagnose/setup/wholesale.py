@@ -1,4 +1,4 @@
-"""Faults that no small step leads to: a wrong sign, an encoder counted four times, rare commands.
+"""Faults that no small step leads to: a wrong sign, an encoder counted four times.
 
 Each is one simulation with the plant file's numbers. What leaves less than the recalibrated model
 is fitted from there.
@@ -8,18 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from pamctl.diagnose.fitting.block_fit import fit_numbers, rms
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.setup.suspects import Suspect, find_decimation
+from pamctl.diagnose.setup.suspects import Kind, Suspect
 from pamctl.diagnose.setup.weighed_fit import SuspectFit, reached_fits
 
 ENCODER_FACTORS = (0.25, 0.5, 2.0, 4.0)
 """One, two or all four edges of a quadrature period, counted as another number of them."""
 PROMISING = 0.8
-"""A fault is fitted if plant file's numbers with it leave less than this share of the base's RMS."""
+"""A fault is fitted if it leaves less than this share of the base's RMS, with the plant file's
+numbers."""
 
 
 def fit_wholesale(base: Model) -> list[SuspectFit]:
@@ -43,9 +42,7 @@ def _is_promising(base: Model, suspect: Suspect, amount: float) -> bool:
         rms(
             stack_residuals(
                 [suspect.apply(d, amount) for d in base.evidence.train[block]],
-                base.evidence.nominal
-                if suspect.kind != "decimated_command"
-                else base.fit_of(block).settings,
+                base.evidence.nominal,
             )
         )
         < PROMISING * rms(stack_residuals(base.evidence.train[block], base.fit_of(block).settings))
@@ -57,17 +54,11 @@ def _list_wholesale(base: Model) -> Iterator[tuple[Suspect, float]]:
     blocks = frozenset(base.evidence.blocks)
     if PRESSURE in blocks:
         yield _make("sign", "valve_v", frozenset({PRESSURE})), -2.0
-        held = [
-            find_decimation(d.valve_v) for d in base.evidence.train[PRESSURE] if np.ptp(d.valve_v)
-        ]
-        lively = [h for h in held if h > 1]
-        if lively:
-            yield _make("decimated_command", "valve_v", frozenset({PRESSURE})), float(min(lively))
     if MECHANICS in blocks:
         yield _make("sign", "position_m", blocks), -2.0
         for factor in ENCODER_FACTORS:
             yield _make("scale", "position_m", blocks), factor - 1.0
 
 
-def _make(kind: str, number: str, blocks: frozenset[str]) -> Suspect:
-    return Suspect(kind, number, "", -1e9, 1e9, (), 1.0, blocks, "wholesale")  # type: ignore[arg-type]
+def _make(kind: Kind, number: str, blocks: frozenset[str]) -> Suspect:
+    return Suspect(kind, number, "", -1e9, 1e9, (), 1.0, blocks, "wholesale")

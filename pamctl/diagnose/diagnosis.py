@@ -16,6 +16,7 @@ from pamctl.diagnose.naming.remainder import Remainder
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.search import EffectsTrial
 from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.show import HeldOutGap
 from pamctl.plant.model import PlantSettings
 
@@ -53,6 +54,8 @@ class Diagnosis:
     holdout: tuple[Record, ...] = ()
     explained: float = 0.0
     """Share of the gap from recalibrated to floor that the effects close."""
+    setup: tuple[SetupFinding, ...] = ()
+    """What is wrong about the set-up: numbers of the plant file, columns of the records."""
     audit: Audit | None = None
     """What these records could not have shown."""
 

@@ -28,9 +28,12 @@ from pamctl.diagnose.locate import locate_misfits
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
 from pamctl.diagnose.name import Naming, name_effects
+from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.search import Progress, search_effects
 from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.setup.suspect_setup import suspect_setup
+from pamctl.diagnose.setup_verdict import conclude_setup
 from pamctl.diagnose.show import HeldOutGap, is_no_worse, measure_gaps
 from pamctl.plant.model import PlantSettings
 
@@ -64,9 +67,13 @@ def diagnose(
     base = weigh_blocks(_recalibrate(evidence, candidates, train, holdout, executor, progress))
     ratios = ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks)
     progress(f"recalibrated: {ratios}")
-    naming = name_effects(base, candidates, executor, progress)
-    naming, gaps = _withdraw_if_worse(naming, holdout)
-    return _conclude(naming, gaps, train, holdout, candidates, correction=correction)
+    setup = suspect_setup(base, train, holdout, FirstLevel(candidates), progress)
+    if setup.refusal:
+        return Diagnosis(Verdict.BAD_DATA, plant, plant, setup.refusal, setup=setup.findings)
+    naming = name_effects(setup.base, candidates, executor, progress)
+    naming, gaps = _withdraw_if_worse(naming, setup.holdout)
+    found = _conclude(naming, gaps, setup.train, setup.holdout, candidates, correction=correction)
+    return conclude_setup(found, setup)
 
 
 def _check_and_prepare(

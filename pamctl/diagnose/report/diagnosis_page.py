@@ -20,6 +20,7 @@ from pamctl.diagnose.report.remains_part import (
     write_measured_runs,
     write_remainder,
 )
+from pamctl.diagnose.report.setup_part import write_setup
 from pamctl.diagnose.report.traces_part import write_traces
 from pamctl.diagnose.report.verdict_words import choose_words
 from pamctl.report.html_page import Page
@@ -30,6 +31,7 @@ def build_diagnosis_page(diagnosis: Diagnosis, records: Sequence[Record]) -> Pag
     names = [record.name for record in records]
     page = Page(choose_words(diagnosis).title, f"Diagnosis of {', '.join(names)}")
     write_head(page, diagnosis)
+    write_setup(page, diagnosis)
     if diagnosis.reason:
         write_compared_runs(page, diagnosis, records)
         write_measured_runs(page, records)

@@ -24,6 +24,8 @@ def _head_lines(diagnosis: Diagnosis, logs: Sequence[str]) -> Iterator[str]:
     yield f"Verdict: {diagnosis.verdict.value}. {sentence(diagnosis)}"
     if diagnosis.correction is not None:
         yield describe_correction(diagnosis.correction)
+    for finding in diagnosis.setup:
+        yield f"Set-up: {finding.text}. To mend it: {finding.how_to_mend}."
     if diagnosis.numbers:
         yield "Fitted, with 90 % intervals:"
     for n in diagnosis.numbers:

@@ -14,6 +14,7 @@ from pamctl.diagnose.report.phrases import (
     describe_substeps,
     gap_units,
 )
+from pamctl.diagnose.report.setup_part import list_setup_rows
 from pamctl.diagnose.report.verdict_words import sentence
 
 
@@ -24,6 +25,7 @@ def summary(diagnosis: Diagnosis) -> str:
 
 def _list_parts(diagnosis: Diagnosis) -> Iterator[str]:
     yield f"{diagnosis.verdict.value}: {sentence(diagnosis)}"
+    yield "\n".join(list_setup_rows(diagnosis))
     if diagnosis.numbers:
         yield "\n".join(_number_rows(diagnosis))
     if diagnosis.standings:

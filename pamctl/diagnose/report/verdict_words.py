@@ -19,6 +19,7 @@ from pamctl.diagnose.report.phrases import (
     spell_effects,
     spell_names,
 )
+from pamctl.diagnose.report.setup_part import describe_setup
 
 _RECORD = "pamctl run --experiment diagnosis --set experiment.seed=3 --log next.mcap"
 
@@ -46,7 +47,8 @@ def choose_words(diagnosis: Diagnosis) -> VerdictWords:
 def sentence(diagnosis: Diagnosis) -> str:
     """Say what was found, in two or three sentences."""
     words = choose_words(diagnosis)
-    return f"{words.title}. {words.finding}"
+    setup = describe_setup(diagnosis)
+    return f"{setup}{words.title}. {words.finding}"
 
 
 def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:

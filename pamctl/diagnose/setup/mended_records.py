@@ -1,0 +1,41 @@
+"""Records with a wrong column corrected, for the coupled gap and the figures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pamctl.diagnose.measured.record import Array, Record
+from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, restore_command, shift_command
+from pamctl.plant.model import PlantSettings
+
+
+def mend_record(record: Record, suspect: Suspect, amount: float, nominal: PlantSettings) -> Record:
+    """Return the record as it would be without the fault; unchanged where no column is wrong."""
+    kind, column = suspect.kind, suspect.number
+    if column == ATMOSPHERE and suspect.variant == "gauge" and record.pressure_pa is not None:
+        shift_pa = amount * nominal.parameters.atmospheric_pressure_pa
+        return replace(record, pressure_pa=record.pressure_pa + shift_pa)
+    if column not in record.channels:
+        return record
+    values, t_s = record[column], record.t_s
+    if kind == "null_offset":
+        return replace(record, valve_v=values - amount)
+    if kind == "decimated_command":
+        return replace(record, valve_v=restore_command(values, round(amount)))
+    if kind in ("scale", "sign"):
+        return _with_column(record, column, values / (1.0 + amount))
+    if kind in ("skew", "clock_rate"):
+        late_s = amount if kind == "skew" else amount * (t_s - t_s[0])
+        true_s = t_s + late_s
+        if column == "valve_v":
+            return replace(record, valve_v=shift_command(values, t_s, true_s))
+        return _with_column(record, column, np.interp(true_s, t_s, values))
+    return record
+
+
+def _with_column(record: Record, column: str, values: Array) -> Record:
+    changed: dict[str, Any] = {column: values}
+    return replace(record, **changed)

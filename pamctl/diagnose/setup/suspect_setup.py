@@ -1,0 +1,279 @@
+"""Ask the set-up before the physics.
+
+Every number of the plant file and every column of the record is a suspect. A suspect is accepted
+only if it explains most of what is left on held-out data, and no effect of the catalogue does
+clearly better. Where an effect does as well, both are said, and nothing is corrected.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from pamctl.diagnose.fitting.block_fit import rms
+from pamctl.diagnose.fitting.drives import Drive
+from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
+from pamctl.diagnose.fitting.numbers import value_of, with_values
+from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.setup.decimation import fit_decimation
+from pamctl.diagnose.setup.finding_words import advise_mending, describe
+from pamctl.diagnose.setup.mended_records import mend_record
+from pamctl.diagnose.setup.setup_finding import SetupFinding
+from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, list_suspects
+from pamctl.diagnose.setup.time_changes import fit_time_changes
+from pamctl.diagnose.setup.weighed_fit import (
+    SuspectFit,
+    fit_suspect,
+    held_out_margins,
+    score_suspect,
+)
+from pamctl.diagnose.setup.wholesale import fit_wholesale
+
+MOST_FINDINGS = 3
+PROMISING = 0.3
+"""Share of what is left that a suspect must promise to be fitted."""
+MOST_FITTED = 3
+"""Suspects that are fitted for each set of blocks."""
+NEAR_PROMISE = 0.7
+"""Once a suspect reaches the floor, another must promise this share of what that one promised."""
+LEAST_CLOSED = 0.8
+"""Share of the way to the floor that a suspect must go in a block."""
+MUCH = 0.05
+"""Logs of mean squares that differ by less count as equal."""
+GEOMETRY = ("rest_length_m", "braid_length_m")
+
+HOPELESS = 5.0
+"""A suspect that leaves so many times the square that an effect promises to leave is not fitted."""
+
+
+class Effects(Protocol):
+    """The catalogue's single effects upon a base: rivals of every suspect."""
+
+    def promise(self, base: Model, block: str) -> float:
+        """Return the largest share of a block's residual that an effect promises to explain."""
+        ...
+
+    def fit(self, base: Model) -> Sequence[Model]:
+        """Return the base with each of the most promising effects, fitted."""
+        ...
+
+
+@dataclass(frozen=True)
+class CheckedSetup:
+    """What was found about a set-up, and what to go on with."""
+
+    base: Model
+    """Recalibrated on the corrected set-up."""
+    train: tuple[Record, ...]
+    """The records, corrected where a column was wrong."""
+    holdout: tuple[Record, ...]
+    findings: tuple[SetupFinding, ...] = ()
+    open_fits: tuple[SuspectFit, ...] = ()
+    """Those that an effect equals: not corrected, the search decides beside them."""
+    refusal: str = ""
+    """Why nothing more can be said with these records; empty if more can."""
+
+
+def suspect_setup(
+    base: Model,
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    effects: Effects,
+    progress: Callable[[str], None] = lambda line: None,
+) -> CheckedSetup:
+    """Return the findings, and the base to search upon."""
+    setup = CheckedSetup(base, tuple(train), tuple(holdout))
+    decimated = fit_decimation(base)
+    if decimated is not None:
+        finding = _word_finding(decimated, (), corrected=True)
+        setup = replace(_correct(setup, decimated), findings=(finding,))
+        lost = "; its jumps between two logged rows are lost, and nothing more can be concluded. "
+        refusal = f"{finding.text[:1].upper()}{finding.text[1:]}{lost}To mend it: "
+        if setup.base.unexplained:
+            return replace(setup, refusal=refusal + finding.how_to_mend)
+    while len(setup.findings) < MOST_FINDINGS and setup.base.unexplained and not setup.open_fits:
+        found = _find_best(setup.base, effects)
+        if found is None:
+            break
+        fitted, rivals = found
+        corrected = not rivals
+        finding = _word_finding(fitted, rivals, corrected=corrected)
+        progress(f"set-up: {finding.text}")
+        if corrected:
+            setup = _correct(setup, fitted)
+        else:
+            setup = replace(setup, open_fits=(*setup.open_fits, fitted))
+        setup = replace(setup, findings=(*setup.findings, finding))
+    return setup
+
+
+def is_refuted_by(fitted: SuspectFit, model: Model) -> bool:
+    """Tell whether a model with effects leaves clearly less than a suspect."""
+    base, blocks = fitted.base, _blocks_of(fitted)
+    low, _ = held_out_margins(model.residuals, fitted.residuals, base, blocks)
+    return bool(model.effects) and low > MUCH
+
+
+def _find_best(base: Model, effects: Effects) -> tuple[SuspectFit, tuple[str, ...]] | None:
+    """Return the best accepted suspect, and the names of what it cannot be told from."""
+    least = {b: 1.0 - HOPELESS * (1.0 - effects.promise(base, b)) for b in base.unexplained}
+    fits = [f for f in _fit_promising(base, least) if _is_worth_saying(f)]
+    if not fits:
+        least = {b: effects.promise(base, b) for b in base.unexplained}
+        fits = [f for f in fit_time_changes(base, least) if _is_worth_saying(f)]
+    if not fits:
+        return None
+    fits.sort(key=_left)
+    best = fits[0]
+    blocks = _blocks_of(best)
+    equals: list[str] = []
+    for model in effects.fit(base):
+        low, high = held_out_margins(best.residuals, model.residuals, base, blocks)
+        if high < -MUCH:
+            return None  # an effect leaves clearly less
+        if low < MUCH:
+            equals += model.names
+    others = []
+    for other in fits[1:]:
+        low, _ = held_out_margins(best.residuals, other.residuals, base, blocks)
+        if low < MUCH:
+            others.append(other.suspect.label)
+    if not best.is_good and equals:
+        return None  # both explain a part only: neither is said
+    best = replace(best, equal_suspects=tuple(dict.fromkeys(others)))
+    return best, tuple(dict.fromkeys(equals))
+
+
+def _fit_promising(base: Model, least: Mapping[str, float]) -> list[SuspectFit]:
+    """Fit the suspects that promise most; `least` is what they must promise, by block."""
+    wholesale = fit_wholesale(base)
+    if any(f.is_good for f in wholesale):
+        return wholesale
+    at_bound = {name for f in base.fits.values() for name in f.at_bound}
+    asked = [s for s in list_suspects(base.evidence, at_bound) if _may_matter(base, s)]
+    promises = sorted((score_suspect(base, s) for s in asked), key=lambda p: -p.explained)
+    fits: list[SuspectFit] = []
+    counts: Counter[frozenset[str]] = Counter()
+    for promise in promises:
+        blocks = promise.suspect.blocks
+        enough = max(PROMISING, min(least[b] for b in blocks if b in least))
+        better = max((f.promised for f in fits if f.is_good), default=0.0)
+        if promise.explained > max(enough, NEAR_PROMISE * better) and counts[blocks] < MOST_FITTED:
+            counts[blocks] += 1
+            fitted = fit_suspect(base, promise.suspect, promise.start)
+            fits.append(replace(fitted, promised=promise.explained))
+    if not any(f.is_good for f in fits) and "braid_length_m" in at_bound:
+        # Derivatives promise nothing where a number is at its bound.
+        known = {f.suspect.key for f in fits}
+        fits += [
+            fit_suspect(base, p.suspect, p.start)
+            for p in promises
+            if p.suspect.number in GEOMETRY and p.suspect.key not in known
+        ]
+    return [*fits, *wholesale]
+
+
+def _may_matter(base: Model, suspect: Suspect) -> bool:
+    return bool(suspect.blocks & {*base.unexplained})
+
+
+def _blocks_of(fitted: SuspectFit) -> tuple[str, ...]:
+    """Return the blocks that count: those above their limit that the suspect reaches."""
+    return tuple(b for b in fitted.base.unexplained if b in fitted.suspect.blocks)
+
+
+def _left(fitted: SuspectFit) -> float:
+    return sum(fitted.ratio(b) ** 2 for b in fitted.base.evidence.blocks)
+
+
+def _is_worth_saying(fitted: SuspectFit) -> bool:
+    """Tell whether a suspect explains most of a block's misfit and makes no block worse."""
+    base = fitted.base
+    blocks = _blocks_of(fitted)
+    spoiled = [
+        b
+        for b in fitted.suspect.blocks
+        if not fitted.is_explained(b)
+        and held_out_margins(fitted.residuals, base.residuals, base, [b])[1] < 0.0
+    ]
+    if not blocks or fitted.is_at_bound or spoiled or abs(fitted.amount) < 2.0 * fitted.half:
+        return False
+    best = max(blocks, key=fitted.closed)
+    low, _ = held_out_margins(fitted.residuals, base.residuals, base, [best])
+    return low > MUCH and (fitted.is_explained(best) or fitted.closed(best) >= LEAST_CLOSED)
+
+
+def _word_finding(fitted: SuspectFit, effects: tuple[str, ...], *, corrected: bool) -> SetupFinding:
+    suspect, base = fitted.suspect, fitted.base
+    block = max(_blocks_of(fitted), key=fitted.closed)
+    value, (low, high), said = fitted.value_and_interval()
+    return SetupFinding(
+        suspect.kind,
+        suspect.number,
+        value,
+        (low, high),
+        suspect.unit,
+        block,
+        base.rms[block] / rms(fitted.residuals[block]),
+        fitted.ratio(block),
+        (*effects, *fitted.equal_suspects),
+        advise_mending(suspect, value),
+        describe(suspect, value, said),
+        said,
+        fitted.by_record,
+        corrected,
+    )
+
+
+def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:
+    """Correct plant, drives and records, and recalibrate."""
+    suspect, evidence = fitted.suspect, setup.base.evidence
+    if suspect.kind == "plant_constant":
+        changed = _correct_constant(evidence, suspect, fitted.amount)
+    else:
+        changed = replace(
+            evidence,
+            train={b: tuple(map(fitted.apply, d)) for b, d in evidence.train.items()},
+            holdout={b: tuple(map(fitted.apply, d)) for b, d in evidence.holdout.items()},
+            together={},
+        )
+    return replace(
+        setup,
+        base=weigh_blocks(recalibrate(changed)),
+        train=tuple(mend_record(r, suspect, fitted.amount, evidence.nominal) for r in setup.train),
+        holdout=tuple(
+            mend_record(r, suspect, fitted.amount, evidence.nominal) for r in setup.holdout
+        ),
+    )
+
+
+def _correct_constant(evidence: Evidence, suspect: Suspect, amount: float) -> Evidence:
+    before = value_of(evidence.nominal, suspect.number)
+    after = before * (1.0 + amount)
+    nominal = with_values(evidence.nominal, {suspect.number: after})
+    if suspect.number != ATMOSPHERE:
+        return replace(evidence, nominal=nominal, together={})
+
+    def move(drives: Iterable[Drive]) -> tuple[Drive, ...]:
+        moved = []
+        for drive in drives:
+            start = after if drive.start == before else drive.start
+            shift = after - before if suspect.variant == "gauge" else 0.0
+            if drive.block == "pressure":
+                drive = replace(drive, start=start, measured=drive.measured + shift)
+            else:
+                drive = replace(drive, driven=drive.driven + shift)
+            moved.append(drive)
+        return tuple(moved)
+
+    return replace(
+        evidence,
+        nominal=nominal,
+        train={b: move(d) for b, d in evidence.train.items()},
+        holdout={b: move(d) for b, d in evidence.holdout.items()},
+        together={},
+    )

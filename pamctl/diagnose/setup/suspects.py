@@ -1,0 +1,323 @@
+"""What may be wrong about a set-up: numbers of the plant file, and columns of the record.
+
+A suspect is one number. At zero it changes nothing; `apply` says how a drive looks with it. The
+list is made for the plant and the blocks at hand: a suspect that changes nothing is not asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
+from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose.fitting.numbers import calibration_of
+from pamctl.diagnose.setup.altered_drive import AlteredDrive, PlantChange, add_change, alter
+from pamctl.plant.model import PlantSettings
+
+Kind = Literal[
+    "plant_constant",
+    "null_offset",
+    "sign",
+    "skew",
+    "clock_rate",
+    "decimated_command",
+    "scale",
+    "gauge",
+    "drift",
+    "change_at_instant",
+]
+
+ATMOSPHERE = "atmospheric_pressure_pa"
+OF_RECORD = "of each record"
+"""Variant of a change over time: its times are shares of each record's length."""
+LOWEST_ATMOSPHERE_PA, HIGHEST_ATMOSPHERE_PA = 55e3, 108.5e3
+"""From the highest laboratories to the highest pressure that the weather has made."""
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """One number of the set-up, with its range and the steps that show it."""
+
+    kind: Kind
+    number: str
+    """A number of the plant file, or a column of the record."""
+    unit: str
+    low: float
+    high: float
+    doses: tuple[float, ...]
+    """Amounts to try: small ones and large ones, of both signs where both are possible."""
+    scale: float
+    """A step of this size is small but visible."""
+    blocks: frozenset[str]
+    variant: str = ""
+    same_as: frozenset[str] = field(default=frozenset())
+    """Effects of the catalogue that say the same with other words."""
+    record: str = ""
+    """The record that a change belongs to; empty for all records."""
+    over_s: float = 0.0
+    """Above 0: grows from nothing at the start of a record to the amount after this time."""
+    after_s: float = 0.0
+    """Above 0: acts from this instant of a record on."""
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """Identify the suspect, whatever its amount."""
+        return (self.kind, self.number, self.variant, self.record)
+
+    @property
+    def label(self) -> str:
+        """Name it for a list of what cannot be told apart."""
+        kinds = {"plant_constant": "", "skew": "skew of ", "clock_rate": "clock of ",
+                 "drift": "drift of ", "change_at_instant": "change of ", "scale": "scale of ",
+                 "null_offset": "null offset of ", "sign": "sign of "}  # fmt: skip
+        variant = f" ({self.variant} sensor)" if self.number == ATMOSPHERE else ""
+        return f"{kinds.get(self.kind, '')}{self.number}{variant}"
+
+    @property
+    def is_timed(self) -> bool:
+        """Tell whether the number acts for a part of the records only."""
+        return bool(self.record or self.over_s or self.after_s)
+
+    def apply(self, drive: Drive, amount: float) -> Drive:
+        """Return the drive as it is with this amount."""
+        if amount == 0.0 or drive.block not in self.blocks:
+            return drive
+        if self.record and drive.name != self.record:
+            return drive
+        return _ACTIONS[self.kind](self, drive, amount)
+
+
+def _change_constant(suspect: Suspect, drive: Drive, amount: float) -> Drive:
+    if suspect.number == "valve_v":
+        return _move_null(suspect, drive, amount)
+    # With the variant, times are shares of the record's length.
+    unit_s = float(np.sum(drive.step_s)) if suspect.variant == OF_RECORD else 1.0
+    change = PlantChange(suspect.number, amount, unit_s * suspect.over_s, unit_s * suspect.after_s)
+    if suspect.number == ATMOSPHERE and suspect.variant == "gauge":
+        # The sensor measures against the atmosphere; the plant file's was added to its reading.
+        raised = amount * drive.start if drive.block == PRESSURE else 0.0
+        if drive.block == MECHANICS:
+            return drive  # only the gauge pressure acts, and that is right
+        return alter(add_change(drive, change), shown_above=_shown_above(drive) - raised)
+    return add_change(drive, change)
+
+
+def _shown_above(drive: Drive) -> float:
+    return drive.shown_above if isinstance(drive, AlteredDrive) else 0.0
+
+
+def _move_null(suspect: Suspect, drive: Drive, amount: float) -> Drive:
+    return replace(drive, valve_v=drive.valve_v - amount * _profile(suspect, drive))
+
+
+def _profile(suspect: Suspect, drive: Drive) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return how much of an amount acts at each sample."""
+    t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
+    t_s = t_s / t_s[-1] if suspect.variant == OF_RECORD else t_s
+    if suspect.over_s:
+        return np.asarray(t_s / suspect.over_s)
+    return np.asarray(t_s >= suspect.after_s, dtype=np.float64)
+
+
+def _shift_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
+    """Make a column late by `amount` seconds, or each second later by `amount`."""
+    late_s, per_s = (0.0, amount) if suspect.kind == "clock_rate" else (amount, 0.0)
+    output, driven = ("pressure_pa", "position_m")
+    if drive.block == MECHANICS:
+        output, driven = driven, output
+    if suspect.number == output:
+        before = drive if isinstance(drive, AlteredDrive) else alter(drive)
+        return alter(drive, late_s=before.late_s + late_s, late_per_s=before.late_per_s + per_s)
+    t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
+    true_s = t_s + late_s + per_s * t_s  # what a late column shows later happened now
+    if suspect.number == driven:
+        return replace(drive, driven=np.interp(true_s, t_s, drive.driven))
+    return replace(drive, valve_v=shift_command(drive.valve_v, t_s, true_s))
+
+
+def shift_command(valve_v: np.ndarray, t_s: np.ndarray, true_s: np.ndarray) -> np.ndarray:
+    """Return the mean command over each tick of a command that was written at other instants.
+
+    Row k of the log acts from its own instant to the next; `true_s` are the times of the log at
+    which the ticks really began. The mean over a tick moves nearly the same air as its parts.
+    """
+    ends_s = np.append(t_s[1:], 2.0 * t_s[-1] - t_s[-2])
+    flown = np.concatenate([[0.0], np.cumsum(valve_v * (ends_s - t_s))])
+    edges_s = np.append(t_s, ends_s[-1])
+    wanted_s = np.append(true_s, 2.0 * true_s[-1] - true_s[-2])
+    reached = np.interp(wanted_s, edges_s, flown)
+    # Beyond the ends the first and the last command are held.
+    reached = reached + np.minimum(wanted_s - edges_s[0], 0.0) * valve_v[0]
+    reached = reached + np.maximum(wanted_s - edges_s[-1], 0.0) * valve_v[-1]
+    return np.asarray(np.diff(reached) / np.diff(wanted_s))
+
+
+def _scale_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
+    """Let a column show (1 + amount) times what is true."""
+    gain = 1.0 + amount
+    if suspect.number == "valve_v":
+        return replace(drive, valve_v=drive.valve_v / gain)
+    if drive.block == MECHANICS:
+        return alter(drive, gain=gain)
+    return replace(drive, driven=drive.driven / gain)
+
+
+def _restore_command(suspect: Suspect, drive: Drive, amount: float) -> Drive:
+    return replace(drive, valve_v=restore_command(drive.valve_v, round(amount)))
+
+
+def find_decimation(valve_v: np.ndarray) -> int:
+    """Return how many samples each command of a lively record is held; 1 where none is visible.
+
+    A record counts only where most of the possible instants show a change: a square wave changes
+    rarely, and says nothing about the rate of its log.
+    """
+    changes = np.flatnonzero(np.diff(valve_v)) + 1
+    if len(changes) < 20:
+        return 1
+    held = int(np.gcd.reduce(np.diff(changes)))
+    span = changes[-1] - changes[0]
+    return held if held > 1 and len(changes) > 0.5 * span / held else 1
+
+
+def restore_command(valve_v: np.ndarray, held: int) -> np.ndarray:
+    """Return the command between the rows at which it was logged, where it ran smoothly.
+
+    Between two rows that differ by much more than usual the command stays as it was logged.
+    """
+    changes = np.flatnonzero(np.diff(valve_v)) + 1
+    if held < 2 or not len(changes):
+        return valve_v
+    first = int(changes[0]) % held
+    knots = np.arange(first, len(valve_v), held)
+    restored = CubicSpline(knots, valve_v[knots])(np.arange(len(valve_v)))
+    steps = np.abs(np.diff(valve_v[knots]))
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    jumps = np.append(steps > 6.0 * usual, True)  # a step stays a step
+    held_here = jumps[np.clip((np.arange(len(valve_v)) - first) // held, 0, len(knots) - 1)]
+    return np.asarray(np.where(held_here | (np.arange(len(valve_v)) < first), valve_v, restored))
+
+
+_ACTIONS = {
+    "plant_constant": _change_constant,
+    "drift": _change_constant,
+    "change_at_instant": _change_constant,
+    "null_offset": _move_null,
+    "skew": _shift_column,
+    "clock_rate": _shift_column,
+    "scale": _scale_column,
+    "sign": _scale_column,
+    "decimated_command": _restore_command,
+    "gauge": _scale_column,
+}
+
+# Turns and temperature are not here: a recalibration imitates them exactly (`symmetries.py`).
+CONSTANTS: dict[str, tuple[frozenset[str], float]] = {
+    # name: (blocks that show it, step of a small change as a share)
+    "rest_length_m": (frozenset({PRESSURE, MECHANICS}), 2e-3),
+    "braid_length_m": (frozenset({PRESSURE, MECHANICS}), 2e-3),
+    "tank_pressure_pa": (frozenset({PRESSURE}), 1e-2),
+    "heat_capacity_ratio": (frozenset({PRESSURE}), 1e-2),
+    "valve_gain_m2_per_v": (frozenset({PRESSURE}), 1e-2),
+    "mass_kg": (frozenset({MECHANICS}), 0.2),
+    "damping_n_s_per_m": (frozenset({MECHANICS}), 1e-2),
+    "stiffness_n_per_m": (frozenset({MECHANICS}), 1e-2),
+    "kinetic_friction_per_m": (frozenset({MECHANICS}), 1e-2),
+}
+_DIRECT = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+UNITS = {
+    "rest_length_m": "m",
+    "braid_length_m": "m",
+    "braid_turns": "",
+    "tank_pressure_pa": "Pa",
+    "heat_capacity_ratio": "",
+    "temperature_k": "K",
+    "valve_gain_m2_per_v": "m^2/V",
+    "mass_kg": "kg",
+    "damping_n_s_per_m": "N s/m",
+    "stiffness_n_per_m": "N/m",
+    "kinetic_friction_per_m": "1/m",
+    ATMOSPHERE: "Pa",
+    "chamber_leak.area_m2": "m^2",
+}
+_TWINS = {"rest_length_m": frozenset({"end_cap"}), "mass_kg": frozenset({"moving_mass"})}
+
+
+def list_suspects(evidence: Evidence, at_bound: Collection[str] = ()) -> tuple[Suspect, ...]:
+    """Return what to ask about these records and this plant.
+
+    A number that is recalibrated anyway is asked only where it is at a bound of its range.
+    """
+    return tuple(
+        replace(s, blocks=s.blocks & {*evidence.blocks})
+        for s in (*_list_constants(evidence.nominal, at_bound), *_list_columns(evidence))
+        if s.blocks & {*evidence.blocks}
+    )
+
+
+def _list_constants(nominal: PlantSettings, at_bound: Collection[str]) -> Iterator[Suspect]:
+    muscle = nominal.actuator == "muscle"
+    free = {n for block in (PRESSURE, MECHANICS) for n in calibration_of(block, nominal)}
+    for name, (blocks, scale) in CONSTANTS.items():
+        if name in free and name not in at_bound:
+            continue
+        if muscle or name in _DIRECT:
+            doses = (scale, -scale, 5.0 * scale, -5.0 * scale)
+            twins = _TWINS.get(name, frozenset())
+            low, high = (-0.15, 0.15) if name.endswith("length_m") else (-0.6, 1.5)
+            high = 30.0 if name == "mass_kg" else high
+            yield Suspect(
+                "plant_constant", name, UNITS[name], low, high, doses, scale, blocks, same_as=twins
+            )
+    if muscle:
+        usual = nominal.parameters.atmospheric_pressure_pa
+        low, high = LOWEST_ATMOSPHERE_PA / usual - 1.0, HIGHEST_ATMOSPHERE_PA / usual - 1.0
+        for variant in ("gauge", "absolute"):
+            yield Suspect(
+                "plant_constant",
+                ATMOSPHERE,
+                "Pa",
+                low,
+                high,
+                (-0.01, 0.01, -0.08),
+                5e-3,
+                frozenset({PRESSURE, MECHANICS} if variant == "absolute" else {PRESSURE}),
+                variant,
+            )
+
+
+def _list_columns(evidence: Evidence) -> Iterator[Suspect]:
+    both, blocks = frozenset({PRESSURE, MECHANICS}), {*evidence.blocks}
+    if PRESSURE in blocks:
+        widest_v = max(float(np.max(np.abs(d.valve_v))) for d in evidence.train[PRESSURE])
+        null = 0.1 * widest_v
+        doses = (0.02 * null, -0.02 * null, 0.2 * null, -0.2 * null)
+        yield Suspect(
+            "null_offset", "valve_v", "V", -null, null, doses, 0.02 * null, frozenset({PRESSURE})
+        )
+        yield _skew("valve_v", frozenset({PRESSURE}), frozenset({"command_delay"}), sign=-1.0)
+        yield _rate("valve_v", frozenset({PRESSURE}))
+        yield _skew("pressure_pa", both, frozenset())
+        yield _rate("pressure_pa", both)
+    if blocks == both:
+        yield Suspect(
+            "scale", "position_m", "1", -0.6, 1.5, (0.01, -0.01, 0.05, -0.05), 0.01, both,
+            same_as=frozenset({"encoder_scale"}),
+        )  # fmt: skip
+        yield _skew("position_m", both, frozenset())
+        yield _rate("position_m", both)
+
+
+def _skew(column: str, blocks: frozenset[str], twins: frozenset[str], sign: float = 1.0) -> Suspect:
+    doses = tuple(sign * d for d in (5e-4, -5e-4, 2e-3, -2e-3))
+    return Suspect("skew", column, "s", -0.012, 0.012, doses, 2e-4, blocks, same_as=twins)
+
+
+def _rate(column: str, blocks: frozenset[str]) -> Suspect:
+    doses = (1e-4, -1e-4)
+    return Suspect("clock_rate", column, "1", -5e-3, 5e-3, doses, 5e-5, blocks)

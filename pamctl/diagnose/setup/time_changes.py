@@ -1,0 +1,238 @@
+"""Numbers that change with time: from record to record, within a record, or at an instant.
+
+To first order the answer to a number that acts for a part of the time only is that part of the
+answer to the number itself. One simulation a number is enough to try every profile in time; what
+promises most is then simulated as it would be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pamctl.diagnose.fitting.block_fit import Fit, fit_numbers, project_out
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive, stack_residuals
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.setup.suspects import OF_RECORD, UNITS, Suspect
+from pamctl.diagnose.setup.weighed_fit import SuspectFit, fit_suspect, score_suspect, weights_of
+from pamctl.plant.catalogue import CATALOGUE
+
+PROMISING = 0.3
+"""Share of what is left that a profile must promise to be fitted."""
+INSTANTS = 24
+"""Instants of a record that are tried first."""
+REFINED = 4
+"""Instants that are simulated between two of those."""
+MOST_OF_A_WAY = 2
+"""Numbers that are fitted for each way of changing."""
+ROUNDS = 3
+
+_NUMBERS: dict[str, tuple[tuple[str, float], ...]] = {
+    # name, and a small step: a share, or an amount of an effect
+    PRESSURE: (
+        ("valve_gain_m2_per_v", 1e-2),
+        ("tank_pressure_pa", 1e-2),
+        ("valve_v", 0.01),
+        ("chamber_leak.area_m2", 3e-9),
+    ),
+    MECHANICS: (
+        ("stiffness_n_per_m", 1e-2),
+        ("damping_n_s_per_m", 1e-2),
+        ("kinetic_friction_per_m", 1e-2),
+        ("external_load.force_n", 0.5),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """A number and when it acts, with what that promises."""
+
+    suspect: Suspect
+    explained: float
+    start: float
+    by_record: bool = False
+
+
+def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit]:
+    """Return the fits of the most promising changes over time.
+
+    `least` is what they must promise, by block.
+    """
+    profiles = [
+        p
+        for block in base.unexplained
+        for p in _list_profiles(base, block)
+        if p.explained > least[block]
+    ]
+    profiles.sort(key=lambda p: -p.explained)
+    chosen: list[_Profile] = []
+    for profile in profiles:
+        ways = [(p.suspect.kind, p.by_record) for p in chosen]
+        numbers = [(*way, p.suspect.number) for way, p in zip(ways, chosen, strict=True)]
+        way = (profile.suspect.kind, profile.by_record)
+        known = (*way, profile.suspect.number) in numbers
+        if profile.explained > PROMISING and not known and ways.count(way) < MOST_OF_A_WAY:
+            chosen.append(profile)
+    return [_fit_profile(base, p) for p in chosen]
+
+
+def _fit_profile(base: Model, profile: _Profile) -> SuspectFit:
+    if profile.by_record:
+        return _fit_by_record(base, profile.suspect)
+    suspect = profile.suspect
+    if suspect.after_s:
+        suspect = _refine_instant(base, profile)
+    return fit_suspect(base, suspect, profile.start)
+
+
+def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
+    fitted = base.fit_of(block)
+    weight = weights_of(base, fitted)
+    basis = np.linalg.qr(weight[:, None] * fitted.jacobian)[0]
+    left = project_out(basis, weight * fitted.residual)
+    before = float(left @ left)
+    times = [_times_of(d) for d in fitted.drives]
+    longest_s = max(float(t[-1]) for t in times)
+
+    def promise(column: Array) -> tuple[float, float]:
+        rest = project_out(basis, column)
+        size = float(rest @ rest)
+        if size < 1e-6 * before:
+            return 0.0, 0.0
+        dot = -float(rest @ left)
+        return dot * dot / (size * before), dot / size
+
+    for suspect, dose in _list_numbers(base, block):
+        altered = [suspect.apply(d, dose) for d in fitted.drives]
+        moved = weight * (stack_residuals(altered, fitted.settings) - fitted.residual)
+        clock = np.concatenate(times)
+        explained, amount = promise(moved * clock / longest_s)
+        yield _Profile(replace(suspect, over_s=longest_s), explained, amount * dose)
+        if len(times) > 1:
+            explained, amount = promise(moved * np.concatenate([t / t[-1] for t in times]))
+            drift = replace(suspect, over_s=1.0, variant=OF_RECORD)
+            yield _Profile(drift, explained, amount * dose)
+        yield _best_instant(fitted, suspect, dose, moved, times, promise)
+        names = [d.name for d in fitted.drives]
+        if len(names) > 1:
+            marks = np.concatenate([np.full(len(t), i) for i, t in enumerate(times)])
+            columns = np.column_stack(
+                [project_out(basis, moved * (marks == i)) for i in range(len(names))]
+            )
+            amounts = np.linalg.lstsq(columns, -left, rcond=1e-8)[0]
+            after = left + columns @ amounts
+            yield _Profile(suspect, 1.0 - float(after @ after) / before, 0.0, by_record=True)
+
+
+def _times_of(drive: Drive) -> Array:
+    t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
+    return t_s if drive.rows is None else t_s[drive.rows]
+
+
+def _list_numbers(base: Model, block: str) -> Iterator[tuple[Suspect, float]]:
+    fitted = base.fit_of(block)
+    direct = base.evidence.nominal.actuator == "direct"
+    for name, step in _NUMBERS[block]:
+        if direct and name == "kinetic_friction_per_m":
+            continue
+        low, high, unit = -0.8, 3.0, UNITS.get(name, "V")
+        if "." in name:
+            effect, number = name.split(".")
+            known = next(p for p in CATALOGUE[effect].parameters if p.name == number)
+            low, high, unit = known.low, known.high, known.unit
+            if getattr(fitted.settings.effects, effect) is None and low == 0.0:
+                low = 1e-3 * step
+        yield (
+            Suspect("drift", name, unit, low, high, (step,), step, frozenset({block})),
+            step,
+        )
+
+
+def _best_instant(fitted: Fit, suspect: Suspect, dose: float, moved: Array,
+                  times: list[Array], promise: object) -> _Profile:  # fmt: skip
+    """Return the best instant at which the number changes, of all records or of one."""
+    clock = np.concatenate(times)
+    shares = np.concatenate([t / t[-1] for t in times])
+    marks = np.concatenate([np.full(len(t), i) for i, t in enumerate(times)])
+    best = _Profile(replace(suspect, kind="change_at_instant"), 0.0, 0.0)
+    of_one = [(d.name, "", clock, marks == i) for i, d in enumerate(fitted.drives)]
+    of_all = np.ones(len(clock), bool)
+    several = [("", "", clock, of_all), ("", OF_RECORD, shares, of_all)]
+    for record, variant, when, own in [*several, *of_one] if len(times) > 1 else several[:1]:
+        for instant in np.linspace(0.0, float(when[own].max()), INSTANTS + 2)[1:-1]:
+            explained, amount = promise(moved * (own & (when >= instant)))  # type: ignore[operator]
+            if explained > best.explained:
+                changed = replace(
+                    suspect,
+                    kind="change_at_instant",
+                    record=record,
+                    variant=variant,
+                    after_s=float(instant),
+                )
+                best = _Profile(changed, explained, amount * dose)
+    return best
+
+
+def _refine_instant(base: Model, profile: _Profile) -> Suspect:
+    """Return the suspect at the instant that explains most when it is simulated."""
+    suspect = profile.suspect
+    own = [d for d in base.fit_of(next(iter(suspect.blocks))).drives
+           if suspect.record in ("", d.name)]  # fmt: skip
+    longest_s = max(float(_times_of(d)[-1]) for d in own)
+    width_s = (1.0 if suspect.variant == OF_RECORD else longest_s) / (INSTANTS + 1)
+    for _ in range(2):
+        tried = [
+            replace(suspect, after_s=float(s), doses=(profile.start,))
+            for s in suspect.after_s + np.linspace(-1.0, 1.0, REFINED + 1) * width_s
+            if s > 0.0
+        ]
+        suspect = max(tried, key=lambda s: score_suspect(base, s).explained)
+        width_s *= 2.0 / REFINED
+    return suspect
+
+
+def _fit_by_record(base: Model, suspect: Suspect) -> SuspectFit:
+    """Fit a number of each record, held-out ones too, in turn with what all records share.
+
+    One number of a whole record is fitted to thousands of samples: what it takes from a held-out
+    record is nothing beside the noise.
+    """
+    (block,) = suspect.blocks
+    fitted = base.fit_of(block)
+    blocks = next(b for b in base.fits if block in b)
+    drives = (*fitted.drives, *base.evidence.holdout[block])
+    amounts = dict.fromkeys((d.name for d in drives), 0.0)
+    settings = fitted.settings
+    for _ in range(ROUNDS):
+        for drive in drives:
+            amounts[drive.name] = _fit_amount(drive, settings, suspect, amounts[drive.name])
+        middle = float(np.mean([*amounts.values()]))
+        amounts = {name: a - middle for name, a in amounts.items()}
+        altered = [suspect.apply(d, amounts[d.name]) for d in fitted.drives]
+        refit = fit_numbers(altered, settings, fitted.free)
+        settings = refit.settings
+    span = max(amounts.values()) - min(amounts.values())
+    return SuspectFit(base, suspect, span, 0.1 * span, {blocks: refit}, by_record=amounts)
+
+
+def _fit_amount(drive: Drive, settings: object, suspect: Suspect, amount: float) -> float:
+    """Return the amount that fits one record best, by Gauss-Newton steps."""
+    for _ in range(3):
+        here = stack_residuals([suspect.apply(drive, amount)], settings)  # type: ignore[arg-type]
+        there = stack_residuals(
+            [suspect.apply(drive, amount + suspect.scale)],
+            settings,  # type: ignore[arg-type]
+        )
+        slope = (there - here) / suspect.scale
+        size = float(slope @ slope)
+        if size == 0.0:
+            return amount
+        change = -float(slope @ here) / size
+        amount = float(np.clip(amount + change, suspect.low, suspect.high))
+        if abs(change) < 0.02 * suspect.scale:
+            break
+    return amount

@@ -72,7 +72,7 @@ def as_if(named: Diagnosis, verdict: Verdict) -> Diagnosis:
             standings = (replace(standing, rivals=(equal, *standing.rivals)),)
             return replace(named, verdict=verdict, standings=standings)
         case Verdict.PARTIAL:
-            return replace(named, verdict=verdict, explained=0.83)
+            return replace(named, verdict=verdict, explained={"pressure": 0.83})
         case _:
             base = named.base
             assert base is not None
@@ -80,7 +80,7 @@ def as_if(named: Diagnosis, verdict: Verdict) -> Diagnosis:
             bare = replace(named, model=base, misfits=named.base_misfits, standings=(), numbers=own)
             rest = replace(bare, verdict=verdict)
             left = regress_remainder(base, "pressure") if verdict is Verdict.NONE_KNOWN else None
-            return replace(rest, plant=assemble_plant(base), explained=0.0, remainder=left)
+            return replace(rest, plant=assemble_plant(base), explained={}, remainder=left)
 
 
 def page(diagnosis: Diagnosis, records: list[Record]) -> str:

@@ -133,6 +133,7 @@ def with_modelled_pressure(
     def prepare_drive(record: Record, pressure: Drive) -> Drive:
         modelled_pa = _hold_rest_pressure(pressure.simulate(pressure_model), record.rest_samples)
         drive = prepare_mechanics_drive(record, evidence.noises, modelled_pa, cutoff_hz)
+        drive = replace(drive, rows=pressure.rows)
         gauge_pa = pressure.resting_gauge_pa(pressure_model, record.rest_samples) if trusted else 0
         moved_m = contraction_m(evidence.nominal, gauge_pa) if gauge_pa > 0.0 else 0.0
         if drive.start or moved_m <= drive.slack:

@@ -47,7 +47,11 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "blind_spots": list_blind_spots(diagnosis),
         "next_experiment": choose_next_experiment(diagnosis),
         "gap": {name: gap.as_dict() for name, gap in (diagnosis.gap or {}).items()},
-        "explained": diagnosis.explained,
+        "explained": diagnosis.explained_share,
+        "explained_by_block": dict(diagnosis.explained),
+        "confirmed_on": diagnosis.confirmed_on.as_dict() if diagnosis.confirmed_on else None,
+        "residual_signs": [sign.as_dict() for sign in diagnosis.signs],
+        "at_bound": [*diagnosis.at_bound],
         "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
         "limits": _list_limits(diagnosis),
         "integrator": {

@@ -157,7 +157,7 @@ def test_the_map_of_regimes_begins_with_the_block_that_hides_the_effect(named, r
         (Verdict.NO_DISCREPANCY, "The model explains", "Go on with the model that you have"),
         (Verdict.MISCALIBRATED, "its numbers are off", "needs no further effect"),
         (Verdict.AMBIGUOUS, "valve deadband or valve asymmetry", "which tells"),
-        (Verdict.PARTIAL, "in part only: valve deadband", "closes 83 % of the gap"),
+        (Verdict.PARTIAL, "at least valve deadband", "closes 83 % of the pressure block"),
         (Verdict.NONE_KNOWN, "none of the known effects", "it says how the model is wrong"),
     ],
 )

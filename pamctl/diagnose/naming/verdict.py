@@ -88,7 +88,7 @@ def _find_partial(search: EffectSearch, within: Collection[str] = ()) -> Model |
 def is_worthy(model: Model, search: EffectSearch) -> bool:
     """Tell whether a model explains part of a block, each of its effects a good part.
 
-    What it leaves of another block does not count, unless it has made that block worse.
+    What it leaves of a block that no effect reaches does not count.
     """
     return not spoils_block(search.base, model) and all(
         model.is_substantial(effect)
@@ -99,10 +99,14 @@ def is_worthy(model: Model, search: EffectSearch) -> bool:
 
 
 def spoils_block(base: Model, model: Model) -> bool:
-    """Tell whether a model leaves really more of a block, and more than the block's limit."""
+    """Tell whether a model leaves really more of a block that an effect reaches, above its limit.
+
+    Other blocks may become worse where all blocks share one geometry: the base model hides in it
+    what else is missing.
+    """
+    reached = {block for effect in model.effects for block in effect.blocks}
     return any(
-        not model.is_explained(block) and gains_in_block(model, base, block)
-        for block in model.evidence.blocks
+        not model.is_explained(block) and gains_in_block(model, base, block) for block in reached
     )
 
 

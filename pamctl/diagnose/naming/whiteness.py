@@ -19,6 +19,7 @@ from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.locate import draw_noise
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.shortlist import WORTH_ANOTHER_EFFECT
+from pamctl.diagnose.naming.stretches import average_block_squares, is_clearly_above
 
 VISIBLE_SHARE = 0.1
 """A residual above this share of the signal's variation is visible in a plot of both."""
@@ -28,11 +29,11 @@ ALIKE = 0.5
 """Correlation of neighbours above which a visible residual is no sensor noise."""
 WINDOWS_S = (0.02, 0.1, 0.5)
 """The residual and its replicas are averaged over these times, to compare what is left."""
-FAR_BEYOND = 2.0
+FAR_BEYOND = 1.5
 """The averaged residual is coloured above this multiple of the largest of its replicas."""
 REPEATED_SHARE = 0.5
 """Share of a residual's square that comes again where the excitation does."""
-MATTERS = 2.0
+MATTERS = 1.5
 """What is coloured or comes again matters above this multiple of the smallest misfit."""
 
 
@@ -83,7 +84,10 @@ def _count(drive: Drive, values: Array) -> Array:
 
 def _find_colour(model: Model, block: str) -> Iterator[tuple[str, str]]:
     """Compare what averages leave of the residual with what they leave of the replicas."""
-    residual, noise = model.residuals[block], draw_noise(model, block)
+    residual, floor = model.residuals[block], model.floors[block]
+    noise = draw_noise(model, block)
+    # What the rig does differently each time may have any colour.
+    restless = float(np.sqrt(max(floor.repeatability**2 - floor.mean**2, 0.0)))
     least = MATTERS * model.evidence.margin(block)
     period_s = float(np.median(model.evidence.holdout[block][0].step_s))
     for window_s in WINDOWS_S:
@@ -91,7 +95,8 @@ def _find_colour(model: Model, block: str) -> Iterator[tuple[str, str]]:
         if not 2 <= samples <= len(residual) // 4:
             continue
         left = rms(uniform_filter1d(residual, samples))
-        usual = max(rms(uniform_filter1d(replica, samples)) for replica in noise)
+        largest = max(rms(uniform_filter1d(replica, samples)) for replica in noise)
+        usual = float(np.hypot(largest, restless))
         beyond = float(np.sqrt(max(left**2 - usual**2, 0.0)))
         if left > FAR_BEYOND * usual and beyond > least:
             yield (
@@ -124,9 +129,12 @@ def _find_repetition(model: Model, block: str) -> Iterator[tuple[str, str]]:
 
 
 def _find_excess(confirmed: Model, block: str) -> Iterator[tuple[str, str]]:
-    ratio, limit = confirmed.rms[block], confirmed.floors[block].limit
-    if ratio > WORTH_ANOTHER_EFFECT * limit:
-        yield (
-            "unconfirmed",
-            f"it is {ratio / limit:.1f} times its limit on the data that confirm",
-        )
+    """Find a residual above its limit on the samples that confirm, which are fewer.
+
+    A model without effects gets more room: false alarms must be rare.
+    """
+    limit = confirmed.floors[block].limit * (1.0 if confirmed.effects else WORTH_ANOTHER_EFFECT)
+    is_above = is_clearly_above(average_block_squares(confirmed, block), limit)
+    if is_above and not confirmed.is_explained(block):
+        ratio = confirmed.ratio(block)
+        yield "unconfirmed", f"it is {ratio:.1f} times its floor on the data that confirm"

@@ -16,7 +16,7 @@ from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import Floor
 from pamctl.diagnose.naming import verdict as verdicts
 from pamctl.diagnose.naming.rivals import is_refuted
-from pamctl.diagnose.naming.search import EffectSearch
+from pamctl.diagnose.naming.search import EffectSearch, choose_beam
 from pamctl.diagnose.naming.verdict import Judgement, Verdict, judge_search
 from pamctl.plant.model import PlantSettings
 
@@ -127,3 +127,26 @@ def test_a_worse_coupled_signal_accuses_no_effect_while_another_block_lacks_some
     both = made("valve_deadband", "cubic_stiffness", base=base)
     assert find_spoilers(both, frozenset({"mechanics"})) == {"cubic_stiffness"}
     assert find_spoilers(both, frozenset()) == frozenset()
+
+
+def test_sets_grow_only_from_effects_that_gain_something() -> None:
+    base = made(pressure=10.0, mechanics=10.0)
+    useless = made("valve_leak", base=base, pressure=9.9, mechanics=10.0)
+    assert choose_beam(base, [[useless]]) == []
+    strong = made("valve_deadband", base=base, pressure=2.0, mechanics=10.0)
+    middling = made("valve_spool", base=base, pressure=5.0, mechanics=10.0)
+    weak = made("valve_curve", base=base, pressure=8.0, mechanics=10.0)
+    elsewhere = made("creep", base=base, pressure=10.0, mechanics=8.0)
+    beam = choose_beam(base, [[strong, middling, elsewhere, weak, useless]])
+    assert [m.names for m in beam] == [("valve_deadband",), ("valve_spool",), ("creep",)]
+    enough = made("valve_deadband", base=base, pressure=1.0, mechanics=10.0)
+    beam = choose_beam(base, [[enough, middling, elsewhere, weak, useless]])
+    assert [m.names for m in beam] == [("valve_deadband",), ("creep",)]
+
+
+def test_a_third_effect_is_tried_only_beside_two_that_close_half_of_a_gap() -> None:
+    base = made(pressure=10.0)
+    first = made("valve_curve", base=base, pressure=7.0)
+    for left, grows in ((6.5, 0), (4.0, 1)):
+        second = made("valve_curve", "valve_leak", base=base, pressure=left)
+        assert len(choose_beam(base, [[first], [second]])) == grows

@@ -41,14 +41,16 @@ EQUAL_MARGIN = 0.1
 from the floor to its limit."""
 MOST_REFORMED = 2
 """Models of a level whose last effect is tried in its other forms."""
-SEVERAL_STARTS = 2
-"""Candidates of a shortlist that are fitted from several starts."""
+SEVERAL_STARTS = (2, 1)
+"""Candidates of a shortlist that are fitted from several starts: as first effects, and as further
+ones."""
 MOST_EFFECTS = 3
 GROWS_FROM = (0.05, 0.5)
 """Sets grow from one effect, and from two, that go this share of a block's way to its limit. Two
 effects can each look poor alone; three free structures that leave half explain nothing."""
 NEAR_BEST = 1.0 / 3.0
-"""Sets do not grow from a model that gains less than this share of what the best one gains."""
+"""Sets do not grow from a model that gains less than this share of what the best one gains; nor,
+where a model explains a block, from others that explain only a part of it."""
 
 Progress = Callable[[str], None]
 """Receives one line about each step."""
@@ -174,27 +176,27 @@ def search_effects(
             break
         levels.append(grown)
         progress(_describe_level(grown))
-        beam = _choose_beam(base, levels)
+        beam = choose_beam(base, levels)
     return EffectSearch(base, tuple(levels))
 
 
-def _choose_beam(base: Model, levels: Sequence[Sequence[Model]]) -> list[Model]:
+def choose_beam(base: Model, levels: Sequence[Sequence[Model]]) -> list[Model]:
     """Return the models of the last level from which the next one grows, the best first."""
     grown = keep_best_forms(levels[-1])
     if len(levels) == MOST_EFFECTS or any(m.is_complete for m in grown):
         return grown[:1]
-    least = GROWS_FROM[len(levels) - 1]
-    way = {b: [closed_share(base, m, b) for m in grown] for b in base.unexplained}
-    worth = [
-        any(
-            shares[place] >= max(least, NEAR_BEST * max(shares)) and gains_in_block(base, model, b)
-            for b, shares in way.items()
-        )
-        for place, model in enumerate(grown)
-    ]
-    return [m for m, is_worth in zip(grown, worth, strict=True) if is_worth][
-        : BEAM - len(levels) + 1
-    ]
+    worth: set[int] = set()
+    for block in base.unexplained:
+        shares = [closed_share(base, model, block) for model in grown]
+        most = max(shares)
+        needed = most if most == 1.0 else NEAR_BEST * most
+        least = max(needed, GROWS_FROM[len(levels) - 1])
+        worth |= {
+            place
+            for place, model in enumerate(grown)
+            if shares[place] >= least and gains_in_block(base, model, block)
+        }
+    return [grown[place] for place in sorted(worth)][: BEAM - len(levels) + 1]
 
 
 def closed_share(before: Model, model: Model, block: str) -> float:
@@ -251,9 +253,16 @@ def _shortlist_jobs(beam: Sequence[Model], candidates: Sequence[Candidate], widt
     """Return jobs that extend every model of the beam by each candidate of its shortlist."""
     jobs: _Jobs = {}
     for model in beam:
-        for place, score in enumerate(shortlist_candidates(model, candidates, width)):
+        scores = shortlist_candidates(model, candidates, width)
+        several = SEVERAL_STARTS[0]
+        if model.effects:  # one form of each; the best sets are tried in the other forms later
+            best: dict[str, Score] = {}
+            for score in scores:
+                best.setdefault(score.candidate.name, score)
+            scores, several = [*best.values()], SEVERAL_STARTS[1]
+        for place, score in enumerate(scores):
             key = frozenset({*model.effects, score.candidate})
-            jobs.setdefault(key, _Job(model, score, place < SEVERAL_STARTS))
+            jobs.setdefault(key, _Job(model, score, place < several))
     return jobs
 
 

@@ -53,10 +53,12 @@ class Diagnosis:
     """The tables for what the effects leave; None where none were requested."""
     train: tuple[Record, ...] = ()
     holdout: tuple[Record, ...] = ()
-    explained: Mapping[str, float] = field(default_factory=dict)
+    explained: float = 0.0
+    """The smallest of `explained_by_block`; 1 where each block alone was at its limit before."""
+    explained_by_block: Mapping[str, float] = field(default_factory=dict)
     """Share of the way from recalibrated to limit that the effects go, by block that they reach."""
     confirmed_on: ConfirmedOn | None = None
-    """The samples that `gap`, `explained` and `confirmed_ratios` rest on."""
+    """The samples that `gap`, the shares and `confirmed_ratios` rest on."""
     confirmed_ratios: Mapping[str, float] = field(default_factory=dict)
     """Residual over floor by block, on the samples that confirm."""
     signs: tuple[ResidualSign, ...] = ()
@@ -69,12 +71,6 @@ class Diagnosis:
         """The numbers that the start model has already, those of its effects included."""
         named = self.model.names if self.model else ()
         return tuple(n for n in self.numbers if n.name.split(".")[0] not in named)
-
-    @property
-    def explained_share(self) -> float:
-        """The smallest share of `explained`; 1 where each block alone was at its limit before."""
-        named = self.model is not None and bool(self.model.effects)
-        return min(self.explained.values(), default=1.0) if named else 0.0
 
     @property
     def at_bound(self) -> tuple[str, ...]:

@@ -72,7 +72,7 @@ def as_if(named: Diagnosis, verdict: Verdict) -> Diagnosis:
             standings = (replace(standing, rivals=(equal, *standing.rivals)),)
             return replace(named, verdict=verdict, standings=standings)
         case Verdict.PARTIAL:
-            return replace(named, verdict=verdict, explained={"pressure": 0.83})
+            return replace(named, verdict=verdict, explained_by_block={"pressure": 0.83})
         case _:
             base = named.base
             assert base is not None
@@ -80,7 +80,7 @@ def as_if(named: Diagnosis, verdict: Verdict) -> Diagnosis:
             bare = replace(named, model=base, misfits=named.base_misfits, standings=(), numbers=own)
             rest = replace(bare, verdict=verdict)
             left = regress_remainder(base, "pressure") if verdict is Verdict.NONE_KNOWN else None
-            return replace(rest, plant=assemble_plant(base), explained={}, remainder=left)
+            return replace(rest, plant=assemble_plant(base), explained=0.0, remainder=left)
 
 
 def page(diagnosis: Diagnosis, records: list[Record]) -> str:
@@ -203,7 +203,7 @@ def test_a_log_without_a_command_has_a_page_of_the_mechanics_alone(records):
     assert html.count('class="levels"') == 1
     assert "Pressure block" not in html
     assert "Valve command" not in html
-    assert "cut: two thirds for the fit, one to judge by" in html
+    assert "cut: half for the fit, a third to choose by, a sixth to confirm" in html
 
 
 def test_diagnose_writes_page_and_document_for_bad_data_too(tmp_path):

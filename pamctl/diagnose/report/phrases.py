@@ -83,7 +83,7 @@ def describe_closed_shares(diagnosis: Diagnosis) -> str:
     """Say how much of what each block leaves the effects close."""
     parts = [
         f"{100.0 * max(share, 0.0):.0f} % of the {block} block's gap"
-        for block, share in diagnosis.explained.items()
+        for block, share in diagnosis.explained_by_block.items()
     ]
     return f"closes {' and '.join(parts)}" if parts else "makes the blocks agree"
 

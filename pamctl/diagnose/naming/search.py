@@ -30,8 +30,8 @@ from pamctl.diagnose.naming.stretches import gains_in_block
 NARROWEST = 4
 """Shortlist of later levels, which grow from fewer models. It must not be shorter: a spool promises
 less than a delay at first."""
-BEAM = 3
-"""Models of a level from which the next level grows."""
+BEAM = (2, 1)
+"""Models with one effect, and with two, from which the next level grows."""
 NEAR_LIMITS = 4.0
 """A quick fit that leaves less than this multiple of the limit is fitted to the end."""
 MOST_FINISHED = 3
@@ -196,7 +196,7 @@ def choose_beam(base: Model, levels: Sequence[Sequence[Model]]) -> list[Model]:
             for place, model in enumerate(grown)
             if shares[place] >= least and gains_in_block(base, model, block)
         }
-    return [grown[place] for place in sorted(worth)][: BEAM - len(levels) + 1]
+    return [grown[place] for place in sorted(worth)][: BEAM[len(levels) - 1]]
 
 
 def closed_share(before: Model, model: Model, block: str) -> float:

@@ -58,7 +58,7 @@ def sizes_are_credible(monkeypatch: pytest.MonkeyPatch) -> None:
     """The made models have no fits: their sizes are large, and the same everywhere."""
     monkeypatch.setattr(Model, "is_substantial", lambda self, effect: True)
     monkeypatch.setattr(Model, "is_plausible", property(lambda self: True))
-    monkeypatch.setattr(verdicts, "is_same_everywhere", lambda model, effect: True)
+    monkeypatch.setattr(verdicts, "spread_of_effect", lambda model, effect: 0.0)
 
 
 def judge(base: Model, *levels: Sequence[Model]) -> Judgement:
@@ -78,6 +78,24 @@ def test_a_name_must_close_two_thirds_of_the_way_to_the_limit(
 ) -> None:
     base = made(pressure=30.0)
     assert judge(base, [made("valve_curve", base=base, pressure=left)]).verdict is verdict
+
+
+@pytest.mark.parametrize(
+    ("left", "spread", "is_name"),
+    [
+        (1.0, 0.18, True),
+        (1.0, 0.25, False),
+        (9.0, 0.05, True),
+        (9.0, 0.12, False),
+    ],
+)
+def test_the_less_an_effect_closes_the_better_must_the_pieces_agree_about_it(
+    monkeypatch: pytest.MonkeyPatch, left: float, spread: float, is_name: bool
+) -> None:
+    monkeypatch.setattr(verdicts, "spread_of_effect", lambda model, effect: spread)
+    base = made(pressure=30.0, mechanics=3.0)
+    model = made("valve_curve", base=base, pressure=left, mechanics=3.0)
+    assert (judge(base, [model]).verdict is Verdict.PARTIAL) is is_name
 
 
 def test_the_way_ends_at_the_limit_and_not_at_the_mean_floor() -> None:

@@ -18,9 +18,6 @@ UNSURE = 0.6
 """Half an interval over the distance from neutral; at 1 the interval reaches neutral."""
 SMALL_GAIN = 1.5
 """Residual over floor without the effect, divided by that with it."""
-UNEVEN = 0.2
-"""Half a 90 % interval of an effect's size over its distance from neutral, from what the pieces of
-the records say. True effects beside another one stay below 0.1; wrong neighbours reach 0.2 to 5."""
 PIECES = 12
 """Pieces of the fitted records, at least; each record is a piece or several."""
 WITHIN = 1.645
@@ -67,17 +64,12 @@ def _worst_ratio(model: Model) -> float:
     return max(model.ratio(block) for block in model.evidence.blocks)
 
 
-def is_same_everywhere(model: Model, effect: Candidate) -> bool:
-    """Tell whether the fitted pieces of the records agree about a size of the effect.
-
-    A wrong neighbour imitates what is missing in some stretches better than in others, and each
-    asks for another size of it.
-    """
-    return spread_of_effect(model, effect) <= UNEVEN
-
-
 def spread_of_effect(model: Model, effect: Candidate) -> float:
-    """Return the spread of an effect's surest size over its distance from neutral."""
+    """Return by how much the pieces of the records disagree about an effect's surest size.
+
+    It is half a 90 % interval over the distance from neutral. A wrong neighbour imitates what is
+    missing in some stretches better than in others, and each asks for another size of it.
+    """
     shares = [np.inf]
     for fitted in model.fits.values():
         for size in effect.switches:

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.naming.doubt import is_same_everywhere
+from pamctl.diagnose.naming.doubt import spread_of_effect
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.search import EffectSearch, closed_share, keep_best_forms, rank
 from pamctl.diagnose.naming.stretches import gains_in_block
@@ -16,6 +16,10 @@ from pamctl.diagnose.naming.stretches import gains_in_block
 LEAST_CLOSED = 2.0 / 3.0
 """A partial explanation closes at least this share of the way from what the others leave of a block
 to the block's limit. Wrong neighbours of effects in no catalogue close up to 0.6 of it."""
+UNEVEN = 0.2
+"""Largest spread of the size of an effect that closes everything, as a share of the size (see
+`doubt`). It falls with the share that is closed: an effect that leaves much must be the same
+everywhere. Wrong neighbours of effects in no catalogue reach 0.1 to 5."""
 MOST_PARTIALS = 6
 """Models of each level that are examined as partial explanations."""
 
@@ -90,11 +94,12 @@ def is_worthy(model: Model, search: EffectSearch) -> bool:
 
     What it leaves of a block that no effect reaches does not count.
     """
-    return not spoils_block(search.base, model) and all(
-        model.is_substantial(effect)
-        and _closes_most(model, effect, search)
-        and is_same_everywhere(model, effect)
-        for effect in model.effects
+    if spoils_block(search.base, model) or not all(map(model.is_substantial, model.effects)):
+        return False
+    shares = [measure_share(model, effect, search) for effect in model.effects]
+    return min(shares) >= LEAST_CLOSED and all(
+        spread_of_effect(model, effect) <= UNEVEN * (2.0 * share - 1.0)
+        for effect, share in zip(model.effects, shares, strict=True)
     )
 
 
@@ -110,17 +115,17 @@ def spoils_block(base: Model, model: Model) -> bool:
     )
 
 
-def _closes_most(model: Model, effect: Candidate, search: EffectSearch) -> bool:
-    """Tell whether an effect closes most of what the model's other effects leave of a block."""
+def measure_share(model: Model, effect: Candidate, search: EffectSearch) -> float:
+    """Return how much of what the other effects leave of a block an effect really closes."""
     others = {*model.names} - {effect.name}
     known = (m for m in search.models if {*m.names} == others)
     without = min(known, key=rank, default=search.base)
-    return any(
-        closed_share(without, model, block) >= LEAST_CLOSED
-        and gains_in_block(without, model, block)
+    shares = [
+        closed_share(without, model, block)
         for block in without.unexplained
-        if block in effect.blocks
-    )
+        if block in effect.blocks and gains_in_block(without, model, block)
+    ]
+    return max(shares, default=0.0)
 
 
 def revise_verdict(judgement: Judgement, standings: Sequence[Standing]) -> Verdict:

@@ -41,6 +41,8 @@ EQUAL_MARGIN = 0.1
 from the floor to its limit."""
 MOST_REFORMED = 2
 """Models of a level whose last effect is tried in its other forms."""
+WORTH_ANOTHER_FORM = 0.5
+"""An effect that goes a smaller share of a block's way to its limit lacks more than its form."""
 SEVERAL_STARTS = (2, 1)
 """Candidates of a shortlist that are fitted from several starts: as first effects, and as further
 ones."""
@@ -168,9 +170,10 @@ def search_effects(
         grown = fitter.fit_jobs(jobs)
         if not levels and not any(m.is_complete for m in grown):
             others = _list_other_jobs(base, candidates, jobs)
-            grown = tuple(sorted((*grown, *fitter.fit_jobs(others)), key=rank))
+            grown = tuple(sorted((*grown, *fitter.fit_jobs(others, grown)), key=rank))
         if not any(m.is_complete for m in grown):
-            reformed = _fit_other_forms(grown[:MOST_REFORMED], candidates, executor)
+            most = [m for m in grown[:MOST_REFORMED] if _goes_far(base, m)]
+            reformed = _fit_other_forms(most, candidates, executor)
             grown = tuple(sorted((*grown, *reformed), key=rank))
         if not grown:
             break
@@ -197,6 +200,11 @@ def choose_beam(base: Model, levels: Sequence[Sequence[Model]]) -> list[Model]:
             if shares[place] >= least and gains_in_block(base, model, block)
         }
     return [grown[place] for place in sorted(worth)][: BEAM[len(levels) - 1]]
+
+
+def _goes_far(base: Model, model: Model) -> bool:
+    shares = (closed_share(base, model, block) for block in base.unexplained)
+    return any(share >= WORTH_ANOTHER_FORM for share in shares)
 
 
 def closed_share(before: Model, model: Model, block: str) -> float:
@@ -292,13 +300,17 @@ class _Fitter:
     known: Mapping[frozenset[Candidate], Model]
     """Models of some of the blocks, by their effects: these are not fitted again."""
 
-    def fit_jobs(self, jobs: _Jobs) -> tuple[Model, ...]:
-        """Fit the models, the most promising ones to the end; return the best first."""
+    def fit_jobs(self, jobs: _Jobs, beside: Sequence[Model] = ()) -> tuple[Model, ...]:
+        """Fit the models, the most promising ones to the end; return the best first.
+
+        `beside` are models of the same level that were fitted before.
+        """
         found = [m for effects, job in jobs.items() if (m := self._look_up(effects, job))]
         done = {frozenset(m.effects) for m in found}
         rest = [job for effects, job in jobs.items() if effects not in done]
         grown = sorted((*found, *run_fit_jobs(_fit_job, rest, self.executor)), key=rank)
-        ended = (*map(fit_to_end_if_near, grown[:MOST_FINISHED]), *grown[MOST_FINISHED:])
+        nearest = {id(m) for m in sorted((*grown, *beside), key=rank)[:MOST_FINISHED]}
+        ended = (fit_to_end_if_near(m) if id(m) in nearest else m for m in grown)
         return tuple(sorted(map(confirm_complete, ended), key=rank))
 
     def _look_up(self, effects: frozenset[Candidate], job: _Job) -> Model | None:

@@ -10,12 +10,14 @@ from pamctl.diagnose.extend import CorrectionResult
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import value_of
+from pamctl.diagnose.fitting.split import ConfirmedOn
 from pamctl.diagnose.locate import RegimeMisfit, describe_worst_regimes
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.naming.remainder import Remainder
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.search import EffectsTrial
 from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.naming.whiteness import ResidualSign
 from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.show import HeldOutGap
 from pamctl.plant.model import PlantSettings
@@ -53,7 +55,15 @@ class Diagnosis:
     train: tuple[Record, ...] = ()
     holdout: tuple[Record, ...] = ()
     explained: float = 0.0
-    """Share of the gap from recalibrated to floor that the effects close."""
+    """The smallest of `explained_by_block`; 1 where each block alone was at its limit before."""
+    explained_by_block: Mapping[str, float] = field(default_factory=dict)
+    """Share of the way from recalibrated to limit that the effects go, by block that they reach."""
+    confirmed_on: ConfirmedOn | None = None
+    """The samples that `gap`, the shares and `confirmed_ratios` rest on."""
+    confirmed_ratios: Mapping[str, float] = field(default_factory=dict)
+    """Residual over floor by block, on the samples that confirm."""
+    signs: tuple[ResidualSign, ...] = ()
+    """What speaks against noise in residuals that are at their limits."""
     setup: tuple[SetupFinding, ...] = ()
     """What is wrong about the set-up: numbers of the plant file, columns of the records."""
     audit: Audit | None = None
@@ -65,6 +75,11 @@ class Diagnosis:
         named = self.model.names if self.model else ()
         return tuple(n for n in self.numbers if n.name.split(".")[0] not in named)
 
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Fitted numbers at an end of their range."""
+        return self.model.at_bound if self.model else ()
+
     def start_value(self, name: str) -> float:
         """Return a number of the start model."""
         return value_of(self.nominal, name)
@@ -72,8 +87,9 @@ class Diagnosis:
 
 def find_largest_remainder(diagnosis: Diagnosis) -> tuple[str, float, str]:
     """Return the block with the most left: its name, residual over floor, and worst regimes."""
-    model = diagnosis.model
+    model, ratios = diagnosis.model, diagnosis.confirmed_ratios
     if model is None:
         return "", 0.0, ""
     block = max(model.evidence.blocks, key=model.ratio)
-    return block, model.ratio(block), describe_worst_regimes(diagnosis.misfits, block)
+    ratio = ratios.get(block, model.ratio(block))
+    return block, ratio, describe_worst_regimes(diagnosis.misfits, block)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.drives import stack_residuals
-from pamctl.diagnose.fitting.evidence import SMALLEST_MISFIT
+from pamctl.diagnose.fitting.evidence import SMALLEST_MISFIT, Evidence
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.held_out_rms import measure_rms_by_channel
+from pamctl.diagnose.fitting.held_out_rms import simulate_held_out
 from pamctl.diagnose.fitting.numbers import with_values
 from pamctl.diagnose.fitting.table_fit import fit_correction_table
 from pamctl.diagnose.measured.record import Record
@@ -33,11 +33,8 @@ def extend_plant(verdict: Verdict, model: Model) -> PlantSettings:
 
 def assemble_plant(model: Model) -> PlantSettings:
     """Put the fits of the blocks together; where the geometry differs, the mechanics' counts."""
-    values: dict[str, float] = {}
-    for block in sorted(model.evidence.blocks, reverse=True):
-        values |= model.fit_of(block).values
-    values |= {name: value for effect in model.effects for name, value in effect.fixed_numbers}
-    return with_values(model.evidence.nominal, values)
+    fixed = {name: value for effect in model.effects for name, value in effect.fixed_numbers}
+    return with_values(model.evidence.nominal, {**model.values, **fixed})
 
 
 @dataclass(frozen=True)
@@ -64,11 +61,14 @@ class CorrectionResult:
 
 
 def add_correction_tables(
-    model: Model, plant: PlantSettings, holdout: Sequence[Record]
+    model: Model, plant: PlantSettings, holdout: Sequence[Record], confirming: Evidence
 ) -> CorrectionResult:
-    """Add a table to `plant` for each block that `model` leaves above its limit."""
+    """Add a table to `plant` for each block that `model` leaves above its limit.
+
+    The choice is made on the model's evidence, the figures rest on `confirming`.
+    """
     evidence = model.evidence
-    before = measure_rms_by_channel(evidence, holdout, plant)
+    before = simulate_held_out(evidence, holdout, plant)
     kept, blocks, refused = plant, [], []
     for block in model.unexplained:
         table = fit_correction_table(evidence.train[block], kept)
@@ -81,9 +81,11 @@ def add_correction_tables(
                 f"a table for the {block} leaves {left[1] / left[0]:.2f} times what was left "
                 "of the held-out records"
             )
-    after = measure_rms_by_channel(evidence, holdout, kept)
-    if worse := [name for name in after if after[name] > before[name] + SMALLEST_MISFIT[name]]:
+    after = simulate_held_out(evidence, holdout, kept)
+    old, new = before.measure_rms(evidence), after.measure_rms(evidence)
+    if worse := [name for name in new if new[name] > old[name] + SMALLEST_MISFIT[name]]:
         refused = [f"tables for {' and '.join(blocks)} make the coupled gap of {worse[0]} larger"]
         kept, blocks, after = plant, [], before
     why = "; ".join([*(f"a table for the {b} is in the model" for b in blocks), *refused])
-    return CorrectionResult(kept, tuple(blocks), why, before, after)
+    figures = (errors.measure_rms(confirming) for errors in (before, after))
+    return CorrectionResult(kept, tuple(blocks), why, *figures)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.stats import false_discovery_control
 from scipy.stats import t as student
 
+from pamctl.diagnose.fitting.block_fit import Fit
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import imitate_records, sensor_noise_of
@@ -32,6 +34,8 @@ SLOW_M_PER_S = 5e-4
 CHOKED = 0.528
 """Critical pressure ratio of air; flow below it is choked."""
 EVENLY = "spread evenly"
+_NOISE: WeakKeyDictionary[Fit, dict[str, Array]] = WeakKeyDictionary()
+"""By fit and block."""
 RATE = 0.05
 """Share of the regimes that stand out which may be noise, on average."""
 
@@ -67,15 +71,9 @@ def _locate_in_block(model: Model, block: str) -> list[RegimeMisfit]:
     evidence = model.evidence
     drives = evidence.holdout[block]
     residual = model.residuals[block]
-    noise = np.array(
-        [
-            imitation.residual
-            for imitation in imitate_records(model.fit_for_floor(block), drives, evidence.noises)
-        ]
-    )
     floor = model.floors[block]
     # What the rig does differently each time is no misfit in any regime.
-    noise *= max(floor.repeatability / floor.mean, 1.0)
+    noise = draw_noise(model, block) * max(floor.repeatability / floor.mean, 1.0)
     negligible = evidence.margin(block) ** 2
     uncertainty = 2.0 * sensor_noise_of(drives, evidence.noises).uncertainty
     excess = float(np.sum(np.maximum(residual**2 - floor.mean**2, 0.0))) or 1.0
@@ -99,6 +97,19 @@ def _locate_in_block(model: Model, block: str) -> list[RegimeMisfit]:
             RegimeMisfit(block, name, share, float(np.sqrt(level)), ratio, inside, chance)
         )
     return sorted(misfits, key=lambda c: -c.residual_over_floor)
+
+
+def draw_noise(model: Model, block: str) -> Array:
+    """Return held-out residuals that noise alone leaves of a block, shape (replicas, samples).
+
+    In deviations of the sensor. Models that share a fit share them.
+    """
+    fitted, evidence = model.fit_for_floor(block), model.evidence
+    known = _NOISE.setdefault(fitted, {})
+    if block not in known:
+        made = imitate_records(fitted, evidence.holdout[block], evidence.noises)
+        known[block] = np.array([imitation.residual for imitation in made])
+    return known[block]
 
 
 def find_regimes(drive: Drive, model: Model) -> Mapping[str, Rows]:

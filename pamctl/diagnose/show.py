@@ -6,14 +6,18 @@ became better shows only when the command alone drives it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from pamctl.diagnose.extend import assemble_plant
-from pamctl.diagnose.fitting.evidence import SMALLEST_MISFIT
+from pamctl.diagnose.fitting.block_fit import rms
+from pamctl.diagnose.fitting.evidence import SMALLEST_MISFIT, Evidence
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.held_out_rms import measure_rms_by_channel
+from pamctl.diagnose.fitting.held_out_rms import HeldOutErrors, simulate_held_out
 from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.naming.stretches import average_squares, is_clearly_less
 
 EQUAL_SHARE = 1.05
 """Gaps within this ratio count as equal."""
@@ -48,35 +52,57 @@ class HeldOutGap:
         return levels if self.corrected is None else {**levels, "corrected": self.corrected}
 
 
-def measure_gaps(base: Model, model: Model, holdout: Sequence[Record]) -> dict[str, HeldOutGap]:
-    """Compare start model, recalibrated and extended model on the held-out records, by channel.
+@dataclass(frozen=True)
+class CoupledComparison:
+    """The start model, the recalibrated and the extended model over the held-out records."""
+
+    nominal: HeldOutErrors
+    recalibrated: HeldOutErrors
+    extended: HeldOutErrors
+
+    def measure_gaps(self, part: Evidence) -> dict[str, HeldOutGap]:
+        """Return the gaps at the samples that `part` holds out, by channel."""
+        levels = {
+            name: errors.measure_rms(part)
+            for name, errors in (
+                ("nominal", self.nominal),
+                ("recalibrated", self.recalibrated),
+                ("extended", self.extended),
+            )
+        }
+        return {
+            channel: HeldOutGap(
+                **{name: level[channel] for name, level in levels.items()},
+                floor=part.noises[channel].total,
+            )
+            for channel in levels["nominal"]
+        }
+
+    def list_worse_blocks(self, part: Evidence) -> frozenset[str]:
+        """Return the blocks whose signals the extended model leaves really worse than before.
+
+        A twentieth, what is too small to matter, and what a few stretches make, count as equal.
+        """
+        nominal, recalibrated, extended = (
+            errors.select(part) for errors in (self.nominal, self.recalibrated, self.extended)
+        )
+        worse = set()
+        for channel, block in self.extended.blocks.items():
+            before = min(nominal[channel], recalibrated[channel], key=rms)
+            after = extended[channel]
+            period_s = float(np.median(part.holdout[block][0].step_s))
+            if rms(after) > EQUAL_SHARE * rms(before) + SMALLEST_MISFIT[channel] and (
+                is_clearly_less(average_squares(before, period_s), average_squares(after, period_s))
+            ):
+                worse.add(block)
+        return frozenset(worse)
+
+
+def compare_coupled(base: Model, model: Model, holdout: Sequence[Record]) -> CoupledComparison:
+    """Simulate start model, recalibrated and extended model over the held-out records.
 
     Where the records drive only one block, that block's own output is compared.
     """
     evidence = base.evidence
-    plants = {
-        "nominal": evidence.nominal,
-        "recalibrated": assemble_plant(base),
-        "extended": assemble_plant(model),
-    }
-    levels = {
-        name: measure_rms_by_channel(evidence, holdout, plant) for name, plant in plants.items()
-    }
-    return {
-        channel: HeldOutGap(
-            **{name: level[channel] for name, level in levels.items()},
-            floor=evidence.noises[channel].total,
-        )
-        for channel in levels["nominal"]
-    }
-
-
-def is_no_worse(gaps: Mapping[str, HeldOutGap]) -> bool:
-    """Tell whether the extended model makes no signal's gap larger than it was without it.
-
-    A twentieth, and what is too small to matter, count as equal.
-    """
-    return all(
-        gap.extended <= EQUAL_SHARE * min(gap.nominal, gap.recalibrated) + SMALLEST_MISFIT[channel]
-        for channel, gap in gaps.items()
-    )
+    plants = (evidence.nominal, assemble_plant(base), assemble_plant(model))
+    return CoupledComparison(*(simulate_held_out(evidence, holdout, plant) for plant in plants))

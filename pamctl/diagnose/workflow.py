@@ -1,4 +1,4 @@
-"""The workflow: prepare, recalibrate, then the steps: audit, locate, name, extend, show.
+"""The workflow: prepare, recalibrate, then audit, locate, name, confirm, extend, show.
 
 from concurrent.futures import ProcessPoolExecutor
 from pamctl.diagnose import diagnose, record_of, sentence
@@ -15,6 +15,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 from pamctl.diagnose.audit import audit_model
+from pamctl.diagnose.confirm import Confirmation, confirm_naming
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.extend import add_correction_tables, extend_plant
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
@@ -23,18 +24,23 @@ from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_mo
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.integrator import compare_substeps
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
-from pamctl.diagnose.fitting.split import split_by_run, split_by_stretch
+from pamctl.diagnose.fitting.split import (
+    ConfirmedOn,
+    describe_confirmation,
+    keep_for_choice,
+    keep_for_confirmation,
+    split_by_run,
+)
 from pamctl.diagnose.locate import locate_misfits
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
-from pamctl.diagnose.name import Naming, name_effects
+from pamctl.diagnose.name import name_effects
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.search import Progress, search_effects
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.suspect_setup import suspect_setup
 from pamctl.diagnose.setup_verdict import conclude_setup
-from pamctl.diagnose.show import HeldOutGap, is_no_worse, measure_gaps
 from pamctl.plant.model import PlantSettings
 
 
@@ -50,41 +56,49 @@ def diagnose(
 ) -> Diagnosis:
     """Say what the plant's model lacks to explain these runs.
 
-    The model is fitted on `train` and judged by `holdout`. Without `holdout`, `train` is split by
-    run; a single run is split into long stretches. `without` leaves effects out of the catalogue.
+    The model is fitted on `train`. Two of three stretches of `holdout` choose it, the third
+    confirms it. Without `holdout`, `train` is split by run; a single run is split into long
+    stretches. `without` leaves effects out of the catalogue.
     With `correction`, what no effect explains is added to the plant as a table, where that helps.
     Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
     library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
     progress = progress or (lambda line: None)
     try:
-        evidence, train, holdout = _check_and_prepare(train, holdout, plant)
+        evidence, train, holdout, is_cut = _check_and_prepare(train, holdout, plant)
     except BadData as error:
         return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error))
     candidates = list_candidates(evidence, without)
     effects = len({candidate.name for candidate in candidates})  # some have several forms
     progress(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue are candidates")
-    base = weigh_blocks(_recalibrate(evidence, candidates, train, holdout, executor, progress))
+    base, known = _recalibrate(evidence, candidates, train, holdout, executor, progress)
+    base = weigh_blocks(base)
     ratios = ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks)
     progress(f"recalibrated: {ratios}")
     setup = suspect_setup(base, train, holdout, FirstLevel(candidates), progress)
     if setup.refusal:
         return Diagnosis(Verdict.BAD_DATA, plant, plant, setup.refusal, setup=setup.findings)
-    naming = name_effects(setup.base, candidates, executor, progress)
-    naming, gaps = _withdraw_if_worse(naming, setup.holdout)
-    found = _conclude(naming, gaps, setup.train, setup.holdout, candidates, correction=correction)
-    return conclude_setup(found, setup)
+    known = known if setup.base is base else ()
+    naming = name_effects(setup.base, candidates, executor, progress, known)
+    confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
+    found = confirm_naming(naming, setup.holdout, confirming)
+    on = describe_confirmation(confirming, is_cut=is_cut)
+    diagnosis = _conclude(
+        found, on, confirming, setup.train, setup.holdout, candidates, correction=correction
+    )
+    return conclude_setup(diagnosis, setup)
 
 
 def _check_and_prepare(
     train: Sequence[Record], holdout: Sequence[Record], plant: PlantSettings
-) -> tuple[Evidence, list[Record], list[Record]]:
+) -> tuple[Evidence, list[Record], list[Record], bool]:
+    """Return the evidence for fits and choices, its records, and whether a single run was cut."""
     records = [*train, *holdout]
     if not records:
         raise BadData("no records; give at least one log")
     check_measured_runs(records, plant)
-    split = not holdout
-    fitted, held = split_by_run(train) if split else ([*train], [*holdout])
+    is_cut = not holdout and len(train) == 1
+    fitted, held = ([*train], [*holdout]) if holdout else split_by_run(train)
     evidence = prepare_evidence(fitted, held, plant)
     if not evidence.blocks:
         channels = ", ".join(records[0].channels) or "nothing"
@@ -93,9 +107,7 @@ def _check_and_prepare(
             "position_m; or, with `actuator: direct` in the plant file, force_n with position_m"
         )
     check_sensors(records, evidence.noises)
-    if split and len(train) == 1:
-        evidence = split_by_stretch(evidence)
-    return evidence, fitted, held
+    return keep_for_choice(evidence, is_cut=is_cut), fitted, held, is_cut
 
 
 def _recalibrate(
@@ -105,37 +117,29 @@ def _recalibrate(
     holdout: Sequence[Record],
     executor: Executor | None,
     progress: Progress,
-) -> Model:
+) -> tuple[Model, tuple[Model, ...]]:
     """Recalibrate; drive the mechanics by a pressure that the pressure block has cleaned.
 
     The pressure block takes all effects that it needs, to separate the pressure from its noise.
+    Its models are returned too: they need not be fitted again.
     """
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        return recalibrate(evidence)
+        return recalibrate(evidence), ()
     alone = recalibrate(evidence.select_blocks({PRESSURE}))
     progress("pressure block alone: its simulation drives the mechanics with less noise")
     # Here the nearest fit counts, not the simplest form of a name.
-    nearest = search_effects(alone, candidates, executor, width=2).nearest
+    search = search_effects(alone, candidates, executor, width=2)
+    nearest = search.nearest
     driven = with_modelled_pressure(
         evidence, train, holdout, nearest.fit_of(PRESSURE).settings, trusted=nearest.is_complete
     )
-    return recalibrate(driven, alone.fits)
-
-
-def _withdraw_if_worse(
-    naming: Naming, holdout: Sequence[Record]
-) -> tuple[Naming, dict[str, HeldOutGap]]:
-    """Measure the held-out gap; withdraw names that make the coupled simulation worse."""
-    gaps = measure_gaps(naming.base, naming.model, holdout)
-    if not naming.model.effects or is_no_worse(gaps):
-        return naming, gaps
-    naming = naming.withdraw_effects()
-    return naming, measure_gaps(naming.base, naming.model, holdout)
+    return recalibrate(driven, alone.fits), search.models
 
 
 def _conclude(
-    naming: Naming,
-    gaps: dict[str, HeldOutGap],
+    found: Confirmation,
+    on: ConfirmedOn,
+    confirming: Evidence,
     train: Sequence[Record],
     holdout: Sequence[Record],
     candidates: Sequence[Candidate],
@@ -143,30 +147,40 @@ def _conclude(
     correction: bool,
 ) -> Diagnosis:
     """Extend the plant, and locate what is left."""
-    model = naming.model
+    naming, gap = found.naming, {**found.gap}
+    base, model = naming.base, naming.model
     plant, remainder, tables = extend_plant(naming.verdict, model), None, None
     if naming.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
         remainder = regress_remainder(model, max(model.evidence.blocks, key=model.ratio))
-        tables = add_correction_tables(model, plant, holdout) if correction else None
+        if correction:
+            tables = add_correction_tables(model, plant, holdout, confirming)
     if tables and tables.blocks:
-        gaps = {name: replace(gap, corrected=tables.after[name]) for name, gap in gaps.items()}
+        gap = {name: replace(level, corrected=tables.after[name]) for name, level in gap.items()}
+    is_open = naming.verdict in (Verdict.PARTIAL, Verdict.AMBIGUOUS)
+    base_misfits = tuple(locate_misfits(base))
     return Diagnosis(
         naming.verdict,
         model.evidence.nominal,
         tables.plant if tables else plant,
         model=model,
-        base=naming.base,
+        base=base,
         standings=naming.standings,
-        numbers=naming.numbers,
-        gap=gaps,
-        misfits=tuple(locate_misfits(model)),
-        base_misfits=tuple(locate_misfits(naming.base)),
+        numbers=tuple(
+            replace(n, conditional_on=model.names if is_open else ()) for n in naming.numbers
+        ),
+        gap=gap,
+        misfits=base_misfits if model is base else tuple(locate_misfits(model)),
+        base_misfits=base_misfits,
         substep_changes=compare_substeps(model),
         trials=naming.trials,
         remainder=remainder,
         correction=tables,
         train=tuple(train),
         holdout=tuple(holdout),
-        explained=naming.explained,
+        explained=min(found.explained.values(), default=1.0) if model.effects else 0.0,
+        explained_by_block=found.explained,
+        confirmed_on=on,
+        confirmed_ratios=found.ratios,
+        signs=found.signs,
         audit=audit_model(model, [c for c in candidates if c.name not in model.names], pairs=False),
     )

@@ -72,7 +72,7 @@ def as_if(named: Diagnosis, verdict: Verdict) -> Diagnosis:
             standings = (replace(standing, rivals=(equal, *standing.rivals)),)
             return replace(named, verdict=verdict, standings=standings)
         case Verdict.PARTIAL:
-            return replace(named, verdict=verdict, explained=0.83)
+            return replace(named, verdict=verdict, explained_by_block={"pressure": 0.83})
         case _:
             base = named.base
             assert base is not None
@@ -157,7 +157,7 @@ def test_the_map_of_regimes_begins_with_the_block_that_hides_the_effect(named, r
         (Verdict.NO_DISCREPANCY, "The model explains", "Go on with the model that you have"),
         (Verdict.MISCALIBRATED, "its numbers are off", "needs no further effect"),
         (Verdict.AMBIGUOUS, "valve deadband or valve asymmetry", "which tells"),
-        (Verdict.PARTIAL, "in part only: valve deadband", "closes 83 % of the gap"),
+        (Verdict.PARTIAL, "at least valve deadband", "closes 83 % of the pressure block"),
         (Verdict.NONE_KNOWN, "none of the known effects", "it says how the model is wrong"),
     ],
 )
@@ -203,7 +203,7 @@ def test_a_log_without_a_command_has_a_page_of_the_mechanics_alone(records):
     assert html.count('class="levels"') == 1
     assert "Pressure block" not in html
     assert "Valve command" not in html
-    assert "cut: two thirds for the fit, one to judge by" in html
+    assert "cut: half for the fit, a third to choose by, a sixth to confirm" in html
 
 
 def test_diagnose_writes_page_and_document_for_bad_data_too(tmp_path):
@@ -239,7 +239,8 @@ def test_the_page_of_a_minute_stays_below_a_megabyte(named, records):
 
 def five_times(drive: Drive) -> Drive:
     """The same record five times, one after the other."""
-    columns = {name: np.tile(getattr(drive, name), 5) for name in ("valve_v", "driven", "measured")}
+    names = ("valve_v", "driven", "measured", "rows")
+    columns = {name: np.tile(getattr(drive, name), 5) for name in names}
     period = float(np.median(drive.step_s))
     steps = np.concatenate([np.append(drive.step_s, period)] * 5)[:-1]
     return replace(drive, step_s=steps, **columns)

@@ -30,7 +30,7 @@ def diagnose(
         typer.Option(
             "--holdout",
             metavar="LOG",
-            help="Log that judges the result and is not fitted; can be repeated",
+            help="Log that chooses and confirms the result, not fitted; can be repeated",
             show_default="parts of the logs",
         ),
     ] = None,

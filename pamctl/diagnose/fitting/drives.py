@@ -106,8 +106,10 @@ class Drive:
     steps: int = STEPS_A_TICK
     has_position: bool = True
     """False for a pressure block whose position was not measured: the model then simulates it."""
-    rows: NDArray[np.bool_] | None = None
-    """The samples that count, shape (n,); None for all."""
+    usable: NDArray[np.bool_] | None = None
+    """The samples that a judge can use, shape (n,); None for all."""
+    part: NDArray[np.bool_] | None = None
+    """The samples of one part of the data, such as those to fit on, shape (n,); None for all."""
     windows: tuple[slice, ...] = ()
     """Stretches that are simulated each from the measured state; empty for one free run."""
     has_known_start: bool = True
@@ -128,6 +130,13 @@ class Drive:
     bend: tuple[Array, Array] | None = None
     """How the driving pressure leaves the line between two samples where ticks were missed: times
     since the first sample (s), and pressures (Pa). None: nowhere."""
+
+    @cached_property
+    def rows(self) -> NDArray[np.bool_] | None:
+        """The samples that count, shape (n,); None for all."""
+        if self.usable is None or self.part is None:
+            return self.part if self.usable is None else self.usable
+        return self.usable & self.part
 
     @property
     def samples(self) -> int:
@@ -399,7 +408,7 @@ def _prepare_equation(
     direction = np.where(np.abs(velocity) > SURE * speed_noise, np.sign(velocity), 0.0)
     edge = count_samples(judge.slope_s, record.period_s) // 2
     strokes = find_strokes(direction, find_segments(record.step_s), edge)
-    return replace(drive, rows=find_rows_inside(strokes, len(record)))
+    return replace(drive, usable=find_rows_inside(strokes, len(record)))
 
 
 def judge_drive(drive: Drive, judge: Judge) -> Drive:
@@ -413,11 +422,11 @@ def judge_drive(drive: Drive, judge: Judge) -> Drive:
     windows = cut_windows(segments, length)
     rows = find_rows_inside(windows, samples)
     if judge.forgets_start:
-        return replace(drive, windows=windows, rows=rows)
+        return replace(drive, windows=windows, usable=rows)
     return replace(
         drive,
         windows=windows,
-        rows=rows,
+        usable=rows,
         has_known_start=False,
         velocity_time_s=judge.velocity_time_s,
         slack=0.0,

@@ -181,7 +181,7 @@ def with_modelled_pressure(
         drive = prepare_mechanics_drive(
             record, evidence.noises, evidence.judge[MECHANICS], modelled_pa, cutoff_hz
         )
-        drive = replace(drive, bend=pressure.find_bend(pressure_model))
+        drive = replace(drive, bend=pressure.find_bend(pressure_model), part=pressure.part)
         gauge_pa = pressure.resting_gauge_pa(pressure_model, record.rest_samples) if trusted else 0
         moved_m = contraction_m(evidence.nominal, gauge_pa) if gauge_pa > 0.0 else 0.0
         if drive.start or moved_m <= drive.slack:

@@ -57,6 +57,17 @@ class Model:
         return next(fitted for blocks, fitted in self.fits.items() if block in blocks)
 
     @property
+    def values(self) -> dict[str, float]:
+        """Every fitted number; where the geometry of the blocks differs, the mechanics' counts."""
+        ordered = sorted(self.evidence.blocks, reverse=True)
+        return {name: value for b in ordered for name, value in self.fit_of(b).values.items()}
+
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Numbers at an end of their range."""
+        return tuple(dict.fromkeys(n for fitted in self.fits.values() for n in fitted.at_bound))
+
+    @property
     def effect_values(self) -> dict[str, float]:
         """The fitted numbers of the effects."""
         return {
@@ -139,16 +150,15 @@ class Model:
     @property
     def is_plausible(self) -> bool:
         """Tell whether every effect is worth a name, and no number is at an end of its range."""
-        return all(map(self._is_substantial, self.effects)) and not self.has_number_at_bound
+        return all(map(self.is_substantial, self.effects)) and not self.has_number_at_bound
 
     @property
     def has_number_at_bound(self) -> bool:
         """Tell whether a calibrated number or a size is at an end of its range."""
         sizes = {s.name for c in self.effects for s in c.switches}
-        bound = {name for fitted in self.fits.values() for name in fitted.at_bound}
-        return any(name in sizes or "." not in name for name in bound)
+        return any(name in sizes or "." not in name for name in self.at_bound)
 
-    def _is_substantial(self, effect: Candidate) -> bool:
+    def is_substantial(self, effect: Candidate) -> bool:
         """Tell whether one of the effect's sizes is large enough for a name."""
         values = {n: v for fitted in self.fits.values() for n, v in fitted.values.items()}
         return any(

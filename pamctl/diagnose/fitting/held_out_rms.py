@@ -1,52 +1,79 @@
-"""The residual of a plant on the held-out records, when the command alone drives it."""
+"""Measurement minus simulation on the held-out records, when the command alone drives the plant."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from pamctl.diagnose.fitting.block_fit import rms
-from pamctl.diagnose.fitting.drives import MECHANICS, stack_residuals
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.plant.drive import build_grid, drive_coupled
+from pamctl.plant.drive import SampleGrid, build_grid, drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 
 
-def measure_rms_by_channel(
-    evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings
-) -> dict[str, float]:
-    """Return the RMS of measurement minus simulation by channel, in SI.
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """The errors of one plant over whole held-out records, in SI.
 
     Both blocks are simulated coupled, from the command alone. Where the records drive only one
     block, that block's own output is compared.
     """
-    if len(evidence.blocks) == 2:
-        return _measure_coupled_rms(evidence, holdout, plant)
-    block = evidence.blocks[0]
-    drives = evidence.holdout[block]
-    left = rms(stack_residuals(drives, plant)) * drives[0].deviation
-    return {drives[0].channel: left}
+
+    simulated: Mapping[str, tuple[Array, ...]]
+    """By channel, one array a record."""
+    blocks: Mapping[str, str]
+    """The block of each channel."""
+
+    def select(self, part: Evidence) -> dict[str, Array]:
+        """Return the errors at the samples that `part` holds out, by channel, in SI."""
+        errors = {}
+        for channel, runs in self.simulated.items():
+            drives = part.holdout[self.blocks[channel]]
+            parts = [_error_of(d, run) for d, run in zip(drives, runs, strict=True)]
+            errors[channel] = np.concatenate(parts)
+        return errors
+
+    def measure_rms(self, part: Evidence) -> dict[str, float]:
+        """Return the RMS by channel at the samples that `part` holds out, in SI."""
+        return {channel: rms(error) for channel, error in self.select(part).items()}
 
 
-def _measure_coupled_rms(
+def _error_of(drive: Drive, simulated: Array) -> Array:
+    return drive.residual_of(simulated) * drive.deviation
+
+
+def simulate_held_out(
     evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings
-) -> dict[str, float]:
-    errors: dict[str, list[Array]] = {"position_m": [], "pressure_pa": []}
-    for record, drive in zip(holdout, evidence.holdout[MECHANICS], strict=True):
-        counted = slice(None) if drive.rows is None else drive.rows
-        grid = build_grid(
-            record.step_s,
-            len(record),
-            drive.steps,
-            acts_after_s=record.acts_after_s,
-            held_v=record.held_v,
-        )
-        driven = drive_coupled(plant_parameters(plant), record["valve_v"], grid)
-        for channel in errors:
-            error = (record[channel] - getattr(driven, channel))[counted]
-            if channel == "position_m":
-                error = error - np.clip(np.mean(error), -drive.slack, drive.slack)
-            errors[channel].append(error)
-    return {channel: rms(np.concatenate(parts)) for channel, parts in errors.items()}
+) -> HeldOutErrors:
+    """Simulate a plant over the held-out records."""
+    if len(evidence.blocks) < 2:
+        (block,) = evidence.blocks
+        drives = evidence.holdout[block]
+        channel = drives[0].channel
+        return HeldOutErrors({channel: tuple(d.simulate(plant) for d in drives)}, {channel: block})
+    p = plant_parameters(plant)
+    driven = [
+        drive_coupled(p, record["valve_v"], _build_coupled_grid(record, drive))
+        for record, drive in zip(holdout, evidence.holdout[MECHANICS], strict=True)
+    ]
+    return HeldOutErrors(
+        {
+            "position_m": tuple(run.position_m for run in driven),
+            "pressure_pa": tuple(run.pressure_pa for run in driven),
+        },
+        {"position_m": MECHANICS, "pressure_pa": PRESSURE},
+    )
+
+
+def _build_coupled_grid(record: Record, drive: Drive) -> SampleGrid:
+    return build_grid(
+        record.step_s,
+        len(record),
+        drive.steps,
+        acts_after_s=record.acts_after_s,
+        held_v=record.held_v,
+    )

@@ -8,7 +8,8 @@ The integrator: a simulation with half its sub-step shows it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
@@ -33,10 +34,13 @@ class FittedNumber:
     low: float
     high: float
     unit: str
+    conditional_on: tuple[str, ...] = ()
+    """Effects that the interval takes for granted, where something else is left or possible."""
 
     def as_dict(self) -> dict[str, object]:
         """Return what the document holds."""
-        return {"value": self.value, "ci90": [self.low, self.high], "unit": self.unit}
+        known = {"value": self.value, "ci90": [self.low, self.high], "unit": self.unit}
+        return {**known, "conditional_on": [*self.conditional_on]} if self.conditional_on else known
 
 
 def estimate_intervals(model: Model) -> tuple[FittedNumber, ...]:
@@ -48,6 +52,18 @@ def estimate_intervals(model: Model) -> tuple[FittedNumber, ...]:
         for name, estimate in _estimate_of_fit(fitted, floors).items():
             estimates.setdefault(name, estimate)
     return tuple(estimates.values())
+
+
+def widen_by_forms(
+    numbers: Sequence[FittedNumber], others: Sequence[Model]
+) -> tuple[FittedNumber, ...]:
+    """Widen intervals to hold what other models say, which may be true as well."""
+    widened = []
+    for number in numbers:
+        values = [number.low, number.high]
+        values += [m.values[number.name] for m in others if number.name in m.values]
+        widened.append(replace(number, low=min(values), high=max(values)))
+    return tuple(widened)
 
 
 def _estimate_of_fit(fitted: Fit, floors: list[Floor]) -> dict[str, FittedNumber]:

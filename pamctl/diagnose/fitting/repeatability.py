@@ -146,7 +146,7 @@ def measure_repeatability(
     left: dict[int, Array] = {}
     simulated: dict[int, Array] = {}
     for index in {i for r in repeats for i in (r.one, r.other)}:
-        drive = replace(drives[index], rows=None)
+        drive = replace(drives[index], usable=None, part=None)
         simulated[index] = drive.simulate(settings)
         left[index] = drive.residual_of(simulated[index])
         simulated[index] /= drive.deviation

@@ -3,7 +3,7 @@
 Each effect of the chosen set is taken out, and the other candidates are tried in its place, by the
 same score test and refit. A rival that is not clearly worse on the held-out records is an equal:
 the data do not tell the two apart, and the verdict says so. Where the chosen effects leave nothing
-above the floor, the data have refuted any rival that leaves something.
+above the floor, the data have also refuted a rival that leaves clearly more than its limit.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy as np
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import fit_model
-from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.score import Score, score_candidates
 from pamctl.diagnose.naming.search import (
     EffectSearch,
@@ -27,15 +26,18 @@ from pamctl.diagnose.naming.search import (
     run_fit_jobs,
 )
 from pamctl.diagnose.naming.shortlist import select_promising
+from pamctl.diagnose.naming.stretches import (
+    MUCH,
+    SURE,
+    average_block_squares,
+    average_squares_over_floor,
+    draw_means,
+    is_clearly_above,
+)
 
 MOST_RIVALS = 6
 MOST_SERIOUS_RIVALS = 3
 """Rivals that are fitted to the end."""
-STRETCH_S = 0.25
-REPLICAS = 400
-MUCH = 0.05
-"""A rival is clearly worse if the log of its mean square is larger by this much in 98 of 100
-replicas."""
 
 
 @dataclass(frozen=True)
@@ -144,36 +146,27 @@ def _judge_rivals(
     """Return the judged rivals and the confidence, by a paired block bootstrap of mean squares."""
     names = list(models)
     blocks = sorted(effect.blocks)
-    own = _mean_squares(chosen, blocks)
-    others = np.array([_mean_squares(models[n], blocks) for n in names]).reshape(
-        len(names), len(own)
-    )
-    random = np.random.default_rng(7)
-    picks = random.integers(0, len(own), (REPLICAS, len(own)))
-    margins = np.log(others[:, picks].mean(axis=2)) - np.log(own[picks].mean(axis=1))
-    rivals = []
-    for index, name in enumerate(names):
-        low = float(np.quantile(margins[index], 0.02))
-        model = models[name]
-        rivals.append(
-            Rival(
-                name,
-                max(model.ratio(b) for b in blocks),
-                float(np.mean(margins[index] < 0.0)),
-                low < MUCH and bool(chosen.unexplained or not model.unexplained),
-            )
+    rows = [average_squares_over_floor(m, blocks) for m in (chosen, *models.values())]
+    means = np.log(draw_means(*rows))
+    margins = means[1:] - means[0]
+    rivals = tuple(
+        Rival(
+            name,
+            max(models[name].ratio(b) for b in blocks),
+            float(np.mean(margin < 0.0)),
+            float(np.quantile(margin, SURE)) < MUCH and not is_refuted(models[name], chosen),
         )
+        for name, margin in zip(names, margins, strict=True)
+    )
     confidence = float(np.mean((margins > 0.0).all(axis=0))) if names else 1.0
     return tuple(sorted(rivals, key=lambda r: r.residual_over_floor)), confidence
 
 
-def _mean_squares(model: Model, blocks: Sequence[str]) -> Array:
-    """Return held-out mean squares over stretches, each block in units of its floor, shape (m,)."""
-    pieces = []
-    for block in blocks:
-        residual = model.residuals[block] / model.floors[block].mean
-        period_s = float(np.median(model.evidence.holdout[block][0].step_s))
-        length = max(int(STRETCH_S / period_s), 1)
-        whole = residual[: len(residual) // length * length]
-        pieces.append((whole.reshape(-1, length) ** 2).mean(axis=1))
-    return np.concatenate(pieces)
+def is_refuted(rival: Model, chosen: Model) -> bool:
+    """Tell whether a rival leaves clearly more than its limit, where the chosen effects do not."""
+    return any(
+        chosen.is_explained(b)
+        and not rival.is_explained(b)
+        and is_clearly_above(average_block_squares(rival, b), rival.floors[b].limit)
+        for b in chosen.evidence.blocks
+    )

@@ -3,7 +3,7 @@
 The score test makes a shortlist; its candidates are refitted and judged on the held-out records.
 A set of effects is complete when nothing is left above the floor's limit. If no single effect of
 the shortlist is complete, all other effects are fitted too. Sets grow by one effect at a time
-from the best few of the level before: two effects can each look poor alone.
+from the best few of the level before, as long as effects gain something.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ from pamctl.diagnose.naming.shortlist import (
     make_small_dose,
     shortlist_candidates,
 )
+from pamctl.diagnose.naming.stretches import gains_in_block
 
 NARROWEST = 4
 """Shortlist of later levels, which grow from fewer models. It must not be shorter: a spool promises
 less than a delay at first."""
-BEAM = 3
-"""Models of a level from which the next level grows."""
+BEAM = (2, 1)
+"""Models with one effect, and with two, from which the next level grows."""
 NEAR_LIMITS = 4.0
 """A quick fit that leaves less than this multiple of the limit is fitted to the end."""
 MOST_FINISHED = 3
@@ -40,9 +41,18 @@ EQUAL_MARGIN = 0.1
 from the floor to its limit."""
 MOST_REFORMED = 2
 """Models of a level whose last effect is tried in its other forms."""
-SEVERAL_STARTS = 2
-"""Candidates of a shortlist that are fitted from several starts."""
+WORTH_ANOTHER_FORM = 0.5
+"""An effect that goes a smaller share of a block's way to its limit lacks more than its form."""
+SEVERAL_STARTS = (2, 1)
+"""Candidates of a shortlist that are fitted from several starts: as first effects, and as further
+ones."""
 MOST_EFFECTS = 3
+GROWS_FROM = (0.05, 0.5)
+"""Sets grow from one effect, and from two, that go this share of a block's way to its limit. Two
+effects can each look poor alone; three free structures that leave half explain nothing."""
+NEAR_BEST = 1.0 / 3.0
+"""Sets do not grow from a model that gains less than this share of what the best one gains; nor,
+where a model explains a block, from others that explain only a part of it."""
 
 Progress = Callable[[str], None]
 """Receives one line about each step."""
@@ -142,32 +152,73 @@ def search_effects(
     executor: Executor | None = None,
     progress: Progress = lambda line: None,
     width: int = SHORTLIST,
+    known: Iterable[Model] = (),
 ) -> EffectSearch:
-    """Grow models from `base` until one is complete, or none can be."""
+    """Grow models from `base` until one is complete, or none can be.
+
+    `known` are models of some of the blocks, fitted earlier to the same drives.
+    """
     levels: list[tuple[Model, ...]] = []
     if all(base.rms[b] < WORTH_ANOTHER_EFFECT * base.floors[b].limit for b in base.evidence.blocks):
         base = fit_jointly(base)  # a disagreement between the blocks hardly shows in either alone
+    fitter = _Fitter(executor, {} if base.is_joint else {frozenset(m.effects): m for m in known})
     beam = [base]
-    while len(levels) < MOST_EFFECTS and not any(m.is_complete for m in beam):
+    while len(levels) < MOST_EFFECTS and beam and not any(m.is_complete for m in beam):
         jobs = _shortlist_jobs(
             beam, candidates, max(width - 2 * len(levels), min(width, NARROWEST))
         )
-        grown = _fit_jobs(jobs, executor)
+        grown = fitter.fit_jobs(jobs)
         if not levels and not any(m.is_complete for m in grown):
             others = _list_other_jobs(base, candidates, jobs)
-            grown = tuple(sorted((*grown, *_fit_jobs(others, executor)), key=rank))
+            grown = tuple(sorted((*grown, *fitter.fit_jobs(others, grown)), key=rank))
         if not any(m.is_complete for m in grown):
-            reformed = _fit_other_forms(grown[:MOST_REFORMED], candidates, executor)
+            most = [m for m in grown[:MOST_REFORMED] if _goes_far(base, m)]
+            reformed = _fit_other_forms(most, candidates, executor)
             grown = tuple(sorted((*grown, *reformed), key=rank))
         if not grown:
             break
         levels.append(grown)
         progress(_describe_level(grown))
-        beam = _keep_best_forms(grown)[: BEAM - len(levels) + 1]
+        beam = choose_beam(base, levels)
     return EffectSearch(base, tuple(levels))
 
 
-def _keep_best_forms(grown: Sequence[Model]) -> list[Model]:
+def choose_beam(base: Model, levels: Sequence[Sequence[Model]]) -> list[Model]:
+    """Return the models of the last level from which the next one grows, the best first."""
+    grown = keep_best_forms(levels[-1])
+    if len(levels) == MOST_EFFECTS or any(m.is_complete for m in grown):
+        return grown[:1]
+    worth: set[int] = set()
+    for block in base.unexplained:
+        shares = [closed_share(base, model, block) for model in grown]
+        most = max(shares)
+        needed = most if most == 1.0 else NEAR_BEST * most
+        least = max(needed, GROWS_FROM[len(levels) - 1])
+        worth |= {
+            place
+            for place, model in enumerate(grown)
+            if shares[place] >= least and gains_in_block(base, model, block)
+        }
+    return [grown[place] for place in sorted(worth)][: BEAM[len(levels) - 1]]
+
+
+def _goes_far(base: Model, model: Model) -> bool:
+    shares = (closed_share(base, model, block) for block in base.unexplained)
+    return any(share >= WORTH_ANOTHER_FORM for share in shares)
+
+
+def closed_share(before: Model, model: Model, block: str) -> float:
+    """Return the share of the way from one model's RMS to the limit that another goes.
+
+    What lies below the limit is noise, or what the rig does differently each time: nothing can
+    explain it.
+    """
+    way = before.rms[block] - model.floors[block].limit
+    gained = before.rms[block] - model.rms[block]
+    return min(float(gained / way), 1.0) if way > 0.0 else 0.0
+
+
+def keep_best_forms(grown: Iterable[Model]) -> list[Model]:
     """Keep the best form of each set of names."""
     best: dict[frozenset[str], Model] = {}
     for model in grown:
@@ -210,9 +261,16 @@ def _shortlist_jobs(beam: Sequence[Model], candidates: Sequence[Candidate], widt
     """Return jobs that extend every model of the beam by each candidate of its shortlist."""
     jobs: _Jobs = {}
     for model in beam:
-        for place, score in enumerate(shortlist_candidates(model, candidates, width)):
+        scores = shortlist_candidates(model, candidates, width)
+        several = SEVERAL_STARTS[0]
+        if model.effects:  # one form of each; the best sets are tried in the other forms later
+            best: dict[str, Score] = {}
+            for score in scores:
+                best.setdefault(score.candidate.name, score)
+            scores, several = [*best.values()], SEVERAL_STARTS[1]
+        for place, score in enumerate(scores):
             key = frozenset({*model.effects, score.candidate})
-            jobs.setdefault(key, _Job(model, score, place < SEVERAL_STARTS))
+            jobs.setdefault(key, _Job(model, score, place < several))
     return jobs
 
 
@@ -234,11 +292,38 @@ def _list_other_jobs(base: Model, candidates: Sequence[Candidate], jobs: _Jobs) 
     return others
 
 
-def _fit_jobs(jobs: _Jobs, executor: Executor | None) -> tuple[Model, ...]:
-    """Fit the models, the most promising ones to the end; return the best first."""
-    grown = sorted(run_fit_jobs(_fit_job, jobs.values(), executor), key=rank)
-    ended = (*map(fit_to_end_if_near, grown[:MOST_FINISHED]), *grown[MOST_FINISHED:])
-    return tuple(sorted(map(confirm_complete, ended), key=rank))
+@dataclass(frozen=True)
+class _Fitter:
+    """Fits jobs, in the executor's workers if there is one."""
+
+    executor: Executor | None
+    known: Mapping[frozenset[Candidate], Model]
+    """Models of some of the blocks, by their effects: these are not fitted again."""
+
+    def fit_jobs(self, jobs: _Jobs, beside: Sequence[Model] = ()) -> tuple[Model, ...]:
+        """Fit the models, the most promising ones to the end; return the best first.
+
+        `beside` are models of the same level that were fitted before.
+        """
+        found = [m for effects, job in jobs.items() if (m := self._look_up(effects, job))]
+        done = {frozenset(m.effects) for m in found}
+        rest = [job for effects, job in jobs.items() if effects not in done]
+        grown = sorted((*found, *run_fit_jobs(_fit_job, rest, self.executor)), key=rank)
+        nearest = {id(m) for m in sorted((*grown, *beside), key=rank)[:MOST_FINISHED]}
+        ended = (fit_to_end_if_near(m) if id(m) in nearest else m for m in grown)
+        return tuple(sorted(map(confirm_complete, ended), key=rank))
+
+    def _look_up(self, effects: frozenset[Candidate], job: _Job) -> Model | None:
+        """Return a known model with these effects, with the other blocks as the job's model."""
+        part, whole = self.known.get(effects), job.model
+        if part is None or whole.is_joint:
+            return None
+        reached = {b for c in effects for b in c.blocks}
+        if reached - {*part.evidence.blocks}:
+            return None
+        fits = {**whole.fits, **{b: f for b, f in part.fits.items() if b & reached}}
+        return Model(whole.evidence, part.effects, fits, root=whole.root or whole,
+                     is_final=part.is_final)  # fmt: skip
 
 
 def _fit_other_forms(

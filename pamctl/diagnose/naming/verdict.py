@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.naming.doubt import spread_of_effect
 from pamctl.diagnose.naming.rivals import Standing
-from pamctl.diagnose.naming.search import EffectSearch
+from pamctl.diagnose.naming.search import EffectSearch, closed_share, keep_best_forms, rank
+from pamctl.diagnose.naming.stretches import gains_in_block
 
-LEAST_CLOSED = 0.8
-"""A partial explanation closes at least this share of a block's gap to the floor."""
+LEAST_CLOSED = 2.0 / 3.0
+"""A partial explanation closes at least this share of the way from what the others leave of a block
+to the block's limit. Wrong neighbours of effects in no catalogue close up to 0.6 of it."""
+UNEVEN = 0.2
+"""Largest spread of the size of an effect that closes everything, as a share of the size (see
+`doubt`). It falls with the share that is closed: an effect that leaves much must be the same
+everywhere. Wrong neighbours of effects in no catalogue reach 0.1 to 5."""
+MOST_PARTIALS = 6
+"""Models of each level that are examined as partial explanations."""
 
 
 class Verdict(StrEnum):
@@ -32,8 +42,6 @@ class Judgement:
 
     verdict: Verdict
     model: Model
-    explained: float
-    """Share of the way from recalibrated to floor, in the worse block."""
 
 
 def judge_search(search: EffectSearch, nominal: Model) -> Judgement:
@@ -44,54 +52,82 @@ def judge_search(search: EffectSearch, nominal: Model) -> Judgement:
     best = search.best
     if best is search.base and best.is_complete:
         fits = all(nominal.rms[b] <= best.floors[b].limit for b in best.evidence.blocks)
-        return Judgement(Verdict.NO_DISCREPANCY if fits else Verdict.MISCALIBRATED, best, 1.0)
+        return Judgement(Verdict.NO_DISCREPANCY if fits else Verdict.MISCALIBRATED, best)
     if best.is_complete:
-        return Judgement(Verdict.NAMED, best, 1.0)
+        return Judgement(Verdict.NAMED, best)
     partial = _find_partial(search)
-    if partial is None:
-        return Judgement(Verdict.NONE_KNOWN, search.base, 0.0)
-    return Judgement(Verdict.PARTIAL, partial, closed_share_of(search.base, partial))
+    return Judgement(Verdict.PARTIAL, partial) if partial else _nothing(search)
 
 
-def closed_share_of(base: Model, model: Model) -> float:
-    """Return the share of the way to the floor that a model goes, in the worst block of `base`."""
-    shares = [_closed_share_of_block(base, model, block) for block in base.unexplained]
-    return min(shares, default=1.0)
+def closed_shares(base: Model, model: Model) -> dict[str, float]:
+    """Return the share of the way to its limit that a model goes, by block above its limit."""
+    return {block: closed_share(base, model, block) for block in base.unexplained}
 
 
-def _closed_share_of_block(base: Model, model: Model, block: str) -> float:
-    floor = model.floors[block].mean
-    way = base.rms[block] - floor
-    return float((base.rms[block] - model.rms[block]) / way) if way > 0.0 else 1.0
+def judge_parts(search: EffectSearch, names: Collection[str]) -> Judgement:
+    """Judge which part of a set of effects remains, where the whole set is not credible."""
+    partial = _find_partial(search, {*names})
+    return Judgement(Verdict.PARTIAL, partial) if partial else _nothing(search)
 
 
-def _find_partial(search: EffectSearch) -> Model | None:
-    """Return the model that explains most, if every effect in it is worth its place."""
-    best: Model | None = None
-    before = search.base
-    for level in search.levels:
-        worthy = [m for m in level if _is_worth_adding(before, m, search.base)]
-        if not worthy:
-            break
-        best = before = worthy[0]
-    return best
+def _nothing(search: EffectSearch) -> Judgement:
+    return Judgement(Verdict.NONE_KNOWN, search.base)
 
 
-def _is_worth_adding(before: Model, model: Model, base: Model) -> bool:
-    """Tell whether another effect closes most of what was left and makes no block worse."""
-    if not {*before.names} <= {*model.names} or {*model.unexplained} - {*base.unexplained}:
+def _find_partial(search: EffectSearch, within: Collection[str] = ()) -> Model | None:
+    """Return the model that leaves least, among those whose every effect is worth its place.
+
+    With `within`, only parts of that set count.
+    """
+    levels = [[m for m in level if not within or {*m.names} < {*within}] for level in search.levels]
+    worthy = [
+        model
+        for level in levels
+        for model in keep_best_forms(level)[:MOST_PARTIALS]
+        if is_worthy(model, search)
+    ]
+    return min(worthy, key=rank, default=None)
+
+
+def is_worthy(model: Model, search: EffectSearch) -> bool:
+    """Tell whether a model explains part of a block, each of its effects a good part.
+
+    What it leaves of a block that no effect reaches does not count.
+    """
+    if spoils_block(search.base, model) or not all(map(model.is_substantial, model.effects)):
         return False
-    gained = max(
-        (_closed_share_of_block(before, model, b) for b in before.unexplained), default=0.0
+    shares = [measure_share(model, effect, search) for effect in model.effects]
+    return min(shares) >= LEAST_CLOSED and all(
+        spread_of_effect(model, effect) <= UNEVEN * (2.0 * share - 1.0)
+        for effect, share in zip(model.effects, shares, strict=True)
     )
-    return gained >= LEAST_CLOSED and model.is_plausible
+
+
+def spoils_block(base: Model, model: Model) -> bool:
+    """Tell whether a model leaves really more of a block that an effect reaches, above its limit.
+
+    Other blocks may become worse where all blocks share one geometry: the base model hides in it
+    what else is missing.
+    """
+    reached = {block for effect in model.effects for block in effect.blocks}
+    return any(
+        not model.is_explained(block) and gains_in_block(model, base, block) for block in reached
+    )
+
+
+def measure_share(model: Model, effect: Candidate, search: EffectSearch) -> float:
+    """Return how much of what the other effects leave of a block an effect really closes."""
+    others = {*model.names} - {effect.name}
+    known = (m for m in search.models if {*m.names} == others)
+    without = min(known, key=rank, default=search.base)
+    shares = [
+        closed_share(without, model, block)
+        for block in without.unexplained
+        if block in effect.blocks and gains_in_block(without, model, block)
+    ]
+    return max(shares, default=0.0)
 
 
 def revise_verdict(judgement: Judgement, standings: Sequence[Standing]) -> Verdict:
-    """Make a named verdict ambiguous where a rival is no worse.
-
-    A partial explanation with an equal rival names nothing: the remainder distorts every fit.
-    """
-    if not any(s.equal_rivals for s in standings):
-        return judgement.verdict
-    return Verdict.AMBIGUOUS if judgement.verdict is Verdict.NAMED else Verdict.NONE_KNOWN
+    """Make a verdict with names ambiguous where a rival is no worse."""
+    return Verdict.AMBIGUOUS if any(s.equal_rivals for s in standings) else judgement.verdict

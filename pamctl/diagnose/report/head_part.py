@@ -45,6 +45,6 @@ def _write_caption(diagnosis: Diagnosis) -> str:
     coupled = diagnosis.model is not None and len(diagnosis.model.evidence.blocks) == 2
     driven = "The whole model is driven by the command alone." if coupled else ""
     return (
-        "RMS of measurement minus simulation, on records that were not used for any fit. "
+        "RMS of measurement minus simulation, on samples that were used for no fit and no choice. "
         f"{driven} The dashed line is the sensor's own noise." + (closed if named else "")
     )

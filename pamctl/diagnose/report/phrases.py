@@ -74,6 +74,33 @@ def list_sets(diagnosis: Diagnosis) -> str:
     )
 
 
+def spell_settled_effects(diagnosis: Diagnosis) -> str:
+    """Return the named effects that have no equal rival."""
+    return spell_names(*(s.effect.name for s in diagnosis.standings if not s.equal_rivals))
+
+
+def describe_closed_shares(diagnosis: Diagnosis) -> str:
+    """Say how much of what each block leaves the effects close."""
+    parts = [
+        f"{100.0 * max(share, 0.0):.0f} % of the {block} block's gap"
+        for block, share in diagnosis.explained_by_block.items()
+    ]
+    return f"closes {' and '.join(parts)}" if parts else "makes the blocks agree"
+
+
+def describe_bounds(diagnosis: Diagnosis) -> str:
+    """Name the fitted numbers that ended at an end of their range; empty if none did."""
+    if not diagnosis.at_bound:
+        return ""
+    return f" At an end of its range: {', '.join(diagnosis.at_bound)}."
+
+
+def describe_signs(diagnosis: Diagnosis) -> str:
+    """Say what in the residuals speaks against noise."""
+    parts = [f"in the {sign.block} block {sign.words}" for sign in diagnosis.signs]
+    return f"The residual is at its limit, but it does not look like noise: {'; '.join(parts)}."
+
+
 def relative_shift(diagnosis: Diagnosis, number: FittedNumber) -> float | None:
     """Return by which share a recalibrated number is off; None where its interval allows 0."""
     nominal = diagnosis.start_value(number.name)

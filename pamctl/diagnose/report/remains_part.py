@@ -77,12 +77,16 @@ def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Reco
     train, holdout = diagnosis.train or records, diagnosis.holdout
     cut = {r.name for r in train} & {r.name for r in holdout}
     rows = [
-        _record_row(r, "cut: two thirds for the fit, one to judge by")
+        _record_row(r, "cut: half for the fit, a third to choose by, a sixth to confirm")
         for r in train
         if r.name in cut
     ]
     rows += [_record_row(r, "fit" if holdout else "none") for r in train if r.name not in cut]
-    rows += [_record_row(r, "to judge by") for r in holdout if r.name not in cut]
+    rows += [
+        _record_row(r, "two thirds to choose by, one to confirm")
+        for r in holdout
+        if r.name not in cut
+    ]
     page.table(["record", "use", "duration, s", "samples", "period, ms", "measured"], rows)
     model = diagnosis.model
     if model is None:

@@ -11,13 +11,17 @@ from pamctl.diagnose.experiments import write_command
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.phrases import (
+    describe_bounds,
+    describe_closed_shares,
     describe_effects,
     describe_largest_remainder,
+    describe_signs,
     list_sets,
     list_shifts,
     list_sizes,
     spell_effects,
     spell_names,
+    spell_settled_effects,
 )
 from pamctl.diagnose.report.setup_part import describe_setup
 
@@ -124,27 +128,31 @@ def _word_named(diagnosis: Diagnosis) -> VerdictWords:
 
 
 def _word_ambiguous(diagnosis: Diagnosis) -> VerdictWords:
-    sets = list_sets(diagnosis)
+    sets = f"{list_sets(diagnosis)}, or something that the catalogue does not have"
+    settled = spell_settled_effects(diagnosis)
+    beside = f" beside {settled}" if settled else ""
     return VerdictWords(
-        f"Something is missing, and these data do not tell what: {sets}",
-        f"Best so far: {describe_effects(diagnosis)}.",
+        f"Something is missing{beside}, and these data do not tell what: {sets}",
+        f"Best so far: {describe_effects(diagnosis)}.{describe_bounds(diagnosis)}",
         "The model cannot explain the measurement with any values of its own numbers. More than "
-        f"one effect explains it: {sets}. plant.yaml has the best fit, {spell_effects(diagnosis)} "
-        f"({list_sizes(diagnosis)}). It predicts what was measured. The cause stays open until "
-        "the experiment below has been run.",
+        f"one effect explains it as well: {sets}. plant.yaml has the best fit, "
+        f"{spell_effects(diagnosis)} ({list_sizes(diagnosis)}). It predicts what was measured. The "
+        "cause stays open until the experiment below has been run.",
         ("Do not repair the rig on this evidence. Run the experiment that separates them.",),
     )
 
 
 def _word_partial(diagnosis: Diagnosis) -> VerdictWords:
     names = spell_effects(diagnosis)
-    closes = f"closes {100.0 * diagnosis.explained:.0f} % of the gap"
-    left = describe_largest_remainder(diagnosis)
+    closes = describe_closed_shares(diagnosis)
+    left = describe_signs(diagnosis) if diagnosis.signs else describe_largest_remainder(diagnosis)
+    bounds = describe_bounds(diagnosis)
     return VerdictWords(
-        f"Explained in part only: {names}",
-        f"{describe_effects(diagnosis)} {closes}. {left}",
-        f"{names[:1].upper()}{names[1:]} {closes} ({list_sizes(diagnosis)}). Something else is "
-        f"missing as well. {left} Take the name as a lead, not as a finding.",
+        f"Explained in part: at least {names}; something else is left",
+        f"{describe_effects(diagnosis)} {closes}. {left}{bounds} Take the name as a lead.",
+        f"{names[:1].upper()}{names[1:]} {closes} ({list_sizes(diagnosis)}), and no other effect "
+        f"of the catalogue does as well. Something else is missing too. {left}{bounds} Take the "
+        "name as a lead, not as a finding: what is left may change the numbers, and the name.",
         (
             "plant.yaml predicts better than the start model. Use it where that is enough. The "
             "next diagnosis may start from it: "
@@ -154,6 +162,8 @@ def _word_partial(diagnosis: Diagnosis) -> VerdictWords:
 
 
 def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
+    if diagnosis.signs:
+        return _word_signs(diagnosis)
     left = describe_largest_remainder(diagnosis)
     advice = [
         "Look where the maps below are bright, and at the rig: supply, tubing, mounting, "
@@ -175,6 +185,22 @@ def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
         "After recalibration, no effect of the catalogue, alone or with others, explains what is "
         f"left. {left} It has a shape, drawn below, but no name.",
         tuple(advice),
+        "bad",
+    )
+
+
+def _word_signs(diagnosis: Diagnosis) -> VerdictWords:
+    """Return the words where the residual is at its limit, and the limit is in doubt."""
+    seen = describe_signs(diagnosis)
+    return VerdictWords(
+        "The noise is in doubt, so nothing can be said of the model",
+        seen,
+        f"{seen} So the estimate of the noise is too large, or the data that confirm differ from "
+        "those that chose. No effect is named on this ground.",
+        (
+            "Record at least 2 s at rest, or state the sensor's noise, and record the same "
+            "experiment twice. Then diagnose again.",
+        ),
         "bad",
     )
 

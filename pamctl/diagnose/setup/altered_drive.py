@@ -101,7 +101,8 @@ class AlteredDrive(Drive):
                 valve_v=self.valve_v[first:end],
                 driven=self.driven[first:end],
                 measured=self.measured[first:end],
-                rows=None,
+                usable=None,
+                part=None,
                 start=start,
             )
             middle_s = 0.5 * float(t_s[begin] + t_s[end - 1])

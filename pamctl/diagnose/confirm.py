@@ -82,13 +82,14 @@ def find_spoilers(model: Model, worse: frozenset[str]) -> frozenset[str]:
     """Return the effects to blame for blocks whose coupled signals became worse.
 
     What a block lacks shows in the coupled signals of both. So where a block that no effect reaches
-    is above its limit, a worse signal says nothing against the effects.
+    is above its limit, a worse signal says nothing against the effects; nor does the signal of a
+    block that they do not reach, while something is left in theirs.
     """
     reached = {block for effect in model.effects for block in effect.blocks}
     if not worse or {*model.unexplained} - reached:
         return frozenset()
     blamed = {effect.name for effect in model.effects if effect.blocks & worse}
-    return frozenset(blamed or model.names)
+    return frozenset(blamed or (() if model.unexplained else model.names))
 
 
 def _list_refuted(naming: Naming, confirming: Evidence) -> frozenset[str]:

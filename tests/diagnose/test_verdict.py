@@ -140,6 +140,9 @@ def test_a_worse_coupled_signal_accuses_no_effect_while_another_block_lacks_some
     base = made(pressure=32.5, mechanics=5.0)
     open_still = made("valve_deadband", base=base, pressure=1.0, mechanics=5.0)
     assert find_spoilers(open_still, frozenset({"mechanics"})) == frozenset()
+    in_part = made("cubic_stiffness", base=base, mechanics=3.0)
+    assert find_spoilers(in_part, frozenset({"pressure"})) == frozenset()
+    assert find_spoilers(in_part, frozenset({"mechanics"})) == {"cubic_stiffness"}
     closed = made("valve_deadband", base=base, pressure=1.0)
     assert find_spoilers(closed, frozenset({"mechanics"})) == {"valve_deadband"}
     both = made("valve_deadband", "cubic_stiffness", base=base)

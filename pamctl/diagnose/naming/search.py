@@ -228,7 +228,8 @@ def keep_best_forms(grown: Iterable[Model]) -> list[Model]:
 
 def fit_to_end_if_near(model: Model) -> Model:
     """Fit a model near its floor to the end: a quick fit may have stopped before the floor."""
-    near = not model.is_complete and all(
+    is_open = not (model.is_final or model.is_complete)
+    near = is_open and all(
         model.rms[b] < NEAR_LIMITS * model.floors[b].limit for b in model.evidence.blocks
     )
     return fit_to_end(model) if near else model

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.setup.suspect_setup import CheckedSetup, is_refuted_by
-
-WITHOUT_EFFECTS = (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
+from pamctl.diagnose.setup.symmetries import EqualFinding, find_equal_setups
 
 
 def conclude_setup(diagnosis: Diagnosis, setup: CheckedSetup) -> Diagnosis:
@@ -17,19 +17,41 @@ def conclude_setup(diagnosis: Diagnosis, setup: CheckedSetup) -> Diagnosis:
     A corrected set-up that leaves nothing is a matter of numbers. Where an effect explains the
     data as well as a number of the set-up, neither is the cause alone, unless both say the same.
     """
-    found = tuple(
-        finding
-        for finding in setup.findings
-        if finding.is_corrected
-        or diagnosis.model is None
-        or not any(is_refuted_by(fitted, diagnosis.model) for fitted in setup.open_fits)
+    equals = _find_equals(diagnosis)
+    by_equation = {equal.finding.number for equal in equals}
+    found = (
+        *(e.finding for e in equals),
+        *(f for f in setup.findings if f.is_corrected),
+        *(f for f in _keep_open(diagnosis, setup) if f.number not in by_equation),
     )
     verdict = diagnosis.verdict
     if found and verdict is Verdict.NO_DISCREPANCY:
         verdict = Verdict.MISCALIBRATED
-    open_twins = {name for fitted in setup.open_fits for name in fitted.twins}
+    same = {equal.effect for equal in equals if equal.is_the_same}
     names = {standing.effect.name for standing in diagnosis.standings}
-    equal = {name for f in found if not f.is_corrected for name in f.cannot_be_told_from}
-    if verdict is Verdict.NAMED and names & equal and not names & equal <= open_twins:
+    doubtful = {n for f in found if not f.is_corrected for n in f.cannot_be_told_from} - same
+    if verdict is Verdict.NAMED and names & doubtful:
         verdict = Verdict.AMBIGUOUS
     return replace(diagnosis, verdict=verdict, setup=found)
+
+
+def _find_equals(diagnosis: Diagnosis) -> tuple[EqualFinding, ...]:
+    """Return the set-up findings that are equal to a named effect by the equations."""
+    model, base = diagnosis.model, diagnosis.base
+    if model is None or base is None or not diagnosis.standings:
+        return ()
+    block = max(base.evidence.blocks, key=base.ratio)
+    numbers = {number.name: number for number in diagnosis.numbers}
+    return find_equal_setups(
+        numbers, model.evidence.nominal, base.rms[block] / model.rms[block], model.ratio(block)
+    )
+
+
+def _keep_open(diagnosis: Diagnosis, setup: CheckedSetup) -> tuple[SetupFinding, ...]:
+    """Return the findings that were left to the search, and that it has not refuted."""
+    refuted = {
+        fitted.suspect.number
+        for fitted in setup.open_fits
+        if diagnosis.model is not None and is_refuted_by(fitted, diagnosis.model)
+    }
+    return tuple(f for f in setup.findings if not f.is_corrected and f.number not in refuted)

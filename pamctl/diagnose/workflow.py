@@ -39,6 +39,7 @@ from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.search import Progress, search_effects
 from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.setup.refused_columns import explain_refusal
 from pamctl.diagnose.setup.suspect_setup import suspect_setup
 from pamctl.diagnose.setup_verdict import conclude_setup
 from pamctl.plant.model import PlantSettings
@@ -67,7 +68,9 @@ def diagnose(
     try:
         evidence, train, holdout, is_cut = _check_and_prepare(train, holdout, plant)
     except BadData as error:
-        return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error))
+        refused = explain_refusal([*train, *holdout], plant)
+        reasons = [str(error), *(f"{f.text}; {f.how_to_mend}" for f in refused)]
+        return Diagnosis(Verdict.BAD_DATA, plant, plant, "\n".join(reasons), setup=refused)
     candidates = list_candidates(evidence, without)
     effects = len({candidate.name for candidate in candidates})  # some have several forms
     progress(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue are candidates")

@@ -10,10 +10,9 @@ from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.next_experiment import (
     choose_next_experiment,
-    list_ambiguous_sets,
     list_blind_spots,
 )
-from pamctl.diagnose.report.phrases import numbers_of
+from pamctl.diagnose.report.phrases import list_equal_sets, numbers_of
 from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.plant.catalogue import CATALOGUE
 
@@ -44,7 +43,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "sentence": sentence(diagnosis),
         "setup": [finding.as_dict() for finding in diagnosis.setup],
         "effects": [_effect_entry(diagnosis, s) for s in diagnosis.standings],
-        "ambiguous": list_ambiguous_sets(diagnosis),
+        "ambiguous": list_equal_sets(diagnosis),
         "recalibrated": {n.name: n.as_dict() for n in diagnosis.recalibrated},
         "blind_spots": list_blind_spots(diagnosis),
         "next_experiment": choose_next_experiment(diagnosis),

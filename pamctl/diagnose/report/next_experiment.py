@@ -12,11 +12,6 @@ NEARLY_SEEN = 3.0
 """An effect visible from this many smallest sizes on needs no other experiment."""
 
 
-def list_ambiguous_sets(diagnosis: Diagnosis) -> list[list[str]]:
-    """Return the sets of effects that the data cannot distinguish."""
-    return [[s.effect.name, *s.equal_rivals] for s in diagnosis.standings if s.equal_rivals]
-
-
 def list_blind_spots(diagnosis: Diagnosis) -> list[dict[str, object]]:
     """Return the effects that these records could not have shown."""
     audit = diagnosis.audit
@@ -25,7 +20,7 @@ def list_blind_spots(diagnosis: Diagnosis) -> list[dict[str, object]]:
 
 def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
     """Return the experiment that would answer more, if there is one."""
-    sets = list_ambiguous_sets(diagnosis)
+    sets = [[s.effect.name, *s.equal_rivals] for s in diagnosis.standings if s.equal_rivals]
     if sets:
         return find_separating_experiment(sets[0])
     if diagnosis.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):

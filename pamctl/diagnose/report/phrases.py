@@ -11,6 +11,7 @@ from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.locate import EVENLY
 from pamctl.diagnose.naming.remainder import Remainder
+from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.effects.description import EffectParameter
 
@@ -66,11 +67,9 @@ def list_sizes(diagnosis: Diagnosis) -> str:
 
 
 def list_sets(diagnosis: Diagnosis) -> str:
-    """Return the sets of effects that the data do not tell apart."""
+    """Return the sets of effects and set-up numbers that the data do not tell apart."""
     return "; and ".join(
-        " or ".join(spell_names(name) for name in (s.effect.name, *s.equal_rivals))
-        for s in diagnosis.standings
-        if s.equal_rivals
+        " or ".join(map(spell_names, names)) for names in list_equal_sets(diagnosis)
     )
 
 
@@ -99,6 +98,17 @@ def describe_signs(diagnosis: Diagnosis) -> str:
     """Say what in the residuals speaks against noise."""
     parts = [f"in the {sign.block} block {sign.words}" for sign in diagnosis.signs]
     return f"The residual is at its limit, but it does not look like noise: {'; '.join(parts)}."
+
+
+def list_equal_sets(diagnosis: Diagnosis) -> list[list[str]]:
+    """Return the sets of names that the data do not tell apart, of effects and of the set-up."""
+    sets = []
+    for s in diagnosis.standings:
+        name = s.effect.name
+        setup = [f.number for f in diagnosis.setup if name in f.cannot_be_told_from]
+        if s.equal_rivals or (setup and diagnosis.verdict is Verdict.AMBIGUOUS):
+            sets.append([name, *s.equal_rivals, *setup])
+    return sets
 
 
 def relative_shift(diagnosis: Diagnosis, number: FittedNumber) -> float | None:

@@ -34,6 +34,8 @@ def describe(suspect: Suspect, value: float, said: float | None) -> str:
         return f"{column} runs away from the others by {1e6 * value:+.0f} us in each second"
     if suspect.kind == "sign":
         return f"{column} has the wrong sign"
+    if suspect.kind == "gauge":
+        return f"{column} is gauge pressure: {-value:.5g} Pa are missing to absolute pressure"
     if suspect.kind == "decimated_command":
         return f"the command was logged once in {value:.0f} samples, and the rig got it more often"
     return f"{column} is shown {value:.4g} times as large as it is"
@@ -80,6 +82,8 @@ def advise_mending(suspect: Suspect, value: float) -> str:
         return "log all columns with one clock; two clocks never run alike"
     if suspect.kind == "decimated_command":
         return "log the command at every sample"
+    if suspect.kind == "gauge":
+        return "add the atmosphere's pressure in the calibration, or in the import map"
     if suspect.kind == "sign":
         return f"change the sign of {number} in the import map or in the calibration"
     return f"divide {number} by {value:.4g}: in the calibration, or in the import map"

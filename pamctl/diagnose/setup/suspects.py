@@ -35,8 +35,8 @@ Kind = Literal[
 ATMOSPHERE = "atmospheric_pressure_pa"
 OF_RECORD = "of each record"
 """Variant of a change over time: its times are shares of each record's length."""
-LOWEST_ATMOSPHERE_PA, HIGHEST_ATMOSPHERE_PA = 55e3, 108.5e3
-"""From the highest laboratories to the highest pressure that the weather has made."""
+LOWEST_ATMOSPHERE_PA, HIGHEST_ATMOSPHERE_PA = 55e3, 105e3
+"""From the highest laboratories to high pressure at sea level."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ promises most is then simulated as it would be.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -116,7 +116,7 @@ def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
             explained, amount = promise(moved * np.concatenate([t / t[-1] for t in times]))
             drift = replace(suspect, over_s=1.0, variant=OF_RECORD)
             yield _Profile(drift, explained, amount * dose)
-        yield _best_instant(fitted, suspect, dose, moved, times, promise)
+        yield _best_instant(fitted, suspect, dose, moved, times, basis, left)
         names = [d.name for d in fitted.drives]
         if len(names) > 1:
             marks = np.concatenate([np.full(len(t), i) for i, t in enumerate(times)])
@@ -152,8 +152,15 @@ def _list_numbers(base: Model, block: str) -> Iterator[tuple[Suspect, float]]:
         )
 
 
-def _best_instant(fitted: Fit, suspect: Suspect, dose: float, moved: Array,
-                  times: list[Array], promise: object) -> _Profile:  # fmt: skip
+def _best_instant(
+    fitted: Fit,
+    suspect: Suspect,
+    dose: float,
+    moved: Array,
+    times: Sequence[Array],
+    basis: Array,
+    left: Array,
+) -> _Profile:
     """Return the best instant at which the number changes, of all records or of one."""
     clock = np.concatenate(times)
     shares = np.concatenate([t / t[-1] for t in times])
@@ -162,18 +169,30 @@ def _best_instant(fitted: Fit, suspect: Suspect, dose: float, moved: Array,
     of_one = [(d.name, "", clock, marks == i) for i, d in enumerate(fitted.drives)]
     of_all = np.ones(len(clock), bool)
     several = [("", "", clock, of_all), ("", OF_RECORD, shares, of_all)]
+    products = np.column_stack([moved * left, moved**2, moved[:, None] * basis])
+    before = float(left @ left)
     for record, variant, when, own in [*several, *of_one] if len(times) > 1 else several[:1]:
-        for instant in np.linspace(0.0, float(when[own].max()), INSTANTS + 2)[1:-1]:
-            explained, amount = promise(moved * (own & (when >= instant)))  # type: ignore[operator]
-            if explained > best.explained:
-                changed = replace(
-                    suspect,
-                    kind="change_at_instant",
-                    record=record,
-                    variant=variant,
-                    after_s=float(instant),
-                )
-                best = _Profile(changed, explained, amount * dose)
+        instants = np.linspace(0.0, float(when[own].max()), INSTANTS + 2)[1:-1]
+        # What acts from an instant on is the sum of all that lies behind it.
+        bins = np.searchsorted(instants, when[own], side="right")
+        summed = np.column_stack(
+            [np.bincount(bins, column, INSTANTS + 1) for column in products[own].T]
+        )
+        behind = np.cumsum(summed[::-1], axis=0)[::-1][1:]
+        sizes = behind[:, 1] - np.sum(behind[:, 2:] ** 2, axis=1)
+        seen = sizes > 1e-6 * before
+        explained = np.where(seen, behind[:, 0] ** 2 / np.where(seen, sizes * before, 1.0), 0.0)
+        place = int(np.argmax(explained))
+        if explained[place] > best.explained:
+            changed = replace(
+                suspect,
+                kind="change_at_instant",
+                record=record,
+                variant=variant,
+                after_s=float(instants[place]),
+            )
+            start = -float(behind[place, 0] / sizes[place]) * dose
+            best = _Profile(changed, float(explained[place]), start)
     return best
 
 

@@ -106,7 +106,7 @@ def audit_run(record: Record, plant: PlantSettings) -> Audit:
     """Audit one record, measured or simulated; raises `BadData`."""
     check_measured_runs([record], plant)
     evidence = prepare_evidence([record], [record], plant)
-    check_sensors([record], evidence.noises)
+    check_sensors([record], evidence.noises, plant)
     candidates = list_candidates(evidence)
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
         found = audit_model(recalibrate(evidence), candidates)

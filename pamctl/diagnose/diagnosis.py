@@ -12,6 +12,7 @@ from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.locate import RegimeMisfit, describe_worst_regimes
 from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.measured.refuse import AcceptedDoubt
 from pamctl.diagnose.naming.remainder import Remainder
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.search import EffectsTrial
@@ -55,6 +56,8 @@ class Diagnosis:
     """Share of the gap from recalibrated to floor that the effects close."""
     audit: Audit | None = None
     """What these records could not have shown."""
+    accepted: tuple[AcceptedDoubt, ...] = ()
+    """Doubts about the data that the user overruled, each with the reason."""
 
     @property
     def recalibrated(self) -> tuple[FittedNumber, ...]:

@@ -10,7 +10,7 @@ print(sentence(diagnosis))
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -26,7 +26,12 @@ from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.split import split_by_run, split_by_stretch
 from pamctl.diagnose.locate import locate_misfits
 from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
+from pamctl.diagnose.measured.refuse import (
+    AcceptedDoubt,
+    BadData,
+    check_measured_runs,
+    check_sensors,
+)
 from pamctl.diagnose.name import Naming, name_effects
 from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.search import Progress, search_effects
@@ -42,6 +47,7 @@ def diagnose(
     *,
     without: Collection[str] = (),
     correction: bool = False,
+    accept: Mapping[str, str] | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -50,12 +56,13 @@ def diagnose(
     The model is fitted on `train` and judged by `holdout`. Without `holdout`, `train` is split by
     run; a single run is split into long stretches. `without` leaves effects out of the catalogue.
     With `correction`, what no effect explains is added to the plant as a table, where that helps.
+    `accept` holds the user's reasons to overrule rules of `quality_rules.RULES`, by rule.
     Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
     library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
     progress = progress or (lambda line: None)
     try:
-        evidence, train, holdout = _check_and_prepare(train, holdout, plant)
+        evidence, train, holdout, accepted = _check_and_prepare(train, holdout, plant, accept)
     except BadData as error:
         return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error))
     candidates = list_candidates(evidence, without)
@@ -66,16 +73,20 @@ def diagnose(
     progress(f"recalibrated: {ratios}")
     naming = name_effects(base, candidates, executor, progress)
     naming, gaps = _withdraw_if_worse(naming, holdout)
-    return _conclude(naming, gaps, train, holdout, candidates, correction=correction)
+    found = _conclude(naming, gaps, train, holdout, candidates, correction=correction)
+    return replace(found, accepted=accepted)
 
 
 def _check_and_prepare(
-    train: Sequence[Record], holdout: Sequence[Record], plant: PlantSettings
-) -> tuple[Evidence, list[Record], list[Record]]:
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    plant: PlantSettings,
+    accept: Mapping[str, str] | None,
+) -> tuple[Evidence, list[Record], list[Record], tuple[AcceptedDoubt, ...]]:
     records = [*train, *holdout]
     if not records:
         raise BadData("no records; give at least one log")
-    check_measured_runs(records, plant)
+    accepted = check_measured_runs(records, plant, accept)
     split = not holdout
     fitted, held = split_by_run(train) if split else ([*train], [*holdout])
     evidence = prepare_evidence(fitted, held, plant)
@@ -85,10 +96,10 @@ def _check_and_prepare(
             f"the records hold {channels}; needed are pressure_pa with valve_v or "
             "position_m; or, with `actuator: direct` in the plant file, force_n with position_m"
         )
-    check_sensors(records, evidence.noises)
+    accepted += check_sensors(records, evidence.noises, plant, accept)
     if split and len(train) == 1:
         evidence = split_by_stretch(evidence)
-    return evidence, fitted, held
+    return evidence, fitted, held, accepted
 
 
 def _recalibrate(

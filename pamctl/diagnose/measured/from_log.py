@@ -69,4 +69,5 @@ def record_of(path: str | Path) -> Record:
         **channels,
         reference_m=reference_m,
         experiment=experiment,
+        is_imported=log.is_imported,
     )

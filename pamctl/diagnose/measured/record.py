@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +24,10 @@ REST_V = 0.05
 """Commands that differ by less do not move the valve (V)."""
 RISE_FROM = 20
 """Samples whose median is the level from which a force starts."""
+GAP_PERIODS = 5.0
+"""A longer time between two samples is a gap."""
+HELD_S = 0.05
+"""A command holds over missed ticks of this length: they only make a time step longer."""
 RISE_OVER_NOISE = 10.0
 """A force has left its start when it is this multiple of its noise away, even if the noise is
 correlated."""
@@ -47,6 +52,8 @@ class Record:
     notes: tuple[str, ...] = field(default=(), compare=False)
     experiment: str = field(default="", compare=False)
     """Name of the experiment that was run; empty if unknown."""
+    is_imported: bool = field(default=False, compare=False)
+    """Whether another system measured it: this one cannot be asked to run an experiment."""
 
     def __post_init__(self) -> None:
         """Accept any sequence of numbers; raise ValueError where lengths differ."""
@@ -82,6 +89,22 @@ class Record:
         return float(np.median(self.step_s))
 
     @property
+    def longest_step_s(self) -> float:
+        """The longest time between two samples that is not a gap.
+
+        What a command does in a gap is unknown, and so is what a measured force does in it; but
+        a command holds over a few missed ticks.
+        """
+        shortest_gap_s = GAP_PERIODS * self.period_s
+        return shortest_gap_s if self.valve_v is None else max(shortest_gap_s, HELD_S)
+
+    @cached_property
+    def segments(self) -> tuple[slice, ...]:
+        """The stretches between gaps, in order; a record without gaps is one."""
+        starts = (np.flatnonzero(self.step_s > self.longest_step_s) + 1).tolist()
+        return tuple(slice(a, b) for a, b in pairwise([0, *starts, len(self)]))
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """The channels that were measured."""
         return tuple(name for name in CHANNELS if getattr(self, name) is not None)
@@ -103,6 +126,7 @@ class Record:
             reference_m=None if self.reference_m is None else self.reference_m[start:stop],
             notes=self.notes,
             experiment=self.experiment,
+            is_imported=self.is_imported,
         )
 
     @cached_property

@@ -155,10 +155,10 @@ def test_the_levels_of_a_valve_that_switches_are_to_be_mapped() -> None:
 
 def test_a_slow_chamber_may_answer_later_than_a_fast_one() -> None:
     t_s = np.arange(0.0, 8.0, 1e-3)
-    command = np.where((t_s > 1.0) & (t_s < 4.0), 5.0, 0.0)
+    command = np.where(t_s > 1.0, 5.0, 0.0)
     for half_s, delay_s, refused in ((0.3, 0.0, 0), (0.3, 0.02, 0), (0.02, 0.05, 1)):
         since = np.maximum(t_s - 1.0 - delay_s, 0.0)
-        filling = 101e3 + 3e5 * since**2 / (half_s**2 + since**2) * (t_s < 4.0)
+        filling = 101e3 + 3e5 * since**2 / (half_s**2 + since**2)
         record = Record("filling", t_s, valve_v=command, pressure_pa=filling)
         assert len([*check_time_shifts(record)]) == refused
 

@@ -81,7 +81,7 @@ def check_time_shifts(record: Record) -> Iterator[str]:
 
 def _latest_s(channel: str, cause: _Response, answer: _Response) -> float:
     """Return the longest time after its cause at which an answer may begin."""
-    return max(LATE_S[channel], LATE_RISES * answer.rise_s, cause.rise_s)
+    return max(float(np.hypot(LATE_S[channel], LATE_RISES * answer.rise_s)), cause.rise_s)
 
 
 def _find_steps(record: Record) -> list[int]:

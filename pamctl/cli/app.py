@@ -28,6 +28,7 @@ from pamctl.cli.daemon.stop import stop
 from pamctl.cli.daemon.watch import watch
 from pamctl.cli.failure import Verbs
 from pamctl.cli.logs.check import check_logs
+from pamctl.cli.logs.cut import cut_file
 from pamctl.cli.logs.export import export_log
 from pamctl.cli.logs.import_file import import_file
 from pamctl.cli.logs.info import show_info
@@ -48,7 +49,7 @@ app = typer.Typer(
     pretty_exceptions_show_locals=False,
     help="Real-time controller daemon of a pneumatic artificial muscle (PAM) rig.",
 )
-log_app = typer.Typer(no_args_is_help=True, help="Look into logs, mend, export and import them.")
+log_app = typer.Typer(no_args_is_help=True, help="Look into logs, mend, cut, export and import them.")
 
 _GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Run": (run,),
@@ -72,6 +73,7 @@ log_app.command("info")(show_info)
 log_app.command("check")(check_logs)
 log_app.command("recover")(recover_log)
 log_app.command("export")(export_log)
+log_app.command("cut")(cut_file)
 log_app.command("import")(import_file)
 
 

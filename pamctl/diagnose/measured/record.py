@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from pamctl.log.cutting.pieces import find_longest_step_s, split_at_gaps
 
 Array = NDArray[np.float64]
 
@@ -24,10 +25,6 @@ REST_V = 0.05
 """Commands that differ by less do not move the valve (V)."""
 RISE_FROM = 20
 """Samples whose median is the level from which a force starts."""
-GAP_PERIODS = 5.0
-"""A longer time between two samples is a gap."""
-HELD_S = 0.05
-"""A command holds over missed ticks of this length: they only make a time step longer."""
 RISE_OVER_NOISE = 10.0
 """A force has left its start when it is this multiple of its noise away, even if the noise is
 correlated."""
@@ -90,19 +87,13 @@ class Record:
 
     @property
     def longest_step_s(self) -> float:
-        """The longest time between two samples that is not a gap.
-
-        What a command does in a gap is unknown, and so is what a measured force does in it; but
-        a command holds over a few missed ticks.
-        """
-        shortest_gap_s = GAP_PERIODS * self.period_s
-        return shortest_gap_s if self.valve_v is None else max(shortest_gap_s, HELD_S)
+        """The longest time between two samples that is not a gap."""
+        return find_longest_step_s(self.step_s, holds_command=self.valve_v is not None)
 
     @cached_property
     def segments(self) -> tuple[slice, ...]:
         """The stretches between gaps, in order; a record without gaps is one."""
-        starts = (np.flatnonzero(self.step_s > self.longest_step_s) + 1).tolist()
-        return tuple(slice(a, b) for a, b in pairwise([0, *starts, len(self)]))
+        return split_at_gaps(self.t_s, holds_command=self.valve_v is not None)
 
     @property
     def channels(self) -> tuple[str, ...]:

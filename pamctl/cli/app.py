@@ -49,7 +49,9 @@ app = typer.Typer(
     pretty_exceptions_show_locals=False,
     help="Real-time controller daemon of a pneumatic artificial muscle (PAM) rig.",
 )
-log_app = typer.Typer(no_args_is_help=True, help="Look into logs, mend, cut, export and import them.")
+log_app = typer.Typer(
+    no_args_is_help=True, help="Look into logs, mend, cut, export and import them."
+)
 
 _GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Run": (run,),

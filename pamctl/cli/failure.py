@@ -87,11 +87,11 @@ class Verbs(TyperGroup):
             raise Failed(ExitCode.UNEXPECTED, reason) from error
         except Exception as error:
             code = getattr(error, "exit_code", None)
-            known = isinstance(code, ExitCode)
-            failed = Failed(code, str(error)) if known else _word_wrong_usage(error)
-            if failed is None:
+            if isinstance(code, ExitCode):
+                raise Failed(code, str(error)) from error
+            if (wrong := _word_wrong_usage(error)) is None:
                 raise
-            raise failed from error
+            raise wrong from error
 
 
 def _word_wrong_usage(error: Exception) -> Failed | None:

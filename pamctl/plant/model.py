@@ -12,7 +12,7 @@ from hal.configured import Configured
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.correction_tables import Correction, CorrectionTable
 from pamctl.plant.effects.description import EffectDescription, acts
-from pamctl.plant.flat import ACTUATOR, parameters_of
+from pamctl.plant.flat import ACTUATOR, ACTUATORS, CHAMBER_VOLUME, parameters_of
 from pamctl.plant.muscle_parameters import MuscleParameters
 from pamctl.plant.parameters import PlantParameters
 
@@ -96,15 +96,27 @@ class PlantSettings(Configured):
 
     base: Annotated[Literal["paper"], Field(description="Eq. 1 to 9")] = "paper"
     actuator: Annotated[
-        Literal["muscle", "direct"],
-        Field(description="direct: a measured force drives mass, spring and friction; no muscle"),
+        Literal["muscle", "direct", "chamber"],
+        Field(
+            description="direct: a measured force drives mass, spring and friction; no muscle. "
+            "chamber: a volume that does not change, behind the valve"
+        ),
     ] = "muscle"
+    chamber_volume_m3: Annotated[
+        float | None, Field(gt=0, description="of `actuator: chamber`, its tubes included")
+    ] = None
     parameters: MuscleParameters = MuscleParameters()
     effects: EffectSettings = EffectSettings()
     correction: Annotated[
         CorrectionSettings | None,
         Field(description="tables for what no effect explains; `pamctl diagnose --correction`"),
     ] = None
+
+    @model_validator(mode="after")
+    def _check_chamber(self) -> PlantSettings:
+        if (self.actuator == "chamber") != (self.chamber_volume_m3 is not None):
+            raise ValueError("`actuator: chamber` needs chamber_volume_m3, and no other does")
+        return self
 
 
 def plant_parameters(settings: PlantSettings) -> PlantParameters:
@@ -128,8 +140,10 @@ def values_of(settings: PlantSettings) -> dict[str, float]:
     The tables of a correction are not part of the mapping.
     """
     values: dict[str, float] = settings.parameters.model_dump()
-    if settings.actuator == "direct":
-        values[ACTUATOR] = 1.0
+    if settings.actuator != "muscle":
+        values[ACTUATOR] = float(ACTUATORS.index(settings.actuator))
+    if settings.chamber_volume_m3 is not None:
+        values[CHAMBER_VOLUME] = settings.chamber_volume_m3
     for name, effect in settings.effects.model_dump(exclude_none=True).items():
         for parameter in CATALOGUE[name].parameters:
             value = effect[parameter.name]
@@ -142,20 +156,21 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
     """Return the plant file of a flat mapping, validated; effects at neutral are left out."""
     parameters: dict[str, float] = {}
     effects: dict[str, dict[str, float]] = {}
+    plain = {CHAMBER_VOLUME: values[CHAMBER_VOLUME]} if values.get(CHAMBER_VOLUME) else {}
     for name, value in values.items():
         effect, dot, parameter = name.partition(".")
         if dot:
             effects.setdefault(effect, {})[parameter] = value
-        elif name != ACTUATOR:
+        elif name not in (ACTUATOR, CHAMBER_VOLUME):
             parameters[name] = value
     acting = {
         name: _name_choices(name, numbers)
         for name, numbers in effects.items()
         if name not in CATALOGUE or acts(CATALOGUE[name], numbers)
     }
-    actuator = "direct" if values.get(ACTUATOR) else "muscle"
+    actuator = ACTUATORS[round(values.get(ACTUATOR, 0.0))]
     return PlantSettings.model_validate(
-        {"actuator": actuator, "parameters": parameters, "effects": acting}
+        {"actuator": actuator, **plain, "parameters": parameters, "effects": acting}
     )
 
 

@@ -141,6 +141,9 @@ def run_loop(
         return Ending(ExitCode.SAFETY_TRIP, str(error))
 
 
+_ENDED = Ending(ExitCode.OK, "the program ended")
+
+
 @dataclass
 class _Loop:
     """The parts of the loop, and its ending."""
@@ -154,7 +157,7 @@ class _Loop:
     journal: Journal
     supervisor: Supervisor
     truth: Callable[[], Truth]
-    ending: Ending = Ending(ExitCode.OK, "the program ended")
+    ending: Ending = _ENDED
 
     def run(self) -> Ending:
         """Tick until the program ends."""

@@ -24,6 +24,7 @@ from pamctl.recording.ring import Ring
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.signals import Phase, Reference, Timing
 
+
 class OrderSlot(Protocol):
     """Where orders come from."""
 

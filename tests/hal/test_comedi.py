@@ -604,8 +604,10 @@ def test_card_and_simulation_give_the_same_ticks(card: Card) -> None:
         ScriptedSupervisor(),
         lambda: Truth(math.nan, math.nan),
     )
-    assert ending == simulated.ending == Ending(
-        ExitCode.OK, "the duration of 3 s ended the experiment of 37 s"
+    assert (
+        ending
+        == simulated.ending
+        == Ending(ExitCode.OK, "the duration of 3 s ended the experiment of 37 s")
     )
     assert len(journal.ticks) == len(simulated.journal.ticks)
     assert len(journal.phase(Phase.APPROACH)) == 1000

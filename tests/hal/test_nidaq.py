@@ -572,8 +572,10 @@ def test_card_and_simulation_give_the_same_ticks(
         ScriptedSupervisor(),
         lambda: Truth(math.nan, math.nan),
     )
-    assert ending == simulated.ending == Ending(
-        ExitCode.OK, "the duration of 3 s ended the experiment of 37 s"
+    assert (
+        ending
+        == simulated.ending
+        == Ending(ExitCode.OK, "the duration of 3 s ended the experiment of 37 s")
     )
     assert len(journal.ticks) == len(simulated.journal.ticks) > 5000
     assert len(journal.phase(Phase.TRACK)) + len(journal.phase(Phase.APPROACH)) == 3000

@@ -71,6 +71,8 @@ def calibration_of(block: str, nominal: PlantSettings) -> tuple[str, ...]:
     """
     if nominal.actuator == "muscle":
         return CALIBRATED[block]
+    if nominal.actuator == "chamber":
+        return ("valve_gain_m2_per_v", "tank_pressure_pa")
     dry = (DRY_FRICTION,) if nominal.effects.model_dump().get("coulomb_friction") else ()
     return ("damping_n_s_per_m", "stiffness_n_per_m", *dry)
 

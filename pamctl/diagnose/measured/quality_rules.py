@@ -42,7 +42,10 @@ HALF_SPAN = 0.5
 STILL_TIMES_NOISE = 10.0
 """A signal that varies by less than this multiple of its noise tells nothing."""
 
-USED: Mapping[str, tuple[str, ...]] = {"direct": ("force_n", "pressure_pa", "position_m")}
+USED: Mapping[str, tuple[str, ...]] = {
+    "direct": ("force_n", "pressure_pa", "position_m"),
+    "chamber": ("valve_v", "pressure_pa"),
+}
 """The channels that an actuator's model reads; the rules ask nothing of the others."""
 _OF_VALVE_AND_AIR = ("valve_v", "pressure_pa", "position_m")
 
@@ -266,19 +269,19 @@ def _measure_span(values: Array, least: float) -> tuple[float, float]:
 def _least_span(record: Record, plant: PlantSettings, channel: str) -> float:
     """Return the variation that a channel needs: more than its noise; of a muscle, a part of it."""
     noise = max(_estimate_noise(record[channel]), estimate_resolution(record[channel]))
-    least = max(STILL_TIMES_NOISE * noise, 1e-12)
+    least: float = max(STILL_TIMES_NOISE * noise, 1e-12)
     if plant.actuator == "direct":
         return least
     if channel == "pressure_pa":
         return max(least, 0.02 * plant.parameters.tank_pressure_pa)
-    if channel == "position_m" and plant.actuator == "muscle":
-        return max(least, 2e-3 * plant.parameters.rest_length_m)
+    if channel == "position_m":
+        return max(least, float(2e-3 * plant.parameters.rest_length_m))
     return 0.1 if channel == "valve_v" else least
 
 
 def _estimate_noise(values: Array) -> float:
     """Return the deviation of white noise: third differences multiply it by sqrt(20)."""
-    return float(np.median(np.abs(np.diff(values, 3)))) / (0.6745 * np.sqrt(20.0))
+    return float(np.median(np.abs(np.diff(values, 3))) / (0.6745 * np.sqrt(20.0)))
 
 
 def find_usual_ends(values: Array) -> tuple[float, float]:

@@ -66,7 +66,7 @@ def read_acceptances(texts: Iterable[str]) -> dict[str, str]:
             )
         if not reason:
             raise UnknownRule(
-                f"--accept {text}: say why, such as --accept {rule}=\"seen and harmless\"; "
+                f'--accept {text}: say why, such as --accept {rule}="seen and harmless"; '
                 "the document keeps the reason"
             )
         accepted[rule] = reason

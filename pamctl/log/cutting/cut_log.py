@@ -143,7 +143,8 @@ class _PieceCopy(LogCopy):
             there = slice(max(self._rows.start - begin, 0), max(self._rows.stop - begin, 0))
             return messages[there]
         keep = [self._belongs(topic, from_json(bytes(body))) for body in messages["body"]]
-        return messages[np.array(keep, dtype=bool)]
+        kept: NDArray[Any] = messages[np.array(keep, dtype=bool)]
+        return kept
 
     def _belongs(self, topic: str, message: Any) -> bool:
         tick = int(message.get("tick", self._first))

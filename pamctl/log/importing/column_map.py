@@ -18,7 +18,6 @@ from hal.configured import Configured
 from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, ColumnReading
 
 
-
 def _spell_number(column: object) -> object:
     return str(column) if type(column) is int else column
 

@@ -34,6 +34,7 @@ from pamctl.cli.logs.import_file import import_file
 from pamctl.cli.logs.info import show_info
 from pamctl.cli.logs.recover import recover_log
 from pamctl.cli.manual import manual
+from pamctl.cli.plant import plant_app
 from pamctl.cli.reproduce import reproduce
 from pamctl.cli.rig.calibrate import calibrate_app
 from pamctl.cli.rig.doctor import doctor
@@ -70,6 +71,7 @@ app.command("set", rich_help_panel="Daemon")(set_keys)
 app.add_typer(gains_app, name="gains", rich_help_panel="Daemon")
 app.add_typer(calibrate_app, name="calibrate", rich_help_panel="Rig")
 app.add_typer(log_app, name="log", rich_help_panel="Logs")
+app.add_typer(plant_app, name="plant", rich_help_panel="Analyse")
 app.add_typer(config_app, name="config", rich_help_panel="Other")
 log_app.command("info")(show_info)
 log_app.command("check")(check_logs)

@@ -29,6 +29,9 @@ from pamctl.diagnose.measured.refuse import check_measured_runs, check_sensors
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
+_BLOCKS_OF = {"direct": (MECHANICS, "sensors"), "chamber": (PRESSURE, "sensors")}
+"""The blocks that an actuator has; a muscle has all. What it lacks is no blind spot."""
+
 
 @dataclass(frozen=True)
 class BlindSpot:
@@ -231,15 +234,17 @@ def _find_visible_size(switch: FreeNumber, size: float, power: float) -> tuple[f
 def _list_unseen_effects(model: Model, candidates: Sequence[Candidate]) -> list[BlindSpot]:
     """List effects that reach no block that these records drive, or that nothing can identify."""
     examined = {c.name for c in candidates} | {*model.names}
+    actuator = model.evidence.nominal.actuator
+    there = _BLOCKS_OF.get(actuator, (PRESSURE, MECHANICS, "sensors"))
     spots = [
         BlindSpot(name, effect.unidentifiable, "", None)
         for name, effect in CATALOGUE.items()
-        if effect.unidentifiable
+        if effect.unidentifiable and actuator == "muscle"
     ]
     for name, effect in CATALOGUE.items():
         if name in examined or effect.unidentifiable or not effect.is_searched:
             continue
-        if effect.block not in (*model.evidence.blocks, "sensors"):
+        if effect.block in there and effect.block not in (*model.evidence.blocks, "sensors"):
             why = "these records do not drive its block"
             spots.append(BlindSpot(name, why, effect.best_experiment, None))
     return spots

@@ -64,7 +64,8 @@ def diagnose(
     try:
         evidence, train, holdout, accepted = _check_and_prepare(train, holdout, plant, accept)
     except BadData as error:
-        return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error))
+        given = (*train, *holdout)
+        return Diagnosis(Verdict.BAD_DATA, plant, plant, str(error), train=given)
     candidates = list_candidates(evidence, without)
     effects = len({candidate.name for candidate in candidates})  # some have several forms
     progress(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue are candidates")

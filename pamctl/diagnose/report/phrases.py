@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
 from pamctl.diagnose.extend import CorrectionResult
+from pamctl.diagnose.fitting.drives import PRESSURE, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.fitting.intervals import FittedNumber
@@ -37,6 +38,12 @@ def parameter_of(name: str) -> EffectParameter:
 def numbers_of(diagnosis: Diagnosis, effect: str) -> list[FittedNumber]:
     """Return the fitted numbers of an effect."""
     return [number for number in diagnosis.numbers if number.name.startswith(f"{effect}.")]
+
+
+def mark_bound(diagnosis: Diagnosis, name: str) -> str:
+    """Mark a fitted number that ended at an end of the range in which it was searched."""
+    fits = diagnosis.model.fits.values() if diagnosis.model else ()
+    return "at an end" if any(name in fitted.at_bound for fitted in fits) else ""
 
 
 def describe_effects(diagnosis: Diagnosis) -> str:
@@ -94,7 +101,25 @@ def describe_largest_remainder(diagnosis: Diagnosis) -> str:
     """Say which block has the most left, how much, and in which regimes."""
     block, ratio, regimes = find_largest_remainder(diagnosis)
     where = f", {regimes}" if regimes == EVENLY else f"; worst: {regimes}"
-    return f"The {block} block is left at {ratio:.1f} times its floor{where}."
+    rms = _spell_rms(diagnosis, block, ratio)
+    return f"The {block} block is left at {ratio:.1f} times its floor{rms}{where}."
+
+
+def _spell_rms(diagnosis: Diagnosis, block: str, ratio: float) -> str:
+    """Return the RMS of a residual that is this multiple of the block's floor, in brackets."""
+    model = diagnosis.model
+    if model is None:
+        return ""
+    drive = model.evidence.holdout[block][0]
+    factor, label = gap_units(channel_of(drive))
+    rms = ratio * model.floors[block].mean * drive.deviation * factor
+    return f" (RMS {rms:.3g} {label.split(', ')[1]})"
+
+
+def channel_of(drive: Drive) -> str:
+    """Return the channel that a drive's output is compared with."""
+    own = "pressure_pa" if drive.block == PRESSURE else "position_m"
+    return str(getattr(drive, "channel", own))
 
 
 def describe_limits(model: Model) -> str:

@@ -13,6 +13,7 @@ from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.locate import RATE, RegimeMisfit
 from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.report.sensor_units import write_deviations
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 
@@ -153,7 +154,7 @@ def _tabulate_regimes(
 ) -> tuple[list[str], list[list[str]]]:
     """Return header and rows: the regimes of all blocks, by their misfit before, largest first."""
     later = {(c.block, c.regime): c for c in after}
-    header = ["block", "regime", "of the time", "of the misfit", "recalibrated, x floor"]
+    header = ["block", "regime", "of the time", "of the misfit", "recalibrated, x floor", "RMS"]
     if model.effects:
         header.append("extended, x floor")
     header.append("stands out")
@@ -161,6 +162,7 @@ def _tabulate_regimes(
     for cell in sorted(before, key=lambda c: (blocks.index(c.block), -c.residual_over_floor)):
         row = [cell.block, cell.regime, f"{100.0 * cell.share:.0f} %"]
         row += [f"{100.0 * cell.excess_share:.0f} %", f"{cell.residual_over_floor:.2f}"]
+        row.append(write_deviations(model, cell.block, cell.rms))
         last = later.get((cell.block, cell.regime)) if model.effects else None
         if model.effects:
             row.append(f"{last.residual_over_floor:.2f}" if last else "-")

@@ -29,6 +29,8 @@ from pamctl.diagnose.measured.refuse import check_measured_runs, check_sensors
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
+INERT = 1e-9
+"""An effect that uses a smaller share of the room below the limit changes nothing."""
 _BLOCKS_OF = {"direct": (MECHANICS, "sensors"), "chamber": (PRESSURE, "sensors")}
 """The blocks that an actuator has; a muscle has all. What it lacks is no blind spot."""
 
@@ -139,7 +141,13 @@ def audit_model(model: Model, candidates: Sequence[Candidate], *, pairs: bool = 
         for name in firsts
     }
     sees = tuple(name for name, power in powers.items() if power > 1.0)
-    blind = tuple(_describe_blind_spot(c, powers[n]) for n, c in firsts.items() if n not in sees)
+    # What moves nothing at all is no part of another actuator than the muscle.
+    is_muscle = model.evidence.nominal.actuator == "muscle"
+    blind = tuple(
+        _describe_blind_spot(c, powers[n])
+        for n, c in firsts.items()
+        if n not in sees and (is_muscle or powers[n] > INERT)
+    )
     alike = _find_inseparable_pairs(doses, spare, sees) if pairs else []
     return Audit(
         sees, (*blind, *_list_unseen_effects(model, candidates)), tuple(map(_advise_pair, alike))

@@ -65,7 +65,7 @@ def write_advice(experiment: str, actuator: str, *, runs_here: bool) -> str:
     """Write the command that runs an experiment, or what to record where pamctl does not run it."""
     if runs_here or not experiment:
         return write_command(experiment)
-    return f"record {describe_motion(experiment, actuator)}"
+    return f"record: {describe_motion(experiment, actuator)}"
 
 
 def write_command(experiment: str) -> str:

@@ -114,7 +114,7 @@ def _find_response(record: Record, channel: str, step: int) -> _Response:
     whole = float(change[np.argmax(np.abs(change))])
     begun = ANSWER_SHARE * abs(whole)
     if (
-        abs(whole) < LEAST_SHARE[channel] * float(np.ptp(values))
+        abs(whole) <= LEAST_SHARE[channel] * float(np.ptp(values))
         or begun < ABOVE_NOISE * float(np.std(rest))
         or abs(drift) > 0.2 * begun
     ):

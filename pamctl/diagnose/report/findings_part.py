@@ -103,8 +103,8 @@ def _list_recalibrated(diagnosis: Diagnosis) -> Iterator[list[str]]:
             mark_bound(diagnosis, number.name),
         ]
     for name, value, unit in _list_nuisances(diagnosis):
-        nominal = f"{diagnosis.start_value(name):.5g}"
-        yield [name, nominal, f"{value:.5g}", "always free", unit, "-", mark_bound(diagnosis, name)]
+        start = f"{diagnosis.start_value(name):.5g}"
+        yield [name, start, f"{value:.5g}", "always free", unit, "-", mark_bound(diagnosis, name)]
 
 
 def _list_nuisances(diagnosis: Diagnosis) -> Iterator[tuple[str, float, str]]:

@@ -100,9 +100,18 @@ def list_shifts(diagnosis: Diagnosis) -> str:
 def describe_largest_remainder(diagnosis: Diagnosis) -> str:
     """Say which block has the most left, how much, and in which regimes."""
     block, ratio, regimes = find_largest_remainder(diagnosis)
+    regimes = spell_regimes(diagnosis, regimes)
     where = f", {regimes}" if regimes == EVENLY else f"; worst: {regimes}"
     rms = _spell_rms(diagnosis, block, ratio)
     return f"The {block} block is left at {ratio:.1f} times its floor{rms}{where}."
+
+
+def spell_regimes(diagnosis: Diagnosis, regimes: str) -> str:
+    """Return regimes in the words of the rig: only a muscle contracts."""
+    if diagnosis.nominal.actuator == "muscle":
+        return regimes
+    forward = regimes.replace("contracting", "moving to larger x")
+    return forward.replace("lengthening", "moving to smaller x")
 
 
 def _spell_rms(diagnosis: Diagnosis, block: str, ratio: float) -> str:
@@ -113,7 +122,10 @@ def _spell_rms(diagnosis: Diagnosis, block: str, ratio: float) -> str:
     drive = model.evidence.holdout[block][0]
     factor, label = gap_units(channel_of(drive))
     rms = ratio * model.floors[block].mean * drive.deviation * factor
-    return f" (RMS {rms:.3g} {label.split(', ')[1]})"
+    unit = label.split(", ")[1]
+    if unit == "um" and rms >= 1e4:
+        return f" (RMS {rms / 1e3:.3g} mm)"
+    return f" (RMS {rms:.3g} {unit})"
 
 
 def channel_of(drive: Drive) -> str:
@@ -138,11 +150,13 @@ def describe_limits(model: Model) -> str:
     )
 
 
-def describe_remainder(remainder: Remainder) -> str:
+def describe_remainder(remainder: Remainder, actuator: str) -> str:
     """Say what shape the residual has, and that this is no cause."""
     if not remainder.terms:
         return f"Unnamed correction of the {remainder.block}: no simple shape fits what is left."
     terms = " ".join(f"{value:+.3g} {term}" for term, value in remainder.terms)
+    if actuator == "direct":  # a force drives it, where a muscle has its pressure
+        terms = terms.replace("P", "F")
     return (
         f"Unnamed correction, not a cause: the remainder of the {remainder.block} looks like "
         f"{terms} {remainder.unit}. This covers {100.0 * remainder.explained:.0f} % of its square; "

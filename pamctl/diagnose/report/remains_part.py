@@ -41,7 +41,7 @@ def write_remainder(page: Page, diagnosis: Diagnosis) -> None:
     page.text(describe_largest_remainder(diagnosis))
     write_shape(page, diagnosis)
     if diagnosis.remainder is not None:
-        page.note(describe_remainder(diagnosis.remainder))
+        page.note(describe_remainder(diagnosis.remainder, diagnosis.nominal.actuator))
     if diagnosis.correction is not None:
         page.note(describe_correction(diagnosis.correction))
 
@@ -88,6 +88,12 @@ def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Reco
     rows += [_record_row(r, "fit" if holdout else "none") for r in train if r.name not in cut]
     rows += [_record_row(r, "to judge by") for r in holdout if r.name not in cut]
     page.table(["record", "use", "duration, s", "samples", "period, ms", "measured"], rows)
+    if diagnosis.accepted:
+        page.table(
+            ["doubt about the data", "rule", "accepted because"],
+            [["; ".join(a.doubts), a.rule, a.reason] for a in diagnosis.accepted],
+            caption="These rules would have refused the data. The user overruled them.",
+        )
     model = diagnosis.model
     if model is None:
         return

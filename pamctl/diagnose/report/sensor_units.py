@@ -21,4 +21,6 @@ def write_deviations(model: Model, block: str, deviations: float) -> str:
     """Write an RMS that is given in deviations of the block's sensor."""
     drive = model.evidence.holdout[block][0]
     display = SIGNAL_DISPLAYS[channel_of(drive)]
-    return f"{deviations * drive.deviation * display.gap_factor:.3g} {display.gap_unit}"
+    rms = deviations * drive.deviation
+    factor, unit = display.choose_unit(rms)
+    return f"{factor * rms:.3g} {unit}"

@@ -35,9 +35,11 @@ def _list_parts(diagnosis: Diagnosis) -> Iterator[str]:
         yield describe_limits(diagnosis.model)
     yield describe_substeps(diagnosis.substep_changes)
     if diagnosis.remainder is not None:
-        yield describe_remainder(diagnosis.remainder)
+        yield describe_remainder(diagnosis.remainder, diagnosis.nominal.actuator)
     if diagnosis.correction is not None:
         yield describe_correction(diagnosis.correction)
+    for accepted in diagnosis.accepted:
+        yield f"accepted ({accepted.rule}): {accepted.reason}: {'; '.join(accepted.doubts)}"
     experiment = choose_next_experiment(diagnosis)
     if experiment:
         yield f"next: {experiment['do']}  # {experiment['why']}"

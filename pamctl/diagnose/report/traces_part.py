@@ -121,10 +121,11 @@ def _draw_residual(
 ) -> SvgPlot:
     display = SIGNAL_DISPLAYS[signal.name]
     title = f"{display.title.split(',')[0]}, measurement \N{MINUS SIGN} simulation"
-    plot = SvgPlot(title, _TIME, PlotAxis("residual", display.gap_unit), height_px=110)
-    for stage in stages:
-        residual = display.gap_factor * signal.residual(stage.key)[part]
-        plot.line(t_s, residual, stage.label, colour=stage.colour)
+    residuals = [signal.residual(stage.key)[part] for stage in stages]
+    factor, unit = display.choose_unit(max(float(np.abs(r).max()) for r in residuals))
+    plot = SvgPlot(title, _TIME, PlotAxis("residual", unit), height_px=110)
+    for stage, residual in zip(stages, residuals, strict=True):
+        plot.line(t_s, factor * residual, stage.label, colour=stage.colour)
     return plot
 
 

@@ -18,7 +18,7 @@ from pamctl.diagnose.report.rig_at_hand import runs_here
 from pamctl.diagnose.report.sensor_units import write_ratio
 from pamctl.diagnose.report.verdict_words import advise_next_steps, sentence
 from pamctl.plant.catalogue import CATALOGUE
-from pamctl.plant.drive import drive_mechanics
+from pamctl.plant.drive import drive_coupled, drive_mechanics
 from pamctl.plant.model import PlantSettings, plant_parameters
 
 PARAMETERS = {"mass_kg": 2.0, "damping_n_s_per_m": 40.0, "stiffness_n_per_m": 900.0}
@@ -139,3 +139,40 @@ def test_only_a_muscle_whose_records_pamctl_made_is_told_to_run(found: Diagnosis
         assert advised - {""} <= {*MOTIONS}
     assert write_advice("chirp", "muscle", runs_here=True) == "pamctl run --experiment chirp"
     assert "driving force" in write_advice("chirp", "direct", runs_here=False)
+
+
+def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position() -> None:
+    base = {"actuator": "chamber", "chamber_volume_m3": 1e-3}
+    leak = {"chamber_leak": {"area_m2": 5e-8}}
+    truth = PlantSettings.model_validate({**base, "effects": leak})
+    records = [chamber_record(seed, truth) for seed in (1, 2)]
+    others = {*CATALOGUE} - {"chamber_leak", "valve_deadband"}
+    found = diagnose(records[:1], records[1:], PlantSettings.model_validate(base), without=others)
+    assert found.verdict is Verdict.NAMED
+    (standing,) = found.standings
+    assert standing.effect.name == "chamber_leak"
+    (area,) = (n for n in found.numbers if n.name == "chamber_leak.area_m2")
+    assert area.value == pytest.approx(5e-8, rel=0.02)
+    assert found.plant.chamber_volume_m3 == 1e-3
+    told = summary(found) + " ".join(advise_next_steps(found))
+    assert "muscle" not in told
+    assert "pamctl run" not in told
+    document = build_diagnosis_document(found)
+    assert not {"creep", "moving_mass"} & {spot["name"] for spot in document["blind_spots"]}
+
+
+def chamber_record(seed: int, truth: PlantSettings) -> Record:
+    """Return 9 s at 200 Hz: held commands of several sizes, closed valve included."""
+    random = np.random.default_rng(seed)
+    held = np.repeat(random.choice([-5, 5, 2, -2, 0.5, -0.5, 0, 0], 20), 80).astype(float)
+    command = np.concatenate([np.full(200, -5.0), held])
+    driven = drive_coupled(plant_parameters(truth), command, 5e-3, steps=8)
+    noise_pa = random.normal(0.0, 200.0, len(command))
+    t_s = 5e-3 * np.arange(len(command))
+    return Record(
+        f"tank-{seed}",
+        t_s,
+        valve_v=command,
+        pressure_pa=driven.pressure_pa + noise_pa,
+        is_imported=True,
+    )

@@ -28,11 +28,13 @@ from pamctl.cli.daemon.stop import stop
 from pamctl.cli.daemon.watch import watch
 from pamctl.cli.failure import Verbs
 from pamctl.cli.logs.check import check_logs
+from pamctl.cli.logs.cut import cut_file
 from pamctl.cli.logs.export import export_log
 from pamctl.cli.logs.import_file import import_file
 from pamctl.cli.logs.info import show_info
 from pamctl.cli.logs.recover import recover_log
 from pamctl.cli.manual import manual
+from pamctl.cli.plant import plant_app
 from pamctl.cli.reproduce import reproduce
 from pamctl.cli.rig.calibrate import calibrate_app
 from pamctl.cli.rig.doctor import doctor
@@ -48,7 +50,9 @@ app = typer.Typer(
     pretty_exceptions_show_locals=False,
     help="Real-time controller daemon of a pneumatic artificial muscle (PAM) rig.",
 )
-log_app = typer.Typer(no_args_is_help=True, help="Look into logs, mend, export and import them.")
+log_app = typer.Typer(
+    no_args_is_help=True, help="Look into logs, mend, cut, export and import them."
+)
 
 _GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Run": (run,),
@@ -67,11 +71,13 @@ app.command("set", rich_help_panel="Daemon")(set_keys)
 app.add_typer(gains_app, name="gains", rich_help_panel="Daemon")
 app.add_typer(calibrate_app, name="calibrate", rich_help_panel="Rig")
 app.add_typer(log_app, name="log", rich_help_panel="Logs")
+app.add_typer(plant_app, name="plant", rich_help_panel="Analyse")
 app.add_typer(config_app, name="config", rich_help_panel="Other")
 log_app.command("info")(show_info)
 log_app.command("check")(check_logs)
 log_app.command("recover")(recover_log)
 log_app.command("export")(export_log)
+log_app.command("cut")(cut_file)
 log_app.command("import")(import_file)
 
 

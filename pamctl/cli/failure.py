@@ -50,8 +50,6 @@ class Verbs(TyperGroup):
             match leaving.__context__:
                 case Failed() as failed:
                     _report_failure(failed, as_json=as_json)
-                case _WrongUsage() as wrong if as_json:  # typer has printed it for people
-                    _print_document(leaving.code, wrong.format_message())
                 case typer.Exit(__cause__=KeyboardInterrupt()) if as_json:
                     _print_document(leaving.code, "interrupted")
             raise
@@ -59,6 +57,15 @@ class Verbs(TyperGroup):
             if as_json:
                 _print_document(ExitCode.UNEXPECTED, f"{type(error).__name__}: {error}")
             raise
+
+    def make_context(self, *arguments: Any, **options: Any) -> Any:
+        """Read the options before the verb; turn wrong ones into `Failed`."""
+        try:
+            return super().make_context(*arguments, **options)
+        except Exception as error:
+            if (wrong := _word_wrong_usage(error)) is None:
+                raise
+            raise wrong from error
 
     def invoke(self, ctx: Any) -> Any:
         """Run the verb; turn the errors that a user can cause into `Failed`."""
@@ -80,9 +87,21 @@ class Verbs(TyperGroup):
             raise Failed(ExitCode.UNEXPECTED, reason) from error
         except Exception as error:
             code = getattr(error, "exit_code", None)
-            if not isinstance(code, ExitCode):
+            if isinstance(code, ExitCode):
+                raise Failed(code, str(error)) from error
+            if (wrong := _word_wrong_usage(error)) is None:
                 raise
-            raise Failed(code, str(error)) from error
+            raise wrong from error
+
+
+def _word_wrong_usage(error: Exception) -> Failed | None:
+    """Return what typer raises for arguments that make no sense as `Failed`; None for the rest."""
+    # A verb without any arguments shows its help, which is no line.
+    if not isinstance(error, _WrongUsage) or type(error).__name__ == "NoArgsIsHelpError":
+        return None
+    reason = " ".join(error.format_message().split()).rstrip(".")
+    verb = f"; see `{error.ctx.command_path} --help`" if error.ctx is not None else ""
+    return Failed(error.exit_code, f"{reason}{verb}")
 
 
 def _hide_flag_types(command: Any) -> None:
@@ -96,6 +115,9 @@ def _hide_flag_types(command: Any) -> None:
 @runtime_checkable
 class _WrongUsage(Protocol):
     """What typer raises for arguments that make no sense; it has no public name."""
+
+    exit_code: int
+    ctx: Any
 
     def format_message(self) -> str: ...
 

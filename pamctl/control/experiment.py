@@ -175,6 +175,12 @@ class Course:
         self.segments = tuple(course)
         whole_s = sum(segment.duration_s for segment in course)
         self.duration_s = whole_s if duration_s is None else min(duration_s, whole_s)
+        self.end_reason = "the experiment is complete"
+        """What to say of a run that ends with this course."""
+        if self.duration_s < whole_s:
+            self.end_reason = (
+                f"the duration of {self.duration_s:g} s ended the experiment of {whole_s:g} s"
+            )
         self._index = 0
         self._begin_s = 0.0
 

@@ -29,6 +29,11 @@ from pamctl.diagnose.measured.refuse import check_measured_runs, check_sensors
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
+INERT = 1e-9
+"""An effect that uses a smaller share of the room below the limit changes nothing."""
+_BLOCKS_OF = {"direct": (MECHANICS, "sensors"), "chamber": (PRESSURE, "sensors")}
+"""The blocks that an actuator has; a muscle has all. What it lacks is no blind spot."""
+
 
 @dataclass(frozen=True)
 class BlindSpot:
@@ -106,7 +111,7 @@ def audit_run(record: Record, plant: PlantSettings) -> Audit:
     """Audit one record, measured or simulated; raises `BadData`."""
     check_measured_runs([record], plant)
     evidence = prepare_evidence([record], [record], plant)
-    check_sensors([record], evidence.noises)
+    check_sensors([record], evidence.noises, plant)
     candidates = list_candidates(evidence)
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
         found = audit_model(recalibrate(evidence), candidates)
@@ -136,7 +141,13 @@ def audit_model(model: Model, candidates: Sequence[Candidate], *, pairs: bool = 
         for name in firsts
     }
     sees = tuple(name for name, power in powers.items() if power > 1.0)
-    blind = tuple(_describe_blind_spot(c, powers[n]) for n, c in firsts.items() if n not in sees)
+    # What moves nothing at all is no part of another actuator than the muscle.
+    is_muscle = model.evidence.nominal.actuator == "muscle"
+    blind = tuple(
+        _describe_blind_spot(c, powers[n])
+        for n, c in firsts.items()
+        if n not in sees and (is_muscle or powers[n] > INERT)
+    )
     alike = _find_inseparable_pairs(doses, spare, sees) if pairs else []
     return Audit(
         sees, (*blind, *_list_unseen_effects(model, candidates)), tuple(map(_advise_pair, alike))
@@ -232,10 +243,11 @@ def _list_unseen_effects(model: Model, candidates: Sequence[Candidate]) -> list[
     """List effects that reach no block that these records drive, or that nothing can identify."""
     examined = {c.name for c in candidates} | {*model.names}
     actuator = model.evidence.nominal.actuator
+    there = _BLOCKS_OF.get(actuator)
     here = {
         name: effect
         for name, effect in CATALOGUE.items()
-        if actuator in effect.actuators and (actuator != "direct" or effect.block != "pressure")
+        if actuator in effect.actuators and (there is None or effect.block in there)
     }
     spots = [
         BlindSpot(name, effect.unidentifiable, "", None)

@@ -13,6 +13,7 @@ from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.fitting.split import ConfirmedOn
 from pamctl.diagnose.locate import RegimeMisfit, describe_worst_regimes
 from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.measured.refuse import AcceptedDoubt
 from pamctl.diagnose.naming.remainder import Remainder
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.search import EffectsTrial
@@ -68,6 +69,8 @@ class Diagnosis:
     """What is wrong about the set-up: numbers of the plant file, columns of the records."""
     audit: Audit | None = None
     """What these records could not have shown."""
+    accepted: tuple[AcceptedDoubt, ...] = ()
+    """Doubts about the data that the user overruled, each with the reason."""
 
     @property
     def recalibrated(self) -> tuple[FittedNumber, ...]:

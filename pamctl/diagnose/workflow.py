@@ -10,7 +10,7 @@ print(sentence(diagnosis))
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -33,7 +33,12 @@ from pamctl.diagnose.fitting.split import (
 )
 from pamctl.diagnose.locate import locate_misfits
 from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
+from pamctl.diagnose.measured.refuse import (
+    AcceptedDoubt,
+    BadData,
+    check_measured_runs,
+    check_sensors,
+)
 from pamctl.diagnose.name import name_effects
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.remainder import regress_remainder
@@ -52,6 +57,7 @@ def diagnose(
     *,
     without: Collection[str] = (),
     correction: bool = False,
+    accept: Mapping[str, str] | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -61,16 +67,20 @@ def diagnose(
     confirms it. Without `holdout`, `train` is split by run; a single run is split into long
     stretches. `without` leaves effects out of the catalogue.
     With `correction`, what no effect explains is added to the plant as a table, where that helps.
+    `accept` holds the user's reasons to overrule rules of `quality_rules.RULES`, by rule.
     Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
     library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
     progress = progress or (lambda line: None)
     try:
-        evidence, train, holdout, is_cut = _check_and_prepare(train, holdout, plant)
+        evidence, train, holdout, is_cut, accepted = _check_and_prepare(
+            train, holdout, plant, accept
+        )
     except BadData as error:
-        refused = explain_refusal([*train, *holdout], plant)
-        reasons = [str(error), *(f"{f.text}; {f.how_to_mend}" for f in refused)]
-        return Diagnosis(Verdict.BAD_DATA, plant, plant, "\n".join(reasons), setup=refused)
+        given = (*train, *holdout)
+        refused = explain_refusal(given, plant)
+        reasons = "\n".join([str(error), *(f"{f.text}; {f.how_to_mend}" for f in refused)])
+        return Diagnosis(Verdict.BAD_DATA, plant, plant, reasons, train=given, setup=refused)
     candidates = list_candidates(evidence, without)
     effects = len({candidate.name for candidate in candidates})  # some have several forms
     progress(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue are candidates")
@@ -80,7 +90,10 @@ def diagnose(
     progress(f"recalibrated: {ratios}")
     setup = suspect_setup(base, train, holdout, FirstLevel(candidates), progress)
     if setup.refusal:
-        return Diagnosis(Verdict.BAD_DATA, plant, plant, setup.refusal, setup=setup.findings)
+        given = (*train, *holdout)
+        return Diagnosis(
+            Verdict.BAD_DATA, plant, plant, setup.refusal, train=given, setup=setup.findings
+        )
     known = known if setup.base is base else ()
     naming = name_effects(setup.base, candidates, executor, progress, known)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
@@ -89,17 +102,23 @@ def diagnose(
     diagnosis = _conclude(
         found, on, confirming, setup.train, setup.holdout, candidates, correction=correction
     )
-    return conclude_setup(diagnosis, setup)
+    return replace(conclude_setup(diagnosis, setup), accepted=accepted)
 
 
 def _check_and_prepare(
-    train: Sequence[Record], holdout: Sequence[Record], plant: PlantSettings
-) -> tuple[Evidence, list[Record], list[Record], bool]:
-    """Return the evidence for fits and choices, its records, and whether a single run was cut."""
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    plant: PlantSettings,
+    accept: Mapping[str, str] | None,
+) -> tuple[Evidence, list[Record], list[Record], bool, tuple[AcceptedDoubt, ...]]:
+    """Return the evidence for fits and choices, its records, and whether a single run was cut.
+
+    The last are the doubts about the data that the user accepted.
+    """
     records = [*train, *holdout]
     if not records:
         raise BadData("no records; give at least one log")
-    check_measured_runs(records, plant)
+    accepted = check_measured_runs(records, plant, accept)
     is_cut = not holdout and len(train) == 1
     fitted, held = ([*train], [*holdout]) if holdout else split_by_run(train)
     evidence = prepare_evidence(fitted, held, plant)
@@ -109,8 +128,8 @@ def _check_and_prepare(
             f"the records hold {channels}; needed are pressure_pa with valve_v or "
             "position_m; or, with `actuator: direct` in the plant file, force_n with position_m"
         )
-    check_sensors(records, evidence.noises)
-    return keep_for_choice(evidence, is_cut=is_cut), fitted, held, is_cut
+    accepted += check_sensors(records, evidence.noises, plant, accept)
+    return keep_for_choice(evidence, is_cut=is_cut), fitted, held, is_cut, accepted
 
 
 def _recalibrate(

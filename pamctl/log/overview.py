@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from pamctl.log.contents import Contents
 from pamctl.log.framing import LogError
 from pamctl.log.reader import scan_log
-from pamctl.log.schema import EVENT_TOPIC, IMPORTED
+from pamctl.log.schema import CUT, EVENT_TOPIC, IMPORTED
 from pamctl.log.ticks import TickBatch
 from pamctl.signals import Phase
 
@@ -45,6 +46,7 @@ def info(path: str | Path) -> dict[str, Any]:
         "channels": dict(contents.counts),
         "origin": IMPORTED if contents.is_imported else "recorded",
         "source": contents.metadata.get("import", {}).get("source"),
+        "cut_from": _describe_cut(contents.metadata.get(CUT)),
         **{key: run.get(key) for key in ("law", "controller", "experiment", "plant", "backend")},
         "seed": config.get("seed"),
         "timing_setup": dict(contents.metadata.get("timing_setup", {})),
@@ -52,6 +54,13 @@ def info(path: str | Path) -> dict[str, Any]:
         "start": None if contents.is_imported else origin.get("start"),
         "outcome": next((e for e in reversed(events) if e.get("event") == "outcome"), None),
     }
+
+
+def _describe_cut(cut: Mapping[str, str] | None) -> str | None:
+    if cut is None:
+        return None
+    rows = f"rows {cut['first_row']} to {cut['last_row']} of {cut['source_rows']}"
+    return f"{cut['source']}, {rows}, {float(cut['from_s']):.6g} to {float(cut['to_s']):.6g} s"
 
 
 class _Tally:

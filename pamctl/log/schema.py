@@ -29,6 +29,8 @@ GAINS_TOPIC = "/pam/gains"
 KEYFRAME_TOPIC = "/pam/keyframe"
 TICK_MESSAGE = "pamctl.Tick"
 
+CUT = "cut"
+"""Name of the metadata record that says of what a log is a piece."""
 IMPORTED = "imported"
 """Value of `origin` in the tick channel's metadata if another system measured the data.
 

@@ -22,7 +22,12 @@ from pamctl.plant.parameters import PaperParameters, PlantParameters
 PAPER: dict[str, float] = MuscleParameters().model_dump()
 """Tables I and II in SI."""
 ACTUATOR = "actuator"
-"""0: a muscle; 1: a force that drives the mechanics directly."""
+"""Place of the actuator in `ACTUATORS`."""
+ACTUATORS = ("muscle", "direct", "chamber")
+"""A muscle; a force that drives the mechanics directly; a chamber whose walls do not move."""
+CHAMBER_VOLUME = "chamber_volume_m3"
+_RIGID = {"damping_n_s_per_m": 1e12, "stiffness_n_per_m": 1e12, "kinetic_friction_per_m": 0.0}
+"""The walls of a chamber: they move by less than a picometre per newton."""
 
 
 def _lay_out_group(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
@@ -51,7 +56,7 @@ def _sizes_of(part: Part) -> tuple[tuple[str, float], ...]:
 
 _VALVE, _AIR = _sizes_of("valve"), _sizes_of("air")
 _MECHANICS, _SENSORS = _sizes_of("mechanics"), _sizes_of("sensors")
-_DEFAULTS = {ACTUATOR: 0.0, **PAPER, **NEUTRAL}
+_DEFAULTS = {ACTUATOR: 0.0, CHAMBER_VOLUME: 0.0, **PAPER, **NEUTRAL}
 
 
 def parameters_of(values: Mapping[str, float]) -> PlantParameters:
@@ -67,7 +72,10 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         group(*[kind(*[v[name] for name in names]) for kind, names in layout])
         for group, layout in _LAYOUTS
     )
-    direct = v[ACTUATOR] != 0.0
+    actuator = ACTUATORS[round(v[ACTUATOR])]
+    direct = actuator == "direct"
+    if actuator == "chamber":
+        v |= _make_chamber_rigid(v)
     paper = PaperParameters(
         mass_kg=v["mass_kg"],
         damping_n_s_per_m=v["damping_n_s_per_m"],
@@ -96,6 +104,13 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         sensors_act=any(v[name] != neutral for name, neutral in _SENSORS),
         direct=direct,
     )
+
+
+def _make_chamber_rigid(v: Mapping[str, float]) -> dict[str, float]:
+    """Return the numbers of a muscle that has the chamber's volume (Eq. 2) and cannot move."""
+    length, braid = v["rest_length_m"], v["braid_length_m"]
+    turns_squared = length * (braid * braid - length * length) / v[CHAMBER_VOLUME]
+    return {**_RIGID, "braid_turns": math.sqrt(turns_squared / (4.0 * math.pi))}
 
 
 def _explain_unknown(name: str) -> str:

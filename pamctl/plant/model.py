@@ -19,7 +19,14 @@ from hal.configured import Configured
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.correction_tables import Correction, CorrectionTable
 from pamctl.plant.effects.description import EffectDescription, EffectParameter, acts
-from pamctl.plant.flat import ACTUATOR, NEUTRAL, PAPER, parameters_of
+from pamctl.plant.flat import (
+    ACTUATOR,
+    ACTUATORS,
+    CHAMBER_VOLUME,
+    NEUTRAL,
+    PAPER,
+    parameters_of,
+)
 from pamctl.plant.muscle_parameters import MuscleParameters
 from pamctl.plant.parameters import PlantParameters
 
@@ -117,12 +124,16 @@ class PlantSettings(Configured):
 
     base: Annotated[Literal["paper"], Field(description="Eq. 1 to 9")] = "paper"
     actuator: Annotated[
-        Literal["muscle", "direct"],
+        Literal["muscle", "direct", "chamber"],
         Field(
             description="direct: a measured force, and a piston if there is one, drive mass, "
-            "spring and friction; no muscle"
+            "spring and friction; no muscle. chamber: a volume that does not change, behind the "
+            "valve"
         ),
     ] = "muscle"
+    chamber_volume_m3: Annotated[
+        float | None, Field(gt=0, description="of `actuator: chamber`, its tubes included")
+    ] = None
     parameters: MuscleParameters = MuscleParameters()
     effects: EffectSettings = EffectSettings()
     correction: Annotated[
@@ -151,6 +162,12 @@ class PlantSettings(Configured):
                     f"actuator direct needs parameters.{missing[0]}: the paper's value is that of "
                     "a muscle; give a guess (stiffness_n_per_m: 0 for no spring)"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _check_chamber(self) -> PlantSettings:
+        if (self.actuator == "chamber") != (self.chamber_volume_m3 is not None):
+            raise ValueError("`actuator: chamber` needs chamber_volume_m3, and no other does")
         return self
 
     @model_validator(mode="after")
@@ -203,8 +220,10 @@ def values_of(settings: PlantSettings) -> dict[str, float]:
     The tables of a correction, and the names of known numbers, are not part of the mapping.
     """
     values: dict[str, float] = settings.parameters.model_dump()
-    if settings.actuator == "direct":
-        values[ACTUATOR] = 1.0
+    if settings.actuator != "muscle":
+        values[ACTUATOR] = float(ACTUATORS.index(settings.actuator))
+    if settings.chamber_volume_m3 is not None:
+        values[CHAMBER_VOLUME] = settings.chamber_volume_m3
     for name, effect in settings.effects.model_dump(exclude_none=True).items():
         for parameter in CATALOGUE[name].parameters:
             value = effect[parameter.name]
@@ -217,20 +236,21 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
     """Return the plant file of a flat mapping, validated; effects at neutral are left out."""
     parameters: dict[str, float] = {}
     effects: dict[str, dict[str, float]] = {}
+    plain = {CHAMBER_VOLUME: values[CHAMBER_VOLUME]} if values.get(CHAMBER_VOLUME) else {}
     for name, value in values.items():
         effect, dot, parameter = name.partition(".")
         if dot:
             effects.setdefault(effect, {})[parameter] = value
-        elif name != ACTUATOR:
+        elif name not in (ACTUATOR, CHAMBER_VOLUME):
             parameters[name] = value
     acting = {
         name: _name_choices(name, numbers)
         for name, numbers in effects.items()
         if name not in CATALOGUE or acts(CATALOGUE[name], numbers)
     }
-    actuator = "direct" if values.get(ACTUATOR) else "muscle"
+    actuator = ACTUATORS[round(values.get(ACTUATOR, 0.0))]
     return PlantSettings.model_validate(
-        {"actuator": actuator, "parameters": parameters, "effects": acting}
+        {"actuator": actuator, **plain, "parameters": parameters, "effects": acting}
     )
 
 

@@ -74,6 +74,10 @@ class ReferenceSource(Protocol):
     def is_stopping(self) -> bool:
         """The smooth stop has begun."""
 
+    @property
+    def end_reason(self) -> str:
+        """Why it ends where nothing ends it from outside."""
+
     def next_reference(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
         """Return the reference at `t_s`, or None at the end; and the zeros just found."""
 
@@ -137,7 +141,7 @@ def run_loop(
         return Ending(ExitCode.SAFETY_TRIP, str(error))
 
 
-_COMPLETE = Ending(ExitCode.OK, "the experiment is complete")
+_ENDED = Ending(ExitCode.OK, "the program ended")
 
 
 @dataclass
@@ -153,7 +157,7 @@ class _Loop:
     journal: Journal
     supervisor: Supervisor
     truth: Callable[[], Truth]
-    ending: Ending = _COMPLETE
+    ending: Ending = _ENDED
 
     def run(self) -> Ending:
         """Tick until the program ends."""
@@ -193,6 +197,7 @@ class _Loop:
         """Return the program's reference; when the experiment is over, begin the smooth stop."""
         reference, zero = self.program.next_reference(timing.t_s, raw)
         if reference is None and not self.program.is_stopping:
+            self.ending = Ending(ExitCode.OK, self.program.end_reason)
             self._begin_stop(timing, raw, state.safety.valve_v)
             reference, _ = self.program.next_reference(timing.t_s, raw)
         return reference, zero

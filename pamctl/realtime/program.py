@@ -64,6 +64,11 @@ class Program:
         """The smooth stop has begun."""
         return self._stop_begin_s is not None
 
+    @property
+    def end_reason(self) -> str:
+        """Why the course ends: the experiment is complete, or its duration was limited."""
+        return self._course.end_reason
+
     def begin_stop(self, t_s: float, valve_v: float) -> None:
         """Go from the present valve command to the safe one on a ramp."""
         if self._stop_begin_s is None:

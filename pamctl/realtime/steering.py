@@ -24,8 +24,6 @@ from pamctl.recording.ring import Ring
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.signals import Phase, Reference, Timing
 
-_COMPLETE = Ending(ExitCode.OK, "the experiment is complete")
-
 
 class OrderSlot(Protocol):
     """Where orders come from."""
@@ -71,7 +69,7 @@ class SteeredProgram:
         self._coming: _ComingRun | None = None
         self._safe_valve_v = setup.limits.safe_valve_v
         self._run: Program | None = None
-        self._run_ending = _COMPLETE
+        self._run_ending = Ending(ExitCode.OK, "the program ended")
         self._is_over = False
         self._is_homed = False
         self._reference = self._parked_reference()
@@ -120,6 +118,11 @@ class SteeredProgram:
     def is_stopping(self) -> bool:
         """The smooth stop of the loop has begun."""
         return self._is_leaving
+
+    @property
+    def end_reason(self) -> str:
+        """Why the present run ends where nothing ends it from outside."""
+        return self._run_ending.reason
 
     def begin_stop(self, t_s: float, valve_v: float) -> None:
         """End the loop: smoothly where a run goes on, at once where it is parked."""
@@ -196,7 +199,7 @@ class SteeredProgram:
         }
         self._journal.put_event(*now, {"event": "order", "do": "run", **resolved})
         self._run = self._program_of(resolved)
-        self._run_ending = _COMPLETE
+        self._run_ending = Ending(ExitCode.OK, self._run.end_reason)
         self._is_homed = True  # if homing fails, the loop ends
 
     def _change_gains(self, order: Mapping[str, Any], timing: Timing, raw: RawSample) -> None:

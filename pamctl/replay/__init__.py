@@ -84,7 +84,7 @@ def replay_log(
     `plain` runs the tick as the loop process does, not compiled. Raises NotReplayable.
     """
     recording = read_replay_source(log)
-    begin = 0 if from_s is None else recording.find_tick_before(from_s) + 1
+    begin = recording.find_begin() if from_s is None else recording.find_tick_before(from_s) + 1
     if not plain:
         _load_kernels(recording)
     began_s = time.perf_counter()

@@ -53,7 +53,8 @@ class ProgramReplay:
         self._valve_v = recording.log["valve_v"]
         self._safe_v = recording.setup_at(0).limits.safe_valve_v
         self._parked = make_valve_reference(Phase.OPEN_LOOP, self._safe_v)
-        self._is_first = begin == 0 and 0 not in recording.losses and not recording.orders
+        knows_start = 0 not in recording.losses and -1 not in recording.keyframes
+        self._is_first = begin == 0 and knows_start and not recording.orders
         self._program = (
             build_program(recording.settings) if self._is_first else self._resume_program(begin)
         )
@@ -96,10 +97,14 @@ class ProgramReplay:
         recording, times_s = self._recording, self._recording.log.t
         if recording.orders:
             return self._resume_order(begin)
+        if recording.cut.get("has_orders") == "true":  # the order itself was cut away
+            return None
         if not recording.settings.rig.homing.enabled:
             course_begin_s = 0.0
         elif homed := [tick for tick in recording.zeros if 0 < tick <= begin]:
             course_begin_s = float(times_s[max(homed)])
+        elif homed_t_s := recording.cut.get("homed_t_s"):
+            course_begin_s = float(homed_t_s)
         else:
             return None
         program = build_program(recording.settings, course_begin_s=course_begin_s)

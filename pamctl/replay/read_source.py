@@ -13,6 +13,7 @@ from pamctl.control.law import LawSettings
 from pamctl.control.law_registry import compare_law_source, explain_absent_law
 from pamctl.json_text import to_json
 from pamctl.log import Log
+from pamctl.log.schema import CUT
 from pamctl.realtime.keyframe import thaw_state
 from pamctl.realtime.tick import TickState, first_state
 from pamctl.replay.replay_source import GainChange, NotReplayable, ReplaySource
@@ -43,7 +44,9 @@ def read_replay_source(log: Log) -> ReplaySource:
     settings = _read_settings(log)
     orders = _read_orders(log)
     # A single run begins with what is configured; one that was ordered, with what was set.
-    gains = _read_controller(log, log.gains[0]) if orders else settings.controller
+    cut = log.metadata.get(CUT, {})
+    gains_set = orders or (cut and log.gains)
+    gains = _read_controller(log, log.gains[0]) if gains_set else settings.controller
     keyframes = _read_keyframes(log, settings.model_copy(update={"controller": gains}))
     return ReplaySource(
         log=log,
@@ -58,6 +61,7 @@ def read_replay_source(log: Log) -> ReplaySource:
         if log.keyframes
         else frozenset(),
         law_change=compare_law_source(log.metadata.get("law", {}), _name_law(log)),
+        cut=cut,
         losses=_find_losses(log, begins_known=-1 in keyframes),
     )
 

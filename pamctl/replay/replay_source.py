@@ -66,6 +66,8 @@ class ReplaySource:
     """The numbers that every keyframe of the log holds."""
     law_change: str
     """How the law's source differs from the one that made the log; empty if it does not."""
+    cut: Mapping[str, str]
+    """Of what the log is a piece (`pamctl.log.cutting`); empty for a whole log."""
     losses: frozenset[int]
     """Ticks with a loss before them: the run did not miss those ticks, but the log lost them."""
 
@@ -119,6 +121,17 @@ class ReplaySource:
     def output(self) -> Output:
         """The converter of the valve's output."""
         return output_of(self.settings)
+
+    def find_begin(self) -> int:
+        """Return the first tick to replay: of a piece, the one after its first frozen state."""
+        if not (self.cut and 0 in self.losses):
+            return 0
+        if not self.keyframes:
+            raise NotReplayable(
+                f"{self.log.path} was cut from {self.cut['source']} and holds no frozen state "
+                "(a run has one each second): cut a longer piece, or replay the whole log"
+            )
+        return min(self.keyframes) + 1
 
     def find_tick_before(self, t_s: float) -> int:
         """Return the last tick with a keyframe at or before `t_s`, or -1."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
+from collections.abc import Mapping
 from typing import Any
 
 from pamctl.log import Log
@@ -43,6 +44,7 @@ def make_replay_document(found: Replay, tolerance: str | None) -> dict[str, Any]
             }
             for difference in found.differences
         ],
+        "cut": dict(found.recording.cut) or None,
         "law_change": found.recording.law_change or None,
         "made_by": _maker(found),
         "speed_x_real_time": found.speed,
@@ -109,6 +111,8 @@ def format_replay(found: Replay) -> str:
         ]
     if found.begin:
         lines.append(f"from tick {_tick(found, found.begin)}, with the frozen state before it")
+    if cut := found.recording.cut:
+        lines.append(_describe_piece(found, cut))
     if found.recording.law_change:
         lines.append(f"warning: {found.recording.law_change}")
     if found.absent:
@@ -122,6 +126,17 @@ def format_replay(found: Replay) -> str:
             f"reference not compared in {found.unasked} ticks, because ticks before them are lost"
         )
     return "\n".join(lines)
+
+
+def _describe_piece(found: Replay, cut: Mapping[str, str]) -> str:
+    """Say where a piece of a log came from, and why its law cannot run from its first tick on."""
+    origin = f"cut from {cut['source']}, rows {cut['first_row']} to {cut['last_row']}"
+    if not found.begin:
+        return f"{origin}, with the frozen state before them"
+    return (
+        f"{origin}: its first {found.begin} ticks have no frozen state before them, "
+        "so filters and law are unknown there, and they are not replayed"
+    )
 
 
 def _format_differences(found: Replay) -> list[str]:

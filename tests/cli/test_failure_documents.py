@@ -64,6 +64,25 @@ def test_an_unknown_option_is_one_document(
     assert "--no-such-option" in ended.err
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [("--nope",), ("lgo",), ("log", "cut"), ("log", "cut", "a.mcap", "--out", "b.mcap"),
+     ("run", "--jobs"), ("diagnose", "a.mcap", "--out", "b", "--jobs", "none"),
+     ("watch", "--web", "--port", "1", "--every", "nan"), ("replay", "a.mcap", "--from", "-1")],
+    ids=" ".join,
+)  # fmt: skip
+def test_wrong_arguments_are_one_line_like_every_other_error(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+) -> None:
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as left:
+        patch.setattr(sys, "argv", ["pamctl", *arguments])
+        main()
+    out, err = capsys.readouterr()
+    assert (left.value.code, out) == (2, "")
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+
+
 @pytest.mark.parametrize("verb", STEERED, ids=" ".join)
 def test_a_missing_daemon_is_one_document(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, verb: tuple[str, ...]

@@ -114,6 +114,10 @@ def test_a_shortened_course_ends_at_its_new_end() -> None:
     course = Course(shipped("tracking-2"), duration_s=1.5)
     assert course.duration_s == 1.5
     assert len(walked(course)) == 1500
+    whole_s = sum(segment.duration_s for segment in shipped("tracking-2"))
+    said = f"the duration of 1.5 s ended the experiment of {whole_s:g} s"
+    assert course.end_reason == said
+    assert Course(shipped("tracking-2"), 1e4).end_reason == "the experiment is complete"
 
 
 def test_a_course_cannot_be_cut_longer() -> None:

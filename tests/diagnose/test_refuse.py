@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support.made_records import PERIOD_S, measured, pair
 
+import pamctl
 from pamctl.diagnose import Record, Verdict, diagnose
 from pamctl.diagnose.measured.column_shift import check_time_shifts
+from pamctl.diagnose.measured.quality_rules import RULES, doubt_excitation, doubt_record
+from pamctl.diagnose.measured.refuse import (
+    BadData,
+    UnknownRule,
+    check_measured_runs,
+    read_acceptances,
+)
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.plant.model import PlantSettings
 
 PAPER = PlantSettings()
+DIRECT = PlantSettings(actuator="direct")
 
 
 def spoilt(**changes: object) -> str:
@@ -33,9 +43,8 @@ def test_data_that_would_mislead_are_refused_with_the_reason() -> None:
     assert "mm or counts" in spoilt(position_m=position * 1e3)
     assert "driver's offset" in spoilt(valve_v=command + 5.0)
     assert "clipped" in spoilt(pressure_pa=np.minimum(pressure, 350e3))
-    t_s = good.t_s.copy()
-    t_s[2000:] += 0.3
-    assert "a gap of 0.301 s after row 1999" in spoilt(t_s=t_s)
+    shredded = np.arange(len(good)) * PERIOD_S + np.arange(len(good)) // 15 * 0.2
+    assert "leave no stretch of 20 samples" in spoilt(t_s=shredded)
     assert "pressure_pa answers 4" in spoilt(pressure_pa=np.roll(pressure, 40))
     assert "ms before valve_v" in spoilt(pressure_pa=np.roll(pressure, -20))
     assert "ms before pressure_pa" in spoilt(position_m=np.roll(position, -60))
@@ -67,3 +76,108 @@ def test_a_channel_that_stands_still_is_refused() -> None:
 def test_columns_of_different_lengths_raise_an_error() -> None:
     with pytest.raises(ValueError, match="3 samples"):
         Record("short", np.arange(4) * PERIOD_S, valve_v=np.zeros(3))
+
+
+def test_gaps_cut_a_record_into_segments_and_do_not_refuse_it() -> None:
+    good = measured("fit", 1)
+    t_s = good.t_s.copy()
+    t_s[2000:] += 0.3
+    t_s[4000:] += 0.04
+    paused = replace(good, t_s=t_s)
+    # A command holds over 40 missed ticks; a force that was not sampled does not.
+    assert paused.segments == (slice(0, 2000), slice(2000, len(good)))
+    assert len(replace(paused, valve_v=None).segments) == 3
+    assert check_measured_runs([paused], PAPER) == ()
+    assert good.segments == (slice(0, len(good)),)
+
+
+def sines(rate_hz: float, **columns: float) -> Record:
+    """Return slow sines of these amplitudes with a little noise, 20 s long."""
+    t_s = np.arange(round(20.0 * rate_hz)) / rate_hz
+    random = np.random.default_rng(5)
+    return Record(
+        "sines",
+        t_s,
+        **{
+            name: size * (np.sin(0.9 * t_s) + 1e-4 * random.normal(size=len(t_s)))
+            for name, size in columns.items()
+        },
+    )
+
+
+def test_a_mechanism_without_a_muscle_is_not_measured_by_the_muscle() -> None:
+    for rate_hz in (10.0, 100.0, 1000.0):
+        axis = sines(rate_hz, force_n=1e-3, position_m=0.3)
+        assert check_measured_runs([axis], DIRECT) == ()
+    held = replace(axis, pressure_pa=np.full(len(axis), 8e5))
+    assert check_measured_runs([held], DIRECT) == ()
+    gauge = replace(axis, pressure_pa=np.linspace(1e4, 7e5, len(axis)))
+    assert [d.rule for d in doubt_record(gauge, DIRECT)] == ["pressure_unit"]
+    flat = replace(axis, force_n=np.random.default_rng(1).normal(size=len(axis)))
+    assert [d.rule for d in doubt_excitation([flat], DIRECT)] == ["still"]
+
+
+def test_a_muscle_twice_as_large_is_judged_by_its_own_length() -> None:
+    twice = PAPER.model_copy(
+        update={
+            "parameters": PAPER.parameters.model_copy(
+                update={"rest_length_m": 0.4, "braid_length_m": 0.464}
+            )
+        }
+    )
+    good = measured("fit", 1)
+    large = replace(good, position_m=good["position_m"] * 4.5)
+    assert [d.rule for d in doubt_record(large, PAPER)] == ["position_unit"]
+    assert [*doubt_record(large, twice)] == []
+
+
+def test_a_rate_at_which_the_pressure_jumps_is_doubted_but_a_spike_is_not() -> None:
+    good = measured("squares", 1)
+    assert [*doubt_record(good, PAPER)] == []
+    every = slice(0, None, 100)
+    coarse = Record("coarse", good.t_s[every], good["valve_v"][every], good["pressure_pa"][every])
+    assert "coarse" in [d.rule for d in doubt_record(coarse, PAPER)]
+    spiky = good["pressure_pa"].copy()
+    spiky[1234] += 1e6
+    assert "coarse" not in [d.rule for d in doubt_record(replace(good, pressure_pa=spiky), PAPER)]
+
+
+def test_the_levels_of_a_valve_that_switches_are_to_be_mapped() -> None:
+    good = measured("squares", 1)
+    on_off = (good["valve_v"] > 0.0).astype(float)
+    assert [d.rule for d in doubt_record(replace(good, valve_v=10.0 * on_off - 5.0), PAPER)] == []
+    (doubt,) = doubt_record(replace(good, valve_v=24.0 * on_off), PAPER)
+    assert doubt.rule == "command_unit"
+    assert "gain 0.4167, offset -5" in doubt.text
+    (doubt,) = doubt_record(replace(good, valve_v=5.0 * on_off), PAPER)
+    assert "gain 2, offset -5" in doubt.text
+
+
+def test_a_slow_chamber_may_answer_later_than_a_fast_one() -> None:
+    t_s = np.arange(0.0, 8.0, 1e-3)
+    command = np.where(t_s > 1.0, 5.0, 0.0)
+    for half_s, delay_s, refused in ((0.3, 0.0, 0), (0.3, 0.02, 0), (0.02, 0.05, 1)):
+        since = np.maximum(t_s - 1.0 - delay_s, 0.0)
+        filling = 101e3 + 3e5 * since**2 / (half_s**2 + since**2)
+        record = Record("filling", t_s, valve_v=command, pressure_pa=filling)
+        assert len([*check_time_shifts(record)]) == refused
+
+
+def test_a_doubt_is_overruled_with_a_reason_that_is_kept() -> None:
+    good = measured("fit", 1)
+    spoilt_record = replace(good, valve_v=good["valve_v"] + 5.0)
+    with pytest.raises(BadData, match=r"--accept command_unit=REASON"):
+        check_measured_runs([spoilt_record], PAPER)
+    (accepted,) = check_measured_runs([spoilt_record], PAPER, {"command_unit": "0 to 10 V here"})
+    assert accepted.as_dict()["reason"] == "0 to 10 V here"
+    assert "output voltage" in accepted.doubts[0]
+    assert read_acceptances(["gap = the logger paused"]) == {"gap": "the logger paused"}
+    with pytest.raises(UnknownRule, match="did you mean clipped"):
+        read_acceptances(["cliped=it is so"])
+    with pytest.raises(UnknownRule, match="say why"):
+        read_acceptances(["gap"])
+
+
+def test_the_manual_lists_every_rule() -> None:
+    page = (Path(pamctl.__file__).parent / "manual/how_to/diagnose-a-log.md").read_text()
+    assert [name for name in RULES if f"`{name}`" not in page] == []

@@ -604,7 +604,11 @@ def test_card_and_simulation_give_the_same_ticks(card: Card) -> None:
         ScriptedSupervisor(),
         lambda: Truth(math.nan, math.nan),
     )
-    assert ending == simulated.ending == Ending(ExitCode.OK, "the experiment is complete")
+    assert (
+        ending
+        == simulated.ending
+        == Ending(ExitCode.OK, "the duration of 3 s ended the experiment of 37 s")
+    )
     assert len(journal.ticks) == len(simulated.journal.ticks)
     assert len(journal.phase(Phase.APPROACH)) == 1000
     pairs = list(zip(journal.ticks, simulated.journal.ticks, strict=True))

@@ -572,7 +572,11 @@ def test_card_and_simulation_give_the_same_ticks(
         ScriptedSupervisor(),
         lambda: Truth(math.nan, math.nan),
     )
-    assert ending == simulated.ending == Ending(ExitCode.OK, "the experiment is complete")
+    assert (
+        ending
+        == simulated.ending
+        == Ending(ExitCode.OK, "the duration of 3 s ended the experiment of 37 s")
+    )
     assert len(journal.ticks) == len(simulated.journal.ticks) > 5000
     assert len(journal.phase(Phase.TRACK)) + len(journal.phase(Phase.APPROACH)) == 3000
     pairs = list(zip(journal.ticks, simulated.journal.ticks, strict=True))

@@ -320,7 +320,7 @@ def test_a_unit_that_looks_wrong_can_be_accepted_and_the_log_remembers(tmp_path)
     ("text", "told"),
     [
         ("", "is empty"),
-        ("0.0,1.0\n0.1,2.0\n", "no line of names"),
+        ("0.0,1.0\n0.1,2.0\n", "the columns are called 1, 2; say what they hold with --map"),
         ("t_s,position_m\n0.0,0.01\n0.001,abc\n", ":3: position_m is 'abc'"),
         ("t_s,position_m\n0.0,0.01\n0.001\n", ":3: the line has 1 cells"),
         ("t_s,t_s\n0.0,0.01\n", "more than one column t_s"),
@@ -450,3 +450,19 @@ def test_a_matrix_of_no_rows_and_a_thousand_million_columns_is_left_out(tmp_path
     assert content.count(size) == 1
     name.write_bytes(content.replace(size, struct.pack("<ii", 0, 1 << 30)))
     assert list(read_mat(name).columns) == ["t_s"]
+
+
+def test_columns_apart_by_spaces_and_without_names_are_called_by_their_numbers(
+    tmp_path: Path,
+) -> None:
+    rows = "\n".join(f"  {10 * k}   {0.1 * k:.3f}  {2.0 + 0.01 * k:.3f}" for k in range(50))
+    (tmp_path / "pistons.txt").write_text(rows)
+    (tmp_path / "map.yaml").write_text(
+        "time: {column: 1, unit: ms}\n"
+        "position: {column: 2, unit: mm}\n"
+        "pressure: {column: '3', unit: bar, gauge: true}\n"
+    )
+    imported = Outcome(tmp_path / "pistons.txt", "--map", str(tmp_path / "map.yaml")).signals
+    assert len(imported) == 50
+    assert imported.position_m[7] == pytest.approx(0.7e-3)
+    assert imported.pressure_pa[7] == pytest.approx(ATMOSPHERE_PA + 2.07e5)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import support.paper_equations as paper
 from hypothesis import assume, given
@@ -16,7 +17,14 @@ from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
-from pamctl.plant.model import MuscleParameters, PlantSettings, plant_parameters
+from pamctl.plant.drive import drive_coupled, drive_pressure
+from pamctl.plant.model import (
+    MuscleParameters,
+    PlantSettings,
+    plant_parameters,
+    settings_of,
+    values_of,
+)
 from pamctl.plant.paper.friction import AxialForces, axial_forces
 from pamctl.plant.paper.mechanics import mechanics_step, slide
 from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
@@ -503,3 +511,24 @@ def test_a_motion_whose_squared_speed_underflows_continues() -> None:
     x, v = slide(forces, 0.05, 0.01, 3e-200, 1e-3)
     assert x == 0.01
     assert v > 0.0
+
+
+def test_a_chamber_fills_as_its_volume_says_and_does_not_move() -> None:
+    volume_m3, gain = 2e-3, 1e-6
+    settings = PlantSettings(
+        actuator="chamber",
+        chamber_volume_m3=volume_m3,
+        parameters={"valve_gain_m2_per_v": gain, "stiffness_n_per_m": 1.0},
+    )
+    assert settings_of(values_of(settings)) == settings
+    p = plant_parameters(settings)
+    driven = drive_coupled(p, np.full(101, 5.0), TICK_S)
+    # While the flow is choked, V dP/dt = R T K_Av u P_tank Psi.
+    choked = PAPER.specific_energy_j_per_kg * gain * 5.0 * P_TANK * PAPER.choked_flow_s_per_m
+    risen_pa = driven.pressure_pa[-1] - driven.pressure_pa[0]
+    assert risen_pa == pytest.approx(0.1 * choked / volume_m3, rel=1e-6)
+    assert np.abs(driven.position_m).max() < 1e-6
+    still = drive_pressure(p, np.full(101, 5.0), np.zeros(101), TICK_S)
+    assert still.pressure_pa == pytest.approx(driven.pressure_pa, rel=1e-6)
+    with pytest.raises(ValueError, match="needs chamber_volume_m3"):
+        PlantSettings(actuator="chamber")

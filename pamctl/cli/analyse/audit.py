@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,11 +37,14 @@ def audit(
     start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
     from pamctl.diagnose.audit import audit_run
 
-    found = audit_run(_make_record(what, plant), start)
+    record = _make_record(what, plant)
+    found = audit_run(record, start)
+    runs_here = start.actuator == "muscle" and not record.is_imported
     if as_json:
         print_json(found.as_dict())
     else:
-        typer.echo("\n".join(_format_audit(found)))
+        advise = partial(_write_advice, actuator=start.actuator, runs_here=runs_here)
+        typer.echo("\n".join(_format_audit(found, advise)))
 
 
 def _make_record(what: str, plant: str | None) -> Record:
@@ -63,38 +67,36 @@ def _make_record(what: str, plant: str | None) -> Record:
     )
 
 
-def _format_audit(found: Audit) -> list[str]:
+def _write_advice(experiment: str, *, actuator: str, runs_here: bool) -> str:
+    from pamctl.diagnose.experiments import write_advice
 
+    return write_advice(experiment, actuator, runs_here=runs_here)
+
+
+def _format_audit(found: Audit, advise: Callable[[str], str]) -> list[str]:
     lines = [f"shows {len(found.sees)} effects: {', '.join(found.sees) or 'none'}", ""]
     if found.blind_spots:
         lines.append("cannot show, at the smallest size of interest:")
         width = max(len(s.name) for s in found.blind_spots) + 2
         lines += [
-            f"  {s.name:<{width}}{s.why}; {_format_advice(s.visibility, s.experiment)}"
+            f"  {s.name:<{width}}{s.why}; {s.visibility}"
+            + (f"; add: {advise(s.experiment)}" if s.experiment else "")
             for s in found.blind_spots
         ]
     else:
         lines.append("no blind spots")
     if found.inseparable:
-        lines += ["", "cannot tell apart, at that size:", *_format_pairs(found.inseparable)]
+        lines += ["", "cannot tell apart, at that size:", *_format_pairs(found.inseparable, advise)]
     return lines
 
 
-def _format_pairs(pairs: Sequence[Inseparable]) -> Iterator[str]:
+def _format_pairs(pairs: Sequence[Inseparable], advise: Callable[[str], str]) -> Iterator[str]:
     """Group the pairs by the experiment that separates them, then by their first effect."""
-    from pamctl.diagnose.experiments import write_command
-
     width = max(len(pair.names[0]) for pair in pairs) + 2
     for experiment in sorted({pair.experiment for pair in pairs}, reverse=True):
         others: dict[str, list[str]] = {}
         for one, other in (pair.names for pair in pairs if pair.experiment == experiment):
             others.setdefault(one, []).append(other)
-        known = f"add: {write_command(experiment)}"
+        known = f"add: {advise(experiment)}"
         yield f"  {known if experiment else 'no shipped experiment separates them'}"
         yield from (f"    {one:<{width}}from {', '.join(rest)}" for one, rest in others.items())
-
-
-def _format_advice(visible: str, experiment: str) -> str:
-    from pamctl.diagnose.experiments import write_command
-
-    return f"{visible}; add: {write_command(experiment)}" if experiment else visible

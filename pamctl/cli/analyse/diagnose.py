@@ -44,6 +44,16 @@ def diagnose(
             show_default="none",
         ),
     ] = None,
+    accept: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--accept",
+            metavar="RULE=REASON",
+            help="Doubt about the data to overrule, such as gap='logger paused'; "
+            "the document keeps the reason; can be repeated",
+            show_default="none",
+        ),
+    ] = None,
     correction: Annotated[
         bool,
         typer.Option(
@@ -68,9 +78,11 @@ def diagnose(
     from pamctl.diagnose import diagnose as find_missing_effects
     from pamctl.diagnose import summary
     from pamctl.diagnose.measured.from_log import record_of, require_held_out
+    from pamctl.diagnose.measured.refuse import read_acceptances
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
     from pamctl.diagnose.report.diagnosis_folder import write_diagnosis
 
+    accepted = read_acceptances(accept or [])
     require_held_out(logs, holdout or [])
     train = [record_of(path) for path in logs]
     held = [record_of(path) for path in holdout or []]
@@ -84,6 +96,7 @@ def diagnose(
             start,
             without=without or (),
             correction=correction,
+            accept=accepted,
             executor=executor,
             progress=lambda line: typer.echo(line, err=True),
         )

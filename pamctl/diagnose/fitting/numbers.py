@@ -98,6 +98,8 @@ def calibration_of(block: str, nominal: PlantSettings) -> tuple[str, ...]:
     A direct mechanism has no braid. Its spring is recalibrated if it has one.
     """
     names = CALIBRATED[block]
+    if nominal.actuator == "chamber":
+        names = ("valve_gain_m2_per_v", "tank_pressure_pa")
     if nominal.actuator == "direct":
         spring = ("stiffness_n_per_m",) if nominal.parameters.stiffness_n_per_m > 0.0 else ()
         names = ("mass_kg", "damping_n_s_per_m", *spring, LOAD)
@@ -108,8 +110,20 @@ def list_plant_numbers(nominal: PlantSettings) -> tuple[str, ...]:
     """Return every number of the plant file that acts on this actuator, known ones included."""
     if nominal.actuator == "direct":
         return (*AXIS, "atmospheric_pressure_pa")
+    if nominal.actuator == "chamber":
+        return AIR
     return tuple(MuscleParameters.model_fields)
 
+
+AIR = (
+    "tank_pressure_pa",
+    "atmospheric_pressure_pa",
+    "gas_constant_j_per_kg_k",
+    "temperature_k",
+    "heat_capacity_ratio",
+    "valve_gain_m2_per_v",
+)
+"""The parameters of a chamber; its volume is measured."""
 
 UNITS: Mapping[str, str] = {
     "mass_kg": "kg",

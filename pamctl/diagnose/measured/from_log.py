@@ -71,4 +71,5 @@ def record_of(path: str | Path) -> Record:
         acts_after_s=part.acts_after_s,
         held_v=part.held_v,
         experiment=experiment,
+        is_imported=log.is_imported,
     )

@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pamctl.log.cutting.pieces import find_longest_step_s, split_at_gaps
+
 Array = NDArray[np.float64]
 
 CHANNELS: Mapping[str, str] = {
@@ -51,6 +53,8 @@ class Record:
     notes: tuple[str, ...] = field(default=(), compare=False)
     experiment: str = field(default="", compare=False)
     """Name of the experiment that was run; empty if unknown."""
+    is_imported: bool = field(default=False, compare=False)
+    """Whether another system measured it: this one cannot be asked to run an experiment."""
 
     def __post_init__(self) -> None:
         """Accept any sequence of numbers; raise ValueError where lengths differ."""
@@ -86,6 +90,16 @@ class Record:
         return float(np.median(self.step_s))
 
     @property
+    def longest_step_s(self) -> float:
+        """The longest time between two samples that is not a gap."""
+        return find_longest_step_s(self.step_s, holds_command=self.valve_v is not None)
+
+    @cached_property
+    def segments(self) -> tuple[slice, ...]:
+        """The stretches between gaps, in order; a record without gaps is one."""
+        return split_at_gaps(self.t_s, holds_command=self.valve_v is not None)
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """The channels that were measured."""
         return tuple(name for name in CHANNELS if getattr(self, name) is not None)
@@ -112,6 +126,7 @@ class Record:
             held_v=held_v,
             notes=self.notes,
             experiment=self.experiment,
+            is_imported=self.is_imported,
         )
 
     @cached_property

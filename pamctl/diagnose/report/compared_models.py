@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.extend import assemble_plant
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, RUNAWAY, Drive
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.phrases import spell_names
@@ -29,6 +29,10 @@ class ModelStage(NamedTuple):
     colour: int
 
 
+LARGE_GAP = 1e4
+"""A gap of more of its units is shown in the unit of the signal: 20 mm, not 2e+04 µm."""
+
+
 class SignalDisplay(NamedTuple):
     """How a signal is shown: users think in mm, µm and kPa."""
 
@@ -37,6 +41,12 @@ class SignalDisplay(NamedTuple):
     factor: float
     gap_unit: str
     gap_factor: float
+
+    def choose_unit(self, size: float) -> tuple[float, str]:
+        """Return factor and unit for a gap of this size in SI: a large one is shown as a signal."""
+        if size * self.gap_factor < LARGE_GAP:
+            return self.gap_factor, self.gap_unit
+        return self.factor, self.unit
 
 
 SIGNAL_DISPLAYS: Mapping[str, SignalDisplay] = {
@@ -74,8 +84,9 @@ class HeldOutSignal:
     """Standard deviation of its sensor."""
 
     def residual(self, key: str) -> Array:
-        """Return measurement minus simulation."""
-        return self.measured - self.simulated[key]
+        """Return measurement minus simulation; a model that runs away stays drawable."""
+        most = RUNAWAY * self.deviation
+        return np.nan_to_num(self.measured - self.simulated[key], nan=most).clip(-most, most)
 
 
 @dataclass(frozen=True)

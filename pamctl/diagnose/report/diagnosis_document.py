@@ -56,6 +56,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
         "limits": _list_limits(diagnosis),
         "judge": _list_judges(diagnosis),
+        "accepted": [doubt.as_dict() for doubt in diagnosis.accepted],
         "integrator": {
             block: {"change_over_floor": change, "is_small": change <= SMALL}
             for block, change in diagnosis.substep_changes.items()

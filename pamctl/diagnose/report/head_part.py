@@ -26,11 +26,12 @@ def write_head(page: Page, diagnosis: Diagnosis) -> None:
 
 def _draw_levels(name: str, gap: HeldOutGap, stages: list[ModelStage]) -> Levels:
     signal = SIGNAL_DISPLAYS[name]
-    levels = Levels(signal.title, signal.gap_unit)
-    for stage in stages:
-        value = float(getattr(gap, stage.key)) * signal.gap_factor
-        levels.bar(stage.label, value, colour=stage.colour)
-    levels.mark(gap.floor * signal.gap_factor)
+    values = [float(getattr(gap, stage.key)) for stage in stages]
+    factor, unit = signal.choose_unit(max(values))
+    levels = Levels(signal.title, unit)
+    for stage, value in zip(stages, values, strict=True):
+        levels.bar(stage.label, factor * value, colour=stage.colour)
+    levels.mark(factor * gap.floor)
     return levels
 
 

@@ -7,6 +7,7 @@ from typing import Any
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.experiments import find_separating_experiment, find_showing_experiment
 from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.report.rig_at_hand import advise_experiment
 
 NEARLY_SEEN = 3.0
 """An effect visible from this many smallest sizes on needs no other experiment."""
@@ -19,7 +20,17 @@ def list_blind_spots(diagnosis: Diagnosis) -> list[dict[str, object]]:
 
 
 def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """Return the experiment that would answer more, if there is one."""
+    """Return the experiment that would answer more, if there is one.
+
+    `do` is the command that runs it, or says what to record on a rig that pamctl does not run.
+    """
+    experiment = _choose_experiment(diagnosis)
+    if experiment is None:
+        return None
+    return {**experiment, "do": advise_experiment(diagnosis, str(experiment["name"]))}
+
+
+def _choose_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
     sets = [[s.effect.name, *s.equal_rivals] for s in diagnosis.standings if s.equal_rivals]
     if sets:
         return find_separating_experiment(sets[0])
@@ -27,7 +38,7 @@ def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
         return {
             "name": "diagnosis",
             "separates": [],
-            "why": "the full program, to see in which regime the remainder lies",
+            "why": "a full program shows in which regime the remainder lies",
         }
     spots = [s for s in diagnosis.audit.blind_spots if s.experiment] if diagnosis.audit else []
     hidden = max(spots, key=lambda s: s.sizes, default=None)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
 from pamctl.diagnose.extend import CorrectionResult
+from pamctl.diagnose.fitting.drives import PRESSURE, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.fitting.intervals import FittedNumber
@@ -38,6 +39,12 @@ def parameter_of(name: str) -> EffectParameter:
 def numbers_of(diagnosis: Diagnosis, effect: str) -> list[FittedNumber]:
     """Return the fitted numbers of an effect."""
     return [number for number in diagnosis.numbers if number.name.startswith(f"{effect}.")]
+
+
+def mark_bound(diagnosis: Diagnosis, name: str) -> str:
+    """Mark a fitted number that ended at an end of the range in which it was searched."""
+    fits = diagnosis.model.fits.values() if diagnosis.model else ()
+    return "at an end" if any(name in fitted.at_bound for fitted in fits) else ""
 
 
 def describe_effects(diagnosis: Diagnosis) -> str:
@@ -130,8 +137,38 @@ def list_shifts(diagnosis: Diagnosis) -> str:
 def describe_largest_remainder(diagnosis: Diagnosis) -> str:
     """Say which block has the most left, how much, and in which regimes."""
     block, ratio, regimes = find_largest_remainder(diagnosis)
+    regimes = spell_regimes(diagnosis, regimes)
     where = f", {regimes}" if regimes == EVENLY else f"; worst: {regimes}"
-    return f"The {block} block is left at {ratio:.1f} times its floor{where}."
+    rms = _spell_rms(diagnosis, block, ratio)
+    return f"The {block} block is left at {ratio:.1f} times its floor{rms}{where}."
+
+
+def spell_regimes(diagnosis: Diagnosis, regimes: str) -> str:
+    """Return regimes in the words of the rig: only a muscle contracts."""
+    if diagnosis.nominal.actuator == "muscle":
+        return regimes
+    forward = regimes.replace("contracting", "moving to larger x")
+    return forward.replace("lengthening", "moving to smaller x")
+
+
+def _spell_rms(diagnosis: Diagnosis, block: str, ratio: float) -> str:
+    """Return the RMS of a residual that is this multiple of the block's floor, in brackets."""
+    model = diagnosis.model
+    if model is None:
+        return ""
+    drive = model.evidence.holdout[block][0]
+    factor, label = gap_units(channel_of(drive))
+    rms = ratio * model.floors[block].mean * drive.deviation * factor
+    unit = label.split(", ")[1]
+    if unit == "um" and rms >= 1e4:
+        return f" (RMS {rms / 1e3:.3g} mm)"
+    return f" (RMS {rms:.3g} {unit})"
+
+
+def channel_of(drive: Drive) -> str:
+    """Return the channel that a drive's output is compared with."""
+    own = "pressure_pa" if drive.block == PRESSURE else "position_m"
+    return str(getattr(drive, "channel", own))
 
 
 def describe_limits(model: Model) -> str:
@@ -150,11 +187,13 @@ def describe_limits(model: Model) -> str:
     )
 
 
-def describe_remainder(remainder: Remainder) -> str:
+def describe_remainder(remainder: Remainder, actuator: str) -> str:
     """Say what shape the residual has, and that this is no cause."""
     if not remainder.terms:
         return f"Unnamed correction of the {remainder.block}: no simple shape fits what is left."
     terms = " ".join(f"{value:+.3g} {term}" for term, value in remainder.terms)
+    if actuator == "direct":  # a force drives it, where a muscle has its pressure
+        terms = terms.replace("P", "F")
     return (
         f"Unnamed correction, not a cause: the remainder of the {remainder.block} looks like "
         f"{terms} {remainder.unit}. This covers {100.0 * remainder.explained:.0f} % of its square; "

@@ -13,6 +13,8 @@ from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.locate import RATE, RegimeMisfit
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
+from pamctl.diagnose.report.phrases import spell_regimes
+from pamctl.diagnose.report.sensor_units import write_deviations
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 
@@ -39,17 +41,16 @@ def write_map(page: Page, diagnosis: Diagnosis) -> None:
     model, base = diagnosis.model, diagnosis.base
     if model is None or base is None:
         return
+    blocks = sorted(model.evidence.blocks, key=base.ratio, reverse=True)
     page.section("Where they disagree")
     page.text(
-        "Here each block is simulated alone, driven by the other's measured signal. A block "
-        "without a fault stays dark, whatever the other block hides. The colour is the held-out "
-        "residual over its floor: 1 is nothing but noise. The floor is what the model leaves on "
-        "data that it generated itself."
+        _describe_drive(diagnosis, blocks) + " The colour is the held-out residual over its floor: "
+        "1 is nothing but noise. The floor is what the model leaves on data that it generated "
+        "itself."
     )
-    blocks = sorted(model.evidence.blocks, key=base.ratio, reverse=True)
     for block in blocks:
         page.grid(*_draw_maps(block, base, model), caption=_write_caption(block))
-    page.table(*_tabulate_regimes(diagnosis.base_misfits, diagnosis.misfits, model, blocks))
+    page.table(*_tabulate_regimes(diagnosis, model, blocks))
     page.text(
         "Each regime is compared with the same regime of records that the model generated itself. "
         "A regime stands out if its excess is large enough to matter. On average at most "
@@ -140,22 +141,35 @@ def _cell_means(plane: WorkingPlane, values: Array) -> Array:
     return means
 
 
+def _describe_drive(diagnosis: Diagnosis, blocks: Sequence[str]) -> str:
+    """Say what drives the simulated blocks."""
+    if len(blocks) > 1:
+        return (
+            "Here each block is simulated alone, driven by the other's measured signal. A block "
+            "without a fault stays dark, whatever the other block hides."
+        )
+    if blocks[0] == PRESSURE:
+        return "The pressure is simulated, driven by the measured command."
+    by = "force" if diagnosis.nominal.actuator == "direct" else "pressure"
+    return f"The motion is simulated, driven by the measured {by}."
+
+
 def _tabulate_regimes(
-    before: Sequence[RegimeMisfit],
-    after: Sequence[RegimeMisfit],
-    model: Model,
-    blocks: Sequence[str],
+    diagnosis: Diagnosis, model: Model, blocks: Sequence[str]
 ) -> tuple[list[str], list[list[str]]]:
     """Return header and rows: the regimes of all blocks, by their misfit before, largest first."""
+    before, after = diagnosis.base_misfits, diagnosis.misfits
     later = {(c.block, c.regime): c for c in after}
-    header = ["block", "regime", "of the time", "of the misfit", "recalibrated, x floor"]
+    header = ["block", "regime", "of the time", "of the misfit", "recalibrated, x floor", "RMS"]
     if model.effects:
         header.append("extended, x floor")
     header.append("stands out")
     rows = []
     for cell in sorted(before, key=lambda c: (blocks.index(c.block), -c.residual_over_floor)):
-        row = [cell.block, cell.regime, f"{100.0 * cell.share:.0f} %"]
+        regime = spell_regimes(diagnosis, cell.regime)
+        row = [cell.block, regime, f"{100.0 * cell.share:.0f} %"]
         row += [f"{100.0 * cell.excess_share:.0f} %", f"{cell.residual_over_floor:.2f}"]
+        row.append(write_deviations(model, cell.block, cell.rms))
         last = later.get((cell.block, cell.regime)) if model.effects else None
         if model.effects:
             row.append(f"{last.residual_over_floor:.2f}" if last else "-")

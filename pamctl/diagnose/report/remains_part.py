@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
-from pamctl.diagnose.experiments import write_command
 from pamctl.diagnose.measured.record import CHANNELS, Record
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
 from pamctl.diagnose.report.phrases import (
@@ -17,6 +16,7 @@ from pamctl.diagnose.report.phrases import (
     spell_names,
 )
 from pamctl.diagnose.report.regime_map import write_shape
+from pamctl.diagnose.report.rig_at_hand import advise_experiment, words_of_rig
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
 
@@ -41,7 +41,7 @@ def write_remainder(page: Page, diagnosis: Diagnosis) -> None:
     page.text(describe_largest_remainder(diagnosis))
     write_shape(page, diagnosis)
     if diagnosis.remainder is not None:
-        page.note(describe_remainder(diagnosis.remainder))
+        page.note(describe_remainder(diagnosis.remainder, diagnosis.nominal.actuator))
     if diagnosis.correction is not None:
         page.note(describe_correction(diagnosis.correction))
 
@@ -56,7 +56,11 @@ def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
         page.table(
             ["effect", "why", "experiment that shows it"],
             [
-                [spell_names(s.name), f"{s.why}; {s.visibility}", write_command(s.experiment)]
+                [
+                    spell_names(s.name),
+                    f"{s.why}; {s.visibility}",
+                    advise_experiment(diagnosis, s.experiment),
+                ]
                 for s in audit.blind_spots
             ],
             caption="An effect in this list may be present although it is not named.",
@@ -65,7 +69,7 @@ def write_blind_spots(page: Page, diagnosis: Diagnosis) -> None:
         page.table(
             ["effects not told apart", "experiment that tells them apart", "why"],
             [
-                [spell_names(*p.names), write_command(p.experiment), p.why]
+                [spell_names(*p.names), advise_experiment(diagnosis, p.experiment), p.why]
                 for p in audit.inseparable
             ],
         )
@@ -88,12 +92,18 @@ def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Reco
         if r.name not in cut
     ]
     page.table(["record", "use", "duration, s", "samples", "period, ms", "measured"], rows)
+    if diagnosis.accepted:
+        page.table(
+            ["doubt about the data", "rule", "accepted because"],
+            [["; ".join(a.doubts), a.rule, a.reason] for a in diagnosis.accepted],
+            caption="These rules would have refused the data. The user overruled them.",
+        )
     model = diagnosis.model
     if model is None:
         return
     effects = diagnosis.nominal.effects.model_dump(exclude_none=True)
     page.text(
-        f"The start model is {diagnosis.nominal.base}, with "
+        f"The start model is {words_of_rig(diagnosis).start_model}, with "
         + (f"{spell_names(*effects)}." if effects else "no further effect.")
     )
     noises = model.evidence.noises

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.experiments import write_command
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.phrases import (
     describe_correction,
@@ -13,6 +12,7 @@ from pamctl.diagnose.report.phrases import (
     describe_remainder,
     describe_substeps,
     gap_units,
+    mark_bound,
 )
 from pamctl.diagnose.report.setup_part import list_setup_rows
 from pamctl.diagnose.report.verdict_words import sentence
@@ -37,18 +37,22 @@ def _list_parts(diagnosis: Diagnosis) -> Iterator[str]:
         yield describe_limits(diagnosis.model)
     yield describe_substeps(diagnosis.substep_changes)
     if diagnosis.remainder is not None:
-        yield describe_remainder(diagnosis.remainder)
+        yield describe_remainder(diagnosis.remainder, diagnosis.nominal.actuator)
     if diagnosis.correction is not None:
         yield describe_correction(diagnosis.correction)
+    for accepted in diagnosis.accepted:
+        yield f"accepted ({accepted.rule}): {accepted.reason}: {'; '.join(accepted.doubts)}"
     experiment = choose_next_experiment(diagnosis)
     if experiment:
-        yield f"next: {write_command(experiment['name'])}  # {experiment['why']}"
+        yield f"next: {experiment['do']}  # {experiment['why']}"
 
 
 def _number_rows(diagnosis: Diagnosis) -> Iterator[str]:
     yield f"{'fitted':<36}{'value':>12}  90 % interval"
     for n in diagnosis.numbers:
-        yield f"{n.name:<36}{n.value:>12.5g}  {n.low:.5g} to {n.high:.5g} {n.unit}".rstrip()
+        bound = mark_bound(diagnosis, n.name)
+        line = f"{n.name:<36}{n.value:>12.5g}  {n.low:.5g} to {n.high:.5g} {n.unit}".rstrip()
+        yield f"{line}  ({bound} of the range)" if bound else line
 
 
 def _rival_rows(diagnosis: Diagnosis) -> Iterator[str]:

@@ -42,6 +42,11 @@ def write_traces(page: Page, diagnosis: Diagnosis) -> None:
     page.section("Measured and simulated")
     page.figure(*_draw_close_up(stretch, stages), caption=_write_caption(stretch, stages))
     page.figure(
+        *_draw_same_scale(stretch, stages[-1]),
+        caption="The measured signal without its mean, and the residual, at the same scale: what "
+        f'the model "{stages[-1].label}" leaves of what there was to explain.',
+    )
+    page.figure(
         *_draw_whole(stretch, stages),
         caption=f"The residual over the whole record {stretch.record.name}. The stretch above lies "
         "between the dashed lines.",
@@ -116,11 +121,27 @@ def _draw_residual(
 ) -> SvgPlot:
     display = SIGNAL_DISPLAYS[signal.name]
     title = f"{display.title.split(',')[0]}, measurement \N{MINUS SIGN} simulation"
-    plot = SvgPlot(title, _TIME, PlotAxis("residual", display.gap_unit), height_px=110)
-    for stage in stages:
-        residual = display.gap_factor * signal.residual(stage.key)[part]
-        plot.line(t_s, residual, stage.label, colour=stage.colour)
+    residuals = [signal.residual(stage.key)[part] for stage in stages]
+    factor, unit = display.choose_unit(max(float(np.abs(r).max()) for r in residuals))
+    plot = SvgPlot(title, _TIME, PlotAxis("residual", unit), height_px=110)
+    for stage, residual in zip(stages, residuals, strict=True):
+        plot.line(t_s, factor * residual, stage.label, colour=stage.colour)
     return plot
+
+
+def _draw_same_scale(stretch: Stretch, stage: ModelStage) -> Iterator[SvgPlot]:
+    """Draw signal and residual of the whole record on one axis, with their RMS as labels."""
+    record = stretch.record
+    for signal in record.signals:
+        display = SIGNAL_DISPLAYS[signal.name]
+        moved = display.factor * (signal.measured - np.mean(signal.measured))
+        left = display.factor * signal.residual(stage.key)
+        name = display.title.split(",")[0]
+        plot = SvgPlot(f"{name}, signal and residual", _TIME, PlotAxis(name.lower(), display.unit))
+        for label, values, colour in (("signal", moved, MUTED), ("residual", left, stage.colour)):
+            rms = float(np.sqrt(np.mean(values[record.counted] ** 2)))
+            plot.line(record.t_s, values, f"{label}, RMS {rms:.3g} {display.unit}", colour=colour)
+        yield plot
 
 
 def _draw_whole(stretch: Stretch, stages: Sequence[ModelStage]) -> Iterator[SvgPlot]:

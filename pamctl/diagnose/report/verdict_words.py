@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.experiments import write_command
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.phrases import (
@@ -23,6 +22,7 @@ from pamctl.diagnose.report.phrases import (
     spell_names,
     spell_settled_effects,
 )
+from pamctl.diagnose.report.rig_at_hand import runs_here, words_of_rig
 from pamctl.diagnose.report.setup_part import describe_setup
 
 _RECORD = "pamctl run --experiment diagnosis --set experiment.seed=3 --log next.mcap"
@@ -60,18 +60,17 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     yield from choose_words(diagnosis).advice
     experiment = choose_next_experiment(diagnosis)
     if experiment:
-        yield _describe_experiment(experiment)
+        yield _describe_experiment(experiment, is_command=runs_here(diagnosis))
         done = {"diagnosis"} >= {record.experiment for record in diagnosis.train}
-        if not done and experiment["name"] != "diagnosis":
+        if runs_here(diagnosis) and not done and experiment["name"] != "diagnosis":
             yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
 
 
-def _describe_experiment(experiment: Mapping[str, Any]) -> str:
+def _describe_experiment(experiment: Mapping[str, Any], *, is_command: bool) -> str:
     effects = experiment["separates"]
     apart = f", which tells {' from '.join(map(spell_names, effects))}" if len(effects) > 1 else ""
-    return (
-        f"Next experiment: `{write_command(experiment['name'])}`{apart}. Why: {experiment['why']}."
-    )
+    do = f"`{experiment['do']}`" if is_command else experiment["do"]
+    return f"Next experiment: {do}{apart}. Why: {experiment['why']}."
 
 
 def _word_bad_data(diagnosis: Diagnosis) -> VerdictWords:
@@ -81,7 +80,8 @@ def _word_bad_data(diagnosis: Diagnosis) -> VerdictWords:
         f"Nothing was fitted, and nothing is concluded. The reason: {diagnosis.reason}",
         (
             "Repair what the reason names. `pamctl log check LOG` examines a log.",
-            f"Or record again, starting with the muscle vented and at rest: `{_RECORD}`.",
+            f"Or record again, starting {words_of_rig(diagnosis).begin}"
+            + (f": `{_RECORD}`." if runs_here(diagnosis) else "."),
         ),
         "bad",
     )
@@ -115,15 +115,24 @@ def _word_named(diagnosis: Diagnosis) -> VerdictWords:
     return VerdictWords(
         f"Missing from the model: {names}",
         f"With {describe_effects(diagnosis)} the residual is at the noise floor.",
-        "The model cannot explain the measurement with any values of its own numbers. With "
-        f"{names} it explains the measurement down to the sensor noise. "
+        "The model does not explain the measurement, not even with those values of its own numbers "
+        f"that fit best. With {names} it explains the measurement down to the sensor noise. "
         f"Size: {list_sizes(diagnosis)}.",
-        (
-            "Go on with plant.yaml, which has the effect. In the folder of this page: "
-            "`pamctl tune --law qsmc --plant plant.yaml --out gains.yaml`, then "
-            "`pamctl run --controller gains.yaml --plant plant.yaml`.",
-        ),
+        (_advise_after_naming(diagnosis),),
         "good",
+    )
+
+
+def _advise_after_naming(diagnosis: Diagnosis) -> str:
+    if diagnosis.nominal.actuator != "muscle":
+        return (
+            "Go on with plant.yaml, which has the effect: "
+            "`pamctl diagnose next.mcap --plant plant.yaml --out next` asks whether it holds."
+        )
+    return (
+        "Go on with plant.yaml, which has the effect. In the folder of this page: "
+        "`pamctl tune --law qsmc --plant plant.yaml --out gains.yaml`, then "
+        "`pamctl run --controller gains.yaml --plant plant.yaml`."
     )
 
 
@@ -134,8 +143,8 @@ def _word_ambiguous(diagnosis: Diagnosis) -> VerdictWords:
     return VerdictWords(
         f"Something is missing{beside}, and these data do not tell what: {sets}",
         f"Best so far: {describe_effects(diagnosis)}.{describe_bounds(diagnosis)}",
-        "The model cannot explain the measurement with any values of its own numbers. More than "
-        f"one effect explains it as well: {sets}. plant.yaml has the best fit, "
+        "The model does not explain the measurement with the best values of its own numbers. More "
+        f"than one effect explains it as well: {sets}. plant.yaml has the best fit, "
         f"{spell_effects(diagnosis)} ({list_sizes(diagnosis)}). It predicts what was measured. The "
         "cause stays open until the experiment below has been run.",
         ("Do not repair the rig on this evidence. Run the experiment that separates them.",),
@@ -166,8 +175,8 @@ def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
         return _word_signs(diagnosis)
     left = describe_largest_remainder(diagnosis)
     advice = [
-        "Look where the maps below are bright, and at the rig: supply, tubing, mounting, "
-        "sensors. plant.yaml has the recalibrated numbers, and no effect."
+        f"Look where the maps below are bright, and at the rig: {words_of_rig(diagnosis).suspects}."
+        " plant.yaml has the recalibrated numbers, and no effect."
     ]
     if diagnosis.correction is None:
         advice.append(
@@ -177,7 +186,7 @@ def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
     elif diagnosis.correction.blocks:
         advice.append(
             "plant.yaml also has a table without a name. It predicts better and explains "
-            "nothing: tune a law on it, but do not judge the rig by it."
+            "nothing: use it to predict, but do not judge the rig by it."
         )
     return VerdictWords(
         "Something is missing, and it is none of the known effects",

@@ -26,7 +26,7 @@ from pamctl.log.framing import (
     verify_checksum,
     walk_records,
 )
-from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
+from pamctl.log.schema import CUT, EVENT_TOPIC, TICK_TOPIC
 from pamctl.log.wire import UnknownLayout
 
 ConfigCheck = Callable[[str], Sequence[str]]
@@ -113,12 +113,17 @@ def _check_story(
         if recovery.get("unverified"):
             detail = f"no checksum covers the metadata {recovery['unverified']}"
             findings.warning("unverified", detail)
+    cut = contents.metadata.get(CUT)
+    if cut is not None:
+        where = f"rows {cut.get('first_row')} to {cut.get('last_row')}"
+        findings.note("cut", f"cut from {cut.get('source')}, {where} of {cut.get('source_rows')}")
     if contents.is_imported:
         source = contents.metadata.get("import", {}).get("source", "an unknown source")
         findings.note("imported", f"imported from {source}: it has no configuration and no outcome")
         return
     _check_config(contents, findings, problems_of_config, lost=recovery is not None)
-    if not any(event.get("event") == "outcome" for event in contents.values[EVENT_TOPIC]):
+    ended = any(event.get("event") == "outcome" for event in contents.values[EVENT_TOPIC])
+    if not ended and cut is None:
         findings.warning("outcome", "no outcome: the log does not say how the run ended")
 
 

@@ -17,6 +17,8 @@ from pamctl.signals import TICK_FIELDS
 
 CLOCK_TOLERANCE_S = 1e-6
 """Two clocks of one log differ by rounding: nanoseconds, and doubles over hours."""
+_FIRST_TICKS = 100
+"""Ticks whose median step is taken as the period."""
 _NEEDED = ("tick", "t_s", "dt_s", "missed")
 
 
@@ -36,7 +38,8 @@ class TickOrderCheck:
         now = {name: batch.columns[name] for name in _NEEDED}
         now["time_ns"] = batch.log_time_ns.astype(np.int64)
         if not self._before:
-            self._period_s = float(now["dt_s"][0])
+            # The first tick of a piece of a log may follow a gap.
+            self._period_s = float(np.median(now["dt_s"][:_FIRST_TICKS]))
         ticks = {
             name: np.concatenate([self._before.get(name, column[:0]), column])
             for name, column in now.items()

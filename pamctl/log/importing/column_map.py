@@ -12,14 +12,24 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from hal.configured import Configured
 from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, ColumnReading
 
+
+def _spell_number(column: object) -> object:
+    return str(column) if type(column) is int else column
+
+
 Column = Annotated[
     str,
-    Field(min_length=1, description="name in the file; for a column of a MAT matrix: yout(:,2)"),
+    BeforeValidator(_spell_number),
+    Field(
+        min_length=1,
+        description="name in the file; its number from 1 where the file has no line of names; "
+        "for a column of a MAT matrix: yout(:,2)",
+    ),
 ]
 Gain = Annotated[float, Field(description="multiplies the column")]
 Offset = Annotated[float, Field(description="added to column x gain, in the unit given here")]

@@ -121,6 +121,11 @@ def _match_names(table: MeasuredTable, findings: LogFindings) -> list[ColumnRead
             raise ImportRefused(f"both {both} give {reading.quantity}; choose one with --map")
     if TIME not in found:
         listed = ", ".join(list(table.columns)[:20])
+        if all(name.isdigit() for name in table.columns):
+            raise ImportRefused(
+                f"there is no line of names above the numbers: the columns are called {listed}; "
+                "say what they hold with --map, such as `time: {column: 1, unit: ms}`"
+            )
         detail = "no column is called t_s, time_s, time_ms or the like, with the unit in its name"
         raise ImportRefused(f"{detail}; there are {listed}; name the time column with --map")
     if ignored:

@@ -7,9 +7,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+from numpy.typing import NDArray
 
 from pamctl.json_text import from_json
 from pamctl.log.container import PackedChunk
@@ -224,12 +226,21 @@ class LogCopy:
         )
         self._channels[channel.id] = (channel.topic, copied)
 
+    def select_messages(self, topic: str, messages: NDArray[Any]) -> NDArray[Any]:
+        """Return those of these messages that are to be copied: all, unless a subclass differs."""
+        del topic
+        return messages
+
     def _copy_messages(self, data: memoryview, first: FileRecord) -> int:
         run = find_message_run(data, first)
+        end = first.start + run.nbytes
         channel = int(run["channel"][0])
         if channel not in self._channels:
             raise Damage(first.start, f"channel {channel} was described in a lost part")
         topic, copied = self._channels[channel]
+        run = self.select_messages(topic, run)
+        if not len(run):
+            return end
         if topic in JSON_SCHEMAS:
             rows = (from_json(bytes(body)).get("row", -1) for body in run["body"])
             self.last_row = max(self.last_row, *rows)
@@ -237,4 +248,4 @@ class LogCopy:
             self.last_tick = max(self.last_tick, int(run["sequence"].max()))
         self._writer.add(copied, run.copy())
         self.saved[topic] += len(run)
-        return first.start + run.nbytes
+        return end

@@ -26,7 +26,7 @@ DESCRIPTION = EffectDescription(
     parameters=(
         size("volume_m3", "m3", 6e-5, smallest=1e-6, start=4e-6, meaning="V_d, added volume"),
     ),
-    signature="the simulated pressure changes too fast, most where the muscle is longest",
+    signature="the simulated pressure changes too fast, most where the volume is smallest",
     best_experiment="slow-ramps",
     seen_by=("pressure",),
     entries=(EffectEntry("volume", add_dead_volume_m3),),

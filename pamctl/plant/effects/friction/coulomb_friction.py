@@ -25,7 +25,7 @@ DESCRIPTION = EffectDescription(
     block="mechanics",
     equation="f in [-f_0, f_0], added to the band of Eq. 5",
     parameters=(size("force_n", "N", 40.0, smallest=0.3, start=2.0, meaning="f_0"),),
-    signature="in both directions, also without pressure: the vented muscle rests off its zero",
+    signature="in both directions, also without pressure: what moves comes to rest off its zero",
     best_experiment="slow-ramps",
     seen_by=("mechanics",),
     entries=(EffectEntry("friction", add_dry_friction, after=("return_friction",)),),

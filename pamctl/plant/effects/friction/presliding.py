@@ -170,7 +170,7 @@ DESCRIPTION = EffectDescription(
             meaning="sigma_1, in the form lugre only",
         ),
     ),
-    signature="at reversals only: the muscle moves some micrometres before it slides, and the "
+    signature="at reversals only: it moves some micrometres before it slides, and the "
     "force depends on where it reversed; the error grows with pressure",
     best_experiment="multisine-small",
     seen_by=("mechanics",),

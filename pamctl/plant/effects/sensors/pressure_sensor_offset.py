@@ -47,7 +47,7 @@ DESCRIPTION = EffectDescription(
             low=-2e4,
         ),
     ),
-    signature="the vented muscle does not read atmospheric pressure; both blocks show it",
+    signature="at atmospheric pressure the sensor reads another one; both blocks show it",
     best_experiment="square-1",
     seen_by=("pressure", "mechanics"),
     entries=(

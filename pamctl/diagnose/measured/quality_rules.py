@@ -1,0 +1,289 @@
+"""What makes a record doubtful, rule by rule; a rule speaks of the actuator that it knows.
+
+A doubt may be wrong: the user overrules it with a reason, which the document keeps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from pamctl.diagnose.measured.column_shift import check_time_shifts
+from pamctl.diagnose.measured.record import CHANNELS, Array, Record, estimate_resolution
+from pamctl.diagnose.measured.sensor_noise import Noise
+from pamctl.plant.model import PlantSettings
+
+Flags = NDArray[np.bool_]
+
+RULES: Mapping[str, str] = {
+    "short": "a record of a muscle or a chamber lasts less than 2 s",
+    "gap": "gaps in the time leave no stretch that is long enough",
+    "coarse": "a signal passes half of its span between two samples",
+    "command_unit": "the command does not look like -5 to 5 V",
+    "pressure_unit": "the pressure does not look like absolute pascals",
+    "position_unit": "the muscle moves by more than 45 % of its rest length",
+    "position_sign": "the muscle is longer than at its vented rest",
+    "clipped": "a sensor stands still at its extreme value",
+    "shifted": "a column answers before its cause, or long after it",
+    "still": "a signal hardly varies in any record",
+}
+"""The rules and what they doubt, by the name that `--accept` takes."""
+
+SHORTEST_S = 2.0
+FEWEST_SAMPLES = 100
+SHORTEST_STRETCH = 20
+"""A stretch between gaps with fewer samples shows nothing."""
+HALF_SPAN = 0.5
+"""A signal that moves by this share of its span between two samples is not resolved."""
+STILL_TIMES_NOISE = 10.0
+"""A signal that varies by less than this multiple of its noise tells nothing."""
+
+USED: Mapping[str, tuple[str, ...]] = {
+    "direct": ("force_n", "pressure_pa", "position_m"),
+    "chamber": ("valve_v", "pressure_pa"),
+}
+"""The channels that an actuator's model reads; the rules ask nothing of the others."""
+_OF_VALVE_AND_AIR = ("valve_v", "pressure_pa", "position_m")
+
+
+class Doubt(NamedTuple):
+    """What a rule found."""
+
+    rule: str
+    text: str
+
+
+def list_used_channels(record: Record, plant: PlantSettings) -> tuple[str, ...]:
+    """Return the measured channels that this plant's model reads."""
+    used = USED.get(plant.actuator, _OF_VALVE_AND_AIR)
+    return tuple(channel for channel in record.channels if channel in used)
+
+
+def doubt_record(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+    """Yield what is doubtful about the times and units of a record."""
+    yield from _doubt_length(record, plant)
+    yield from _doubt_rate(record, plant)
+    if "valve_v" in list_used_channels(record, plant):
+        yield from _doubt_command_unit(record)
+    if record.pressure_pa is not None:
+        yield from _doubt_pressure_unit(record, plant)
+    if record.position_m is not None and plant.actuator == "muscle":
+        yield from _doubt_position(record, plant)
+
+
+def _doubt_length(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+    stretches = [s for s in record.segments if s.stop - s.start >= SHORTEST_STRETCH]
+    if sum(s.stop - s.start for s in stretches) < FEWEST_SAMPLES:
+        longest = int(np.argmax(record.step_s))
+        yield Doubt(
+            "gap",
+            f"{record.name}: {len(record.segments) - 1} gaps, the longest of "
+            f"{record.step_s[longest]:.3g} s after row {longest}, leave no stretch of "
+            f"{SHORTEST_STRETCH} samples, or fewer than {FEWEST_SAMPLES} samples in such "
+            "stretches; record without pauses of the logger",
+        )
+    if plant.actuator != "direct" and record.duration_s < SHORTEST_S:
+        yield Doubt(
+            "short",
+            f"{record.name}: {record.duration_s:.3g} s long, shorter than {SHORTEST_S:g} s; "
+            "record a whole excitation",
+        )
+
+
+def _doubt_rate(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+    """Doubt a rate at which a state of the plant jumps: how it came there was not seen.
+
+    Single outliers do not count. A measured input, such as a force, may jump.
+    """
+    states = {"position_m"} if plant.actuator == "direct" else {"position_m", "pressure_pa"}
+    inside = record.step_s <= record.longest_step_s
+    for channel in record.channels:
+        span = float(np.ptp(record[channel]))
+        if channel not in states or span == 0.0:
+            continue
+        smooth = median_filter(record[channel], 3, mode="nearest")
+        jumps = np.where(inside, np.abs(np.diff(smooth)), 0.0)
+        largest = int(np.argmax(jumps))
+        if jumps[largest] > HALF_SPAN * span:
+            yield Doubt(
+                "coarse",
+                f"{record.name}: {channel} passes {100.0 * jumps[largest] / span:.0f} % of its "
+                f"span between two samples (row {largest}), "
+                f"{1e3 * record.step_s[largest]:.3g} ms apart: how it came there was not "
+                "seen; sample at least ten times faster",
+            )
+
+
+def _doubt_command_unit(record: Record) -> Iterator[Doubt]:
+    values = record["valve_v"]
+    low, high = float(values.min()), float(values.max())
+    runs = f"{record.name}: valve_v runs from {low:.3g} to {high:.3g}"
+    if len(np.unique(values)) == 2 and (high > 10.5 or low >= 0.0):
+        if high > 10.5 or _falls_at(record, low):
+            yield Doubt(
+                "command_unit",
+                f"{record.name}: valve_v is either {low:.3g} or {high:.3g}: a valve that "
+                "switches. The model reads 5 V as filling, -5 V as exhausting, 0 V as closed: "
+                f"map the two levels to these (import map: gain {10.0 / (high - low):.4g}, "
+                f"offset {-5.0 - low * 10.0 / (high - low):.4g} for filling and exhausting)",
+            )
+    elif high > 10.5 or low < -10.5:
+        yield Doubt(
+            "command_unit", f"{runs}: not volts of command (-5 to 5); is it in mV or per cent?"
+        )
+    elif low > -0.2 and high > 5.5:
+        yield Doubt(
+            "command_unit",
+            f"{runs}: the output voltage, not the command; subtract the driver's offset (5 V)",
+        )
+
+
+def _falls_at(record: Record, level: float) -> bool:
+    """Tell whether the pressure loses half of its span while a command holds this level."""
+    if record.pressure_pa is None:
+        return False
+    there = (record["valve_v"] == level)[:-1]
+    lost = -np.minimum(np.diff(median_filter(record.pressure_pa, 5, mode="nearest")), 0.0)
+    gained_and_lost = float(lost[there].sum())
+    return gained_and_lost > 0.5 * float(np.ptp(record.pressure_pa)) and bool(
+        lost[there].mean() > 2.0 * lost[~there].mean()
+    )
+
+
+def _doubt_pressure_unit(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+    low, high = find_usual_ends(record["pressure_pa"])
+    atmosphere, tank = plant.parameters.atmospheric_pressure_pa, plant.parameters.tank_pressure_pa
+    if high < 5e3:
+        yield Doubt(
+            "pressure_unit",
+            f"{record.name}: pressure_pa runs from {low:.3g} to {high:.3g}: not absolute "
+            "pascals; is it in kPa or bar?",
+        )
+    elif low < 0.5 * atmosphere:
+        yield Doubt(
+            "pressure_unit",
+            f"{record.name}: pressure_pa falls to {low:.4g} Pa, below the atmosphere: "
+            "is it gauge pressure? It must be absolute",
+        )
+    elif high > 2.0 * tank and plant.actuator != "direct":
+        yield Doubt(
+            "pressure_unit",
+            f"{record.name}: pressure_pa rises to {high:.4g} Pa, the tank has {tank:.4g} Pa: "
+            "wrong unit, or the wrong tank_pressure_pa in the plant file",
+        )
+
+
+def _doubt_position(record: Record, plant: PlantSettings) -> Iterator[Doubt]:
+    low, high = float(record["position_m"].min()), float(record["position_m"].max())
+    length_m = plant.parameters.rest_length_m
+    if max(abs(low), abs(high)) > 0.45 * length_m:
+        yield Doubt(
+            "position_unit",
+            f"{record.name}: position_m runs from {low:.3g} to {high:.3g}, and the plant file's "
+            f"muscle is {length_m:.3g} m long (rest_length_m): is the column in mm or counts, or "
+            "the plant file that of another actuator?",
+        )
+    elif record.pressure_pa is not None and low < -0.02 * length_m:
+        yield Doubt(
+            "position_sign",
+            f"{record.name}: position_m falls to {low:.3g} m: contraction must count "
+            "positive, from zero at the vented muscle",
+        )
+
+
+def doubt_sensors(
+    record: Record, plant: PlantSettings, noises: Mapping[str, Noise]
+) -> Iterator[Doubt]:
+    """Yield doubts about clipped channels, which their noise reveals, and shifted ones."""
+    for channel in list_used_channels(record, plant):
+        if channel in noises:  # the command has no sensor
+            yield from _doubt_extremes(record, plant, channel, noises[channel])
+    for text in check_time_shifts(record):
+        yield Doubt("shifted", text)
+
+
+def _doubt_extremes(
+    record: Record, plant: PlantSettings, channel: str, noise: Noise
+) -> Iterator[Doubt]:
+    """Find a channel that stands still at its extreme value, where its noise should show."""
+    values = record[channel]
+    for end, extreme in (("highest", values.max()), ("lowest", values.min())):
+        at_end = values == extreme
+        share = float(at_end.mean())
+        if share < 0.02 or _longest_run(at_end) < 20:
+            continue
+        noisy = noise.deviation > noise.resolution and noise.deviation > 0.0
+        # A muscle that its pressure pushes cannot rest; another mechanism may be at its stop.
+        muscle = plant.actuator == "muscle" and channel == "position_m"
+        if noisy or (muscle and _is_still_pushed(record, at_end)):
+            yield Doubt(
+                "clipped",
+                f"{record.name}: {channel} stays at its {end} value {extreme:.6g} for "
+                f"{100.0 * share:.0f} % of the time: the sensor is clipped; widen its range, "
+                "or drive less far",
+            )
+
+
+def _is_still_pushed(record: Record, at_end: Flags) -> bool:
+    """Tell whether the pressure changes by more than friction holds while the position rests."""
+    if record.pressure_pa is None:
+        return False
+    span = float(np.ptp(record.pressure_pa))
+    inside = record.pressure_pa[at_end]
+    return bool(np.quantile(inside, 0.98) - np.quantile(inside, 0.02) > 0.35 * span)
+
+
+def _longest_run(flags: Flags) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
+
+
+def doubt_excitation(records: Sequence[Record], plant: PlantSettings) -> Iterator[Doubt]:
+    """Find a channel that hardly varies in any record: it tells nothing."""
+    for channel in CHANNELS:
+        # A regulator may hold the pressure on a piston: then the motion is the excitation.
+        if plant.actuator == "direct" and channel == "pressure_pa":
+            continue
+        spans = [
+            _measure_span(r[channel], _least_span(r, plant, channel))
+            for r in records
+            if channel in list_used_channels(r, plant)
+        ]
+        if spans and all(span < least for span, least in spans):
+            yield Doubt(
+                "still",
+                f"{channel} varies by only {max(span for span, _ in spans):.3g} "
+                f"{CHANNELS[channel]} over all records: it is not excited",
+            )
+
+
+def _measure_span(values: Array, least: float) -> tuple[float, float]:
+    low, high = find_usual_ends(values)
+    return high - low, least
+
+
+def _least_span(record: Record, plant: PlantSettings, channel: str) -> float:
+    """Return the variation that a channel needs: more than its noise; of a muscle, a part of it."""
+    noise = max(_estimate_noise(record[channel]), estimate_resolution(record[channel]))
+    least: float = max(STILL_TIMES_NOISE * noise, 1e-12)
+    if plant.actuator == "direct":
+        return least
+    if channel == "pressure_pa":
+        return max(least, 0.02 * plant.parameters.tank_pressure_pa)
+    if channel == "position_m":
+        return max(least, float(2e-3 * plant.parameters.rest_length_m))
+    return 0.1 if channel == "valve_v" else least
+
+
+def _estimate_noise(values: Array) -> float:
+    """Return the deviation of white noise: third differences multiply it by sqrt(20)."""
+    return float(np.median(np.abs(np.diff(values, 3))) / (0.6745 * np.sqrt(20.0)))
+
+
+def find_usual_ends(values: Array) -> tuple[float, float]:
+    """Return the range of a signal without its rarest values."""
+    return float(np.quantile(values, 0.001)), float(np.quantile(values, 0.999))

@@ -1,0 +1,48 @@
+"""Put the answers together: the settings, checked as a whole, and the text of the file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from pamctl.plant.model import PlantSettings
+from pamctl.settings.resolve import RawSettings, validate_settings
+from pamctl.settings.yaml12 import dump_yaml
+
+
+def build_plant(actuator: str, values: Mapping[str, float]) -> PlantSettings:
+    """Return the plant of these numbers in SI; raise ConfigError where they do not fit together."""
+    plant: PlantSettings = validate_settings(
+        TypeAdapter(PlantSettings), RawSettings(_nest(actuator, values), {(): "the plant"}), "plant"
+    )
+    return plant
+
+
+def format_new_plant(
+    actuator: str, values: Mapping[str, float], texts: Mapping[str, str], fitted: str
+) -> str:
+    """Write the file; `texts` are the numbers as the user gave them, `fitted` what is a guess."""
+    head = [
+        "Written by `pamctl plant new`.",
+        *(f"{name}: given as {text}" for name, text in texts.items()),
+        f"`pamctl diagnose` fits {fitted}; it takes the other numbers as they are.",
+    ]
+    return "".join(f"# {line}\n" for line in head) + dump_yaml(_nest(actuator, values))
+
+
+def _nest(actuator: str, values: Mapping[str, float]) -> dict[str, Any]:
+    """Return the numbers in the places that they have in a file."""
+    data: dict[str, Any] = {"base": "paper", "actuator": actuator}
+    effects: dict[str, dict[str, float]] = {}
+    parameters: dict[str, float] = {}
+    for name, value in values.items():
+        effect, dot, number = name.partition(".")
+        if dot:
+            effects.setdefault(effect, {})[number] = value
+        elif name in PlantSettings.model_fields:
+            data[name] = value
+        else:
+            parameters[name] = value
+    return {**data, "parameters": parameters, **({"effects": effects} if effects else {})}

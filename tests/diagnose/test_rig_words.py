@@ -1,0 +1,178 @@
+"""What a diagnosis says speaks of the rig at hand: a mechanism has no air, and no `pamctl run`."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
+from pamctl.diagnose.experiments import MOTIONS, write_advice
+from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
+from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.rig_at_hand import runs_here
+from pamctl.diagnose.report.sensor_units import write_ratio
+from pamctl.diagnose.report.verdict_words import advise_next_steps, sentence
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.drive import drive_coupled, drive_mechanics
+from pamctl.plant.model import PlantSettings, plant_parameters
+
+PARAMETERS = {"mass_kg": 2.0, "damping_n_s_per_m": 40.0, "stiffness_n_per_m": 900.0}
+AXIS = PlantSettings(actuator="direct", parameters=PARAMETERS)
+AIR = ("valve", "muscle", "vented", "supply", "tubing", "contracting", "pamctl run")
+
+
+def axis_record(seed: int, friction_n: float = 3.0) -> Record:
+    """Return a mass on a spring with dry friction, moved by a force of several sines for 6 s."""
+    random = np.random.default_rng(seed)
+    t_s = np.arange(6000) * 1e-3
+    force_n = sum(9.0 * np.sin(2 * np.pi * f * t_s + random.uniform(0, 6)) for f in (0.4, 1.1, 2.3))
+    force_n = np.where(t_s < 0.5, 0.0, force_n)
+    effects = {"coulomb_friction": {"force_n": friction_n}}
+    truth = AXIS.model_copy(
+        update={"effects": PlantSettings.model_validate({"effects": effects}).effects}
+    )
+    driven = drive_mechanics(plant_parameters(truth), force_n, 1e-3, steps=8)
+    return Record(
+        f"axis-{seed}",
+        t_s,
+        force_n=force_n + random.normal(0.0, 0.02, len(t_s)),
+        position_m=driven.position_m + random.normal(0.0, 2e-6, len(t_s)),
+        is_imported=True,
+    )
+
+
+@pytest.fixture(scope="module")
+def records() -> list[Record]:
+    return [axis_record(1), axis_record(2)]
+
+
+@pytest.fixture(scope="module")
+def found(records: list[Record]) -> Diagnosis:
+    others = {*CATALOGUE} - {"coulomb_friction", "cubic_stiffness"}
+    return diagnose(records[:1], records[1:], AXIS, without=others)
+
+
+@pytest.mark.parametrize("verdict", [None, Verdict.NONE_KNOWN, Verdict.PARTIAL])
+def test_no_word_of_a_mechanism_speaks_of_air(
+    found: Diagnosis, records: list[Record], verdict: Verdict | None
+) -> None:
+    said = found if verdict is None else replace(found, verdict=verdict)
+    assert found.standings
+    html = build_diagnosis_page(said, records).html()
+    page = re.sub(r"<style.*?</style>", "", html.split("plant.yaml</summary>")[0], flags=re.S)
+    document = build_diagnosis_document(said)
+    told = "\n".join(
+        [page, summary(said), *advise_next_steps(said), json.dumps(document["next_experiment"])]
+    ).lower()
+    assert [word for word in AIR if word in told] == []
+    assert not {"valve_leak", "moving_mass"} & {spot["name"] for spot in document["blind_spots"]}
+
+
+def test_a_refused_record_of_a_mechanism_is_not_to_be_vented(records: list[Record]) -> None:
+    still = [replace(r, force_n=np.zeros(len(r))) for r in records]
+    refused = diagnose(still, [], AXIS)
+    assert refused.verdict is Verdict.BAD_DATA
+    told = " ".join([sentence(refused), *advise_next_steps(refused)])
+    assert "force_n varies by only 0 N" in told
+    assert "vented" not in told
+    assert "pamctl run" not in told
+
+
+def test_each_ratio_has_its_rms_in_the_sensors_unit_beside_it(
+    found: Diagnosis, records: list[Record]
+) -> None:
+    base = found.base
+    assert base is not None
+    left_um = 1e6 * base.rms["mechanics"] * base.evidence.holdout["mechanics"][0].deviation
+    written = write_ratio(base, "mechanics", base.ratio("mechanics"))
+    assert f"({left_um:.3g} µm)" in written
+    assert written in build_diagnosis_page(found, records).html()
+    assert SIGNAL_DISPLAYS["position_m"].choose_unit(0.2) == (1e3, "mm")
+
+
+def test_signal_and_residual_share_a_picture(found: Diagnosis, records: list[Record]) -> None:
+    html = build_diagnosis_page(found, records).html()
+    assert "Displacement, signal and residual" in html
+    (signal,) = re.findall(r"signal, RMS ([\d.e-]+) mm", html)[:1]
+    spread_mm = 1e3 * float(np.std(records[1]["position_m"]))
+    assert float(signal) == pytest.approx(spread_mm, rel=0.01)
+
+
+def test_a_fitted_number_at_the_end_of_its_range_is_marked(records: list[Record]) -> None:
+    far = AXIS.model_copy(
+        update={"parameters": AXIS.parameters.model_copy(update={"stiffness_n_per_m": 9e7})}
+    )
+    others = {*CATALOGUE} - {"cubic_stiffness"}
+    lost = diagnose(records[:1], records[1:], far, without=others)
+    model = lost.model
+    assert model is not None
+    bounds = {name for fitted in model.fits.values() for name in fitted.at_bound}
+    assert bounds
+    assert "at an end" in build_diagnosis_page(lost, records).html()
+    assert "at an end of the range" in summary(lost)
+
+
+def test_an_accepted_doubt_is_in_the_document_and_on_the_page(records: list[Record]) -> None:
+    gauge = [replace(r, pressure_pa=np.full(len(r), 1e4) + 10.0 * np.sin(r.t_s)) for r in records]
+    others = {*CATALOGUE} - {"cubic_stiffness"}
+    reason = "a vacuum chamber"
+    kept = diagnose(gauge[:1], gauge[1:], AXIS, without=others, accept={"pressure_unit": reason})
+    (entry,) = build_diagnosis_document(kept)["accepted"]
+    assert (entry["rule"], entry["reason"]) == ("pressure_unit", reason)
+    assert reason in build_diagnosis_page(kept, gauge).html()
+    assert reason in summary(kept)
+
+
+def test_only_a_muscle_whose_records_pamctl_made_is_told_to_run(found: Diagnosis) -> None:
+    mine = [replace(record, is_imported=False) for record in found.train]
+    muscle = replace(found, nominal=PlantSettings(), train=tuple(mine), holdout=())
+    assert runs_here(muscle)
+    assert not runs_here(replace(muscle, holdout=found.holdout))
+    assert not runs_here(found)
+    for effect in CATALOGUE.values():
+        advised = {effect.best_experiment, *(t.experiment for t in effect.told_from.values())}
+        assert advised - {""} <= {*MOTIONS}
+    assert write_advice("chirp", "muscle", runs_here=True) == "pamctl run --experiment chirp"
+    assert "driving force" in write_advice("chirp", "direct", runs_here=False)
+
+
+def test_a_chamber_of_constant_volume_is_diagnosed_without_a_position() -> None:
+    base = {"actuator": "chamber", "chamber_volume_m3": 1e-3}
+    leak = {"chamber_leak": {"area_m2": 5e-8}}
+    truth = PlantSettings.model_validate({**base, "effects": leak})
+    records = [chamber_record(seed, truth) for seed in (1, 2)]
+    others = {*CATALOGUE} - {"chamber_leak", "valve_deadband"}
+    found = diagnose(records[:1], records[1:], PlantSettings.model_validate(base), without=others)
+    assert found.verdict is Verdict.NAMED
+    (standing,) = found.standings
+    assert standing.effect.name == "chamber_leak"
+    (area,) = (n for n in found.numbers if n.name == "chamber_leak.area_m2")
+    assert area.value == pytest.approx(5e-8, rel=0.02)
+    assert found.plant.chamber_volume_m3 == 1e-3
+    told = summary(found) + " ".join(advise_next_steps(found))
+    assert "muscle" not in told
+    assert "pamctl run" not in told
+    document = build_diagnosis_document(found)
+    assert not {"creep", "moving_mass"} & {spot["name"] for spot in document["blind_spots"]}
+
+
+def chamber_record(seed: int, truth: PlantSettings) -> Record:
+    """Return 9 s at 200 Hz: held commands of several sizes, closed valve included."""
+    random = np.random.default_rng(seed)
+    held = np.repeat(random.choice([-5, 5, 2, -2, 0.5, -0.5, 0, 0], 20), 80).astype(float)
+    command = np.concatenate([np.full(200, -5.0), held])
+    driven = drive_coupled(plant_parameters(truth), command, 5e-3, steps=8)
+    noise_pa = random.normal(0.0, 200.0, len(command))
+    t_s = 5e-3 * np.arange(len(command))
+    return Record(
+        f"tank-{seed}",
+        t_s,
+        valve_v=command,
+        pressure_pa=driven.pressure_pa + noise_pa,
+        is_imported=True,
+    )

@@ -1,0 +1,168 @@
+"""`pamctl plant new`: numbers as datasheets have them become a plant file in SI."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.patience import PATIENCE_S
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+from pamctl.plant.model import PlantSettings
+from pamctl.plant.muscle_parameters import MuscleParameters
+from pamctl.settings.datasheet.datasheet_units import DatasheetError, read_quantity
+from pamctl.settings.datasheet.plant_questions import list_questions
+from pamctl.settings.resolve import read_section_file
+
+AIR = {"atmospheric_pressure_pa": 94e3}
+
+
+def make(*options: str, answers: str = "") -> Any:
+    return CliRunner().invoke(app, ["plant", "new", *options], input=answers)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "value"),
+    [
+        ("rest_length_m", "0.2 m", 0.2),
+        ("rest_length_m", "200 mm", 0.2),
+        ("rest_length_m", "0,2", 0.2),
+        ("tank_pressure_pa", "6 bar gauge", 694e3),
+        ("tank_pressure_pa", "700 kPa abs", 700e3),
+        ("tank_pressure_pa", "441300", 441300.0),
+        ("piston.area_m2", "25 mm bore", math.pi * 0.025**2 / 4.0),
+        ("piston.area_m2", "4.91 cm2", 4.91e-4),
+        ("chamber_volume_m3", "2 l", 2e-3),
+        ("mass_kg", "95e3 g", 95.0),
+        ("stiffness_n_per_m", "9.68 N/mm", 9680.0),
+        ("damping_n_s_per_m", "570 Ns/m", 570.0),
+        ("temperature_k", "20 \N{DEGREE SIGN}C", 293.15),
+        ("valve_gain_m2_per_v", "1.03 mm2/V", 1.03e-6),
+    ],
+)
+def test_a_number_with_its_unit_is_read_in_si(name: str, text: str, value: float) -> None:
+    assert read_quantity(name, text, AIR) == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("rest_length_m", "200 kg", "give m, mm, cm, um, in"),
+        ("rest_length_m", "long", "is no number"),
+        ("tank_pressure_pa", "6 bar", "may be gauge or absolute"),
+        ("piston.area_m2", "25 mm", "write `25 mm bore`"),
+        ("braid_length_m", "60 deg", "between 0 and 54.7 deg"),
+        ("mass_kg", "1e400", "too large"),
+        ("heat_capacity_ratio", "1.4 J", "a plain number"),
+    ],
+)
+def test_nonsense_is_refused_with_what_would_do(name: str, text: str, words: str) -> None:
+    with pytest.raises(DatasheetError, match=words):
+        read_quantity(name, text, AIR)
+
+
+def test_angle_and_diameter_give_the_braid_of_the_paper() -> None:
+    paper = MuscleParameters()
+    angle_deg = math.degrees(math.acos(paper.rest_length_m / paper.braid_length_m))
+    known = {"rest_length_m": paper.rest_length_m}
+    known["braid_length_m"] = read_quantity("braid_length_m", f"{angle_deg!r} deg", known)
+    assert known["braid_length_m"] == pytest.approx(paper.braid_length_m)
+    # n pi D = b sin(theta)
+    diameter_mm = 1e3 * paper.braid_length_m * math.sin(math.radians(angle_deg))
+    diameter_mm /= math.pi * paper.braid_turns
+    turns = read_quantity("braid_turns", f"{diameter_mm!r} mm diameter", known)
+    assert turns == pytest.approx(paper.braid_turns)
+
+
+def test_a_nominal_flow_is_that_of_an_isentropic_orifice() -> None:
+    gain = read_quantity("valve_gain_m2_per_v", "350 l/min", AIR)
+    # Psi from 7 to 6 bar by its closed form, at the model's 273 K.
+    ratio, gamma, upstream_pa, energy = 6.0 / 7.0, 1.4, 7e5, 287.1 * 273.0
+    flow = upstream_pa * math.sqrt(
+        2.0 * gamma / (gamma - 1.0) / energy
+        * (ratio ** (2.0 / gamma) - ratio ** ((gamma + 1.0) / gamma))
+    )  # fmt: skip
+    assert 5.0 * gain * flow == pytest.approx(350e-3 / 60.0 * 1.185, rel=1e-9)
+
+
+def test_every_number_of_the_settings_is_asked_of_a_muscle_with_its_description() -> None:
+    asked = {question.name: question.meaning for question in list_questions("muscle")}
+    assert {*asked} == {*MuscleParameters.model_fields}
+    assert all(asked.values())
+    of_axis = {question.name for question in list_questions("direct")}
+    assert {"mass_kg", "stiffness_n_per_m"} <= of_axis
+    assert not of_axis & {"rest_length_m", "tank_pressure_pa", "valve_gain_m2_per_v"}
+
+
+def test_answers_make_a_file_and_wrong_ones_are_asked_again(tmp_path: Path) -> None:
+    out = tmp_path / "chamber.yaml"
+    answers = "chamber\n94 kPa\n2 kg\n-1 l\n2 l\n6 bar gauge\n\n\n"
+    done = make("--out", str(out), answers=answers)
+    assert done.exit_code == 0, done.stderr
+    assert "is none of its units" in done.stderr
+    assert "must be greater than 0 (got -0.001)" in done.stderr
+    assert "will fit valve_gain_m2_per_v, tank_pressure_pa" in done.stdout
+    plant = read_section_file("plant", out)
+    assert plant == PlantSettings(
+        actuator="chamber",
+        chamber_volume_m3=2e-3,
+        parameters={"atmospheric_pressure_pa": 94e3, "tank_pressure_pa": 694e3},
+    )
+    assert "# tank_pressure_pa: given as 6 bar gauge" in out.read_text()
+
+
+def test_without_questions_options_and_defaults_make_a_file(tmp_path: Path) -> None:
+    out = str(tmp_path / "axis.yaml")
+    values = ["--value", "mass_kg=95 kg", "--value", "damping_n_s_per_m=200 N s/m"]
+    lacking = make("--out", out, "--yes", "--actuator", "direct", *values)
+    assert (lacking.exit_code, Path(out).exists()) == (2, False)
+    assert "stiffness_n_per_m" in lacking.stderr
+    assert "has no default" in lacking.stderr
+    done = make("--out", out, "--yes", "--actuator", "direct", *values,
+                "--value", "stiffness_n_per_m=1")  # fmt: skip
+    assert done.exit_code == 0, done.stderr
+    assert read_section_file("plant", Path(out)).parameters.mass_kg == 95.0
+    again = make("--out", out, "--yes", "--actuator", "muscle")
+    assert "never overwritten" in again.stderr
+
+
+def test_numbers_that_do_not_fit_together_or_are_not_there_write_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "no.yaml"
+    for options, code, words in (
+        (["--value", "braid_length_m=0.1"], 78, "must lie between"),
+        (["--value", "braid_lenght_m=0.1"], 2, "did you mean braid_length_m?"),
+        (["--actuator", "pump"], 2, "is not one of muscle, direct, chamber"),
+    ):
+        done = make("--out", str(out), "--yes", "--actuator", "muscle", *options)
+        assert (done.exit_code, out.exists()) == (code, False), done.stderr
+        assert words in done.stderr
+    ended = make("--out", str(out), answers="muscle\n")
+    assert (ended.exit_code, out.exists()) == (2, False)
+    assert "the input ended" in ended.stderr
+
+
+def test_ctrl_c_leaves_no_file(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pamctl", "plant", "new", "--out", "plant.yaml"]
+    asking = subprocess.Popen(
+        command, cwd=tmp_path, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert asking.stdin is not None
+    assert asking.stderr is not None
+    asking.stdin.write("muscle\n94 kPa\n")
+    asking.stdin.flush()
+    seen = ""
+    until = time.monotonic() + PATIENCE_S
+    while "  = 94000" not in seen and time.monotonic() < until:
+        seen += os.read(asking.stderr.fileno(), 4096).decode()
+    asking.send_signal(signal.SIGINT)
+    assert asking.wait(PATIENCE_S) == 130
+    asking.communicate()
+    assert [*tmp_path.iterdir()] == []

@@ -2,11 +2,13 @@
 
     python scripts/hostile_suite.py [--only TEXT] [--group GROUP] [--size small|large]
         [--excitation open|closed|random] [--limit N] [--seed N] [--resume FILE] [--jobs N]
-        [--list]
+        [--list | --visible]
 
 The cases are in `tests/hidden/hostile/situations.py`. Results are appended to a JSONL file, one
 line a case, and stored cases are not run again. The JSON document goes to stdout, the table and
 the progress to stderr. `--limit N` draws N cases at random, the same ones for the same `--seed`.
+`--visible` computes from the truths alone what a recalibration leaves of each small fault
+(`tests/hidden/hostile/visible.json`).
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import random
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ from hidden.hostile.marking import HONEST, RIGHT, MarkedCase, Said, summarize  #
 from hidden.hostile.programs import EXCITATIONS  # noqa: E402
 from hidden.hostile.situations import SIZES, HostileCase, all_cases  # noqa: E402
 from hidden.hostile.trial import examine  # noqa: E402
+from hidden.hostile.visible import STORED, is_hopeless, measure_share  # noqa: E402
 from resumable_study import run_resumable  # noqa: E402
 
 
@@ -45,6 +48,13 @@ def choose_cases(options: argparse.Namespace) -> list[HostileCase]:
         drawn = set(random.Random(options.seed).sample(range(len(chosen)), options.limit))
         chosen = [case for k, case in enumerate(chosen) if k in drawn]
     return chosen
+
+
+def format_shares(cases: Iterable[HostileCase]) -> str:
+    """Return what a recalibration leaves of the small faults that must be named, as JSON."""
+    asked = (c for c in cases if c.size == "small" and not c.answer.silent and not c.answer.noise)
+    lines = [f' "{case.id}": {measure_share(case):.3f}' for case in asked]
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def examine_case(case: HostileCase) -> dict[str, Any]:
@@ -66,18 +76,34 @@ def describe_said(result: Mapping[str, Any]) -> str:
     return " ".join([*words, f"({said.noise})"] if said.noise else words)
 
 
+def describe_asked(case: HostileCase) -> str:
+    """Return what is to be said of a case, in one line."""
+    answer = case.answer
+    words = [*sorted(answer.effects), *answer.noise]
+    words += [f"[{c.kind} {c.number} {'' if c.value is None else c.value}]" for c in answer.setup]
+    if answer.unknown:
+        words.append("nothing known")
+    if answer.silent or is_hopeless(case):
+        words.append("or nothing" if words else "nothing")
+    return " ".join(words)
+
+
 def format_table(results: Sequence[MarkedCase], crashed: Mapping[str, str]) -> str:
     """Return the shares by group in markdown, and every case that is not right."""
-    rows = ["| group | cases | right | honest | missed | wrong |", "|---|---|---|---|---|---|"]
+    rows = [
+        "| group | cases | right | honest | missed | wrong | noise not there |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for group, n in summarize(results).items():
         rows.append(f"| {group} | {n['cases']} | {n['right']:.0%} | {n['honest']:.0%} "
-                    f"| {n['missed']:.0%} | {n['wrong']} |")  # fmt: skip
+                    f"| {n['missed']:.0%} | {n['wrong']} | {n['noise_not_there']} |")  # fmt: skip
     counts = Counter(r.mark for r in results)
     rows.append(", ".join(f"{word} {count}" for word, count in counts.most_common()))
     for result in results:
         if result.mark not in RIGHT:
             said = describe_said({"document": result.document})
-            rows.append(f"- `{result.case.id}`: {result.mark}: {said}")
+            asked = describe_asked(result.case)
+            rows.append(f"- `{result.case.id}`: {result.mark}: {said}; asked: {asked}")
     return "\n".join([*rows, *(f"- `{name}`: crashed: {words}" for name, words in crashed.items())])
 
 
@@ -92,7 +118,11 @@ def main() -> None:
     parser.add_argument("--resume", type=Path, default=Path("logs/hostile.jsonl"))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--list", action="store_true", help="print the cases and stop")
+    parser.add_argument("--visible", action="store_true", help="compute visible.json and stop")
     options = parser.parse_args()
+    if options.visible:
+        STORED.write_text(format_shares(all_cases()))
+        return
     cases = choose_cases(options)
     if options.list:
         print("\n".join(case.id for case in cases))
@@ -113,7 +143,8 @@ def main() -> None:
         "summary": summarize(results),
         "good_marks": {"right": RIGHT, "honest": HONEST},
         "cases": {r.case.id: {"mark": r.mark, "seconds": r.seconds,
-                              "said": describe_said({"document": r.document})}
+                              "said": describe_said({"document": r.document}),
+                              "asked": describe_asked(r.case)}
                   for r in results},
         "crashed": crashed,
     }, indent=2))  # fmt: skip

@@ -9,6 +9,8 @@ from typing import Any
 
 from hidden.hostile.causes import PLACES, SetupCause
 from hidden.hostile.situations import HostileCase
+from hidden.hostile.trial import TRUTH_NAMES, rig_of, start_plant
+from hidden.hostile.visible import is_hopeless
 from hidden.scoring import SILENT
 
 RIGHT = ("right", "silent")
@@ -32,8 +34,8 @@ FITTED = frozenset({
 })  # fmt: skip
 """Numbers that are really off by a few per cent in every rig: to find them is never false."""
 
-NEAR_ENOUGH = 0.02
-"""A recalibrated number this near to the true one says that the plant file's was wrong."""
+TAKEN_BACK = 0.35
+"""A recalibrated number says that the typed one was wrong if it leaves this share of the error."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def mark(case: HostileCase, document: Mapping[str, Any]) -> str:
     answer, said = case.answer, Said.of(document)
     if said.verdict == "bad_data":
         refused = any(re.search(word, said.reason, re.IGNORECASE) for word in answer.refusal)
-        found = bool(answer.setup) and all(_is_found(c, said) for c in answer.setup)
+        found = bool(answer.setup) and all(_is_found(case, c, said) for c in answer.setup)
         return "right" if refused or found else "refused"
     covered = _covers(case, said)
     if false_findings(case, said):
@@ -101,7 +103,7 @@ def mark(case: HostileCase, document: Mapping[str, Any]) -> str:
     if covered:
         return "right"
     if said.verdict in SILENT and not said.names:
-        return "silent" if answer.silent else "missed"
+        return "silent" if answer.silent or is_hopeless(case) else "missed"
     if said.verdict == "ambiguous":
         return _of_sets(case, said)
     if said.confident and said.names & answer.equal:
@@ -119,7 +121,7 @@ def _covers(case: HostileCase, said: Said) -> bool:
     return (
         (said.confident or said.verdict == "ambiguous" or not answer.effects)
         and answer.effects <= said.names
-        and all(_is_found(cause, said) or _is_equal(case, said) for cause in answer.setup)
+        and all(_is_found(case, cause, said) or _is_equal(case, said) for cause in answer.setup)
         and all(_is_noise_said(word, said) for word in answer.noise)
     )
 
@@ -140,17 +142,19 @@ def _touches(entry: str, words: Iterable[str]) -> bool:
 def _is_noise_said(word: str, said: Said) -> bool:
     if word == "filtered" and "unknown" in said.noise:
         return True
-    return re.search(NOISE_WORDS[word], said.noise, re.IGNORECASE) is not None
+    return _is_fault_said(word, said)
 
 
-def _is_found(cause: SetupCause, said: Said) -> bool:
+def _is_found(case: HostileCase, cause: SetupCause, said: Said) -> bool:
     """Tell whether a finding states the cause, as itself or among what it cannot be told from."""
     if any(_matches(cause, finding) for finding in said.findings):
         return True
     value = said.recalibrated.get(cause.number)
-    if cause.kind != "plant_constant" or value is None or cause.value is None:
+    if cause.kind != "plant_constant" or value is None:
         return False
-    return abs(value - cause.value) <= NEAR_ENOUGH * abs(cause.value)
+    true = float(getattr(rig_of(case).truth, TRUTH_NAMES[cause.number]))
+    typed = float(getattr(start_plant(case).parameters, cause.number))
+    return abs(value - true) <= TAKEN_BACK * abs(typed - true)
 
 
 def _matches(cause: SetupCause, finding: Mapping[str, Any]) -> bool:
@@ -186,11 +190,23 @@ def false_findings(case: HostileCase, said: Said) -> list[str]:
     return found
 
 
+def false_noise(case: HostileCase, said: Said) -> set[str]:
+    """Return noise faults that are said and not there: shown beside the marks, not part of them."""
+    true = {*case.answer.noise, "coarse"}  # every converter has steps
+    if {"dropouts", "outliers"} & true:
+        true |= {"dropouts", "outliers"}
+    return {word for word in NOISE_WORDS if word not in true and _is_fault_said(word, said)}
+
+
+def _is_fault_said(word: str, said: Said) -> bool:
+    return re.search(NOISE_WORDS[word], said.noise, re.IGNORECASE) is not None
+
+
 def false_names(case: HostileCase, said: Said, covered: bool) -> set[str]:
     """Return the names of effects that are not there."""
     answer = case.answer
     true = {*answer.effects, *(n for n in case.effects if not answer.unknown), *answer.equal}
-    if covered or any(_is_found(cause, said) for cause in answer.setup):
+    if covered or any(_is_found(case, cause, said) for cause in answer.setup):
         true |= answer.beside
     hedged = {n for group in said.sets if group & true or _holds_truth(case, group) for n in group}
     return set(said.names) - true - hedged
@@ -234,5 +250,10 @@ def summarize(results: Sequence[MarkedCase]) -> dict[str, dict[str, float]]:
             "honest": sum(m in HONEST for m in marks) / max(len(marks), 1),
             "missed": sum(m in ("missed", "misled", "kin") for m in marks) / max(len(marks), 1),
             "wrong": sum(m == "wrong" for m in marks),
+            "noise_not_there": sum(
+                bool(false_noise(r.case, Said.of(r.document)))
+                for r in results
+                if group in ("all", r.case.situation.group)
+            ),
         }
     return table

@@ -26,6 +26,8 @@ from hidden.hostile.lab import Lab
 from hidden.hostile.programs import EXCITATIONS, random_levels
 from hidden.hostile.situations import HostileCase, all_cases, all_situations
 from hidden.hostile.trial import records_of, rig_of, start_plant
+from hidden.hostile.visible import measure_share, stored_shares
+from hidden.oracle import HOPELESS, SURE
 from hidden.rig import HiddenRig, hidden_rig
 from hidden.sensors import ENCODER_STEP_M, Sensors
 from hidden.truth import Truth
@@ -307,6 +309,27 @@ def test_a_quarter_of_the_noise_is_slow_as_on_the_hidden_rigs() -> None:
     noise = draw_noise(replace(NOISY, coloured_share=0.4), 40_000, np.random.default_rng(1))
     assert 290.0 < noise.std() < 310.0
     assert 0.25 < np.corrcoef(noise[:-1], noise[1:])[0, 1] < 0.40
+
+
+# --- what can be seen at all ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high"),
+    [("wrong_braid_turns", 0.0, HOPELESS), ("encoder_scale", SURE, 30.0)],
+)
+def test_a_recalibration_takes_away_what_is_symmetric_and_nothing_else(
+    name: str, low: float, high: float
+) -> None:
+    case = next(c for c in all_cases() if c.id == f"{name}/small/random")
+    assert low <= measure_share(case) < high
+
+
+def test_most_of_what_is_to_be_named_can_be_seen() -> None:
+    cases = {case.id: case for case in all_cases()}
+    assert set(stored_shares()) <= set(cases)
+    shares = list(stored_shares().values())
+    assert sum(share > SURE for share in shares) > 0.8 * len(shares)
 
 
 # --- the cases -------------------------------------------------------------------------------

@@ -209,6 +209,7 @@ def test_an_examinee_that_knows_everything_is_right_everywhere() -> None:
     assert {r.mark for r in results} <= {"right", "silent"}
     assert summarize(results)["all"] == {
         "cases": len(results), "right": 1.0, "honest": 0.0, "missed": 0.0, "wrong": 0,
+        "noise_not_there": 0,
     }  # fmt: skip
 
 
@@ -222,3 +223,11 @@ def test_an_examinee_that_knows_nothing_is_honest_and_never_right_where_a_cause_
     results = [MarkedCase(case, said("none_known"), 1.0) for case in cases]
     assert {r.mark for r in results} == {"honest"}
     assert "none_known" not in SILENT
+
+
+def test_a_fault_of_the_noise_that_is_not_there_is_counted_beside_the_marks() -> None:
+    document = said("miscalibrated", noise={"pressure_pa": {"source": "rest", "faults": ["hum"]}})
+    results = [
+        MarkedCase(CASES[name], document, 1.0) for name in ("nothing/small/open", "hum/small/open")
+    ]
+    assert summarize(results)["all"]["noise_not_there"] == 1

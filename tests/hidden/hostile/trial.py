@@ -15,6 +15,22 @@ from pamctl.diagnose import diagnose
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.plant.model import MuscleParameters, PlantSettings
 
+TRUTH_NAMES = {
+    "mass_kg": "mass_kg",
+    "damping_n_s_per_m": "damping",
+    "stiffness_n_per_m": "stiffness",
+    "rest_length_m": "rest_length_m",
+    "braid_length_m": "braid_m",
+    "braid_turns": "turns",
+    "kinetic_friction_per_m": "mu_k",
+    "braid_contact_area_m2": "contact_m2",
+    "tank_pressure_pa": "supply_pa",
+    "atmospheric_pressure_pa": "atmosphere_pa",
+    "temperature_k": "wall_k",
+    "valve_gain_m2_per_v": "valve_m2_per_v",
+}
+"""A number's name in the plant file, and in the truth."""
+
 
 def rig_of(case: HostileCase) -> HiddenRig:
     """Build the rig: its numbers are a few per cent off the paper's, and its effects hidden."""

@@ -2,6 +2,7 @@
 
     python scripts/hostile_suite.py [--only TEXT] [--group GROUP] [--size small|large]
         [--excitation open|closed|random] [--limit N] [--seed N] [--resume FILE] [--jobs N]
+        [--cpu-limit-s S]
         [--list | --visible]
 
 The cases are in `tests/hidden/hostile/situations.py`. Results are appended to a JSONL file, one
@@ -16,10 +17,12 @@ from __future__ import annotations
 import argparse
 import json
 import random
+import signal
 import sys
 import traceback
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,18 +60,34 @@ def format_shares(cases: Iterable[HostileCase]) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def examine_case(case: HostileCase) -> dict[str, Any]:
-    """Run one case; a crash of the diagnosis is a result too."""
+class OutOfTime(Exception):
+    """A case took more processor time than it may."""
+
+
+def examine_case(case: HostileCase, limit_s: float) -> dict[str, Any]:
+    """Run one case; a crash of the diagnosis is a result too, and so is one that does not end."""
+
+    def stop(*_: object) -> None:
+        raise OutOfTime
+
+    signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, limit_s)  # processor time: others may use this PC too
     try:
         return {"key": case.id, **examine(case)}
+    except OutOfTime:
+        return {"key": case.id, "out_of_time_s": limit_s}
     except Exception:
         return {"key": case.id, "error": traceback.format_exc(limit=-4)}
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
 def describe_said(result: Mapping[str, Any]) -> str:
     """Return verdict, names and set-up findings in one line."""
     if "error" in result:
         return f"CRASH {result['error'].splitlines()[-1]}"
+    if "out_of_time_s" in result:
+        return f"no answer within {result['out_of_time_s']:g} s"
     said = Said.of(result["document"])
     words = [said.verdict, *sorted(said.names)]
     words += [f"{{{', '.join(sorted(group))}}}" for group in said.sets]
@@ -88,7 +107,7 @@ def describe_asked(case: HostileCase) -> str:
     return " ".join(words)
 
 
-def format_table(results: Sequence[MarkedCase], crashed: Mapping[str, str]) -> str:
+def format_table(results: Sequence[MarkedCase], without: Mapping[str, str]) -> str:
     """Return the shares by group in markdown, and every case that is not right."""
     rows = [
         "| group | cases | right | honest | missed | wrong | noise not there |",
@@ -104,7 +123,7 @@ def format_table(results: Sequence[MarkedCase], crashed: Mapping[str, str]) -> s
             said = describe_said({"document": result.document})
             asked = describe_asked(result.case)
             rows.append(f"- `{result.case.id}`: {result.mark}: {said}; asked: {asked}")
-    return "\n".join([*rows, *(f"- `{name}`: crashed: {words}" for name, words in crashed.items())])
+    return "\n".join([*rows, *(f"- `{name}`: {words}" for name, words in without.items())])
 
 
 def main() -> None:
@@ -116,6 +135,7 @@ def main() -> None:
     parser.add_argument("--limit", type=int, default=0, help="a random sample of this many")
     parser.add_argument("--seed", type=int, default=0, help="of the random sample")
     parser.add_argument("--resume", type=Path, default=Path("logs/hostile.jsonl"))
+    parser.add_argument("--cpu-limit-s", type=float, default=1800.0, help="for a case")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--list", action="store_true", help="print the cases and stop")
     parser.add_argument("--visible", action="store_true", help="compute visible.json and stop")
@@ -128,16 +148,15 @@ def main() -> None:
         print("\n".join(case.id for case in cases))
         return
     tasks = {case.id: case for case in cases}
-    found = run_resumable(tasks, examine_case, options.resume, options.jobs, describe_said)
+    run = partial(examine_case, limit_s=options.cpu_limit_s)
+    found = run_resumable(tasks, run, options.resume, options.jobs, describe_said)
     results = [
         MarkedCase(case, found[case.id]["document"], found[case.id]["seconds"])
         for case in cases
         if "document" in found[case.id]
     ]
-    crashed = {
-        case.id: found[case.id]["error"].splitlines()[-1]
-        for case in cases
-        if "error" in found[case.id]
+    without = {
+        case.id: describe_said(found[case.id]) for case in cases if "document" not in found[case.id]
     }
     print(json.dumps({
         "summary": summarize(results),
@@ -146,9 +165,9 @@ def main() -> None:
                               "said": describe_said({"document": r.document}),
                               "asked": describe_asked(r.case)}
                   for r in results},
-        "crashed": crashed,
+        "without_answer": without,
     }, indent=2))  # fmt: skip
-    print(format_table(results, crashed), file=sys.stderr)
+    print(format_table(results, without), file=sys.stderr)
 
 
 if __name__ == "__main__":

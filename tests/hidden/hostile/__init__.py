@@ -1,0 +1,7 @@
+"""What a laboratory meets first: a set-up, noise, or time that is not what the user believes.
+
+`situations.py` lists the cases and states the right answer of each; `programs.py` excites,
+`varying_pass.py` moves the rig (its numbers may change with time), `logging.py` turns what was
+there into what the user's file holds, and `marking.py` reads the diagnosis. Read `situations.py`
+first.
+"""

@@ -1,0 +1,56 @@
+"""The right answer of a case, in words that a diagnosis's document can be compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Kind = Literal[
+    "plant_constant", "null_offset", "sign", "skew", "clock_rate", "decimated_command", "scale",
+    "gauge", "drift", "change_at_instant",
+]  # fmt: skip
+
+PLACES = {
+    "valve_v": ("valve", "command"),
+    "pressure_pa": ("pressure",),
+    "position_m": ("position", "displacement", "encoder"),
+}
+"""A channel, and the words that a finding may use for it."""
+
+
+@dataclass(frozen=True)
+class SetupCause:
+    """Something of the set-up that is not as stated."""
+
+    kind: Kind
+    number: str = ""
+    """A plant number or a channel; empty: the kind says all."""
+    value: float | None = None
+    """The true value (or the change, as a share), for the report only."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a diagnosis may say of a case.
+
+    All of `effects`, of `setup` and of `noise` are to be said. What is said beyond them is false,
+    except: `equal` (the same equation under another name: alone it is a twin of the answer),
+    `beside` (cannot be told from the truth, but is no name without it), `near` (kin of what no
+    catalogue has; as a partial only).
+    """
+
+    effects: frozenset[str] = frozenset()
+    setup: tuple[SetupCause, ...] = ()
+    noise: tuple[str, ...] = ()
+    """Words of `marking.NOISE_WORDS`."""
+    silent: bool = False
+    """A verdict that names nothing is right as well."""
+    unknown: bool = False
+    """No catalogue has it: that no known effect explains it is the right answer."""
+    refusal: tuple[str, ...] = ()
+    """Refused for a reason that holds one of these words, it is right as well."""
+    equal: frozenset[str] = frozenset()
+    beside: frozenset[str] = frozenset()
+    near: frozenset[str] = frozenset()
+    also: tuple[SetupCause, ...] = field(default=())
+    """Set-up findings that are true besides, or the same equation; they need not be said."""

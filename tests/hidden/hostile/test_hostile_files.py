@@ -1,0 +1,383 @@
+"""Each fault of a laboratory does what it says: against closed forms, or another rig."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hidden.effects import Size
+from hidden.excitations import Excitation
+from hidden.hostile.file_of_lab import (
+    POSITION_SPAN_M,
+    PRESSURE_SPAN_PA,
+    draw_noise,
+    draw_wander,
+    filter_offline,
+    record_of,
+    truth_over_time,
+)
+from hidden.hostile.lab import Lab
+from hidden.hostile.programs import EXCITATIONS, random_levels
+from hidden.hostile.situations import HostileCase, all_cases, all_situations
+from hidden.hostile.trial import records_of, rig_of, start_plant
+from hidden.hostile.visible import measure_share, stored_shares
+from hidden.oracle import HOPELESS, SURE
+from hidden.rig import HiddenRig, hidden_rig
+from hidden.sensors import ENCODER_STEP_M, Sensors
+from hidden.truth import Truth
+from pamctl.plant.model import PlantSettings
+
+Array = NDArray[np.float64]
+
+PERFECT = Sensors(perfect=True)
+NOISY = Sensors(pressure_noise_pa=300.0, coloured_share=0.3)
+PAPER = Truth()
+STEP_S = 50e-6
+WHOLE = random_levels(3)[0][0]
+assert WHOLE.volts is not None
+SHORT = Excitation("short", WHOLE.volts[:3000], seed=3)
+STILL = Excitation("still", np.full(12_000, -1.0), seed=5)
+
+
+def columns(
+    lab: Lab | None = None,
+    truth: Truth = PAPER,
+    *,
+    sensors: Sensors = PERFECT,
+    excitation: Excitation = SHORT,
+    order: float = 0.0,
+) -> dict[str, Array]:
+    rig = HiddenRig(truth, sensors, seed=9, step_s=STEP_S)
+    return record_of(rig, lab or Lab(), excitation, order).columns()
+
+
+@cache
+def plain() -> dict[str, Array]:
+    return columns()
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def assert_alike(a: Mapping[str, Array], b: Mapping[str, Array], rows: slice) -> None:
+    """Both have the same pressure and position: within 1 Pa and 10 nm."""
+    assert np.abs(a["pressure_pa"] - b["pressure_pa"])[rows].max() < 1.0
+    assert np.abs(a["position_m"] - b["position_m"])[rows].max() < 1e-8
+
+
+# --- the pass itself -------------------------------------------------------------------------
+
+
+def test_without_a_fault_the_file_is_that_of_the_hidden_rig() -> None:
+    theirs = HiddenRig(PAPER, PERFECT, seed=9, step_s=STEP_S).run(SHORT).record.columns()
+    assert_alike(plain(), theirs, slice(None))
+    assert np.array_equal(plain()["valve_v"], theirs["valve_v"])
+    assert np.ptp(theirs["position_m"]) > 5e-3
+
+
+def test_a_closed_loop_is_that_of_the_hidden_rig() -> None:
+    tracked = EXCITATIONS["closed"](2)[0][0]
+    assert tracked.wanted_m is not None
+    tracked = replace(tracked, wanted_m=tracked.wanted_m[:3000])
+    theirs = HiddenRig(PAPER, PERFECT, seed=9, step_s=STEP_S).run(tracked).record.columns()
+    mine = columns(excitation=tracked)
+    # Theirs counts the encoder's steps within the loop even if the sensors are perfect.
+    assert rms(mine["position_m"] - theirs["position_m"]) < 5 * ENCODER_STEP_M
+    assert np.ptp(mine["position_m"]) > 2e-3
+
+
+def test_every_program_moves_the_muscle_and_begins_at_rest() -> None:
+    for make in EXCITATIONS.values():
+        for parts in make(4):
+            assert len(parts) == 2
+            for run in parts:
+                assert 8.0 < run.samples * 1e-3 < 15.0
+                assert run.volts is None or np.all(run.volts[:800] == -1.0)
+        names = [run.name for part in make(4) for run in part]
+        assert len(set(names)) == 4
+
+
+# --- the rig ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("volts", [0.15, -0.2])
+def test_a_null_offset_is_a_command_that_is_off_by_it(volts: float) -> None:
+    lab = Lab(truth={"overlap_fill_v": volts, "overlap_vent_v": -volts})
+    assert SHORT.volts is not None
+    step = 20.0 / 65536.0
+    exact = round(volts / step) * step
+    off = columns(replace(lab, truth={"overlap_fill_v": exact, "overlap_vent_v": -exact}))
+    moved = replace(SHORT, volts=np.round(SHORT.volts / step) * step - exact, rest_v=-1.0 - exact)
+    assert_alike(off, columns(excitation=moved), slice(None))
+
+
+def test_the_air_of_a_place_is_a_sensor_gain_and_scaled_forces() -> None:
+    """All absolute pressures times 101.3/94: no file can tell the two rigs apart."""
+    scale = 101.3 / 94.0
+    gauge = columns(Lab(true_atmosphere_pa=94e3, sensor_is_gauge=True))
+    supply = (PAPER.supply_pa - 7.3e3) * scale
+    forces = {n: getattr(PAPER, n) * scale for n in ("mass_kg", "damping", "stiffness")}
+    twin = columns(
+        truth=PAPER._replace(supply_pa=supply, **forces),
+        sensors=replace(PERFECT, pressure_gain=1.0 / scale),
+    )
+    assert_alike(gauge, twin, slice(None))
+    assert rms(gauge["pressure_pa"] - plain()["pressure_pa"]) > 300.0
+
+
+def test_wrong_turns_are_wrong_forces_and_a_wrong_valve() -> None:
+    area = 1.0 / 0.93**2
+    scaled = ("mass_kg", "damping", "stiffness", "mu_k", "valve_m2_per_v")
+    twin = PAPER._replace(turns=PAPER.turns * 0.93, **{n: getattr(PAPER, n) * area for n in scaled})
+    assert_alike(plain(), columns(truth=twin), slice(None))
+
+
+def test_a_wrong_temperature_is_a_wrong_valve() -> None:
+    valve = PAPER.valve_m2_per_v / math.sqrt(1.05)
+    twin = PAPER._replace(wall_k=PAPER.wall_k * 1.05, valve_m2_per_v=valve)
+    assert_alike(plain(), columns(truth=twin), slice(None))
+
+
+def test_a_rest_length_that_is_too_long_in_the_file_is_a_lost_length() -> None:
+    lost = PAPER._replace(rest_length_m=0.206, cap_m=0.006)
+    assert_alike(plain(), columns(truth=lost), slice(None))
+
+
+def test_numbers_change_within_and_between_records_and_at_an_instant() -> None:
+    lab = Lab(within={"stiffness": -0.04}, between={"mu_k": -0.15})
+    last = truth_over_time(PAPER, lab, 1.0, 10.0)
+    assert last(0.0).stiffness == PAPER.stiffness
+    assert last(5.0).stiffness == pytest.approx(0.98 * PAPER.stiffness)
+    assert last(10.0).stiffness == pytest.approx(0.96 * PAPER.stiffness)
+    assert last(0.0).mu_k == pytest.approx(0.85 * PAPER.mu_k)
+    assert truth_over_time(PAPER, lab, 0.0, 10.0)(3.0).mu_k == PAPER.mu_k
+    leaking = truth_over_time(PAPER, Lab(at_half={"chamber_leak_m2": 1e-8}), 0.0, 10.0)
+    assert leaking(4.999).chamber_leak_m2 == 0.0
+    assert leaking(5.0).chamber_leak_m2 == 1e-8
+
+
+def test_a_leak_from_half_way_changes_the_second_half_only() -> None:
+    leaking = columns(Lab(at_half={"chamber_leak_m2": 4e-8}))
+    assert_alike(leaking, plain(), slice(0, 1500))
+    assert rms((leaking["pressure_pa"] - plain()["pressure_pa"])[1500:]) > 300.0
+
+
+# --- time ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("channel", "name"), [("pressure_pa", "late"), ("position_m", "early")])
+def test_a_column_that_is_late_is_shifted_by_rows(channel: str, name: str) -> None:
+    rows = 2 if name == "late" else -2
+    skewed = columns(Lab(late_s={channel: rows * 1e-3}))  # type: ignore[dict-item]
+    kept = slice(10, -10)
+    assert np.allclose(skewed[channel][kept], np.roll(plain()[channel], rows)[kept], rtol=1e-9)
+    others = {"valve_v", "pressure_pa", "position_m"} - {channel}
+    for other in others:
+        assert np.allclose(skewed[other], plain()[other], rtol=1e-7, atol=1e-12)
+
+
+def test_a_command_column_that_is_late_is_shifted_by_rows() -> None:
+    skewed = columns(Lab(late_s={"valve_v": 3e-3}))
+    assert np.array_equal(skewed["valve_v"][3:], plain()["valve_v"][:-3])
+    assert_alike(skewed, plain(), slice(None))
+
+
+def test_samples_older_than_the_command_are_a_delay_of_the_command() -> None:
+    old = columns(Lab(late_s={"pressure_pa": 0.5e-3, "position_m": 0.5e-3}))
+    assert_alike(old, columns(truth=PAPER._replace(delay_s=0.5e-3)), slice(10, None))
+
+
+def test_a_fast_clock_of_the_command_shows_it_ever_earlier() -> None:
+    volts = plain()["valve_v"]
+    fast = columns(Lab(clock_rates={"valve_v": 2.5e-3}))["valve_v"]
+    k = np.arange(len(volts) - 20)
+    assert np.array_equal(fast[k], volts[np.floor(k * 1.0025 + 1e-6).astype(int)])
+
+
+def test_a_fast_clock_of_a_sensor_shows_what_will_be() -> None:
+    fast = columns(Lab(clock_rates={"pressure_pa": 1e-3}))
+    t = plain()["t_s"]
+    ahead = np.interp(t * 1.001, t, plain()["pressure_pa"])
+    assert rms((fast["pressure_pa"] - ahead)[:-10]) < 120.0  # a straight line between two rows
+    assert rms((fast["pressure_pa"] - plain()["pressure_pa"])[:-10]) > 1000.0
+
+
+def test_jitter_is_of_the_stamps_only() -> None:
+    made = columns(Lab(jittered_stamps_s=0.1e-3), sensors=NOISY)
+    assert np.diff(made["t_s"]).min() > 0.0
+    late = made["t_s"] - np.arange(len(made["t_s"])) * 1e-3
+    assert late.mean() == pytest.approx(0.1e-3 * math.sqrt(2.0 / math.pi), rel=0.05)
+    assert late.min() >= -1e-6
+    clean = columns(sensors=replace(NOISY, clock_jitter_s=0.0))
+    assert rms(made["position_m"] - clean["position_m"]) < ENCODER_STEP_M
+
+
+# --- columns ---------------------------------------------------------------------------------
+
+
+def test_signs_scales_and_zeros_are_of_the_column() -> None:
+    channels = ("valve_v", "pressure_pa", "position_m")
+    made = columns(Lab(inverted=channels, pressure_zero_shift_pa=-101.3e3))
+    assert np.array_equal(made["valve_v"], -plain()["valve_v"])
+    gauge = plain()["pressure_pa"] - 101.3e3
+    assert np.allclose(made["pressure_pa"], -gauge, rtol=1e-9, atol=1e-6)
+    assert np.allclose(made["position_m"], -plain()["position_m"])
+    scaled = columns(Lab(position_scale=4.0))["position_m"]
+    assert np.allclose(scaled, 4.0 * plain()["position_m"])
+
+
+def test_a_decimated_command_is_held() -> None:
+    made, volts = columns(Lab(decimation=20))["valve_v"], plain()["valve_v"]
+    assert np.array_equal(made.reshape(-1, 20), np.repeat(volts[::20, None], 20, axis=1))
+
+
+def test_a_bow_is_greatest_in_the_middle_and_nothing_at_the_ends() -> None:
+    lab = Lab(pressure_bow=0.005)
+    made = columns(lab)["pressure_pa"] - plain()["pressure_pa"]
+    gauge = plain()["pressure_pa"] - 101.3e3
+    assert abs(made[np.argmin(np.abs(gauge))]) < 1.0
+    middle = np.argmin(np.abs(gauge - 175e3))
+    assert made[middle] == pytest.approx(0.005 * 350e3, rel=0.02)
+
+
+# --- noise -----------------------------------------------------------------------------------
+
+
+def test_filtering_forth_and_back_halves_a_sine_at_the_corner_without_delay() -> None:
+    t = np.arange(4000) * 1e-3
+    made = filter_offline(np.sin(2 * np.pi * 30.0 * t), Lab(filter_hz=30.0))[1000:3000]
+    sine, cosine = (
+        2.0 * np.mean(made * f(2 * np.pi * 30.0 * t[1000:3000])) for f in (np.sin, np.cos)
+    )
+    assert sine == pytest.approx(0.5, abs=2e-3)
+    assert cosine == pytest.approx(0.0, abs=2e-3)
+
+
+def test_hum_is_a_line_of_the_stated_height() -> None:
+    made = columns(Lab(hum_hz=50.0, hum_pa=400.0), sensors=NOISY, excitation=STILL)
+    pressure = made["pressure_pa"] - made["pressure_pa"].mean()
+    line = 2.0 * np.mean(pressure * np.exp(-2j * np.pi * 50.0 * made["t_s"]))
+    assert abs(line) == pytest.approx(400.0, rel=0.05)
+
+
+def test_spikes_and_dropouts_come_as_often_as_stated() -> None:
+    still = columns(Lab(spikes=0.002, spike_pa=8e3), sensors=NOISY, excitation=STILL)
+    far = np.abs(still["pressure_pa"] - np.median(still["pressure_pa"])) > 5e3
+    assert 0.001 < far.mean() < 0.003
+    filled = columns(Lab(dropouts=0.005), sensors=NOISY, excitation=WHOLE)["pressure_pa"]
+    whole = columns(sensors=NOISY, excitation=WHOLE)["pressure_pa"]
+    lost = np.abs(filled - whole) > 3e3
+    assert 0.004 < lost.mean() < 0.015
+    assert np.all(np.abs(filled[lost] - 101.3e3) < 50.0)
+
+
+def test_noise_grows_with_the_flow() -> None:
+    rest = SHORT.samples
+    calm, noisy = (columns(Lab(noise_with_flow=a), sensors=NOISY) for a in (0.0, 4.0))
+    added = noisy["pressure_pa"] - calm["pressure_pa"]
+    flow = np.abs(np.gradient(plain()["pressure_pa"], 1e-3))
+    assert rms(added[:700]) < 60.0
+    assert len(added) == rest
+    strong = flow > 0.5 * flow.max()
+    assert 0.5 * 4.0 * 300.0 < rms(added[strong]) < 4.0 * 300.0
+
+
+def test_wander_has_its_height_and_its_time() -> None:
+    t = np.arange(400_000) * 1e-3
+    wander = draw_wander(Lab(wander_pa=500.0), t, np.random.default_rng(2))
+    assert 380.0 < wander.std() < 620.0
+    alike = np.corrcoef(wander[:-5000], wander[5000:])[0, 1]
+    assert 0.15 < alike < 0.6  # exp(-1), from 80 independent stretches
+
+
+def test_a_coarse_converter_has_few_levels() -> None:
+    made = columns(Lab(adc_bits=8), sensors=NOISY)
+    for name, span in (("pressure_pa", PRESSURE_SPAN_PA), ("position_m", POSITION_SPAN_M)):
+        codes = made[name] / (span / 256)
+        assert np.allclose(codes, np.round(codes), atol=1e-6)
+        assert 20 < len(np.unique(np.round(codes))) < 256
+
+
+def test_a_quarter_of_the_noise_is_slow_as_on_the_hidden_rigs() -> None:
+    noise = draw_noise(replace(NOISY, coloured_share=0.4), 40_000, np.random.default_rng(1))
+    assert 290.0 < noise.std() < 310.0
+    assert 0.25 < np.corrcoef(noise[:-1], noise[1:])[0, 1] < 0.40
+
+
+# --- what can be seen at all ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high"),
+    [("wrong_braid_turns", 0.0, HOPELESS), ("encoder_scale", SURE, 30.0)],
+)
+def test_a_recalibration_takes_away_what_is_symmetric_and_nothing_else(
+    name: str, low: float, high: float
+) -> None:
+    case = next(c for c in all_cases() if c.id == f"{name}/small/random")
+    assert low <= measure_share(case) < high
+
+
+def test_most_of_what_is_to_be_named_can_be_seen() -> None:
+    cases = {case.id: case for case in all_cases()}
+    assert set(stored_shares()) <= set(cases)
+    shares = list(stored_shares().values())
+    assert sum(share > SURE for share in shares) > 0.8 * len(shares)
+
+
+# --- the cases -------------------------------------------------------------------------------
+
+
+def test_every_situation_has_two_sizes_over_three_excitations() -> None:
+    cases = list(all_cases())
+    assert len({case.id for case in cases}) == len(cases) == 6 * len(list(all_situations()))
+    for case in cases:
+        answer = case.answer
+        assert answer.silent or answer.unknown or answer.effects or answer.setup or answer.noise
+        assert not (answer.unknown and answer.setup)
+
+
+def test_the_plant_file_is_wrong_where_the_case_says_so() -> None:
+    for case in all_cases():
+        plant = start_plant(case).parameters
+        usual = PlantSettings().parameters
+        wrong = {n for n in type(usual).model_fields if getattr(plant, n) != getattr(usual, n)}
+        assert wrong == {*case.lab.plant_factors, *case.lab.plant}
+
+
+def test_records_come_back_in_parts_and_change_in_the_order_of_recording() -> None:
+    case = next(c for c in all_cases() if c.id == "stiffness_between/large/closed")
+    train, held_out = records_of(case)
+    assert [len(train), len(held_out)] == [2, 2]
+    first = EXCITATIONS["closed"](case.seed)[0][0]
+    again = record_of(rig_of(case), case.lab, first, 0.0)
+    for name, column in train[0].columns().items():
+        assert np.array_equal(column, getattr(again, name))
+
+
+LOUD = [c for c in all_cases() if c.excitation == "random" and not c.answer.silent]
+
+
+@pytest.mark.parametrize("case", LOUD, ids=lambda case: case.id)
+def test_what_must_be_said_shows_in_the_file(case: HostileCase) -> None:
+    """The fault moves a column, or the file is wrong by itself: by half of the noise at least."""
+    if case.lab.plant_factors or case.lab.plant:
+        pytest.skip("the plant file is wrong, not the record")
+    run = WHOLE if case.lab.clock_rates else SHORT  # clocks need time to part
+    seen = [_perfect(case.effects, case.lab, run), _perfect({}, Lab(), run)]
+    floors = {"t_s": 50e-6, "valve_v": 5e-3, "pressure_pa": 300.0, "position_m": 5e-6}
+    apart = [rms(seen[0][name] - seen[1][name]) / floor for name, floor in floors.items()]
+    assert max(apart) > 0.5
+
+
+def _perfect(effects: Mapping[str, Size], lab: Lab, run: Excitation) -> dict[str, Array]:
+    rig = hidden_rig(effects, seed=7, miscalibrated=False)
+    rig = replace(rig, sensors=replace(rig.sensors, perfect=True), step_s=STEP_S)
+    return record_of(rig, lab, run, 1.0).columns()

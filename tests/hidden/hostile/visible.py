@@ -1,0 +1,105 @@
+"""What a fault leaves after a recalibration: judged from the truths alone, before any diagnosis.
+
+A file is made without noise. A rig with the plant file's numbers is driven by the file's own
+command, and its six fitted numbers are moved until pressure and displacement are as near to the
+file as they come (Gauss-Newton). What is left, in shares of the floor, says whether anything is
+there to be named: nobody is asked to name what a recalibration takes away.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hidden.excitations import Excitation
+from hidden.hostile.file_of_lab import record_of
+from hidden.hostile.programs import EXCITATIONS
+from hidden.hostile.situations import HostileCase
+from hidden.hostile.trial import TRUTH_NAMES, start_plant
+from hidden.oracle import HOPELESS, POSITION_FLOOR_M, PRESSURE_FLOOR_PA
+from hidden.rig import HiddenRig, Record, hidden_rig
+from hidden.sensors import Sensors
+from hidden.truth import Truth
+
+Array = NDArray[np.float64]
+
+STORED = Path(__file__).with_name("visible.json")
+
+FITTED = ("damping", "stiffness", "mu_k", "valve_m2_per_v", "supply_pa", "braid_m")
+SECONDS = 4.0
+STEP_S = 50e-6
+ROUNDS = 3
+
+
+@cache
+def stored_shares() -> dict[str, float]:
+    """Return what is left by a case's name, in shares of the floor."""
+    shares: dict[str, float] = json.loads(STORED.read_text())
+    return shares
+
+
+def is_hopeless(case: HostileCase) -> bool:
+    """Tell whether a recalibration leaves nothing that anybody could name."""
+    return stored_shares().get(case.id, np.inf) < HOPELESS
+
+
+def measure_share(case: HostileCase) -> float:
+    """Return the RMS that no recalibration takes away, in floors: of the worse of the channels."""
+    rig = hidden_rig(case.effects, seed=7, miscalibrated=False)
+    rig = replace(rig, sensors=replace(rig.sensors, perfect=True), step_s=STEP_S)
+    train, held_out = EXCITATIONS[case.excitation](7)
+    files = [
+        record_of(rig, case.lab, _shorten(run), order)
+        for run, order in ((train[0], 0.0), (held_out[-1], 1.0))
+    ]
+    typed = start_plant(case).parameters
+    model = Truth(**{mine: getattr(typed, name) for name, mine in TRUTH_NAMES.items()})
+    seen = np.concatenate([_floors_of(file) for file in files], axis=1)
+    best = np.inf
+    for _ in range(ROUNDS):
+        error = seen - _predict(model, files)
+        best = min(best, float(np.sqrt(np.mean(error**2, axis=1)).max()))
+        tangents = [
+            (_predict(_moved(model, name, 1e-3), files) - (seen - error)).ravel() / 1e-3
+            for name in FITTED
+        ]
+        steps = np.linalg.lstsq(np.stack(tangents, axis=1), error.ravel(), rcond=None)[0]
+        for name, step in zip(FITTED, steps, strict=True):
+            limit = 0.01 if name == "braid_m" else 0.2
+            model = _moved(model, name, float(np.clip(step, -limit, limit)))
+    return best
+
+
+def _shorten(run: Excitation) -> Excitation:
+    n = round(SECONDS * 1e3)
+    cut = {k: v[:n] for k in ("volts", "wanted_m") if (v := getattr(run, k)) is not None}
+    return replace(run, **cut)
+
+
+def _moved(model: Truth, name: str, share: float) -> Truth:
+    value = getattr(model, name) * (1.0 + share)
+    if name == "braid_m":  # a muscle that contracts when it is filled
+        value = min(max(value, model.rest_length_m * 1.02), model.rest_length_m * 1.7)
+    return model._replace(**{name: value})
+
+
+def _predict(model: Truth, files: list[Record]) -> Array:
+    """Return what a rig of these numbers shows under the files' commands."""
+    perfect = HiddenRig(model, Sensors(perfect=True), 0, STEP_S)
+    runs = [
+        perfect.run(Excitation(file.name, file.valve_v, rest_v=float(file.valve_v[0]))).record
+        for file in files
+        if file.valve_v is not None
+    ]
+    return np.concatenate([_floors_of(run) for run in runs], axis=1)
+
+
+def _floors_of(record: Record) -> Array:
+    assert record.pressure_pa is not None
+    assert record.position_m is not None
+    return np.stack([record.pressure_pa / PRESSURE_FLOOR_PA, record.position_m / POSITION_FLOOR_M])

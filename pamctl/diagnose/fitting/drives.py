@@ -179,10 +179,8 @@ class Drive:
     def simulate_with(self, p: PlantParameters) -> Array:
         """Simulate the block with the kernels' parameters."""
         if self.is_equation:
-            velocity, acceleration = (self.differentiate_motion(self.slope_s, n) for n in (1, 2))
-            return required_force_n(
-                p, self._times_s, self.driven, velocity, acceleration, self._find_pressed_pa(p)
-            )
+            pressed_pa = self._find_pressed_pa(p)
+            return required_force_n(p, self._times_s, self.driven, *self._rates, pressed_pa)
         if not self.has_position:
             return drive_coupled(p, self.valve_v, self.grid).pressure_pa
         again = self._restarts
@@ -292,6 +290,12 @@ class Drive:
     @cached_property
     def _times_s(self) -> Array:
         return np.concatenate([[0.0], np.cumsum(self.step_s)])
+
+    @cached_property
+    def _rates(self) -> tuple[Array, Array]:
+        """Velocity and acceleration of an equation's motion."""
+        velocity, acceleration = (self.differentiate_motion(self.slope_s, n) for n in (1, 2))
+        return velocity, acceleration
 
     @cached_property
     def _restarts(self) -> Restarts:

@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 from pamctl.diagnose.judging.segments import (
     count_samples,
     differentiate,
+    filter_segments,
     find_segments,
     slope_gain,
 )
@@ -161,22 +162,19 @@ def regress_balance(records: Sequence[Record], slope_s: float) -> Balance:
     """
     columns, forces = [], []
     for record in records:
+        motion = [record["position_m"], *_differentiate(record, slope_s)]
+        margin = count_samples(slope_s, record.period_s) // 2
         for part in find_segments(record.step_s):
-            margin = count_samples(slope_s, record.period_s) // 2
-            inner = slice(margin, part.stop - part.start - margin)
+            inner = slice(part.start + margin, part.stop - margin)
             if inner.stop - inner.start < 2:
                 continue
-            position_m = record["position_m"][part]
-            rate, acceleration = (
-                differentiate(position_m, record.period_s, slope_s, order)[inner]
-                for order in (1, 2)
-            )
-            terms = [acceleration, rate, position_m[inner], np.sign(rate)]
+            position_m, rate, acceleration = (signal[inner] for signal in motion)
+            terms = [acceleration, rate, position_m, np.sign(rate)]
             if record.force_n is not None and record.pressure_pa is not None:
-                pressure = record["pressure_pa"][part][inner]
+                pressure = record["pressure_pa"][inner]
                 terms += [pressure, pressure * np.sign(rate)]
             columns.append(np.column_stack([*terms, np.ones(len(rate))]))
-            forces.append(record[_find_drive(record.channels)][part][inner])
+            forces.append(record[_find_drive(record.channels)][inner])
     if not columns:
         return Balance(0.0, 0.0, 0.0, 0.0, 0.0)
     table, force = np.concatenate(columns), np.concatenate(forces)
@@ -189,6 +187,20 @@ def regress_balance(records: Sequence[Record], slope_s: float) -> Balance:
     mass, damping, stiffness = (float(amount) for amount in amounts[:3])
     spring = stiffness * float(np.ptp(table[:, 2])) / max(float(np.ptp(force)), 1e-300)
     return Balance(mass, damping, stiffness, shows if mass > 0.0 else 0.0, spring)
+
+
+def _differentiate(record: Record, length_s: float) -> list[Array]:
+    """Return the velocity and the acceleration of a record."""
+
+    def derive(order: int) -> Array:
+        return filter_segments(
+            record["position_m"],
+            record.step_s,
+            lambda even: differentiate(even, record.period_s, length_s, order),
+            short=0.0,
+        )
+
+    return [derive(1), derive(2)]
 
 
 def _find_drive(channels: Collection[str]) -> str:
@@ -209,13 +221,7 @@ def choose_slope_s(records: Sequence[Record], noise: Noise, order: int = 1) -> f
     lengths_s = [n * period_s for n in SLOPE_PERIODS]
     for length_s in lengths_s:
         noisy = noise.total * slope_gain(length_s, period_s, order)
-        shown = np.concatenate(
-            [
-                differentiate(r["position_m"][p], r.period_s, length_s, order)
-                for r in records
-                for p in find_segments(r.step_s)
-            ]
-        )
+        shown = np.concatenate([_differentiate(r, length_s)[order - 1] for r in records])
         true_square = float(np.mean(shown**2)) - noisy**2
         if noisy**2 <= SLOPE_NOISE**2 * true_square:
             return length_s

@@ -19,7 +19,9 @@ from pamctl.diagnose.extend import assemble_plant
 from pamctl.diagnose.fitting.drives import Drive
 from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.rivals import Rival
+from pamctl.diagnose.naming.whiteness import ResidualSign
 from pamctl.diagnose.report.compared_models import HeldOutRun, HeldOutSignal, ModelStage
+from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.traces_part import STRETCH_S, find_telling_stretch
@@ -167,6 +169,17 @@ def test_every_other_verdict_has_a_page_that_says_so(named, records, verdict, ti
     assert said in html
     assert ">What to do next</h3>" in html
     assert "<svg" in html
+
+
+def test_a_residual_that_is_no_noise_is_said_on_the_page_and_in_the_document(named, records):
+    sign = ResidualSign("pressure", "coloured", "averaged over 0.1 s it is 3.0 times the noise")
+    found = replace(as_if(named, Verdict.NONE_KNOWN), signs=(sign,))
+    html = page(found, records)
+    assert headline(html) == "The noise is in doubt, so nothing can be said of the model"
+    assert html.count("in the pressure block averaged over 0.1 s") >= 2
+    document = build_diagnosis_document(found)
+    assert document["residual_signs"] == [sign.as_dict()]
+    assert document["confirmed_on"]["records"] == [records[1].name]
 
 
 def test_an_unexplained_remainder_is_drawn_but_never_called_a_cause(named, records):

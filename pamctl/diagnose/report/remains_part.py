@@ -12,6 +12,7 @@ from pamctl.diagnose.report.phrases import (
     describe_largest_remainder,
     describe_limits,
     describe_remainder,
+    describe_signs,
     describe_substeps,
     spell_names,
 )
@@ -30,6 +31,8 @@ def write_remainder(page: Page, diagnosis: Diagnosis) -> None:
     page.text(describe_limits(model))
     if substeps := describe_substeps(diagnosis.substep_changes):
         page.note(substeps)
+    if diagnosis.signs:
+        page.note(describe_signs(diagnosis))
     if model.is_complete:
         block, ratio, _ = find_largest_remainder(diagnosis)
         limit = model.floors[block].limit / model.floors[block].mean

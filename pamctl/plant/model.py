@@ -105,18 +105,19 @@ class PlantSettings(Configured):
     chamber_volume_m3: Annotated[
         float | None, Field(gt=0, description="of `actuator: chamber`, its tubes included")
     ] = None
-    parameters: MuscleParameters = MuscleParameters()
-    effects: EffectSettings = EffectSettings()
-    correction: Annotated[
-        CorrectionSettings | None,
-        Field(description="tables for what no effect explains; `pamctl diagnose --correction`"),
-    ] = None
 
     @model_validator(mode="after")
     def _check_chamber(self) -> PlantSettings:
         if (self.actuator == "chamber") != (self.chamber_volume_m3 is not None):
             raise ValueError("`actuator: chamber` needs chamber_volume_m3, and no other does")
         return self
+
+    parameters: MuscleParameters = MuscleParameters()
+    effects: EffectSettings = EffectSettings()
+    correction: Annotated[
+        CorrectionSettings | None,
+        Field(description="tables for what no effect explains; `pamctl diagnose --correction`"),
+    ] = None
 
 
 def plant_parameters(settings: PlantSettings) -> PlantParameters:

@@ -23,7 +23,12 @@ from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.plant.model import PlantSettings
 
 PAPER = PlantSettings()
-DIRECT = PlantSettings(actuator="direct")
+DIRECT = PlantSettings.model_validate(
+    {
+        "actuator": "direct",
+        "parameters": {"mass_kg": 1.0, "damping_n_s_per_m": 10.0, "stiffness_n_per_m": 100.0},
+    }
+)
 
 
 def spoilt(**changes: object) -> str:

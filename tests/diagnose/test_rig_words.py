@@ -14,6 +14,7 @@ from pamctl.diagnose.experiments import MOTIONS, write_advice
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.phrases import mark_bound
 from pamctl.diagnose.report.rig_at_hand import runs_here
 from pamctl.diagnose.report.sensor_units import write_ratio
 from pamctl.diagnose.report.verdict_words import advise_next_steps, sentence
@@ -103,18 +104,18 @@ def test_signal_and_residual_share_a_picture(found: Diagnosis, records: list[Rec
     assert float(signal) == pytest.approx(spread_mm, rel=0.01)
 
 
-def test_a_fitted_number_at_the_end_of_its_range_is_marked(records: list[Record]) -> None:
-    far = AXIS.model_copy(
-        update={"parameters": AXIS.parameters.model_copy(update={"stiffness_n_per_m": 9e7})}
-    )
-    others = {*CATALOGUE} - {"cubic_stiffness"}
-    lost = diagnose(records[:1], records[1:], far, without=others)
-    model = lost.model
+def test_a_fitted_number_at_the_end_of_its_range_is_marked(found: Diagnosis) -> None:
+    model = found.model
     assert model is not None
-    bounds = {name for fitted in model.fits.values() for name in fitted.at_bound}
-    assert bounds
-    assert "at an end" in build_diagnosis_page(lost, records).html()
-    assert "at an end of the range" in summary(lost)
+    ((blocks, fitted),) = model.fits.items()
+    name = fitted.free[0].name
+    ended = replace(fitted.free[0], low=fitted.values[name] - 1.0, high=fitted.values[name])
+    narrow = replace(fitted, free=(ended, *fitted.free[1:]))
+    at_end = replace(found, model=replace(model, fits={blocks: narrow}))
+    assert mark_bound(at_end, name) == "at an end"
+    (line,) = (line for line in summary(at_end).splitlines() if line.startswith(f"{name} "))
+    assert line.endswith("(at an end of the range)")
+    assert mark_bound(found, name) == ""
 
 
 def test_an_accepted_doubt_is_in_the_document_and_on_the_page(records: list[Record]) -> None:

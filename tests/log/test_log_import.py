@@ -466,3 +466,8 @@ def test_columns_apart_by_spaces_and_without_names_are_called_by_their_numbers(
     assert len(imported) == 50
     assert imported.position_m[7] == pytest.approx(0.7e-3)
     assert imported.pressure_pa[7] == pytest.approx(ATMOSPHERE_PA + 2.07e5)
+
+
+def test_rows_at_10_hz_are_no_milliseconds(tmp_path: Path) -> None:
+    slow = {**GOOD, "t_s": 0.1 * np.arange(len(T_S))}
+    assert Outcome(write_csv(tmp_path / "slow.csv", slow)).code == 0

@@ -27,6 +27,8 @@ more than the microsecond by which two clocks of one log may differ.
 """
 SHORTEST_PERIOD_S = 1e-9
 """Resolution of a log's clock."""
+LONGEST_PERIOD_S = 0.5
+"""Slower rows are more likely milliseconds that were taken for seconds."""
 _SHOWN_ROWS = 5
 
 
@@ -73,7 +75,7 @@ def judge_time(t_s: Floats, rows: Rows, findings: LogFindings, column: str = TIM
     if off > JITTER:
         detail = f"the time steps differ from {period_s:.6g} s by up to {off:.0%}"
         findings.warning("jitter", f"{detail}; --resample puts the rows on an even grid")
-    if period_s >= 0.1:
+    if period_s > LONGEST_PERIOD_S:
         findings.error("unit", f"a row every {period_s:.6g} s: is the time in ms?")
 
 
@@ -116,7 +118,7 @@ def _doubt_valve(values: Floats) -> str:
 def _doubt_pressure(values: Floats) -> str:
     low, high = values.min(), values.max()
     if low >= 80e3:
-        return "more than such a muscle can bear" if high > 2e6 else ""
+        return "above 20 bar; is the unit right?" if high > 2e6 else ""
     if low > 0.0 and high < 20.0:
         return "is this bar? Then call it pressure_bar, or pressure_gauge_bar"
     if high < 2e3:

@@ -22,9 +22,9 @@ from pamctl.diagnose.naming.rivals import Rival
 from pamctl.diagnose.naming.whiteness import ResidualSign
 from pamctl.diagnose.report.compared_models import HeldOutRun, HeldOutSignal, ModelStage
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.next_experiment import choose_next_experiment
-from pamctl.diagnose.report.traces_part import STRETCH_S, find_telling_stretch
+from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.page.traces_part import STRETCH_S, find_telling_stretch
 from pamctl.diagnose.report.verdict_words import advise_next_steps
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings

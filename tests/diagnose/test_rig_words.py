@@ -13,7 +13,7 @@ from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
 from pamctl.diagnose.experiments import MOTIONS, write_advice
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.phrases import mark_bound
 from pamctl.diagnose.report.rig_at_hand import runs_here
 from pamctl.diagnose.report.sensor_units import write_ratio

@@ -9,8 +9,8 @@ from pathlib import Path
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
-from pamctl.diagnose.report.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
+from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
 from pamctl.new_file import write_files
 
 

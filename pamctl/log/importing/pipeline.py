@@ -15,8 +15,8 @@ from pamctl.log.check.log_problems import LogFinding, LogFindings, Severity
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.csv_table import read_csv
 from pamctl.log.importing.imported_log import nominal_period_s, write_imported
-from pamctl.log.importing.judge import judge_sign, judge_time, judge_values
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
+from pamctl.log.importing.plausibility import judge_sign, judge_time, judge_values
 from pamctl.log.importing.quantities import TIME, ColumnReading, parse_column_name
 from pamctl.log.importing.resample import resample_columns
 from pamctl.new_file import require_place

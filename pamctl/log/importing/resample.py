@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log.importing.imported_log import nominal_period_s
-from pamctl.log.importing.judge import GAP_PERIODS
+from pamctl.log.importing.plausibility import GAP_PERIODS
 
 Floats = NDArray[np.float64]
 

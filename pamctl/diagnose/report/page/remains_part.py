@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
 from pamctl.diagnose.measured.record import CHANNELS, Record
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
+from pamctl.diagnose.report.page.regime_map import write_shape
 from pamctl.diagnose.report.phrases import (
     describe_correction,
     describe_largest_remainder,
@@ -16,7 +17,6 @@ from pamctl.diagnose.report.phrases import (
     describe_substeps,
     spell_names,
 )
-from pamctl.diagnose.report.regime_map import write_shape
 from pamctl.diagnose.report.rig_at_hand import advise_experiment, words_of_rig
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page

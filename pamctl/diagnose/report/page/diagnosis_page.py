@@ -11,17 +11,17 @@ from collections.abc import Sequence
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
-from pamctl.diagnose.report.findings_part import write_findings, write_trials
-from pamctl.diagnose.report.head_part import write_head
-from pamctl.diagnose.report.regime_map import write_map
-from pamctl.diagnose.report.remains_part import (
+from pamctl.diagnose.report.page.findings_part import write_findings, write_trials
+from pamctl.diagnose.report.page.head_part import write_head
+from pamctl.diagnose.report.page.regime_map import write_map
+from pamctl.diagnose.report.page.remains_part import (
     write_blind_spots,
     write_compared_runs,
     write_measured_runs,
     write_remainder,
 )
+from pamctl.diagnose.report.page.traces_part import write_traces
 from pamctl.diagnose.report.setup_part import write_setup
-from pamctl.diagnose.report.traces_part import write_traces
 from pamctl.diagnose.report.verdict_words import choose_words
 from pamctl.report.html_page import Page
 

@@ -1,0 +1,4 @@
+"""The page of a diagnosis, part by part.
+
+Read `diagnosis_page.py` first.
+"""

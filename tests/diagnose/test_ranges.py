@@ -161,3 +161,25 @@ def test_the_reach_is_that_of_the_motion_and_not_of_its_noise(hz: int) -> None:
     assert reach.travel_m == pytest.approx(0.2, rel=0.01)
     assert reach.force_n == pytest.approx(20.0, rel=0.01)
     assert reach.load_n == pytest.approx(70.0, rel=0.01)
+
+
+def test_pressure_alone_drives_a_piston_and_its_numbers_come_back() -> None:
+    """A free cylinder on a spring, without a force sensor; the guesses are three times off."""
+    numbers = {"mass_kg": 2.0, "damping_n_s_per_m": 120.0, "stiffness_n_per_m": 3000.0}
+    truth = direct(parameters=numbers, effects={"piston": {"area_m2": 8e-4}})
+    t = np.arange(6000) * 1e-3
+    pressure_pa = ATMOSPHERE_PA + 4e4 * (1.0 - np.cos(2 * np.pi * (0.4 + 0.3 * t) * t))
+    moved = drive_mechanics(parameters_of(values_of(truth)), pressure_pa, 1e-3, steps=8)
+    record = Record(
+        "pressed", t, position_m=np.round(moved.position_m / 1e-6) * 1e-6, pressure_pa=pressure_pa
+    )
+    # The spring is known: pressure shows every force over the area only.
+    guess = direct(
+        parameters={"mass_kg": 6.0, "damping_n_s_per_m": 40.0, "stiffness_n_per_m": 3000.0},
+        effects={"piston": {"area_m2": 4e-4}},
+        known=["stiffness_n_per_m"],
+    )
+    found = recalibrate(prepare_evidence([record], [record], guess)).fit_of("mechanics").values
+    assert found["mass_kg"] == pytest.approx(2.0, rel=0.03)
+    assert found["damping_n_s_per_m"] == pytest.approx(120.0, rel=0.03)
+    assert found["piston.area_m2"] == pytest.approx(8e-4, rel=0.01)

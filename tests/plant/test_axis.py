@@ -148,3 +148,16 @@ def test_a_column_that_does_not_fit_is_refused() -> None:
     broken = np.array([0.0, 0.0, math.nan, 0.0, 0.0])
     with pytest.raises(ValueError, match="pressure_pa: sample 2 is no number"):
         required_force_n(p, T_S[:5], still, still, still, broken)
+
+
+def test_a_muscle_that_moves_by_itself_needs_no_force_from_outside() -> None:
+    """The muscle's own pull makes its motion; a load of 5 N has to come from somewhere."""
+    muscle = {"coulomb_friction.force_n": 3.0}
+    moved = drive_mechanics(parameters_of(muscle), PRESSURE_PA, TICK_S, steps=8)
+    v = moved.velocity_m_per_s
+    a = np.gradient(v, TICK_S)
+    sliding = np.abs(v) > 1e-3
+    for load_n in (0.0, 5.0):
+        p = parameters_of(muscle | {"external_load.force_n": load_n})
+        needed_n = required_force_n(p, T_S, moved.position_m, v, a, PRESSURE_PA)
+        assert np.median(np.abs(needed_n - load_n)[sliding]) < 0.02

@@ -437,7 +437,7 @@ def test_an_unknown_name_gets_the_nearest_and_the_list() -> None:
     with pytest.raises(ConfigError) as caught:
         find_config_file("plant", "papr")
     assert str(caught.value).startswith(
-        "--plant papr: there is no such plant; did you mean 'paper'? There are paper"
+        "--plant papr: there is no such plant; did you mean 'paper'? There are ball-screw, paper"
     )
     with pytest.raises(ConfigError, match="there is no such controller"):
         resolve(controller="")  # an empty shell variable is not the default

@@ -105,9 +105,9 @@ def fill_required_force(
         bristle_n, held_n = friction_force(
             plain, forces, bristle_n, x - begin_m, v, rest_speed_m_per_s
         )
-        load = 0.0 if p.direct else pressure_pa
-        table_n = interpolate_table(p.correction.pull, x, load)
-        needed_n[k] = p.paper.mass_kg * push - forces.drive_n - table_n + held_n
+        plain_n = p.paper.mass_kg * push - forces.drive_n + held_n
+        load = plain_n if p.direct else pressure_pa
+        needed_n[k] = plain_n - interpolate_table(p.correction.pull, x, load)
         begin_m, begin_s = x, now_s
 
 

@@ -47,6 +47,7 @@ from pamctl.plant.sensing import (
     sensors_step,
 )
 from pamctl.plant.step import mechanics_block_step, plant_step, pressure_block_step
+from pamctl.plant.valve_chain import settle_valve
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -116,7 +117,7 @@ def drive_coupled(
     """
     commands = _check_signal("command_v", command_v)
     grid = build_grid(dt_s, len(commands), steps, acts_after_s)
-    state = vented_state(p) if start is None else start
+    state = _settle_valve(p, vented_state(p) if start is None else start, grid.held_v)
     rows = np.empty((len(CoupledResponse._fields), len(commands)))
     _get_twin(run_coupled)(p, state, build_steps(p, commands, grid), rows)
     return CoupledResponse(*rows)
@@ -174,6 +175,7 @@ def _run_pressure(
     true_m = undo_sensor("position_reading", p, positions, grid.samples_s)
     if start is None:
         start = rest_state(p, float(true_m[0]), p.paper.atmospheric_pressure_pa)
+    start = _settle_valve(p, start, grid.held_v)
     cut = build_steps(p, commands, grid)
     restarts = _undo_restarts("pressure_reading", p, restarts, grid)
     if every_step:
@@ -218,6 +220,13 @@ def drive_mechanics(
     restarts = _undo_restarts("position_reading", p, restarts, grid)
     _get_twin(run_mechanics)(p, state, cut, ends_pa, ends_n, restarts, rows)
     return MechanicsResponse(*rows)
+
+
+def _settle_valve(p: PlantParameters, state: PlantState, held_v: float | None) -> PlantState:
+    """Return the state with a valve that has settled under the command before the first one."""
+    if held_v is None or not p.valve_acts:
+        return state
+    return state._replace(valve=settle_valve(p.effects.valve, state.valve, held_v))
 
 
 # The kernels. Each fills `rows`, with one row for each field of its result.
@@ -409,7 +418,8 @@ def build_grid(
 
     An interval of one period gets `steps` steps. A tolerance of a tenth keeps jitter from adding
     one. `acts_after_s` is one number, or one for each sample; None: commands act at their samples.
-    Until the first command acts the valve has `held_v`, by default that command.
+    Until the first command acts the valve has `held_v`, in which it had settled; by default it has
+    the first command, and its spool starts as the state says.
     A grid is returned unchanged. Raises ValueError if arrays do not fit the number of samples, or
     if a grid is given another `acts_after_s`.
     """

@@ -8,6 +8,16 @@ from pamctl.plant.chains import follow_command, follow_opening, pass_command, pa
 from pamctl.plant.effects.valve.valve_spool import spool_step
 from pamctl.plant.parameters import ValveState
 
+LONG_S = 10.0
+"""A valve has settled after this time."""
+
+
+def settle_valve(e: Any, valve: ValveState, command_v: float) -> ValveState:
+    """Return the valve's state after it has had a command (V) for long."""
+    memory = follow_command(e, valve.memory, command_v, command_v, LONG_S, 0.0)
+    spool_v = pass_command(e, memory, command_v, 0.0)
+    return ValveState(spool_v, 0.0, follow_opening(e, memory, spool_v, spool_v, LONG_S, 0.0))
+
 
 def valve_step(
     e: Any, valve: ValveState, command_v: float, age_s: float, step_s: float

@@ -101,6 +101,8 @@ def test_the_record_of_a_real_time_log_knows_when_commands_act_and_its_cuts_do()
     assert record.acts_after_s.max() > 5e-3  # a slow read
     cut = record.cut_samples(10, 60, "part")
     np.testing.assert_array_equal(cut.acts_after_s, record.acts_after_s[10:60])
+    assert cut.held_v == record["valve_v"][9]
+    assert record.held_v == -5.0  # the end of homing
     assert record_of(GOLDEN / "qsmc.mcap").acts_after_s is None
     with pytest.raises(ValueError, match="acts_after_s has 3 samples"):
         Record("wrong", np.arange(4.0), valve_v=np.zeros(4), acts_after_s=np.zeros(3))

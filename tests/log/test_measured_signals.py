@@ -107,6 +107,17 @@ def test_a_command_in_real_time_acts_when_its_tick_has_read_and_computed(tmp_pat
     assert np.array_equal(pamctl.log.signals(whole)[20:30].acts_after_s, acts_s[20:30])
 
 
+def test_signals_know_the_command_before_their_first(tmp_path):
+    log = recorded(tmp_path)
+    measured = pamctl.log.signals(timed(log, {"safe_output_v": "0.625"}))
+    assert measured.held_v == 0.625 - 5.0
+    assert measured[:10].held_v == measured.held_v
+    assert measured[40:].held_v == measured[30:][10:].held_v == measured.valve_v[39]
+    log["applied_v"][39] = np.nan  # a write that failed
+    assert pamctl.log.signals(timed(log, {}))[40:].held_v is None
+    assert pamctl.log.signals(timed(log, {})).held_v is None
+
+
 def test_a_log_without_durations_lets_its_commands_act_at_their_samples(tmp_path):
     log = recorded(tmp_path)
     old = {n: c for n, c in log.columns.items() if not n.endswith(("read_s", "compute_s", "e_s"))}

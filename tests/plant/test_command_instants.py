@@ -164,3 +164,33 @@ def test_the_course_of_the_pressure_passes_through_its_samples() -> None:
     at_samples = drive_pressure(PAPER, COMMAND_V, POSITION_M, grid).pressure_pa
     np.testing.assert_array_equal(course_pa[grid.first], at_samples)
     assert len(ends_s) == len(course_pa) == len(grid.step_s) + 1
+
+
+@pytest.mark.parametrize("late_s", [None, 3e-4])
+def test_a_record_starts_with_the_valve_in_the_command_before_it(late_s: float | None) -> None:
+    """A spool needs time from where it was, and the first command comes late."""
+    delay_s = 1.4e-3
+    p = parameters_of(
+        {
+            "valve_spool.time_constant_s": 1.46e-3,
+            "valve_hysteresis.width_v": 0.2,
+            "command_delay.delay_s": delay_s,
+        }
+    )
+    held = np.concatenate([np.full(200, -5.0), COMMAND_V])
+    held_m = np.concatenate([np.full(200, POSITION_M[0]), POSITION_M])
+    whole = drive_pressure(p, held, held_m, TICK_S, acts_after_s=late_s).pressure_pa[200:]
+    known = build_grid(TICK_S, TICKS, acts_after_s=late_s, held_v=-5.0)
+    unknown = build_grid(TICK_S, TICKS, acts_after_s=late_s)
+    ours = drive_pressure(p, COMMAND_V, POSITION_M, known).pressure_pa
+    assert np.abs(ours - whole).max() < 20.0
+    assert np.abs(drive_pressure(p, COMMAND_V, POSITION_M, unknown).pressure_pa - whole).max() > 2e3
+    coupled = drive_coupled(p, COMMAND_V, known).pressure_pa
+    before = drive_coupled(p, held, TICK_S, acts_after_s=late_s).pressure_pa[200:]
+    assert np.abs(coupled - before).max() < 20.0
+
+
+def test_the_command_before_changes_nothing_where_the_first_acts_at_once() -> None:
+    known = build_grid(TICK_S, TICKS, held_v=-5.0)
+    plain = drive_coupled(PAPER, COMMAND_V, TICK_S)
+    np.testing.assert_array_equal(np.array(drive_coupled(PAPER, COMMAND_V, known)), np.array(plain))

@@ -25,7 +25,7 @@ from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, count_steps
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.model_fit import list_free_numbers, recalibrate
 from pamctl.diagnose.fitting.numbers import FreeNumber
-from pamctl.diagnose.judging.judge import JudgeKind
+from pamctl.diagnose.judging.judges import JudgeKind
 from pamctl.diagnose.judging.segments import (
     count_samples,
     find_segments,

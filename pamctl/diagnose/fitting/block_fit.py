@@ -7,7 +7,7 @@ deviation of the sensor, so that both blocks weigh the same.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import log
@@ -249,6 +249,9 @@ class _LeastSquares:
 
 def limit_to_plant(free: Sequence[FreeNumber], settings: PlantSettings) -> tuple[FreeNumber, ...]:
     """Return the numbers with ranges that end where a plant file's own limits do."""
+    lows, highs = {f.name: f.low for f in free}, {f.name: f.high for f in free}
+    if _is_valid(settings, lows) and _is_valid(settings, highs):
+        return tuple(free)
     return tuple(map(partial(_limit_number, settings=settings), free))
 
 
@@ -260,20 +263,20 @@ def _limit_number(free: FreeNumber, settings: PlantSettings) -> FreeNumber:
 
 def _find_last_valid(settings: PlantSettings, name: str, inside: float, end: float) -> float:
     """Return the value nearest to `end`, on the way from `inside`, that a plant may have."""
-    if _is_valid(settings, name, end):
+    if _is_valid(settings, {name: end}):
         return end
     for _ in range(BISECTIONS):
         middle = 0.5 * (inside + end)
-        if _is_valid(settings, name, middle):
+        if _is_valid(settings, {name: middle}):
             inside = middle
         else:
             end = middle
     return inside
 
 
-def _is_valid(settings: PlantSettings, name: str, value: float) -> bool:
+def _is_valid(settings: PlantSettings, values: Mapping[str, float]) -> bool:
     try:
-        with_values(settings, {name: value})
+        with_values(settings, values)
     except ValidationError:
         return False
     return True
@@ -314,7 +317,11 @@ def _derivative(
     value = value_of(settings, free.name)
     if value + step > free.high:
         step = -step
-    moved = with_values(settings, {free.name: value + step})
+    try:
+        moved = with_values(settings, {free.name: value + step})
+    except ValidationError:  # another number of the plant is the limit
+        step = -step
+        moved = with_values(settings, {free.name: value + step})
     return (stack_residuals(drives, moved) - residual) * (free.scale / step)
 
 

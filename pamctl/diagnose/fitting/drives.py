@@ -4,7 +4,7 @@
 
 A block without a fault then stays at its noise floor, whatever the other block hides. Where a
 block never forgets its start, it is driven in windows; where a motion is imposed, the force that
-it needs is compared (`judging/judge.py`).
+it needs is compared (`judging/judges.py`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.diagnose.judging.judge import Judge, JudgeKind
+from pamctl.diagnose.judging.judges import Judge, JudgeKind
 from pamctl.diagnose.judging.segments import (
     count_samples,
     differentiate,

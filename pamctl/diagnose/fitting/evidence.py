@@ -21,7 +21,7 @@ from pamctl.diagnose.fitting.drives import (
 )
 from pamctl.diagnose.fitting.floor import Floor
 from pamctl.diagnose.fitting.repeatability import Repeat, find_repeats
-from pamctl.diagnose.judging.judge import (
+from pamctl.diagnose.judging.judges import (
     Judge,
     JudgeKind,
     choose_slope_s,

@@ -50,7 +50,7 @@ HOPELESS = 5.0
 """A suspect that leaves so many times the square that an effect promises to leave is not fitted."""
 
 
-class RivalEffects(Protocol):
+class EffectRivals(Protocol):
     """The catalogue's single effects upon a base: rivals of every suspect."""
 
     def promise(self, base: Model, block: str) -> float:
@@ -82,7 +82,7 @@ def suspect_setup(
     base: Model,
     train: Sequence[Record],
     holdout: Sequence[Record],
-    effects: RivalEffects,
+    effects: EffectRivals,
     progress: Callable[[str], None] = lambda line: None,
 ) -> CheckedSetup:
     """Return the findings, and the base to search upon."""
@@ -118,7 +118,7 @@ def is_refuted_by(fitted: SuspectFit, model: Model) -> bool:
     return bool(model.effects) and low > MUCH
 
 
-def _find_best(base: Model, effects: RivalEffects) -> tuple[SuspectFit, tuple[str, ...]] | None:
+def _find_best(base: Model, effects: EffectRivals) -> tuple[SuspectFit, tuple[str, ...]] | None:
     """Return the best accepted suspect, and the names of what it cannot be told from."""
     least = {b: 1.0 - HOPELESS * (1.0 - effects.promise(base, b)) for b in base.unexplained}
     fits = [f for f in _fit_promising(base, least) if _is_worth_saying(f)]

@@ -35,6 +35,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
             "next_experiment": None,
             "gap": {},
             "unexplained": None,
+            "accepted": [],
         }
     block, ratio, regimes = find_largest_remainder(diagnosis)
     return {

@@ -36,6 +36,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
             "next_experiment": None,
             "gap": {},
             "unexplained": None,
+            "accepted": [],
         }
     block, ratio, regimes = find_largest_remainder(diagnosis)
     return {

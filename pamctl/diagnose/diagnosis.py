@@ -11,6 +11,7 @@ from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.locate import RegimeMisfit, describe_worst_regimes
+from pamctl.diagnose.measured.channel_noise import ChannelNoise
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.naming.remainder import Remainder
 from pamctl.diagnose.naming.rivals import Standing
@@ -55,6 +56,8 @@ class Diagnosis:
     """Share of the gap from recalibrated to floor that the effects close."""
     audit: Audit | None = None
     """What these records could not have shown."""
+    noise: Mapping[str, ChannelNoise] = field(default_factory=dict)
+    """What is known of each channel's noise, and of the time stamps, `t_s`."""
 
     @property
     def recalibrated(self) -> tuple[FittedNumber, ...]:

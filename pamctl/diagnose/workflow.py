@@ -10,7 +10,7 @@ print(sentence(diagnosis))
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -25,6 +25,8 @@ from pamctl.diagnose.fitting.integrator import compare_substeps
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.split import split_by_run, split_by_stretch
 from pamctl.diagnose.locate import locate_misfits
+from pamctl.diagnose.measured.channel_noise import describe_channels
+from pamctl.diagnose.measured.mend import SensorFault, mend_record
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
 from pamctl.diagnose.name import Naming, name_effects
@@ -42,6 +44,7 @@ def diagnose(
     *,
     without: Collection[str] = (),
     correction: bool = False,
+    noise: Mapping[str, float] | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -49,11 +52,15 @@ def diagnose(
 
     The model is fitted on `train` and judged by `holdout`. Without `holdout`, `train` is split by
     run; a single run is split into long stretches. `without` leaves effects out of the catalogue.
-    With `correction`, what no effect explains is added to the plant as a table, where that helps.
+    `noise` states the sensors' standard deviations in SI by channel, before what the plant file or
+    the records state. With `correction`, what no effect explains is added to the plant as a table,
+    where that helps.
     Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
     library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
     progress = progress or (lambda line: None)
+    stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
+    train, holdout, faults = _mend_records(train, holdout, stated)
     try:
         evidence, train, holdout = _check_and_prepare(train, holdout, plant)
     except BadData as error:
@@ -66,7 +73,24 @@ def diagnose(
     progress(f"recalibrated: {ratios}")
     naming = name_effects(base, candidates, executor, progress)
     naming, gaps = _withdraw_if_worse(naming, holdout)
-    return _conclude(naming, gaps, train, holdout, candidates, correction=correction)
+    diagnosis = _conclude(naming, gaps, train, holdout, candidates, correction=correction)
+    channels = describe_channels([*train, *holdout], evidence.noises, faults)
+    extended = diagnosis.plant.model_copy(update={"noise": plant.noise})
+    return replace(diagnosis, plant=extended, noise=channels)
+
+
+def _mend_records(
+    train: Sequence[Record], holdout: Sequence[Record], stated: Mapping[str, float]
+) -> tuple[list[Record], list[Record], list[SensorFault]]:
+    """Mend every record; a statement of its noise that is given here comes before its own."""
+    faults: list[SensorFault] = []
+
+    def mend(record: Record) -> Record:
+        mended, found = mend_record(record)
+        faults.extend(found)
+        return replace(mended, stated_noise={**mended.stated_noise, **stated})
+
+    return [mend(r) for r in train], [mend(r) for r in holdout], faults
 
 
 def _check_and_prepare(

@@ -132,7 +132,7 @@ class Drive:
         """
         if replica not in self._disturbances:
             drawn = noise.simulate_sensor(
-                np.zeros(len(self.driven)), self.random_generator(replica, 0)
+                np.zeros(len(self.driven)), self.random_generator(replica, 0), self.driven
             )
             smooth = _smooth_signal(drawn, float(np.median(self.step_s)), self.cutoff_hz)
             self._disturbances[replica] = smooth
@@ -159,6 +159,7 @@ def prepare_pressure_drive(record: Record, noises: dict[str, Noise], atmosphere_
         0.0,
         _initial_pressure_pa(record, noises["pressure_pa"], atmosphere_pa),
         has_position=has_position,
+        rows=record.counts,
     )
 
 
@@ -186,6 +187,7 @@ def prepare_mechanics_drive(
         max(noise.total, 1e-7),
         noise.resolution,
         initial_position_m(record, noise),
+        rows=record.counts,
     )
 
 
@@ -210,6 +212,7 @@ def prepare_force_drive(record: Record, noises: dict[str, Noise]) -> Drive:
         max(noise.total, 1e-7),
         noise.resolution,
         initial_position_m(record, noise),
+        rows=record.counts,
     )
 
 

@@ -41,4 +41,5 @@ def split_by_stretch(evidence: Evidence) -> Evidence:
 
 def _take_third(drive: Drive, held_out: bool) -> Drive:
     stretch = np.arange(len(drive.measured)) * STRETCHES // len(drive.measured)
-    return replace(drive, rows=(stretch % 3 == 1) == held_out)
+    rows = (stretch % 3 == 1) == held_out
+    return replace(drive, rows=rows if drive.rows is None else rows & drive.rows)

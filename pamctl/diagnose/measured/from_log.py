@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
@@ -69,4 +70,5 @@ def record_of(path: str | Path) -> Record:
         **channels,
         reference_m=reference_m,
         experiment=experiment,
+        stated_noise=json.loads(log.metadata.get("import", {}).get("noise") or "{}"),
     )

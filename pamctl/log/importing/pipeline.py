@@ -79,6 +79,8 @@ def import_log(
             _note_resampling(t_s, resample_hz, findings)
             t_s, quantities = _resample_to_grid(t_s, quantities, resample_hz)
         story = _describe_import(source, table, readings, findings, float(t_s[0]), resample_hz)
+        if import_map and (noise := import_map.stated_noise()):
+            story["noise"] = to_json(noise).decode()
         write_imported(destination, t_s - t_s[0], quantities, story)
     return ImportSummary(
         source=str(source),

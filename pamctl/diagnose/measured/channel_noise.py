@@ -77,7 +77,8 @@ def _find_faults(records: Sequence[Record], channel: str, noise: Noise) -> Itera
     filtering = find_filtering(records, channel)
     if filtering is not None:
         at = "" if filtering.cutoff_hz is None else f" near {filtering.cutoff_hz:.3g} Hz"
-        how = ", forwards and backwards: it answers before its cause" * filtering.is_zero_phase
+        how = ", forwards and backwards: it answers before its cause"
+        how = how if filtering.is_zero_phase else ""
         says = f"{channel} was filtered{at}{how}; use the data as they were measured"
         yield SensorFault(channel, "filtered", says)
     if noise.growth:

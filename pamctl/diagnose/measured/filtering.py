@@ -65,7 +65,7 @@ def _is_ahead(records: Sequence[Record], channel: str, cutoff_hz: float | None) 
     if len(shares) < FEWEST_STEPS:
         return False
     error = float(shares.std(ddof=1)) / np.sqrt(len(shares))
-    return float(np.median(shares)) > LEAST_AHEAD and float(shares.mean()) > 3.0 * error
+    return bool(np.median(shares) > LEAST_AHEAD and shares.mean() > 3.0 * error)
 
 
 def _measure_ahead(record: Record, channel: str, cutoff_hz: float | None) -> list[float]:

@@ -18,7 +18,7 @@ Rows = NDArray[np.bool_]
 
 LONGEST = 20
 """Samples that a dropout may last; a longer one is not mended here."""
-MOST = 0.01
+MOST = 0.02
 """Share of the samples that may be outliers. More are not single, but the signal."""
 JUMP = 9.0
 """An outlier is this many local deviations away."""

@@ -26,7 +26,7 @@ RISE_FROM = 20
 RISE_OVER_NOISE = 10.0
 """A force has left its start when it is this multiple of its noise away, even if the noise is
 correlated."""
-RISE_SHARE = 1e-3
+RISE_SHARE = 2e-3
 """A channel has not left its start within this share of its span, however quiet it is."""
 CORRELATED = 2.0
 """How much smaller the third differences of a sensor's noise may be than those of white noise."""

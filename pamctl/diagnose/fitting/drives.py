@@ -78,6 +78,11 @@ class Drive:
         """Number of samples that count."""
         return len(self.measured) if self.rows is None else int(self.rows.sum())
 
+    @property
+    def channel(self) -> str:
+        """The channel of the output."""
+        return "pressure_pa" if self.block == PRESSURE else "position_m"
+
     @cached_property
     def grid(self) -> SampleGrid:
         """The simulation's steps."""

@@ -211,7 +211,7 @@ def imitate_records(
 
 def sensor_noise_of(drives: Sequence[Drive], noises: dict[str, Noise]) -> Noise:
     """Return the noise of the sensor of a block's output."""
-    return noises["position_m" if drives[0].block == MECHANICS else "pressure_pa"]
+    return noises[drives[0].channel]
 
 
 def _estimate_memory(residual: Array, drives: Sequence[Drive]) -> float:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pamctl.diagnose.measured.record import Array, Record
+from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
 from pamctl.diagnose.measured.spectrum import find_cutoff, find_tail
 from pamctl.diagnose.measured.time_stamps import cut_even_stretches
 
@@ -46,6 +46,7 @@ def find_filtering(records: Sequence[Record], channel: str) -> Filtering | None:
         rests = [r[channel][: r.rest_samples] for r in records]
         share = find_cutoff([rest for rest in rests if len(rest) >= 256])
     is_too_quiet = tail is not None and not tail.is_flat and tail.deviation < QUIETEST * span
+    is_too_quiet &= not any(estimate_resolution(r[channel]) for r in records)
     if share is None and not is_too_quiet:
         return None
     cutoff_hz = None if share is None else share / period_s

@@ -17,9 +17,9 @@ from pamctl.diagnose.measured.record import Array
 MAINS_HZ = (50.0, 60.0)
 OFF_HZ = 0.5
 """Mains are at most this far from their frequency."""
-LINE = 20.0
+LINE = 6.0
 """A line stands out of the density beside it by this factor."""
-LEFT = 8.0
+LEFT = 2.5
 """A density of less, over that beside it, is no line."""
 LEAST_TAKEN = 0.9
 """Share of a line that a sinusoid takes off; less is not a steady sinusoid."""
@@ -61,13 +61,13 @@ def remove_hum(values: Array, period_s: float, command: Array | None) -> tuple[A
         line = _measure_line(values, share, half_width, period_s) if 0.04 < share < 0.48 else 0.0
         if line < LINE:
             continue
-        still = None if command is None else _find_still(command, period_s)
-        if still is not None and not still.any() and _is_commanded(command, share):
+        still = _find_still(command, period_s)
+        if command is not None and not still.any() and _is_commanded(command, share):
             continue
         sinusoid = _fit_sinusoid(values, share, half_width, period_s)
         amplitude = float(np.sqrt(2.0) * sinusoid.std())
         rest = values - sinusoid
-        if still is not None and still.any() and not _is_there(values, sinusoid, still, share):
+        if still.any() and not _is_there(values, sinusoid, still, share):
             continue
         if amplitude > LARGEST * float(np.ptp(values)):
             continue
@@ -90,12 +90,14 @@ def _is_there(values: Array, sinusoid: Array, still: NDArray[np.bool_], share: f
     return THERE[0] < fitting < THERE[1] and THERE[0] < size < THERE[1]
 
 
-def _find_still(command: Array, period_s: float) -> NDArray[np.bool_]:
+def _find_still(command: Array | None, period_s: float) -> NDArray[np.bool_]:
     """Mark where the command has stood still for a while; nowhere if that is too short to show."""
+    if command is None:
+        return np.zeros(0, np.bool_)
     around = 2 * round(SETTLED_S / period_s) + 1
-    still = maximum_filter1d(np.abs(np.diff(command, prepend=command[0])), around) == 0.0
-    enough = float(still.sum()) * period_s >= STILL_S
-    return still & enough
+    change = maximum_filter1d(np.abs(np.diff(command, prepend=command[0])), around)
+    still: NDArray[np.bool_] = change == 0.0
+    return still if float(still.sum()) * period_s >= STILL_S else np.zeros_like(still)
 
 
 def _is_commanded(command: Array, share: float) -> bool:
@@ -118,7 +120,8 @@ def _measure_line(values: Array, share: float, half_width: float, period_s: floa
     off = np.abs(np.fft.rfftfreq(length) - share)
     inside = off <= max(half_width, 1.0 / length)
     beside = ~inside & (off > 3.0 / length) & (off < (BAND[1] - 1.0) * share)
-    usual = float(np.median(power[beside])) if beside.sum() > 8 else 0.0
+    # A motion with a period has lines everywhere: the strongest neighbours count.
+    usual = float(np.quantile(power[beside], 0.9)) if beside.sum() > 8 else 0.0
     return float(power[inside].max()) / usual if usual > 0.0 else 0.0
 
 

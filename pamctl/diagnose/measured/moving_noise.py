@@ -16,9 +16,13 @@ from pamctl.diagnose.measured.time_stamps import cut_even_stretches
 
 WINDOW = 34
 """Samples whose speed counts as one."""
-FAST = 0.25
+FAST = 0.125
 """Share of the windows that count as fast, and as slow."""
-LOUDER = 1.5
+VAGUE = 0.15
+"""A tail that is less certain than this, relative, says nothing."""
+UNEVEN = 2.0
+"""Growth below this multiple of the scatter of the periods comes from the times of the samples."""
+LOUDER = 1.6
 """Variance of the noise of fast windows over that of slow ones, from which it counts."""
 
 
@@ -34,14 +38,17 @@ def measure_growth(records: Sequence[Record], channel: str, deviation: float, st
     order = np.argsort(change)
     count = int(FAST * len(windows))
     slow, fast = windows[order[:count]], windows[order[-count:]]
-    still, moving = find_tail(list(slow)), find_tail(list(fast))
-    if still is None or moving is None or not moving.is_flat:
+    still, moving = (find_tail([*part], WINDOW - 2) for part in (slow, fast))
+    if still is None or moving is None or not moving.is_flat or moving.uncertainty > VAGUE:
         return 0.0
     quiet = max(still.deviation**2, deviation**2, step**2 / 12.0)
     excess = moving.deviation**2 - quiet
-    if excess < (LOUDER - 1.0) * quiet:
+    if excess < max((LOUDER - 1.0) * quiet, step**2):
         return 0.0
-    return float(np.sqrt(excess / np.median(change[order[-count:]] ** 2)))
+    growth = float(np.sqrt(excess / np.median(change[order[-count:]] ** 2)))
+    # Samples that are not evenly apart look noisy as well, but their times are known.
+    uneven = float(np.median([np.std(np.diff(r.step_s)) / r.period_s for r in records]))
+    return growth if growth > UNEVEN * uneven else 0.0
 
 
 def _cut_windows(records: Sequence[Record], channel: str) -> Array:

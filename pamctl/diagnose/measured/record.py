@@ -140,7 +140,7 @@ def _find_rise(values: Array) -> int:
     away = np.abs(values - np.median(values[:RISE_FROM]))
     least = RISE_SHARE * float(np.ptp(values))
     level = max(
-        RISE_OVER_NOISE * max(_estimate_quiet_noise(values), estimate_resolution(values)), least
+        RISE_OVER_NOISE * max(estimate_quiet_noise(values), estimate_resolution(values)), least
     )
     first, second = (np.flatnonzero(away > times * level) for times in (1.0, 2.0))
     if not len(first):
@@ -149,7 +149,7 @@ def _find_rise(values: Array) -> int:
     return max(2 * int(first[0]) - later, 0)
 
 
-def _estimate_quiet_noise(values: Array) -> float:
+def estimate_quiet_noise(values: Array) -> float:
     """Return the noise of the quiet parts of a channel; its motion may be as lively elsewhere."""
     third = np.diff(values, 3)  # white noise grows by sqrt(20), a ramp vanishes
     whole = len(third) // QUIET_SAMPLES * QUIET_SAMPLES

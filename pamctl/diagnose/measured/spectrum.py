@@ -51,13 +51,14 @@ class Tail:
     """Of `deviation`, relative, one sigma."""
 
 
-def find_tail(pieces: Sequence[Array]) -> Tail | None:
+def find_tail(pieces: Sequence[Array], window: int = 0) -> Tail | None:
     """Return the tail of the spectrum of evenly sampled stretches; None if there is too little.
 
     The density is the median over short windows, so that a few steps or spikes do not count.
+    `window` is their length in samples; 0 chooses it by the number of samples.
     """
     samples = sum(map(len, pieces))
-    window = 128 if samples >= 2000 else 64 if samples >= 500 else 32
+    window = window or (128 if samples >= 2000 else 64 if samples >= 500 else 32)
     found = measure_density(pieces, window)
     if found is None or samples < FEWEST:
         return None

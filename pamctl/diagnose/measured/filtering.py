@@ -24,6 +24,8 @@ BEFORE_CUTOFF = 0.15
 LEAST_AHEAD = 0.005
 """Share of the answer that must be there before its cause."""
 FEWEST_STEPS = 3
+FEWEST_AT_REST = 256
+"""Samples of a rest that show an edge in its noise."""
 
 
 class Filtering(NamedTuple):
@@ -41,12 +43,15 @@ def find_filtering(records: Sequence[Record], channel: str) -> Filtering | None:
     tail = find_tail(pieces)
     span = max(float(np.ptp(r[channel])) for r in records)
     period_s = records[0].period_s
-    share = find_cutoff(pieces)
-    if share is None:
-        rests = [r[channel][: r.rest_samples] for r in records]
-        share = find_cutoff([rest for rest in rests if len(rest) >= 256])
-    is_too_quiet = tail is not None and not tail.is_flat and tail.deviation < QUIETEST * span
-    is_too_quiet &= not any(estimate_resolution(r[channel]) for r in records)
+    step = max(estimate_resolution(r[channel]) for r in records)
+    if tail is not None and tail.is_flat and tail.deviation > max(QUIETEST * span, 0.4 * step):
+        return None  # a filter would have taken this noise away
+    rests = [r[channel][: r.rest_samples] for r in records]
+    share = find_cutoff([rest for rest in rests if len(rest) >= FEWEST_AT_REST])
+    is_too_quiet = False
+    if not step:  # a converter's steps end a spectrum as a filter's edge does
+        share = share or find_cutoff(pieces)
+        is_too_quiet = tail is not None and tail.deviation < QUIETEST * span
     if share is None and not is_too_quiet:
         return None
     cutoff_hz = None if share is None else share / period_s

@@ -24,6 +24,8 @@ JUMP = 9.0
 """An outlier is this many local deviations away."""
 BACK = 0.25
 """How far from its level before an outlier the signal may be afterwards, as a share of the jump."""
+JUMP_SHARE = 0.2
+"""Share of its span by which a command jumps; a smooth one does not change so much in a sample."""
 AROUND = 8
 """Samples before and after an outlier that show how busy the signal is."""
 MOST_EQUAL = 0.3
@@ -66,7 +68,8 @@ def _find_commanded(record: Record) -> Rows:
     """Mark the samples just after a jump of the command: the rig may answer those in any way."""
     commanded = np.zeros(len(record), np.bool_)
     if record.valve_v is not None:
-        jumps = np.flatnonzero(np.abs(np.diff(record.valve_v)) > 0.1) + 1
+        least = JUMP_SHARE * max(float(np.ptp(record.valve_v)), 1e-9)
+        jumps = np.flatnonzero(np.abs(np.diff(record.valve_v)) >= least) + 1
         for after in range(4):
             commanded[np.minimum(jumps + after, len(record) - 1)] = True
     return commanded

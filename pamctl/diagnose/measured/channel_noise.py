@@ -44,6 +44,11 @@ class ChannelNoise:
             "says": [self.describe(channel), *(fault.says for fault in self.faults)],
         }
 
+    def list_faults(self, channel: str) -> list[str]:
+        """Return a line for each fault, and one where the noise is unknown."""
+        unknown = self.noise is not None and not self.noise.is_known
+        return [*([self.describe(channel)] if unknown else []), *(f.says for f in self.faults)]
+
     def describe(self, channel: str) -> str:
         """Say how large the noise is and how that is known."""
         if self.noise is None:

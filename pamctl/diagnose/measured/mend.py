@@ -17,9 +17,7 @@ from pamctl.diagnose.measured.outliers import bridge, find_outliers
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
 from pamctl.diagnose.measured.time_stamps import cut_even_stretches, find_regular_times
 
-FaultKind = Literal[
-    "jitter", "outliers", "dropouts", "hum", "filtered", "grows_with_motion", "wander"
-]
+FaultKind = Literal["jitter", "outliers", "dropouts", "hum", "filtered", "grows_with_motion"]
 
 
 class SensorFault(NamedTuple):

@@ -12,6 +12,7 @@ from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.fitting.split import ConfirmedOn
 from pamctl.diagnose.locate import RegimeMisfit, describe_worst_regimes
+from pamctl.diagnose.measured.channel_noise import ChannelNoise
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import AcceptedDoubt
 from pamctl.diagnose.naming.remainder import Remainder
@@ -71,6 +72,8 @@ class Diagnosis:
     """What these records could not have shown."""
     accepted: tuple[AcceptedDoubt, ...] = ()
     """Doubts about the data that the user overruled, each with the reason."""
+    noise: Mapping[str, ChannelNoise] = field(default_factory=dict)
+    """What is known of each channel's noise, and of the time stamps, `t_s`."""
 
     @property
     def recalibrated(self) -> tuple[FittedNumber, ...]:

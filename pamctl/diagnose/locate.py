@@ -73,7 +73,8 @@ def _locate_in_block(model: Model, block: str) -> list[RegimeMisfit]:
     residual = model.residuals[block]
     floor = model.floors[block]
     # What the rig does differently each time is no misfit in any regime.
-    noise = draw_noise(model, block) * max(floor.repeatability / floor.mean, 1.0)
+    restless = max(floor.repeatability / floor.mean, 1.0)
+    noise = draw_noise(model, block) * (floor.magnification * restless)
     negligible = evidence.margin(block) ** 2
     uncertainty = 2.0 * sensor_noise_of(drives, evidence.noises).uncertainty
     excess = float(np.sum(np.maximum(residual**2 - floor.mean**2, 0.0))) or 1.0

@@ -32,6 +32,8 @@ from pamctl.diagnose.fitting.split import (
     split_by_run,
 )
 from pamctl.diagnose.locate import locate_misfits
+from pamctl.diagnose.measured.channel_noise import describe_channels
+from pamctl.diagnose.measured.mend import SensorFault, mend_record
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import (
     AcceptedDoubt,
@@ -58,6 +60,7 @@ def diagnose(
     without: Collection[str] = (),
     correction: bool = False,
     accept: Mapping[str, str] | None = None,
+    noise: Mapping[str, float] | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -67,11 +70,15 @@ def diagnose(
     confirms it. Without `holdout`, `train` is split by run; a single run is split into long
     stretches. `without` leaves effects out of the catalogue.
     With `correction`, what no effect explains is added to the plant as a table, where that helps.
-    `accept` holds the user's reasons to overrule rules of `quality_rules.RULES`, by rule.
+    `accept` holds the user's reasons to overrule rules of `quality_rules.RULES`, by rule. `noise`
+    states the sensors' standard deviations in SI by channel, before what the plant file or the
+    records state.
     Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
     library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
     progress = progress or (lambda line: None)
+    stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
+    train, holdout, faults = _mend_records(train, holdout, stated)
     try:
         evidence, train, holdout, is_cut, accepted = _check_and_prepare(
             train, holdout, plant, accept
@@ -102,7 +109,24 @@ def diagnose(
     diagnosis = _conclude(
         found, on, confirming, setup.train, setup.holdout, candidates, correction=correction
     )
-    return replace(conclude_setup(diagnosis, setup), accepted=accepted)
+    diagnosis = conclude_setup(diagnosis, setup)
+    channels = describe_channels([*train, *holdout], evidence.noises, faults)
+    extended = diagnosis.plant.model_copy(update={"noise": plant.noise})
+    return replace(diagnosis, plant=extended, noise=channels, accepted=accepted)
+
+
+def _mend_records(
+    train: Sequence[Record], holdout: Sequence[Record], stated: Mapping[str, float]
+) -> tuple[list[Record], list[Record], list[SensorFault]]:
+    """Mend every record; a statement of its noise that is given here comes before its own."""
+    faults: list[SensorFault] = []
+
+    def mend(record: Record) -> Record:
+        mended, found = mend_record(record)
+        faults.extend(found)
+        return replace(mended, stated_noise={**mended.stated_noise, **stated})
+
+    return [mend(r) for r in train], [mend(r) for r in holdout], faults
 
 
 def _check_and_prepare(

@@ -119,6 +119,22 @@ class CorrectionSettings(Configured):
     flow: FlowSettings | None = None
 
 
+Deviation = Annotated[float, Field(ge=0)]
+
+
+class NoiseSettings(Configured):
+    """The sensors' noise, as standard deviations of one reading, where it is known."""
+
+    pressure_pa: Annotated[Deviation | None, Field(description="Pa")] = None
+    position_m: Annotated[Deviation | None, Field(description="m")] = None
+    force_n: Annotated[Deviation | None, Field(description="N")] = None
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """The deviations that are stated, by channel."""
+        return {name: value for name, value in self if value is not None}
+
+
 class PlantSettings(Configured):
     """The model of a muscle and its valve, or of a mechanism of one axis."""
 
@@ -147,6 +163,10 @@ class PlantSettings(Configured):
             "`piston.area_m2`): `pamctl diagnose` does not fit them"
         ),
     ] = ()
+    noise: Annotated[
+        NoiseSettings | None,
+        Field(description="of the sensors, where it is known; else `diagnose` estimates it"),
+    ] = None
 
     @model_validator(mode="after")
     def _check_actuator(self) -> PlantSettings:

@@ -106,7 +106,7 @@ def spread_over_noise(**loop: float) -> float:
 def test_runs_with_the_same_reference_are_repeats_though_their_commands_differ() -> None:
     one, other = looped(1), looped(2)
     (repeat,) = find_repeats([one, other])
-    assert repeat.by_reference
+    assert repeat.demand == "reference_m"
     assert repeat.length == len(one)
     assert find_repeats([replace(one, reference_m=None), replace(other, reference_m=None)]) == ()
 
@@ -114,7 +114,7 @@ def test_runs_with_the_same_reference_are_repeats_though_their_commands_differ()
 def test_equal_commands_come_before_equal_references() -> None:
     record = looped(1)
     (repeat,) = find_repeats([record, replace(looped(2), valve_v=record.valve_v)])
-    assert not repeat.by_reference
+    assert repeat.demand == "valve_v"
 
 
 def test_periods_of_a_reference_are_repeats() -> None:
@@ -123,7 +123,7 @@ def test_periods_of_a_reference_are_repeats() -> None:
     wanted_m = 1e-3 * np.sin(2.0 * np.pi * t_s)
     record = Record("sine", t_s, valve_v=np.sin(6.3 * t_s) + hand_v, reference_m=wanted_m)
     (repeat,) = find_repeats([record])
-    assert repeat.by_reference
+    assert repeat.demand == "reference_m"
     assert (repeat.again - repeat.start) % 1000 == 0
     assert repeat.length >= 7000
 

@@ -61,6 +61,15 @@ def diagnose(
             help="Add to the model what no effect explains, as a table without a name",
         ),
     ] = False,
+    noise: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--noise",
+            metavar="CHANNEL=SIGMA",
+            help="Noise of a sensor, standard deviation in SI: position_m=2e-6; can be repeated",
+            show_default="from the records",
+        ),
+    ] = None,
     jobs: Annotated[
         int, typer.Option("--jobs", metavar="N", min=1, help="Number of worker processes")
     ] = 1,
@@ -84,6 +93,7 @@ def diagnose(
 
     accepted = read_acceptances(accept or [])
     require_held_out(logs, holdout or [])
+    stated = _parse_noise(noise or [])
     train = [record_of(path) for path in logs]
     held = [record_of(path) for path in holdout or []]
     if not held:
@@ -97,6 +107,7 @@ def diagnose(
             without=without or (),
             correction=correction,
             accept=accepted,
+            noise=stated,
             executor=executor,
             progress=lambda line: typer.echo(line, err=True),
         )
@@ -122,6 +133,15 @@ def _require_known(names: Sequence[str]) -> None:
             raise typer.BadParameter(
                 f"there is no effect {name} in the catalogue{hint}", param_hint="--without"
             )
+
+
+def _parse_noise(texts: Sequence[str]) -> dict[str, float]:
+    from pamctl.diagnose.measured.stated_noise import parse_noise
+
+    try:
+        return parse_noise(texts)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--noise") from error
 
 
 @contextmanager

@@ -278,7 +278,7 @@ class Drive:
         """
         if (replica, stream) not in self._disturbances:
             random = self.random_generator(replica, stream)
-            drawn = noise.simulate_sensor(np.zeros(len(self.driven)), random)
+            drawn = noise.simulate_sensor(np.zeros(len(self.driven)), random, self.driven)
             smooth = smooth_signal(drawn, self.step_s, self.cutoff_hz)
             self._disturbances[replica, stream] = smooth
         return self._disturbances[replica, stream]
@@ -343,6 +343,7 @@ def prepare_pressure_drive(
         has_position=has_position or has_constant_volume(nominal),
         acts_after_s=record.acts_after_s,
         held_v=record.held_v,
+        usable=record.counts,
     )
     return judge_drive(drive, judge)
 
@@ -405,6 +406,7 @@ def _prepare_equation(
         is_equation=True,
         slope_s=judge.slope_s,
         pressed_pa=pressed_pa,
+        usable=record.counts,
     )
     velocity = drive.differentiate_motion(judge.slope_s, 1)
     speed_noise = noises["position_m"].total * slope_gain(judge.slope_s, record.period_s)
@@ -412,7 +414,12 @@ def _prepare_equation(
     direction = np.where(np.abs(velocity) > SURE * speed_noise, np.sign(velocity), 0.0)
     edge = count_samples(judge.slope_s, record.period_s) // 2
     strokes = find_strokes(direction, find_segments(record.step_s), edge)
-    return replace(drive, usable=find_rows_inside(strokes, len(record)))
+    return _restrict(drive, find_rows_inside(strokes, len(record)))
+
+
+def _restrict(drive: Drive, rows: NDArray[np.bool_]) -> Drive:
+    """Return the drive with only those of its usable samples that are in `rows`."""
+    return replace(drive, usable=rows if drive.usable is None else drive.usable & rows)
 
 
 def judge_drive(drive: Drive, judge: Judge) -> Drive:
@@ -424,13 +431,11 @@ def judge_drive(drive: Drive, judge: Judge) -> Drive:
     samples = len(drive.measured)
     length = samples if judge.horizon_s is None else round(judge.horizon_s / period_s)
     windows = cut_windows(segments, length)
-    rows = find_rows_inside(windows, samples)
+    drive = _restrict(replace(drive, windows=windows), find_rows_inside(windows, samples))
     if judge.forgets_start:
-        return replace(drive, windows=windows, usable=rows)
+        return drive
     return replace(
         drive,
-        windows=windows,
-        usable=rows,
         has_known_start=False,
         velocity_time_s=judge.velocity_time_s,
         slack=0.0,
@@ -454,6 +459,7 @@ def _drive_by_load(
         noise.resolution,
         initial_position_m(record, noise),
         count_steps(record.period_s),
+        usable=record.counts,
     )
 
 

@@ -13,7 +13,7 @@ from pamctl.diagnose.fitting.block_fit import Fit, rms
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.drives import stack_residuals
 from pamctl.diagnose.fitting.evidence import Evidence
-from pamctl.diagnose.fitting.floor import Floor, simulate_floor
+from pamctl.diagnose.fitting.floor import Floor, estimate_floor, sensor_noise_of, simulate_floor
 from pamctl.diagnose.fitting.numbers import look_up_parameter
 from pamctl.diagnose.fitting.repeatability import RepeatSpread, measure_repeatability
 from pamctl.diagnose.measured.record import Array
@@ -111,7 +111,17 @@ class Model:
         if block not in known:
             holdout, margin = self.evidence.holdout[block], self.evidence.margin(block)
             known[block] = simulate_floor(fitted, holdout, self.evidence.noises, margin=margin)
-        return known[block].with_repeatability(self.repeatability[block])
+        if sensor_noise_of(self.evidence.holdout[block], self.evidence.noises).is_known:
+            return known[block].with_repeatability(self.repeatability[block])
+        if self.root is not None:  # the recalibrated model's stretches serve all models
+            return self.root.floors[block]
+        return estimate_floor(
+            known[block],
+            self.residuals[block],
+            self.evidence.holdout[block],
+            self.repeatability[block],
+            margin=self.evidence.margin(block),
+        )
 
     @cached_property
     def repeatability(self) -> dict[str, RepeatSpread]:

@@ -26,6 +26,13 @@ LIMIT_SIGMAS = 3.0
 a named effect leaves must not count as unexplained for that."""
 PRESSED = 2
 """Stream of the draws for a piston's pressure; 0 is the driving signal's, 1 the output's."""
+QUIET = 0.2
+"""Share of the stretches that count as quiet, where the noise is unknown."""
+FEWEST_IN_STRETCH = 32
+LEAST_LEVEL = 1e-9
+"""Least floor, in the drive's unit: a perfect model of perfect data leaves nothing at all."""
+TOO_FAR = 1e4
+"""A signal is at most this far above any floor of a sensor that can be used to model it."""
 STRETCH_S = 0.25
 """Residuals this far apart count as independent."""
 
@@ -49,6 +56,10 @@ class Floor:
     """Number of samples of such a residual that are worth one independent sample."""
     repeatability: float = 0.0
     """The limit that the rig's own repeatability sets; 0 where nothing is repeated."""
+    is_estimate: bool = False
+    """The sensor's noise is unknown: the floor is what repeats or quiet stretches suggest."""
+    magnification: float = 1.0
+    """What a replica's residual is multiplied by: its noise had an arbitrary size if unknown."""
 
     def with_repeatability(self, spread: RepeatSpread) -> Floor:
         """Raise the limit to what the rig itself does differently each time.
@@ -61,10 +72,76 @@ class Floor:
         level = level if spread.rms else 0.0
         return replace(self, limit=max(self.limit, level), repeatability=level)
 
+    def with_level(self, level: float, limit: float, repeatability: float) -> Floor:
+        """Return the floor at another level: the replicas keep their shape, not their size."""
+        times = level / self.mean
+        return replace(
+            self,
+            mean=level,
+            scatter=self.scatter * times,
+            limit=limit,
+            shifts=self.shifts * times,
+            spread=self.spread * times,
+            repeatability=repeatability,
+            is_estimate=True,
+            magnification=times,
+        )
+
     @property
     def decided_by(self) -> str:
-        """Name what sets the limit: `repeatability` or `self-simulation`."""
-        return "repeatability" if self.limit == self.repeatability else "self-simulation"
+        """Name what sets the limit: `repeatability`, `quiet stretches` or `self-simulation`."""
+        if self.limit == self.repeatability:
+            return "repeatability"
+        return "quiet stretches" if self.is_estimate else "self-simulation"
+
+
+def estimate_floor(
+    simulated: Floor,
+    residual: Array,
+    drives: Sequence[Drive],
+    repeated: RepeatSpread,
+    *,
+    margin: float,
+) -> Floor:
+    """Return the floor of a block whose sensor's noise is unknown.
+
+    Repeats show it: no model can explain what differs between them. Without repeats, it is what the
+    recalibrated model leaves in its quietest stretches: noise is in all of them, and what the model
+    lacks is not. `residual` is that model's on `drives`. The result bounds the floor from above.
+    """
+    if repeated.rms:
+        limit = float(np.hypot(repeated.rms * (1.0 + 2.0 * repeated.uncertainty), margin))
+        return simulated.with_level(repeated.rms, limit, limit)
+    levels = _measure_stretches(residual, drives)
+    quiet = float(np.quantile(levels, QUIET))
+    scatter = float(levels[levels <= np.median(levels)].std())
+    limit = float(np.hypot(quiet + LIMIT_SIGMAS * scatter, margin))
+    return simulated.with_level(max(quiet, LEAST_LEVEL), limit, 0.0)
+
+
+def _measure_stretches(residual: Array, drives: Sequence[Drive]) -> Array:
+    """Return the RMS of each stretch of the residuals of several drives."""
+    levels = []
+    for drive, part in zip(drives, _split_by_drive(residual, drives), strict=True):
+        length = max(int(STRETCH_S / float(np.median(drive.step_s))), FEWEST_IN_STRETCH)
+        whole = part[: max(len(part) // length, 1) * length]
+        levels += [rms(s) for s in np.array_split(whole, max(len(whole) // length, 1))]
+    return np.array(levels)
+
+
+def _split_by_drive(residual: Array, drives: Sequence[Drive]) -> list[Array]:
+    return np.split(residual, np.cumsum([drive.samples for drive in drives])[:-1])
+
+
+def doubt_floor(block: str, ratio: float) -> str:
+    """Say that a residual is too far above its floor to be believed; empty where it is not."""
+    if ratio < TOO_FAR:
+        return ""
+    return (
+        f"{block}: the residual is {ratio:.3g} times its floor. No model of a rig is that bad: the "
+        "floor is wrong. The data may have been filtered, or their noise is not what it seems; "
+        "state it with `--noise`, or give the data as they were measured."
+    )
 
 
 def simulate_floor(

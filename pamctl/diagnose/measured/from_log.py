@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
@@ -72,4 +73,5 @@ def record_of(path: str | Path) -> Record:
         held_v=part.held_v,
         experiment=experiment,
         is_imported=log.is_imported,
+        stated_noise=json.loads(log.metadata.get("import", {}).get("noise") or "{}"),
     )

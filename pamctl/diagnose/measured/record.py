@@ -28,6 +28,12 @@ RISE_FROM = 20
 RISE_OVER_NOISE = 10.0
 """A force has left its start when it is this multiple of its noise away, even if the noise is
 correlated."""
+RISE_SHARE = 2e-3
+"""A channel has not left its start within this share of its span, however quiet it is."""
+CORRELATED = 2.0
+"""How much smaller the third differences of a sensor's noise may be than those of white noise."""
+QUIET_SAMPLES = 50
+"""Samples whose noise is taken together, to find the quiet parts of a channel."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +61,10 @@ class Record:
     """Name of the experiment that was run; empty if unknown."""
     is_imported: bool = field(default=False, compare=False)
     """Whether another system measured it: this one cannot be asked to run an experiment."""
+    counts: NDArray[np.bool_] | None = None
+    """False where a sample is an outlier or a dropout, shape (n,); None if all samples count."""
+    stated_noise: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviation of a reading by channel, in SI, where the user states it."""
 
     def __post_init__(self) -> None:
         """Accept any sequence of numbers; raise ValueError where lengths differ."""
@@ -127,6 +137,8 @@ class Record:
             notes=self.notes,
             experiment=self.experiment,
             is_imported=self.is_imported,
+            counts=None if self.counts is None else self.counts[start:stop],
+            stated_noise=self.stated_noise,
         )
 
     @cached_property
@@ -137,14 +149,9 @@ class Record:
             moved |= np.abs(self.valve_v - self.valve_v[0]) > REST_V
             if self.valve_v[0] > REST_V:
                 return 0
-        if self.position_m is not None:
-            moved |= np.abs(self.position_m - self.position_m[0]) > 5e-5
-        if self.pressure_pa is not None:
-            # 3 kPa is ten times the noise of the paper's sensor.
-            start_pa = np.median(self.pressure_pa[:5])
-            moved |= np.abs(self.pressure_pa - start_pa) > 3e3
-        if self.force_n is not None:
-            moved[_find_rise(self.force_n) :] = True
+        for channel in self.channels:
+            if channel != "valve_v":
+                moved[_find_rise(self[channel]) :] = True
         return int(np.argmax(moved)) if moved.any() else len(self)
 
 
@@ -154,15 +161,29 @@ def _find_rise(values: Array) -> int:
     Noise hides the beginning of a slow ramp. The ramp takes as long to reach the first level as
     from there to the second, twice as high: its beginning is extrapolated from both.
     """
-    third = np.abs(np.diff(values, 3))  # white noise grows by sqrt(20), a ramp vanishes
-    noise = float(np.median(third)) / (0.6745 * np.sqrt(20.0)) if len(third) else 0.0
     away = np.abs(values - np.median(values[:RISE_FROM]))
-    level = RISE_OVER_NOISE * max(noise, estimate_resolution(values))
+    least = RISE_SHARE * float(np.ptp(values))
+    level = max(
+        RISE_OVER_NOISE * max(estimate_quiet_noise(values), estimate_resolution(values)), least
+    )
     first, second = (np.flatnonzero(away > times * level) for times in (1.0, 2.0))
     if not len(first):
         return len(values)
     later = int(second[0]) if len(second) else int(first[0])
     return max(2 * int(first[0]) - later, 0)
+
+
+def estimate_quiet_noise(values: Array) -> float:
+    """Return the noise of the quiet parts of a channel; its motion may be as lively elsewhere."""
+    third = np.diff(values, 3)  # white noise grows by sqrt(20), a ramp vanishes
+    whole = len(third) // QUIET_SAMPLES * QUIET_SAMPLES
+    if not whole:
+        return 0.0
+    parts = third[:whole].reshape(-1, QUIET_SAMPLES)
+    white = np.sqrt(np.mean(parts**2, axis=1) / 20.0)
+    # Correlated noise has smaller differences than white noise, but not by more than this factor.
+    around = values[:whole].reshape(-1, QUIET_SAMPLES)
+    return float(np.quantile(np.minimum(CORRELATED * white, around.std(axis=1)), 0.2))
 
 
 def _as_column(values: ArrayLike) -> Array:
@@ -172,16 +193,16 @@ def _as_column(values: ArrayLike) -> Array:
 def estimate_resolution(values: Array) -> float:
     """Return the step with which a channel was digitised; 0 where none is visible.
 
-    The step is the smallest difference that occurs, if the others are whole multiples.
+    The step is the smallest difference between levels, if the others are whole multiples.
+    Differences in time would not do: a motion at one speed has equal ones.
     """
-    steps = np.abs(np.diff(values))
-    span = float(np.ptp(values))
-    steps = steps[steps > 1e-9 * max(span, 1e-30)]
-    if len(steps) < 20:
+    steps = np.diff(np.sort(values))
+    steps = steps[steps > 1e-9 * max(float(np.ptp(values)), 1e-30)]
+    if not len(steps):
         return 0.0
     # The smallest differences are one step each, apart from rounding.
     smallest = float(np.quantile(steps, 0.01))
     step = float(np.median(steps[steps < 1.5 * smallest]))
     multiples = steps[steps < 30.0 * step] / step
     off = np.abs(multiples - np.round(multiples))
-    return step if float(np.quantile(off, 0.95)) < 0.1 else 0.0
+    return step if len(multiples) > 1 and float(np.quantile(off, 0.95)) < 0.1 else 0.0

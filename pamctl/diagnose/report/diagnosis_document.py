@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
+from pamctl.diagnose.fitting.floor import doubt_floor
 from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.verdict import Verdict
@@ -37,6 +38,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
             "gap": {},
             "unexplained": None,
             "accepted": [],
+            "noise": {},
         }
     block, ratio, regimes = find_largest_remainder(diagnosis)
     return {
@@ -65,6 +67,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "limits": _list_limits(diagnosis),
         "judge": _list_judges(diagnosis),
         "accepted": [doubt.as_dict() for doubt in diagnosis.accepted],
+        "noise": {name: about.as_dict(name) for name, about in diagnosis.noise.items()},
         "integrator": {
             block: {"change_over_floor": change, "is_small": change <= SMALL}
             for block, change in diagnosis.substep_changes.items()
@@ -85,10 +88,15 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _list_limits(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
-    """Return the limit of each block, and whether self-simulation or the rig's repeats set it."""
+    """Return the limit of each block, what sets it, and whether it may be wrong."""
     floors = diagnosis.model.floors if diagnosis.model else {}
     return {
-        block: {"limit_over_floor": f.limit / f.mean, "decided_by": f.decided_by}
+        block: {
+            "limit_over_floor": f.limit / f.mean,
+            "decided_by": f.decided_by,
+            "is_estimate": f.is_estimate,
+            "doubt": doubt_floor(block, diagnosis.model.ratio(block) if diagnosis.model else 0.0),
+        }
         for block, f in floors.items()
     }
 

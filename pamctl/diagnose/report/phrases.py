@@ -8,6 +8,7 @@ from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
 from pamctl.diagnose.extend import CorrectionResult
 from pamctl.diagnose.fitting.drives import PRESSURE, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.floor import doubt_floor
 from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.locate import EVENLY
@@ -171,12 +172,29 @@ def channel_of(drive: Drive) -> str:
     return str(getattr(drive, "channel", own))
 
 
+LIMIT_WORDS = {
+    "repeatability": "the rig does not repeat itself any better",
+    "quiet stretches": "an estimate from the quietest stretches, since the noise is unknown",
+    "self-simulation": "by self-simulation",
+}
+
+
+def describe_noise(diagnosis: Diagnosis) -> str:
+    """Say which channels have faults or unknown noise, and which floors cannot be right."""
+    lines = [
+        line for channel, about in diagnosis.noise.items() for line in about.list_faults(channel)
+    ]
+    if diagnosis.model is not None:
+        model = diagnosis.model
+        lines += [d for b in model.evidence.blocks if (d := doubt_floor(b, model.ratio(b)))]
+    return "\n".join(lines)
+
+
 def describe_limits(model: Model) -> str:
     """Say above which limits a misfit counts as a discrepancy."""
     limits = []
     for block, floor in model.floors.items():
-        repeats = floor.decided_by == "repeatability"
-        by = "the rig does not repeat itself any better" if repeats else "by self-simulation"
+        by = LIMIT_WORDS[floor.decided_by]
         limits.append(f"{block} {floor.limit / floor.mean:.2f} times the floor ({by})")
     text = f"A misfit above these limits is a discrepancy: {', '.join(limits)}."
     if any(floor.repeatability for floor in model.floors.values()):

@@ -9,6 +9,7 @@ from pamctl.diagnose.report.next_experiment import choose_next_experiment
 from pamctl.diagnose.report.phrases import (
     describe_correction,
     describe_limits,
+    describe_noise,
     describe_remainder,
     describe_substeps,
     gap_units,
@@ -33,8 +34,9 @@ def _list_parts(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.gap:
         yield "\n".join(_gap_rows(diagnosis))
     floors = diagnosis.model.floors.values() if diagnosis.model else ()
-    if diagnosis.model and any(floor.decided_by == "repeatability" for floor in floors):
+    if diagnosis.model and any(floor.decided_by != "self-simulation" for floor in floors):
         yield describe_limits(diagnosis.model)
+    yield describe_noise(diagnosis)
     yield describe_substeps(diagnosis.substep_changes)
     if diagnosis.remainder is not None:
         yield describe_remainder(diagnosis.remainder, diagnosis.nominal.actuator)

@@ -15,7 +15,12 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from hal.configured import Configured
-from pamctl.log.importing.quantities import ATMOSPHERIC_PRESSURE_PA, TIME, ColumnReading
+from pamctl.log.importing.quantities import (
+    ATMOSPHERIC_PRESSURE_PA,
+    TIME,
+    UNITS,
+    ColumnReading,
+)
 
 
 def _spell_number(column: object) -> object:
@@ -33,6 +38,10 @@ Column = Annotated[
 ]
 Gain = Annotated[float, Field(description="multiplies the column")]
 Offset = Annotated[float, Field(description="added to column x gain, in the unit given here")]
+SensorNoise = Annotated[
+    float | None,
+    Field(ge=0, description="standard deviation of one reading, in the unit given here, if known"),
+]
 
 
 class TimeMap(Configured):
@@ -77,6 +86,7 @@ class PressureMap(Configured):
     gauge: Annotated[bool, Field(description="relative to the atmosphere; else absolute")]
     gain: Gain = 1.0
     offset: Offset = 0.0
+    noise: SensorNoise = None
 
 
 class PositionMap(Configured):
@@ -86,6 +96,7 @@ class PositionMap(Configured):
     unit: Literal["m", "mm", "cm", "um", "in"]
     gain: Gain = 1.0
     offset: Offset = 0.0
+    noise: SensorNoise = None
 
 
 class ForceMap(Configured):
@@ -95,6 +106,7 @@ class ForceMap(Configured):
     unit: Literal["N", "kN"] = "N"
     gain: Gain = 1.0
     offset: Offset = 0.0
+    noise: SensorNoise = None
 
 
 class ImportMap(Configured):
@@ -130,3 +142,12 @@ class ImportMap(Configured):
             place = (p.column, p.unit, p.gain, p.offset, p.gauge, self.atmospheric_pressure_pa)
             found.append(ColumnReading("pressure_pa", *place))
         return found
+
+    def stated_noise(self) -> dict[str, float]:
+        """Return the noise that is stated, as standard deviations in SI by quantity."""
+        parts = {"pressure_pa": self.pressure, "position_m": self.position, "force_n": self.force}
+        return {
+            quantity: part.noise * UNITS[quantity][part.unit]
+            for quantity, part in parts.items()
+            if part is not None and part.noise is not None
+        }

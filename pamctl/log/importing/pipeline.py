@@ -81,6 +81,8 @@ def import_log(
         story = _describe_import(source, table, readings, findings, float(t_s[0]), resample_hz)
         if import_map and import_map.valve and import_map.valve.acts_after_s:
             story["acts_after_s"] = repr(import_map.valve.acts_after_s)
+        if import_map and (noise := import_map.stated_noise()):
+            story["noise"] = to_json(noise).decode()
         write_imported(destination, t_s - t_s[0], quantities, story)
     return ImportSummary(
         source=str(source),

@@ -1,0 +1,77 @@
+"""Faults of sensors and software are taken off; what a rig does itself is left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.made_records import measured
+
+from pamctl.diagnose import Record
+from pamctl.diagnose.measured.hum import remove_hum
+from pamctl.diagnose.measured.mend import mend_record
+from pamctl.diagnose.measured.outliers import find_outliers
+from pamctl.diagnose.measured.time_stamps import find_regular_times
+
+
+def test_a_sound_record_stays_as_it_is() -> None:
+    record = measured("fit", 7)
+    mended, faults = mend_record(record)
+    assert faults == []
+    assert mended.counts is None
+    assert all(np.array_equal(mended[c], record[c]) for c in record.channels)
+
+
+@pytest.mark.parametrize("channel", ["pressure_pa", "position_m"])
+def test_spikes_and_dropouts_do_not_count(channel: str) -> None:
+    record = measured("fit", 7)
+    random = np.random.default_rng(0)
+    rows = np.arange(800, len(record) - 100, 400)
+    values = record[channel].copy()
+    values[rows] += random.choice([-0.3, 0.3], len(rows)) * np.ptp(values)
+    values[rows[0] + 100 : rows[0] + 104] = 0.0
+    mended, faults = mend_record(replace(record, **{channel: values}))
+    assert {f.kind for f in faults} == {"outliers", "dropouts"}
+    assert mended.counts is not None
+    lost = np.flatnonzero(~mended.counts)
+    assert len({*rows} & {*lost}) >= len(rows) - 2
+    assert len(lost) <= len(rows) + 6
+    assert np.abs(mended[channel] - record[channel]).max() < 0.05 * np.ptp(record[channel])
+
+
+def test_steps_clicks_and_ramps_are_no_outliers() -> None:
+    t_s = np.arange(6000) * 1e-3
+    random = np.random.default_rng(1)
+    steps = 0.01 * (np.sin(2 * np.pi * t_s) > 0.0)
+    clicks = np.cumsum(random.random(6000) < 0.002) * 1e-4
+    for motion in (steps, clicks, np.abs(t_s % 1.0 - 0.5)):
+        record = Record("made", t_s, position_m=motion + random.normal(0.0, 1e-6, 6000))
+        spikes, dropouts = find_outliers(record, "position_m")
+        assert not spikes.any()
+        assert not dropouts.any()
+
+
+def test_scattered_stamps_give_way_to_the_grid_only_if_the_samples_are_regular() -> None:
+    random = np.random.default_rng(2)
+    grid_s = np.arange(5000) * 1e-3
+    scattered_s = np.sort(grid_s + random.normal(0.0, 2e-4, 5000))
+    regular, true = (0.02 * np.sin(4.0 * t) + 1e-6 * random.normal(size=5000)
+                     for t in (grid_s, scattered_s))  # fmt: skip
+    times = find_regular_times(Record("late", scattered_s, position_m=regular))
+    assert times is not None
+    assert np.std(times - grid_s) < 2e-5
+    assert find_regular_times(Record("true", scattered_s, position_m=true)) is None
+
+
+def test_hum_is_taken_off_and_an_excitation_of_the_same_frequency_is_not() -> None:
+    record = measured("fit", 7)
+    t_s, hum = record.t_s, 600.0 * np.sin(2 * np.pi * 50.02 * record.t_s + 1.0)
+    cleaned, found = remove_hum(record["pressure_pa"] + hum, 1e-3, record["valve_v"])
+    assert [h.frequency_hz for h in found] == [50.0]
+    assert found[0].amplitude == pytest.approx(600.0, rel=0.2)
+    assert np.std(cleaned - record["pressure_pa"]) < 0.3 * np.std(hum)
+    command = np.where(t_s > 1.0, 2.0 * np.sin(2 * np.pi * 50.0 * t_s), 0.0)
+    answer = 1e5 + 2e3 * command + 3e4 * np.sin(t_s)
+    answer += np.random.default_rng(3).normal(0.0, 300.0, len(t_s))
+    assert remove_hum(answer, 1e-3, command)[1] == []

@@ -12,7 +12,7 @@ from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.fitting.split import ConfirmedOn
 from pamctl.diagnose.locate import RegimeMisfit, describe_worst_regimes
-from pamctl.diagnose.measured.channel_noise import ChannelNoise
+from pamctl.diagnose.measured.noise.channel_noise import ChannelNoise
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import AcceptedDoubt
 from pamctl.diagnose.naming.remainder import Remainder

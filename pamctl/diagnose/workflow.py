@@ -32,8 +32,8 @@ from pamctl.diagnose.fitting.split import (
     split_by_run,
 )
 from pamctl.diagnose.locate import locate_misfits
-from pamctl.diagnose.measured.channel_noise import describe_channels
-from pamctl.diagnose.measured.mend import SensorFault, mend_record
+from pamctl.diagnose.measured.noise.channel_noise import describe_channels
+from pamctl.diagnose.measured.noise.mend import SensorFault, mend_record
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import (
     AcceptedDoubt,

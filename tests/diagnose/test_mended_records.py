@@ -9,10 +9,10 @@ import pytest
 from support.made_records import measured
 
 from pamctl.diagnose import Record
-from pamctl.diagnose.measured.hum import remove_hum
-from pamctl.diagnose.measured.mend import mend_record
-from pamctl.diagnose.measured.outliers import find_outliers
-from pamctl.diagnose.measured.time_stamps import find_regular_times
+from pamctl.diagnose.measured.noise.hum import remove_hum
+from pamctl.diagnose.measured.noise.mend import mend_record
+from pamctl.diagnose.measured.noise.outliers import find_outliers
+from pamctl.diagnose.measured.noise.time_stamps import find_regular_times
 
 
 def test_a_sound_record_stays_as_it_is() -> None:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pamctl.diagnose.fitting.drives import prepare_mechanics_drive, prepare_pressure_drive
 from pamctl.diagnose.measured.from_log import record_of
 from pamctl.diagnose.measured.missed_ticks import find_long_intervals, smooth_over_missed
+from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
 from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.measured.sensor_noise import estimate_channel_noise
 from pamctl.plant.drive import drive_coupled
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings

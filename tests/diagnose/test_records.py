@@ -7,8 +7,8 @@ import pytest
 from support.made_records import PERIOD_S, measured
 
 from pamctl.diagnose import Record
+from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
 from pamctl.diagnose.measured.record import estimate_resolution
-from pamctl.diagnose.measured.sensor_noise import estimate_channel_noise
 
 RESTED = 800
 

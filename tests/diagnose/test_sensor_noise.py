@@ -12,12 +12,12 @@ from support.made_records import all_but, measured
 from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.fitting.floor import doubt_floor
 from pamctl.diagnose.fitting.repeatability import find_repeats
-from pamctl.diagnose.measured.filtering import find_filtering
 from pamctl.diagnose.measured.from_log import record_of
-from pamctl.diagnose.measured.moving_noise import measure_growth
+from pamctl.diagnose.measured.noise.filtering import find_filtering
+from pamctl.diagnose.measured.noise.moving_noise import measure_growth
+from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
+from pamctl.diagnose.measured.noise.stated_noise import parse_noise
 from pamctl.diagnose.measured.record import estimate_resolution
-from pamctl.diagnose.measured.sensor_noise import estimate_channel_noise
-from pamctl.diagnose.measured.stated_noise import parse_noise
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.pipeline import import_log

@@ -136,7 +136,7 @@ def _require_known(names: Sequence[str]) -> None:
 
 
 def _parse_noise(texts: Sequence[str]) -> dict[str, float]:
-    from pamctl.diagnose.measured.stated_noise import parse_noise
+    from pamctl.diagnose.measured.noise.stated_noise import parse_noise
 
     try:
         return parse_noise(texts)

@@ -36,8 +36,8 @@ from pamctl.diagnose.judging.windows import (
     find_rows_inside,
 )
 from pamctl.diagnose.measured.missed_ticks import find_long_intervals
+from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.diagnose.measured.sensor_noise import Noise
 from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.drive import (
     NO_RESTARTS,
@@ -417,8 +417,10 @@ def _prepare_equation(
     return _restrict(drive, find_rows_inside(strokes, len(record)))
 
 
-def _restrict(drive: Drive, rows: NDArray[np.bool_]) -> Drive:
-    """Return the drive with only those of its usable samples that are in `rows`."""
+def _restrict(drive: Drive, rows: NDArray[np.bool_] | None) -> Drive:
+    """Return the drive with only those of its usable samples that are in `rows`; None for all."""
+    if rows is None:
+        return drive
     return replace(drive, usable=rows if drive.usable is None else drive.usable & rows)
 
 

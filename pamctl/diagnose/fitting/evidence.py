@@ -29,9 +29,9 @@ from pamctl.diagnose.judging.judges import (
     judge_mechanism,
     judge_muscle,
 )
+from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_channel_noise
 from pamctl.diagnose.measured.reach import Reach, measure_reach
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
-from pamctl.diagnose.measured.sensor_noise import Noise, estimate_channel_noise
 from pamctl.plant.model import PlantSettings, values_of
 
 PISTON = "piston.area_m2"

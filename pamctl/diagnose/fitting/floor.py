@@ -16,8 +16,8 @@ import numpy as np
 from pamctl.diagnose.fitting.block_fit import Fit, rms, sensitivity
 from pamctl.diagnose.fitting.drives import Drive
 from pamctl.diagnose.fitting.repeatability import RepeatSpread
+from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import Array
-from pamctl.diagnose.measured.sensor_noise import Noise
 from pamctl.plant.model import PlantSettings
 
 REPLICAS = 12

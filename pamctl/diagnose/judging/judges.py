@@ -25,8 +25,8 @@ from pamctl.diagnose.judging.segments import (
     slope_gain,
 )
 from pamctl.diagnose.judging.windows import build_start_modes, cut_windows
+from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import REST_V, Array, Record
-from pamctl.diagnose.measured.sensor_noise import Noise
 
 
 class JudgeKind(StrEnum):

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from pamctl.diagnose.measured.column_shift import check_time_shifts
+from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record, estimate_resolution
-from pamctl.diagnose.measured.sensor_noise import Noise
 from pamctl.plant.model import PlantSettings
 
 Flags = NDArray[np.bool_]

@@ -12,6 +12,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
+from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.quality_rules import (
     FEWEST_SAMPLES,
     RULES,
@@ -21,7 +22,6 @@ from pamctl.diagnose.measured.quality_rules import (
     doubt_sensors,
 )
 from pamctl.diagnose.measured.record import Record
-from pamctl.diagnose.measured.sensor_noise import Noise
 from pamctl.exit_codes import ExitCode
 from pamctl.plant.model import PlantSettings
 

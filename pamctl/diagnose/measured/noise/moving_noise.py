@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pamctl.diagnose.measured.noise.spectrum import find_tail
+from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.diagnose.measured.spectrum import find_tail
-from pamctl.diagnose.measured.time_stamps import cut_even_stretches
 
 WINDOW = 34
 """Samples whose speed counts as one."""

@@ -12,10 +12,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.diagnose.measured.hum import Hum, remove_hum
-from pamctl.diagnose.measured.outliers import bridge, find_outliers
+from pamctl.diagnose.measured.noise.hum import Hum, remove_hum
+from pamctl.diagnose.measured.noise.outliers import bridge, find_outliers
+from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches, find_regular_times
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
-from pamctl.diagnose.measured.time_stamps import cut_even_stretches, find_regular_times
 
 FaultKind = Literal["jitter", "outliers", "dropouts", "hum", "filtered", "grows_with_motion"]
 

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pamctl.diagnose.measured.filtering import find_filtering
-from pamctl.diagnose.measured.mend import SensorFault
+from pamctl.diagnose.measured.noise.filtering import find_filtering
+from pamctl.diagnose.measured.noise.mend import SensorFault
+from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import CHANNELS, Record
-from pamctl.diagnose.measured.sensor_noise import Noise
 
 SOURCES = {
     "stated": "as stated",

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pamctl.diagnose.measured.noise.spectrum import find_cutoff, find_tail
+from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches
 from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
-from pamctl.diagnose.measured.spectrum import find_cutoff, find_tail
-from pamctl.diagnose.measured.time_stamps import cut_even_stretches
 
 QUIETEST = 1e-6
 """No sensor's noise is smaller than this share of the channel's span: less is a filter's work."""

@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 from scipy.signal import lfilter
 
-from pamctl.diagnose.measured.filtering import QUIETEST
-from pamctl.diagnose.measured.moving_noise import measure_growth
+from pamctl.diagnose.measured.noise.filtering import QUIETEST
+from pamctl.diagnose.measured.noise.moving_noise import measure_growth
+from pamctl.diagnose.measured.noise.spectrum import falls_steeply, find_tail
+from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches
 from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
-from pamctl.diagnose.measured.spectrum import falls_steeply, find_tail
-from pamctl.diagnose.measured.time_stamps import cut_even_stretches
 
 ORDER = 12
 """Order of the autoregressive model: enough for a filtered or drifting sensor."""

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import detrend
 
 from pamctl.diagnose.fitting.block_fit import Fit, rms, sensitivity
 from pamctl.diagnose.fitting.drives import Drive
@@ -106,8 +107,8 @@ def estimate_floor(
     """Return the floor of a block whose sensor's noise is unknown.
 
     Repeats show it: no model can explain what differs between them. Without repeats, it is what the
-    recalibrated model leaves in its quietest stretches: noise is in all of them, and what the model
-    lacks is not. `residual` is that model's on `drives`. The result bounds the floor from above.
+    recalibrated model leaves in its quietest stretches, without their trends: noise is in all of
+    them, and what the model lacks is not. `residual` is that model's on `drives`. The result bounds the floor from above.
     """
     if repeated.rms:
         limit = float(np.hypot(repeated.rms * (1.0 + 2.0 * repeated.uncertainty), margin))
@@ -120,12 +121,15 @@ def estimate_floor(
 
 
 def _measure_stretches(residual: Array, drives: Sequence[Drive]) -> Array:
-    """Return the RMS of each stretch of the residuals of several drives."""
+    """Return the RMS of each stretch of the residuals of several drives, without its trend.
+
+    What the model lacks changes slowly in most stretches, however large it is.
+    """
     levels = []
     for drive, part in zip(drives, _split_by_drive(residual, drives), strict=True):
         length = max(int(STRETCH_S / float(np.median(drive.step_s))), FEWEST_IN_STRETCH)
         whole = part[: max(len(part) // length, 1) * length]
-        levels += [rms(s) for s in np.array_split(whole, max(len(whole) // length, 1))]
+        levels += [rms(detrend(s)) for s in np.array_split(whole, max(len(whole) // length, 1))]
     return np.array(levels)
 
 

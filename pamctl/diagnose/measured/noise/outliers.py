@@ -78,6 +78,7 @@ def _find_commanded(record: Record) -> Rows:
 def _find_excursions(values: Array, commanded: Rows) -> Iterator[tuple[int, int]]:
     """Yield [start, stop) of what jumps away and comes back at once."""
     steps = np.diff(values)
+    steps -= median_filter(steps, 2 * AROUND + 1, mode="nearest")  # the motion's own
     sizes = np.abs(steps)
     # The usual step around, without the jump itself: a median hardly sees it.
     usual = np.maximum(
@@ -110,7 +111,7 @@ def _find_return(values: Array, start: int, jump: float, usual: float) -> int | 
         outside = (values[start:stop] - expected) * np.sign(jump)
         if float(outside.min()) < 0.5 * abs(jump):
             return None
-        busy = max(float(np.abs(np.diff(before)).max()), float(np.abs(np.diff(after)).max()))
+        busy = max(float(np.abs(np.diff(part) - slope).max()) for part in (before, after))
         return stop if busy < 0.4 * abs(jump) else None
     return None
 

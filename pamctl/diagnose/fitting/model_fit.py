@@ -25,7 +25,6 @@ from pamctl.diagnose.fitting.numbers import (
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
-
 FOREIGN_ZERO_PA = 5e3
 """Zero of a pressure sensor that nobody homed, beyond what homing leaves."""
 

@@ -20,7 +20,6 @@ from pamctl.plant.model import PlantSettings
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 PAPER = PlantSettings()
-ATMOSPHERE_PA = PAPER.parameters.atmospheric_pressure_pa
 
 
 def missed_record(late_s: float = 0.0) -> Record:
@@ -76,7 +75,7 @@ def test_a_filter_leaves_a_straight_motion_straight_over_missed_ticks() -> None:
 def test_both_blocks_of_a_busy_pc_s_record_follow_the_very_plant(late_s: float) -> None:
     record = missed_record(late_s)
     noises = {c: estimate_channel_noise([record], c) for c in ("pressure_pa", "position_m")}
-    pressure = prepare_pressure_drive(record, noises, ATMOSPHERE_PA)
+    pressure = prepare_pressure_drive(record, noises, PAPER)
     off_pa = pressure.simulate(PAPER) - record["pressure_pa"]
     assert np.sqrt(np.mean(off_pa**2)) < 300.0
     modelled_pa = pressure.simulate(PAPER)
@@ -91,7 +90,7 @@ def test_both_blocks_of_a_busy_pc_s_record_follow_the_very_plant(late_s: float) 
 def test_a_record_without_missed_ticks_bends_no_pressure() -> None:
     record = missed_record().cut_samples(0, 400, "quiet")
     noises = {"pressure_pa": estimate_channel_noise([record], "pressure_pa")}
-    assert prepare_pressure_drive(record, noises, ATMOSPHERE_PA).find_bend(PAPER) is None
+    assert prepare_pressure_drive(record, noises, PAPER).find_bend(PAPER) is None
 
 
 def test_the_record_of_a_real_time_log_knows_when_commands_act_and_its_cuts_do() -> None:

@@ -17,7 +17,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.diagnose.judging.judges import Judge, JudgeKind
+from pamctl.diagnose.judging.judges import FREE_RUN, Judge, JudgeKind
 from pamctl.diagnose.judging.segments import (
     count_samples,
     differentiate,
@@ -321,7 +321,7 @@ class Drive:
 
 
 def prepare_pressure_drive(
-    record: Record, noises: dict[str, Noise], nominal: PlantSettings, judge: Judge
+    record: Record, noises: dict[str, Noise], nominal: PlantSettings, judge: Judge = FREE_RUN
 ) -> Drive:
     """Prepare a record for the pressure block; without a valve in the record, it is closed."""
     has_position = record.position_m is not None
@@ -356,9 +356,9 @@ def has_constant_volume(nominal: PlantSettings) -> bool:
 def prepare_mechanics_drive(
     record: Record,
     noises: dict[str, Noise],
-    judge: Judge,
     modelled_pa: Array | None = None,
     cutoff_hz: float = SMOOTH_HZ,
+    judge: Judge = FREE_RUN,
 ) -> Drive:
     """Prepare a record for the mechanical block.
 

@@ -143,7 +143,9 @@ def prepare_evidence(
             )
         if {"position_m", "pressure_pa"} <= {*measured} and not has_constant_volume(nominal):
             of_muscle = judge[MECHANICS] = judge_muscle(records)
-            preparers[MECHANICS] = lambda record: prepare_mechanics_drive(record, noises, of_muscle)
+            preparers[MECHANICS] = lambda record: prepare_mechanics_drive(
+                record, noises, judge=of_muscle
+            )
     evidence = replace(evidence, judge=judge)
     for block, prepare in preparers.items():
         evidence.train[block] = tuple(map(prepare, train))
@@ -179,7 +181,7 @@ def with_modelled_pressure(
     def prepare_drive(record: Record, pressure: Drive) -> Drive:
         modelled_pa = _hold_rest_pressure(pressure.simulate(pressure_model), record.rest_samples)
         drive = prepare_mechanics_drive(
-            record, evidence.noises, evidence.judge[MECHANICS], modelled_pa, cutoff_hz
+            record, evidence.noises, modelled_pa, cutoff_hz, evidence.judge[MECHANICS]
         )
         drive = replace(drive, bend=pressure.find_bend(pressure_model), part=pressure.part)
         gauge_pa = pressure.resting_gauge_pa(pressure_model, record.rest_samples) if trusted else 0

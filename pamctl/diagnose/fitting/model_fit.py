@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from pamctl.diagnose.fitting.block_fit import FULL, QUICK, Effort, Fit, fit_numbers
 from pamctl.diagnose.fitting.candidates import Candidate
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, has_constant_volume
 from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.diagnose.fitting.far_starts import search_starts
 from pamctl.diagnose.fitting.fitted_model import Model
@@ -24,6 +24,9 @@ from pamctl.diagnose.fitting.numbers import (
 )
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
+
+FOREIGN_ZERO_PA = 5e3
+"""Zero of a pressure sensor that nobody homed, beyond what homing leaves."""
 
 
 def group_blocks(
@@ -48,15 +51,26 @@ def list_free_numbers(
         n for b in (PRESSURE, MECHANICS) if b in blocks or blind for n in calibration_of(b, nominal)
     )
     own = [f for c in effects if c.blocks & blocks for f in c.free]
-    has_zero = nominal.actuator == "muscle" and SENSOR_ZERO not in nominal.known
-    has_zero = has_zero and all(f.name != SENSOR_ZERO for f in own)
-    zero = (sensor_zero(nominal),) if has_zero else ()
+    zero = () if any(f.name == SENSOR_ZERO for f in own) else _list_zeros(nominal)
     return (
         *(calibrated_number(n, nominal, evidence.reach) for n in names),
         *zero,
         *numbers_of_start(nominal, {PRESSURE, MECHANICS} if blind else blocks, evidence.reach),
         *own,
     )
+
+
+def _list_zeros(nominal: PlantSettings) -> tuple[FreeNumber, ...]:
+    """Return the pressure sensor's zero: as homing leaves it, or wide on a rig without homing.
+
+    The zero of a direct mechanism's force is its constant load, which is recalibrated.
+    """
+    if nominal.actuator == "direct" or SENSOR_ZERO in nominal.known:
+        return ()
+    zero = sensor_zero(nominal)
+    if has_constant_volume(nominal):
+        zero = replace(zero, low=zero.low - FOREIGN_ZERO_PA, high=zero.high + FOREIGN_ZERO_PA)
+    return (zero,)
 
 
 def recalibrate(evidence: Evidence, known: Mapping[frozenset[str], Fit] | None = None) -> Model:

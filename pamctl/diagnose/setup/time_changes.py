@@ -120,6 +120,15 @@ def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
             drift = replace(suspect, over_s=1.0, variant=OF_RECORD)
             yield _Profile(drift, explained, amount * dose)
         yield _best_instant(fitted, suspect, dose, moved, times, basis, left)
+        held_out = base.evidence.holdout[block]
+        if len(times) == 1 and {d.name for d in held_out} != {fitted.drives[0].name}:
+            # With one record to fit, only the held-out ones can differ from it.
+            altered = [suspect.apply(d, dose) for d in held_out]
+            unlike = base.residuals[block]
+            answer = stack_residuals(altered, fitted.settings) - unlike
+            size = float(answer @ answer) * float(unlike @ unlike)
+            explained = float(answer @ unlike) ** 2 / size if size else 0.0
+            yield _Profile(suspect, explained, 0.0, by_record=True)
         names = [d.name for d in fitted.drives]
         if len(names) > 1:
             marks = np.concatenate([np.full(len(t), i) for i, t in enumerate(times)])

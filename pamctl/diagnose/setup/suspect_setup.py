@@ -14,7 +14,7 @@ from typing import Protocol
 
 from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.drives import Drive
-from pamctl.diagnose.fitting.evidence import Evidence
+from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.numbers import value_of, with_values
@@ -232,7 +232,15 @@ def _word_finding(fitted: SuspectFit, effects: tuple[str, ...], *, corrected: bo
 def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:
     """Correct plant, drives and records, and recalibrate."""
     suspect, evidence = fitted.suspect, setup.base.evidence
-    if suspect.kind == "plant_constant":
+    nominal = evidence.nominal
+    train, holdout = (
+        tuple(mend_record(r, suspect, fitted.amount, nominal) for r in records)
+        for records in (setup.train, setup.holdout)
+    )
+    if suspect.kind == "sign" and {id(r) for r in setup.train}.isdisjoint(map(id, setup.holdout)):
+        # Where the records rest depends on the command's sign, and with it what is known of noise.
+        changed = prepare_evidence(train, holdout, nominal)
+    elif suspect.kind == "plant_constant":
         changed = _correct_constant(evidence, suspect, fitted.amount)
     else:
         changed = replace(
@@ -244,10 +252,8 @@ def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:
     return replace(
         setup,
         base=weigh_blocks(recalibrate(changed)),
-        train=tuple(mend_record(r, suspect, fitted.amount, evidence.nominal) for r in setup.train),
-        holdout=tuple(
-            mend_record(r, suspect, fitted.amount, evidence.nominal) for r in setup.holdout
-        ),
+        train=train,
+        holdout=holdout,
     )
 
 

@@ -20,8 +20,10 @@ from pamctl.diagnose.setup.suspects import OF_RECORD, UNITS, Suspect
 from pamctl.diagnose.setup.weighed_fit import SuspectFit, fit_suspect, score_suspect, weights_of
 from pamctl.plant.catalogue import CATALOGUE
 
-PROMISING = 0.3
+PROMISING = 0.5
 """Share of what is left that a profile must promise to be fitted."""
+NEAR_BEST = 0.7
+"""A profile that promises a smaller share of what the best one promises is not fitted."""
 INSTANTS = 24
 """Instants of a record that are tried first."""
 REFINED = 4
@@ -75,7 +77,8 @@ def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit
         numbers = [(*way, p.suspect.number) for way, p in zip(ways, chosen, strict=True)]
         way = (profile.suspect.kind, profile.by_record)
         known = (*way, profile.suspect.number) in numbers
-        if profile.explained > PROMISING and not known and ways.count(way) < MOST_OF_A_WAY:
+        enough = max(PROMISING, NEAR_BEST * profiles[0].explained)
+        if profile.explained > enough and not known and ways.count(way) < MOST_OF_A_WAY:
             chosen.append(profile)
     return [_fit_profile(base, p) for p in chosen]
 
@@ -86,7 +89,7 @@ def _fit_profile(base: Model, profile: _Profile) -> SuspectFit:
     suspect = profile.suspect
     if suspect.after_s:
         suspect = _refine_instant(base, profile)
-    return fit_suspect(base, suspect, profile.start)
+    return fit_suspect(base, suspect, profile.start, is_near=True)
 
 
 def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
@@ -117,6 +120,15 @@ def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
             drift = replace(suspect, over_s=1.0, variant=OF_RECORD)
             yield _Profile(drift, explained, amount * dose)
         yield _best_instant(fitted, suspect, dose, moved, times, basis, left)
+        held_out = base.evidence.holdout[block]
+        if len(times) == 1 and {d.name for d in held_out} != {fitted.drives[0].name}:
+            # With one record to fit, only the held-out ones can differ from it.
+            altered = [suspect.apply(d, dose) for d in held_out]
+            unlike = base.residuals[block]
+            answer = stack_residuals(altered, fitted.settings) - unlike
+            size = float(answer @ answer) * float(unlike @ unlike)
+            explained = float(answer @ unlike) ** 2 / size if size else 0.0
+            yield _Profile(suspect, explained, 0.0, by_record=True)
         names = [d.name for d in fitted.drives]
         if len(names) > 1:
             marks = np.concatenate([np.full(len(t), i) for i, t in enumerate(times)])

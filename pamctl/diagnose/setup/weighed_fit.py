@@ -158,14 +158,19 @@ def score_suspect(base: Model, suspect: Suspect) -> Promise:
     return best
 
 
-def fit_suspect(base: Model, suspect: Suspect, start: float) -> SuspectFit:
+def fit_suspect(
+    base: Model, suspect: Suspect, start: float, *, is_near: bool = False
+) -> SuspectFit:
     """Fit a suspect's number and the recalibrated numbers together, from a start.
 
     Where that leaves something, the plant file's own numbers are tried as a start: what the base
-    lacks may have led it into a valley of friction and stiffness that has no way out.
+    lacks may have led it into a valley of friction and stiffness that has no way out. With
+    `is_near` the base's numbers are the only start.
     """
-    found = _descend(base, suspect, base.evidence.nominal, start, LONG_STEP)
     near = _descend(base, suspect, None, start, STEP)
+    if is_near or near.is_good:
+        return near
+    found = _descend(base, suspect, base.evidence.nominal, start, LONG_STEP)
     return min((near, found), key=lambda f: sum(_mean_squares(f)))
 
 

@@ -54,7 +54,7 @@ def confirm_naming(naming: Naming, holdout: Sequence[Record], confirming: Eviden
     return Confirmation(
         naming,
         signs,
-        coupled.measure_gaps(confirming),
+        coupled.measure_gaps(confirming, model.floors),
         {block: model.ratio(block) for block in confirming.blocks},
         {b: closed_share(base, model, b) for b in naming.base.unexplained if b in reached},
     )

@@ -6,7 +6,7 @@ became better shows only when the command alone drives it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from pamctl.diagnose.extend import assemble_plant
 from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.evidence import SMALLEST_MISFIT, Evidence
 from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.floor import Floor
 from pamctl.diagnose.fitting.held_out_rms import HeldOutErrors, simulate_held_out
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.naming.stretches import average_squares, is_clearly_less
@@ -31,7 +32,7 @@ class HeldOutGap:
     recalibrated: float
     extended: float
     floor: float
-    """RMS of the sensor's own noise."""
+    """RMS of the sensor's own noise; where that is unknown, of the floor that was estimated."""
     corrected: float | None = None
     """With an unnamed correction added, where there is one."""
 
@@ -60,8 +61,11 @@ class CoupledComparison:
     recalibrated: HeldOutErrors
     extended: HeldOutErrors
 
-    def measure_gaps(self, part: Evidence) -> dict[str, HeldOutGap]:
-        """Return the gaps at the samples that `part` holds out, by channel."""
+    def measure_gaps(self, part: Evidence, floors: Mapping[str, Floor]) -> dict[str, HeldOutGap]:
+        """Return the gaps at the samples that `part` holds out, by channel.
+
+        `floors` are those of the blocks.
+        """
         levels = {
             name: errors.measure_rms(part)
             for name, errors in (
@@ -73,7 +77,7 @@ class CoupledComparison:
         return {
             channel: HeldOutGap(
                 **{name: level[channel] for name, level in levels.items()},
-                floor=part.noises[channel].total,
+                floor=_find_floor(part, floors[self.extended.blocks[channel]], channel),
             )
             for channel in levels["nominal"]
         }
@@ -96,6 +100,13 @@ class CoupledComparison:
             ):
                 worse.add(block)
         return frozenset(worse)
+
+
+def _find_floor(part: Evidence, floor: Floor, channel: str) -> float:
+    drives = next(d for d in part.holdout.values() if d[0].channel == channel)
+    if floor.is_estimate:
+        return floor.mean * drives[0].deviation
+    return part.noises[channel].total
 
 
 def compare_coupled(base: Model, model: Model, holdout: Sequence[Record]) -> CoupledComparison:

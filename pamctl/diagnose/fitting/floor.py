@@ -108,7 +108,8 @@ def estimate_floor(
 
     Repeats show it: no model can explain what differs between them. Without repeats, it is what the
     recalibrated model leaves in its quietest stretches, without their trends: noise is in all of
-    them, and what the model lacks is not. `residual` is that model's on `drives`. The result bounds the floor from above.
+    them, and what the model lacks is not. `residual` is that model's on `drives`. The result bounds
+    the floor from above.
     """
     if repeated.rms:
         limit = float(np.hypot(repeated.rms * (1.0 + 2.0 * repeated.uncertainty), margin))

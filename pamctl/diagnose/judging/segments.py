@@ -10,12 +10,8 @@ from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from pamctl.diagnose.measured.missed_ticks import smooth_over_missed
 from pamctl.diagnose.measured.record import Array
+from pamctl.log.cutting.pieces import find_longest_step_s
 
-LONGEST_STEP_S = 0.05
-"""A few missed ticks only make a step longer. A longer step is a gap: what happened there is
-unknown."""
-LONGEST_STEP_PERIODS = 5.0
-"""The same for slow records, in periods."""
 STROKE_END = 0.1
 """Share of a stroke that is left out at each end."""
 CUBIC_S = 0.015
@@ -24,7 +20,7 @@ CUBIC_S = 0.015
 
 def find_segments(step_s: Array) -> tuple[slice, ...]:
     """Return the stretches between gaps, as slices of the samples; `step_s` has shape (n - 1,)."""
-    longest_s = max(LONGEST_STEP_S, LONGEST_STEP_PERIODS * float(np.median(step_s)))
+    longest_s = find_longest_step_s(step_s, holds_command=True)
     ends = [0, *(int(row) + 1 for row in np.flatnonzero(step_s > longest_s)), len(step_s) + 1]
     return tuple(slice(a, b) for a, b in pairwise(ends))
 

@@ -175,13 +175,6 @@ class PlantSettings(Configured):
             for name in ("damping_n_s_per_m", "stiffness_n_per_m"):
                 if getattr(numbers, name) == 0.0:
                     raise ValueError(f"parameters.{name} of a muscle must be greater than 0")
-        if self.actuator == "direct":
-            missing = [name for name in AXIS if name not in numbers.model_fields_set]
-            if missing:
-                raise ValueError(
-                    f"actuator direct needs parameters.{missing[0]}: the paper's value is that of "
-                    "a muscle; give a guess (stiffness_n_per_m: 0 for no spring)"
-                )
         return self
 
     @model_validator(mode="after")

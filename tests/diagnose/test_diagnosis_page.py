@@ -252,7 +252,7 @@ def test_the_page_of_a_minute_stays_below_a_megabyte(named, records):
 
 def five_times(drive: Drive) -> Drive:
     """The same record five times, one after the other."""
-    names = ("valve_v", "driven", "measured", "rows")
+    names = ("valve_v", "driven", "measured", "part")
     columns = {name: np.tile(getattr(drive, name), 5) for name in names}
     period = float(np.median(drive.step_s))
     steps = np.concatenate([np.append(drive.step_s, period)] * 5)[:-1]

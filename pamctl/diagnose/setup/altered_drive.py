@@ -96,14 +96,15 @@ class AlteredDrive(Drive):
         cuts = {0, n}
         for change in self.changes:
             if change.drift_over_s:
-                cuts |= {int(c) for c in np.linspace(0, n, PIECES + 1)}
+                cuts |= self._cut_drift()
             elif change.after_s:
                 cuts.add(int(np.searchsorted(t_s, change.after_s)))
         edges = sorted(c for c in cuts if 0 <= c <= n)
         overlap = round(OVERLAP_S / float(np.median(self.step_s)))
         simulated: Array = np.zeros(n)
+        starts = {*self._restarts.rows.tolist()}
         for begin, end in pairwise(edges):
-            first = max(begin - overlap, 0)
+            first = begin if begin in starts else max(begin - overlap, 0)
             # An equation looks at the motion on both sides.
             last = min(end + overlap, n) if self.is_equation else end
             piece = self._cut_piece(first, last, simulated)
@@ -111,6 +112,13 @@ class AlteredDrive(Drive):
             whole = piece._simulate_constant(p, middle_s)
             simulated[begin:end] = whole[begin - first : end - first]
         return simulated
+
+    def _cut_drift(self) -> set[int]:
+        """Return where pieces begin; windows that start anew need no overlap, so there are more."""
+        n, starts = len(self.measured), self._restarts.rows
+        if len(starts) > PIECES:
+            return {*starts[:: -(-len(starts) // (4 * PIECES))].tolist()}
+        return {int(c) for c in np.linspace(0, n, PIECES + 1)}
 
     def _cut_piece(self, first: int, last: int, simulated: Array) -> AlteredDrive:
         """Return the samples [first, last); it goes on from what was simulated before."""

@@ -41,6 +41,7 @@ from pamctl.diagnose.measured.refuse import (
     check_measured_runs,
     check_sensors,
 )
+from pamctl.diagnose.measured.resting_pressure import align_resting_pressure
 from pamctl.diagnose.name import name_effects
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.remainder import regress_remainder
@@ -118,7 +119,10 @@ def diagnose(
 def _mend_records(
     train: Sequence[Record], holdout: Sequence[Record], stated: Mapping[str, float]
 ) -> tuple[list[Record], list[Record], list[SensorFault]]:
-    """Mend every record; a statement of its noise that is given here comes before its own."""
+    """Mend every record; a statement of its noise that is given here comes before its own.
+
+    The zeros that homing gave the pressure sensor are aligned.
+    """
     faults: list[SensorFault] = []
 
     def mend(record: Record) -> Record:
@@ -126,7 +130,8 @@ def _mend_records(
         faults.extend(found)
         return replace(mended, stated_noise={**mended.stated_noise, **stated})
 
-    return [mend(r) for r in train], [mend(r) for r in holdout], faults
+    mended = align_resting_pressure([mend(r) for r in (*train, *holdout)])
+    return mended[: len(train)], mended[len(train) :], faults
 
 
 def _check_and_prepare(

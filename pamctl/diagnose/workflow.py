@@ -33,7 +33,7 @@ from pamctl.diagnose.fitting.split import (
 )
 from pamctl.diagnose.locate import locate_misfits
 from pamctl.diagnose.measured.noise.channel_noise import describe_channels
-from pamctl.diagnose.measured.noise.mend import SensorFault, mend_record
+from pamctl.diagnose.measured.noise.mend import SensorFault, mend_records
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import (
     AcceptedDoubt,
@@ -123,15 +123,10 @@ def _mend_records(
 
     The zeros that homing gave the pressure sensor are aligned.
     """
-    faults: list[SensorFault] = []
-
-    def mend(record: Record) -> Record:
-        mended, found = mend_record(record)
-        faults.extend(found)
-        return replace(mended, stated_noise={**mended.stated_noise, **stated})
-
-    mended = align_resting_pressure([mend(r) for r in (*train, *holdout)])
-    return mended[: len(train)], mended[len(train) :], faults
+    mended, faults = mend_records([*train, *holdout])
+    stating = [replace(r, stated_noise={**r.stated_noise, **stated}) for r in mended]
+    aligned = align_resting_pressure(stating)
+    return aligned[: len(train)], aligned[len(train) :], faults
 
 
 def _check_and_prepare(

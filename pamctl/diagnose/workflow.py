@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from pamctl.diagnose.audit import audit_model
 from pamctl.diagnose.confirm import Confirmation, confirm_naming
@@ -48,7 +48,8 @@ from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.search import Progress, search_effects
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.refused_columns import explain_refusal
-from pamctl.diagnose.setup.suspect_setup import suspect_setup
+from pamctl.diagnose.setup.setup_finding import SetupFinding
+from pamctl.diagnose.setup.suspect_setup import suspect_air_first, suspect_setup
 from pamctl.diagnose.setup_verdict import conclude_setup
 from pamctl.plant.model import PlantSettings
 
@@ -90,19 +91,21 @@ def diagnose(
         reasons = "\n".join([str(error), *(f"{f.text}; {f.how_to_mend}" for f in refused)])
         return Diagnosis(Verdict.BAD_DATA, plant, plant, reasons, train=given, setup=refused)
     candidates = list_candidates(evidence, without)
-    effects = len({candidate.name for candidate in candidates})  # some have several forms
-    progress(f"{', '.join(evidence.blocks)}: {effects} effects of the catalogue are candidates")
-    base, known = _recalibrate(evidence, candidates, train, holdout, executor, progress)
-    base = weigh_blocks(base)
+    count = len({candidate.name for candidate in candidates})  # some have several forms
+    progress(f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates")
+    recalibrated = _recalibrate(evidence, candidates, train, holdout, executor, progress)
+    train, holdout = [*recalibrated.train], [*recalibrated.holdout]
+    base = weigh_blocks(recalibrated.base)
     ratios = ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks)
     progress(f"recalibrated: {ratios}")
-    setup = suspect_setup(base, train, holdout, FirstLevel(candidates), progress)
+    effects = FirstLevel(candidates)
+    setup = suspect_setup(base, train, holdout, effects, progress, recalibrated.findings)
     if setup.refusal:
         given = (*train, *holdout)
         return Diagnosis(
             Verdict.BAD_DATA, plant, plant, setup.refusal, train=given, setup=setup.findings
         )
-    known = known if setup.base is base else ()
+    known = recalibrated.models if setup.base is base else ()
     naming = name_effects(setup.base, candidates, executor, progress, known)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, setup.holdout, confirming)
@@ -156,6 +159,17 @@ def _check_and_prepare(
     return keep_for_choice(evidence, is_cut=is_cut), fitted, held, is_cut, accepted
 
 
+@dataclass(frozen=True)
+class _Recalibrated:
+    base: Model
+    train: tuple[Record, ...]
+    holdout: tuple[Record, ...]
+    models: tuple[Model, ...] = ()
+    """Models of the pressure block alone: they need not be fitted again."""
+    findings: tuple[SetupFinding, ...] = ()
+    """What was wrong about the pressure block's set-up; evidence and records are corrected."""
+
+
 def _recalibrate(
     evidence: Evidence,
     candidates: Sequence[Candidate],
@@ -163,23 +177,31 @@ def _recalibrate(
     holdout: Sequence[Record],
     executor: Executor | None,
     progress: Progress,
-) -> tuple[Model, tuple[Model, ...]]:
+) -> _Recalibrated:
     """Recalibrate; drive the mechanics by a pressure that the pressure block has cleaned.
 
     The pressure block takes all effects that it needs, to separate the pressure from its noise.
-    Its models are returned too: they need not be fitted again.
+    A fault of its set-up is asked before: effects would imitate it poorly and at length.
     """
+    given = (tuple(train), tuple(holdout))
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        return recalibrate(evidence), ()
+        return _Recalibrated(recalibrate(evidence), *given)
     alone = recalibrate(evidence.select_blocks({PRESSURE}))
+    effects = FirstLevel(candidates)
+    setup = suspect_air_first(alone, evidence, train, holdout, effects, progress)
+    findings: tuple[SetupFinding, ...] = ()
+    if setup is not None:
+        evidence, given = setup.base.evidence, (setup.train, setup.holdout)
+        findings = setup.findings
+        alone = recalibrate(evidence.select_blocks({PRESSURE}))
     progress("pressure block alone: its simulation drives the mechanics with less noise")
     # Here the nearest fit counts, not the simplest form of a name.
     search = search_effects(alone, candidates, executor, width=2)
     nearest = search.nearest
     driven = with_modelled_pressure(
-        evidence, train, holdout, nearest.fit_of(PRESSURE).settings, trusted=nearest.is_complete
+        evidence, *given, nearest.fit_of(PRESSURE).settings, trusted=nearest.is_complete
     )
-    return recalibrate(driven, alone.fits), search.models
+    return _Recalibrated(recalibrate(driven, alone.fits), *given, search.models, findings)
 
 
 def _conclude(

@@ -8,12 +8,13 @@ clearly better. Where an effect does as well, both are said, and nothing is corr
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
+from weakref import WeakKeyDictionary
 
-from pamctl.diagnose.fitting.block_fit import rms
-from pamctl.diagnose.fitting.drives import Drive
+from pamctl.diagnose.fitting.block_fit import Fit, rms
+from pamctl.diagnose.fitting.drives import PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
@@ -26,9 +27,11 @@ from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, list_suspects
 from pamctl.diagnose.setup.time_changes import fit_time_changes
 from pamctl.diagnose.setup.weighed_fit import (
+    Promise,
     SuspectFit,
     fit_suspect,
     held_out_margins,
+    reached_fits,
     score_suspect,
 )
 from pamctl.diagnose.setup.wholesale import fit_wholesale
@@ -50,6 +53,12 @@ GEOMETRY = ("rest_length_m", "braid_length_m")
 
 HOPELESS = 5.0
 """A suspect that leaves so many times the square that an effect promises to leave is not fitted."""
+
+
+Answer = TypeVar("Answer")
+_PROMISES: WeakKeyDictionary[Fit, dict[Suspect, Promise]] = WeakKeyDictionary()
+_FITS: WeakKeyDictionary[Fit, dict[Suspect, SuspectFit]] = WeakKeyDictionary()
+"""By the fit that a suspect alters."""
 
 
 class EffectRivals(Protocol):
@@ -86,13 +95,14 @@ def suspect_setup(
     holdout: Sequence[Record],
     effects: EffectRivals,
     progress: Callable[[str], None] = lambda line: None,
+    known: Sequence[SetupFinding] = (),
 ) -> CheckedSetup:
-    """Return the findings, and the base to search upon."""
-    setup = CheckedSetup(base, tuple(train), tuple(holdout))
+    """Return the findings, and the base to search upon; `known` are corrected already."""
+    setup = CheckedSetup(base, tuple(train), tuple(holdout), tuple(known))
     decimated = fit_decimation(base)
     if decimated is not None:
         finding = _word_finding(decimated, (), corrected=True)
-        setup = replace(_correct(setup, decimated), findings=(finding,))
+        setup = replace(_correct(setup, decimated), findings=(*known, finding))
         lost = "; its jumps between two logged rows are lost, and nothing more can be concluded. "
         refusal = f"{finding.text[:1].upper()}{finding.text[1:]}{lost}To mend it: "
         if setup.base.unexplained:
@@ -113,6 +123,38 @@ def suspect_setup(
     return setup
 
 
+def suspect_air_first(
+    alone: Model,
+    evidence: Evidence,
+    train: Sequence[Record],
+    holdout: Sequence[Record],
+    effects: EffectRivals,
+    progress: Callable[[str], None] = lambda line: None,
+) -> CheckedSetup | None:
+    """Ask what the pressure block alone can answer, before effects are sought in it.
+
+    `alone` is that block, recalibrated. Returns the set-up with `evidence` of all blocks corrected;
+    or None, where nothing of the pressure block alone is the whole cause and the only one.
+    """
+    if not alone.unexplained:
+        return None
+    at_bound = alone.at_bound
+    own = [s for s in list_suspects(evidence, at_bound) if s.blocks == {PRESSURE}]
+    if not any(f.is_good and _is_worth_saying(f) for f in _fit_most_promising(alone, own, effects)):
+        return None
+    found = _find_best(alone, effects)  # beside all others that the pressure shows
+    if found is None:
+        return None
+    best, rivals = found
+    labels = {s.label for s in own}
+    if rivals or not best.is_good or not {best.suspect.label, *best.equal_suspects} <= labels:
+        return None
+    finding = _word_finding(best, rivals, corrected=True)
+    progress(f"set-up: {finding.text}")
+    setup = CheckedSetup(replace(alone, evidence=evidence), tuple(train), tuple(holdout))
+    return replace(_correct(setup, best), findings=(finding,))
+
+
 def is_refuted_by(fitted: SuspectFit, model: Model) -> bool:
     """Tell whether a model with effects leaves clearly less than a suspect."""
     base, blocks = fitted.base, _blocks_of(fitted)
@@ -122,8 +164,7 @@ def is_refuted_by(fitted: SuspectFit, model: Model) -> bool:
 
 def _find_best(base: Model, effects: EffectRivals) -> tuple[SuspectFit, tuple[str, ...]] | None:
     """Return the best accepted suspect, and the names of what it cannot be told from."""
-    least = {b: 1.0 - HOPELESS * (1.0 - effects.promise(base, b)) for b in base.unexplained}
-    fits = [f for f in _fit_promising(base, least) if _is_worth_saying(f)]
+    fits = [f for f in _fit_promising(base, effects) if _is_worth_saying(f)]
     if not fits:
         least = {b: effects.promise(base, b) for b in base.unexplained}
         fits = [f for f in fit_time_changes(base, least) if _is_worth_saying(f)]
@@ -150,33 +191,66 @@ def _find_best(base: Model, effects: EffectRivals) -> tuple[SuspectFit, tuple[st
     return best, tuple(dict.fromkeys(equals))
 
 
-def _fit_promising(base: Model, least: Mapping[str, float]) -> list[SuspectFit]:
-    """Fit the suspects that promise most; `least` is what they must promise, by block."""
+def _fit_promising(base: Model, effects: EffectRivals) -> list[SuspectFit]:
+    """Fit the suspects that promise most."""
     wholesale = fit_wholesale(base)
     if any(f.is_good for f in wholesale):
         return wholesale
     at_bound = {name for f in base.fits.values() for name in f.at_bound}
     asked = [s for s in list_suspects(base.evidence, at_bound) if _may_matter(base, s)]
-    promises = sorted((score_suspect(base, s) for s in asked), key=lambda p: -p.explained)
+    fits = _fit_most_promising(base, asked, effects)
+    if not any(f.is_good for f in fits) and "braid_length_m" in at_bound:
+        # Derivatives promise nothing where a number is at its bound.
+        known = {f.suspect.key for f in fits}
+        fits += [
+            fit_suspect(base, s, _score(base, s).start)
+            for s in asked
+            if s.number in GEOMETRY and s.key not in known
+        ]
+    return [*fits, *wholesale]
+
+
+def _fit_most_promising(
+    base: Model, asked: Iterable[Suspect], effects: EffectRivals
+) -> list[SuspectFit]:
+    """Fit those that promise most, and not much less than an effect does."""
+    least = {b: 1.0 - HOPELESS * (1.0 - effects.promise(base, b)) for b in base.unexplained}
     fits: list[SuspectFit] = []
     counts: Counter[frozenset[str]] = Counter()
-    for promise in promises:
+    for promise in sorted((_score(base, s) for s in asked), key=lambda p: -p.explained):
         blocks = promise.suspect.blocks
         enough = max(PROMISING, min(least[b] for b in blocks if b in least))
         better = max((f.promised for f in fits if f.is_good), default=0.0)
         if promise.explained > max(enough, NEAR_PROMISE * better) and counts[blocks] < MOST_FITTED:
             counts[blocks] += 1
-            fitted = fit_suspect(base, promise.suspect, promise.start)
-            fits.append(replace(fitted, promised=promise.explained))
-    if not any(f.is_good for f in fits) and "braid_length_m" in at_bound:
-        # Derivatives promise nothing where a number is at its bound.
-        known = {f.suspect.key for f in fits}
-        fits += [
-            fit_suspect(base, p.suspect, p.start)
-            for p in promises
-            if p.suspect.number in GEOMETRY and p.suspect.key not in known
-        ]
-    return [*fits, *wholesale]
+            fits.append(replace(_fit(base, promise), promised=promise.explained))
+    return fits
+
+
+def _score(base: Model, suspect: Suspect) -> Promise:
+    return _ask_once(_PROMISES, base, suspect, lambda: score_suspect(base, suspect))
+
+
+def _fit(base: Model, promise: Promise) -> SuspectFit:
+    suspect = promise.suspect
+    fitted = _ask_once(_FITS, base, suspect, lambda: fit_suspect(base, suspect, promise.start))
+    return replace(fitted, base=base)
+
+
+def _ask_once(
+    known: WeakKeyDictionary[Fit, dict[Suspect, Answer]],
+    base: Model,
+    suspect: Suspect,
+    ask: Callable[[], Answer],
+) -> Answer:
+    """Return the answer for a suspect of one block: that block is asked alone, then with others."""
+    touched = [*reached_fits(base, suspect).values()]
+    if len(touched) > 1:
+        return ask()
+    answers = known.setdefault(touched[0], {})
+    if suspect not in answers:
+        answers[suspect] = ask()
+    return answers[suspect]
 
 
 def _may_matter(base: Model, suspect: Suspect) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from pamctl.diagnose.fitting.block_fit import LONG_STEP, STEP, Fit, project_out, rms, sensitivity
-from pamctl.diagnose.fitting.drives import Drive, stack_residuals
+from pamctl.diagnose.fitting.drives import MECHANICS, Drive, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import FORM_SHARE, Model
 from pamctl.diagnose.fitting.numbers import value_of, with_values
 from pamctl.diagnose.measured.record import Array
@@ -168,7 +168,9 @@ def fit_suspect(
     `is_near` the base's numbers are the only start.
     """
     near = _descend(base, suspect, None, start, STEP)
-    if is_near or near.is_good:
+    drives = [d for f in near.fits.values() for d in f.drives]
+    sticks = any(d.block == MECHANICS or not d.has_position for d in drives)
+    if is_near or near.is_good or not sticks:
         return near
     found = _descend(base, suspect, base.evidence.nominal, start, LONG_STEP)
     return min((near, found), key=lambda f: sum(_mean_squares(f)))

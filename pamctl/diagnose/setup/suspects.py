@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence
-from pamctl.diagnose.fitting.numbers import calibration_of
+from pamctl.diagnose.fitting.numbers import AREA, calibration_of
 from pamctl.diagnose.setup.altered_drive import AlteredDrive, PlantChange, add_change, alter
 from pamctl.plant.model import PlantSettings
 
@@ -160,9 +160,11 @@ def shift_command(valve_v: np.ndarray, t_s: np.ndarray, true_s: np.ndarray) -> n
 def _scale_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     """Let a column show (1 + amount) times what is true."""
     gain = 1.0 + amount
+    if suspect.number == AREA:
+        return add_change(drive, PlantChange(AREA, amount * suspect.scale))
     if suspect.number == "valve_v":
         return replace(drive, valve_v=drive.valve_v / gain)
-    if drive.block == MECHANICS:
+    if drive.block == MECHANICS and not (drive.is_equation and suspect.number == "position_m"):
         return alter(drive, gain=gain)
     return replace(drive, driven=drive.driven / gain)
 

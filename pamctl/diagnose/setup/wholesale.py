@@ -7,10 +7,12 @@ is fitted from there.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from pamctl.diagnose.fitting.block_fit import fit_numbers, rms
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.numbers import AREA, value_of
 from pamctl.diagnose.setup.suspects import Kind, Suspect
 from pamctl.diagnose.setup.weighed_fit import SuspectFit, reached_fits
 
@@ -55,6 +57,12 @@ def _list_wholesale(base: Model) -> Iterator[tuple[Suspect, float]]:
     if PRESSURE in blocks:
         yield _make("sign", "valve_v", frozenset({PRESSURE})), -2.0
     if MECHANICS in blocks:
+        own = frozenset({MECHANICS})
+        if any(d.is_equation for d in base.evidence.train[MECHANICS]):
+            yield _make("sign", "force_n", own), -2.0
+        nominal = base.evidence.nominal
+        if AREA in nominal.known:  # else it is fitted, with either sign
+            yield replace(_make("sign", AREA, own), scale=value_of(nominal, AREA)), -2.0
         yield _make("sign", "position_m", blocks), -2.0
         for factor in ENCODER_FACTORS:
             yield _make("scale", "position_m", blocks), factor - 1.0

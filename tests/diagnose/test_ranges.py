@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.made_records import pair
@@ -14,6 +16,7 @@ from pamctl.diagnose.fitting.numbers import (
     calibrated_number,
     calibration_of,
     list_plant_numbers,
+    numbers_of_effect,
     value_of,
     with_values,
 )
@@ -104,7 +107,9 @@ def test_ranges_of_effects_grow_with_the_machine(force_n: float) -> None:
     ranges = {f.name: f for c in list_candidates(evidence) for f in c.free}
     assert ranges["coulomb_friction.force_n"].high == pytest.approx(1.4 * force_n, rel=0.1)
     half_n, way_m = 1.4 * force_n, float(np.ptp(record.position_m))
-    assert ranges["cubic_stiffness.n_per_m3"].high == pytest.approx(3 * half_n / way_m**3, rel=0.1)
+    assert ranges["cubic_stiffness.n_per_m3"].high == pytest.approx(
+        100 * half_n / way_m**3, rel=0.1
+    )
     assert ranges["presliding.compliance_m_per_n"].high == pytest.approx(way_m / half_n, rel=0.1)
     assert "pressure_friction.n_per_pa" in ranges
     for candidate in list_candidates(evidence):
@@ -114,6 +119,40 @@ def test_ranges_of_effects_grow_with_the_machine(force_n: float) -> None:
     found = recalibrate(evidence).fit_of("mechanics").values
     for name, value in parameters.items():
         assert found[name] == pytest.approx(value, rel=0.05)
+
+
+def test_without_a_force_the_area_of_the_piston_is_the_measure_of_all_forces() -> None:
+    """Pressure and motion show ratios of forces only: one factor before all changes nothing."""
+    cylinder = direct(effects={"piston": {"area_m2": 5e-4}})
+    pulled = pull(cylinder, 0.0, pressure=True)
+    unmeasured = replace(pulled, force_n=None)
+
+    def free(record: Record, **changes: object) -> set[str]:
+        plant = cylinder.model_copy(update=changes)
+        evidence = prepare_evidence([record], [record], plant)
+        return {f.name for f in list_free_numbers(frozenset({"mechanics"}), (), evidence)}
+
+    assert "piston.area_m2" not in free(unmeasured)
+    assert "piston.area_m2" in free(unmeasured, known=("mass_kg",))
+    assert "piston.area_m2" in free(pull(cylinder, 40.0, pressure=True))
+    guessed = cylinder.model_copy(
+        update={"parameters": cylinder.parameters.model_copy(update={"mass_kg": 0.9})}
+    )
+    found = recalibrate(prepare_evidence([unmeasured], [unmeasured], guessed))
+    assert found.fit_of("mechanics").values["mass_kg"] == pytest.approx(0.4, rel=0.05)
+
+
+def test_the_ranges_of_a_chamber_grow_with_its_valve_and_its_volume() -> None:
+    parameters = {"valve_gain_m2_per_v": 1.03e-4}
+    large = PlantSettings.model_validate(
+        {"actuator": "chamber", "chamber_volume_m3": 9.24e-3, "parameters": parameters}
+    )
+    paper = PlantSettings()
+    for effect, number in (("chamber_leak", "area_m2"), ("dead_volume", "volume_m3")):
+        (usual,) = numbers_of_effect(effect, [number], paper)
+        (here,) = numbers_of_effect(effect, [number], large)
+        assert here.high == pytest.approx(100.0 * usual.high, rel=0.01)
+        assert here.scale == pytest.approx(100.0 * usual.scale, rel=0.01)
 
 
 def test_a_known_number_is_not_fitted() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hidden.excitations import brief
 from hidden.rig import HiddenRig, hidden_rig
-from support.free_mass import FRICTION_N, MASS_KG, axis, pushed_mass
+from support.free_mass import FRICTION_N, MASS_KG, axis, imposed_motion, pushed_mass
 from support.made_records import PERIOD_S, measured, pair
 
 from pamctl.diagnose import Record, diagnose
@@ -318,3 +318,39 @@ def test_numbers_that_only_show_as_a_product_are_listed_for_each_actuator() -> N
     assert list_equal_numbers(axis().model_copy(update={"known": ("mass_kg",)})) == ()
     (chamber,) = list_equal_numbers(PlantSettings.model_validate(CHAMBER))
     assert {"temperature_k", "chamber_volume_m3"} < {*chamber}
+
+
+@pytest.mark.parametrize("wrong", ["area", "force", "nothing"])
+def test_a_piston_that_is_known_with_the_wrong_sign_is_told_from_an_inverted_load_cell(
+    wrong: str,
+) -> None:
+    def press(record: Record, bar: float) -> Record:
+        pressed_pa = 1e5 * bar + np.random.default_rng(3).normal(0.0, 200.0, len(record))
+        true_n = record["force_n"] + 5e-4 * pressed_pa
+        force_n = -true_n if wrong == "force" else true_n
+        return replace(record, force_n=force_n, pressure_pa=101.3e3 + pressed_pa)
+
+    plant = PlantSettings.model_validate(
+        {
+            "actuator": "direct",
+            "parameters": {
+                "mass_kg": 0.3,
+                "damping_n_s_per_m": 200.0,
+                "stiffness_n_per_m": 0.0,
+            },
+            "effects": {
+                "piston": {"area_m2": 5e-4 if wrong == "area" else -5e-4},
+                "coulomb_friction": {"force_n": 5.0},
+            },
+            "known": ["piston.area_m2"],
+        }
+    )
+    train, holdout = (
+        [press(imposed_motion(seed), bar) for seed, bar in part]
+        for part in (((1, 1.0), (2, 4.0)), ((3, 2.0),))
+    )
+    found = diagnose(train, holdout, plant)
+    said = {"area": ["piston.area_m2"], "force": ["force_n"], "nothing": []}[wrong]
+    assert [f.number for f in found.setup] == said
+    assert found.plant.effects.model_dump()["piston"]["area_m2"] == -5e-4
+    assert found.verdict is Verdict.MISCALIBRATED

@@ -83,10 +83,10 @@ def test_a_name_must_close_two_thirds_of_the_way_to_the_limit(
 @pytest.mark.parametrize(
     ("left", "spread", "is_name"),
     [
-        (1.0, 0.18, True),
-        (1.0, 0.25, False),
+        (1.0, 0.22, True),
+        (1.0, 0.3, False),
         (9.0, 0.05, True),
-        (9.0, 0.12, False),
+        (9.0, 0.15, False),
     ],
 )
 def test_the_less_an_effect_closes_the_better_must_the_pieces_agree_about_it(

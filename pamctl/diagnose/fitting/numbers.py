@@ -88,6 +88,7 @@ stiffness.
 SENSOR_ZERO = "pressure_sensor_offset.offset_pa"
 ZERO_PA = 250.0
 """A quarter of the smallest offset of interest."""
+AREA = "piston.area_m2"
 LOAD = "external_load.force_n"
 """The constant load of a direct mechanism; the zero of its force sensor is the same to all data."""
 
@@ -193,7 +194,7 @@ def sensor_zero(nominal: PlantSettings) -> FreeNumber:
 _SHARES: Mapping[str, tuple[float, float, float]] = {
     "N": (0.01, 0.05, 1.0),
     "N/m": (0.02, 0.05, 3.0),
-    "N/m3": (0.02, 0.1, 3.0),
+    "N/m3": (0.02, 0.1, 100.0),
     "N s/m": (0.05, 0.1, 10.0),
     "m": (1e-4, 1e-3, 0.2),
     "m/s": (0.01, 0.05, 1.0),
@@ -218,8 +219,8 @@ def _range_on(
     usual = parameter.start
     if not parameter.is_scaled:
         return low, high, smallest, usual
-    if nominal.actuator == "muscle":
-        ratio = reach_of_muscle(nominal).size_of(parameter.unit) / _PAPER.size_of(parameter.unit)
+    if nominal.actuator != "direct":
+        ratio = _size_beside_paper(nominal, parameter.unit)
         ratio = 1.0 if 1.0 / SAME_SIZE < ratio < SAME_SIZE else ratio
         return low * ratio, high * ratio, smallest * ratio, usual * ratio
     if reach is None or parameter.unit not in _SHARES:
@@ -238,6 +239,19 @@ def _range_on(
 
 
 _PAPER = reach_of_muscle(PlantSettings())
+_PAPER_GAIN_M2_PER_V = PAPER["valve_gain_m2_per_v"]
+
+
+def _size_beside_paper(nominal: PlantSettings, unit: str) -> float:
+    """Return the usual size of a quantity on this muscle or chamber over that on the paper's.
+
+    A chamber has no forces: areas are compared with the valve, volumes with its own.
+    """
+    if nominal.actuator == "muscle":
+        return reach_of_muscle(nominal).size_of(unit) / _PAPER.size_of(unit)
+    if unit == "m2":
+        return nominal.parameters.valve_gain_m2_per_v / _PAPER_GAIN_M2_PER_V
+    return (nominal.chamber_volume_m3 or 0.0) / _PAPER.size_of("m3") if unit == "m3" else 1.0
 
 
 def numbers_of_effect(
@@ -271,18 +285,37 @@ def numbers_of_start(
 
     Only numbers off neutral and within their ranges are freed, so the form of the effect does not
     change. The sensor's zero and a direct mechanism's load are always free; known numbers never
-    are.
+    are, nor is the piston's area where nothing else tells how large the forces are.
     """
+    fixed = {SENSOR_ZERO, *nominal.known, *hold_scale_of_forces(nominal, reach)}
     return tuple(
         free
         for name in active_effects(nominal)
         if not CATALOGUE[name].unidentifiable and {*CATALOGUE[name].seen_by} & {*blocks}
         for p in CATALOGUE[name].parameters
-        if not p.choices and f"{name}.{p.name}" not in (SENSOR_ZERO, *nominal.known)
+        if not p.choices and f"{name}.{p.name}" not in fixed
         for free in (_number_of_start(name, p, nominal, reach),)
         if free.low < value_of(nominal, free.name) < free.high
         and (p.role == "shape" or value_of(nominal, free.name) != p.neutral)
     )
+
+
+def hold_scale_of_forces(nominal: PlantSettings, reach: Reach | None) -> tuple[str, ...]:
+    """Return the piston's area where pressure alone drives a mechanism, and no force is known.
+
+    Then mass, damping, springs, frictions and the area may all be multiplied by one factor, and
+    the motion stays the same: the file's area is the measure of all.
+    """
+    if reach is None or reach.has_force or not value_of(nominal, AREA):
+        return ()
+    known = {name for name in nominal.known if value_of(nominal, name) and _has_force(name)}
+    return () if known else (AREA,)
+
+
+def _has_force(name: str) -> bool:
+    """Tell whether a number grows in proportion to the forces, or to what they are over."""
+    unit = _parameter(name).unit if "." in name else UNITS[name]
+    return unit in (*(u for u in _SHARES if u not in ("m", "m/s")), "kg")
 
 
 def _number_of_start(

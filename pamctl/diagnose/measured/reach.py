@@ -30,6 +30,8 @@ class Reach:
     """The smallest way that the position sensor shows beyond its noise; 0 where unknown."""
     load_n: float = 0.0
     """The largest force, constant loads included."""
+    has_force: bool = True
+    """Whether a force was measured. A motion and a pressure alone show ratios of forces only."""
 
     def size_of(self, unit: str) -> float:
         """Return the usual size of a quantity of a mechanical unit; raise KeyError for another."""
@@ -90,6 +92,7 @@ def measure_reach(
         pressure_pa=max(*pressures, 1.0) if pressures else atmosphere_pa,
         least_way_m=4.0 * max(noise_m, resolution_m),
         load_n=max(*loads, 1e-9),
+        has_force=any(record.force_n is not None for record in records),
     )
 
 

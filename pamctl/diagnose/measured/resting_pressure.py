@@ -77,9 +77,7 @@ def _measure_excesses(rests: Sequence[Array]) -> Array:
     table = table[:, shared]
     zeros, course = _separate(table)
     zeros = zeros - np.median(zeros)
-    return np.array(
-        [_shrink(zero, row - course) for zero, row in zip(zeros, table, strict=True)]
-    )
+    return np.array([_shrink(zero, row - course) for zero, row in zip(zeros, table, strict=True)])
 
 
 def _separate(table: Array) -> tuple[Array, Array]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from math import sqrt
 
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.naming.doubt import spread_of_effect
+from pamctl.diagnose.naming.doubt import PIECES, spread_of_effect
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.search import EffectSearch, closed_share, keep_best_forms, rank
 from pamctl.diagnose.naming.stretches import gains_in_block
@@ -20,6 +21,9 @@ UNEVEN = 0.2
 """Largest spread of the size of an effect that closes everything, as a share of the size (see
 `doubt`). It falls with the share that is closed: an effect that leaves much must be the same
 everywhere. Wrong neighbours of effects in no catalogue reach 0.1 to 5."""
+SURELY = 1.0 - 1.0 / sqrt(2.0 * (PIECES - 1))
+"""A spread over so many pieces is known to this share of itself: only what is larger even then
+counts against an effect."""
 MOST_PARTIALS = 6
 """Models of each level that are examined as partial explanations."""
 
@@ -98,7 +102,7 @@ def is_worthy(model: Model, search: EffectSearch) -> bool:
         return False
     shares = [measure_share(model, effect, search) for effect in model.effects]
     return min(shares) >= LEAST_CLOSED and all(
-        spread_of_effect(model, effect) <= UNEVEN * (2.0 * share - 1.0)
+        SURELY * spread_of_effect(model, effect) <= UNEVEN * (2.0 * share - 1.0)
         for effect, share in zip(model.effects, shares, strict=True)
     )
 

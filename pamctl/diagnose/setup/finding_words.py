@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pamctl.diagnose.fitting.numbers import AREA
 from pamctl.diagnose.setup.suspects import ATMOSPHERE, CONSTANTS, Suspect
 
 _COLUMNS = {
@@ -9,6 +10,7 @@ _COLUMNS = {
     "pressure_pa": "the pressure",
     "position_m": "the position",
     "force_n": "the force",
+    AREA: f"{AREA} of the plant file",
 }
 _MEND_CONSTANT = {
     "rest_length_m": "measure the vented, unloaded muscle between its end caps",
@@ -89,6 +91,8 @@ def advise_mending(suspect: Suspect, value: float) -> str:
         return "log the command at every sample"
     if suspect.kind == "gauge":
         return "add the atmosphere's pressure in the calibration, or in the import map"
+    if suspect.kind == "sign" and number == AREA:
+        return "plant.yaml has the other sign: pressure pushes towards smaller x if it is negative"
     if suspect.kind == "sign":
         return f"change the sign of {number} in the import map or in the calibration"
     return f"divide {number} by {value:.4g}: in the calibration, or in the import map"

@@ -8,7 +8,7 @@ clearly better. Where an effect does as well, both are said, and nothing is corr
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 from weakref import WeakKeyDictionary
@@ -18,7 +18,7 @@ from pamctl.diagnose.fitting.drives import PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
-from pamctl.diagnose.fitting.numbers import value_of, with_values
+from pamctl.diagnose.fitting.numbers import AREA, value_of, with_values
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.setup.decimation import fit_decimation
 from pamctl.diagnose.setup.finding_words import advise_mending, describe
@@ -107,11 +107,15 @@ def suspect_setup(
         refusal = f"{finding.text[:1].upper()}{finding.text[1:]}{lost}To mend it: "
         if setup.base.unexplained:
             return replace(setup, refusal=refusal + finding.how_to_mend)
+    said: set[tuple[str, ...]] = set()
     while len(setup.findings) < MOST_FINDINGS and setup.base.unexplained and not setup.open_fits:
         found = _find_best(setup.base, effects)
         if found is None:
             break
         fitted, rivals = found
+        if fitted.suspect.key in said:  # a second time would only undo the first
+            break
+        said.add(fitted.suspect.key)
         corrected = not rivals
         finding = _word_finding(fitted, rivals, corrected=corrected)
         progress(f"set-up: {finding.text}")
@@ -313,7 +317,10 @@ def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:
         tuple(mend_record(r, suspect, fitted.amount, nominal) for r in records)
         for records in (setup.train, setup.holdout)
     )
-    if suspect.kind == "sign" and {id(r) for r in setup.train}.isdisjoint(map(id, setup.holdout)):
+    if suspect.number == AREA:
+        turned = with_values(nominal, {AREA: -value_of(nominal, AREA)})
+        changed = replace(evidence, nominal=turned, together={})
+    elif suspect.kind == "sign" and {id(r) for r in setup.train}.isdisjoint(map(id, setup.holdout)):
         # Where the records rest depends on the command's sign, and with it what is known of noise.
         changed = prepare_evidence(train, holdout, nominal)
         changed = replace(changed, holdout=_keep_parts(changed.holdout, evidence.holdout))

@@ -15,7 +15,12 @@ from scipy.interpolate import CubicSpline
 
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence
-from pamctl.diagnose.fitting.numbers import calibration_of, list_plant_numbers, value_of
+from pamctl.diagnose.fitting.numbers import (
+    AREA,
+    calibration_of,
+    list_plant_numbers,
+    value_of,
+)
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.setup.altered_drive import PlantChange, add_change, alter
 from pamctl.plant.model import PlantSettings
@@ -170,6 +175,8 @@ def _find_input(drive: Drive, column: str) -> str | None:
 def _scale_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     """Let a column show (1 + amount) times what is true."""
     gain, column = 1.0 + amount, suspect.number
+    if column == AREA:
+        return add_change(drive, PlantChange(AREA, amount * suspect.scale))
     if column == "valve_v":
         held_v = None if drive.held_v is None else drive.held_v / gain
         return replace(drive, valve_v=drive.valve_v / gain, held_v=held_v)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pamctl.diagnose.fitting.block_fit import fit_numbers, rms
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.numbers import with_values
+from pamctl.diagnose.fitting.numbers import AREA, value_of, with_values
 from pamctl.diagnose.setup.suspects import Kind, Suspect
 from pamctl.diagnose.setup.weighed_fit import SuspectFit, reached_fits
 from pamctl.plant.model import PlantSettings
@@ -66,10 +66,14 @@ def _fit_balance(base: Model, suspect: Suspect, amount: float) -> PlantSettings 
 
 def _list_wholesale(base: Model) -> Iterator[tuple[Suspect, float]]:
     blocks = frozenset(base.evidence.blocks)
-    if base.evidence.nominal.actuator == "direct":
+    nominal = base.evidence.nominal
+    if nominal.actuator == "direct":
         if base.evidence.balance:
-            equal = ("sign of position_m",)
+            is_known = AREA in nominal.known  # else it is fitted, with either sign
+            equal = () if is_known else ("sign of position_m",)
             yield replace(_make("sign", "force_n", blocks), always_equal=equal), -2.0
+            if is_known:
+                yield replace(_make("sign", AREA, blocks), scale=value_of(nominal, AREA)), -2.0
         return
     if PRESSURE in blocks:
         yield _make("sign", "valve_v", frozenset({PRESSURE})), -2.0

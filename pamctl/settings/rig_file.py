@@ -16,6 +16,7 @@ from hal.backend import Backend, find_backends, get_backend
 from hal.calibration import CalibrationSettings
 from hal.configured import Configured
 from hal.faulty import FaultSettings
+from pamctl.control.envelope import EnvelopeSettings
 from pamctl.control.homing import HomingSettings
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.safety import LimitSettings
@@ -34,6 +35,7 @@ class RigFile(Configured):
 
     calibration: CalibrationSettings = CalibrationSettings()
     limits: LimitSettings = LimitSettings()
+    envelope: EnvelopeSettings = EnvelopeSettings()
     homing: HomingSettings = HomingSettings()
     loop: LoopSettings = LoopSettings()
 

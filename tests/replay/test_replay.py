@@ -28,7 +28,7 @@ from hal.calibration import position_m
 from hal.converter import quantise_v
 from pamctl.cli.app import app
 from pamctl.control import experiment, filters, pid, qsmc, smc
-from pamctl.control.experiment import Course, Segment
+from pamctl.control.course import Course, Segment
 from pamctl.control.filters import low_pass
 from pamctl.control.homing import Homing
 from pamctl.control.law import KERNELS

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from pamctl.control.envelope import TimedReference, sample_segments
 from pamctl.control.experiment import plan_experiment
 from pamctl.control.law_registry import read_controller
+from pamctl.control.motion_limits import TimedReference, sample_segments
 from pamctl.control.references.sequence import ReferenceSettings, find_gain_changes
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
@@ -98,14 +98,20 @@ def _judge_motion(settings: RunSettings, samples: Sequence[TimedReference]) -> I
     demands = [(sample.t_s, find_demand(model, sample)) for sample in samples]
     # The vented muscle stays at rest a little above its length of zero pressure.
     pressure = _Limit(
-        "(by the plant's model) for a pressure", "kPa absolute", low_pa * _KPA - 0.1, high_pa * _KPA,
+        "(by the plant's model) for a pressure",
+        "kPa absolute",
+        low_pa * _KPA - 0.1,
+        high_pa * _KPA,
         "the air supply and rig.limits.pressure_pa",
-    )  # fmt: skip
+    )
     said = list(_judge(pressure, ((t_s, d.pressure_pa * _KPA) for t_s, d in demands)))
     valve = _Limit(
-        "(by the plant's model) for a valve command", "V", -command_v, command_v,
+        "(by the plant's model) for a valve command",
+        "V",
+        -command_v,
+        command_v,
         "rig.limits.command_v and controller.command_limit_v",
-    )  # fmt: skip
+    )
     yield from said or _judge(valve, ((t_s, d.valve_v) for t_s, d in demands))
 
 

@@ -16,8 +16,8 @@ from hal.backend import Backend, find_backends, get_backend
 from hal.calibration import CalibrationSettings
 from hal.configured import Configured
 from hal.faulty import FaultSettings
-from pamctl.control.envelope import EnvelopeSettings
 from pamctl.control.homing import HomingSettings
+from pamctl.control.motion_limits import EnvelopeSettings
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.safety import LimitSettings
 

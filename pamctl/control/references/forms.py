@@ -39,6 +39,7 @@ Fade = Annotated[
 MOST_ROWS = 8000
 """A table travels with the settings, into the log and to the daemon."""
 
+_RANDOM_TONES = 24
 # Peaks of the polynomials: of the jerk of a motion from rest to rest over 1 m in 1 s, and of a
 # change of speed by 1 m/s in 1 s.
 _STEP_JERK = 52.5
@@ -71,7 +72,7 @@ class Form(Configured):
         raise NotImplementedError
 
 
-class Sine(Form):
+class SineForm(Form):
     """A sine about an offset; `cycles` at full amplitude."""
 
     offset_u: Level = 0.0
@@ -91,7 +92,7 @@ class Sine(Form):
         sketch.draw_wave(wave, self.SI * self.offset_u, self.cycles * period_s, fade_s)
 
 
-class Multisine(Form):
+class MultisineForm(Form):
     """Many tones at once, all of them multiples of 1 / period_s: for frequency responses.
 
     They are spread evenly over the octaves, of equal amplitude, with phases drawn from the seed.
@@ -109,7 +110,7 @@ class Multisine(Form):
     trigger: Trigger = None
 
     @model_validator(mode="after")
-    def _check_tones(self) -> Multisine:
+    def _check_tones(self) -> MultisineForm:
         _require_rising(self.low_hz, self.high_hz)
         if not self._harmonics():
             raise ValueError(
@@ -140,7 +141,7 @@ class Multisine(Form):
         sketch.draw_wave(wave, self.SI * self.offset_u, whole_s, self.fade_s)
 
 
-class Chirp(Form):
+class ChirpForm(Form):
     """One tone from one frequency to another, evenly over the octaves or over the frequencies."""
 
     offset_u: Level = 0.0
@@ -159,7 +160,7 @@ class Chirp(Form):
     ] = None
 
     @model_validator(mode="after")
-    def _check_fade(self) -> Chirp:
+    def _check_fade(self) -> ChirpForm:
         if self.fade_s is not None and 2 * self.fade_s >= self.duration_s:
             raise ValueError(
                 f"fade_s {self.fade_s:g} at both ends leaves nothing of duration_s "
@@ -181,7 +182,7 @@ class Chirp(Form):
         )
 
 
-class Random(Form):
+class RandomForm(Form):
     """Random motion within a band of frequencies; another seed gives another motion."""
 
     offset_u: Level = 0.0
@@ -193,27 +194,27 @@ class Random(Form):
     fade_s: Annotated[Seconds, Field(description="time to grow and to decay")] = 1.0
 
     @model_validator(mode="after")
-    def _check_band(self) -> Random:
+    def _check_band(self) -> RandomForm:
         _require_rising(self.low_hz, self.high_hz)
         return self
 
     def draw(self, sketch: Sketch) -> None:
         """Grow, go on for the duration, decay."""
         drawn = random.Random(f"random {self.seed}")
-        width_hz = (self.high_hz - self.low_hz) / MOST_TONES
+        width_hz = (self.high_hz - self.low_hz) / _RANDOM_TONES
         tones = [
             Tone(
                 math.sqrt(-2.0 * math.log(1.0 - drawn.random())),
                 math.tau * (self.low_hz + (i + drawn.random()) * width_hz),
                 drawn.uniform(0.0, math.tau),
             )
-            for i in range(MOST_TONES)
+            for i in range(_RANDOM_TONES)
         ]
         wave = scale_to_peak(tones, self.SI * self.amplitude_u, self.duration_s)
         sketch.draw_wave(wave, self.SI * self.offset_u, self.duration_s, self.fade_s)
 
 
-class RoundedSquare(Form):
+class RoundedSquareForm(Form):
     """Between two levels, with transitions of a given highest jerk; it begins at the lower one."""
 
     offset_u: Level = 0.0
@@ -224,7 +225,7 @@ class RoundedSquare(Form):
     trigger: Trigger = None
 
     @model_validator(mode="after")
-    def _check_transition(self) -> RoundedSquare:
+    def _check_transition(self) -> RoundedSquareForm:
         half_s, lasts_s = 0.5 / self.frequency_hz, self._transition_s()
         if lasts_s > half_s:
             enough = 2 * self.amplitude_u * _STEP_JERK / half_s**3
@@ -254,7 +255,7 @@ class RoundedSquare(Form):
         sketch.repeat(self.cycles, draw_cycle)
 
 
-class Triangle(Form):
+class TriangleForm(Form):
     """Constant speed up and down, with rounded corners; it begins at the lower end."""
 
     offset_u: Level = 0.0
@@ -301,7 +302,7 @@ class Triangle(Form):
         sketch.draw(SpeedChange(under, -speed, 0.0, begin_s), begin_s, low)
 
 
-class Ramps(Form):
+class RampsForm(Form):
     """At constant speed from level to level, with corners of a given highest jerk."""
 
     levels_u: Annotated[tuple[Level, ...], Field(min_length=2, max_length=1000)]
@@ -343,7 +344,7 @@ class Ramps(Form):
         sketch.draw(SpeedChange(end, rate, 0.0, corner_s), corner_s, there)
 
 
-class Staircase(Form):
+class StaircaseForm(Form):
     """Steps from level to level, each smoothed to a given highest jerk; two levels are a step."""
 
     levels_u: Annotated[tuple[Level, ...], Field(min_length=2, max_length=1000)]
@@ -368,7 +369,7 @@ class Staircase(Form):
         sketch.repeat(self.cycles, draw_cycle)
 
 
-class Table(Form):
+class TableForm(Form):
     """Points of a CSV or MAT file, or written here, joined with a continuous third derivative.
 
     The curve is at rest at its first and its last point. A file is read once, before the run: its
@@ -394,7 +395,7 @@ class Table(Form):
     trigger: Trigger = None
 
     @model_validator(mode="after")
-    def _check_points(self) -> Table:
+    def _check_points(self) -> TableForm:
         if len(self.t_s) < 2:
             raise ValueError(f"a table needs two points at least (it has {len(self.t_s)})")
         if len(self.t_s) != len(self.values_u):
@@ -420,7 +421,7 @@ class Table(Form):
         sketch.repeat(self.cycles, draw_cycle)
 
 
-class Move(Form):
+class MoveForm(Form):
     """From rest to rest, as the motions of the paper's experiments."""
 
     to_u: Level

@@ -7,27 +7,27 @@ from typing import Literal
 from pamctl.control.references.forms import (
     IN_MM,
     IN_VOLTS,
-    Chirp,
-    Move,
-    Multisine,
-    Ramps,
-    Random,
-    RoundedSquare,
-    Sine,
-    Staircase,
-    Table,
-    Triangle,
+    ChirpForm,
+    MoveForm,
+    MultisineForm,
+    RampsForm,
+    RandomForm,
+    RoundedSquareForm,
+    SineForm,
+    StaircaseForm,
+    TableForm,
+    TriangleForm,
 )
 
 
-class MuscleSine(Sine):
+class MuscleSine(SineForm):
     """A sine: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["sine"]
 
 
-class ValveSine(Sine):
+class ValveSine(SineForm):
     """A sine: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -36,14 +36,14 @@ class ValveSine(Sine):
     kind: Literal["valve_sine"]
 
 
-class MuscleMultisine(Multisine):
+class MuscleMultisine(MultisineForm):
     """Many tones at once: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["multisine"]
 
 
-class ValveMultisine(Multisine):
+class ValveMultisine(MultisineForm):
     """Many tones at once: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -52,14 +52,14 @@ class ValveMultisine(Multisine):
     kind: Literal["valve_multisine"]
 
 
-class MuscleChirp(Chirp):
+class MuscleChirp(ChirpForm):
     """A tone of changing frequency: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["chirp"]
 
 
-class ValveChirp(Chirp):
+class ValveChirp(ChirpForm):
     """A tone of changing frequency: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -68,14 +68,14 @@ class ValveChirp(Chirp):
     kind: Literal["valve_chirp"]
 
 
-class MuscleRandom(Random):
+class MuscleRandom(RandomForm):
     """Random motion within a band: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["random"]
 
 
-class ValveRandom(Random):
+class ValveRandom(RandomForm):
     """Random motion within a band: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -84,14 +84,14 @@ class ValveRandom(Random):
     kind: Literal["valve_random"]
 
 
-class MuscleRoundedSquare(RoundedSquare):
+class MuscleRoundedSquare(RoundedSquareForm):
     """A square wave with rounded transitions: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["rounded_square"]
 
 
-class ValveRoundedSquare(RoundedSquare):
+class ValveRoundedSquare(RoundedSquareForm):
     """A square wave with rounded transitions: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -100,14 +100,14 @@ class ValveRoundedSquare(RoundedSquare):
     kind: Literal["valve_rounded_square"]
 
 
-class MuscleTriangle(Triangle):
+class MuscleTriangle(TriangleForm):
     """A triangle wave with rounded corners: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["triangle"]
 
 
-class ValveTriangle(Triangle):
+class ValveTriangle(TriangleForm):
     """A triangle wave with rounded corners: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -116,14 +116,14 @@ class ValveTriangle(Triangle):
     kind: Literal["valve_triangle"]
 
 
-class MuscleRamps(Ramps):
+class MuscleRamps(RampsForm):
     """Ramps from level to level: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["ramps"]
 
 
-class ValveRamps(Ramps):
+class ValveRamps(RampsForm):
     """Ramps from level to level: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -132,14 +132,14 @@ class ValveRamps(Ramps):
     kind: Literal["valve_ramps"]
 
 
-class MuscleStaircase(Staircase):
+class MuscleStaircase(StaircaseForm):
     """Smooth steps from level to level: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["staircase"]
 
 
-class ValveStaircase(Staircase):
+class ValveStaircase(StaircaseForm):
     """Smooth steps from level to level: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -148,14 +148,14 @@ class ValveStaircase(Staircase):
     kind: Literal["valve_staircase"]
 
 
-class MuscleTable(Table):
+class MuscleTable(TableForm):
     """Points of a CSV or MAT file, joined smoothly: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["table"]
 
 
-class ValveTable(Table):
+class ValveTable(TableForm):
     """Points of a CSV or MAT file, joined smoothly: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -164,14 +164,14 @@ class ValveTable(Table):
     kind: Literal["valve_table"]
 
 
-class MuscleMove(Move):
+class MuscleMove(MoveForm):
     """From rest to rest, within a sequence: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["move"]
 
 
-class ValveMove(Move):
+class ValveMove(MoveForm):
     """From rest to rest, within a sequence: of the valve, in open loop."""
 
     model_config = IN_VOLTS

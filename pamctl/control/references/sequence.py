@@ -14,21 +14,21 @@ from pamctl.control.references.kinds import MuscleMove, StandingForm, ValveMove
 from pamctl.control.references.sketch import Sketch
 
 
-class Pause(Configured):
+class PausePart(Configured):
     """Stay where the part before has ended."""
 
     kind: Literal["pause"]
     duration_s: Seconds
 
 
-class Mark(Configured):
+class MarkPart(Configured):
     """A remark for the log."""
 
     kind: Literal["mark"]
     text: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class GainChange(Configured):
+class GainsPart(Configured):
     """Keys of the controller that change on a ramp; after the run they are as before it."""
 
     kind: Literal["gains"]
@@ -39,7 +39,7 @@ class GainChange(Configured):
     ramp_s: Annotated[float, Field(ge=0, le=60)] = 0.5
 
 
-class Repeat(Configured):
+class RepeatPart(Configured):
     """Parts that are run several times."""
 
     kind: Literal["repeat"]
@@ -48,12 +48,12 @@ class Repeat(Configured):
 
 
 Part = Annotated[
-    StandingForm | MuscleMove | ValveMove | Pause | Mark | GainChange | Repeat,
+    StandingForm | MuscleMove | ValveMove | PausePart | MarkPart | GainsPart | RepeatPart,
     Field(discriminator="kind"),
 ]
 
 
-class Sequence(Configured):
+class SequenceSettings(Configured):
     """Parts one after the other: of the muscle, or of the valve.
 
     Between two parts the muscle moves at 4 mm/s to where the next one begins, and settles.
@@ -63,7 +63,7 @@ class Sequence(Configured):
     parts: Annotated[tuple[Part, ...], Field(min_length=1, max_length=1000)]
 
     @model_validator(mode="after")
-    def _check_parts(self) -> Sequence:
+    def _check_parts(self) -> SequenceSettings:
         forms = [part for part in _walk(self.parts) if isinstance(part, Form)]
         if not forms:
             raise ValueError("no part moves anything")
@@ -75,27 +75,27 @@ class Sequence(Configured):
         return self
 
 
-Repeat.model_rebuild()
-Sequence.model_rebuild()
+RepeatPart.model_rebuild()
+SequenceSettings.model_rebuild()
 
-ReferenceSettings = StandingForm | Sequence
+ReferenceSettings = StandingForm | SequenceSettings
 """Every experiment that is made of forms."""
 
 
 def plan_reference(settings: ReferenceSettings) -> Plan:
     """Return the course of an experiment; raise ValueError where it is too long."""
-    parts = settings.parts if isinstance(settings, Sequence) else (settings,)
+    parts = settings.parts if isinstance(settings, SequenceSettings) else (settings,)
     is_valve = any(part.IS_VALVE for part in _walk(parts) if isinstance(part, Form))
     sketch = Sketch(is_valve=is_valve)
     _draw_parts(sketch, parts)
     return sketch.finish()
 
 
-def find_gain_changes(settings: object) -> tuple[GainChange, ...]:
+def find_gain_changes(settings: object) -> tuple[GainsPart, ...]:
     """Return the gain changes of an experiment in their order; repeated ones once."""
-    if not isinstance(settings, Sequence):
+    if not isinstance(settings, SequenceSettings):
         return ()
-    return tuple(part for part in _walk(settings.parts) if isinstance(part, GainChange))
+    return tuple(part for part in _walk(settings.parts) if isinstance(part, GainsPart))
 
 
 def _draw_parts(sketch: Sketch, parts: Iterable[Any]) -> None:
@@ -103,13 +103,13 @@ def _draw_parts(sketch: Sketch, parts: Iterable[Any]) -> None:
         match part:
             case Form():
                 part.draw(sketch)
-            case Pause():
+            case PausePart():
                 sketch.hold(part.duration_s)
-            case Mark():
+            case MarkPart():
                 sketch.mark(part.text)
-            case GainChange():
+            case GainsPart():
                 sketch.change_gains(part.set, part.ramp_s)
-            case Repeat():
+            case RepeatPart():
                 inner = part.parts
                 sketch.repeat(part.times, lambda: _draw_parts(sketch, inner))  # noqa: B023
 
@@ -117,7 +117,7 @@ def _draw_parts(sketch: Sketch, parts: Iterable[Any]) -> None:
 def _walk(parts: Iterable[Any]) -> Iterator[Any]:
     """Yield the parts, and those in repeats in their place."""
     for part in parts:
-        if isinstance(part, Repeat):
+        if isinstance(part, RepeatPart):
             yield from _walk(part.parts)
         else:
             yield part

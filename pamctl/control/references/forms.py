@@ -89,7 +89,7 @@ class SineForm(Form):
         sketch.approach(self.SI * self.offset_u)
         sketch.trigger(self.trigger, period_s, self.cycles, fade_s)
         wave = Tones((Tone(self.SI * self.amplitude_u, math.tau * self.frequency_hz, 0.0),))
-        sketch.draw_wave(wave, self.SI * self.offset_u, self.cycles * period_s, fade_s)
+        sketch.draw_wave(wave, self.SI * self.offset_u, self.cycles * period_s, (fade_s, fade_s))
 
 
 class MultisineForm(Form):
@@ -112,14 +112,14 @@ class MultisineForm(Form):
     @model_validator(mode="after")
     def _check_tones(self) -> MultisineForm:
         _require_rising(self.low_hz, self.high_hz)
-        if not self._harmonics():
+        if not self.list_harmonics():
             raise ValueError(
                 f"no multiple of 1 / period_s ({1 / self.period_s:g} Hz) lies between low_hz "
                 f"{self.low_hz:g} and high_hz {self.high_hz:g}; make the period longer"
             )
         return self
 
-    def _harmonics(self) -> list[int]:
+    def list_harmonics(self) -> list[int]:
         """Return the multiples of 1 / period_s; fewer than `tones` where they would coincide."""
         first = math.ceil(self.low_hz * self.period_s - 1e-9)
         last = math.floor(self.high_hz * self.period_s + 1e-9)
@@ -132,13 +132,13 @@ class MultisineForm(Form):
         drawn = random.Random(f"multisine {self.seed}")
         tones = [
             Tone(1.0, math.tau * n / self.period_s, drawn.uniform(0.0, math.tau))
-            for n in self._harmonics()
+            for n in self.list_harmonics()
         ]
         wave = scale_to_peak(tones, self.SI * self.amplitude_u, self.period_s)
         sketch.approach(self.SI * self.offset_u)
         sketch.trigger(self.trigger, self.period_s, self.periods, self.fade_s)
-        whole_s = self.periods * self.period_s
-        sketch.draw_wave(wave, self.SI * self.offset_u, whole_s, self.fade_s)
+        whole_s, fades_s = self.periods * self.period_s, (self.fade_s, self.fade_s)
+        sketch.draw_wave(wave, self.SI * self.offset_u, whole_s, fades_s)
 
 
 class ChirpForm(Form):
@@ -153,7 +153,7 @@ class ChirpForm(Form):
     fade_s: Annotated[
         Seconds | None,
         Field(description="time to grow and to decay, within duration_s; "
-        "if absent, a period of start_hz, and a tenth of the duration at most"),
+        "if absent, a period of the frequency there, a tenth of the duration at most"),
     ] = None  # fmt: skip
     trigger: Annotated[
         str | None, Field(min_length=1, max_length=100, description="mark at the begin")
@@ -170,16 +170,29 @@ class ChirpForm(Form):
 
     def draw(self, sketch: Sketch) -> None:
         """Grow, sweep, and decay within the duration."""
-        fade_s = self.fade_s or min(1.0 / self.start_hz, 0.1 * self.duration_s)
-        amplitude = self.SI * self.amplitude_u
-        wave = Sweep(
-            amplitude, self.start_hz, self.end_hz, self.duration_s, self.spacing == "logarithmic"
-        )
+        grows_s, decays_s = self.find_fades_s()
         sketch.approach(self.SI * self.offset_u)
         sketch.trigger(self.trigger, self.duration_s, 1)
         sketch.draw_wave(
-            wave, self.SI * self.offset_u, self.duration_s - 2 * fade_s, fade_s, full_from_s=fade_s
+            self.make_wave(),
+            self.SI * self.offset_u,
+            self.duration_s - grows_s - decays_s,
+            (grows_s, decays_s),
+            full_from_s=grows_s,
         )
+
+    def make_wave(self) -> Sweep:
+        """Return the tone about zero."""
+        is_logarithmic = self.spacing == "logarithmic"
+        amplitude = self.SI * self.amplitude_u
+        return Sweep(amplitude, self.start_hz, self.end_hz, self.duration_s, is_logarithmic)
+
+    def find_fades_s(self) -> tuple[float, float]:
+        """Return how long it grows and how long it decays."""
+        if self.fade_s is not None:
+            return self.fade_s, self.fade_s
+        longest_s = 0.1 * self.duration_s
+        return min(1.0 / self.start_hz, longest_s), min(1.0 / self.end_hz, longest_s)
 
 
 class RandomForm(Form):
@@ -211,7 +224,8 @@ class RandomForm(Form):
             for i in range(_RANDOM_TONES)
         ]
         wave = scale_to_peak(tones, self.SI * self.amplitude_u, self.duration_s)
-        sketch.draw_wave(wave, self.SI * self.offset_u, self.duration_s, self.fade_s)
+        fades_s = (self.fade_s, self.fade_s)
+        sketch.draw_wave(wave, self.SI * self.offset_u, self.duration_s, fades_s)
 
 
 class RoundedSquareForm(Form):

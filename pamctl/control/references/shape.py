@@ -1,7 +1,8 @@
 """Shapes: a value over time with its exact first three derivatives.
 
-The loop asks one shape once in a tick. A shape is a few numbers and a closed form. It keeps no
-state, so it gives the same bits in the loop, beforehand, and in a replay.
+The loop asks one shape once in a tick. A shape is a few numbers and a closed form. Its value at a
+time does not depend on what was asked before, so it gives the same bits in the loop, beforehand,
+and in a replay.
 """
 
 from __future__ import annotations

@@ -78,19 +78,26 @@ class Sketch:
         self._add(segment, end)
 
     def draw_wave(
-        self, wave: Shape, offset: float, duration_s: float, fade_s: float, full_from_s: float = 0.0
+        self,
+        wave: Shape,
+        offset: float,
+        duration_s: float,
+        fades_s: tuple[float, float],
+        full_from_s: float = 0.0,
     ) -> None:
         """Follow a wave about `offset` that grows from nothing and decays to nothing.
 
-        It is full for `duration_s`, from its own time `full_from_s` on. `fade_s` before and after
-        that it grows and decays; the figures of merit leave that out.
+        It is full for `duration_s`, from its own time `full_from_s` on. Before that it grows for
+        the first of `fades_s`, and after that it decays for the second; the figures of merit leave
+        both out.
         """
+        grows_s, decays_s = fades_s
         self.approach(offset)
-        into = Faded(wave, offset, full_from_s - fade_s, 0.0, 1.0, fade_s)
-        self.draw(into, fade_s, math.nan, Phase.APPROACH)
+        into = Faded(wave, offset, full_from_s - grows_s, 0.0, 1.0, grows_s)
+        self.draw(into, grows_s, math.nan, Phase.APPROACH)
         self.draw(Faded(wave, offset, full_from_s, 1.0, 1.0, duration_s), duration_s, math.nan)
-        out_of = Faded(wave, offset, full_from_s + duration_s, 1.0, 0.0, fade_s)
-        self.draw(out_of, fade_s, offset, Phase.APPROACH)
+        out_of = Faded(wave, offset, full_from_s + duration_s, 1.0, 0.0, decays_s)
+        self.draw(out_of, decays_s, offset, Phase.APPROACH)
 
     def trigger(
         self, word: str | None, period_s: float, periods: int, ahead_s: float = 0.0

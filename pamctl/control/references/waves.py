@@ -71,6 +71,13 @@ class Sweep:
         c = self.amplitude * math.cos(phase)
         return Motion(s, c * w, c * w1 - s * w * w, c * (w2 - w * w * w) - 3.0 * s * w * w1)
 
+    def frequency_at(self, t_s: float) -> float:
+        """Return the frequency (Hz) at a time."""
+        share = t_s / self.duration_s
+        if self.is_logarithmic:
+            return float(self.start_hz * (self.end_hz / self.start_hz) ** share)
+        return self.start_hz + share * (self.end_hz - self.start_hz)
+
 
 def scale_to_peak(tones: Sequence[Tone], peak: float, duration_s: float) -> Tones:
     """Scale tones so that the highest value within `duration_s` is `peak`.

@@ -35,6 +35,7 @@ from pamctl.settings.resolve import (
     settings_to_yaml,
     shorten_path,
 )
+from pamctl.settings.table_file import read_tables
 
 config_app = typer.Typer(
     no_args_is_help=True, help="Check, show and describe the configuration files."
@@ -121,7 +122,7 @@ class _FileCheck(NamedTuple):
 
 def _check_file(path: Path) -> _FileCheck:
     try:
-        return _FileCheck(path, check_config_file(path), ())
+        return _FileCheck(path, check_config_file(path, read_tables), ())
     except ConfigError as error:
         return _FileCheck(path, "", error.problems)
 

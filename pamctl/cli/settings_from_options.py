@@ -9,6 +9,7 @@ from typing import NamedTuple, TypedDict, Unpack
 import typer
 
 from hal.backend import find_backends, hint_at_missing
+from pamctl.settings.envelope import find_excesses
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
     DEFAULT_NAMES,
@@ -17,6 +18,7 @@ from pamctl.settings.resolve import (
     find_config_file,
     resolve,
 )
+from pamctl.settings.table_file import read_tables
 
 
 class ResolvedOptions(NamedTuple):
@@ -47,14 +49,20 @@ def resolve_options(
     overrides: Sequence[str] | None,
     **options: Unpack[VerbOptions],
 ) -> ResolvedOptions:
-    """Resolve the options together; raise `ConfigError` where they contradict each other."""
+    """Resolve the options together; raise `ConfigError` where they contradict each other.
+
+    So it does where the experiment leaves the envelope of rig and model.
+    """
     named_rig = _choose_rig(backend, rig)
-    settings = resolve(rig=named_rig, overrides=overrides or (), **options)
+    settings = resolve(rig=named_rig, overrides=overrides or (), prepare=read_tables, **options)
     _check_backend(settings, backend, rig)
     named = {"rig": named_rig, **options}
     if options.get("controller_from") and not options.get("controller"):
         named["controller"] = settings.controller.law
     names = {section: str(named.get(section) or DEFAULT_NAMES[section]) for section in SECTIONS}
+    excesses = find_excesses(settings)
+    if excesses:
+        raise ConfigError(Problem(f"experiment {names['experiment']}", "", e) for e in excesses)
     return ResolvedOptions(settings, names)
 
 

@@ -6,16 +6,17 @@ An experiment file becomes a list of segments. Time runs from the end of homing.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from hal.configured import Configured
+from pamctl.control.course import Plan, Segment
 from pamctl.control.excitation import ProgramSettings, generate_commands
-from pamctl.control.trajectory import rest_to_rest
-from pamctl.signals import Phase, Reference
+from pamctl.control.references.sequence import ReferenceSettings, plan_reference
+from pamctl.signals import Phase
 
 Duration = Annotated[float, Field(gt=0, le=86_400)]
 ValveVolts = Annotated[float, Field(ge=-5, le=5, description="V; positive fills")]
@@ -80,37 +81,26 @@ class HoldSettings(Configured):
     hold_s: Annotated[Duration | None, Field(description="if absent, until the run stops")] = None
 
 
-ExperimentSettings = Annotated[
-    TrackingSettings | SquareSettings | StepsSettings | ProgramSettings | HoldSettings,
-    Field(discriminator="kind"),
-]
+Experiment = (
+    TrackingSettings
+    | SquareSettings
+    | StepsSettings
+    | ProgramSettings
+    | HoldSettings
+    | ReferenceSettings
+)
+
+ExperimentSettings = Annotated[Experiment, Field(discriminator="kind")]
 
 
-Experiment = TrackingSettings | SquareSettings | StepsSettings | ProgramSettings | HoldSettings
+def plan_experiment(settings: Experiment) -> Plan:
+    """Turn an experiment file into its course, and what falls due beside it.
 
-
-class Segment(NamedTuple):
-    """One motion, rest or held valve command."""
-
-    phase: int
-    duration_s: float
-    start_m: float
-    end_m: float
-    valve_v: float
-    """NaN in closed loop."""
-
-
-def reference_at(segment: Segment, t_s: float) -> Reference:
-    """Evaluate a segment `t_s` after its beginning."""
-    if not math.isnan(segment.valve_v):
-        return make_valve_reference(segment.phase, segment.valve_v)
-    motion = rest_to_rest(segment.start_m, segment.end_m, segment.duration_s, t_s)
-    return Reference(segment.phase, *motion, math.nan)
-
-
-def make_valve_reference(phase: int, valve_v: float) -> Reference:
-    """Return a reference that is a valve command, for open loop."""
-    return Reference(phase, math.nan, math.nan, math.nan, math.nan, valve_v)
+    Raises ValueError where repeats make it too long.
+    """
+    if isinstance(settings, ReferenceSettings):
+        return plan_reference(settings)
+    return Plan(build_segments(settings))
 
 
 def build_segments(settings: Experiment) -> tuple[Segment, ...]:
@@ -134,6 +124,8 @@ def build_segments(settings: Experiment) -> tuple[Segment, ...]:
             return tuple(_command_segment(*command) for command in generate_commands(settings))
         case HoldSettings():
             return tuple(_hold_segments(settings))
+        case _:
+            return plan_reference(settings).segments
 
 
 def _tracking_segments(settings: TrackingSettings) -> Iterator[Segment]:
@@ -155,45 +147,5 @@ def _hold_segments(settings: HoldSettings) -> Iterator[Segment]:
     yield Segment(Phase.REST, settings.hold_s or math.inf, there_m, there_m, math.nan)
 
 
-def start_at_position(course: Sequence[Segment], position_m: float) -> tuple[Segment, ...]:
-    """Start a closed-loop course at the muscle's position, instead of at the vented length."""
-    first, *others = course
-    if math.isnan(first.start_m):
-        return tuple(course)
-    return (first._replace(start_m=position_m), *others)
-
-
 def _command_segment(valve_v: float, duration_s: float) -> Segment:
     return Segment(Phase.OPEN_LOOP, duration_s, math.nan, math.nan, valve_v)
-
-
-class Course:
-    """Steps through segments; times must not decrease."""
-
-    def __init__(self, course: Sequence[Segment], duration_s: float | None = None) -> None:
-        """Start at the first segment; `duration_s` ends the course early."""
-        self.segments = tuple(course)
-        whole_s = sum(segment.duration_s for segment in course)
-        self.duration_s = whole_s if duration_s is None else min(duration_s, whole_s)
-        self.end_reason = "the experiment is complete"
-        """What to say of a run that ends with this course."""
-        if self.duration_s < whole_s:
-            self.end_reason = (
-                f"the duration of {self.duration_s:g} s ended the experiment of {whole_s:g} s"
-            )
-        self._index = 0
-        self._begin_s = 0.0
-
-    def at(self, t_s: float) -> Reference | None:
-        """Return the reference at `t_s`, or None when the course is over."""
-        # The tolerance is half a nanosecond: the time of a tick is a rounded sum of floats.
-        if t_s >= self.duration_s - 5e-10:
-            return None
-        segment = self.segments[self._index]
-        while t_s - self._begin_s >= segment.duration_s - 5e-10:
-            self._begin_s += segment.duration_s
-            self._index += 1
-            if self._index == len(self.segments):
-                return None
-            segment = self.segments[self._index]
-        return reference_at(segment, t_s - self._begin_s)

@@ -15,7 +15,7 @@ from pydantic import Field
 from hal.calibration import CalibrationSettings, Zero
 from hal.configured import Configured
 from hal.rig import RawSample
-from pamctl.control.experiment import make_valve_reference
+from pamctl.control.course import make_valve_reference
 from pamctl.signals import Phase, Reference
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from pamctl import __version__
-from pamctl.control.experiment import HoldSettings, build_segments
+from pamctl.control.experiment import HoldSettings, plan_experiment
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.daemon.recent_columns import read_recent_columns, replace_nan
@@ -35,6 +35,7 @@ from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending
 from pamctl.log.naming import bare_name
+from pamctl.settings.envelope import find_excesses
 from pamctl.settings.resolve import RunSettings, settings_to_data
 from pamctl.signals import Phase
 
@@ -325,7 +326,10 @@ class Service:
 
     def _begin(self, experiment: Mapping[str, Any], name: str, duration_s: float | None) -> Path:
         settings = load_experiment(self._settings, experiment, name, duration_s)
-        length_s = sum(segment.duration_s for segment in build_segments(settings.experiment))
+        excesses = find_excesses(settings)
+        if excesses:
+            raise RequestRefusedError("; ".join(f"the experiment {e}" for e in excesses))
+        length_s = plan_experiment(settings.experiment).duration_s
         self._shelf.require_room(min(length_s, duration_s or math.inf), self._rate_hz)
         session = self._session or self._begin_session()
         # An emergency stop may have come meanwhile.

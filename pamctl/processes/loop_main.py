@@ -19,6 +19,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
+from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
 from pamctl.realtime.tick import TickSetup
@@ -95,15 +96,19 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
         for event in () if settings.fast else check_rate(settings, setup):
             ring.put_event(0, ring.meta.start_mono_ns, event)
         parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
+        program = build_program(settings)
+        journal = PatientJournal(ring) if settings.fast else RingJournal(ring)
+        controller = settings.controller.model_dump(mode="json")
         return run_loop(
             parts.rig,
             parts.clock,
             setup,
             nominal_zero_of(settings),
-            build_program(settings),
-            PatientJournal(ring) if settings.fast else RingJournal(ring),
+            program,
+            journal,
             supervisor,
             parts.truth,
+            CuedHelm(setup, controller, program, journal),
             opened=partial(free_foreign_threads, preparation),
         )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.experiment import Course, make_valve_reference
+from pamctl.control.course import Course, Cue, make_valve_reference
 from pamctl.control.homing import Homing
 from pamctl.signals import Phase, Reference
 
@@ -58,6 +58,12 @@ class Program:
         if begin_s is None or self._homing is not None or self._stop_begin_s is not None:
             return None
         return self._course, begin_s
+
+    def take_cue(self, t_s: float) -> Cue | None:
+        """Return what is due at `t_s` beside the reference, once for each cue."""
+        if self._course_begin_s is None or self._stop_begin_s is not None:
+            return None
+        return self._course.take_cue(t_s - self._course_begin_s)
 
     @property
     def is_stopping(self) -> bool:

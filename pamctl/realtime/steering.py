@@ -13,10 +13,12 @@ from typing import Any, NamedTuple, Protocol
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.experiment import make_valve_reference
+from pamctl.control.course import make_valve_reference
+from pamctl.control.law import LawSettings
 from pamctl.control.law_registry import read_controller
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp
+from pamctl.realtime.cued_helm import put_mark, say_gain_change
+from pamctl.realtime.gain_ramp import GainRamp
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup, TickState
@@ -64,6 +66,8 @@ class SteeredProgram:
         self._journal = journal
         self._tuning = GainRamp(setup, read_controller(controller))
         self._gains_said: list[Mapping[str, object]] = [controller]
+        self._ordered: Mapping[str, Any] = controller
+        self._cued: Mapping[str, Any] | None = None
         self._program_of = program_of
         self._defer_page_faults = defer_page_faults
         self._coming: _ComingRun | None = None
@@ -141,6 +145,8 @@ class SteeredProgram:
         self._journal.close_a_little()
         if self._is_over:
             self._end_run(timing, raw)
+        elif self._run is not None:
+            self._obey_cues(self._run, timing, raw)
         coming = self._coming
         if coming is not None and not self._is_leaving:
             if next(coming.pages, _ALL_THERE) is _ALL_THERE:
@@ -165,8 +171,7 @@ class SteeredProgram:
             case "stop":
                 self._stop_run(order["reason"], timing, raw)
             case "mark":
-                event = {"event": "mark", "text": order["text"]}
-                self._journal.put_event(timing.tick, raw.encoder_t_ns, event)
+                put_mark(self._journal, timing, raw, order["text"])
 
     def _attach(self, order: Mapping[str, Any]) -> _ComingRun:
         """Map the ring of an order; a few of its pages are touched after each of the next ticks.
@@ -204,18 +209,35 @@ class SteeredProgram:
 
     def _change_gains(self, order: Mapping[str, Any], timing: Timing, raw: RawSample) -> None:
         settings = read_controller(order["controller"])
+        self._ordered, self._cued = order["controller"], None
         if self._run is None:
             self._tuning.replace(settings)
             self._gains_said = [order["controller"]]
             return
-        said = {
-            **order["controller"],
-            "from_t_s": timing.t_s,
-            "ramp_s": max(order["ramp_s"], SHORTEST_RAMP_S),
-        }
+        self._ramp_gains(settings, order["controller"], order["ramp_s"], timing, raw)
+
+    def _ramp_gains(
+        self,
+        settings: LawSettings,
+        controller: Mapping[str, Any],
+        ramp_s: float,
+        timing: Timing,
+        raw: RawSample,
+    ) -> None:
+        said = say_gain_change(controller, timing.t_s, ramp_s)
         self._gains_said = [*self._current_gains(), said]
         self._tuning.change(settings, timing.t_s, said["ramp_s"])
         self._journal.put_gains(timing.tick, raw.encoder_t_ns, said)
+
+    def _obey_cues(self, run: Program, timing: Timing, raw: RawSample) -> None:
+        """Do what the course has due: marks, and gains that hold until the end of the run."""
+        while (cue := run.take_cue(timing.t_s)) is not None:
+            if cue.gains is None:
+                put_mark(self._journal, timing, raw, cue.mark)
+                continue
+            self._cued = {**(self._cued or self._ordered), **cue.gains}
+            settings = read_controller(self._cued)
+            self._ramp_gains(settings, self._cued, cue.ramp_s, timing, raw)
 
     def _current_gains(self) -> list[Mapping[str, object]]:
         """Return the last settled gains, and every change whose ramp is not over."""
@@ -235,6 +257,9 @@ class SteeredProgram:
     def _end_run(self, timing: Timing, raw: RawSample) -> None:
         self._journal.end_run(timing.tick, raw.encoder_t_ns, self._run_ending)
         self._run, self._is_over = None, False
+        if self._cued is not None:  # a run's own gains end with it
+            self._tuning.replace(read_controller(self._ordered))
+            self._gains_said, self._cued = [self._ordered], None
 
     def _position_m(self, state: TickState) -> float:
         """Return where a motion begins: at the reference, or else at the muscle's position."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.experiment import make_valve_reference
+from pamctl.control.course import make_valve_reference
 from pamctl.realtime.tick import TickSetup, first_state, step
 from pamctl.recording.ring import tick_struct
 from pamctl.signals import (

@@ -33,6 +33,10 @@ class RingJournal:
         self._ring.loop_beat_ns = self._now_ns()
         self._ring.loop_stage = LoopStage.TICKING
 
+    def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
+        """Put gains that apply from the next tick on."""
+        self._ring.put_gains(tick, t_ns, gains)
+
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
         """Put the frozen state."""
         self._ring.put_keyframe(tick, t_ns, state)
@@ -58,6 +62,10 @@ class PatientJournal(RingJournal):
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event as soon as there is room."""
         self._put_patiently(lambda: self._ring.put_event(tick, t_ns, event))
+
+    def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
+        """Put gains as soon as there is room."""
+        self._put_patiently(lambda: self._ring.put_gains(tick, t_ns, gains))
 
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
         """Put the frozen state as soon as there is room."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hal.calibration import Zero
-from pamctl.control.experiment import Segment
+from pamctl.control.course import Segment
 from pamctl.log import Log
 from pamctl.realtime.tick import first_state
 from pamctl.replay.course_kernel import trace_course

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pamctl.compiled import compile_kernel
-from pamctl.control.experiment import Segment
+from pamctl.control.course import Segment
 from pamctl.control.trajectory import rest_to_rest
 from pamctl.signals import Reference
 
@@ -26,19 +26,28 @@ def trace_course(
 ) -> Floats | None:
     """Return the references of a course from `begin_s` on; None if it ends before the last time.
 
-    `t_s`, shape (n,), rises; the result has shape (len(Reference._fields), n).
+    None too if the course has shapes: only plain Python evaluates those. `t_s`, shape (n,), rises;
+    the result has shape (len(Reference._fields), n).
     """
+    segments = _tabulate_segments(tuple(course))
+    if segments is None:
+        return None
     rows = np.empty((len(Reference._fields), len(t_s)))
-    done = _compile_trace()(_tabulate_segments(tuple(course)), duration_s, t_s - begin_s, rows)
+    done = _compile_trace()(segments, duration_s, t_s - begin_s, rows)
     return rows if done == len(t_s) else None
 
 
 @cache
-def _tabulate_segments(course: tuple[Segment, ...]) -> Floats:
-    """Return the segments as rows, each with its begin, summed in the same order as in a course."""
+def _tabulate_segments(course: tuple[Segment, ...]) -> Floats | None:
+    """Return the segments as rows, each with its begin, summed in the same order as in a course.
+
+    None if one has a shape.
+    """
+    if any(segment.shape is not None for segment in course):
+        return None
     begin_s, rows = 0.0, []
     for segment in course:
-        rows.append((*segment, begin_s))
+        rows.append((*segment[:-1], begin_s))
         begin_s += segment.duration_s
     return np.array(rows)
 

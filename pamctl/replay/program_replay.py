@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.experiment import make_valve_reference
+from pamctl.control.course import make_valve_reference
 from pamctl.control.homing import HomingError
 from pamctl.realtime.program import Program
 from pamctl.replay.course_kernel import trace_course

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from pamctl.log import Log
 from pamctl.report.filter_section import write_filtering
+from pamctl.report.frequency_section import write_frequency_response
 from pamctl.report.html_page import Page
 from pamctl.report.law_section import write_law
 from pamctl.report.motion_section import write_motion
@@ -34,7 +35,14 @@ def compose_report(logs: Sequence[Log]) -> Page:
                 f"{run.name} holds no ticks: the run ended before its first tick.", kind="bad"
             )
     if measured:
-        for write in (write_motion, write_law, write_filtering, write_timing, write_safety):
+        for write in (
+            write_motion,
+            write_frequency_response,
+            write_law,
+            write_filtering,
+            write_timing,
+            write_safety,
+        ):
             write(page, measured)
     write_events(page, runs)
     write_settings(page, runs)

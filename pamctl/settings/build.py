@@ -13,7 +13,8 @@ from pydantic import TypeAdapter
 from hal.calibration import Calibration, Zero, calibration, valve_v
 from hal.converter import Output
 from hal.rig import RawSample
-from pamctl.control.experiment import Course, ExperimentSettings, build_segments, start_at_position
+from pamctl.control.course import Course, start_at_position
+from pamctl.control.experiment import ExperimentSettings, plan_experiment
 from pamctl.control.homing import Homing, HomingSettings
 from pamctl.control.law import filter_gains
 from pamctl.control.law_registry import law_of
@@ -52,9 +53,10 @@ def safe_valve_v(settings: RunSettings, cal: Calibration) -> float:
 def build_program(settings: RunSettings, *, course_begin_s: float | None = None) -> Program:
     """Return the program of the run; with `course_begin_s` it leaves out homing."""
     rig = settings.rig
+    plan = plan_experiment(settings.experiment)
     return Program(
         build_homing(settings) if course_begin_s is None else None,
-        Course(build_segments(settings.experiment), settings.duration_s),
+        Course(plan.segments, settings.duration_s, plan.cues),
         safe_valve_v=safe_valve_v(settings, calibration(rig.calibration)),
         stop_ramp_s=rig.loop.stop_ramp_s,
         course_begin_s=course_begin_s,
@@ -67,10 +69,11 @@ def build_ordered_program(settings: RunSettings, order: Mapping[str, Any]) -> Pr
     `order` is the log's event: the experiment, where its motion starts, and whether to home first.
     """
     experiment = _EXPERIMENT.validate_python(order["experiment"])
-    course = start_at_position(build_segments(experiment), order["start_m"])
+    plan = plan_experiment(experiment)
+    course = start_at_position(plan.segments, order["start_m"])
     return Program(
         build_homing(settings) if order["homes"] else None,
-        Course(course, order["duration_s"]),
+        Course(course, order["duration_s"], plan.cues),
         safe_valve_v=safe_valve_v(settings, calibration(settings.rig.calibration)),
         stop_ramp_s=settings.rig.loop.stop_ramp_s,
     )

@@ -131,12 +131,14 @@ def resolve(
     fast: bool | None = None,
     readonly: bool | None = None,
     rt: str | None = None,
+    prepare: Callable[[RawSettings], None] = lambda raw: None,
 ) -> RunSettings:
     """Resolve a run from command-line values; None means the default.
 
     Sections are names of shipped files or paths; overrides read `controller.lambda_per_s=12`.
     `controller_from` is a Python file with a law, as `use_law_file` takes it; without `controller`
-    the law's defaults are its gains. Raises `ConfigError`.
+    the law's defaults are its gains. `prepare` completes the values before they are checked:
+    `pamctl.settings.table_file.read_tables` reads the files of tables. Raises `ConfigError`.
     """
     law = None if controller_from is None else use_law_file(controller_from)
     chosen = {"controller": controller, "experiment": experiment, "rig": rig, "plant": plant}
@@ -159,6 +161,7 @@ def resolve(
         if value is not None:
             raw.put((key,), value, f"{option} {value}")
     _run_and_collect_problems(partial(raw.override, override) for override in overrides)
+    prepare(raw)
     try:
         return validate_settings(RUN, raw)
     except ConfigError as error:
@@ -190,12 +193,13 @@ def use_law_file(spec: str) -> str:
     return law.name
 
 
-def check_config_file(path: Path) -> str:
+def check_config_file(path: Path, prepare: Callable[[RawSettings], None] = lambda raw: None) -> str:
     """Validate a single file and return its kind: a section, or `run` for a resolved run.
 
-    Raises `ConfigError`.
+    `prepare` is as for `resolve`. Raises `ConfigError`.
     """
     raw = RawSettings.read(path)
+    prepare(raw)
     kind = kind_of(path, raw.data)
     if kind == "run":
         validate_settings(RUN, raw)
@@ -291,9 +295,28 @@ def find_config_file(section: str, name: str, option: str = "") -> Path:
     raise ConfigError([Problem(f"{option or f'--{section}'} {name}", "", message)])
 
 
-def read_section_file(section: str, path: Path) -> Any:
-    """Read and check one file by itself, as settings of its section; raise `ConfigError`."""
-    return validate_settings(SECTIONS[section], RawSettings.read(path), title=section)
+def read_section_file(
+    section: str,
+    path: Path,
+    overrides: Sequence[str] = (),
+    prepare: Callable[[RawSettings], None] = lambda raw: None,
+) -> Any:
+    """Read and check one file by itself, as settings of its section; raise `ConfigError`.
+
+    Overrides read `amplitude_mm=2`, or `experiment.amplitude_mm=2`; `prepare` is as for `resolve`.
+    """
+    raw = RawSettings()
+    raw.add_section(section, str(path))
+    head = f"{section}."
+    _run_and_collect_problems(
+        partial(raw.override, change if change.strip().startswith(head) else head + change.strip())
+        for change in overrides
+    )
+    prepare(raw)
+    origins = {at[1:]: origin for at, origin in raw.origins.items()}
+    return validate_settings(
+        SECTIONS[section], RawSettings(raw.data[section], origins), title=section
+    )
 
 
 def shorten_path(path: Path) -> str:

@@ -17,6 +17,7 @@ from hal.calibration import CalibrationSettings
 from hal.configured import Configured
 from hal.faulty import FaultSettings
 from pamctl.control.homing import HomingSettings
+from pamctl.control.motion_limits import EnvelopeSettings
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.safety import LimitSettings
 
@@ -34,6 +35,7 @@ class RigFile(Configured):
 
     calibration: CalibrationSettings = CalibrationSettings()
     limits: LimitSettings = LimitSettings()
+    envelope: EnvelopeSettings = EnvelopeSettings()
     homing: HomingSettings = HomingSettings()
     loop: LoopSettings = LoopSettings()
 

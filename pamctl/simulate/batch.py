@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.sim.sim_rig import SimSettings, sensor_chain
-from pamctl.control.experiment import Segment, build_segments
+from pamctl.control.course import Segment
+from pamctl.control.experiment import build_segments
 from pamctl.plant.model import plant_parameters
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings

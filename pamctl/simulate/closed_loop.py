@@ -19,7 +19,7 @@ from hal.converter import quantise_v
 from hal.rig import RawSample
 from hal.sim.sim_rig import SensorChain, sensed_counts, sensed_pressure_v
 from pamctl.compiled import compile_kernel
-from pamctl.control.experiment import Course, Segment
+from pamctl.control.course import Course, Segment
 from pamctl.control.law import KERNELS, LawKernel, answer
 from pamctl.plant.delayed_command import advance_delayed_plant
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state

@@ -11,16 +11,13 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from support.runs import run_settings
 
+from pamctl.control.course import Course, Segment, make_valve_reference, reference_at
 from pamctl.control.experiment import (
-    Course,
-    Segment,
     SquareSettings,
     Step,
     StepsSettings,
     TrackingSettings,
     build_segments,
-    make_valve_reference,
-    reference_at,
 )
 from pamctl.signals import Phase, Reference
 

@@ -17,7 +17,8 @@ from support.runs import COUNT_M, run_settings
 from hal.calibration import Zero, calibration
 from hal.rig import RawSample
 from hal.sim.sim_rig import sensed_counts, sensed_pressure_v, sensor_chain
-from pamctl.control.experiment import Course, Segment, build_segments, make_valve_reference
+from pamctl.control.course import Course, Segment, make_valve_reference
+from pamctl.control.experiment import build_segments
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
 from pamctl.plant.step import advance_plant

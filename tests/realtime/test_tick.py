@@ -13,7 +13,7 @@ from support.runs import run_settings
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.control.experiment import make_valve_reference
+from pamctl.control.course import make_valve_reference
 from pamctl.realtime.keyframe import freeze_state, keyframe_fields, thaw_state
 from pamctl.realtime.tick import TickSetup, TickState, first_state, measure, step
 from pamctl.safety import MEASUREMENT_NOT_FINITE, SENSOR_RANGE

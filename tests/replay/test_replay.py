@@ -27,8 +27,9 @@ import hal.converter
 from hal.calibration import position_m
 from hal.converter import quantise_v
 from pamctl.cli.app import app
-from pamctl.control import experiment, filters, pid, qsmc, smc
-from pamctl.control.experiment import Course, Segment
+from pamctl.control import course as course_module
+from pamctl.control import filters, pid, qsmc, smc
+from pamctl.control.course import Course, Segment
 from pamctl.control.filters import low_pass
 from pamctl.control.homing import Homing
 from pamctl.control.law import KERNELS
@@ -128,6 +129,7 @@ segments = st.builds(
     positions,
     positions,
     st.just(math.nan) | st.floats(-5, 5),
+    st.none(),
 )
 
 
@@ -249,7 +251,7 @@ MUTATIONS: dict[str, tuple[str, str, Any, Any, str, str]] = {
     "law pid": ("pid-delayed", "command", pid.PidGains, pid.pid, "+ gains.kd", "- gains.kd"),
     "safety rule": ("trip-wire", "decision", tick, admit, "|= SENSOR_RANGE", "|= STALE_SAMPLE"),
     "calibration": ("steps", "measurement", tick, position_m, "(counts -", "(counts + 0.5 -"),
-    "trajectory": ("pid-delayed", "reference", experiment, rest_to_rest, "35.0", "35.001"),
+    "trajectory": ("pid-delayed", "reference", course_module, rest_to_rest, "35.0", "35.001"),
     "homing": ("missed", "zero", Homing, Homing._take_zero, "[-2:]", "[-1:]"),
     "output": (
         "card",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from pamctl.cli.options import require_linux, seconds_option
 from pamctl.cli.output import print_json
 from pamctl.cli.settings_from_options import find_argument_file
 from pamctl.settings.resolve import read_section_file, settings_to_data
+from pamctl.settings.table_file import read_tables
 from pamctl.settings.yaml12 import dump_yaml
 
 
@@ -34,9 +35,10 @@ def ask(socket: Path | None, method: str, params: Mapping[str, object] | None = 
         raise
 
 
-def read_section(section: str, name: str) -> dict[str, Any]:
+def read_section(section: str, name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Read and check a file here, where its lines can be named; raise `ConfigError`."""
-    return settings_to_data(read_section_file(section, find_argument_file(section, name)))
+    path = find_argument_file(section, name)
+    return settings_to_data(read_section_file(section, path, overrides, read_tables))
 
 
 def print_answer(answer: Any, text: str, *, as_json: bool) -> None:

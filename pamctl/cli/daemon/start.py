@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.daemon.ask import ask, print_answer, read_section
-from pamctl.cli.options import JsonOption, SocketOption, seconds_option
+from pamctl.cli.options import NO_CHANGES, JsonOption, SocketOption, seconds_option
 from pamctl.log.naming import file_safe_name
 
 
@@ -24,10 +24,19 @@ def start(
             show_default="length of the experiment",
         ),
     ] = None,
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Key of the experiment to change, such as amplitude_mm=2; can be repeated",
+            show_default=NO_CHANGES,
+        ),
+    ] = None,
     socket: SocketOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run an experiment; home first if the muscle is not homed."""
-    data = read_section("experiment", experiment)
+    data = read_section("experiment", experiment, overrides or ())
     params = {"experiment": data, "name": file_safe_name(experiment), "duration_s": duration_s}
     print_answer(ask(socket, "start", params), "log: {log}", as_json=as_json)

@@ -1,0 +1,181 @@
+"""Refuse an experiment, before anything moves, that asks for more than rig and model can do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+from pydantic import ValidationError
+
+from pamctl.control.experiment import plan_experiment
+from pamctl.control.law_registry import read_controller
+from pamctl.control.motion_limits import TimedReference, sample_segments
+from pamctl.control.references.sequence import ReferenceSettings, find_gain_changes
+from pamctl.plant.model import plant_parameters
+from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2, volume_m3
+from pamctl.plant.paper.valve import valve_flow
+from pamctl.plant.parameters import PaperParameters
+from pamctl.realtime.gain_ramp import GainRampError, require_blendable
+from pamctl.settings.resolve import RunSettings
+
+_MM, _KPA = 1e3, 1e-3
+_INSTANT_S = 1e-6
+
+
+class Demand(NamedTuple):
+    """What the model needs for a motion."""
+
+    pressure_pa: float
+    """Absolute."""
+    valve_v: float
+
+
+class _Limit(NamedTuple):
+    """One side of the envelope, in the unit of the message."""
+
+    what: str
+    """What is beyond the limit, as the object of a sentence."""
+    unit: str
+    low: float
+    high: float
+    key: str
+
+
+def find_excesses(settings: RunSettings) -> list[str]:
+    """Say what an experiment made of forms asks for beyond the envelope; empty if nothing.
+
+    Each line has the figure, its time, the limit and the key of the limit. Other experiments are
+    not checked.
+    """
+    experiment = settings.experiment
+    if not isinstance(experiment, ReferenceSettings):
+        return []
+    try:
+        segments = plan_experiment(experiment).segments
+    except ValueError as error:
+        return [str(error)]
+    said = list(_judge_gains(settings, experiment))
+    samples = sample_segments(segments, settings.duration_s or math.inf)
+    if math.isnan(samples[0].reference.reference_valve_v):
+        return [*said, *_judge_motion(settings, samples)]
+    limit_v = settings.rig.limits.command_v
+    valve = _Limit("for a valve command", "V", -limit_v, limit_v, "rig.limits.command_v")
+    return [*said, *_judge(valve, ((t, r.reference_valve_v) for t, r in samples))]
+
+
+def _judge_motion(settings: RunSettings, samples: Sequence[TimedReference]) -> Iterator[str]:
+    limits, most = settings.rig.limits, settings.rig.envelope
+    kinematic: list[tuple[_Limit, Callable[[TimedReference], float]]] = [
+        (
+            _Limit("for a position", "mm", limits.stroke_low_mm, limits.stroke_high_mm,
+                   "rig.limits.stroke_low_mm and stroke_high_mm"),
+            lambda s: s.reference.reference_m * _MM,
+        ),
+        (
+            _Limit("for a speed", "mm/s", -most.speed_mm_per_s, most.speed_mm_per_s,
+                   "rig.envelope.speed_mm_per_s"),
+            lambda s: s.reference.reference_velocity_m_per_s * _MM,
+        ),
+        (
+            _Limit("for an acceleration", "mm/s^2", -most.acceleration_mm_per_s2,
+                   most.acceleration_mm_per_s2, "rig.envelope.acceleration_mm_per_s2"),
+            lambda s: s.reference.reference_acceleration_m_per_s2 * _MM,
+        ),
+    ]  # fmt: skip
+    said = [
+        line
+        for limit, read in kinematic
+        for line in _judge(limit, ((sample.t_s, read(sample)) for sample in samples))
+    ]
+    if said:  # outside the stroke the model means nothing
+        yield from said
+        return
+    model = plant_parameters(settings.plant).paper
+    low_pa = model.atmospheric_pressure_pa
+    high_pa = min(model.tank_pressure_pa, limits.pressure_pa)
+    command_v = min(limits.command_v, settings.controller.command_limit_v)
+    demands = [(sample.t_s, find_demand(model, sample)) for sample in samples]
+    # The vented muscle stays at rest a little above its length of zero pressure.
+    pressure = _Limit(
+        "(by the plant's model) for a pressure",
+        "kPa absolute",
+        low_pa * _KPA - 0.1,
+        high_pa * _KPA,
+        "the air supply and rig.limits.pressure_pa",
+    )
+    said = list(_judge(pressure, ((t_s, d.pressure_pa * _KPA) for t_s, d in demands)))
+    valve = _Limit(
+        "(by the plant's model) for a valve command",
+        "V",
+        -command_v,
+        command_v,
+        "rig.limits.command_v and controller.command_limit_v",
+    )
+    yield from said or _judge(valve, ((t_s, d.valve_v) for t_s, d in demands))
+
+
+def find_demand(model: PaperParameters, sample: TimedReference) -> Demand:
+    """Return what Eq. 4 to 8 need for a motion; the pressure has Eq. 5's friction in it.
+
+    The valve command is without the jump of pressure at a reversal, which no valve can follow.
+    """
+    _, x, v, a, j, _ = sample.reference
+    gauge_pa = _find_gauge_pa(model, x, v, a, with_friction=False)
+    later_pa = _find_gauge_pa(
+        model, x + v * _INSTANT_S, v + a * _INSTANT_S, a + j * _INSTANT_S, with_friction=False
+    )
+    pressure_pa = gauge_pa + model.atmospheric_pressure_pa
+    growth = (later_pa - gauge_pa) / _INSTANT_S * volume_m3(model, x)
+    inflow = (growth + pressure_pa * force_area_m2(model, x) * v) / model.specific_energy_j_per_kg
+    per_volt = abs(valve_flow(model, math.copysign(1.0, inflow), pressure_pa))
+    return Demand(
+        _find_gauge_pa(model, x, v, a, with_friction=True) + model.atmospheric_pressure_pa,
+        inflow / per_volt if per_volt > 0.0 else 0.0,
+    )
+
+
+def _find_gauge_pa(
+    model: PaperParameters, x: float, v: float, a: float, *, with_friction: bool
+) -> float:
+    """Return the gauge pressure that balances the forces of Eq. 4 to 6."""
+    force_n = model.mass_kg * a + model.damping_n_s_per_m * v + model.stiffness_n_per_m * x
+    area_m2 = force_area_m2(model, x)
+    if with_friction and v > 0.0 and force_n > 0.0:
+        area_m2 -= model.friction_area_m * (braid_lever_m(model, x) + v)
+    return force_n / area_m2 if area_m2 > 0.0 else math.inf
+
+
+def _judge(limit: _Limit, samples: Iterable[tuple[float, float]]) -> Iterator[str]:
+    """Say which extreme lies farthest outside a limit."""
+    listed = list(samples)
+    lowest, highest = min(listed, key=lambda s: s[1]), max(listed, key=lambda s: s[1])
+    over, under = highest[1] - limit.high, limit.low - lowest[1]
+    if max(over, under) <= 1e-9 * (abs(limit.low) + abs(limit.high)):
+        return
+    t_s, value = highest if over >= under else lowest
+    yield (
+        f"asks {limit.what} of {value:.4g} {limit.unit} at {t_s:.3g} s; the limits are "
+        f"{limit.low:.4g} to {limit.high:.4g} ({limit.key})"
+    )
+
+
+def _judge_gains(settings: RunSettings, experiment: ReferenceSettings) -> Iterator[str]:
+    """Say which gain change of a sequence cannot be made while the muscle moves."""
+    before = settings.controller
+    for change in find_gain_changes(experiment):
+        keys = {**before.model_dump(mode="json"), **change.set}
+        named = ", ".join(f"{key}: {value}" for key, value in change.set.items())
+        try:
+            after = read_controller(keys)
+            require_blendable(before, after)
+            changed = settings.model_copy(update={"controller": after})
+            RunSettings.model_validate(changed.model_dump())
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = f"{first['loc'][-1]}: " if first["loc"] else ""
+            yield f"changes gains to {named}: {where}{first['msg']}"
+        except GainRampError as error:
+            yield f"changes gains to {named}: {error}"
+        else:
+            before = after

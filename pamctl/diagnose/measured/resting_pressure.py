@@ -61,7 +61,7 @@ def _average_pieces(record: Record) -> Array:
     piece = ((record.t_s[rest] - record.t_s[0]) / PIECE_S + 1e-6).astype(int)
     counts = np.bincount(piece).astype(float)
     sums = np.bincount(piece, weights=record["pressure_pa"][rest])
-    full = np.divide(sums, counts, out=np.full(len(counts), np.nan), where=counts > 0.0)
+    full: Array = np.divide(sums, counts, out=np.full(len(counts), np.nan), where=counts > 0.0)
     return full[:-1] if counts[-1] < 0.5 * counts[0] else full  # the last piece may be a stub
 
 
@@ -86,7 +86,9 @@ def _separate(table: Array) -> tuple[Array, Array]:
     design = np.zeros((len(rows), sum(table.shape)))
     entry = np.arange(len(rows))
     design[entry, rows] = design[entry, len(table) + columns] = 1.0
-    found = np.linalg.lstsq(design, table[rows, columns], rcond=None)[0]
+    found: Array = np.asarray(
+        np.linalg.lstsq(design, table[rows, columns], rcond=None)[0], dtype=np.float64
+    )
     return found[: len(table)], found[len(table) :]
 
 
@@ -101,4 +103,4 @@ def _shrink(zero_pa: float, difference: Array) -> float:
     early, late = np.array_split(difference, 2)
     if abs(np.mean(late) - np.mean(early)) > SURE * 2.0 * uncertain_pa:
         return 0.0
-    return zero_pa * max(1.0 - (uncertain_pa / zero_pa) ** 2, 0.0)
+    return float(zero_pa * max(1.0 - (uncertain_pa / zero_pa) ** 2, 0.0))

@@ -273,6 +273,10 @@ def test_a_piece_of_a_record_keeps_its_windows_and_the_instants_of_its_commands(
     drifting = add_change(windowed, PlantChange("mass_kg", 1e-15, drift_over_s=6.0))
     difference_m = drifting.simulate(axis()) - windowed.simulate(axis())
     assert np.max(np.abs(difference_m)) < 1e-12
+    # Within a window a piece goes on with the velocity that was reached.
+    changed = add_change(windowed, PlantChange("mass_kg", 1e-15, after_s=2.5))
+    difference_m = changed.simulate(axis()) - windowed.simulate(axis())
+    assert np.max(np.abs(difference_m)) < 1e-6
 
 
 CHAMBER = {"actuator": "chamber", "chamber_volume_m3": 2e-4}

@@ -146,13 +146,12 @@ class AlteredDrive(Drive):
         """Return the restarts within a piece; its own start has a velocity too."""
         whole = self._restarts
         inside = (whole.rows >= first) & (whole.rows < last)
-        rows, values, rates = (column[inside] for column in whole)
-        rows = rows - first
+        rows, values, rates = whole.rows[inside] - first, whole.outputs[inside], whole.rates[inside]
         if first and not (len(rows) and rows[0] == 0):
             around = slice(first - 1, first + 2)  # a piece overlaps the one before
             rate = float(np.gradient(simulated[around], self._times_s[around])[1])
-            rows = np.insert(rows, 0, 0)
-            values, rates = np.insert(values, 0, simulated[first]), np.insert(rates, 0, rate)
+            rows = np.concatenate([np.zeros(1, dtype=np.int64), rows])
+            values, rates = np.append(simulated[first], values), np.append(rate, rates)
         return Restarts(rows, values, rates)
 
 

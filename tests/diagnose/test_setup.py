@@ -322,3 +322,15 @@ def test_numbers_that_only_show_as_a_product_are_listed_for_each_actuator() -> N
     assert list_equal_numbers(axis().model_copy(update={"known": ("mass_kg",)})) == ()
     (chamber,) = list_equal_numbers(PlantSettings.model_validate(CHAMBER))
     assert {"temperature_k", "chamber_volume_m3"} < {*chamber}
+
+
+def test_a_late_column_beside_missing_friction_is_said_with_the_friction() -> None:
+    def delay(record: Record) -> Record:
+        rows = np.clip(np.arange(len(record)) - 3, 0, len(record) - 1)
+        return replace(record, force_n=record["force_n"][rows])
+
+    train, holdout = ([delay(pushed_mass(seed, duration_s=4.0))] for seed in (1, 9))
+    found = diagnose(train, holdout, axis(0.5))
+    assert found.verdict is Verdict.NAMED
+    assert [standing.effect.name for standing in found.standings] == ["coulomb_friction"]
+    assert [(f.kind, f.number) for f in found.setup] == [("skew", "force_n")]

@@ -50,6 +50,7 @@ from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.refused_columns import explain_refusal
 from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.setup.suspect_setup import suspect_air_first, suspect_setup
+from pamctl.diagnose.setup_beside import ask_beside
 from pamctl.diagnose.setup_verdict import conclude_setup
 from pamctl.plant.model import PlantSettings
 
@@ -107,6 +108,7 @@ def diagnose(
         )
     known = recalibrated.models if setup.base is base else ()
     naming = name_effects(setup.base, candidates, executor, progress, known)
+    naming, setup = ask_beside(naming, setup, candidates, executor, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, setup.holdout, confirming)
     on = describe_confirmation(confirming, is_cut=is_cut)

@@ -273,6 +273,10 @@ def test_a_piece_of_a_record_keeps_its_windows_and_the_instants_of_its_commands(
     drifting = add_change(windowed, PlantChange("mass_kg", 1e-15, drift_over_s=6.0))
     difference_m = drifting.simulate(axis()) - windowed.simulate(axis())
     assert np.max(np.abs(difference_m)) < 1e-12
+    # Within a window a piece goes on with the velocity that was reached.
+    changed = add_change(windowed, PlantChange("mass_kg", 1e-15, after_s=2.5))
+    difference_m = changed.simulate(axis()) - windowed.simulate(axis())
+    assert np.max(np.abs(difference_m)) < 1e-6
 
 
 CHAMBER = {"actuator": "chamber", "chamber_volume_m3": 2e-4}
@@ -354,3 +358,15 @@ def test_a_piston_that_is_known_with_the_wrong_sign_is_told_from_an_inverted_loa
     assert [f.number for f in found.setup] == said
     assert found.plant.effects.model_dump()["piston"]["area_m2"] == -5e-4
     assert found.verdict is Verdict.MISCALIBRATED
+
+
+def test_a_late_column_beside_missing_friction_is_said_with_the_friction() -> None:
+    def delay(record: Record) -> Record:
+        rows = np.clip(np.arange(len(record)) - 3, 0, len(record) - 1)
+        return replace(record, force_n=record["force_n"][rows])
+
+    train, holdout = ([delay(pushed_mass(seed, duration_s=4.0))] for seed in (1, 9))
+    found = diagnose(train, holdout, axis(0.5))
+    assert found.verdict is Verdict.NAMED
+    assert [standing.effect.name for standing in found.standings] == ["coulomb_friction"]
+    assert [(f.kind, f.number) for f in found.setup] == [("skew", "force_n")]

@@ -100,7 +100,7 @@ class AlteredDrive(Drive):
             elif change.after_s:
                 cuts.add(int(np.searchsorted(t_s, change.after_s)))
         edges = sorted(c for c in cuts if 0 <= c <= n)
-        overlap = round(OVERLAP_S / float(np.median(self.step_s)))
+        overlap = max(round(OVERLAP_S / float(np.median(self.step_s))), 2)
         simulated: Array = np.zeros(n)
         starts = {*self._restarts.rows.tolist()}
         for begin, end in pairwise(edges):
@@ -116,7 +116,7 @@ class AlteredDrive(Drive):
     def _cut_drift(self) -> set[int]:
         """Return where pieces begin; windows that start anew need no overlap, so there are more."""
         n, starts = len(self.measured), self._restarts.rows
-        if len(starts) > PIECES:
+        if len(starts) > PIECES // 2:
             return {*starts[:: -(-len(starts) // (4 * PIECES))].tolist()}
         return {int(c) for c in np.linspace(0, n, PIECES + 1)}
 
@@ -146,12 +146,12 @@ class AlteredDrive(Drive):
         """Return the restarts within a piece; its own start has a velocity too."""
         whole = self._restarts
         inside = (whole.rows >= first) & (whole.rows < last)
-        rows, values, rates = (column[inside] for column in whole)
-        rows = rows - first
+        rows, values, rates = whole.rows[inside] - first, whole.outputs[inside], whole.rates[inside]
         if first and not (len(rows) and rows[0] == 0):
-            rate = float((simulated[first] - simulated[first - 1]) / self.step_s[first - 1])
-            rows = np.insert(rows, 0, 0)
-            values, rates = np.insert(values, 0, simulated[first]), np.insert(rates, 0, rate)
+            around = slice(first - 1, first + 2)  # a piece overlaps the one before
+            rate = float(np.gradient(simulated[around], self._times_s[around])[1])
+            rows = np.concatenate([np.zeros(1, dtype=np.int64), rows])
+            values, rates = np.append(simulated[first], values), np.append(rate, rates)
         return Restarts(rows, values, rates)
 
 

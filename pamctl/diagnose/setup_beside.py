@@ -1,0 +1,71 @@
+"""A wrong set-up beside an effect: the one hides the other, and neither alone explains the data.
+
+A name that leaves something may have taken a neighbour for what the set-up does. So the set-up is
+asked again upon the strongest effect alone, and the effects are named again on the corrected data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+
+from pamctl.diagnose.extend import assemble_plant
+from pamctl.diagnose.fitting.candidates import Candidate
+from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate, weigh_blocks
+from pamctl.diagnose.fitting.numbers import with_values
+from pamctl.diagnose.name import Naming, name_effects
+from pamctl.diagnose.naming.first_level import FirstLevel
+from pamctl.diagnose.setup.suspect_setup import CheckedSetup, suspect_setup
+
+MUCH_NEARER = 0.5
+"""The corrected set-up is believed if the named model then leaves less than this share of the
+square."""
+
+
+def ask_beside(
+    naming: Naming,
+    setup: CheckedSetup,
+    candidates: Sequence[Candidate],
+    executor: Executor | None,
+    progress: Callable[[str], None],
+) -> tuple[Naming, CheckedSetup]:
+    """Return naming and set-up, with what the set-up hid; unchanged where nothing was hidden."""
+    if not (naming.model.effects and naming.model.unexplained) or setup.findings:
+        return naming, setup
+    strongest = _find_strongest(naming)
+    progress(f"asking the set-up beside {strongest.names[0]}")
+    evidence = replace(setup.base.evidence, nominal=assemble_plant(strongest), together={})
+    others = [c for c in candidates if c.name not in strongest.names]
+    beside = suspect_setup(
+        weigh_blocks(recalibrate(evidence)),
+        setup.train,
+        setup.holdout,
+        FirstLevel(others),
+        progress,
+    )
+    found = tuple(f for f in beside.findings if f.is_corrected)
+    if not found or beside.refusal:
+        return naming, setup
+    numbers = {f.number: f.value for f in found if f.kind == "plant_constant"}
+    nominal = with_values(setup.base.evidence.nominal, numbers)
+    corrected = replace(beside.base.evidence, nominal=nominal, together={})
+    base = weigh_blocks(recalibrate(corrected))
+    again = name_effects(base, candidates, executor, progress)
+    if _square_left(again.model) > MUCH_NEARER * _square_left(naming.model):
+        return naming, setup
+    checked = CheckedSetup(base, beside.train, beside.holdout, found)
+    return again, checked
+
+
+def _find_strongest(naming: Naming) -> Model:
+    """Return the base with the one effect of the named that leaves least."""
+    if len(naming.model.effects) == 1:
+        return naming.model
+    singles = [fit_model(naming.base, (e,), [{}]) for e in naming.model.effects]
+    return min(singles, key=_square_left)
+
+
+def _square_left(model: Model) -> float:
+    return sum(model.ratio(block) ** 2 for block in model.evidence.blocks)

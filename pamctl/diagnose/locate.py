@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.stats import false_discovery_control
 from scipy.stats import t as student
 
-from pamctl.diagnose.fitting.block_fit import Fit
+from pamctl.diagnose.fitting.block_fit import Fit, rms
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import imitate_records, sensor_noise_of
@@ -74,7 +74,7 @@ def _locate_in_block(model: Model, block: str) -> list[RegimeMisfit]:
     floor = model.floors[block]
     # What the rig does differently each time is no misfit in any regime.
     restless = max(floor.repeatability / floor.mean, 1.0)
-    noise = draw_noise(model, block) * (floor.magnification * restless)
+    noise = draw_noise(model, block) * restless
     negligible = evidence.margin(block) ** 2
     uncertainty = 2.0 * sensor_noise_of(drives, evidence.noises).uncertainty
     excess = float(np.sum(np.maximum(residual**2 - floor.mean**2, 0.0))) or 1.0
@@ -103,14 +103,16 @@ def _locate_in_block(model: Model, block: str) -> list[RegimeMisfit]:
 def draw_noise(model: Model, block: str) -> Array:
     """Return held-out residuals that noise alone leaves of a block, shape (replicas, samples).
 
-    In deviations of the sensor. Models that share a fit share them.
+    In deviations of the sensor. Models that share a fit share them. Where the sensor's noise is
+    unknown, it is as large as the floor: its drawn size was arbitrary.
     """
     fitted, evidence = model.fit_for_floor(block), model.evidence
     known = _NOISE.setdefault(fitted, {})
     if block not in known:
         made = imitate_records(fitted, evidence.holdout[block], evidence.noises)
         known[block] = np.array([imitation.residual for imitation in made])
-    return known[block]
+    noise, floor = known[block], model.floors[block]
+    return noise * (floor.mean / rms(noise)) if floor.is_estimate else noise
 
 
 def find_regimes(drive: Drive, model: Model) -> Mapping[str, Rows]:

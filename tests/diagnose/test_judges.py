@@ -20,9 +20,11 @@ from support.free_mass import (
 from support.made_records import measured, pair
 
 from pamctl.diagnose import Record
+from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.fitting.block_fit import fit_numbers, rms
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, count_steps
 from pamctl.diagnose.fitting.evidence import prepare_evidence
+from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import list_free_numbers, recalibrate
 from pamctl.diagnose.fitting.numbers import FreeNumber
 from pamctl.diagnose.judging.judges import JudgeKind
@@ -33,6 +35,9 @@ from pamctl.diagnose.judging.segments import (
     smooth_by_cubic,
 )
 from pamctl.diagnose.judging.windows import build_start_modes, cut_windows, estimate_starts
+from pamctl.diagnose.locate import draw_noise, locate_misfits
+from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.report.phrases import describe_bounds
 from pamctl.plant.drive import Restarts, drive_mechanics, drive_pressure
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings
@@ -244,3 +249,33 @@ def test_a_stroke_is_the_middle_of_a_motion_in_one_direction() -> None:
     direction = np.repeat([0.0, 1.0, -1.0], [10, 100, 50])
     assert find_strokes(direction, [slice(0, 160)], 3) == (slice(20, 100), slice(115, 155))
     assert find_strokes(direction, [slice(0, 60), slice(60, 160)], 30) == ()
+
+
+def recalibrated_piston() -> Model:
+    plant = axis(coulomb_friction={"force_n": 6.0})
+    return recalibrate(prepare_evidence([imposed_motion(1)], [imposed_motion(2)], plant))
+
+
+def test_where_noise_is_unknown_the_regimes_are_measured_by_the_estimated_floor() -> None:
+    model = recalibrated_piston()
+    known = model.floors[MECHANICS]
+    level = 3.0 * known.mean
+    model.__dict__["floors"] = {MECHANICS: known.with_level(level, 1.5 * level, 0.0)}
+    assert rms(draw_noise(model, MECHANICS)) == pytest.approx(level)
+    whole = model.ratio(MECHANICS)
+    for misfit in locate_misfits(model):
+        assert misfit.residual_over_floor == pytest.approx(whole, rel=0.2)
+
+
+def test_a_mass_at_an_end_of_its_range_means_nothing_where_inertia_does_not_show(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model = recalibrated_piston()
+    ended = ("mass_kg", "damping_n_s_per_m")
+    monkeypatch.setattr(Model, "at_bound", property(lambda self: ended))
+    nominal = model.evidence.nominal
+    said = describe_bounds(Diagnosis(Verdict.PARTIAL, nominal, nominal, model=model))
+    assert said.startswith(" At an end of its range: damping_n_s_per_m. These records do not show")
+    free_run = replace(model, evidence=replace(model.evidence, judge={}))
+    said = describe_bounds(Diagnosis(Verdict.PARTIAL, nominal, nominal, model=free_run))
+    assert said == f" At an end of its range: {', '.join(ended)}."

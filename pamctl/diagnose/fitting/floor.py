@@ -59,8 +59,6 @@ class Floor:
     """The limit that the rig's own repeatability sets; 0 where nothing is repeated."""
     is_estimate: bool = False
     """The sensor's noise is unknown: the floor is what repeats or quiet stretches suggest."""
-    magnification: float = 1.0
-    """What a replica's residual is multiplied by: its noise had an arbitrary size if unknown."""
 
     def with_repeatability(self, spread: RepeatSpread) -> Floor:
         """Raise the limit to what the rig itself does differently each time.
@@ -85,7 +83,6 @@ class Floor:
             spread=self.spread * times,
             repeatability=repeatability,
             is_estimate=True,
-            magnification=times,
         )
 
     @property

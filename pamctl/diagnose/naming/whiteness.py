@@ -85,7 +85,7 @@ def _count(drive: Drive, values: Array) -> Array:
 def _find_colour(model: Model, block: str) -> Iterator[tuple[str, str]]:
     """Compare what averages leave of the residual with what they leave of the replicas."""
     residual, floor = model.residuals[block], model.floors[block]
-    noise = draw_noise(model, block) * floor.magnification
+    noise = draw_noise(model, block)
     # What the rig does differently each time may have any colour.
     restless = float(np.sqrt(max(floor.repeatability**2 - floor.mean**2, 0.0)))
     least = MATTERS * model.evidence.margin(block)

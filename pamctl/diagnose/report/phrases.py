@@ -11,6 +11,7 @@ from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import doubt_floor
 from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.fitting.intervals import FittedNumber
+from pamctl.diagnose.judging.judges import JudgeKind
 from pamctl.diagnose.locate import EVENLY
 from pamctl.diagnose.naming.remainder import Remainder
 from pamctl.diagnose.naming.verdict import Verdict
@@ -89,17 +90,30 @@ def spell_settled_effects(diagnosis: Diagnosis) -> str:
 def describe_closed_shares(diagnosis: Diagnosis) -> str:
     """Say how much of what each block leaves the effects close."""
     parts = [
-        f"{100.0 * max(share, 0.0):.0f} % of the {block} block's gap"
+        f"{spell_share(share)} % of the {block} block's gap"
         for block, share in diagnosis.explained_by_block.items()
     ]
     return f"closes {' and '.join(parts)}" if parts else "makes the blocks agree"
 
 
+def spell_share(share: float) -> str:
+    """Return a share in per cent; 100 only where nothing is left."""
+    percent = 100.0 * max(share, 0.0)
+    return f"{percent:.0f}" if percent >= 100.0 or percent < 99.5 else f"{min(percent, 99.9):.1f}"
+
+
 def describe_bounds(diagnosis: Diagnosis) -> str:
-    """Name the fitted numbers that ended at an end of their range; empty if none did."""
-    if not diagnosis.at_bound:
-        return ""
-    return f" At an end of its range: {', '.join(diagnosis.at_bound)}."
+    """Name the fitted numbers that ended at an end of their range; empty if none did.
+
+    A mass ends there where inertia does not show, and means nothing then.
+    """
+    judges = diagnosis.model.evidence.judge.values() if diagnosis.model else ()
+    unseen = {"mass_kg"} if any(j.kind is JudgeKind.EQUATION for j in judges) else set()
+    ended = [name for name in diagnosis.at_bound if name not in unseen]
+    words = f" At an end of its range: {', '.join(ended)}." if ended else ""
+    if unseen & {*diagnosis.at_bound}:
+        words += " These records do not show mass_kg: the motion is too even."
+    return words
 
 
 def describe_signs(diagnosis: Diagnosis) -> str:

@@ -46,7 +46,6 @@ PATIENT = [
     "rig.limits.sample_age_s=0.5",
     "rig.limits.missed_ticks=2000",
     "rig.loop.heartbeat_ms=2000",
-    "rig.limits.pressure_model_pa=1e6",
 ]
 EXPERIMENTS = {
     "diagnosis": 10.0,

@@ -33,7 +33,7 @@ from pamctl.diagnose.fitting.split import (
 )
 from pamctl.diagnose.locate import locate_misfits
 from pamctl.diagnose.measured.noise.channel_noise import describe_channels
-from pamctl.diagnose.measured.noise.mend import SensorFault, mend_record
+from pamctl.diagnose.measured.noise.mend import SensorFault, mend_records
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.measured.refuse import (
     AcceptedDoubt,
@@ -41,6 +41,7 @@ from pamctl.diagnose.measured.refuse import (
     check_measured_runs,
     check_sensors,
 )
+from pamctl.diagnose.measured.resting_pressure import align_resting_pressure
 from pamctl.diagnose.name import name_effects
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.remainder import regress_remainder
@@ -121,15 +122,14 @@ def diagnose(
 def _mend_records(
     train: Sequence[Record], holdout: Sequence[Record], stated: Mapping[str, float]
 ) -> tuple[list[Record], list[Record], list[SensorFault]]:
-    """Mend every record; a statement of its noise that is given here comes before its own."""
-    faults: list[SensorFault] = []
+    """Mend every record; a statement of its noise that is given here comes before its own.
 
-    def mend(record: Record) -> Record:
-        mended, found = mend_record(record)
-        faults.extend(found)
-        return replace(mended, stated_noise={**mended.stated_noise, **stated})
-
-    return [mend(r) for r in train], [mend(r) for r in holdout], faults
+    The zeros that homing gave the pressure sensor are aligned.
+    """
+    mended, faults = mend_records([*train, *holdout])
+    stating = [replace(r, stated_noise={**r.stated_noise, **stated}) for r in mended]
+    aligned = align_resting_pressure(stating)
+    return aligned[: len(train)], aligned[len(train) :], faults
 
 
 def _check_and_prepare(

@@ -10,14 +10,14 @@ from support.made_records import measured
 
 from pamctl.diagnose import Record
 from pamctl.diagnose.measured.noise.hum import remove_hum
-from pamctl.diagnose.measured.noise.mend import mend_record
+from pamctl.diagnose.measured.noise.mend import mend_records
 from pamctl.diagnose.measured.noise.outliers import find_outliers
 from pamctl.diagnose.measured.noise.time_stamps import find_regular_times
 
 
 def test_a_sound_record_stays_as_it_is() -> None:
     record = measured("fit", 7)
-    mended, faults = mend_record(record)
+    (mended,), faults = mend_records([record])
     assert faults == []
     assert mended.counts is None
     assert all(np.array_equal(mended[c], record[c]) for c in record.channels)
@@ -31,7 +31,7 @@ def test_spikes_and_dropouts_do_not_count(channel: str) -> None:
     values = record[channel].copy()
     values[rows] += random.choice([-0.3, 0.3], len(rows)) * np.ptp(values)
     values[rows[0] + 100 : rows[0] + 104] = 0.0
-    mended, faults = mend_record(replace(record, **{channel: values}))
+    (mended,), faults = mend_records([replace(record, **{channel: values})])
     assert {f.kind for f in faults} == {"outliers", "dropouts"}
     assert mended.counts is not None
     lost = np.flatnonzero(~mended.counts)
@@ -58,10 +58,24 @@ def test_scattered_stamps_give_way_to_the_grid_only_if_the_samples_are_regular()
     scattered_s = np.sort(grid_s + random.normal(0.0, 2e-4, 5000))
     regular, true = (0.02 * np.sin(4.0 * t) + 1e-6 * random.normal(size=5000)
                      for t in (grid_s, scattered_s))  # fmt: skip
-    times = find_regular_times(Record("late", scattered_s, position_m=regular))
+    late, honest = (Record("", scattered_s, position_m=x) for x in (regular, true))
+    (times,) = find_regular_times([late])
     assert times is not None
     assert np.std(times - grid_s) < 2e-5
-    assert find_regular_times(Record("true", scattered_s, position_m=true)) is None
+    assert find_regular_times([honest]) == [None]
+
+
+def test_a_record_that_shows_no_jitter_follows_the_others_of_its_logger() -> None:
+    random = np.random.default_rng(3)
+    grid_s = np.arange(5000) * 1e-3
+    scattered_s = np.sort(grid_s + random.normal(0.0, 2e-4, 5000))
+    moving = 0.02 * np.sin(4.0 * grid_s) + 1e-6 * random.normal(size=5000)
+    late = Record("late", scattered_s, position_m=moving)
+    slow = Record("slow", scattered_s, position_m=random.normal(0.0, 1e-6, 5000))
+    exact = Record("exact", grid_s, position_m=moving)
+    assert find_regular_times([slow, exact]) == [None, None]
+    found = find_regular_times([late, slow, exact])
+    assert [times is not None for times in found] == [True, True, False]
 
 
 def test_hum_is_taken_off_and_an_excitation_of_the_same_frequency_is_not() -> None:

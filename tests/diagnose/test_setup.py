@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hidden.excitations import brief
 from hidden.rig import HiddenRig, hidden_rig
+from support.free_mass import FRICTION_N, MASS_KG, axis, pushed_mass
 from support.made_records import PERIOD_S, measured, pair
 
 from pamctl.diagnose import Record, diagnose
@@ -17,22 +18,25 @@ from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
+from pamctl.diagnose.fitting.split import keep_for_choice
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.altered_drive import PlantChange, add_change
 from pamctl.diagnose.setup.refused_columns import explain_refusal
 from pamctl.diagnose.setup.suspect_setup import CheckedSetup, suspect_setup
 from pamctl.diagnose.setup.suspects import (
+    act_earlier,
     find_decimation,
     list_suspects,
     restore_command,
-    shift_command,
 )
-from pamctl.plant.drive import drive_mechanics
+from pamctl.diagnose.setup.symmetries import list_equal_numbers
+from pamctl.plant.drive import drive_mechanics, drive_pressure
 from pamctl.plant.flat import parameters_of
-from pamctl.plant.model import PlantSettings
+from pamctl.plant.model import PlantSettings, plant_parameters
 
 PAPER = PlantSettings()
+SKEW = ("skew", "valve_v")
 Runs = tuple[list[Record], list[Record]]
 
 
@@ -171,13 +175,22 @@ def test_a_number_that_changes_at_an_instant_is_simulated_as_two_plants_in_a_row
     assert np.max(np.abs(simulated[settled:] - after[settled:])) < 5e-6
 
 
-def test_a_command_shifted_by_whole_ticks_is_the_same_command_earlier() -> None:
-    t_s = np.arange(100) * 1e-3
-    command = np.random.default_rng(1).normal(size=100)
-    shifted = shift_command(command, t_s, t_s + 3e-3)
-    assert shifted[:97] == pytest.approx(command[3:])
-    half = shift_command(command, t_s, t_s + 0.5e-3)
-    assert half[:99] == pytest.approx(0.5 * (command[:99] + command[1:]))
+def test_a_late_command_acts_before_it_is_shown() -> None:
+    """Late by three ticks, the simulation is that of a command column three rows earlier."""
+    record = measured("fit", 2)
+    late = replace(record, valve_v=np.concatenate([np.zeros(3), record["valve_v"][:-3]]))
+    (right,), (shown,) = (prepare_evidence([r], [r], PAPER).train[PRESSURE] for r in (record, late))
+    skew = next(s for s in list_suspects(_base(pair()).evidence) if s.key[:2] == SKEW)
+    mended = skew.apply(shown, 3e-3).simulate(PAPER)
+    assert np.max(np.abs(mended - right.simulate(PAPER))[:-3]) < 1e-3
+    assert np.array_equal(act_earlier(None, np.full(2, 3e-3)), [-3e-3, -3e-3])
+
+
+def test_the_command_before_the_record_has_the_same_null() -> None:
+    (drive,) = prepare_evidence([measured("fit", 2)], [measured("fit", 2)], PAPER).train[PRESSURE]
+    null = next(s for s in list_suspects(_base(pair()).evidence) if s.kind == "null_offset")
+    moved = null.apply(replace(drive, held_v=0.5), 0.1)
+    assert moved.held_v == pytest.approx(0.4)
 
 
 def test_a_smooth_command_is_restored_between_the_logged_rows() -> None:
@@ -193,10 +206,115 @@ def test_a_smooth_command_is_restored_between_the_logged_rows() -> None:
 
 
 def test_a_plant_without_air_is_asked_of_nothing_pneumatic() -> None:
-    evidence = _base(pair()).evidence
-    direct = replace(evidence, nominal=PlantSettings(actuator="direct")).select_blocks({MECHANICS})
-    asked = {s.number for s in list_suspects(direct)}
-    assert "rest_length_m" not in asked
-    assert "atmospheric_pressure_pa" not in asked
-    assert "mass_kg" in asked
-    assert PRESSURE not in {b for s in list_suspects(direct) for b in s.blocks}
+    known = axis().model_copy(update={"known": ("mass_kg",)})
+    asked = list_suspects(prepare_evidence([pushed_mass(1)], [pushed_mass(2)], known))
+    assert {s.number for s in asked} == {"mass_kg", "force_n", "position_m"}
+    assert {b for s in asked for b in s.blocks} == {MECHANICS}
+    # Where no number is known, another mass, damping and stiffness say the same as a scale.
+    free = list_suspects(prepare_evidence([pushed_mass(1)], [pushed_mass(2)], axis()))
+    assert {s.kind for s in free} == {"skew", "clock_rate"}
+
+
+def _ask_axis(spoil: Callable[[Record], Record], plant: PlantSettings) -> CheckedSetup:
+    train, holdout = ([spoil(pushed_mass(seed))] for seed in (1, 2))
+    evidence = keep_for_choice(prepare_evidence(train, holdout, plant), is_cut=False)
+    base = weigh_blocks(recalibrate(evidence))
+    return suspect_setup(base, train, holdout, FirstLevel(list_candidates(base.evidence)))
+
+
+@pytest.mark.parametrize("late_ticks", [3, -2])
+def test_the_force_of_a_mechanism_is_late_or_its_position_is_early(late_ticks: int) -> None:
+    def delay(record: Record) -> Record:
+        rows = np.clip(np.arange(len(record)) - late_ticks, 0, len(record) - 1)
+        return replace(record, force_n=record["force_n"][rows])
+
+    setup = _ask_axis(delay, axis(2.0, coulomb_friction={"force_n": 40.0}))
+    (finding,) = setup.findings
+    assert (finding.kind, finding.number) == ("skew", "force_n")
+    assert finding.value == pytest.approx(1e-3 * late_ticks, abs=1e-4)
+    assert finding.cannot_be_told_from == ("skew of position_m",)
+    assert not setup.base.unexplained
+
+
+@pytest.mark.parametrize("column", ["force_n", "position_m"])
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_mechanism_with_a_wrong_sign_is_said_from_any_guess(column: str, factor: float) -> None:
+    plant = axis(factor, coulomb_friction={"force_n": factor * FRICTION_N})
+    setup = _ask_axis(lambda r: replace(r, **{column: -r[column]}), plant)
+    (finding,) = setup.findings
+    assert (finding.kind, finding.number) == ("sign", "force_n")
+    assert finding.cannot_be_told_from == ("sign of position_m",)
+    assert setup.base.values["mass_kg"] == pytest.approx(MASS_KG, rel=1e-3)
+    (drive,) = setup.base.evidence.holdout[MECHANICS]
+    assert drive.part is not None  # what confirms does not choose upon the corrected records
+    assert 0.6 < np.mean(drive.part) < 0.7
+
+
+def test_friction_of_a_mechanism_that_changes_at_an_instant_is_said_with_its_size() -> None:
+    def seize(record: Record) -> Record:
+        way_m = np.convolve(np.gradient(record["position_m"]), np.ones(15), "same")
+        more_n = 10.0 * np.sign(way_m) * (record.t_s > 3.0)
+        return replace(record, force_n=record["force_n"] + more_n)
+
+    (finding,) = _ask_axis(seize, axis(coulomb_friction={"force_n": FRICTION_N})).findings
+    assert (finding.kind, finding.number) == ("change_at_instant", "coulomb_friction.force_n")
+    assert finding.value == pytest.approx(10.0, rel=0.02)
+
+
+def test_a_piece_of_a_record_keeps_its_windows_and_the_instants_of_its_commands() -> None:
+    """A change of nothing at an instant is the whole simulation, cut in two."""
+    record = replace(measured("fit", 1), acts_after_s=np.full(len(measured("fit", 1)), 3e-4))
+    (drive,) = prepare_evidence([record], [record], PAPER).train[PRESSURE]
+    cut = add_change(drive, PlantChange("valve_gain_m2_per_v", 1e-15, after_s=2.0))
+    assert np.max(np.abs(cut.simulate(PAPER) - drive.simulate(PAPER))) < 1.0
+    evidence = prepare_evidence([pushed_mass(1)], [pushed_mass(1)], axis())
+    (windowed,) = evidence.train[MECHANICS]
+    assert len(windowed.windows) > 10
+    drifting = add_change(windowed, PlantChange("mass_kg", 1e-15, drift_over_s=6.0))
+    difference_m = drifting.simulate(axis()) - windowed.simulate(axis())
+    assert np.max(np.abs(difference_m)) < 1e-12
+
+
+CHAMBER = {"actuator": "chamber", "chamber_volume_m3": 2e-4}
+
+
+def _fill_chamber(seed: int, null_v: float = 0.0, atmosphere_pa: float = 101.3e3) -> Record:
+    """Fill and empty a chamber by a lively command; the sensor is absolute."""
+    settings = {**CHAMBER, "parameters": {"atmospheric_pressure_pa": atmosphere_pa}}
+    p = plant_parameters(PlantSettings.model_validate(settings))
+    random = np.random.default_rng(seed)
+    t_s = PERIOD_S * np.arange(8000)
+    valve_v = np.repeat(random.uniform(-1.2, 1.2, 40), 200) + 0.2 * np.sin(9.0 * t_s)
+    valve_v[:600] = -1.0
+    true_pa = drive_pressure(p, valve_v, np.zeros(len(t_s)), PERIOD_S).pressure_pa
+    shown_pa = true_pa + random.normal(0.0, 200.0, len(t_s))
+    return Record(f"filled-{seed}", t_s, valve_v=valve_v + null_v, pressure_pa=shown_pa)
+
+
+@pytest.mark.parametrize(
+    ("spoiled", "kind", "value"),
+    [
+        ({"null_v": -0.03}, "null_offset", -0.03),
+        ({"atmosphere_pa": 94e3}, "plant_constant", 94e3),
+    ],
+)
+def test_a_chamber_is_asked_of_its_air_and_its_valve(
+    spoiled: dict[str, float], kind: str, value: float
+) -> None:
+    train, holdout = [_fill_chamber(1, **spoiled)], [_fill_chamber(2, **spoiled)]
+    plant = PlantSettings.model_validate(CHAMBER)
+    base = recalibrate(prepare_evidence(train, holdout, plant))
+    setup = suspect_setup(base, train, holdout, FirstLevel(list_candidates(base.evidence)))
+    (finding,) = setup.findings
+    assert finding.kind == kind
+    assert finding.value == pytest.approx(value, rel=0.01)
+    assert not setup.base.unexplained
+
+
+def test_numbers_that_only_show_as_a_product_are_listed_for_each_actuator() -> None:
+    (axis_numbers,) = list_equal_numbers(axis())
+    assert "scale of position_m" in axis_numbers
+    assert "stiffness_n_per_m" not in axis_numbers  # there is no spring
+    assert list_equal_numbers(axis().model_copy(update={"known": ("mass_kg",)})) == ()
+    (chamber,) = list_equal_numbers(PlantSettings.model_validate(CHAMBER))
+    assert {"temperature_k", "chamber_volume_m3"} < {*chamber}

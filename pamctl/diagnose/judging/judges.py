@@ -184,6 +184,8 @@ def regress_balance(records: Sequence[Record], slope_s: float) -> Balance:
     _, left_without = _regress(scaled[:, 1:], force)
     amounts = full / np.where(table_scale > 0.0, table_scale, 1.0)
     shows = left_without / max(left, 1e-12 * float(np.mean(force**2)), 1e-300)
+    if amounts[0] < 0.0 and shows >= INERTIA_SHOWS:
+        amounts = -amounts  # no mass is negative: a column has the wrong sign, which is said later
     mass, damping, stiffness = (float(amount) for amount in amounts[:3])
     spring = stiffness * float(np.ptp(table[:, 2])) / max(float(np.ptp(force)), 1e-300)
     return Balance(mass, damping, stiffness, shows if mass > 0.0 else 0.0, spring)

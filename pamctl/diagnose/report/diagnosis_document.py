@@ -15,7 +15,7 @@ from pamctl.diagnose.report.next_experiment import (
 )
 from pamctl.diagnose.report.phrases import list_equal_sets, numbers_of
 from pamctl.diagnose.report.verdict_words import sentence
-from pamctl.diagnose.setup.symmetries import EQUAL_NUMBERS
+from pamctl.diagnose.setup.symmetries import list_equal_numbers
 from pamctl.plant.catalogue import CATALOGUE
 
 SCHEMA = 1
@@ -48,9 +48,8 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "setup": [finding.as_dict() for finding in diagnosis.setup],
         "equal_numbers": [
             [*names]
-            for names in EQUAL_NUMBERS
+            for names in list_equal_numbers(diagnosis.nominal)
             if {*names} & {n.name for n in diagnosis.recalibrated}
-            and diagnosis.nominal.actuator == "muscle"
         ],
         "effects": [_effect_entry(diagnosis, s) for s in diagnosis.standings],
         "ambiguous": list_equal_sets(diagnosis),

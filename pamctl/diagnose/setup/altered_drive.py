@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive
 from pamctl.diagnose.measured.record import Array
+from pamctl.plant.drive import Restarts
 from pamctl.plant.parameters import PaperParameters, PlantParameters
 
 PIECES = 32
@@ -52,8 +54,8 @@ class AlteredDrive(Drive):
     """How much later it becomes in each second."""
     gain: float = 1.0
     """Ratio of shown to true output."""
-    shown_above: float = 0.0
-    """Shown minus true output at every value: a gauge sensor with another atmosphere added."""
+    reads_gauge: bool = False
+    """The pressure sensor measures against the true atmosphere; the plant file's was added."""
 
     def simulate_with(self, p: PlantParameters) -> Array:
         """Simulate the block as the altered set-up would show it."""
@@ -62,52 +64,95 @@ class AlteredDrive(Drive):
         else:
             simulated = self._simulate_constant(p, 0.0)
         if self.late_s or self.late_per_s:
-            t_s = np.concatenate([[0.0], np.cumsum(self.step_s)])
+            t_s = self._times_s
             simulated = np.interp(t_s - self.late_s - self.late_per_s * t_s, t_s, simulated)
-        if self.gain != 1.0:
-            simulated = self.gain * simulated
-        return simulated + self.shown_above if self.shown_above else simulated
+        return simulated if self.gain == 1.0 else self.gain * simulated
+
+    @cached_property
+    def _restarts(self) -> Restarts:
+        """The true states at which windows start, behind a scaled reading."""
+        shown = super()._restarts
+        return shown._replace(outputs=shown.outputs / self.gain, rates=shown.rates / self.gain)
 
     def _simulate_constant(self, p: PlantParameters, t_s: float) -> Array:
         changed = p
         for change in self.changes:
             changed = change_plant(changed, change.name, change.amount_at(t_s))
-        drive: Drive = self
-        at_atmosphere = self.block != MECHANICS and self.start == p.atmospheric_pressure_pa
-        if at_atmosphere and changed.atmospheric_pressure_pa != p.atmospheric_pressure_pa:
-            drive = replace(self, start=changed.atmospheric_pressure_pa)
-            drive.__dict__["grid"] = self.grid
-        return Drive.simulate_with(drive, changed)
+        raised_pa = changed.atmospheric_pressure_pa - p.atmospheric_pressure_pa
+        if self.block == MECHANICS or not raised_pa:
+            return Drive.simulate_with(self, changed)
+        shown_pa = -raised_pa if self.reads_gauge else 0.0
+        vents = self.start == p.atmospheric_pressure_pa
+        true = replace(self, start=self.start + raised_pa if vents else self.start - shown_pa)
+        starts = self._restarts
+        starts = starts._replace(outputs=starts.outputs - shown_pa)
+        true.__dict__.update(grid=self.grid, _restarts=starts)
+        return Drive.simulate_with(true, changed) + shown_pa
 
     def _simulate_pieces(self, p: PlantParameters) -> Array:
         """Simulate piece by piece; each starts where the one before was, a little earlier."""
         n = len(self.measured)
-        t_s = np.concatenate([[0.0], np.cumsum(self.step_s)])
+        t_s = self._times_s
         cuts = {0, n}
         for change in self.changes:
             if change.drift_over_s:
-                cuts |= {int(c) for c in np.linspace(0, n, PIECES + 1)}
+                cuts |= self._cut_drift()
             elif change.after_s:
                 cuts.add(int(np.searchsorted(t_s, change.after_s)))
         edges = sorted(c for c in cuts if 0 <= c <= n)
         overlap = round(OVERLAP_S / float(np.median(self.step_s)))
         simulated: Array = np.zeros(n)
+        starts = {*self._restarts.rows.tolist()}
         for begin, end in pairwise(edges):
-            first = max(begin - overlap, 0)
-            start = self.start if not first else float(simulated[first])
-            piece = replace(
-                self,
-                step_s=self.step_s[first : max(end - 1, first)],
-                valve_v=self.valve_v[first:end],
-                driven=self.driven[first:end],
-                measured=self.measured[first:end],
-                usable=None,
-                part=None,
-                start=start,
-            )
+            first = begin if begin in starts else max(begin - overlap, 0)
+            # An equation looks at the motion on both sides.
+            last = min(end + overlap, n) if self.is_equation else end
+            piece = self._cut_piece(first, last, simulated)
             middle_s = 0.5 * float(t_s[begin] + t_s[end - 1])
-            simulated[begin:end] = piece._simulate_constant(p, middle_s)[begin - first :]
+            whole = piece._simulate_constant(p, middle_s)
+            simulated[begin:end] = whole[begin - first : end - first]
         return simulated
+
+    def _cut_drift(self) -> set[int]:
+        """Return where pieces begin; windows that start anew need no overlap, so there are more."""
+        n, starts = len(self.measured), self._restarts.rows
+        if len(starts) > PIECES:
+            return {*starts[:: -(-len(starts) // (4 * PIECES))].tolist()}
+        return {int(c) for c in np.linspace(0, n, PIECES + 1)}
+
+    def _cut_piece(self, first: int, last: int, simulated: Array) -> AlteredDrive:
+        """Return the samples [first, last); it goes on from what was simulated before."""
+        late_s, pressed_pa = self.acts_after_s, self.pressed_pa
+        begins_s = float(self._times_s[first])
+        piece = replace(
+            self,
+            step_s=self.step_s[first : max(last - 1, first)],
+            valve_v=self.valve_v[first:last],
+            driven=self.driven[first:last],
+            measured=self.measured[first:last],
+            pressed_pa=None if pressed_pa is None else pressed_pa[first:last],
+            acts_after_s=None if late_s is None else late_s[first:last],
+            held_v=float(self.valve_v[first - 1]) if first else self.held_v,
+            bend=None if self.bend is None else (self.bend[0] - begins_s, self.bend[1]),
+            usable=None,
+            part=None,
+            windows=(),
+            start=float(simulated[first]) if first else self.start,
+        )
+        piece.__dict__["_restarts"] = self._cut_restarts(first, last, simulated)
+        return piece
+
+    def _cut_restarts(self, first: int, last: int, simulated: Array) -> Restarts:
+        """Return the restarts within a piece; its own start has a velocity too."""
+        whole = self._restarts
+        inside = (whole.rows >= first) & (whole.rows < last)
+        rows, values, rates = (column[inside] for column in whole)
+        rows = rows - first
+        if first and not (len(rows) and rows[0] == 0):
+            rate = float((simulated[first] - simulated[first - 1]) / self.step_s[first - 1])
+            rows = np.insert(rows, 0, 0)
+            values, rates = np.insert(values, 0, simulated[first]), np.insert(rates, 0, rate)
+        return Restarts(rows, values, rates)
 
 
 def alter(drive: Drive, **changes: Any) -> AlteredDrive:

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from pamctl.diagnose.setup.suspects import ATMOSPHERE, CONSTANTS, Suspect
 
-_COLUMNS = {"valve_v": "the command", "pressure_pa": "the pressure", "position_m": "the position"}
+_COLUMNS = {
+    "valve_v": "the command",
+    "pressure_pa": "the pressure",
+    "position_m": "the position",
+    "force_n": "the force",
+}
 _MEND_CONSTANT = {
     "rest_length_m": "measure the vented, unloaded muscle between its end caps",
     "braid_length_m": "measure a thread of the braid, stretched straight",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pamctl.diagnose.measured.record import Array, Record
-from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, restore_command, shift_command
+from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, act_earlier, restore_command
 from pamctl.plant.model import PlantSettings
 
 
@@ -22,17 +22,19 @@ def mend_record(record: Record, suspect: Suspect, amount: float, nominal: PlantS
         return record
     values, t_s = record[column], record.t_s
     if kind == "null_offset":
-        return replace(record, valve_v=values - amount)
+        held_v = None if record.held_v is None else record.held_v - amount
+        return replace(record, valve_v=values - amount, held_v=held_v)
     if kind == "decimated_command":
         return replace(record, valve_v=restore_command(values, round(amount)))
     if kind in ("scale", "sign"):
+        if column == "valve_v" and record.held_v is not None:
+            record = replace(record, held_v=record.held_v / (1.0 + amount))
         return _with_column(record, column, values / (1.0 + amount))
     if kind in ("skew", "clock_rate"):
-        late_s = amount if kind == "skew" else amount * (t_s - t_s[0])
-        true_s = t_s + late_s
+        late_s = amount * (np.ones_like(t_s) if kind == "skew" else t_s - t_s[0])
         if column == "valve_v":
-            return replace(record, valve_v=shift_command(values, t_s, true_s))
-        return _with_column(record, column, np.interp(true_s, t_s, values))
+            return replace(record, acts_after_s=act_earlier(record.acts_after_s, late_s))
+        return _with_column(record, column, np.interp(t_s + late_s, t_s, values))
     return record
 
 

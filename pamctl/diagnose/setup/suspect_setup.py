@@ -36,6 +36,8 @@ from pamctl.diagnose.setup.weighed_fit import (
 )
 from pamctl.diagnose.setup.wholesale import fit_wholesale
 
+_Drives = Mapping[str, Sequence[Drive]]
+
 MOST_FINDINGS = 3
 PROMISING = 0.3
 """Share of what is left that a suspect must promise to be fitted."""
@@ -302,7 +304,7 @@ def _word_finding(fitted: SuspectFit, effects: tuple[str, ...], *, corrected: bo
         block,
         base.rms[block] / rms(fitted.residuals[block]),
         fitted.ratio(block),
-        (*effects, *fitted.equal_suspects),
+        tuple(dict.fromkeys((*effects, *suspect.always_equal, *fitted.equal_suspects))),
         advise_mending(suspect, value),
         describe(suspect, value, said),
         said,
@@ -322,6 +324,7 @@ def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:
     if suspect.kind == "sign" and {id(r) for r in setup.train}.isdisjoint(map(id, setup.holdout)):
         # Where the records rest depends on the command's sign, and with it what is known of noise.
         changed = prepare_evidence(train, holdout, nominal)
+        changed = replace(changed, holdout=_keep_parts(changed.holdout, evidence.holdout))
     elif suspect.kind == "plant_constant":
         changed = _correct_constant(evidence, suspect, fitted.amount)
     else:
@@ -329,6 +332,7 @@ def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:
             evidence,
             train={b: tuple(map(fitted.apply, d)) for b, d in evidence.train.items()},
             holdout={b: tuple(map(fitted.apply, d)) for b, d in evidence.holdout.items()},
+            balance=tuple(map(fitted.apply, evidence.balance)),
             together={},
         )
     return replace(
@@ -337,6 +341,16 @@ def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:
         train=train,
         holdout=holdout,
     )
+
+
+def _keep_parts(drives: _Drives, before: _Drives) -> dict[str, tuple[Drive, ...]]:
+    """Return drives that serve for the same part of the data as those before: what confirms
+    must not choose.
+    """
+    return {
+        block: tuple(replace(d, part=b.part) for d, b in zip(some, before[block], strict=True))
+        for block, some in drives.items()
+    }
 
 
 def _correct_constant(evidence: Evidence, suspect: Suspect, amount: float) -> Evidence:

@@ -15,8 +15,9 @@ from scipy.interpolate import CubicSpline
 
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence
-from pamctl.diagnose.fitting.numbers import calibration_of
-from pamctl.diagnose.setup.altered_drive import AlteredDrive, PlantChange, add_change, alter
+from pamctl.diagnose.fitting.numbers import calibration_of, list_plant_numbers, value_of
+from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.setup.altered_drive import PlantChange, add_change, alter
 from pamctl.plant.model import PlantSettings
 
 Kind = Literal[
@@ -57,6 +58,8 @@ class Suspect:
     variant: str = ""
     same_as: frozenset[str] = field(default=frozenset())
     """Effects of the catalogue that say the same with other words."""
+    always_equal: tuple[str, ...] = ()
+    """Labels of other suspects that the equations make equal to this one."""
     record: str = ""
     """The record that a change belongs to; empty for all records."""
     over_s: float = 0.0
@@ -99,23 +102,19 @@ def _change_constant(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     unit_s = float(np.sum(drive.step_s)) if suspect.variant == OF_RECORD else 1.0
     change = PlantChange(suspect.number, amount, unit_s * suspect.over_s, unit_s * suspect.after_s)
     if suspect.number == ATMOSPHERE and suspect.variant == "gauge":
-        # The sensor measures against the atmosphere; the plant file's was added to its reading.
-        raised = amount * drive.start if drive.block == PRESSURE else 0.0
         if drive.block == MECHANICS:
             return drive  # only the gauge pressure acts, and that is right
-        return alter(add_change(drive, change), shown_above=_shown_above(drive) - raised)
+        return alter(add_change(drive, change), reads_gauge=True)
     return add_change(drive, change)
 
 
-def _shown_above(drive: Drive) -> float:
-    return drive.shown_above if isinstance(drive, AlteredDrive) else 0.0
-
-
 def _move_null(suspect: Suspect, drive: Drive, amount: float) -> Drive:
-    return replace(drive, valve_v=drive.valve_v - amount * _profile(suspect, drive))
+    offset_v = amount * _profile(suspect, drive)
+    held_v = None if drive.held_v is None else drive.held_v - float(offset_v[0])
+    return replace(drive, valve_v=drive.valve_v - offset_v, held_v=held_v)
 
 
-def _profile(suspect: Suspect, drive: Drive) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _profile(suspect: Suspect, drive: Drive) -> Array:
     """Return how much of an amount acts at each sample."""
     t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
     t_s = t_s / t_s[-1] if suspect.variant == OF_RECORD else t_s
@@ -127,44 +126,60 @@ def _profile(suspect: Suspect, drive: Drive) -> np.ndarray[tuple[int, ...], np.d
 def _shift_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     """Make a column late by `amount` seconds, or each second later by `amount`."""
     late_s, per_s = (0.0, amount) if suspect.kind == "clock_rate" else (amount, 0.0)
-    output, driven = ("pressure_pa", "position_m")
-    if drive.block == MECHANICS:
-        output, driven = driven, output
-    if suspect.number == output:
-        before = drive if isinstance(drive, AlteredDrive) else alter(drive)
+    column = suspect.number
+    if column != drive.channel:
+        return _shift_input(drive, column, late_s, per_s)
+    if drive.has_known_start:
+        before = alter(drive)
         return alter(drive, late_s=before.late_s + late_s, late_per_s=before.late_per_s + per_s)
+    # Windows start from the measured output, at its instants: all others are early.
+    for other in ("valve_v", "position_m", "force_n", "pressure_pa"):
+        if other != column:
+            drive = _shift_input(drive, other, -late_s, -per_s)
+    return drive
+
+
+def _shift_input(drive: Drive, column: str, late_s: float, per_s: float) -> Drive:
     t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
-    true_s = t_s + late_s + per_s * t_s  # what a late column shows later happened now
-    if suspect.number == driven:
-        return replace(drive, driven=np.interp(true_s, t_s, drive.driven))
-    return replace(drive, valve_v=shift_command(drive.valve_v, t_s, true_s))
+    shift_s = late_s + per_s * t_s
+    if column == "valve_v":
+        return replace(drive, acts_after_s=act_earlier(drive.acts_after_s, shift_s))
+    field_name = _find_input(drive, column)
+    if field_name is None:
+        return drive
+    shifted = np.interp(t_s + shift_s, t_s, getattr(drive, field_name))
+    return replace(drive, **{field_name: shifted})
 
 
-def shift_command(valve_v: np.ndarray, t_s: np.ndarray, true_s: np.ndarray) -> np.ndarray:
-    """Return the mean command over each tick of a command that was written at other instants.
+def act_earlier(acts_after_s: Array | None, shift_s: Array) -> Array:
+    """Return when commands act whose column is late: they acted before they were shown."""
+    return -shift_s if acts_after_s is None else acts_after_s - shift_s
 
-    Row k of the log acts from its own instant to the next; `true_s` are the times of the log at
-    which the ticks really began. The mean over a tick moves nearly the same air as its parts.
-    """
-    ends_s = np.append(t_s[1:], 2.0 * t_s[-1] - t_s[-2])
-    flown = np.concatenate([[0.0], np.cumsum(valve_v * (ends_s - t_s))])
-    edges_s = np.append(t_s, ends_s[-1])
-    wanted_s = np.append(true_s, 2.0 * true_s[-1] - true_s[-2])
-    reached = np.interp(wanted_s, edges_s, flown)
-    # Beyond the ends the first and the last command are held.
-    reached = reached + np.minimum(wanted_s - edges_s[0], 0.0) * valve_v[0]
-    reached = reached + np.maximum(wanted_s - edges_s[-1], 0.0) * valve_v[-1]
-    return np.asarray(np.diff(reached) / np.diff(wanted_s))
+
+def _find_input(drive: Drive, column: str) -> str | None:
+    """Return the field of a drive that a column other than the command is the input of."""
+    if column == "pressure_pa" and drive.pressed_pa is not None:
+        return "pressed_pa"
+    if drive.is_equation:
+        return "driven" if column == "position_m" else None
+    if drive.block == PRESSURE:
+        return "driven" if column == "position_m" and drive.has_position else None
+    return "driven" if column in ("force_n", "pressure_pa") else None
 
 
 def _scale_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     """Let a column show (1 + amount) times what is true."""
-    gain = 1.0 + amount
-    if suspect.number == "valve_v":
-        return replace(drive, valve_v=drive.valve_v / gain)
-    if drive.block == MECHANICS:
-        return alter(drive, gain=gain)
-    return replace(drive, driven=drive.driven / gain)
+    gain, column = 1.0 + amount, suspect.number
+    if column == "valve_v":
+        held_v = None if drive.held_v is None else drive.held_v / gain
+        return replace(drive, valve_v=drive.valve_v / gain, held_v=held_v)
+    if column == drive.channel:
+        start = drive.start / gain if column == "position_m" else drive.start
+        return alter(drive, gain=alter(drive).gain * gain, start=start)
+    field_name = _find_input(drive, column)
+    if field_name is None:
+        return drive
+    return replace(drive, **{field_name: getattr(drive, field_name) / gain})
 
 
 def _restore_command(suspect: Suspect, drive: Drive, amount: float) -> Drive:
@@ -229,7 +244,6 @@ CONSTANTS: dict[str, tuple[frozenset[str], float]] = {
     "stiffness_n_per_m": (frozenset({MECHANICS}), 1e-2),
     "kinetic_friction_per_m": (frozenset({MECHANICS}), 1e-2),
 }
-_DIRECT = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
 UNITS = {
     "rest_length_m": "m",
     "braid_length_m": "m",
@@ -261,20 +275,22 @@ def list_suspects(evidence: Evidence, at_bound: Collection[str] = ()) -> tuple[S
 
 
 def _list_constants(nominal: PlantSettings, at_bound: Collection[str]) -> Iterator[Suspect]:
-    muscle = nominal.actuator == "muscle"
+    acting = list_plant_numbers(nominal)
     free = {n for block in (PRESSURE, MECHANICS) for n in calibration_of(block, nominal)}
     for name, (blocks, scale) in CONSTANTS.items():
+        if name not in acting or not value_of(nominal, name):
+            continue
         if name in free and name not in at_bound:
             continue
-        if muscle or name in _DIRECT:
-            doses = (scale, -scale, 5.0 * scale, -5.0 * scale)
-            twins = _TWINS.get(name, frozenset())
-            low, high = (-0.15, 0.15) if name.endswith("length_m") else (-0.6, 1.5)
-            high = 30.0 if name == "mass_kg" else high
-            yield Suspect(
-                "plant_constant", name, UNITS[name], low, high, doses, scale, blocks, same_as=twins
-            )
-    if muscle:
+        doses = (scale, -scale, 5.0 * scale, -5.0 * scale)
+        low, high = (-0.15, 0.15) if name.endswith("length_m") else (-0.6, 1.5)
+        if name == "mass_kg" or nominal.actuator == "direct":
+            low, high = -0.97, 30.0
+        twins = _TWINS.get(name, frozenset()) if nominal.actuator == "muscle" else frozenset()
+        yield Suspect(
+            "plant_constant", name, UNITS[name], low, high, doses, scale, blocks, same_as=twins
+        )
+    if nominal.actuator != "direct":
         usual = nominal.parameters.atmospheric_pressure_pa
         low, high = LOWEST_ATMOSPHERE_PA / usual - 1.0, HIGHEST_ATMOSPHERE_PA / usual - 1.0
         for variant in ("gauge", "absolute"):
@@ -292,30 +308,77 @@ def _list_constants(nominal: PlantSettings, at_bound: Collection[str]) -> Iterat
 
 
 def _list_columns(evidence: Evidence) -> Iterator[Suspect]:
+    if evidence.nominal.actuator == "direct":
+        yield from _list_axis_columns(evidence)
+        return
     both, blocks = frozenset({PRESSURE, MECHANICS}), {*evidence.blocks}
+    moves = evidence.nominal.actuator == "muscle"
+    period_s = _period_s(evidence)
+    widest_v = 0.0
     if PRESSURE in blocks:
         widest_v = max(float(np.max(np.abs(d.valve_v))) for d in evidence.train[PRESSURE])
+    if widest_v:
         null = 0.1 * widest_v
         doses = (0.02 * null, -0.02 * null, 0.2 * null, -0.2 * null)
         yield Suspect(
             "null_offset", "valve_v", "V", -null, null, doses, 0.02 * null, frozenset({PRESSURE})
         )
-        yield _skew("valve_v", frozenset({PRESSURE}), frozenset({"command_delay"}), sign=-1.0)
+        # Where nothing moves, command and pressure are all that there is.
+        delays = frozenset({"command_delay"})
+        other = () if moves else ("skew of pressure_pa",)
+        early = _skew("valve_v", frozenset({PRESSURE}), period_s, delays, sign=-1.0)
+        yield replace(early, always_equal=other)
         yield _rate("valve_v", frozenset({PRESSURE}))
-        yield _skew("pressure_pa", both, frozenset())
+    if moves and (widest_v or blocks == both):
+        yield _skew("pressure_pa", both, period_s)
         yield _rate("pressure_pa", both)
     if blocks == both:
         yield Suspect(
             "scale", "position_m", "1", -0.6, 1.5, (0.01, -0.01, 0.05, -0.05), 0.01, both,
             same_as=frozenset({"encoder_scale"}),
         )  # fmt: skip
-        yield _skew("position_m", both, frozenset())
+        yield _skew("position_m", both, period_s)
         yield _rate("position_m", both)
 
 
-def _skew(column: str, blocks: frozenset[str], twins: frozenset[str], sign: float = 1.0) -> Suspect:
-    doses = tuple(sign * d for d in (5e-4, -5e-4, 2e-3, -2e-3))
-    return Suspect("skew", column, "s", -0.012, 0.012, doses, 2e-4, blocks, same_as=twins)
+def _list_axis_columns(evidence: Evidence) -> Iterator[Suspect]:
+    """Yield the columns of a mechanism that a measured force, a piston or both drive.
+
+    A column is late against the others: with one input, input and position are equal suspects.
+    Scales show only where a number is known that they would change.
+    """
+    own, nominal = frozenset({MECHANICS}), evidence.nominal
+    pressed = any(d.pressed_pa is not None for d in evidence.train.get(MECHANICS, ()))
+    inputs = [c for c in ("force_n", "pressure_pa") if c in evidence.noises]
+    inputs = [c for c in inputs if c == "force_n" or pressed]
+    alone = len(inputs) == 1
+    for column in (*inputs, *(() if alone else ("position_m",))):
+        skew, rate = _skew(column, own, _period_s(evidence)), _rate(column, own)
+        for suspect, word in ((skew, "skew"), (rate, "clock")):
+            yield replace(suspect, always_equal=(f"{word} of position_m",) if alone else ())
+    if {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "piston.area_m2"} & {*nominal.known}:
+        for column in ("force_n", "position_m"):
+            if column in evidence.noises:
+                doses = (0.02, -0.02, 0.2, -0.2)
+                yield Suspect("scale", column, "1", -0.97, 30.0, doses, 0.01, own)
+
+
+def _period_s(evidence: Evidence) -> float:
+    return float(np.median(next(iter(evidence.train.values()))[0].step_s))
+
+
+def _skew(
+    column: str,
+    blocks: frozenset[str],
+    period_s: float,
+    twins: frozenset[str] = frozenset(),
+    sign: float = 1.0,
+) -> Suspect:
+    """Return the suspect that a column is late: by milliseconds, or by some samples."""
+    unit_s = max(period_s, 1e-3)
+    doses = tuple(sign * d * unit_s for d in (0.5, -0.5, 2.0, -2.0))
+    most_s = 12.0 * unit_s
+    return Suspect("skew", column, "s", -most_s, most_s, doses, 0.2 * unit_s, blocks, same_as=twins)
 
 
 def _rate(column: str, blocks: frozenset[str]) -> Suspect:

@@ -20,15 +20,53 @@ from pamctl.diagnose.setup.suspects import (
     Kind,
     Suspect,
 )
-from pamctl.plant.model import PlantSettings
+from pamctl.plant.model import PlantSettings, values_of
 
-EQUAL_NUMBERS: tuple[tuple[str, ...], ...] = (
-    ("valve_gain_m2_per_v", "temperature_k", "gas_constant_j_per_kg_k", "braid_turns"),
-    ("stiffness_n_per_m", "damping_n_s_per_m", "kinetic_friction_per_m", "braid_turns"),
-    ("kinetic_friction_per_m", "braid_count", "braid_contact_area_m2"),
-)
-"""Numbers of a muscle of which no record shows more than a product: the air flows with
-K_Av n^2 sqrt(R T), the forces are 1 / n^2 against k and c, and mu_k, N and A_b are one factor."""
+_EQUAL: Mapping[str, tuple[tuple[str, ...], ...]] = {
+    "muscle": (
+        ("valve_gain_m2_per_v", "temperature_k", "gas_constant_j_per_kg_k", "braid_turns"),
+        ("stiffness_n_per_m", "damping_n_s_per_m", "kinetic_friction_per_m", "braid_turns"),
+        ("kinetic_friction_per_m", "braid_count", "braid_contact_area_m2"),
+    ),
+    "direct": (
+        (
+            "mass_kg",
+            "damping_n_s_per_m",
+            "stiffness_n_per_m",
+            "scale of position_m",
+            "scale of force_n",
+        ),
+    ),
+    "chamber": (
+        (
+            "valve_gain_m2_per_v",
+            "temperature_k",
+            "gas_constant_j_per_kg_k",
+            "chamber_volume_m3",
+            "scale of valve_v",
+        ),
+    ),
+}
+"""Numbers of which no record shows more than a product, by actuator.
+
+A muscle's air flows with K_Av n^2 sqrt(R T), its forces are 1 / n^2 against k and c, and mu_k, N
+and A_b are one factor. Motion and force of a mechanism, in any units, fit the same equation with
+another mass, damping and stiffness. A chamber fills with K_Av u sqrt(R T) / V.
+"""
+
+
+def list_equal_numbers(nominal: PlantSettings) -> tuple[tuple[str, ...], ...]:
+    """Return the groups of numbers that no record of this actuator tells apart.
+
+    A number that is 0 in the plant file, or known, is in none.
+    """
+    outside = {*nominal.known} if nominal.actuator != "muscle" else set()
+    values = values_of(nominal)
+    return tuple(
+        tuple(n for n in names if n not in outside and values.get(n) != 0.0)
+        for names in _EQUAL[nominal.actuator]
+        if nominal.actuator != "direct" or "mass_kg" not in outside
+    )
 
 
 @dataclass(frozen=True)

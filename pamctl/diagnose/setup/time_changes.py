@@ -15,10 +15,15 @@ import numpy as np
 from pamctl.diagnose.fitting.block_fit import Fit, fit_numbers, project_out
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.numbers import (
+    list_plant_numbers,
+    numbers_of_effect,
+    unit_of,
+    value_of,
+)
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.setup.suspects import OF_RECORD, UNITS, Suspect
 from pamctl.diagnose.setup.weighed_fit import SuspectFit, fit_suspect, score_suspect, weights_of
-from pamctl.plant.catalogue import CATALOGUE
 
 PROMISING = 0.5
 """Share of what is left that a profile must promise to be fitted."""
@@ -45,8 +50,12 @@ _NUMBERS: dict[str, tuple[tuple[str, float], ...]] = {
         ("damping_n_s_per_m", 1e-2),
         ("kinetic_friction_per_m", 1e-2),
         ("external_load.force_n", 0.5),
+        ("coulomb_friction.force_n", 0.5),
     ),
 }
+
+_OF_MECHANISM = frozenset({"coulomb_friction.force_n"})
+"""A muscle has its braid's friction in place of these."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,8 @@ def _fit_profile(base: Model, profile: _Profile) -> SuspectFit:
 
 def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
     fitted = base.fit_of(block)
+    if not fitted.drives[0].has_position:
+        return  # the whole rig runs then, and no piece of it can start from what was shown
     weight = weights_of(base, fitted)
     basis = np.linalg.qr(weight[:, None] * fitted.jacobian)[0]
     left = project_out(basis, weight * fitted.residual)
@@ -146,18 +157,22 @@ def _times_of(drive: Drive) -> Array:
 
 
 def _list_numbers(base: Model, block: str) -> Iterator[tuple[Suspect, float]]:
-    fitted = base.fit_of(block)
-    direct = base.evidence.nominal.actuator == "direct"
+    fitted, evidence = base.fit_of(block), base.evidence
+    acting = list_plant_numbers(evidence.nominal)
     for name, step in _NUMBERS[block]:
-        if direct and name == "kinetic_friction_per_m":
+        if name in _OF_MECHANISM and evidence.reach is None:
             continue
         low, high, unit = -0.8, 3.0, UNITS.get(name, "V")
         if "." in name:
             effect, number = name.split(".")
-            known = next(p for p in CATALOGUE[effect].parameters if p.name == number)
-            low, high, unit = known.low, known.high, known.unit
+            (known,) = numbers_of_effect(effect, {number}, evidence.nominal, evidence.reach)
+            low, high, unit = known.low, known.high, unit_of(known)
+            if evidence.reach is not None:  # of a mechanism of any size
+                step = known.scale
             if getattr(fitted.settings.effects, effect) is None and low == 0.0:
                 low = 1e-3 * step
+        elif name != "valve_v" and not (name in acting and value_of(evidence.nominal, name) != 0.0):
+            continue
         yield (
             Suspect("drift", name, unit, low, high, (step,), step, frozenset({block})),
             step,

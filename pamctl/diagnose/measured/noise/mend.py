@@ -6,6 +6,7 @@ count, mains hum is taken off.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
@@ -30,26 +31,38 @@ class SensorFault(NamedTuple):
     """What was found, with the number and its unit, and what was done about it."""
 
 
-def mend_record(record: Record) -> tuple[Record, list[SensorFault]]:
-    """Return the record without what can be mended, and what was found.
+def mend_records(records: Sequence[Record]) -> tuple[list[Record], list[SensorFault]]:
+    """Return the records of a rig without what can be mended, and what was found.
 
     A record that cannot be used at all is returned as it is: the checks of the data refuse it.
     """
-    sensors = [c for c in record.channels if c != "valve_v"]
+    mended, faults = [*records], list[SensorFault]()
+    usable = [k for k, record in enumerate(records) if _is_usable(record)]
+    grids = find_regular_times([records[k] for k in usable])
+    for k, times in zip(usable, grids, strict=True):
+        record = records[k]
+        if times is not None:
+            scatter_s = float(np.std(record.t_s - times))
+            says = f"{record.name}: the time stamps scatter by {scatter_s * 1e3:.3g} ms while the "
+            says += "samples are regular; the regular grid is used"
+            faults.append(SensorFault("t_s", "jitter", says))
+            record = replace(record, t_s=times)
+        mended[k], found = _mend_channels(record)
+        faults += found
+    return mended, faults
+
+
+def _is_usable(record: Record) -> bool:
     usable = len(record) >= 100 and bool(np.all(record.step_s > 0.0))
-    if not usable or not all(np.isfinite(record[c]).all() for c in record.channels):
-        return record, []
+    return usable and all(np.isfinite(record[c]).all() for c in record.channels)
+
+
+def _mend_channels(record: Record) -> tuple[Record, list[SensorFault]]:
+    """Bridge outliers and dropouts, and take off hum."""
     faults: list[SensorFault] = []
-    times = find_regular_times(record)
-    if times is not None:
-        scatter_s = float(np.std(record.t_s - times))
-        says = f"{record.name}: the time stamps scatter by {scatter_s * 1e3:.3g} ms while the "
-        says += "samples are regular; the regular grid is used"
-        faults.append(SensorFault("t_s", "jitter", says))
-        record = replace(record, t_s=times)
     counts = np.ones(len(record), np.bool_)
     mended: dict[str, Any] = {}
-    for channel in sensors:
+    for channel in (c for c in record.channels if c != "valve_v"):
         spikes, dropouts = find_outliers(record, channel)
         lost = spikes | dropouts
         counts &= ~lost

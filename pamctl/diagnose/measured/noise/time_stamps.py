@@ -6,6 +6,7 @@ that moves then looks noisy on its stamps and smooth on a regular grid.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -28,17 +29,32 @@ SURE = 4.0
 """By how many of its own standard errors the difference must be away from zero."""
 
 
-def find_regular_times(record: Record) -> Array | None:
-    """Return the times of a regular grid if it explains the signals better; otherwise None."""
+def find_regular_times(records: Sequence[Record]) -> list[Array | None]:
+    """Return for each record the times of a regular grid, or None where its stamps are to be used.
+
+    The grid is used where it explains the signals better. One program stamped all records: if it
+    does so in one, it is also used where a slow or noisy signal does not tell.
+    """
+    grids = [_find_grid(record) for record in records]
+    verdicts = [
+        {0}
+        if grid_s is None
+        else {_compare(r[c], r.t_s, grid_s) for c in r.channels if c != "valve_v"}
+        for r, grid_s in zip(records, grids, strict=True)
+    ]
+    is_sure = any(1 in v and -1 not in v for v in verdicts)
+    return [
+        grid_s if is_sure and -1 not in v else None
+        for grid_s, v in zip(grids, verdicts, strict=True)
+    ]
+
+
+def _find_grid(record: Record) -> Array | None:
+    """Return the grid that a record's stamps scatter about; None where they do not."""
     grid_s = _fit_grid(record.t_s, record.period_s)
     if grid_s is None or float(np.std(record.t_s - grid_s)) < LEAST_SCATTER * record.period_s:
         return None
-    verdicts = [
-        _compare(record[channel], record.t_s, grid_s)
-        for channel in record.channels
-        if channel != "valve_v"
-    ]
-    return grid_s if any(v > 0 for v in verdicts) and not any(v < 0 for v in verdicts) else None
+    return grid_s
 
 
 def cut_even_stretches(record: Record) -> list[slice]:

@@ -23,7 +23,11 @@ from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.altered_drive import PlantChange, add_change
 from pamctl.diagnose.setup.refused_columns import explain_refusal
-from pamctl.diagnose.setup.suspect_setup import CheckedSetup, suspect_setup
+from pamctl.diagnose.setup.suspect_setup import (
+    CheckedSetup,
+    suspect_air_first,
+    suspect_setup,
+)
 from pamctl.diagnose.setup.suspects import (
     act_earlier,
     find_decimation,
@@ -85,6 +89,30 @@ def test_a_valve_that_is_closed_off_zero_is_found_and_corrected(null_v: float) -
     assert finding.value == pytest.approx(-null_v, abs=5e-4)
     assert not setup.base.unexplained
     assert finding.cannot_be_told_from == ()
+
+
+def _ask_air_first(runs: Runs) -> CheckedSetup | None:
+    evidence = prepare_evidence(*runs, PAPER)
+    alone = recalibrate(evidence.select_blocks({PRESSURE}))
+    return suspect_air_first(alone, evidence, *runs, FirstLevel(list_candidates(evidence)))
+
+
+def test_a_fault_of_the_valve_is_corrected_before_its_effects_are_sought() -> None:
+    setup = _ask_air_first(_record(hidden_rig({"creep": 10}, seed=4), null_v=0.1))
+    assert setup is not None
+    assert [f.kind for f in setup.findings] == ["null_offset"]
+    assert PRESSURE not in setup.base.unexplained
+    assert MECHANICS in setup.base.unexplained
+    assert all((d.valve_v[0] > -1.0) for d in setup.base.evidence.train[PRESSURE])
+
+
+def test_what_both_blocks_must_answer_is_not_decided_by_the_pressure_alone() -> None:
+    def delay(record: Record) -> Record:
+        rows = np.clip(np.arange(len(record)) - 3, 0, len(record) - 1)
+        return replace(record, pressure_pa=record["pressure_pa"][rows])
+
+    assert _ask_air_first(_record(hidden_rig(seed=5), delay)) is None
+    assert _ask_air_first(_record(hidden_rig({"valve_deadband": 3}, seed=9))) is None
 
 
 @pytest.mark.parametrize("late_ticks", [2, -3])

@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 from weakref import WeakKeyDictionary
 
 from pamctl.diagnose.fitting.block_fit import Fit, rms
-from pamctl.diagnose.fitting.drives import PRESSURE, Drive
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
@@ -203,7 +203,7 @@ def _fit_promising(base: Model, effects: EffectRivals) -> list[SuspectFit]:
     at_bound = {name for f in base.fits.values() for name in f.at_bound}
     asked = [s for s in list_suspects(base.evidence, at_bound) if _may_matter(base, s)]
     fits = _fit_most_promising(base, asked, effects)
-    if not any(f.is_good for f in fits) and "braid_length_m" in at_bound:
+    if not any(f.is_good for f in fits) and _has_strained_length(base):
         # Derivatives promise nothing where a number is at its bound.
         known = {f.suspect.key for f in fits}
         fits += [
@@ -212,6 +212,14 @@ def _fit_promising(base: Model, effects: EffectRivals) -> list[SuspectFit]:
             if s.number in GEOMETRY and s.key not in known
         ]
     return [*fits, *wholesale]
+
+
+def _has_strained_length(base: Model) -> bool:
+    """Tell whether every block above its limit strains its length; and the mechanics, which show a
+    wrong length first. An effect of the air strains the length of the pressure block alone.
+    """
+    asked = {*base.unexplained, MECHANICS} & {*base.evidence.blocks}
+    return all("braid_length_m" in base.fit_of(b).at_bound for b in asked)
 
 
 def _fit_most_promising(

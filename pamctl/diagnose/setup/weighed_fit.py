@@ -9,7 +9,15 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
-from pamctl.diagnose.fitting.block_fit import LONG_STEP, STEP, Fit, project_out, rms, sensitivity
+from pamctl.diagnose.fitting.block_fit import (
+    LONG_STEP,
+    NOT_ENDED,
+    STEP,
+    Fit,
+    project_out,
+    rms,
+    sensitivity,
+)
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import FORM_SHARE, Model
 from pamctl.diagnose.fitting.numbers import value_of, with_values
@@ -17,7 +25,11 @@ from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.setup.suspects import CONSTANTS, Suspect
 from pamctl.plant.model import PlantSettings
 
+FIRST_EVALUATIONS = 4
 EVALUATIONS = 15
+HOPELESS_SHARE = 0.7
+"""A descent that has left more than this share of the base's squares in every fit after its first
+evaluations ends there."""
 ROBUST = 10.0
 """Residuals above this multiple of the usual one count linearly, as in every fit."""
 STRETCH_S = 1.0
@@ -192,19 +204,25 @@ def _descend(
     vector = problem.vector_at(start)
     for length in dict.fromkeys((step, STEP)):
         problem.step = length
-        vector = least_squares(
-            problem.residual_at,
-            vector,
-            problem.jacobian_at,
-            bounds=(problem.low, problem.high),
-            method="dogbox",
-            loss="soft_l1",
-            f_scale=problem.knee,
-            ftol=1e-4,
-            xtol=1e-6,
-            gtol=1e-10,
-            max_nfev=EVALUATIONS,
-        ).x
+        for evaluations in (FIRST_EVALUATIONS, EVALUATIONS):
+            result = least_squares(
+                problem.residual_at,
+                vector,
+                problem.jacobian_at,
+                bounds=(problem.low, problem.high),
+                method="dogbox",
+                loss="soft_l1",
+                f_scale=problem.knee,
+                ftol=1e-4,
+                xtol=1e-6,
+                gtol=1e-10,
+                max_nfev=evaluations,
+            )
+            vector = result.x
+            if result.status != NOT_ENDED or problem.is_hopeless(result.fun):
+                break
+        if problem.is_hopeless(result.fun):
+            break
     amount = float(vector[-1]) * suspect.scale
     fits = {}
     for blocks, fitted, plant in zip(
@@ -257,8 +275,18 @@ class _Problem:
         residual = np.concatenate(
             [w * f.residual for w, f in zip(self.weights, self.fits, strict=True)]
         )
+        self.before = [float(r @ r) for r in self._split(residual)]
         self.knee = ROBUST * max(float(np.median(np.abs(residual))) / 0.6745, 1.0)
         self._last: tuple[Array, Array] | None = None
+        self._last_slope: tuple[tuple[float, bytes], Array] | None = None
+
+    def _split(self, residual: Array) -> list[Array]:
+        return np.split(residual, np.cumsum([len(w) for w in self.weights])[:-1])
+
+    def is_hopeless(self, residual: Array) -> bool:
+        """Tell whether hardly anything of any fit is explained."""
+        parts = zip(self._split(residual), self.before, strict=True)
+        return all(float(r @ r) > HOPELESS_SHARE * before for r, before in parts)
 
     def vector_at(self, amount: float) -> Array:
         """Return the start's numbers with an amount of the suspect, in scales."""
@@ -299,6 +327,9 @@ class _Problem:
             if known is not None and np.array_equal(known[0], vector)
             else self.residual_at(vector)
         )
+        key = (self.step, vector.tobytes())
+        if self._last_slope is not None and self._last_slope[0] == key:
+            return self._last_slope[1].copy()  # the optimiser scales its argument in place
         step = 0.3 if vector[-1] + 0.3 < self.high[-1] else -0.3
         moved = vector.copy()
         moved[-1] += step
@@ -314,6 +345,7 @@ class _Problem:
             own = sensitivity(drives, settings, fitted.free, residual[rows] / weight, self.step)
             slope[rows, column : column + own.shape[1]] = weight[:, None] * own
             row, column = row + len(weight), column + own.shape[1]
+        self._last_slope = (key, slope.copy())
         return slope
 
     def half_interval(self, vector: Array) -> float:

@@ -285,7 +285,7 @@ def _count_model_steps(limits: Limits, dt_s: float) -> int:
     """
     if not limits.pressure_model_step_s < dt_s < math.inf:
         return 1
-    return min(math.ceil(dt_s / limits.pressure_model_step_s), MOST_MODEL_STEPS)
+    return math.ceil(min(dt_s / limits.pressure_model_step_s, float(MOST_MODEL_STEPS)))
 
 
 def _follow_pressure(

@@ -607,7 +607,7 @@ def test_card_and_simulation_give_the_same_ticks(card: Card) -> None:
     assert (
         ending
         == simulated.ending
-        == Ending(ExitCode.OK, "the duration of 3 s ended the experiment of 37 s")
+        == Ending(ExitCode.OK, "the duration of 1 s ended the experiment of 37 s")
     )
     assert len(journal.ticks) == len(simulated.journal.ticks)
     assert len(journal.phase(Phase.APPROACH)) == 1000

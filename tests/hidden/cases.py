@@ -175,9 +175,10 @@ def own_cases() -> Iterator[Case]:
 
 
 def damaged_cases() -> Iterator[Case]:
-    """Records that must be refused, and one with overruns that must be accepted."""
-    for damage in ("clipped", "millimetres", "gap", "shifted", "stuck"):
+    """Records that must be refused, and two with holes that must be accepted."""
+    for damage in ("clipped", "millimetres", "shifted", "stuck"):
         yield Case(f"bad/{damage}", "bad", {"valve_deadband": 5}, damage=damage)
+    yield Case("odd/gap", "odd", {"valve_deadband": 5}, damage="gap")
     yield Case("odd/missed_ticks", "odd", {"valve_deadband": 5}, damage="missed_ticks")
 
 

@@ -1,0 +1,113 @@
+"""The points of a table: a column of times and a column of values, in a CSV or a MAT file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.control.references.forms import MOST_ROWS
+from pamctl.log.importing.csv_table import read_csv
+from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
+from pamctl.log.importing.quantities import TIME, UNITS, ColumnReading, parse_column_name
+from pamctl.regular_file import describe_irregular_file
+
+Floats = NDArray[np.float64]
+
+LARGEST_FILE = 50_000_000
+_QUANTITIES = {"table": ("position_m", "mm"), "valve_table": ("valve_v", "V")}
+_KEYS = {"table": "values_mm", "valve_table": "values_v"}
+
+
+def read_points(table: dict[str, Any], path: Path) -> None:
+    """Put the points of a file into the keys of its table; raise ValueError with the reason."""
+    try:
+        _put_points(table, path)
+    except ImportRefused as refusal:
+        raise ValueError(str(refusal)) from refusal
+
+
+def _put_points(table: dict[str, Any], path: Path) -> None:
+    columns = _read_columns(path)
+    quantity, unit = _QUANTITIES[table["kind"]]
+    time = _choose_column(columns, TIME, table.get("time_column"), None, "time_column")
+    value = _choose_column(
+        columns, quantity, table.get("value_column"), table.get("unit"), "value_column"
+    )
+    every = table.get("every", 1)
+    step = every if isinstance(every, int) and every > 0 else 1
+    t_s = time.to_si(columns[time.column])
+    values = value.to_si(columns[value.column]) / UNITS[quantity][unit]
+    if len(t_s) != len(values):
+        raise ValueError(f"{path}: {len(t_s)} times, but {len(values)} values")
+    _require_points(path, t_s, values, columns.rows)
+    t_s, values = t_s[::step], values[::step]
+    if len(t_s) > MOST_ROWS:
+        enough = step * -(-len(t_s) // MOST_ROWS)
+        raise ValueError(
+            f"{path} has {len(t_s)} points, more than {MOST_ROWS}; take each n-th row with "
+            f"every: {enough}"
+        )
+    # Nanoseconds and picometres: shorter in every log.
+    table["t_s"] = [round(t, 9) for t in (t_s - t_s[0]).tolist()]
+    table[_KEYS[table["kind"]]] = [round(v, 9) for v in values.tolist()]
+
+
+def _read_columns(path: Path) -> MeasuredTable:
+    irregular = describe_irregular_file(path)
+    if irregular:
+        raise ValueError(f"cannot read {path}: it is {irregular}")
+    if path.suffix.lower() not in (".csv", ".mat"):
+        raise ValueError(f"{path} is neither a .csv nor a .mat file")
+    if path.is_file() and path.stat().st_size > LARGEST_FILE:
+        size_mb = path.stat().st_size / 1e6
+        raise ValueError(
+            f"{path} has {size_mb:.0f} MB, more than {LARGEST_FILE / 1e6:.0f}; a table takes "
+            f"{MOST_ROWS} points at most"
+        )
+    if path.suffix.lower() == ".csv":
+        return read_csv(path)
+    # SciPy is slow to load, and a CSV file does not need it.
+    from pamctl.log.importing.mat_table import read_mat
+
+    return read_mat(path)
+
+
+def _choose_column(
+    columns: MeasuredTable, quantity: str, wanted: str | None, unit: str | None, key: str
+) -> ColumnReading:
+    """Return how to read the column of a quantity; raise ValueError where it is not clear."""
+    units = UNITS[quantity]
+    if unit is not None and unit not in units:
+        raise ValueError(f"the unit {unit!r} is none of {', '.join(units)}")
+    if wanted is not None:
+        _ = columns[wanted]
+        named = parse_column_name(wanted)
+        if unit is None and named is not None and named.quantity == quantity:
+            return named
+        if unit is None and quantity != TIME:
+            raise ValueError(f"the name of {wanted!r} states no unit; give unit")
+        return ColumnReading(quantity, wanted, unit or "s")
+    named_so = [parse_column_name(name, columns.called.get(name, "")) for name in columns.columns]
+    found = [reading for reading in named_so if reading and reading.quantity == quantity]
+    if len(found) != 1:
+        listed = ", ".join(columns.columns)
+        how_many = "no column's name states" if not found else "more than one column's name states"
+        raise ValueError(f"{how_many} this quantity with its unit: {listed}; give {key}")
+    return found[0] if unit is None else ColumnReading(quantity, found[0].column, unit)
+
+
+def _require_points(path: Path, t_s: Floats, values: Floats, rows: NDArray[np.int64]) -> None:
+    if len(t_s) < 2:
+        raise ValueError(f"{path} has {len(t_s)} row; a table needs two at least")
+    bad = np.flatnonzero(~(np.isfinite(t_s) & np.isfinite(values)))
+    if len(bad):
+        raise ValueError(f"{path}:{rows[bad[0]]}: {len(bad)} rows hold no finite number")
+    back = np.flatnonzero(np.diff(t_s) <= 0)
+    if len(back):
+        at = int(back[0]) + 1
+        raise ValueError(
+            f"{path}:{rows[at]}: time must rise, but {t_s[at]:g} s follows {t_s[at - 1]:g} s"
+        )

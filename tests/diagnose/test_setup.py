@@ -185,6 +185,9 @@ def test_refused_records_say_which_column_is_read_wrongly() -> None:
     assert [(f.kind, f.number) for f in explain_refusal(gauge, PAPER)] == [("gauge", "pressure_pa")]
     spoiled = [replace(r, pressure_pa=np.full(len(r), np.nan)) for r in records]
     assert explain_refusal(spoiled, PAPER) == ()
+    unlike = [records[0], replace(records[1], pressure_pa=None)]
+    assert explain_refusal(unlike, PAPER) == ()
+    assert explain_refusal([], PAPER) == ()
 
 
 def test_a_number_that_changes_at_an_instant_is_simulated_as_two_plants_in_a_row() -> None:

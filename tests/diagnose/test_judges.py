@@ -175,6 +175,17 @@ def test_an_imposed_motion_is_judged_by_its_equation_as_a_straight_least_squares
     assert model.rms[MECHANICS] < model.floors[MECHANICS].limit
 
 
+def test_a_late_pressure_that_hides_the_mass_is_judged_in_windows() -> None:
+    """A late pressure turns damping into a negative mass: c v(t - T) = c v - c T a."""
+    record = imposed_motion(1)
+    late_pa = np.roll(101.3e3 + record["force_n"] / 5e-4, 3)
+    records = [replace(record, force_n=None, pressure_pa=late_pa)]
+    judge = prepare_evidence(records, records, axis(piston={"area_m2": 5e-4})).judge[MECHANICS]
+    assert (judge.kind, judge.velocity_time_s) == (JudgeKind.WINDOWS, 0.0)
+    assert judge.horizon_s is not None
+    assert 0.0 < judge.horizon_s < 3.0
+
+
 def sealed_chamber(seed: int, leak_m2: float = 0.0, *, with_valve: bool = True) -> Record:
     """Fill a muscle to 3 bar, close its valve, and move it."""
     t_s = 1e-3 * np.arange(8000)

@@ -269,12 +269,12 @@ def _simulate_drift_m(noise: Noise, balance: Balance, period_s: float, samples: 
     force_n = noise.simulate_sensor(
         np.zeros(DRAWN_WINDOWS * max(samples, 2 * SHORTEST_HORIZON)), np.random.default_rng(11)
     )
-    kept = float(np.exp(-period_s / balance.velocity_time_s))
-    gain = (
-        -np.expm1(-period_s / balance.velocity_time_s) * balance.velocity_time_s / balance.mass_kg
-        if np.isfinite(balance.velocity_time_s)
-        else period_s / balance.mass_kg
-    )
-    velocity: Array = lfilter([gain], [1.0, -kept], force_n - force_n.mean())
+    time_s = balance.velocity_time_s
+    lost = -float(np.expm1(-period_s / time_s)) if time_s else 1.0  # of a velocity in a period
+    if np.isfinite(time_s):  # without a mass too; the sign of a column does not matter
+        gain = lost / max(abs(balance.damping_n_s_per_m), 1e-300)
+    else:
+        gain = period_s / balance.mass_kg
+    velocity: Array = lfilter([gain], [1.0, lost - 1.0], force_n - force_n.mean())
     drift: Array = np.cumsum(velocity) * period_s
     return drift

@@ -54,7 +54,9 @@ class _Reading:
 
 def explain_refusal(records: Sequence[Record], plant: PlantSettings) -> tuple[SetupFinding, ...]:
     """Return the reading of one column that makes refused records fit, if there is one."""
-    if not records or plant.actuator == "direct":  # its numbers are guesses: nothing to compare
+    if plant.actuator == "direct":  # its numbers are guesses: nothing to compare
+        return ()
+    if len({record.channels for record in records}) != 1:  # no reading mends that
         return ()
     likely = []
     for reading in _list_readings(records, plant):
@@ -104,9 +106,9 @@ def _list_readings(records: Sequence[Record], plant: PlantSettings) -> Iterator[
 def _measure_unlikeness(records: Sequence[Record], plant: PlantSettings) -> float:
     """Return what the plant file's model leaves of the worse signal, as a share of it."""
     evidence = prepare_evidence(records, records, plant)
-    shares = [1.0]
+    shares = []
     for drives in evidence.train.values():
         left = rms(stack_residuals(drives, plant)) * drives[0].deviation
         span = float(np.std(np.concatenate([d.measured for d in drives])))
         shares.append(left / span if span else 1.0)
-    return max(shares[1:], default=1.0)
+    return max(shares, default=1.0)

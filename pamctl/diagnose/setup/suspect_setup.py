@@ -367,12 +367,13 @@ def _correct_constant(evidence: Evidence, suspect: Suspect, amount: float) -> Ev
     if suspect.number != ATMOSPHERE:
         return replace(evidence, nominal=nominal, together={})
 
+    shift = after - before if suspect.variant == "gauge" else 0.0
+
     def move(drives: Iterable[Drive]) -> tuple[Drive, ...]:
         moved = []
         for drive in drives:
-            start = after if drive.start == before else drive.start
-            shift = after - before if suspect.variant == "gauge" else 0.0
-            if drive.block == "pressure":
+            start = after if drive.start == before else drive.start + shift
+            if drive.block == PRESSURE:
                 drive = replace(drive, start=start, measured=drive.measured + shift)
             else:
                 drive = replace(drive, driven=drive.driven + shift)

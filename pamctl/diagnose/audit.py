@@ -224,7 +224,7 @@ def _describe_blind_spot(candidate: Candidate, power: float) -> BlindSpot:
     size = switch.scale
     effect = CATALOGUE[candidate.name]
     dose = f"{size:g} {unit_of(switch)}".rstrip()
-    if neutral := look_up_parameter(switch).neutral:
+    if neutral := look_up_parameter(switch.name).neutral:
         dose += f" away from {neutral:g}"
     why = f"a size of {dose} stays below the floor's limit"
     visible_from = _find_visible_size(switch, size, power)

@@ -5,12 +5,11 @@ Before that, names that spoil the coupled simulation are withdrawn.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.name import Naming
 from pamctl.diagnose.naming.search import closed_share
 from pamctl.diagnose.naming.verdict import Verdict
@@ -34,9 +33,9 @@ class Confirmation:
     """Share of the way to the limit that the effects go, by block that they reach."""
 
 
-def confirm_naming(naming: Naming, holdout: Sequence[Record], confirming: Evidence) -> Confirmation:
+def confirm_naming(naming: Naming, confirming: Evidence) -> Confirmation:
     """Test a naming on the samples that `confirming` holds out, and measure its figures there."""
-    naming, coupled = _withdraw_spoilers(naming, holdout)
+    naming, coupled = _withdraw_spoilers(naming)
     chosen = naming
     refuted = _list_refuted(naming, confirming)
     if refuted:
@@ -49,7 +48,7 @@ def confirm_naming(naming: Naming, holdout: Sequence[Record], confirming: Eviden
         less = Verdict.NONE_KNOWN if naming.verdict in SILENT else Verdict.PARTIAL
         naming = replace(naming, verdict=less)
     if naming.model is not chosen.model:
-        coupled = compare_coupled(naming.base, naming.model, holdout)
+        coupled = compare_coupled(naming.base, naming.model)
     reached = {block for effect in model.effects for block in effect.blocks}
     return Confirmation(
         naming,
@@ -65,12 +64,10 @@ def _count_on(model: Model, base: Model, confirming: Evidence) -> Model:
     return replace(model, evidence=confirming, root=base)
 
 
-def _withdraw_spoilers(
-    naming: Naming, holdout: Sequence[Record]
-) -> tuple[Naming, CoupledComparison]:
+def _withdraw_spoilers(naming: Naming) -> tuple[Naming, CoupledComparison]:
     """Withdraw names that make the coupled simulation worse."""
     while True:
-        coupled = compare_coupled(naming.base, naming.model, holdout)
+        coupled = compare_coupled(naming.base, naming.model)
         worse = coupled.list_worse_blocks(naming.base.evidence)
         spoilers = find_spoilers(naming.model, worse)
         if not spoilers:

@@ -6,7 +6,6 @@ where it does not make the held-out gap smaller.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pamctl.diagnose.fitting.block_fit import rms
@@ -16,7 +15,6 @@ from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.held_out_rms import simulate_held_out
 from pamctl.diagnose.fitting.numbers import with_values
 from pamctl.diagnose.fitting.table_fit import fit_correction_table
-from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.plant.model import PlantSettings
 
@@ -61,14 +59,14 @@ class CorrectionResult:
 
 
 def add_correction_tables(
-    model: Model, plant: PlantSettings, holdout: Sequence[Record], confirming: Evidence
+    model: Model, plant: PlantSettings, confirming: Evidence
 ) -> CorrectionResult:
     """Add a table to `plant` for each block that `model` leaves above its limit.
 
     The choice is made on the model's evidence, the figures rest on `confirming`.
     """
     evidence = model.evidence
-    before = simulate_held_out(evidence, holdout, plant)
+    before = simulate_held_out(evidence, plant)
     kept, blocks, refused = plant, [], []
     for block in model.unexplained:
         table = fit_correction_table(evidence.train[block], kept)
@@ -81,7 +79,7 @@ def add_correction_tables(
                 f"a table for the {block} leaves {left[1] / left[0]:.2f} times what was left "
                 "of the held-out records"
             )
-    after = simulate_held_out(evidence, holdout, kept)
+    after = simulate_held_out(evidence, kept)
     old, new = before.measure_rms(evidence), after.measure_rms(evidence)
     if worse := [name for name in new if new[name] > old[name] + SMALLEST_MISFIT[name]]:
         refused = [f"tables for {' and '.join(blocks)} make the coupled gap of {worse[0]} larger"]

@@ -6,7 +6,7 @@ became better shows only when the command alone drives it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,6 @@ from pamctl.diagnose.fitting.evidence import SMALLEST_MISFIT, Evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import Floor
 from pamctl.diagnose.fitting.held_out_rms import HeldOutErrors, simulate_held_out
-from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.naming.stretches import average_squares, is_clearly_less
 
 EQUAL_SHARE = 1.05
@@ -109,11 +108,11 @@ def _find_floor(part: Evidence, floor: Floor, channel: str) -> float:
     return part.noises[channel].total
 
 
-def compare_coupled(base: Model, model: Model, holdout: Sequence[Record]) -> CoupledComparison:
+def compare_coupled(base: Model, model: Model) -> CoupledComparison:
     """Simulate start model, recalibrated and extended model over the held-out records.
 
     Where the records drive only one block, that block's own output is compared.
     """
     evidence = base.evidence
     plants = (evidence.nominal, assemble_plant(base), assemble_plant(model))
-    return CoupledComparison(*(simulate_held_out(evidence, holdout, plant) for plant in plants))
+    return CoupledComparison(*(simulate_held_out(evidence, plant) for plant in plants))

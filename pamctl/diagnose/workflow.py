@@ -110,7 +110,7 @@ def diagnose(
     naming = name_effects(setup.base, candidates, executor, progress, known)
     naming, setup = ask_beside(naming, setup, candidates, executor, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
-    found = confirm_naming(naming, setup.holdout, confirming)
+    found = confirm_naming(naming, confirming)
     on = describe_confirmation(confirming, is_cut=is_cut)
     diagnosis = _conclude(
         found, on, confirming, setup.train, setup.holdout, candidates, correction=correction
@@ -223,7 +223,7 @@ def _conclude(
     if naming.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
         remainder = regress_remainder(model, max(model.evidence.blocks, key=model.ratio))
         if correction:
-            tables = add_correction_tables(model, plant, holdout, confirming)
+            tables = add_correction_tables(model, plant, confirming)
     if tables and tables.blocks:
         gap = {name: replace(level, corrected=tables.after[name]) for name, level in gap.items()}
     is_open = naming.verdict in (Verdict.PARTIAL, Verdict.AMBIGUOUS)

@@ -68,7 +68,7 @@ def test_a_change_of_the_confirming_samples_changes_no_residual_that_chooses() -
 def test_the_coupled_gap_counts_the_samples_of_the_part_only() -> None:
     train, (held,) = pair()
     evidence = prepare_evidence(train, [held], PAPER)
-    errors = simulate_held_out(evidence, [held], PAPER)
+    errors = simulate_held_out(evidence, PAPER)
     parts = [keep(evidence, is_cut=False) for keep in (keep_for_choice, keep_for_confirmation)]
     sizes = [len(errors.select(part)["pressure_pa"]) for part in parts]
     assert sum(sizes) == len(held)

@@ -155,7 +155,7 @@ def test_a_table_that_makes_the_held_out_gap_larger_is_left_out(monkeypatch) -> 
     bad = found.plant.model_copy(update={"parameters": worse})
     monkeypatch.setattr(pamctl.diagnose.extend, "fit_correction_table", lambda drives, plant: bad)
     assert found.base is not None
-    kept = add_correction_tables(found.base, before, found.holdout, found.base.evidence)
+    kept = add_correction_tables(found.base, before, found.base.evidence)
     assert kept.plant == before
     assert kept.after == kept.before
     assert "left out of the model" in describe_correction(kept)

@@ -55,12 +55,12 @@ class Candidate:
     @property
     def switches(self) -> tuple[FreeNumber, ...]:
         """The numbers that switch it on."""
-        return tuple(f for f in self.free if look_up_parameter(f).role == "size")
+        return tuple(f for f in self.free if look_up_parameter(f.name).role == "size")
 
     @property
     def shapes(self) -> tuple[FreeNumber, ...]:
         """The numbers that only shape it."""
-        return tuple(f for f in self.free if look_up_parameter(f).role == "shape")
+        return tuple(f for f in self.free if look_up_parameter(f.name).role == "shape")
 
 
 def list_candidates(evidence: Evidence, without: Collection[str] = ()) -> tuple[Candidate, ...]:
@@ -175,7 +175,7 @@ def _vary_shapes(candidate: Candidate, settings: PlantSettings) -> Iterator[dict
 
 def _usual_shape(number: FreeNumber, settings: PlantSettings) -> float:
     """Return the usual value of a shape, or else the plant's value."""
-    start = look_up_parameter(number).start if number.usual is None else number.usual
+    start = look_up_parameter(number.name).start if number.usual is None else number.usual
     return start if number.low < start < number.high else value_of(settings, number.name)
 
 

@@ -172,7 +172,7 @@ class Model:
         """Tell whether one of the effect's sizes is large enough for a name."""
         values = {n: v for fitted in self.fits.values() for n, v in fitted.values.items()}
         return any(
-            abs(values[s.name] - look_up_parameter(s).neutral) >= LEAST_SIZE * s.scale
+            abs(values[s.name] - look_up_parameter(s.name).neutral) >= LEAST_SIZE * s.scale
             for s in effect.switches
         )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +10,14 @@ import numpy as np
 from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence
-from pamctl.diagnose.measured.record import Array, Record
-from pamctl.plant.drive import SampleGrid, build_grid, drive_coupled
+from pamctl.diagnose.measured.record import Array
+from pamctl.plant.drive import drive_coupled
 from pamctl.plant.model import PlantSettings, plant_parameters
 
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """The errors of one plant over whole held-out records, in SI.
+    """One plant's simulation of whole held-out records, and its errors, in SI.
 
     Both blocks are simulated coupled, from the command alone. Where the records drive only one
     block, that block's own output is compared.
@@ -46,9 +46,7 @@ def _error_of(drive: Drive, simulated: Array) -> Array:
     return drive.residual_of(simulated) * drive.deviation
 
 
-def simulate_held_out(
-    evidence: Evidence, holdout: Sequence[Record], plant: PlantSettings
-) -> HeldOutErrors:
+def simulate_held_out(evidence: Evidence, plant: PlantSettings) -> HeldOutErrors:
     """Simulate a plant over the held-out records."""
     if len(evidence.blocks) < 2:
         (block,) = evidence.blocks
@@ -56,24 +54,11 @@ def simulate_held_out(
         channel = drives[0].channel
         return HeldOutErrors({channel: tuple(d.simulate(plant) for d in drives)}, {channel: block})
     p = plant_parameters(plant)
-    driven = [
-        drive_coupled(p, record["valve_v"], _build_coupled_grid(record, drive))
-        for record, drive in zip(holdout, evidence.holdout[MECHANICS], strict=True)
-    ]
+    driven = [drive_coupled(p, drive.valve_v, drive.grid) for drive in evidence.holdout[PRESSURE]]
     return HeldOutErrors(
         {
             "position_m": tuple(run.position_m for run in driven),
             "pressure_pa": tuple(run.pressure_pa for run in driven),
         },
         {"position_m": MECHANICS, "pressure_pa": PRESSURE},
-    )
-
-
-def _build_coupled_grid(record: Record, drive: Drive) -> SampleGrid:
-    return build_grid(
-        record.step_s,
-        len(record),
-        drive.steps,
-        acts_after_s=record.acts_after_s,
-        held_v=record.held_v,
     )

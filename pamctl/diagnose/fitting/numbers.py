@@ -153,7 +153,7 @@ def calibrated_number(name: str, nominal: PlantSettings, reach: Reach | None = N
     """
     value = value_of(nominal, name)
     if name == LOAD:
-        low, high, scale, _ = _range_on(_parameter(name), nominal, reach)
+        low, high, scale, _ = _range_on(look_up_parameter(name), nominal, reach)
         low, high = min(low, 2.0 * value), max(high, 2.0 * value)
         return FreeNumber(name, low, high, scale, is_calibrated=True)
     if value == 0.0:  # no spring, no friction: it may be there, from nothing on
@@ -314,7 +314,7 @@ def hold_scale_of_forces(nominal: PlantSettings, reach: Reach | None) -> tuple[s
 
 def _has_force(name: str) -> bool:
     """Tell whether a number grows in proportion to the forces, or to what they are over."""
-    unit = _parameter(name).unit if "." in name else UNITS[name]
+    unit = look_up_parameter(name).unit if "." in name else UNITS[name]
     return unit in (*(u for u in _SHARES if u not in ("m", "m/s")), "kg")
 
 
@@ -333,19 +333,15 @@ def _number_of_start(
     return FreeNumber(name, low, high, scale, is_calibrated=True)
 
 
-def look_up_parameter(free: FreeNumber) -> EffectParameter:
-    """Return the catalogue's entry of an effect's number; raise KeyError for a muscle's number."""
-    return _parameter(free.name)
-
-
-def _parameter(dotted: str) -> EffectParameter:
+def look_up_parameter(dotted: str) -> EffectParameter:
+    """Return the catalogue's entry of an effect's number, such as `valve_leak.area_m2`."""
     effect, name = dotted.split(".")
     return next(p for p in CATALOGUE[effect].parameters if p.name == name)
 
 
 def unit_of(free: FreeNumber) -> str:
     """Return the unit for reports; empty for a plain number."""
-    unit = look_up_parameter(free).unit if "." in free.name else UNITS[free.name]
+    unit = look_up_parameter(free.name).unit if "." in free.name else UNITS[free.name]
     return "" if unit == "1" else unit
 
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.extend import assemble_plant
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, RUNAWAY, Drive
+from pamctl.diagnose.fitting.drives import PRESSURE, RUNAWAY, Drive
+from pamctl.diagnose.fitting.held_out_rms import simulate_held_out
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.phrases import spell_names
-from pamctl.plant.drive import drive_coupled
-from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.model import PlantSettings
 
 
 class ModelStage(NamedTuple):
@@ -101,56 +101,42 @@ class HeldOutRun:
     signals: tuple[HeldOutSignal, ...]
 
 
-def simulate_held_out(diagnosis: Diagnosis) -> list[HeldOutRun]:
+def simulate_stages(diagnosis: Diagnosis) -> list[HeldOutRun]:
     """Simulate every stage on every held-out record.
 
     The blocks are coupled and the command alone drives them. Where the records drive only one
     block, that block alone is simulated.
     """
-    model = diagnosis.model
-    if model is None:
+    model, listed = diagnosis.model, list_model_stages(diagnosis)
+    if model is None or not listed:
         return []
-    drives = model.evidence.holdout
-    stages = list_model_stages(diagnosis)
-    if len(drives) == 2:
-        pairs = zip(drives[PRESSURE], drives[MECHANICS], strict=True)
-        return [_simulate_both_blocks(pressure, mechanics, stages) for pressure, mechanics in pairs]
-    (block,) = drives
-    return [_simulate_one_block(drive, stages) for drive in drives[block]]
-
-
-def _simulate_both_blocks(
-    pressure: Drive, mechanics: Drive, stages: list[ModelStage]
-) -> HeldOutRun:
-    simulated = {
-        stage.key: drive_coupled(plant_parameters(stage.plant), pressure.valve_v, pressure.grid)
-        for stage in stages
-    }
-    position = HeldOutSignal(
-        "position_m",
-        mechanics.measured,
-        {key: run.position_m for key, run in simulated.items()},
-        mechanics.deviation,
-    )
-    absolute = HeldOutSignal(
-        "pressure_pa",
-        pressure.measured,
-        {key: run.pressure_pa for key, run in simulated.items()},
-        pressure.deviation,
-    )
-    return _collect_run(pressure, pressure.valve_v, (position, absolute))
-
-
-def _simulate_one_block(drive: Drive, stages: list[ModelStage]) -> HeldOutRun:
-    simulated = {stage.key: drive.simulate(stage.plant) for stage in stages}
-    command_v = drive.valve_v if drive.block == PRESSURE else None
-    signal = HeldOutSignal(drive.channel, drive.measured, simulated, drive.deviation)
-    return _collect_run(drive, command_v, (signal,))
+    evidence = model.evidence
+    stages = {stage.key: simulate_held_out(evidence, stage.plant) for stage in listed}
+    blocks = next(iter(stages.values())).blocks
+    return [
+        _collect_run(
+            {channel: evidence.holdout[block][k] for channel, block in blocks.items()},
+            {key: {c: runs[k] for c, runs in s.simulated.items()} for key, s in stages.items()},
+        )
+        for k in range(len(evidence.holdout[evidence.blocks[0]]))
+    ]
 
 
 def _collect_run(
-    drive: Drive, command_v: Array | None, signals: tuple[HeldOutSignal, ...]
+    drives: Mapping[str, Drive], simulated: Mapping[str, Mapping[str, Array]]
 ) -> HeldOutRun:
-    t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
-    counted = np.ones(len(t_s), dtype=bool) if drive.rows is None else drive.rows
-    return HeldOutRun(drive.name, t_s, command_v, counted, signals)
+    """Collect a run from its drives by channel, and its simulations by stage and channel."""
+    signals = tuple(
+        HeldOutSignal(
+            channel,
+            drive.measured,
+            {key: run[channel] for key, run in simulated.items()},
+            drive.deviation,
+        )
+        for channel, drive in drives.items()
+    )
+    first = drives.get("pressure_pa") or next(iter(drives.values()))
+    t_s = np.concatenate([[0.0], np.cumsum(first.step_s)])
+    counted = np.ones(len(t_s), dtype=bool) if first.rows is None else first.rows
+    command_v = first.valve_v if first.block == PRESSURE else None
+    return HeldOutRun(first.name, t_s, command_v, counted, signals)

@@ -6,17 +6,16 @@ from collections.abc import Mapping
 
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
 from pamctl.diagnose.extend import CorrectionResult
-from pamctl.diagnose.fitting.drives import PRESSURE, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import doubt_floor
 from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.fitting.intervals import FittedNumber
+from pamctl.diagnose.fitting.numbers import look_up_parameter
 from pamctl.diagnose.judging.judges import JudgeKind
 from pamctl.diagnose.locate import EVENLY
 from pamctl.diagnose.naming.remainder import Remainder
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.plant.catalogue import CATALOGUE
-from pamctl.plant.effects.description import EffectParameter
 
 LEAST_SHIFT = 2e-3
 """A number that is off by a smaller share is not mentioned in a sentence."""
@@ -32,12 +31,6 @@ def spell_effects(diagnosis: Diagnosis) -> str:
     return spell_names(*(standing.effect.name for standing in diagnosis.standings))
 
 
-def parameter_of(name: str) -> EffectParameter:
-    """Return the catalogue's description of a number such as `valve_leak.area_m2`."""
-    effect, number = name.split(".")
-    return next(p for p in CATALOGUE[effect].parameters if p.name == number)
-
-
 def numbers_of(diagnosis: Diagnosis, effect: str) -> list[FittedNumber]:
     """Return the fitted numbers of an effect."""
     return [number for number in diagnosis.numbers if number.name.startswith(f"{effect}.")]
@@ -45,8 +38,7 @@ def numbers_of(diagnosis: Diagnosis, effect: str) -> list[FittedNumber]:
 
 def mark_bound(diagnosis: Diagnosis, name: str) -> str:
     """Mark a fitted number that ended at an end of the range in which it was searched."""
-    fits = diagnosis.model.fits.values() if diagnosis.model else ()
-    return "at an end" if any(name in fitted.at_bound for fitted in fits) else ""
+    return "at an end" if name in diagnosis.at_bound else ""
 
 
 def describe_effects(diagnosis: Diagnosis) -> str:
@@ -68,7 +60,7 @@ def _format_number(number: FittedNumber) -> str:
 def list_sizes(diagnosis: Diagnosis) -> str:
     """Return the numbers of the named effects by their meaning, with 90 % intervals."""
     return ", ".join(
-        f"{parameter_of(n.name).meaning}: {n.value:.4g} {n.unit}".rstrip()
+        f"{look_up_parameter(n.name).meaning}: {n.value:.4g} {n.unit}".rstrip()
         + f" (90 %: {n.low:.4g} to {n.high:.4g})"
         for standing in diagnosis.standings
         for n in numbers_of(diagnosis, standing.effect.name)
@@ -172,18 +164,12 @@ def _spell_rms(diagnosis: Diagnosis, block: str, ratio: float) -> str:
     if model is None:
         return ""
     drive = model.evidence.holdout[block][0]
-    factor, label = gap_units(channel_of(drive))
+    factor, label = gap_units(drive.channel)
     rms = ratio * model.floors[block].mean * drive.deviation * factor
     unit = label.split(", ")[1]
     if unit == "um" and rms >= 1e4:
         return f" (RMS {rms / 1e3:.3g} mm)"
     return f" (RMS {rms:.3g} {unit})"
-
-
-def channel_of(drive: Drive) -> str:
-    """Return the channel that a drive's output is compared with."""
-    own = "pressure_pa" if drive.block == PRESSURE else "position_m"
-    return str(getattr(drive, "channel", own))
 
 
 LIMIT_WORDS = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
-from pamctl.diagnose.report.phrases import channel_of
 
 
 def write_ratio(model: Model, block: str, ratio: float) -> str:
@@ -20,7 +19,7 @@ def write_rms(model: Model, block: str, ratio: float) -> str:
 def write_deviations(model: Model, block: str, deviations: float) -> str:
     """Write an RMS that is given in deviations of the block's sensor."""
     drive = model.evidence.holdout[block][0]
-    display = SIGNAL_DISPLAYS[channel_of(drive)]
+    display = SIGNAL_DISPLAYS[drive.channel]
     rms = deviations * drive.deviation
     factor, unit = display.choose_unit(rms)
     return f"{factor * rms:.3g} {unit}"

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.fitting.numbers import unit_of
+from pamctl.diagnose.fitting.numbers import look_up_parameter, unit_of
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.search import EffectsTrial
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.phrases import (
     mark_bound,
     numbers_of,
-    parameter_of,
     relative_shift,
     spell_names,
 )
@@ -58,7 +57,7 @@ def _write_effect(page: Page, diagnosis: Diagnosis, standing: Standing) -> None:
     page.text(f"What a model without it shows: {effect.signature}.")
     rows = []
     for number in numbers_of(diagnosis, name):
-        parameter = parameter_of(number.name)
+        parameter = look_up_parameter(number.name)
         row = [parameter.name, parameter.meaning, f"{number.value:.5g}"]
         row += [f"{number.low:.5g} to {number.high:.5g}", number.unit]
         rows.append([*row, mark_bound(diagnosis, number.name)])

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
-from pamctl.diagnose.measured.record import CHANNELS, Record
+from pamctl.diagnose.measured.noise.channel_noise import SOURCES
+from pamctl.diagnose.measured.noise.sensor_noise import Noise
+from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
 from pamctl.diagnose.report.page.regime_map import write_shape
 from pamctl.diagnose.report.phrases import (
@@ -109,13 +111,10 @@ def write_compared_runs(page: Page, diagnosis: Diagnosis, records: Sequence[Reco
         f"The start model is {words_of_rig(diagnosis).start_model}, with "
         + (f"{spell_names(*effects)}." if effects else "no further effect.")
     )
-    noises = model.evidence.noises
     page.table(
-        ["sensor", "noise", "converter's step", "unit", "kind"],
-        [_noise_row(name, noise.deviation, noise.resolution, bool(noise.memory))
-         for name, noise in noises.items() if name in SIGNAL_DISPLAYS],
-        caption="Estimated from the rest at the start, or from differences of neighbours.",
-    )  # fmt: skip
+        ["sensor", "noise", "converter's step", "unit", "kind", "known"],
+        [_noise_row(name, noise) for name, noise in model.evidence.noises.items()],
+    )
 
 
 def write_measured_runs(page: Page, records: Sequence[Record]) -> None:
@@ -131,7 +130,6 @@ def write_measured_runs(page: Page, records: Sequence[Record]) -> None:
 
 
 _UNITS = {
-    **dict.fromkeys(CHANNELS, (1.0, "")),
     "valve_v": (1.0, "V"),
     "pressure_pa": (1e-3, "kPa"),
     "position_m": (1e3, "mm"),
@@ -147,8 +145,11 @@ def _record_row(record: Record, use: str) -> list[str]:
     return [record.name, use, f"{record.duration_s:.1f}", str(len(record)), period, measured]
 
 
-def _noise_row(channel: str, deviation: float, step: float, coloured: bool) -> list[str]:
+def _noise_row(channel: str, noise: Noise) -> list[str]:
     display = SIGNAL_DISPLAYS[channel]
-    kind = "correlated from sample to sample" if coloured else "white"
-    cells = [f"{value * display.gap_factor:.3g}" for value in (deviation, step)]
-    return [display.title, *cells, display.gap_unit, kind]
+    step = f"{noise.resolution * display.gap_factor:.3g}"
+    if not noise.is_known:
+        return [display.title, "unknown", step, display.gap_unit, "-", "not from these data"]
+    size = f"{noise.deviation * display.gap_factor:.3g}"
+    kind = "correlated from sample to sample" if noise.memory else "white"
+    return [display.title, size, step, display.gap_unit, kind, SOURCES[noise.source]]

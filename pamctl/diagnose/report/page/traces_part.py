@@ -15,7 +15,7 @@ from pamctl.diagnose.report.compared_models import (
     HeldOutSignal,
     ModelStage,
     list_model_stages,
-    simulate_held_out,
+    simulate_stages,
 )
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
@@ -34,7 +34,7 @@ class Stretch(NamedTuple):
 
 def write_traces(page: Page, diagnosis: Diagnosis) -> None:
     """Show the most telling stretch, and the residual of its whole record."""
-    records = simulate_held_out(diagnosis)
+    records = simulate_stages(diagnosis)
     stages = list_model_stages(diagnosis)[-2:]
     if not records:
         return

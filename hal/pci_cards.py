@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 PCI_DEVICES = Path("/sys/bus/pci/devices")
+COMEDI_DRIVER = "ni_pcimio"
+"""The kernel's own driver. It takes a PCI-6221 by itself when the PC starts."""
+NO_CARD_FIX = "is the card seated and powered? lspci -nn -d 1093: lists it"
 
 _NI = "0x1093"
 
@@ -29,6 +33,13 @@ def find_pci_cards(directory: Path = PCI_DEVICES) -> list[PciCard]:
         for slot in slots
         if _read(slot / "vendor") == _NI
     ]
+
+
+def describe_holders(cards: Sequence[PciCard]) -> str:
+    """Say which driver holds each card."""
+    return "; ".join(
+        f"{card.slot} ({card.device_id}) is held by {card.driver or 'no driver'}" for card in cards
+    )
 
 
 def _read(path: Path) -> str:

@@ -14,7 +14,14 @@ from hal.backend import ProbeRequest
 from hal.comedi.comedi_errors import BUSY, PERMIT
 from hal.comedi.comedi_settings import UNCALIBRATED, ComediSettings
 from hal.doctor_finding import DoctorFinding, describe_rig_error
-from hal.pci_cards import PCI_DEVICES, PciCard, find_pci_cards
+from hal.pci_cards import (
+    COMEDI_DRIVER,
+    NO_CARD_FIX,
+    PCI_DEVICES,
+    PciCard,
+    describe_holders,
+    find_pci_cards,
+)
 from hal.range_checks import judge_input_range
 from hal.rig import RigError
 
@@ -27,7 +34,6 @@ REQUIRED = frozenset(
 )
 """Findings whose fault means that no rig can be opened; other faults leave it usable."""
 
-_KERNEL_DRIVER = "ni_pcimio"
 _PFI_LINES_OF_37_PINS = 8
 
 
@@ -99,21 +105,18 @@ def _examine_parts(
 def judge_kernel_driver(cards: Sequence[PciCard]) -> DoctorFinding:
     """Say which kernel driver holds NI's cards: only one of NI's own and comedi's can."""
     name = "card.kernel_driver"
-    wanted = f"a card held by {_KERNEL_DRIVER}"
+    wanted = f"a card held by {COMEDI_DRIVER}"
     if not cards:
-        fix = "is the card seated and powered? lspci -nn -d 1093: lists it"
-        return DoctorFinding(name, "warning", "no card of NI's on the PCI bus", wanted, fix)
-    found = "; ".join(
-        f"{card.slot} ({card.device_id}) is held by {card.driver or 'no driver'}" for card in cards
-    )
+        return DoctorFinding(name, "warning", "no card of NI's on the PCI bus", wanted, NO_CARD_FIX)
+    found = describe_holders(cards)
     data = {"cards": [card._asdict() for card in cards]}
-    if any(card.driver == _KERNEL_DRIVER for card in cards):
+    if any(card.driver == COMEDI_DRIVER for card in cards):
         return DoctorFinding(name, "ok", found, data=data)
     held = next((card.driver for card in cards if card.driver), "")
     fix = (
         f"NI's driver {held} holds it, so comedi cannot: `pamctl manual comedi` shows how to switch"
         if held
-        else f"sudo modprobe {_KERNEL_DRIVER}"
+        else f"sudo modprobe {COMEDI_DRIVER}"
     )
     return DoctorFinding(name, "fault", found, wanted, fix, data)
 

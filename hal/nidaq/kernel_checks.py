@@ -12,13 +12,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hal.doctor_finding import DoctorFinding
-from hal.pci_cards import PCI_DEVICES, PciCard, find_pci_cards
+from hal.pci_cards import (
+    COMEDI_DRIVER,
+    NO_CARD_FIX,
+    PCI_DEVICES,
+    PciCard,
+    describe_holders,
+    find_pci_cards,
+)
 
 DKMS_TREE = Path("/var/lib/dkms")
 """Where DKMS keeps the modules that it builds for each kernel."""
 
-_COMEDI = "ni_pcimio"
-"""The kernel's own driver. It takes a PCI-6221 by itself when the PC starts."""
 _TRANSLATED = "DMA"
 """Types of an IOMMU group that begin so translate every address that the card uses."""
 _IOMMU_FIX = (
@@ -55,18 +60,15 @@ def judge_holder(cards: Sequence[PciCard]) -> DoctorFinding:
     name, wanted = "card.kernel_driver", "a card held by NI's driver"
     if not cards:
         found = "no card of NI's on the PCI bus (a card on USB is not listed there)"
-        fix = "is the card seated and powered? lspci -nn -d 1093: lists it"
-        return DoctorFinding(name, "warning", found, wanted, fix)
-    found = "; ".join(
-        f"{card.slot} ({card.device_id}) is held by {card.driver or 'no driver'}" for card in cards
-    )
+        return DoctorFinding(name, "warning", found, wanted, NO_CARD_FIX)
+    found = describe_holders(cards)
     data = {"cards": [card._asdict() for card in cards]}
-    if any(card.driver not in ("", _COMEDI) for card in cards):
+    if any(card.driver not in ("", COMEDI_DRIVER) for card in cards):
         return DoctorFinding(name, "ok", found, data=data)
     fix = (
         "the kernel's own driver took it, so NI's tools see nothing: write `blacklist ni_pcimio` "
         "to /etc/modprobe.d/ni_pcimio.conf and restart the PC; or use --backend comedi"
-        if any(card.driver == _COMEDI for card in cards)
+        if any(card.driver == COMEDI_DRIVER for card in cards)
         else "NI's modules are not loaded: see card.modules, and `sudo dmesg`, which names modules "
         "that secure boot refused"
     )

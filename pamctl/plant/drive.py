@@ -57,6 +57,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 STEPS_A_TICK = 2
+SLOPE_S = 1e-5
+"""Half of the line by which a restart's reading is undone: much shorter than a tick."""
 
 
 class Restarts(NamedTuple):
@@ -70,7 +72,7 @@ class Restarts(NamedTuple):
     outputs: Array
     """Readings of the sensor there: position (m) or absolute pressure (Pa)."""
     rates: Array
-    """Velocities there (m/s); not used for a pressure."""
+    """Rates of the reading there (m/s or Pa/s)."""
 
 
 NO_RESTARTS = Restarts(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
@@ -499,9 +501,18 @@ def undo_sensor(place: str, p: PlantParameters, shown: Array, times_s: Array) ->
 def _undo_restarts(
     place: str, p: PlantParameters, restarts: Restarts, grid: SampleGrid
 ) -> Restarts:
-    """Return the restarts with the true values behind the sensor's readings."""
-    times_s = grid.samples_s[restarts.rows]
-    return restarts._replace(outputs=undo_sensor(place, p, restarts.outputs, times_s))
+    """Return the restarts with the true values and rates behind the sensor's readings.
+
+    A sensor's lag is undone by the slope, which the restarts, far apart, do not show: each is
+    undone as a short line.
+    """
+    if not p.sensors_act:
+        return restarts
+    around_s = np.array([-SLOPE_S, 0.0, SLOPE_S])
+    times_s = np.add.outer(grid.samples_s[restarts.rows], around_s)
+    shown = restarts.outputs[:, None] + np.outer(restarts.rates, around_s)
+    true = undo_sensor(place, p, shown.ravel(), times_s.ravel()).reshape(shown.shape)
+    return restarts._replace(outputs=true[:, 1], rates=(true[:, 2] - true[:, 0]) / (2.0 * SLOPE_S))
 
 
 def _accumulate_times(dt_s: Array) -> Array:

@@ -15,6 +15,7 @@ from typing import Any
 
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.chains import Effects, change_numbers
+from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.effects.places import Part
 from pamctl.plant.muscle_parameters import MuscleParameters
 from pamctl.plant.parameters import PaperParameters, PlantParameters
@@ -23,8 +24,6 @@ PAPER: dict[str, float] = MuscleParameters().model_dump()
 """Tables I and II in SI."""
 ACTUATOR = "actuator"
 """Place of the actuator in `ACTUATORS`."""
-ACTUATORS = ("muscle", "direct", "chamber")
-"""A muscle; a force that drives the mechanics directly; a chamber whose walls do not move."""
 CHAMBER_VOLUME = "chamber_volume_m3"
 _RIGID = {"damping_n_s_per_m": 1e12, "stiffness_n_per_m": 1e12, "kinetic_friction_per_m": 0.0}
 """The walls of a chamber: they move by less than a picometre per newton."""

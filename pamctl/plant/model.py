@@ -18,10 +18,15 @@ from pydantic import (
 from hal.configured import Configured
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.correction_tables import Correction, CorrectionTable
-from pamctl.plant.effects.description import EffectDescription, EffectParameter, acts
+from pamctl.plant.effects.description import (
+    ACTUATORS,
+    Actuator,
+    EffectDescription,
+    EffectParameter,
+    acts,
+)
 from pamctl.plant.flat import (
     ACTUATOR,
-    ACTUATORS,
     CHAMBER_VOLUME,
     NEUTRAL,
     PAPER,
@@ -140,7 +145,7 @@ class PlantSettings(Configured):
 
     base: Annotated[Literal["paper"], Field(description="Eq. 1 to 9")] = "paper"
     actuator: Annotated[
-        Literal["muscle", "direct", "chamber"],
+        Actuator,
         Field(
             description="direct: a measured force, and a piston if there is one, drive mass, "
             "spring and friction; no muscle. chamber: a volume that does not change, behind the "

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pamctl.plant import drive
-from pamctl.plant.drive import drive_coupled, drive_mechanics, drive_pressure
+from pamctl.plant.drive import Restarts, drive_coupled, drive_mechanics, drive_pressure
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
 from pamctl.plant.paper.mechanics import mechanics_step
@@ -144,6 +144,31 @@ def test_invalid_arrays_are_refused(command_v, dt_s, complaint: str) -> None:
         drive_coupled(PAPER, command_v, dt_s)
     with pytest.raises(ValueError, match="where the command has 3"):
         drive_pressure(PAPER, [0.0] * 3, [0.0] * 2, 1e-3)
+
+
+def test_a_restart_undoes_the_lag_of_the_sensor_by_the_slope_at_its_sample() -> None:
+    """The slope from one restart to the next is another one: they are far apart."""
+    lag_s = 10e-3
+    p = parameters_of({"pressure_sensor_lag.time_constant_s": lag_s})
+    command_v = np.where(np.arange(400) % 90 < 45, 0.8, -0.7)
+    free = drive_pressure(p, command_v, np.zeros(400), TICK_S)
+    rows = np.array([70, 150, 280])
+    rates = (free.true_pressure_pa - free.pressure_pa)[rows] / lag_s
+    again = Restarts(rows, free.pressure_pa[rows], rates)
+    restarted = drive_pressure(p, command_v, np.zeros(400), TICK_S, restarts=again)
+    assert np.abs(rates * lag_s).min() > 500.0
+    np.testing.assert_allclose(restarted.true_pressure_pa, free.true_pressure_pa, rtol=1e-6)
+
+
+def test_a_restart_undoes_the_scale_of_the_encoder_in_position_and_velocity() -> None:
+    p = parameters_of(
+        {"actuator": 1.0, "mass_kg": 95.0, "stiffness_n_per_m": 0.0, "encoder_scale.scale": 1.1}
+    )
+    again = Restarts(np.array([5]), np.array([0.22]), np.array([0.55]))
+    moved = drive_mechanics(p, np.full(10, 101.3e3), TICK_S, restarts=again)
+    assert moved.position_m[5] == pytest.approx(0.22)
+    assert moved.true_position_m[5] == pytest.approx(0.2)
+    assert moved.velocity_m_per_s[5] == pytest.approx(0.5)
 
 
 # --- a plant as a flat mapping -----------------------------------------------------------------

@@ -8,14 +8,13 @@ measures minus this force is the residual of the equation. The kernels are those
 
 from __future__ import annotations
 
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pamctl.compiled import compile_kernel
-from pamctl.plant.chains import undo_reading
 from pamctl.plant.correction_tables import interpolate_table
+from pamctl.plant.drive import undo_sensor
 from pamctl.plant.effects.friction.presliding import (
     advance_bristle_n,
     bristle_damping,
@@ -24,8 +23,6 @@ from pamctl.plant.mechanism import follow_motion, mechanism_forces
 from pamctl.plant.parameters import MechanismParameters, PlantParameters, rest_state
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import ArrayLike, NDArray
 
     from pamctl.plant.paper.friction import AxialForces
@@ -71,15 +68,12 @@ def required_force_n(
             raise ValueError(f"{name}: shape {values.shape}, where t_s has {len(times)}")
         if not np.isfinite(values).all():
             raise ValueError(f"{name}: sample {int(np.argmin(np.isfinite(values)))} is no number")
-    if pressure_pa is not None and p.sensors_act:
-        atmosphere_pa = p.paper.atmospheric_pressure_pa
-        pressures = undo_reading(
-            "pressure_reading", p.effects.sensors, pressures, times - times[0], atmosphere_pa
-        )
+    if pressure_pa is not None:
+        pressures = undo_sensor("pressure_reading", p, pressures, times - times[0])
     columns = np.ascontiguousarray([times, *motion, pressures])
     start = rest_state(p, float(columns[1, 0]), float(columns[4, 0])).mechanics
     needed_n = np.empty(len(times))
-    _get_twin(fill_required_force)(p, start, columns, rest_speed_m_per_s, needed_n)
+    compile_kernel(fill_required_force)(p, start, columns, rest_speed_m_per_s, needed_n)
     return needed_n
 
 
@@ -133,8 +127,3 @@ def friction_force(
     left_n = forces.upper_n - bristle_n if v > 0.0 else bristle_n - forces.lower_n
     damping += bristle_damping(presliding, left_n, width_n)
     return bristle_n, bristle_n + damping * v
-
-
-@cache
-def _get_twin(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    return compile_kernel(kernel)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pamctl.plant.effects.places import PLACES, Part
 
@@ -19,7 +19,12 @@ MECHANICAL_UNITS = frozenset(
 
 Block = Literal["pressure", "mechanics", "sensors"]
 Actuator = Literal["muscle", "direct", "chamber"]
-"""What a plant file calls `actuator`; a chamber has a constant volume and no mechanics."""
+"""What a plant file calls `actuator`.
+
+A muscle; a force that drives the mechanics directly; a chamber of constant volume, which has no
+mechanics.
+"""
+ACTUATORS: tuple[Actuator, ...] = get_args(Actuator)
 
 
 @dataclass(frozen=True)
@@ -162,7 +167,7 @@ class EffectDescription:
     """Why no experiment on this rig can identify its size; empty if one can."""
     is_searched: bool = True
     """False where `diagnose` must not name it: it would explain too much."""
-    actuators: tuple[Actuator, ...] = ("muscle", "direct", "chamber")
+    actuators: tuple[Actuator, ...] = ACTUATORS
     """The actuators in whose plants `diagnose` looks for it; a plant file may always hold it."""
 
     @property

@@ -7,7 +7,7 @@
 Results are appended to a JSONL file, one line a case, and stored cases are not run again: an
 examination of hours can be stopped and resumed. The table, the confusion matrix and every miss
 go to stdout (markdown, or one JSON document), progress to stderr. `--oracle` computes which effects
-each excitation can show at all (`tests/hidden/oracle.json`).
+each excitation can show at all (`tests/hidden/examination/oracle.json`).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "scripts")]
 
-from hidden.cases import Case, all_cases, quick_cases  # noqa: E402
-from hidden.examine import examine  # noqa: E402
+from hidden.examination.cases import Case, all_cases, quick_cases  # noqa: E402
+from hidden.examination.examine import examine  # noqa: E402
+from hidden.examination.oracle import oracle  # noqa: E402
+from hidden.examination.scoring import ORACLE, Result, confusion, figures, table  # noqa: E402
 from hidden.excitations import PROGRAMS  # noqa: E402
-from hidden.oracle import oracle  # noqa: E402
-from hidden.scoring import ORACLE, Result, confusion, figures, table  # noqa: E402
 from resumable_study import run_resumable  # noqa: E402
 
 GOOD = ("right", "right_set", "silent", "honest", "twin")

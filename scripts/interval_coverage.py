@@ -29,14 +29,14 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "scripts")]
 
-from hidden.cases import Case  # noqa: E402
 from hidden.effects import SINGLES  # noqa: E402
-from hidden.examine import records_of, rig_of  # noqa: E402
+from hidden.examination.cases import Case  # noqa: E402
+from hidden.examination.examine import records_of, rig_of  # noqa: E402
+from hidden.examination.truth_values import NEUTRAL as HIDDEN_NEUTRAL  # noqa: E402
+from hidden.examination.truth_values import TRUE  # noqa: E402
 from hidden.excitations import PROGRAMS  # noqa: E402
 from hidden.rig import HiddenRig  # noqa: E402
 from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M  # noqa: E402
-from hidden.truth_values import NEUTRAL as HIDDEN_NEUTRAL  # noqa: E402
-from hidden.truth_values import TRUE  # noqa: E402
 from measured_table import format_table, write_measured  # noqa: E402
 from resumable_study import run_resumable  # noqa: E402
 

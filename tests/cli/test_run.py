@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.killing import kill_as_one
 from support.patience import BUSY_PC, PATIENCE_S
-from support.rings import await_phase, await_tick, ring_left
+from support.processes.killing import kill_as_one
+from support.processes.rings import await_phase, await_tick, ring_left
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from support import super_twisting
-from support.daemons import TRACKING, Daemon, daemon, parked
+from support.processes.daemons import TRACKING, Daemon, daemon, parked
 
 from pamctl.control.law import Law
 from pamctl.daemon.client import DaemonDeclinedError

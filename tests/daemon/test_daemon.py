@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.daemons import (
+from support.patience import PATIENCE_S
+from support.processes.daemons import (
     SQUARE,
     TRACKING,
     Daemon,
@@ -22,7 +23,6 @@ from support.daemons import (
     parked,
     run_to_its_end,
 )
-from support.patience import PATIENCE_S
 
 from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.log import Log, read

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support.daemons import Daemon, daemon
 from support.patience import PATIENCE_S
+from support.processes.daemons import Daemon, daemon
 
 from pamctl.daemon.protocol import (
     LARGEST_REQUEST,

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.daemons import (
+from support.patience import PATIENCE_S
+from support.processes.daemons import (
     NOT_HOMED,
     SQUARE,
     Daemon,
@@ -23,8 +24,7 @@ from support.daemons import (
     parked,
     run_to_its_end,
 )
-from support.killing import kill_as_one
-from support.patience import PATIENCE_S
+from support.processes.killing import kill_as_one
 
 from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.client import DaemonDeclinedError, DaemonUnreachableError

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.daemons import Daemon, daemon, parked, run_to_its_end
 from support.patience import PATIENCE_S
+from support.processes.daemons import Daemon, daemon, parked, run_to_its_end
 
 from pamctl.daemon.client import DaemonDeclinedError
 from pamctl.log import read

@@ -16,8 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support.daemons import QUICK
 from support.patience import BUSY_PC, PATIENCE_S
+from support.processes.daemons import QUICK
 
 from pamctl.daemon.client import Client
 from pamctl.exit_codes import ExitCode

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from hidden.equations.truth import Truth
 from hidden.sensors import Sensors
-from hidden.truth import Truth
 
 Size = float | tuple[float, str]
 """A multiple of the smallest size of interest; or that, and the form."""

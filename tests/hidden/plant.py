@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hidden.advance import at_rest
-from hidden.passes import between_readings
+from hidden.equations.advance import at_rest
+from hidden.equations.passes import between_readings
 from hidden.rig import HiddenRig, needed_step_s
 
 

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden.advance import at_rest
 from hidden.effects import Size, apply
+from hidden.equations.advance import at_rest
+from hidden.equations.passes import closed_loop, open_loop, settled
+from hidden.equations.truth import Truth
 from hidden.excitations import Excitation
-from hidden.passes import closed_loop, open_loop, settled
 from hidden.sensors import ADC_STEP_PA, AO_STEP_V, ENCODER_STEP_M, Sensors
-from hidden.truth import Truth
 
 Array = NDArray[np.float64]
 

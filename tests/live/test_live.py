@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.daemons import QUICK, daemon
 from support.patience import BUSY_PC, PATIENCE_S
+from support.processes.daemons import QUICK, daemon
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app

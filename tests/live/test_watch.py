@@ -23,8 +23,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
-from support.daemons import daemon
 from support.patience import PATIENCE_S
+from support.processes.daemons import daemon
 
 from pamctl.live.feed import DaemonFeed
 from pamctl.live.history import BLOCKS, History, draw_sparkline

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import pytest
 from support.chromium import page
-from support.daemons import Daemon, daemon
 from support.patience import PATIENCE_S
+from support.processes.daemons import Daemon, daemon
 
 NOT_HOMED = "rig.homing.enabled=false"
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-import support.paper_equations as paper
+import support.equations.paper_equations as paper
 from scipy.integrate import solve_ivp
 
 from pamctl.plant import drive

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 import pytest
-import support.paper_equations as paper
-from support.effect_equations import Mechanics, solve_pressure
+import support.equations.paper_equations as paper
+from support.equations.effect_equations import Mechanics, solve_pressure
 
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.drive import drive_mechanics, drive_pressure

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import settings as examples
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from support.paper_equations import Recorded, Spool, solve
+from support.equations.paper_equations import Recorded, Spool, solve
 
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import vented_state

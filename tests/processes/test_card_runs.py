@@ -11,9 +11,18 @@ import numpy as np
 import pytest
 from standin.standin import PERMIT, Card, library
 from support.card_rigs import READ_COUNT, READ_VOLTS, WRITE
-from support.card_runs import AT_ONCE, OWN_SAFE_V, RUN, await_writes, log_of, of, own, start
-from support.children import await_children
 from support.patience import PATIENCE_S
+from support.processes.card_runs import (
+    AT_ONCE,
+    OWN_SAFE_V,
+    RUN,
+    await_writes,
+    log_of,
+    of,
+    own,
+    start,
+)
+from support.processes.children import await_children
 from support.runs import AO_STEP_V
 
 from pamctl.signals import Phase

@@ -16,11 +16,19 @@ import numpy as np
 import pytest
 from standin.standin import PERMIT, Card
 from support.card_rigs import READ_VOLTS
-from support.card_runs import AT_ONCE, OWN_SAFE_V, PAMCTL, await_writes, log_of, own, start
-from support.children import PARTS, await_children
-from support.killing import kill_as_one
 from support.patience import PATIENCE_S
-from support.rings import await_phase
+from support.processes.card_runs import (
+    AT_ONCE,
+    OWN_SAFE_V,
+    PAMCTL,
+    await_writes,
+    log_of,
+    own,
+    start,
+)
+from support.processes.children import PARTS, await_children
+from support.processes.killing import kill_as_one
+from support.processes.rings import await_phase
 from support.runs import AO_STEP_V
 
 from pamctl.log.reader import Log

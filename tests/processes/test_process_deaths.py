@@ -19,10 +19,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from support.children import PARTS, await_children, await_gone
-from support.killing import kill_as_one
 from support.patience import BUSY_PC, PATIENCE_S
-from support.rings import await_ring, await_tick
+from support.processes.children import PARTS, await_children, await_gone
+from support.processes.killing import kill_as_one
+from support.processes.rings import await_ring, await_tick
 from support.runs import AO_STEP_V
 
 from hal.sim.register import peek_v

@@ -12,9 +12,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from support import protocol_model as model
 from support.made_up import meta
-from support.protocol_model import RULES, BrokenPromiseError, Life, Rules, explore
+from support.processes import protocol_model as model
+from support.processes.protocol_model import RULES, BrokenPromiseError, Life, Rules, explore
 
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden.machine_code import kernel
+from hidden.equations.machine_code import kernel
 from hidden.rig import Record
 
 Array = NDArray[np.float64]

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, filtfilt
 
+from hidden.equations.truth import State, Truth
 from hidden.excitations import Excitation
 from hidden.hostile.lab import Channel, Lab
 from hidden.hostile.varying_pass import Passed, run_varying
 from hidden.rig import HiddenRig, Record, needed_step_s
 from hidden.sensors import ADC_STEP_PA, ENCODER_STEP_M, Sensors
-from hidden.truth import State, Truth
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from hidden.examination.scoring import SILENT
 from hidden.hostile.causes import PLACES, SetupCause
 from hidden.hostile.situations import HostileCase
 from hidden.hostile.trial import TRUTH_NAMES, rig_of, start_plant
 from hidden.hostile.visible import is_hopeless
-from hidden.scoring import SILENT
 
 RIGHT = ("right", "silent")
 HONEST = ("honest", "set", "twin", "refused")

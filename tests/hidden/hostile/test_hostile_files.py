@@ -12,6 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hidden.effects import Size
+from hidden.equations.truth import Truth
+from hidden.examination.oracle import HOPELESS, SURE
 from hidden.excitations import Excitation
 from hidden.hostile.file_of_lab import (
     POSITION_SPAN_M,
@@ -27,10 +29,8 @@ from hidden.hostile.programs import EXCITATIONS, random_levels
 from hidden.hostile.situations import HostileCase, all_cases, all_situations
 from hidden.hostile.trial import records_of, rig_of, start_plant
 from hidden.hostile.visible import measure_share, stored_shares
-from hidden.oracle import HOPELESS, SURE
 from hidden.rig import HiddenRig, hidden_rig
 from hidden.sensors import ENCODER_STEP_M, Sensors
-from hidden.truth import Truth
 from pamctl.plant.model import PlantSettings
 
 Array = NDArray[np.float64]

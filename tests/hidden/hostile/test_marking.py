@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from hidden.examination.scoring import SILENT
 from hidden.hostile.marking import MarkedCase, mark, summarize
 from hidden.hostile.situations import HostileCase, all_cases
-from hidden.scoring import SILENT
 
 CASES = {case.id: case for case in all_cases()}
 

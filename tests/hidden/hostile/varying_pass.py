@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hidden.advance import at_rest
+from hidden.equations.advance import at_rest
+from hidden.equations.passes import between_readings, settled
+from hidden.equations.truth import State, Truth
 from hidden.excitations import Excitation
-from hidden.passes import between_readings, settled
 from hidden.sensors import AO_STEP_V
-from hidden.truth import State, Truth
 
 Array = NDArray[np.float64]
 Reader = Callable[[int, State], tuple[float, float]]

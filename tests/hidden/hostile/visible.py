@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hidden.equations.truth import Truth
+from hidden.examination.oracle import HOPELESS, POSITION_FLOOR_M, PRESSURE_FLOOR_PA
 from hidden.excitations import Excitation
 from hidden.hostile.file_of_lab import record_of
 from hidden.hostile.programs import EXCITATIONS
 from hidden.hostile.situations import HostileCase
 from hidden.hostile.trial import TRUTH_NAMES, start_plant
-from hidden.oracle import HOPELESS, POSITION_FLOOR_M, PRESSURE_FLOOR_PA
 from hidden.rig import HiddenRig, Record, hidden_rig
 from hidden.sensors import Sensors
-from hidden.truth import Truth
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hidden.machine_code import part
+from hidden.equations.machine_code import part
 
 
 @part

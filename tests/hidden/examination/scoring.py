@@ -11,9 +11,9 @@ from pathlib import Path
 from statistics import mean, median
 from typing import Any
 
-from hidden.cases import KIN, Case
-from hidden.oracle import HOPELESS, SURE
-from hidden.truth_values import relative_errors
+from hidden.examination.cases import KIN, Case
+from hidden.examination.oracle import HOPELESS, SURE
+from hidden.examination.truth_values import relative_errors
 
 ORACLE = Path(__file__).with_name("oracle.json")
 

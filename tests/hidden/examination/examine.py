@@ -6,8 +6,8 @@ from dataclasses import replace
 from time import process_time
 from typing import Any
 
-from hidden.cases import Case
-from hidden.damage import damaged
+from hidden.examination.cases import Case
+from hidden.examination.damage import damaged
 from hidden.excitations import PROGRAMS
 from hidden.own_run import own_run
 from hidden.rig import PULLED, HiddenRig, Record, hidden_rig

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hidden.cases import Damage
+from hidden.examination.cases import Damage
 from hidden.rig import Record
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from hidden.machine_code import kernel, part
-from hidden.physics import nozzle, volume
-from hidden.valve import null_leak
+from hidden.equations.machine_code import kernel, part
+from hidden.equations.physics import nozzle, volume
+from hidden.equations.valve import null_leak
 
 
 @part

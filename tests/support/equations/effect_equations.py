@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-import support.paper_equations as paper
+import support.equations.paper_equations as paper
 
 Array = NDArray[np.float64]
 RT = paper.R * paper.T

@@ -7,10 +7,18 @@ from typing import Any
 
 import pytest
 
-from hidden.cases import PAIRS, QUICK, Case, all_cases, blind_cases, quick_cases, single_cases
 from hidden.effects import SINGLES
-from hidden.oracle import HOPELESS
-from hidden.scoring import Result, detectable, figures, mark, oracle_of, twins
+from hidden.examination.cases import (
+    PAIRS,
+    QUICK,
+    Case,
+    all_cases,
+    blind_cases,
+    quick_cases,
+    single_cases,
+)
+from hidden.examination.oracle import HOPELESS
+from hidden.examination.scoring import Result, detectable, figures, mark, oracle_of, twins
 
 CASES = {case.id: case for case in all_cases(null_each=1)}
 

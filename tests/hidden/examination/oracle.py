@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hidden.effects import MECHANICAL_BLOCK, ON_BOTH_BLOCKS, PRESSURE_BLOCK, SINGLES
+from hidden.equations.truth import Truth
 from hidden.excitations import PROGRAMS, Excitation
 from hidden.rig import HiddenRig, hidden_rig
 from hidden.sensors import Sensors
-from hidden.truth import Truth
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from pamctl.plant.drive import drive_coupled
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings
 
-GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN = Path(__file__).parents[2] / "golden"
 PAPER = PlantSettings()
 
 

@@ -15,10 +15,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from hidden.equations.truth import Truth
 from hidden.excitations import Excitation, fill_and_hold, multisine, square
 from hidden.rig import HiddenRig, Passage
 from hidden.sensors import Sensors
-from hidden.truth import Truth
 from pamctl.plant.drive import CoupledResponse, drive_coupled
 from pamctl.plant.flat import parameters_of
 

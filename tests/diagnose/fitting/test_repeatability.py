@@ -17,7 +17,7 @@ from pamctl.plant.drive import drive_coupled
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings
 
-GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN = Path(__file__).parents[2] / "golden"
 DEAD_BAND = {"valve_deadband__fill_width_v": 0.25, "valve_deadband__exhaust_width_v": 0.2}
 
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from hidden.advance import small_step
-from hidden.machine_code import kernel
+from hidden.equations.advance import small_step
+from hidden.equations.machine_code import kernel
 
 
 @kernel

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from hidden.machine_code import part
-from hidden.physics import braid_grip, braid_lever, pull_area
+from hidden.equations.machine_code import part
+from hidden.equations.physics import braid_grip, braid_lever, pull_area
 
 
 @part

@@ -14,13 +14,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from hidden.advance import at_rest, small_step
-from hidden.air import air_of
 from hidden.effects import IN_TRUTH, ON_SENSORS
+from hidden.equations.advance import at_rest, small_step
+from hidden.equations.air import air_of
+from hidden.equations.truth import State, Truth
 from hidden.excitations import Excitation, multisine
 from hidden.rig import HiddenRig, Passage, hidden_rig
 from hidden.sensors import ENCODER_STEP_M, Sensors
-from hidden.truth import State, Truth
 
 Array = NDArray[np.float64]
 PAPER = Truth()

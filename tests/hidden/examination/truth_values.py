@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hidden.cases import Case
-from hidden.examine import rig_of
+from hidden.examination.cases import Case
+from hidden.examination.examine import rig_of
 from hidden.rig import HiddenRig
 
 Number = Callable[[HiddenRig], float]

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from hidden.cases import Case, all_cases, damaged_cases, quick_cases
-from hidden.examine import examine
-from hidden.scoring import Result
+from hidden.examination.cases import Case, all_cases, damaged_cases, quick_cases
+from hidden.examination.examine import examine
+from hidden.examination.scoring import Result
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 BRIEF = {case.id: case for case in quick_cases()}
 REFUSED = [replace(c, program="brief") for c in damaged_cases() if c.group == "bad"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hidden.air import (
+from hidden.equations.air import (
     air_after,
     air_of,
     flows,
@@ -13,8 +13,8 @@ from hidden.air import (
     supply_pa,
     tank_after,
 )
-from hidden.machine_code import kernel, part
-from hidden.mechanism import (
+from hidden.equations.machine_code import kernel, part
+from hidden.equations.mechanism import (
     SLIP_WIDTHS,
     band,
     drag,
@@ -25,9 +25,9 @@ from hidden.mechanism import (
     strained,
     velocity_after,
 )
-from hidden.physics import volume
-from hidden.truth import State
-from hidden.valve import opening, play, spool
+from hidden.equations.physics import volume
+from hidden.equations.truth import State
+from hidden.equations.valve import opening, play, spool
 
 
 @kernel

@@ -1,0 +1,1 @@
+"""The equations of the rigs and their integration, by compiled steps."""

@@ -36,8 +36,8 @@ _HEAD = (
 _UNITS = {
     "s": "s", "ms": "ms", "us": "us", "ns": "ns", "hz": "Hz", "v": "V", "pa": "Pa", "kpa": "kPa",
     "m": "m", "mm": "mm", "m2": "m^2", "m3": "m^3", "kg": "kg", "n": "N", "k": "K", "j": "J",
-    "counts": "counts", "rad": "rad", "ticks": "ticks", "s3": "s^3", "mm2": "mm^2", "c": "C",
-    "mj": "MJ", "rows": "rows",
+    "counts": "counts", "rad": "rad", "ticks": "ticks", "s2": "s^2", "s3": "s^3", "mm2": "mm^2",
+    "c": "C", "mj": "MJ", "rows": "rows",
 }  # fmt: skip
 
 

@@ -54,7 +54,10 @@ def make_plant(
         ),
     ] = None,
     yes: Annotated[
-        bool, typer.Option("--yes", help="Ask nothing: take the defaults of what is not given")
+        bool,
+        typer.Option(
+            "--yes", help="Ask nothing, and take the defaults of numbers that are not given"
+        ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -68,10 +71,11 @@ def make_plant(
 
     values, texts = _collect_numbers(kind, _split_given(given or [], kind), ask=not yes)
     plant = build_plant(kind, values)
-    fitted = ", ".join(_list_fitted(plant)) or "nothing"
+    names = _list_fitted(plant)
+    fitted = ", ".join(names) or "nothing"
     write_files({out: format_new_plant(kind, values, texts, fitted)})
     if as_json:
-        print_json({"plant": str(out), "actuator": kind, "numbers": values, "fitted": fitted})
+        print_json({"plant": str(out), "actuator": kind, "numbers": values, "fitted": names})
     else:
         typer.echo(
             f"plant: {out}\n`pamctl diagnose` will fit {fitted}, from these values on; "
@@ -108,7 +112,7 @@ def _split_given(given: list[str], actuator: str) -> dict[str, str]:
             near = get_close_matches(name, names, 1)
             hint = f"; did you mean {near[0]}?" if near and near[0] != name else ""
             raise typer.BadParameter(
-                f"{text!r} gives no number of a {actuator}{hint}; its numbers are "
+                f"{text!r} is no NAME=NUMBER of the actuator {actuator}{hint}; its numbers are "
                 f"{', '.join(names)}",
                 param_hint="--value",
             )

@@ -66,7 +66,7 @@ class Multisine(Configured):
     wave: Literal["multisine"]
     low_hz: Hertz
     high_hz: Hertz
-    amplitude_v: Annotated[float, Field(gt=0, le=5, description="V, highest peak")]
+    amplitude_v: Annotated[float, Field(gt=0, le=5, description="highest peak")]
     duration_s: Seconds
     tones: Annotated[int, Field(ge=1, le=200)] = 30
     bias_v: Volts = 0.0

@@ -130,9 +130,9 @@ Deviation = Annotated[float, Field(ge=0)]
 class NoiseSettings(Configured):
     """The sensors' noise, as standard deviations of one reading, where it is known."""
 
-    pressure_pa: Annotated[Deviation | None, Field(description="Pa")] = None
-    position_m: Annotated[Deviation | None, Field(description="m")] = None
-    force_n: Annotated[Deviation | None, Field(description="N")] = None
+    pressure_pa: Deviation | None = None
+    position_m: Deviation | None = None
+    force_n: Deviation | None = None
 
     @property
     def stated(self) -> dict[str, float]:

@@ -145,7 +145,7 @@ def _read_zeros(log: Log) -> dict[int, Zero]:
 def _index_by_tick(log: Log, messages: Iterable[dict[str, Any]]) -> dict[int, dict[str, Any]]:
     """Return messages by the place of their tick in the log, without those whose tick is lost.
 
-    The frozen state at the begin of an ordered run belongs to the tick before the log: place -1.
+    The frozen state at the start of an ordered run belongs to the tick before the log: place -1.
     """
     ticks = log["tick"]
     before = int(ticks[0]) - 1 - int(log["missed"][0])

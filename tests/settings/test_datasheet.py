@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import signal
@@ -130,6 +131,11 @@ def test_without_questions_options_and_defaults_make_a_file(tmp_path: Path) -> N
                 "--value", "stiffness_n_per_m=1")  # fmt: skip
     assert done.exit_code == 0, done.stderr
     assert read_section_file("plant", Path(out)).parameters.mass_kg == 95.0
+    told = make("--out", str(tmp_path / "told.yaml"), "--yes", "--json", "--actuator", "direct",
+                *values, "--value", "stiffness_n_per_m=0")  # fmt: skip
+    assert json.loads(told.stdout)["fitted"] == [
+        "mass_kg", "damping_n_s_per_m", "external_load.force_n"
+    ]  # fmt: skip
     again = make("--out", out, "--yes", "--actuator", "muscle")
     assert "never overwritten" in again.stderr
 

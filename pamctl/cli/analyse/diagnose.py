@@ -30,7 +30,7 @@ def diagnose(
         typer.Option(
             "--holdout",
             metavar="LOG",
-            help="Log that chooses and confirms the result, not fitted; can be repeated",
+            help="Log that is not fitted, but chooses and confirms the result; can be repeated",
             show_default="parts of the logs",
         ),
     ] = None,
@@ -49,7 +49,7 @@ def diagnose(
         typer.Option(
             "--accept",
             metavar="RULE=REASON",
-            help="Doubt about the data to overrule, such as gap='logger paused'; "
+            help="Rule about the data to overrule, such as gap='logger paused'; "
             "the document keeps the reason; can be repeated",
             show_default="none",
         ),
@@ -66,7 +66,8 @@ def diagnose(
         typer.Option(
             "--noise",
             metavar="CHANNEL=SIGMA",
-            help="Noise of a sensor, standard deviation in SI: position_m=2e-6; can be repeated",
+            help="Noise of a sensor, as a standard deviation in SI, such as position_m=2e-6; "
+            "can be repeated",
             show_default="from the records",
         ),
     ] = None,

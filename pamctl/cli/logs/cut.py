@@ -56,7 +56,7 @@ def cut_file(
 ) -> None:
     """Write a piece of a log as a new log, by time, by rows, or a file for each stretch.
 
-    Ticks keep their numbers and times. The new log says of what it is a piece.
+    Ticks keep their numbers and times. The new log names the log that it was cut from.
     """
     limits = (from_s, to_s, from_row, to_row)
     if not at_gaps and all(limit is None for limit in limits):

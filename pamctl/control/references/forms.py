@@ -30,7 +30,7 @@ Jerk = Annotated[float, Field(gt=0, le=1e12, description="the highest jerk of a 
 Seed = Annotated[int, Field(ge=0)]
 Trigger = Annotated[
     str | None,
-    Field(min_length=1, max_length=100, description="mark at the begin of each period, numbered"),
+    Field(min_length=1, max_length=100, description="mark at the start of each period, numbered"),
 ]
 Fade = Annotated[
     Seconds | None, Field(description="time to grow and to decay; one period if absent")
@@ -156,7 +156,7 @@ class ChirpForm(Form):
         "if absent, a period of the frequency there, a tenth of the duration at most"),
     ] = None  # fmt: skip
     trigger: Annotated[
-        str | None, Field(min_length=1, max_length=100, description="mark at the begin")
+        str | None, Field(min_length=1, max_length=100, description="mark at the start")
     ] = None
 
     @model_validator(mode="after")

@@ -102,7 +102,7 @@ class Sketch:
     def trigger(
         self, word: str | None, period_s: float, periods: int, ahead_s: float = 0.0
     ) -> None:
-        """Put marks at the begin of periods to come, the first `ahead_s` from now."""
+        """Put marks at the starts of periods to come, the first `ahead_s` from now."""
         if word is None:
             return
         self._refuse_many_cues(periods)

@@ -346,26 +346,6 @@ def test_a_chamber_is_asked_of_its_air_and_its_valve(
     assert not setup.base.unexplained
 
 
-def test_a_chamber_that_starts_under_pressure_keeps_its_fit_when_the_atmosphere_is_corrected() -> (
-    None
-):
-    """The sensor measures against 94 kPa, and 101.3 kPa were added: the start is shown wrong too."""
-
-    def fill(seed: int) -> Record:
-        whole = _fill_chamber(seed, atmosphere_pa=94e3)
-        record = whole.cut_samples(1500, len(whole), whole.name)
-        return replace(record, pressure_pa=record["pressure_pa"] + 7.3e3)
-
-    train, holdout = [fill(1)], [fill(2)]
-    base = recalibrate(prepare_evidence(train, holdout, PlantSettings.model_validate(CHAMBER)))
-    setup = suspect_setup(base, train, holdout, FirstLevel(list_candidates(base.evidence)))
-    (finding,) = setup.findings
-    assert finding.kind == "plant_constant"
-    assert finding.value == pytest.approx(94e3, rel=0.01)
-    (drive,) = setup.base.evidence.train[PRESSURE]
-    assert drive.start == pytest.approx(drive.measured[0], abs=600.0)
-
-
 def test_numbers_that_only_show_as_a_product_are_listed_for_each_actuator() -> None:
     (axis_numbers,) = list_equal_numbers(axis())
     assert "scale of position_m" in axis_numbers

@@ -41,7 +41,7 @@ def main() -> NoReturn:
         ending = run_to_ending(partial(_run, ring, settings, supervisor))
         # If the ring has no room for it, the front puts it there once the recorder has made room.
         ring.loop_done = _put_outcome(ring, ending)
-        if supervisor.is_front_gone():
+        if supervisor.may_be_last():
             start_finisher(ring.path)
     report_and_exit(ending)
 

@@ -90,6 +90,10 @@ class LoopSupervisor:
         """Tell whether the process that started this one is dead."""
         return bool(self._front.poll(0))
 
+    def may_be_last(self) -> bool:
+        """Tell whether another process is gone: the rest may die before the log is finished."""
+        return bool(self._loss) or self.is_front_gone()
+
     def _find_loss(self) -> str:
         """Return which of the other processes is gone; empty where all are alive."""
         ring, recorded = self._ring, self._recorded

@@ -48,7 +48,7 @@ def main() -> NoReturn:
         with suppress(RingFull):
             journal.end_last_run(ending)
         ring.loop_done = 1
-        if recorded is not None and supervisor.is_front_gone():
+        if recorded is not None and supervisor.may_be_last():
             start_finisher(recorded.path)
     report_and_exit(ending)
 

@@ -108,4 +108,8 @@ def _describe_error(error: Exception) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    code = main(sys.argv[1:])
+    sys.stderr.flush()
+    # The log is complete. An interpreter that takes itself apart could still be frozen, and nobody
+    # would look for it.
+    os._exit(code)

@@ -49,7 +49,8 @@ LEAST_CLOSED = 0.8
 """Share of the way to the floor that a suspect must go in a block."""
 MUCH = 0.05
 """Logs of mean squares that differ by less count as equal."""
-GEOMETRY = ("rest_length_m", "braid_length_m")
+GEOMETRY = ("rest_length_m", "braid_length_m", "scale of position_m")
+"""Suspects by label that say one thing: lengths of the plant and of the record do not agree."""
 
 HOPELESS = 5.0
 """A suspect that leaves so many times the square that an effect promises to leave is not fitted."""
@@ -209,7 +210,7 @@ def _fit_promising(base: Model, effects: EffectRivals) -> list[SuspectFit]:
         fits += [
             fit_suspect(base, s, _score(base, s).start)
             for s in asked
-            if s.number in GEOMETRY and s.key not in known
+            if s.label in GEOMETRY and s.key not in known
         ]
     return [*fits, *wholesale]
 

@@ -7,7 +7,7 @@ list is made for the plant and the blocks at hand: a suspect that changes nothin
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -61,8 +61,6 @@ class Suspect:
     """A step of this size is small but visible."""
     blocks: frozenset[str]
     variant: str = ""
-    same_as: frozenset[str] = field(default=frozenset())
-    """Effects of the catalogue that say the same with other words."""
     always_equal: tuple[str, ...] = ()
     """Labels of other suspects that the equations make equal to this one."""
     record: str = ""
@@ -266,7 +264,6 @@ UNITS = {
     ATMOSPHERE: "Pa",
     "chamber_leak.area_m2": "m^2",
 }
-_TWINS = {"rest_length_m": frozenset({"end_cap"}), "mass_kg": frozenset({"moving_mass"})}
 
 
 def list_suspects(evidence: Evidence, at_bound: Collection[str] = ()) -> tuple[Suspect, ...]:
@@ -293,10 +290,7 @@ def _list_constants(nominal: PlantSettings, at_bound: Collection[str]) -> Iterat
         low, high = (-0.15, 0.15) if name.endswith("length_m") else (-0.6, 1.5)
         if name == "mass_kg" or nominal.actuator == "direct":
             low, high = -0.97, 30.0
-        twins = _TWINS.get(name, frozenset()) if nominal.actuator == "muscle" else frozenset()
-        yield Suspect(
-            "plant_constant", name, UNITS[name], low, high, doses, scale, blocks, same_as=twins
-        )
+        yield Suspect("plant_constant", name, UNITS[name], low, high, doses, scale, blocks)
     if nominal.actuator != "direct":
         usual = nominal.parameters.atmospheric_pressure_pa
         low, high = LOWEST_ATMOSPHERE_PA / usual - 1.0, HIGHEST_ATMOSPHERE_PA / usual - 1.0
@@ -331,19 +325,16 @@ def _list_columns(evidence: Evidence) -> Iterator[Suspect]:
             "null_offset", "valve_v", "V", -null, null, doses, 0.02 * null, frozenset({PRESSURE})
         )
         # Where nothing moves, command and pressure are all that there is.
-        delays = frozenset({"command_delay"})
         other = () if moves else ("skew of pressure_pa",)
-        early = _skew("valve_v", frozenset({PRESSURE}), period_s, delays, sign=-1.0)
+        early = _skew("valve_v", frozenset({PRESSURE}), period_s, sign=-1.0)
         yield replace(early, always_equal=other)
         yield _rate("valve_v", frozenset({PRESSURE}))
     if moves and (widest_v or blocks == both):
         yield _skew("pressure_pa", both, period_s)
         yield _rate("pressure_pa", both)
     if blocks == both:
-        yield Suspect(
-            "scale", "position_m", "1", -0.6, 1.5, (0.01, -0.01, 0.05, -0.05), 0.01, both,
-            same_as=frozenset({"encoder_scale"}),
-        )  # fmt: skip
+        doses = (0.01, -0.01, 0.05, -0.05)
+        yield Suspect("scale", "position_m", "1", -0.6, 1.5, doses, 0.01, both)
         yield _skew("position_m", both, period_s)
         yield _rate("position_m", both)
 
@@ -378,14 +369,13 @@ def _skew(
     column: str,
     blocks: frozenset[str],
     period_s: float,
-    twins: frozenset[str] = frozenset(),
     sign: float = 1.0,
 ) -> Suspect:
     """Return the suspect that a column is late: by milliseconds, or by some samples."""
     unit_s = max(period_s, 1e-3)
     doses = tuple(sign * d * unit_s for d in (0.5, -0.5, 2.0, -2.0))
     most_s = 12.0 * unit_s
-    return Suspect("skew", column, "s", -most_s, most_s, doses, 0.2 * unit_s, blocks, same_as=twins)
+    return Suspect("skew", column, "s", -most_s, most_s, doses, 0.2 * unit_s, blocks)
 
 
 def _rate(column: str, blocks: frozenset[str]) -> Suspect:

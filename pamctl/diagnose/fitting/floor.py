@@ -254,10 +254,11 @@ def _add_noise(
         inner = "force_n" if settings.actuator == "direct" else "pressure_pa"
     driven = drive.driven
     if inner in noises:
-        driven = driven + drive.draw_disturbance(noises[inner], replica)
+        driven = driven + drive.draw_disturbance(driven, noises[inner], replica)
     pressed_pa = drive.pressed_pa
     if pressed_pa is not None and "pressure_pa" in noises:
-        pressed_pa = pressed_pa + drive.draw_disturbance(noises["pressure_pa"], replica, PRESSED)
+        noise = noises["pressure_pa"]
+        pressed_pa = pressed_pa + drive.draw_disturbance(pressed_pa, noise, replica, PRESSED)
     measured = noises[outer].simulate_sensor(ideal, drive.random_generator(replica, 1))
     noisy = replace(drive, driven=driven, measured=measured, pressed_pa=pressed_pa)
     noisy.__dict__["grid"] = drive.grid  # the steps are the same

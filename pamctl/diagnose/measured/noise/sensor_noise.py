@@ -13,6 +13,7 @@ from pamctl.diagnose.measured.noise.filtering import QUIETEST
 from pamctl.diagnose.measured.noise.moving_noise import measure_growth
 from pamctl.diagnose.measured.noise.spectrum import falls_steeply, find_tail
 from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches
+from pamctl.diagnose.measured.noise.wander import measure_walk, remove_walk
 from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
 
 ORDER = 12
@@ -49,6 +50,8 @@ class Noise:
     """Where the deviation comes from."""
     growth: float = 0.0
     """Further noise of a channel that moves, over its change from one sample to the next."""
+    walk: float = 0.0
+    """Standard deviation of the zero's random step from one sample to the next."""
 
     @property
     def is_known(self) -> bool:
@@ -62,11 +65,14 @@ class Noise:
 
     def draw(self, samples: int, random: np.random.Generator) -> Array:
         """Draw a stretch of noise, not yet rounded."""
-        if not self.memory:
-            return random.normal(0.0, self.deviation, samples)
-        settle = 200
-        innovation = random.normal(0.0, self.drive, samples + settle)
-        drawn: Array = lfilter([1.0], [1.0, *(-m for m in self.memory)], innovation)[settle:]
+        if self.memory:
+            settle = 200
+            innovation = random.normal(0.0, self.drive, samples + settle)
+            drawn: Array = lfilter([1.0], [1.0, *(-m for m in self.memory)], innovation)[settle:]
+        else:
+            drawn = random.normal(0.0, self.deviation, samples)
+        if self.walk:
+            drawn = drawn + np.cumsum(random.normal(0.0, self.walk, samples))
         return drawn
 
     def simulate_sensor(
@@ -96,17 +102,21 @@ def estimate_channel_noise(records: Sequence[Record], channel: str) -> Noise:
     """
     step = float(np.median([estimate_resolution(r[channel]) for r in records]))
     stated = [r.stated_noise[channel] for r in records if channel in r.stated_noise]
-    rested = _estimate_from_rests(_collect_rests(records, channel, step), step)
+    rests = _collect_rests(records, channel, step)
+    walk = measure_walk(rests)
+    rested = _estimate_from_rests([remove_walk(r) for r in rests] if walk else rests, step)
     if stated:
         pooled = float(np.sqrt(np.mean(np.square(stated))))
         noise = Noise(_subtract_rounding(pooled, step), (), 0.0, step, source="stated")
-        return noise if rested is None else _take_colour(noise, rested)
+        noise = noise if rested is None else _take_colour(noise, rested)
+        return replace(noise, walk=walk)
     span = max(float(np.ptp(r[channel])) for r in records)
     if rested is not None and rested.total > QUIETEST * span:
         noise = _refine_white(rested, records, channel)
     else:
         noise = _read_tail(records, channel, step, span)
-    return replace(noise, growth=measure_growth(records, channel, noise.total, step))
+    growth = measure_growth(records, channel, noise.total, step)
+    return replace(noise, growth=growth, walk=walk)
 
 
 def _collect_rests(records: Sequence[Record], channel: str, step: float) -> list[Array]:

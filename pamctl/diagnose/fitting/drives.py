@@ -250,6 +250,10 @@ class Drive:
         resting_pa = driven.true_pressure_pa[samples // 2 : samples]
         return float(np.mean(resting_pa)) - p.atmospheric_pressure_pa
 
+    def without_filter(self) -> Drive:
+        """Return the drive as its sensor showed it: a column may have been filtered since."""
+        return self
+
     def residual(self, settings: PlantSettings) -> Array:
         """Return measurement minus simulation, in deviations of the sensor, shape (samples,)."""
         return self.residual_of(self.simulate(settings))
@@ -271,13 +275,11 @@ class Drive:
         """Return a random generator that is fixed by this record and the key."""
         return np.random.default_rng([crc32(self.measured.tobytes()), *key])
 
-    def draw_disturbance(
-        self, signal: Array, noise: Noise, replica: int, stream: int = 0
-    ) -> Array:
-        """Draw noise of a driving signal of this drive, smoothed like the signal itself, shape (n,).
+    def draw_disturbance(self, signal: Array, noise: Noise, replica: int, stream: int = 0) -> Array:
+        """Draw noise of a driving signal, smoothed like the signal itself, shape (n,).
 
-        A coarse converter's rounding error goes slowly where the signal does: it is that of the
-        signal. The draws are kept: the floors of all models use the same noise.
+        A coarse converter's error goes slowly where the signal does: it is that of the signal. The
+        draws are kept: the floors of all models use the same noise.
         """
         if (replica, stream) not in self._disturbances:
             random = self.random_generator(replica, stream)

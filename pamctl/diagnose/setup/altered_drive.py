@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.diagnose.fitting.drives import MECHANICS, Drive
+from pamctl.diagnose.fitting.drives import MECHANICS, Drive, smooth_signal
 from pamctl.diagnose.measured.record import Array
 from pamctl.plant.drive import Restarts
 from pamctl.plant.parameters import PaperParameters, PlantParameters
@@ -54,6 +54,8 @@ class AlteredDrive(Drive):
     """How much later it becomes in each second."""
     gain: float = 1.0
     """Ratio of shown to true output."""
+    filtered_hz: float = 0.0
+    """Above 0: the column was filtered forwards and backwards, with this cutoff."""
     reads_gauge: bool = False
     """The pressure sensor measures against the true atmosphere; the plant file's was added."""
 
@@ -66,7 +68,13 @@ class AlteredDrive(Drive):
         if self.late_s or self.late_per_s:
             t_s = self._times_s
             simulated = np.interp(t_s - self.late_s - self.late_per_s * t_s, t_s, simulated)
+        if self.filtered_hz:
+            simulated = smooth_signal(simulated, self.step_s, self.filtered_hz)
         return simulated if self.gain == 1.0 else self.gain * simulated
+
+    def without_filter(self) -> Drive:
+        """Return the drive as its sensor showed it."""
+        return replace(self, filtered_hz=0.0) if self.filtered_hz else self
 
     @cached_property
     def _restarts(self) -> Restarts:

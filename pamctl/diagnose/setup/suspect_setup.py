@@ -233,6 +233,8 @@ def _fit_most_promising(
     for promise in sorted((_score(base, s) for s in asked), key=lambda p: -p.explained):
         blocks = promise.suspect.blocks
         enough = max(PROMISING, min(least[b] for b in blocks if b in least))
+        if promise.suspect.kind == "filtered":  # its spectrum has shown it
+            enough = MUCH
         better = max((f.promised for f in fits if f.is_good), default=0.0)
         if promise.explained > max(enough, NEAR_PROMISE * better) and counts[blocks] < MOST_FITTED:
             counts[blocks] += 1
@@ -293,7 +295,8 @@ def _is_worth_saying(fitted: SuspectFit) -> bool:
         return False
     best = max(blocks, key=fitted.closed)
     low, _ = held_out_margins(fitted.residuals, base.residuals, base, [best])
-    return low > MUCH and (fitted.is_explained(best) or fitted.closed(best) >= LEAST_CLOSED)
+    least = 0.0 if fitted.suspect.kind == "filtered" else MUCH  # its spectrum has shown it
+    return low > least and (fitted.is_explained(best) or fitted.closed(best) >= LEAST_CLOSED)
 
 
 def _word_finding(fitted: SuspectFit, effects: tuple[str, ...], *, corrected: bool) -> SetupFinding:

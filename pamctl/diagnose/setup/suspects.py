@@ -34,6 +34,7 @@ Kind = Literal[
     "decimated_command",
     "scale",
     "gauge",
+    "filtered",
     "drift",
     "change_at_instant",
 ]
@@ -79,6 +80,7 @@ class Suspect:
     def label(self) -> str:
         """Name it for a list of what cannot be told apart."""
         kinds = {"plant_constant": "", "skew": "skew of ", "clock_rate": "clock of ",
+                 "filtered": "filter of ",
                  "drift": "drift of ", "change_at_instant": "change of ", "scale": "scale of ",
                  "null_offset": "null offset of ", "sign": "sign of "}  # fmt: skip
         variant = f" ({self.variant} sensor)" if self.number == ATMOSPHERE else ""
@@ -187,6 +189,13 @@ def _scale_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     return replace(drive, **{field_name: getattr(drive, field_name) / gain})
 
 
+def _filter_output(suspect: Suspect, drive: Drive, amount: float) -> Drive:
+    """Filter what the model shows as the column was filtered; an input stays as it is."""
+    if suspect.number != drive.channel:
+        return drive
+    return alter(drive, filtered_hz=1.0 / (2.0 * np.pi * amount))
+
+
 def _restore_command(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     return replace(drive, valve_v=restore_command(drive.valve_v, round(amount)))
 
@@ -234,6 +243,7 @@ _ACTIONS = {
     "sign": _scale_column,
     "decimated_command": _restore_command,
     "gauge": _scale_column,
+    "filtered": _filter_output,
 }
 
 # Turns and temperature are not here: a recalibration imitates them exactly (`symmetries.py`).
@@ -312,6 +322,7 @@ def _list_columns(evidence: Evidence) -> Iterator[Suspect]:
     if evidence.nominal.actuator == "direct":
         yield from _list_axis_columns(evidence)
         return
+    yield from _list_filters(evidence)
     both, blocks = frozenset({PRESSURE, MECHANICS}), {*evidence.blocks}
     moves = evidence.nominal.actuator == "muscle"
     period_s = _period_s(evidence)
@@ -359,6 +370,18 @@ def _list_axis_columns(evidence: Evidence) -> Iterator[Suspect]:
             if column in evidence.noises:
                 doses = (0.02, -0.02, 0.2, -0.2)
                 yield Suspect("scale", column, "1", -0.97, 30.0, doses, 0.01, own)
+
+
+def _list_filters(evidence: Evidence) -> Iterator[Suspect]:
+    """Yield the channels that look filtered: forwards and backwards, to second order."""
+    for block, drives in evidence.train.items():
+        if drives[0].channel in evidence.filtered:
+            shortest_s = 1.5 * _period_s(evidence) / np.pi
+            doses = tuple(times * shortest_s for times in (2.0, 5.0, 12.0))
+            yield Suspect(
+                "filtered", drives[0].channel, "s", shortest_s, 40.0 * shortest_s, doses,
+                0.2 * shortest_s, frozenset({block}),
+            )  # fmt: skip
 
 
 def _period_s(evidence: Evidence) -> float:

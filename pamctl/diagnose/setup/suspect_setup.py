@@ -13,12 +13,15 @@ from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from pamctl.diagnose.fitting.block_fit import Fit, rms
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.numbers import AREA, value_of, with_values
+from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_from_residual
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.setup.decimation import fit_decimation
 from pamctl.diagnose.setup.finding_words import advise_mending, describe
@@ -346,12 +349,27 @@ def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:
             balance=tuple(map(fitted.apply, evidence.balance)),
             together={},
         )
+        if suspect.kind == "filtered" and fitted.is_good:
+            changed = replace(changed, noises=_read_filtered_noise(fitted))
     return replace(
         setup,
         base=weigh_blocks(recalibrate(changed)),
         train=train,
         holdout=holdout,
     )
+
+
+def _read_filtered_noise(fitted: SuspectFit) -> dict[str, Noise]:
+    """Return the noises; a filtered channel's is what is left, where nothing else shows it."""
+    evidence, column = fitted.base.evidence, fitted.suspect.number
+    known = evidence.noises[column]
+    if known.is_known:
+        return evidence.noises
+    (block,) = fitted.suspect.blocks
+    drives = evidence.holdout[block]
+    left = fitted.residuals[block] * drives[0].deviation
+    pieces = np.split(left, np.cumsum([d.samples for d in drives])[:-1])
+    return {**evidence.noises, column: estimate_from_residual(pieces, known)}
 
 
 def _keep_parts(drives: _Drives, before: _Drives) -> dict[str, tuple[Drive, ...]]:

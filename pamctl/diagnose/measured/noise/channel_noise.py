@@ -17,6 +17,7 @@ SOURCES = {
     "stated": "as stated",
     "rest": "from the rests",
     "spectrum": "from the end of the spectrum",
+    "residual": "from what the simulation leaves",
 }
 
 

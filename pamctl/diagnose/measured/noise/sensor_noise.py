@@ -29,7 +29,7 @@ VAGUE = 0.25
 """A tail that is less certain than this, relative, says nothing."""
 RIDGE = 1e-6
 """White share that is added to the noise of a rest: a filtered one would predict itself."""
-Source = Literal["stated", "rest", "spectrum", "unknown"]
+Source = Literal["stated", "rest", "spectrum", "residual", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,12 @@ def estimate_channel_noise(records: Sequence[Record], channel: str) -> Noise:
         noise = _read_tail(records, channel, step, span)
     growth = measure_growth(records, channel, noise.total, step)
     return replace(noise, growth=growth, walk=walk)
+
+
+def estimate_from_residual(pieces: Sequence[Array], known: Noise) -> Noise:
+    """Return the noise of a channel whose simulation leaves only noise, such as these stretches."""
+    found = _estimate_from_rests([_remove_trend(p) for p in pieces], known.resolution)
+    return known if found is None else replace(found, source="residual")
 
 
 def _collect_rests(records: Sequence[Record], channel: str, step: float) -> list[Array]:

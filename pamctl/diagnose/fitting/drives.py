@@ -250,6 +250,10 @@ class Drive:
         resting_pa = driven.true_pressure_pa[samples // 2 : samples]
         return float(np.mean(resting_pa)) - p.atmospheric_pressure_pa
 
+    def show_output(self, true: Array) -> Array:
+        """Return a simulated output as the record's column shows it."""
+        return true
+
     def without_filter(self) -> Drive:
         """Return the drive as its sensor showed it: a column may have been filtered since."""
         return self

@@ -65,12 +65,17 @@ class AlteredDrive(Drive):
             simulated = self._simulate_pieces(p)
         else:
             simulated = self._simulate_constant(p, 0.0)
+        return self.show_output(simulated)
+
+    def show_output(self, true: Array) -> Array:
+        """Return a simulated output as the record's column shows it: late, filtered and scaled."""
+        shown = true
         if self.late_s or self.late_per_s:
             t_s = self._times_s
-            simulated = np.interp(t_s - self.late_s - self.late_per_s * t_s, t_s, simulated)
+            shown = np.interp(t_s - self.late_s - self.late_per_s * t_s, t_s, shown)
         if self.filtered_hz:
-            simulated = smooth_signal(simulated, self.step_s, self.filtered_hz)
-        return simulated if self.gain == 1.0 else self.gain * simulated
+            shown = smooth_signal(shown, self.step_s, self.filtered_hz)
+        return shown if self.gain == 1.0 else self.gain * shown
 
     def without_filter(self) -> Drive:
         """Return the drive as its sensor showed it."""

@@ -17,8 +17,9 @@ import numpy as np
 
 from pamctl.diagnose.fitting.block_fit import Fit, rms
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
-from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence
+from pamctl.diagnose.fitting.evidence import SMALLEST_MISFIT, Evidence, prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.held_out_rms import simulate_held_out
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.numbers import AREA, value_of, with_values
 from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_from_residual
@@ -50,6 +51,8 @@ NEAR_PROMISE = 0.7
 """Once a suspect reaches the floor, another must promise this share of what that one promised."""
 LEAST_CLOSED = 0.8
 """Share of the way to the floor that a suspect must go in a block."""
+WORSE = 1.1
+"""A coupled signal is worse if its RMS grows by more than this factor."""
 MUCH = 0.05
 """Logs of mean squares that differ by less count as equal."""
 GEOMETRY = ("rest_length_m", "braid_length_m", "scale of position_m")
@@ -122,10 +125,13 @@ def suspect_setup(
         said.add(fitted.suspect.key)
         corrected = not rivals
         finding = _word_finding(fitted, rivals, corrected=corrected)
-        progress(f"set-up: {finding.text}")
         if corrected:
-            setup = _correct(setup, fitted)
-        else:
+            changed = _correct(setup, fitted)
+            if not fitted.suspect.is_timed and _spoils_coupled(setup.base, changed.base):
+                break
+            setup = changed
+        progress(f"set-up: {finding.text}")
+        if not corrected:
             setup = replace(setup, open_fits=(*setup.open_fits, fitted))
         setup = replace(setup, findings=(*setup.findings, finding))
     return setup
@@ -370,6 +376,21 @@ def _read_filtered_noise(fitted: SuspectFit) -> dict[str, Noise]:
     left = fitted.residuals[block] * drives[0].deviation
     pieces = np.split(left, np.cumsum([d.samples for d in drives])[:-1])
     return {**evidence.noises, column: estimate_from_residual(pieces, known)}
+
+
+def _spoils_coupled(before: Model, after: Model) -> bool:
+    """Tell whether a correction makes every coupled signal worse.
+
+    A block alone may take a wrong neighbour for its cause. Driven by the command alone, the whole
+    rig shows that nothing has become better.
+    """
+    old, new = map(_measure_coupled, (before, after))
+    return all(new[c] > WORSE * old[c] + SMALLEST_MISFIT[c] for c in old)
+
+
+def _measure_coupled(model: Model) -> dict[str, float]:
+    plant = with_values(model.evidence.nominal, model.values)
+    return simulate_held_out(model.evidence, plant).measure_rms(model.evidence)
 
 
 def _keep_parts(drives: _Drives, before: _Drives) -> dict[str, tuple[Drive, ...]]:

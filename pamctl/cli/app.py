@@ -41,6 +41,7 @@ from pamctl.cli.rig.doctor import doctor
 from pamctl.cli.rig.run import run
 from pamctl.cli.rig.safe import safe
 from pamctl.cli.runs.runs import runs_app
+from pamctl.cli.runs.sweep import sweep
 from pamctl.cli.tune import tune
 
 app = typer.Typer(
@@ -59,7 +60,7 @@ _GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Run": (run,),
     "Rig": (safe, doctor),
     "Analyse": (report, replay, compare, audit, diagnose),
-    "Tune": (tune,),
+    "Tune": (tune, sweep),
     "Daemon": (daemon, status, start, stop, estop, ack, disarm, mark, watch),
     "Other": (reproduce, manual),
 }

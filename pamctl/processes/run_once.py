@@ -17,6 +17,7 @@ from hal.rig import Rig
 from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
 from pamctl.exit_codes import Ending, ExitCode
+from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.naming import bare_name
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.backends import (
@@ -33,6 +34,7 @@ from pamctl.recording.log_path import choose_log_path
 from pamctl.recording.orphans import finish_orphans
 from pamctl.recording.ring import Ring
 from pamctl.report.progress_line import ProgressLine
+from pamctl.runs.index_finished import index_quietly
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import (
     RunSettings,
@@ -69,8 +71,12 @@ def run_once(
     live_view: LiveView,
     *,
     quiet: bool,
+    said: Annotation = NOTHING_SAID,
+    records: Mapping[str, Mapping[str, str]] | None = None,
 ) -> FinishedRun:
     """Run once; `names` are those of the configuration files, by section.
+
+    What is `said` of the run goes into its log, and so do further metadata `records` by name.
 
     Raises `LogPathError`, and `RigError` or `RingError` where the device cannot be had.
     """
@@ -79,7 +85,7 @@ def run_once(
     path = choose_log_path(log, names["controller"], names["experiment"])
     with secure_device(settings) as rig:
         finish_orphans(SHARED_MEMORY, quiet=quiet)
-        meta = make_run_meta(settings, names, path)
+        meta = annotate_meta(make_run_meta(settings, names, path), said, records)
         with (
             Ring.create(new_ring_path(), meta, settings.rig.loop.ring_rows) as ring,
             live_view("--ring", str(ring.path)),
@@ -184,6 +190,7 @@ def _conclude_run(
             path.unlink()  # nothing happened: leave nothing behind
         else:
             lines.append(f"log: {path}")
+            index_quietly(path)
     code = int(ending.code or (ExitCode.OK if report.log_is_whole else ExitCode.CHECK_FAILED))
     reason = ending.reason if ending.code else ""
     return FinishedRun(code, reason, report.note, document, "\n".join(lines))

@@ -66,9 +66,7 @@ class RunIndex:
         ((count,),) = self._base.execute("SELECT count(*) FROM runs")
         return int(count)
 
-    def refresh(
-        self, progress: Progress = lambda done, of: None, *, rebuild: bool = False
-    ) -> None:
+    def refresh(self, progress: Progress = lambda done, of: None, *, rebuild: bool = False) -> None:
         """Read the logs that are new or changed, or all; forget those that are gone."""
         there = dict(_list_logs(self.folder))
         known = {
@@ -132,7 +130,7 @@ class RunIndex:
 
 
 def index_log(path: Path) -> None:
-    """Put one finished log into the index of its folder; raise RunsError, OSError, sqlite3.Error."""
+    """Put one finished log into the index of its folder; raise whatever stands in the way."""
     with RunIndex(path.absolute().parent) as index:
         index.put([read_row(path)])
 

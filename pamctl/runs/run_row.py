@@ -122,7 +122,7 @@ def _describe_run(bare: RunRow, contents: Contents, ticks: TickColumns, damage: 
     config: dict[str, Any] = {}
     with suppress(LogError):
         config = contents.config()
-    words = {key: bare_name(strip_controls(run.get(key, ""))) for key in _NAMES}
+    words: dict[str, Any] = {key: bare_name(strip_controls(run.get(key, ""))) for key in _NAMES}
     row = replace(bare, **words, **_measure(columns), **_judge_ending(events, contents, damage))
     annotation = Annotation.from_metadata(said)
     return replace(

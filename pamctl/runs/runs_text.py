@@ -62,4 +62,3 @@ def list_documents(rows: Iterable[RunRow]) -> list[dict[str, Any]]:
     return [
         {"start": datetime.fromtimestamp(row.when_s, UTC).isoformat(), **vars(row)} for row in rows
     ]
-

@@ -64,7 +64,8 @@ def _find_instant(said: str, now: datetime) -> datetime:
     if said == "now":
         return now
     if clock := re.fullmatch(r"(\d{1,2}):(\d\d)(?::(\d\d))?", said):
-        return datetime.combine(now.date(), time(*(int(part or 0) for part in clock.groups())))
+        hour, minute, second = (int(part or 0) for part in clock.groups())
+        return datetime.combine(now.date(), time(hour, minute, second))
     if ago := _AGO.fullmatch(said):
         count = 1.0 if ago[1] in ("a", "an") else float(ago[1])
         if ago[2] not in _UNITS:

@@ -52,7 +52,8 @@ def list_runs(
         str | None, _text_option("--until", "DATE", "Last day or time; a day counts whole")
     ] = None,
     max_error_um: Annotated[
-        str | None, _text_option("--max-error-um", "LIMIT", "Largest error, such as '>50' or 10..20")
+        str | None,
+        _text_option("--max-error-um", "LIMIT", "Largest error, such as '>50' or 10..20"),
     ] = None,
     rms_um: Annotated[
         str | None, _text_option("--rms-um", "LIMIT", "RMS error, such as '<20'")
@@ -69,7 +70,8 @@ def list_runs(
         ),
     ] = None,
     verdict: Annotated[
-        str | None, _text_option("--verdict", "TEXT", "Part of a safety rule that clipped or tripped")
+        str | None,
+        _text_option("--verdict", "TEXT", "Part of a safety rule that clipped or tripped"),
     ] = None,
     tags: Annotated[
         list[str] | None, _text_option("--tag", "TAG", "Tag; can be repeated, all must be there")
@@ -94,7 +96,9 @@ def list_runs(
     paths_only: Annotated[
         bool, typer.Option("--paths", help="Print paths only, for other commands")
     ] = False,
-    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV, with settings that differ")] = False,
+    as_csv: Annotated[
+        bool, typer.Option("--csv", help="Print CSV, with settings that differ")
+    ] = False,
     page: Annotated[
         Path | None,
         typer.Option(

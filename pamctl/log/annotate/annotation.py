@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
@@ -71,8 +71,11 @@ class Annotation:
         return cls(tuple(dict.fromkeys(tag for tag in found if _TAG.fullmatch(tag))), **texts)
 
 
+NOTHING_SAID = Annotation()
+
+
 def make_annotation(
-    tags: tuple[str, ...] | list[str] = (), note: str = "", operator: str = "", sample: str = ""
+    tags: Sequence[str] = (), note: str = "", operator: str = "", sample: str = ""
 ) -> Annotation:
     """Return the annotation of texts from outside; raise AnnotationError where one cannot be used.
 
@@ -105,7 +108,7 @@ def annotate_meta(
 ) -> RunMeta:
     """Return the description of a run with what is said of it, and further metadata records."""
     metadata = {**meta.metadata, **(records or {})}
-    if said != Annotation():
+    if said != NOTHING_SAID:
         metadata[ANNOTATION] = said.to_metadata()
     return replace(meta, metadata=metadata)
 

@@ -1,4 +1,4 @@
-"""Add a metadata record to a finished log; read what is said of a run without its ticks.
+"""Add a metadata record to a finished log.
 
 Every byte of the data stays: the record goes behind them, and only the end of the file, its
 index, is written anew. The new file is complete before it takes the place of the old one, so
@@ -38,24 +38,6 @@ from pamctl.new_file import create_new_file
 
 _CRC_BYTES = 4
 _BLOCK_BYTES = 1 << 20
-
-
-def read_annotation(path: Path) -> Annotation:
-    """Return what is said of a run, from its metadata alone; raise LogError if it is no log.
-
-    A log that is not finished says what stands before its end.
-    """
-    values: Mapping[str, str] = {}
-    try:
-        for record in walk_records(map_log_file(path)):
-            if record.opcode == Opcode.METADATA:
-                with translate_parse_errors(record):
-                    metadata = Metadata.read(record.stream())
-                values = metadata.metadata if metadata.name == ANNOTATION else values
-    except Damage as damage:
-        if damage.offset == 0:
-            raise LogError(f"{path} is not a log: {damage}") from damage
-    return Annotation.from_metadata(values)
 
 
 def write_annotation(path: Path, said: Annotation) -> None:

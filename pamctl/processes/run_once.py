@@ -28,6 +28,7 @@ from pamctl.processes.backends import (
     require_backend,
 )
 from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
+from pamctl.processes.mark_desk import MarkDesk, open_mark_desk
 from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.tick import first_state
 from pamctl.recording.log_path import choose_log_path
@@ -89,8 +90,10 @@ def run_once(
         with (
             Ring.create(new_ring_path(), meta, settings.rig.loop.ring_rows) as ring,
             live_view("--ring", str(ring.path)),
+            # Without a clock there is no moment to mark.
+            open_mark_desk(path, wanted=not settings.fast) as desk,
         ):
-            report = _conduct_run(ring, rig, progress, settings)
+            report = _conduct_run(ring, rig, progress, settings, desk)
     progress.end_line()
     return _conclude_run(settings, names, path, report)
 
@@ -114,7 +117,7 @@ def secure_device(settings: RunSettings) -> Iterator[Rig]:
 
 
 def _conduct_run(
-    ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettings
+    ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettings, desk: MarkDesk | None
 ) -> FrontReport:
     start = [sys.executable, "-m"]
     guardian = None if settings.fast else [*start, "pamctl.processes.guardian_main"]
@@ -122,7 +125,7 @@ def _conduct_run(
     try:
         # Without a clock no valve depends on the front: it needs no priority.
         mode = "off" if settings.fast else settings.rt
-        return conduct_run(ring, commands, rig, progress, mode, settings.rig.loop)
+        return conduct_run(ring, commands, rig, progress, mode, settings.rig.loop, desk)
     except BaseException:
         if not ring.head:
             ring.unlink()

@@ -123,13 +123,13 @@ SocketOption = Annotated[
 # --- what is said of a run --------------------------------------------------------------------
 
 NoteOption = Annotated[
-    str, typer.Option("--note", metavar="TEXT", help="Note for the log", show_default="none")
+    str | None, typer.Option("--note", metavar="TEXT", help="Note for the log", show_default="none")
 ]
 OperatorOption = Annotated[
-    str, typer.Option("--operator", metavar="NAME", help="Who runs it", show_default="none")
+    str | None, typer.Option("--operator", metavar="NAME", help="Who runs it", show_default="none")
 ]
 SampleOption = Annotated[
-    str,
+    str | None,
     typer.Option("--sample", metavar="NAME", help="Muscle or part on the rig", show_default="none"),
 ]
 TagOption = Annotated[

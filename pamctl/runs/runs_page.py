@@ -78,7 +78,7 @@ def _draw_metric(
     if not places:
         return None
     x_axis = PlotAxis(key, "", log=min(places) > 0 and max(places) / min(places) >= _LOG_RATIO)
-    plot = SvgPlot(name.capitalize(), x_axis, PlotAxis(name, "µm"))
+    plot = SvgPlot(name[:1].upper() + name[1:], x_axis, PlotAxis(name, "µm"))
     named = len(groups) > 1 and len(groups) <= COLOURS
     for colour, (group, points) in enumerate(sorted(groups.items(), key=str)):
         x = np.array(sorted(points))
@@ -117,19 +117,30 @@ def _shorten(key: str) -> str:
 
 def _write_table(page: Page, rows: Sequence[RunRow], keys: Sequence[str]) -> None:
     page.section("Runs")
-    head = ["log", *keys, "ending", *(f"{name}, µm" for name in METRICS.values()), "tags", "note"]
     shown = rows[-_MOST_ROWS:]
-    cells = [
-        [
-            row.path,
-            *("-" if (v := read_value(row, key)) is None else str(v) for key in keys),
-            row.ending,
-            *("-" if (v := getattr(row, m)) is None else f"{v:.1f}" for m in METRICS),
-            " ".join(row.tags),
-            row.note,
-        ]
-        for row in shown
-    ]
-    page.table(head, cells)
+    columns = {
+        **{key: [str(_or_dash(read_value(row, key))) for row in shown] for key in keys},
+        "ending": [row.ending for row in shown],
+        **{
+            f"{name}, µm": [_format_um(row, metric) for row in shown]
+            for metric, name in METRICS.items()
+        },
+        "tags": [" ".join(row.tags) for row in shown],
+        "note": [row.note for row in shown],
+        "log": [row.path for row in shown],
+    }
+    said = {
+        head: cells for head, cells in columns.items() if any(c not in ("", "-") for c in cells)
+    }
+    page.table(list(said), list(zip(*said.values(), strict=True)))
     if len(shown) < len(rows):
         page.text(f"{len(rows) - len(shown)} older runs are in the figures, not in the table.")
+
+
+def _or_dash(value: SettingValue) -> SettingValue:
+    return "-" if value is None else value
+
+
+def _format_um(row: RunRow, metric: str) -> str:
+    value = getattr(row, metric)
+    return "-" if value is None else f"{value:.1f}"

@@ -17,7 +17,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.annotate.annotation import Annotation
 from pamctl.runs.run_row import read_row
 from pamctl.settings.resolve import RunSettings, settings_to_data
-from pamctl.sweep.run_sweep import Sweep
+from pamctl.sweep.run_sweep import SweepPlan
 from pamctl.sweep.sweep_plan import SweepError, SweepRequest, SweepRun, list_runs
 
 _LOOK_EVERY_S = 0.1
@@ -41,7 +41,9 @@ class DaemonRunner:
         self._device = status["device"]
         self._names = status["names"]
 
-    def plan_sweep(self, request: SweepRequest, repeats: int, name: str, said: Annotation) -> Sweep:
+    def plan_sweep(
+        self, request: SweepRequest, repeats: int, name: str, said: Annotation
+    ) -> SweepPlan:
         """Return what is to be run; raise SweepError where the daemon could not run it."""
         others = [one.key for one in request.swept if not one.key.startswith("controller.")]
         if wrong := [*others, *request.fixed]:
@@ -60,7 +62,7 @@ class DaemonRunner:
             raise SweepError(str(error)) from error
         points = [request.read_point(settings_to_data(settings)) for settings in changed]
         mark = request.mark_base(known)
-        return Sweep(name, mark, list_runs(points, repeats), self._folder, said)
+        return SweepPlan(name, mark, list_runs(points, repeats), self._folder, said)
 
     @property
     def goes_on(self) -> bool:

@@ -12,7 +12,7 @@ from pamctl.log.naming import bare_name, make_dated_path
 from pamctl.processes.run_once import run_once
 from pamctl.report.progress_line import ProgressLine
 from pamctl.settings.resolve import RunSettings, settings_to_data
-from pamctl.sweep.run_sweep import Sweep
+from pamctl.sweep.run_sweep import SweepPlan
 from pamctl.sweep.sweep_plan import SweepRequest, SweepRun, list_runs
 
 
@@ -44,11 +44,11 @@ class OwnRunner:
         repeats: int,
         name: str,
         said: Annotation,
-    ) -> Sweep:
+    ) -> SweepPlan:
         """Return what is to be run; `base` are the settings without the swept ones."""
         points = [request.read_point(settings_to_data(settings)) for settings in self._points]
         mark = request.mark_base({**settings_to_data(base), "names": self._names})
-        return Sweep(name, mark, list_runs(points, repeats), self._folder, said)
+        return SweepPlan(name, mark, list_runs(points, repeats), self._folder, said)
 
     @property
     def goes_on(self) -> bool:

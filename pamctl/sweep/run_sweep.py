@@ -34,7 +34,7 @@ class SweepRunner(Protocol):
         """Whether the next run may follow one that failed: not where a real muscle moves."""
 
 
-class Sweep(NamedTuple):
+class SweepPlan(NamedTuple):
     """What is to be run, and where the logs are."""
 
     name: str
@@ -57,7 +57,7 @@ class SweepEnd(NamedTuple):
     """Number of runs that are still to be made."""
 
 
-def run_sweep(sweep: Sweep, runner: SweepRunner, tell: Tell) -> SweepEnd:
+def run_sweep(sweep: SweepPlan, runner: SweepRunner, tell: Tell) -> SweepEnd:
     """Make the runs that are missing; return all that there are.
 
     Raise SweepError if the folder holds a sweep of this name with other settings.
@@ -88,7 +88,7 @@ def run_sweep(sweep: Sweep, runner: SweepRunner, tell: Tell) -> SweepEnd:
     return SweepEnd(ending, rows, sum(1 for run in sweep.runs if run.place not in well))
 
 
-def find_runs(sweep: Sweep, *, whatever_ending: bool = False) -> dict[str, RunRow]:
+def find_runs(sweep: SweepPlan, *, whatever_ending: bool = False) -> dict[str, RunRow]:
     """Return the runs of a sweep that are in its folder, by their place; the newest of each.
 
     Only those that ended well, unless asked for all. Raise SweepError as `run_sweep` does.
@@ -110,6 +110,6 @@ def find_runs(sweep: Sweep, *, whatever_ending: bool = False) -> dict[str, RunRo
     return found
 
 
-def _make_record(sweep: Sweep, run: SweepRun) -> dict[str, str]:
+def _make_record(sweep: SweepPlan, run: SweepRun) -> dict[str, str]:
     point = to_json(run.point).decode()
     return {"name": sweep.name, "base": sweep.base, "point": point, "repeat": str(run.repeat)}

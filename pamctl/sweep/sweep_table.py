@@ -12,7 +12,7 @@ from pamctl.json_text import to_json
 from pamctl.runs.run_row import METRICS, RunRow
 
 
-class RepeatSpread(NamedTuple):
+class MetricSpread(NamedTuple):
     """A metric over repeats, in um."""
 
     mean: float
@@ -30,7 +30,7 @@ class SweepPoint(NamedTuple):
     """Those that ended well."""
     failed: Mapping[str, int]
     """The others, by how they ended."""
-    metrics: Mapping[str, RepeatSpread]
+    metrics: Mapping[str, MetricSpread]
     """By name; a metric that no run has is missing."""
 
 
@@ -50,7 +50,7 @@ def _summarise(rows: Sequence[RunRow]) -> SweepPoint:
         values = [value for row in well if (value := getattr(row, name)) is not None]
         if values:
             sd = statistics.stdev(values) if len(values) > 1 else None
-            metrics[name] = RepeatSpread(statistics.fmean(values), sd, min(values), max(values))
+            metrics[name] = MetricSpread(statistics.fmean(values), sd, min(values), max(values))
     failed = {ending: others.count(ending) for ending in dict.fromkeys(others)}
     return SweepPoint(rows[0].sweep["point"], len(well), failed, metrics)
 
@@ -70,7 +70,7 @@ def format_points(points: Sequence[SweepPoint]) -> str:
     )
 
 
-def _format_spread(spread: RepeatSpread | None) -> str:
+def _format_spread(spread: MetricSpread | None) -> str:
     if spread is None:
         return "-"
     return f"{spread.mean:.1f}" + ("" if spread.sd is None else f" ± {spread.sd:.1f}")
@@ -81,10 +81,10 @@ def format_points_csv(points: Sequence[SweepPoint]) -> str:
     keys = list(points[0].point) if points else []
     text = StringIO()
     table = csv.writer(text, lineterminator="\n")
-    parts = [f"{name}_{part}" for name in METRICS for part in RepeatSpread._fields]
+    parts = [f"{name}_{part}" for name in METRICS for part in MetricSpread._fields]
     table.writerow([*keys, "runs", "failed", *parts])
     for one in points:
-        spreads = (one.metrics.get(name) or [""] * len(RepeatSpread._fields) for name in METRICS)
+        spreads = (one.metrics.get(name) or [""] * len(MetricSpread._fields) for name in METRICS)
         figures = [value for spread in spreads for value in spread]
         failed = sum(one.failed.values())
         table.writerow([*(one.point[key] for key in keys), one.runs, failed, *figures])

@@ -66,9 +66,9 @@ def run(
     seed: SeedOption = None,
     overrides: SetOption = None,
     rt: RtOption = None,
-    note: NoteOption = "",
-    operator: OperatorOption = "",
-    sample: SampleOption = "",
+    note: NoteOption = None,
+    operator: OperatorOption = None,
+    sample: SampleOption = None,
     tags: TagOption = None,
     as_json: JsonOption = False,
     dry_run: Annotated[

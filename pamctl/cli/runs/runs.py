@@ -33,7 +33,9 @@ def _text_option(name: str, metavar: str, help_text: str) -> typer.models.Option
 def list_runs(
     context: typer.Context,
     logs: LogsOption = Path("logs"),
-    law: Annotated[str | None, _text_option("--law", "NAME", "Law; * for any part")] = None,
+    law: Annotated[
+        str | None, _text_option("--law", "NAME", "Name of the law; * stands for any part")
+    ] = None,
     controller: Annotated[
         str | None, _text_option("--controller", "NAME", "Name of the gains file")
     ] = None,
@@ -41,9 +43,11 @@ def list_runs(
         str | None, _text_option("--experiment", "NAME", "Name of the experiment")
     ] = None,
     plant: Annotated[str | None, _text_option("--plant", "NAME", "Name of the plant file")] = None,
-    backend: Annotated[str | None, _text_option("--backend", "NAME", "Backend")] = None,
-    operator: Annotated[str | None, _text_option("--operator", "NAME", "Operator")] = None,
-    sample: Annotated[str | None, _text_option("--sample", "NAME", "Sample, the muscle")] = None,
+    backend: Annotated[str | None, _text_option("--backend", "NAME", "Name of the backend")] = None,
+    operator: Annotated[
+        str | None, _text_option("--operator", "NAME", "Name of the operator")
+    ] = None,
+    sample: Annotated[str | None, _text_option("--sample", "NAME", "Name of the sample")] = None,
     since: Annotated[
         str | None,
         _text_option("--since", "DATE", "First day or time, such as monday or '2 days ago'"),
@@ -66,7 +70,7 @@ def list_runs(
         _text_option(
             "--ending",
             "WORD|CODE",
-            "ok, trip, overruns, stopped, failed, unfinished, imported, unreadable, or a code",
+            "Word such as ok, trip, overruns, stopped, failed or unfinished, or a code",
         ),
     ] = None,
     verdict: Annotated[
@@ -78,7 +82,7 @@ def list_runs(
     ] = None,
     without_tags: Annotated[
         list[str] | None,
-        typer.Option("--without-tag", metavar="TAG", help="Tag that a run must not have"),
+        _text_option("--without-tag", "TAG", "Tag that a run must not have"),
     ] = None,
     note_text: Annotated[
         str | None, _text_option("--note-text", "TEXT", "Part of the note, or of a mark")
@@ -86,7 +90,9 @@ def list_runs(
     where: Annotated[
         list[str] | None,
         _text_option(
-            "--where", "CONDITION", "Such as 'controller.lambda_per_s>=40'; can be repeated"
+            "--where",
+            "CONDITION",
+            "Condition, such as 'controller.lambda_per_s>=40'; can be repeated",
         ),
     ] = None,
     last: Annotated[
@@ -97,7 +103,7 @@ def list_runs(
         bool, typer.Option("--paths", help="Print paths only, for other commands")
     ] = False,
     as_csv: Annotated[
-        bool, typer.Option("--csv", help="Print CSV, with settings that differ")
+        bool, typer.Option("--csv", help="Print CSV, with the settings that differ")
     ] = False,
     page: Annotated[
         Path | None,

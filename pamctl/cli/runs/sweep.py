@@ -40,7 +40,7 @@ from pamctl.settings.resolve import DEFAULT_NAMES
 from pamctl.sweep.sweep_plan import parse_sweep, require_end
 
 if TYPE_CHECKING:
-    from pamctl.sweep.run_sweep import Sweep, SweepEnd
+    from pamctl.sweep.run_sweep import SweepEnd, SweepPlan
 
 
 def sweep(
@@ -80,9 +80,9 @@ def sweep(
         bool, typer.Option("--daemon", help="Run on the daemon; only its gains can be swept")
     ] = False,
     socket: SocketOption = None,
-    note: NoteOption = "",
-    operator: OperatorOption = "",
-    sample: SampleOption = "",
+    note: NoteOption = None,
+    operator: OperatorOption = None,
+    sample: SampleOption = None,
     tags: TagOption = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print no progress")] = False,
     as_json: JsonOption = False,
@@ -158,7 +158,7 @@ def _tell(line: str, *, quiet: bool) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
-def _conclude(plan: Sweep, end: SweepEnd, *, as_json: bool) -> None:
+def _conclude(plan: SweepPlan, end: SweepEnd, *, as_json: bool) -> None:
     from pamctl.sweep.sweep_table import (
         format_points,
         format_points_csv,

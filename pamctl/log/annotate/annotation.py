@@ -75,19 +75,21 @@ NOTHING_SAID = Annotation()
 
 
 def make_annotation(
-    tags: Sequence[str] = (), note: str = "", operator: str = "", sample: str = ""
+    tags: Sequence[str] = (),
+    note: str | None = None,
+    operator: str | None = None,
+    sample: str | None = None,
 ) -> Annotation:
     """Return the annotation of texts from outside; raise AnnotationError where one cannot be used.
 
     Control characters, escape sequences and bidirectional marks are taken out.
     """
-    said = {"note": (note, LONGEST_NOTE), "operator": (operator, LONGEST_NAME)}
-    said["sample"] = sample, LONGEST_NAME
-    clean = {name: strip_controls(text) for name, (text, _) in said.items()}
-    for name, (_, longest) in said.items():
-        if len(clean[name]) > longest:
-            got = len(clean[name])
-            raise AnnotationError(f"the {name} has {got} characters, {longest} are allowed")
+    said = {"note": note, "operator": operator, "sample": sample}
+    clean = {name: strip_controls(text or "") for name, text in said.items()}
+    for name, text in clean.items():
+        longest = LONGEST_NOTE if name == "note" else LONGEST_NAME
+        if len(text) > longest:
+            raise AnnotationError(f"the {name} has {len(text)} characters, {longest} are allowed")
     known = tuple(dict.fromkeys(check_tag(tag) for tag in tags))
     if len(known) > MOST_TAGS:
         raise AnnotationError(f"{len(known)} tags, {MOST_TAGS} are allowed for a log")

@@ -95,7 +95,7 @@ def run_once(
         ):
             report = _conduct_run(ring, rig, progress, settings, desk)
     progress.end_line()
-    return _conclude_run(settings, names, path, report)
+    return _conclude_run(settings, names, path, report, is_usual_place=log is None)
 
 
 @contextmanager
@@ -172,7 +172,12 @@ def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -
 
 
 def _conclude_run(
-    settings: RunSettings, names: dict[str, str], path: Path, report: FrontReport
+    settings: RunSettings,
+    names: dict[str, str],
+    path: Path,
+    report: FrontReport,
+    *,
+    is_usual_place: bool,
 ) -> FinishedRun:
     ending = report.ending
     document: dict[str, Any] = {
@@ -193,7 +198,7 @@ def _conclude_run(
             path.unlink()  # nothing happened: leave nothing behind
         else:
             lines.append(f"log: {path}")
-            index_quietly(path)
+            index_quietly(path, make_index=is_usual_place)
     code = int(ending.code or (ExitCode.OK if report.log_is_whole else ExitCode.CHECK_FAILED))
     reason = ending.reason if ending.code else ""
     return FinishedRun(code, reason, report.note, document, "\n".join(lines))

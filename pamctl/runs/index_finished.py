@@ -15,6 +15,7 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
+INDEX_NAME = ".pamctl-runs.sqlite"
 _LEAST_URGENT = 19
 
 
@@ -35,12 +36,16 @@ def index_in_own_process(log: Path) -> None:
     threading.Thread(target=run, name="index", daemon=True).start()
 
 
-def index_quietly(log: Path) -> None:
-    """Put a log into the index; no trouble with the index is a trouble of the run."""
-    with suppress(Exception):
-        from pamctl.runs.run_index import index_log  # slow imports: not before the run
+def index_quietly(log: Path, *, make_index: bool = True) -> None:
+    """Put a log into the index; no trouble with the index is a trouble of the run.
 
-        index_log(log)
+    Without `make_index` only into one that is there: a log may lie anywhere, such as in /tmp.
+    """
+    with suppress(Exception):
+        if make_index or log.absolute().with_name(INDEX_NAME).exists():
+            from pamctl.runs.run_index import index_log  # slow imports: not before the run
+
+            index_log(log)
 
 
 if __name__ == "__main__":

@@ -11,15 +11,15 @@ import json
 import os
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from pamctl.exit_codes import ExitCode
+from pamctl.runs.index_finished import INDEX_NAME
 from pamctl.runs.run_row import RunRow, read_row
 
-INDEX_NAME = ".pamctl-runs.sqlite"
 _FORMAT = 1
 """Counts up when rows change: an index of another format is made again."""
 _APPLICATION = 0x70616D63
@@ -146,6 +146,8 @@ def _list_logs(folder: Path) -> Iterator[tuple[str, tuple[int, int]]]:
 
 
 def _open(path: Path) -> sqlite3.Connection:
+    if path.exists() and not (os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)):
+        return _copy_to_memory(path)
     try:
         return _connect(str(path))
     except sqlite3.OperationalError as error:
@@ -155,6 +157,19 @@ def _open(path: Path) -> sqlite3.Connection:
         with suppress(OSError, sqlite3.Error):
             path.unlink()
             return _connect(str(path))
+    return _connect(":memory:")
+
+
+def _copy_to_memory(path: Path) -> sqlite3.Connection:
+    """Return the index of another user, with changes that are not kept."""
+    memory = sqlite3.connect(":memory:", isolation_level=None)
+    with suppress(sqlite3.Error):
+        file = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+        with closing(file):
+            file.backup(memory)
+            if _is_current(memory):
+                return memory
+    memory.close()
     return _connect(":memory:")
 
 

@@ -26,7 +26,8 @@ from pamctl.realtime.orders import Orders
 LONGEST_MARK = 2000
 _LARGEST_MESSAGE = 1 << 16
 _MOST_CLIENTS = 8
-_PATIENCE_S = 2.0
+_PATIENCE_S = 15.0
+"""A loop that is just starting, on a busy PC, takes its first mark after some seconds."""
 _CREDENTIALS = struct.Struct("3i")
 _SOCKETS = Path("/proc/net/unix")
 

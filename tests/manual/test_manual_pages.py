@@ -90,7 +90,9 @@ def shown_commands(text: str) -> Iterator[list[str]]:
     prose = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.DOTALL | re.MULTILINE)
     lines += re.findall(r"`(pamctl [^`\n]*)`", prose)
     for line in lines:
-        for part in re.split(r"\|\||&&|[;|&]|\$\(|\)|\bdo\b|\buntil\b", re.sub(r"'[^']*'", "X", line)):
+        for part in re.split(
+            r"\|\||&&|[;|&]|\$\(|\)|\bdo\b|\buntil\b", re.sub(r"'[^']*'", "X", line)
+        ):
             words = shlex.split(part, comments=True)
             if words and Path(words[0]).name == "pamctl":
                 yield words[1:]

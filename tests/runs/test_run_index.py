@@ -125,7 +125,7 @@ from pamctl.runs.edit_annotation import edit_annotations
 from pamctl.runs.run_index import RunIndex
 
 folder = Path(sys.argv[1])
-for n in range(5):
+for n in range(3):
     with RunIndex(folder) as index:
         index.refresh(rebuild=n % 2)
     edit_annotations([folder / "imported.mcap"], lambda said: said.add_tag(f"p{os.getpid()}n{n}"))
@@ -140,7 +140,7 @@ def test_processes_may_use_the_index_at_once(folder: Path) -> None:
     for user in users:
         _, complaint = user.communicate(timeout=120)
         assert user.returncode == 0, complaint.decode()
-    expected = {f"p{user.pid}n{n}" for user in users for n in range(5)}
+    expected = {f"p{user.pid}n{n}" for user in users for n in range(3)}
     assert set(read_annotation(folder / "imported.mcap").tags) == expected
     assert set(rows_of(folder)["imported.mcap"].tags) == expected
 

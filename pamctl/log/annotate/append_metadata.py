@@ -57,9 +57,9 @@ def append_metadata(path: Path, name: str, values: Mapping[str, str]) -> None:
         with path.open("rb") as log:
             _copy_bytes(log, stream, end.data_bytes)
         stream.write(end.tail)
-        with suppress(OSError):
-            shutil.copymode(path, stream.name)
-            shutil.chown(stream.name, before.st_uid, before.st_gid)
+        shutil.copymode(path, stream.name)
+        with suppress(OSError, AttributeError):  # only root can, and Windows has no such owners
+            os.chown(stream.name, before.st_uid, before.st_gid)
         if path.stat().st_size != before.st_size:
             raise LogError(f"{path} has changed meanwhile; try again")
     with suppress(OSError):  # the time of the measurement, for those who sort by it

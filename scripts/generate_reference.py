@@ -364,9 +364,9 @@ def write_log_schema() -> str:
             "Attachment `config.json` holds the resolved configuration. Metadata records: `run` "
             "(law, backend, experiment), `pamctl` (versions), `timing_setup` (scheduling, and what "
             "was not permitted), `rig` (the rig's description of itself), `import` (imported logs "
-            "only: source, its SHA-256, how each column was read), `annotation` (tags, note, operator, "
-            "sample; the last record counts), `sweep` (place of the run in a sweep). Data CRCs are "
-            "on.\n",
+            "only: source, its SHA-256, how each column was read), `annotation` (tags, note, "
+            "operator, sample; the last record counts), `sweep` (place of the run in a sweep). "
+            "Data CRCs are on.\n",
             "## Imported logs\n",
             f"A log of another system has `tick`, `t_s`, `dt_s`, `missed` and those of {imported} "
             f"that were measured. The tick channel's metadata says `origin: "

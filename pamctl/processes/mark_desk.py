@@ -155,7 +155,8 @@ def list_running_runs() -> list[RunningRun]:
     found = []
     for address in _list_addresses():
         with suppress(MarkError, KeyError):
-            found.append(RunningRun(address, Path(_ask(address, {"ask": "log"})["log"])))
+            log = strip_controls(str(_ask(address, {"ask": "log"})["log"]))
+            found.append(RunningRun(address, Path(log)))
     return found
 
 
@@ -168,7 +169,10 @@ def mark_run(run: RunningRun, text: str) -> None:
 
 def _list_addresses() -> list[str]:
     # A socket without a file stands in the kernel's list as `@name`.
-    lines = _SOCKETS.read_text(errors="replace").splitlines()
+    try:
+        lines = _SOCKETS.read_text(errors="replace").splitlines()
+    except OSError:  # hidden from this user
+        return []
     names = {line.rpartition(" ")[2] for line in lines}
     return sorted(name[1:] for name in names if name.startswith(f"@{_prefix()}"))
 
@@ -182,7 +186,8 @@ def _ask(address: str, message: Mapping[str, object]) -> dict[str, Any]:
             answer = client.recv(_LARGEST_MESSAGE)
         except OSError as error:
             raise MarkError(f"the run does not answer: {error.strerror or error}") from error
-    if not answer:
-        raise MarkError("the run does not take marks from this user, or has just ended")
-    said: dict[str, Any] = json.loads(answer)
+    try:  # no answer: the run has another user, or has just ended
+        said: dict[str, Any] = dict(json.loads(answer))
+    except (ValueError, TypeError):
+        raise MarkError("the run takes no marks from this user, or has just ended") from None
     return said

@@ -26,6 +26,7 @@ from pamctl.realtime.steering import SteeredProgram
 from pamctl.recording.drain import record_run
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.recording.session_journal import SessionJournal
+from pamctl.session.held_ctrl_c import hold_back_ctrl_c
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import TICK_FIELDS, TickRecord
@@ -67,7 +68,8 @@ class SimulatedLoop:
         self._journal = _PatientSessionJournal(self._ring, self)
         self._thread = threading.Thread(target=self._work, name="simulated loop", daemon=True)
         self._thread.start()
-        self._await_turn()
+        with hold_back_ctrl_c():
+            self._await_turn()
 
     # --- the caller's side ----------------------------------------------------------------------
 
@@ -82,8 +84,12 @@ class SimulatedLoop:
         self._tasks.put(_Task(order, goal))
         self._await_turn()
 
+    @hold_back_ctrl_c()
     def begin_run(self, order: Order, settings: RunSettings, name: str) -> Path:
-        """Begin a run with its own log and return its path; raise `RingError` or `LogError`."""
+        """Begin a run with its own log and return its path.
+
+        Raises `RingError` or `LogError` where it cannot be written.
+        """
         path = make_dated_path(self._logs, f"{bare_name(self._names['controller'])}-{name}")
         meta = make_run_meta(settings, {**self._names, "experiment": name}, path)
         recorder = _RunRecorder(Ring.create(new_ring_path(), meta, _RUN_ROWS))
@@ -105,6 +111,7 @@ class SimulatedLoop:
         """Whether the ticks go into a log."""
         return self._journal.run is not None
 
+    @hold_back_ctrl_c()
     def finish_run(self) -> None:
         """Wait until the log of a run that is over is whole."""
         recorder, self._recorder, self.run_path = self._recorder, None, None
@@ -115,6 +122,7 @@ class SimulatedLoop:
         """Return the newest tick's columns by name."""
         return None if self.last is None else dict(zip(_NAMES, chain(*self.last), strict=True))
 
+    @hold_back_ctrl_c()
     def close(self, *, at_once: bool = False) -> Ending:
         """End the loop: smoothly, or `at_once` at the safe voltage. Return how it ended."""
         self._wants_abort = at_once

@@ -153,7 +153,8 @@ class SimulatedRig(SteeredRig):
         """Let simulated time pass (s); none passes while the rig is idle."""
         with translate_errors():
             if self._loop is not None:
-                self._let_pass(max(1, round(duration_s * self._settings.rig.loop.rate_hz)))
+                ticks = max(1, round(duration_s * self._settings.rig.loop.rate_hz))
+                self._let_pass_until(self._tick_now() + ticks)
                 self._conclude()
 
     def live(
@@ -163,9 +164,12 @@ class SimulatedRig(SteeredRig):
         ticks_per_s = self._settings.rig.loop.rate_hz
         every = max(1, round(ticks_per_s / rate_hz))
         left = math.inf if duration_s is None else round(duration_s * ticks_per_s / every)
+        at = self._tick_now()
         while left > 0 and self._loop is not None and self._loop.is_running:
             with translate_errors():
-                self._let_pass(every)
+                # Marks and gains take a tick each: they do not shift the ticks that follow.
+                at += every * max(1, -(-(self._tick_now() + 1 - at) // every))
+                self._let_pass_until(at)
                 tick = self._loop.read_tick()
                 goes_on = self._loop.is_running
                 self._conclude()
@@ -263,15 +267,16 @@ class SimulatedRig(SteeredRig):
     def _make_loop(self) -> SimulatedLoop:
         return SimulatedLoop(self._settings, self._names, self._logs)
 
-    def _let_pass(self, ticks: int) -> None:
+    def _tick_now(self) -> int:
+        last = None if self._loop is None else self._loop.last
+        return -1 if last is None else last.timing.tick
+
+    def _let_pass_until(self, tick: int) -> None:
         assert self._loop is not None
-        first = -1 if self._loop.last is None else self._loop.last.timing.tick
         was_running = self._loop.is_running
 
         def is_reached(loop: SimulatedLoop) -> bool:
-            if was_running and not loop.is_running:
-                return True
-            return loop.last is not None and loop.last.timing.tick >= first + ticks
+            return (was_running and not loop.is_running) or self._tick_now() >= tick
 
         self._advance(self._loop, is_reached, None)
 

@@ -54,6 +54,8 @@ __all__ = [
     "ValveTriangle",
     "aio",
     "connect",
+    "find_gains",
+    "find_missing_effects",
     "gym",
     "simulate",
 ]
@@ -98,6 +100,8 @@ _HOMES = {
     "ValveTable": "valve_commands",
     "ValveTriangle": "valve_commands",
     "connect": "daemon_rig",
+    "find_gains": "model_search",
+    "find_missing_effects": "model_search",
     "simulate": "simulated_rig",
 }
 

@@ -5,6 +5,8 @@ from pamctl import gym as gym
 from pamctl.session.daemon_rig import DaemonRig as DaemonRig
 from pamctl.session.daemon_rig import connect as connect
 from pamctl.session.experiment_form import ExperimentForm as ExperimentForm
+from pamctl.session.model_search import find_gains as find_gains
+from pamctl.session.model_search import find_missing_effects as find_missing_effects
 from pamctl.session.motion_sequence import Gains as Gains
 from pamctl.session.motion_sequence import Mark as Mark
 from pamctl.session.motion_sequence import MotionSequence as MotionSequence

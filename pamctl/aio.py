@@ -15,7 +15,7 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Concatenate, ParamSpec, TypeVar
 
 from pamctl.session.daemon_rig import connect as _connect
 from pamctl.session.simulated_rig import simulate as _simulate
@@ -117,11 +117,13 @@ def _call_quietly(work: Callable[[], _Answer]) -> _Answer:
         raise asyncio.CancelledError from None
 
 
-def connect(*args: Any, **options: Any) -> AsyncRig:
-    """Connect to a running daemon, as `pamctl.connect`."""
-    return AsyncRig(partial(_connect, *args, **options))
+def _make_awaitable(make: Callable[_Given, SteeredRig]) -> Callable[_Given, AsyncRig]:
+    def begin(*args: _Given.args, **options: _Given.kwargs) -> AsyncRig:
+        return AsyncRig(partial(make, *args, **options))
+
+    begin.__name__, begin.__doc__ = make.__name__, make.__doc__
+    return begin
 
 
-def simulate(*args: Any, **options: Any) -> AsyncRig:
-    """Simulate a rig, as `pamctl.simulate`."""
-    return AsyncRig(partial(_simulate, *args, **options))
+connect = _make_awaitable(_connect)
+simulate = _make_awaitable(_simulate)

@@ -34,6 +34,8 @@ from pamctl.signals import TICK_FIELDS, TickRecord
 _SESSION_ROWS = 256
 _RUN_ROWS = 4096
 _NAMES = [field.name for field in TICK_FIELDS]
+_NAMING = threading.Lock()
+"""Held from the choice of a log's name until the file exists: rigs may share a folder."""
 
 Order = Mapping[str, Any]
 Goal = Callable[["SimulatedLoop"], bool]
@@ -90,9 +92,10 @@ class SimulatedLoop:
 
         Raises `RingError` or `LogError` where it cannot be written.
         """
-        path = make_dated_path(self._logs, f"{bare_name(self._names['controller'])}-{name}")
-        meta = make_run_meta(settings, {**self._names, "experiment": name}, path)
-        recorder = _RunRecorder(Ring.create(new_ring_path(), meta, _RUN_ROWS))
+        with _NAMING:
+            path = make_dated_path(self._logs, f"{bare_name(self._names['controller'])}-{name}")
+            meta = make_run_meta(settings, {**self._names, "experiment": name}, path)
+            recorder = _RunRecorder(Ring.create(new_ring_path(), meta, _RUN_ROWS))
         before, self._recorder, self.run_path = self._recorder, recorder, path
         self.advance(lambda loop: loop.is_recording(path), {**order, "ring": str(recorder.path)})
         if before is not None:

@@ -10,6 +10,7 @@ import pytest
 
 import pamctl
 from pamctl.manual import list_pages
+from pamctl.settings.resolve import settings_to_data
 
 NOTEBOOK = list_pages()[0].path.parent / "afternoon.ipynb"
 
@@ -26,8 +27,8 @@ def test_the_notebook_finds_the_dead_band_and_better_gains(
         if "parameters" in cell["metadata"].get("tags", ()):
             seen["GENERATIONS"] = 4  # of half a second each
     assert seen["diagnosis"].verdict == "named"
-    dead_band = seen["diagnosis"].plant.effects["valve_deadband"]
-    assert dead_band["fill_width_v"] == pytest.approx(0.25, abs=0.01)
+    effects = settings_to_data(seen["diagnosis"].plant)["effects"]
+    assert effects["valve_deadband"]["fill_width_v"] == pytest.approx(0.25, abs=0.01)
     assert "valve deadband" in capsys.readouterr().out
     assert seen["after"].metrics.rms_error_m < seen["before"].metrics.rms_error_m
     assert len(seen["softer"].marks) == 1

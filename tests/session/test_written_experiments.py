@@ -18,7 +18,7 @@ from pamctl.control.experiment import (
     StepsSettings,
     TrackingSettings,
 )
-from pamctl.control.references.kinds import MuscleMove, StandingForm, ValveMove
+from pamctl.control.references.kinds import MuscleMoveSettings, StandingForm, ValveMoveSettings
 from pamctl.control.references.sequence import (
     GainsPart,
     MarkPart,
@@ -32,7 +32,7 @@ from pamctl.settings.resolve import list_shipped, resolve, settings_to_data
 
 MODELS: list[Any] = [
     TrackingSettings, SquareSettings, StepsSettings, ProgramSettings, HoldSettings,
-    *typing.get_args(StandingForm), MuscleMove, ValveMove,
+    *typing.get_args(StandingForm), MuscleMoveSettings, ValveMoveSettings,
     PausePart, MarkPart, GainsPart, RepeatPart, SequenceSettings,
 ]  # fmt: skip
 FORMS: dict[str, Any] = {

@@ -28,6 +28,8 @@ class MeasuredTable:
     """Number of each row in the file: the line of a CSV file, the index from 1 in a MAT file."""
     called: Mapping[str, str] = field(default_factory=dict)
     """The labels of Simulink signals, by column."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Units that the file states apart from the names, by column."""
 
     def __getitem__(self, name: str) -> Floats:
         """Return a column; raise ImportRefused with the existing names if there is none."""

@@ -12,10 +12,16 @@ from types import SimpleNamespace
 
 import openpyxl
 import pytest
+from mcap.reader import make_reader
 from support.patience import PATIENCE_S
 from typer.testing import CliRunner
 
+import pamctl.log
 from pamctl.cli.app import app
+from pamctl.exit_codes import ExitCode
+from pamctl.processes.run_here import run_here
+from pamctl.processes.run_once import make_run_meta
+from pamctl.settings.resolve import DEFAULT_NAMES, resolve
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"
 
@@ -196,6 +202,49 @@ def test_files_go_in_and_out_where_the_system_has_another_name(log, system):
         "plant new --yes --actuator muscle --out plant.yaml", "config check plant.yaml",
         "plant export plant.yaml plant.fmu --sources-only", "compare part.mcap", "manual",
     )  # fmt: skip
+
+
+def read_messages(path: Path) -> list[tuple[str, int, int, bytes]]:
+    with path.open("rb") as file:
+        return sorted(
+            (channel.topic, message.sequence, message.log_time, message.data)
+            for _, channel, message in make_reader(file).iter_messages()
+        )
+
+
+def test_a_run_without_a_clock_gives_the_same_log_where_there_are_no_rings(tmp_path):
+    run = "run --fast --quiet --duration 4 --seed 7 --log"
+    run_elsewhere("win32", tmp_path, f"{run} elsewhere.mcap")
+    assert CliRunner().invoke(app, [*run.split(), str(tmp_path / "here.mcap")]).exit_code == 0
+    there, here = (read_messages(tmp_path / f"{name}.mcap") for name in ("elsewhere", "here"))
+    assert len(here) > 4000
+    assert there == here
+    for name in ("elsewhere", "here"):
+        assert (
+            CliRunner().invoke(app, ["log", "check", str(tmp_path / f"{name}.mcap")]).exit_code == 0
+        )
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_ctrl_c_ends_a_run_in_one_process_with_a_whole_log(count, tmp_path):
+    """One ends it smoothly, two at once; the log says so."""
+    settings = resolve(fast=True)
+    path = tmp_path / "run.mcap"
+    meta = make_run_meta(settings, DEFAULT_NAMES, path)
+    told = []
+
+    def interrupt(tick):
+        told.append(tick["tick"])
+        if len(told) == 1:
+            for _ in range(count):
+                signal.raise_signal(signal.SIGINT)
+
+    ending = run_here(meta, settings, interrupt)
+    assert ending.code == ExitCode.SIGINT
+    assert CliRunner().invoke(app, ["log", "check", str(path)]).exit_code == 0
+    log = pamctl.log.read(path)
+    after = log["tick"][-1] - told[0]
+    assert after <= 1 if count == 2 else 100 < after < 5000
 
 
 @pytest.mark.parametrize(

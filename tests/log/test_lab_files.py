@@ -11,7 +11,7 @@ import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import h5py
 import numpy as np
@@ -23,6 +23,8 @@ from test_log_import import ATMOSPHERE_PA, Outcome
 
 import pamctl.log
 from pamctl.log.importing import parse_apart
+from pamctl.log.importing.column_map import ForceMap, PositionMap, PressureMap, TimeMap, ValveMap
+from pamctl.units import find_units
 
 T_S = np.arange(300) * 2e-3
 COMMAND_V = np.where(np.sin(20 * T_S) > 0, 1.5, -1.25)
@@ -256,6 +258,15 @@ def test_a_lab_file_is_imported_by_its_header_alone(tmp_path, write):
     assert {kind for severity, kind in done.said if severity == "error"} == set()
 
 
+@pytest.mark.parametrize(
+    ("part", "quantity"),
+    [(TimeMap, "t_s"), (ValveMap, "valve_v"), (PressureMap, "pressure_pa"),
+     (PositionMap, "position_m"), (ForceMap, "force_n")],
+)  # fmt: skip
+def test_a_map_takes_the_units_of_the_one_table(part, quantity):
+    assert get_args(part.model_fields["unit"].annotation) == tuple(find_units(quantity))
+
+
 # Headers that leave a doubt.
 
 
@@ -347,7 +358,18 @@ def test_a_truncated_file_is_refused(tmp_path, write):
     cut.write_bytes(content[: int(len(content) * 0.6)])
     done = Outcome(cut)
     assert "Traceback" not in done.stderr
-    assert done.code == 65 or len(done.signals) < len(T_S)
+    assert done.code == 65
+
+
+def test_what_labview_wrote_before_it_ended_early_is_kept_with_a_warning(tmp_path):
+    path = tmp_path / "a.tdms"
+    with TdmsWriter(path) as writer:
+        properties = {"wf_increment": 2e-3, "unit_string": "mm"}
+        writer.write_segment([ChannelObject("Log", "Position", POSITION_MM, properties)])
+    path.write_bytes(path.read_bytes()[:-800])
+    done = Outcome(path)
+    assert "the file is damaged" in done.said["warning", "incomplete"]
+    np.testing.assert_allclose(done.signals.position_m, POSITION_MM[:200] * 1e-3)
 
 
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):

@@ -69,6 +69,8 @@ def import_log(
     require_place(destination)
     table = _read_table(source)
     findings = LogFindings()
+    for note in table.notes:
+        findings.warning("incomplete", note)
     readings = import_map.readings() if import_map else match_headers(table, findings)
     quantities = _convert_to_si(table, readings)
     t_s = quantities.pop(TIME, None)

@@ -6,6 +6,7 @@ A channel is called by its own name if no other group has it, else `group/channe
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,22 @@ TIME = "time_s"
 MOST_VALUES = 250_000_000
 
 
+class _Complaints(logging.Handler):
+    """Keeps what the parser says of a damaged file."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.texts.append(record.getMessage())
+
+
 def parse_tdms(path: Path) -> MeasuredTable:
     """Return the channels; raise ImportRefused if waveforms have different times."""
+    complaints = _Complaints()
+    for name in ("nptdms.reader", "nptdms.tdms_segment"):
+        logging.getLogger(name).addHandler(complaints)
     with TdmsFile.open(path) as file:
         channels = [channel for group in file.groups() for channel in group.channels()]
         count = sum(len(channel) for channel in channels)
@@ -44,7 +59,8 @@ def parse_tdms(path: Path) -> MeasuredTable:
         raise ImportRefused(f"{path} holds no channels of numbers")
     longest = max(map(len, columns.values()))
     stated = {name: unit.strip() for name, unit in units.items() if unit.strip()}
-    return MeasuredTable(columns, np.arange(1, longest + 1), units=stated)
+    notes = tuple(f"the file is damaged: {text}" for text in complaints.texts[:3])
+    return MeasuredTable(columns, np.arange(1, longest + 1), units=stated, notes=notes)
 
 
 def _name_with_group(channel: Any) -> str:

@@ -229,5 +229,5 @@ def _check_seconds(
 def require_linux() -> None:
     """Leave with 69 on other systems, before anything is imported that only Linux has."""
     if sys.platform != "linux":
-        others = "the verbs that read logs, and config, reproduce and tune, work here too"
+        others = "`run --fast`, the verbs that read logs, config, reproduce and tune work here too"
         raise Failed(ExitCode.UNAVAILABLE, f"this verb needs Linux; {others}")

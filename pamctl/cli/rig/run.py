@@ -101,7 +101,8 @@ def run(
     if live and settings.fast:
         raise typer.BadParameter("without a clock there is nothing live", param_hint="--live")
     port = choose_live_port(live, live_port, live_origins)
-    require_linux()
+    if not settings.fast:
+        require_linux()
     from pamctl.live.live_view import require_foxglove, serve_live_view
     from pamctl.processes.run_once import run_once
     from pamctl.report.progress_line import ProgressLine

@@ -120,6 +120,28 @@ SocketOption = Annotated[
     ),
 ]
 
+# --- what is said of a run --------------------------------------------------------------------
+
+NoteOption = Annotated[
+    str | None, typer.Option("--note", metavar="TEXT", help="Note for the log", show_default="none")
+]
+OperatorOption = Annotated[
+    str | None, typer.Option("--operator", metavar="NAME", help="Who runs it", show_default="none")
+]
+SampleOption = Annotated[
+    str | None,
+    typer.Option("--sample", metavar="NAME", help="Muscle or part on the rig", show_default="none"),
+]
+TagOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tag",
+        metavar="TAG",
+        help="Tag of the log, one word; can be repeated",
+        show_default="none",
+    ),
+]
+
 # --- live values for Foxglove -----------------------------------------------------------------
 
 LiveOption = Annotated[

@@ -36,7 +36,10 @@ from pamctl.daemon.requested_settings import (
 from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending
+from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.naming import bare_name
+from pamctl.plain_text import strip_controls
+from pamctl.runs.index_finished import index_in_own_process
 from pamctl.settings.resolve import RunSettings, settings_to_data
 from pamctl.signals import Phase
 
@@ -142,6 +145,7 @@ class Service:
             "backend": self._settings.rig.backend,
             "limits": {"stroke_mm": self._stroke_mm()},
             "rate_hz": self._rate_hz,
+            "logs": str(self._shelf.directory),
             "disk_free_bytes": self._shelf.free_bytes,
             "pids": {} if session is None else session.pids,
             "uptime_s": time.monotonic() - self._began_s,
@@ -160,11 +164,21 @@ class Service:
 
     # --- orders ----------------------------------------------------------------------------------
 
-    def start(self, experiment: Mapping[str, Any], name: str, duration_s: float | None) -> Path:
-        """Run an experiment; home first where needed. Return the path of its log."""
+    def start(
+        self,
+        experiment: Mapping[str, Any],
+        name: str,
+        duration_s: float | None,
+        said: Annotation = NOTHING_SAID,
+        records: Mapping[str, Mapping[str, str]] | None = None,
+    ) -> Path:
+        """Run an experiment; home first where needed. Return the path of its log.
+
+        What is `said` of the run goes into its log, and so do further metadata `records` by name.
+        """
         with self._busy:
             self._require(DaemonState.IDLE, DaemonState.READY)
-            return self._begin(experiment, bare_name(name), duration_s)
+            return self._begin(experiment, bare_name(name), duration_s, said, records)
 
     def goto(self, position_m: float, within_s: float | None) -> Path:
         """Go to a position and hold it; home first where needed. Return the path of the log."""
@@ -232,6 +246,9 @@ class Service:
         with self._busy:
             if self._session is None or self._session.run is None:
                 raise RequestRefusedError("nothing is being logged")
+            text = strip_controls(text)
+            if not text:
+                raise RequestRefusedError("the remark is empty")
             self._session.order({"do": "mark", "text": text})
             self._announce_event("mark", text=text)
 
@@ -281,6 +298,7 @@ class Service:
             "run over", run=run.name, log=str(run.log), note=report.note if report else ""
         )
         self._shelf.tidy()
+        index_in_own_process(run.log)
 
     def close(self) -> None:
         """End everything and begin nothing more; the valve is safe when this returns."""
@@ -310,7 +328,14 @@ class Service:
         self._latch.engage(ending.reason)
         self._announce_event("fault", reason=ending.reason, code=int(ending.code))
 
-    def _begin(self, experiment: Mapping[str, Any], name: str, duration_s: float | None) -> Path:
+    def _begin(
+        self,
+        experiment: Mapping[str, Any],
+        name: str,
+        duration_s: float | None,
+        said: Annotation = NOTHING_SAID,
+        records: Mapping[str, Mapping[str, str]] | None = None,
+    ) -> Path:
         settings = load_experiment(self._settings, experiment, name, duration_s)
         require_feasible(settings)
         length_s = plan_experiment(settings.experiment).duration_s
@@ -320,6 +345,7 @@ class Service:
         self._require(DaemonState.READY, DaemonState.RUNNING)
         path = self._shelf.new_path(f"{bare_name(self._names['controller'])}-{name}")
         meta = self._workshop.meta(settings, {**self._names, "experiment": name}, path)
+        meta = annotate_meta(meta, said, records)
         order = {
             "do": "run",
             "experiment": settings_to_data(settings.experiment),

@@ -45,7 +45,7 @@ def watch_as_json(socket: Path, count: int | None = None) -> bool:
     seen = _DaemonSighting()
     with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, line.EVERY, line.COLUMNS)) as feed:
         looks = seen.of(_look_repeatedly(feed, line.LOOKS_PER_S, count))
-        _print_lines(looks, lambda glimpse: line.encode_glimpses([glimpse]))
+        _print_lines(looks, line.encode_glimpse)
     return seen.daemon
 
 

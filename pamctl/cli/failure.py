@@ -9,7 +9,9 @@ from __future__ import annotations
 import errno
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from functools import wraps
 from typing import Any, Protocol, runtime_checkable
 
 import typer
@@ -17,6 +19,7 @@ from typer.core import TyperGroup
 
 from hal.rig import RigError
 from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import PlainStream, clean_lines
 from pamctl.settings.problems import ConfigError, Problem
 
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -40,6 +43,7 @@ class Verbs(TyperGroup):
         """Take the verbs; the help shows no type beside a flag, which takes no value."""
         super().__init__(*arguments, **options)
         _hide_flag_types(self)
+        _print_plainly(self)
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **extra: Any) -> Any:
         """Run the verb that the arguments name; report its failure."""
@@ -112,6 +116,25 @@ def _hide_flag_types(command: Any) -> None:
         _hide_flag_types(inner)
 
 
+def _print_plainly(command: Any) -> None:
+    """Let no verb print control characters: what it shows may be somebody else's log."""
+    inner = getattr(command, "commands", {}).values()
+    for one in inner:
+        _print_plainly(one)
+    if not inner and command.callback is not None:
+        command.callback = _with_plain_streams(command.callback)
+
+
+def _with_plain_streams(verb: Callable[..., None]) -> Callable[..., None]:
+    @wraps(verb)
+    def carry_out(*arguments: Any, **options: Any) -> None:
+        out, err = PlainStream(sys.stdout), PlainStream(sys.stderr)
+        with redirect_stdout(out), redirect_stderr(err):
+            verb(*arguments, **options)
+
+    return carry_out
+
+
 @runtime_checkable
 class _WrongUsage(Protocol):
     """What typer raises for arguments that make no sense; it has no public name."""
@@ -124,14 +147,14 @@ class _WrongUsage(Protocol):
 
 def print_error(reason: str) -> None:
     """Print the line for people, on standard error."""
-    print(f"error: {reason}", file=sys.stderr)
+    print(f"error: {clean_lines(reason)}", file=sys.stderr)
 
 
 def _report_failure(failed: Failed, *, as_json: bool) -> None:
     if as_json:
         _print_document(failed.exit_code, failed.reason, **failed.details)
     if "problems" in failed.details:
-        print(failed.reason, file=sys.stderr)  # each line begins with its place
+        print(clean_lines(failed.reason), file=sys.stderr)  # each line begins with its place
     else:
         print_error(failed.reason)
 

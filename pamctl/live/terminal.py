@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
@@ -28,7 +29,7 @@ def watch_in_terminal(socket: Path, count: int | None = None) -> bool:
 
     A file, a pipe, or a terminal that cannot draw gets lines.
     """
-    console, seen = Console(), _DaemonSighting()
+    console, seen = Console(file=getattr(sys.stdout, "unfiltered", sys.stdout)), _DaemonSighting()
     with suppress(KeyboardInterrupt), closing(DaemonFeed(socket, _EVERY, COLUMNS)) as feed:
         if console.is_terminal and not console.is_dumb_terminal:
             _draw_screens(console, seen.of(_look_repeatedly(feed, _PICTURES_PER_S, count)))

@@ -9,10 +9,12 @@ import typer
 from pamctl.cli.daemon.ask import ask, print_answer
 from pamctl.cli.options import JsonOption, SocketOption
 from pamctl.daemon.protocol import LONGEST_REMARK
+from pamctl.plain_text import clean_text
 
 
 def check_remark(text: str) -> str:
-    """Return the remark; leave with 2 where it is empty, or longer than the daemon takes."""
+    """Return the remark without control characters; leave with 2 where it is empty or too long."""
+    text = clean_text(text)
     if not 1 <= len(text) <= LONGEST_REMARK:
         message = f"must have 1 to {LONGEST_REMARK} characters (got {len(text)})"
         raise typer.BadParameter(message)

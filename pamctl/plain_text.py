@@ -1,0 +1,75 @@
+"""Text from outside, without what would steer a terminal or reorder what is read.
+
+A remark, a name or a log of somebody else may hold control characters: a terminal that prints an
+escape sequence clears its screen, and a bidirectional override shows words in another order. They
+are removed where text comes in, and again where it is shown: an old log may hold them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, TextIO
+
+_SEQUENCE = re.compile(
+    r"(?:\x1b\]|\x9d)[^\x07\x1b\x9c]*(?:\x07|\x1b\\|\x9c)?"  # OSC: titles, links, the clipboard
+    r"|(?:\x1b[PX^_]|[\x90\x98\x9e\x9f])[^\x1b\x9c]*(?:\x1b\\|\x9c)?"  # DCS, SOS, PM, APC
+    r"|(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]?"  # CSI: colours, the cursor, the screen
+    r"|\x1b[ -/]*[0-~]?"
+)
+"""The control sequences of ECMA-48."""
+
+_UNSEEN = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f"  # C0 without tab and line feed, DEL, C1
+    "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # marks and overrides of direction
+    "\u200b\u2060-\u2064\ufeff\u2028\u2029"  # invisible, and separators of lines
+    "\ud800-\udfff\U000e0000-\U000e007f]"  # halves of characters, tags
+)
+
+
+def clean_text(text: str) -> str:
+    """Return a text as one line, without control characters; tabs and line ends are spaces."""
+    return re.sub(r"[\t\n\r\u2028\u2029]+", " ", _remove(text, keep_lines=False))
+
+
+def clean_lines(text: str) -> str:
+    """Return a text without control characters; tabs and line ends stay."""
+    return _remove(text, keep_lines=True)
+
+
+def _remove(text: str, *, keep_lines: bool) -> str:
+    if not _UNSEEN.search(text):
+        return text
+    text = _SEQUENCE.sub("", text)
+    if not keep_lines:
+        text = re.sub(r"[\r\u2028\u2029]", "\n", text)
+    return _UNSEEN.sub("", text)
+
+
+def clean_document(value: Any) -> Any:
+    """Return what JSON held with every text in it cleaned, names included."""
+    if isinstance(value, str):
+        return clean_lines(value)
+    if isinstance(value, Mapping):
+        return {clean_document(name): clean_document(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [clean_document(part) for part in value]
+    return value
+
+
+class PlainStream:
+    """Standard output or error that passes no control characters on, but a first return."""
+
+    def __init__(self, stream: TextIO) -> None:
+        """Write to `stream`; all but `write` is its own."""
+        self.unfiltered = stream
+        """What our own drawing of a whole screen writes to."""
+
+    def write(self, text: str) -> int:
+        """Write a text without its control characters; return its length."""
+        again = "\r" if text.startswith("\r") else ""  # a progress line begins anew
+        self.unfiltered.write(again + clean_lines(text))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.unfiltered, name)

@@ -372,7 +372,7 @@ class Service:
         state = self.state
         if state == DaemonState.FAULT:
             raise RequestRefusedError(
-                f"fault: {self._latch.reason}; acknowledge it first (pamctl ack)"
+                f"fault: {self._latch.reason}; acknowledge it first with `pamctl ack`"
             )
         if self._is_leaving:
             raise RequestRefusedError("the daemon is being ended")

@@ -20,7 +20,7 @@ from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.methods import methods_of
 from pamctl.daemon.notify import notify, watchdog_period_s
-from pamctl.daemon.server import Server
+from pamctl.daemon.server import Server, require_no_daemon
 from pamctl.daemon.service import DaemonState, Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
@@ -60,6 +60,8 @@ def serve_daemon(
     Raises `ShelfError` where logs cannot be written, `RigError`, `RingError` or `SocketError`
     where the device or the socket cannot be had.
     """
+    # First: whoever starts a second daemon wants to hear of the first, not of its device.
+    require_no_daemon(options.socket)
     shelf = Shelf(options.logs, options.keep)
     announcements = Announcements(sys.stdout.fileno()) if options.announce else None
     tell: Tell = _announce_nothing if announcements is None else announcements.put

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hal.rig import Rig
 from pamctl import __version__
@@ -50,6 +50,8 @@ class ServiceOptions(NamedTuple):
     live_view: LiveView
     announce: bool
     """Print each event as a line of JSON."""
+    file_gains: Mapping[str, Any]
+    """Those of the file that the controller is named after."""
 
 
 def serve_daemon(
@@ -75,6 +77,7 @@ def serve_daemon(
                 _make_workshop(settings, device),
                 shelf,
                 Latch(SHARED_MEMORY / f"pamctl-{device_of(settings)}.fault"),
+                file_gains=options.file_gains,
                 idle_after_s=options.idle_after_s,
                 tell=tell,
             )

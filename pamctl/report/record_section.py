@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import yaml
 
 from pamctl.json_text import to_json
+from pamctl.log.changed_gains import list_gain_changes
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun
 from pamctl.safety import VERDICTS
@@ -63,13 +63,18 @@ def write_events(page: Page, runs: Sequence[ReportedRun]) -> None:
 def _write_gain_changes(page: Page, run: ReportedRun) -> None:
     """Write the gains that changed while the law ran; the first are in the configuration."""
     rows = [
-        [_show_time(run, after), name, _show_short(before.get(name, "-")), _show_short(after[name])]
-        for before, after in pairwise(run.log.gains)
-        for name in after
-        if name not in _WHERE and after[name] != before.get(name)
+        [
+            _show_time(run, after),
+            name,
+            _show_short(before.get(name, "-")),
+            _show_short(after[name]),
+            _show_short(after.get("ramp_s", "-")),
+        ]
+        for before, after, name in list_gain_changes(run.log.gains)
     ]
     if rows:
-        page.table(["at, s", "gain", "from", "to"], rows[:MOST_EVENTS], caption="Changed gains.")
+        header = ["at, s", "gain", "from", "to", "within, s"]
+        page.table(header, rows[:MOST_EVENTS], caption="Changed gains.")
 
 
 def _show_time(run: ReportedRun, event: Mapping[str, Any]) -> str:

@@ -128,13 +128,17 @@ function showStatus(status, problem) {
   byId("state").textContent = state;
   byId("state").dataset.state = state;
   byId("what").textContent = status ? status.fault || status.run || "" : problem;
-  byId("where").textContent = status ? `${status.backend} ${status.device}` : "";
+  byId("where").textContent = status ? `${status.backend} ${status.device}, ${spellController(status.names)}` : "";
   document.title = `${state} \u00b7 pamctl`;
   if (!status) return;
   figure("late", scaled(status.worst_late_s, 1e6), 1, "\u00b5s");
   byId("missed").textContent = status.missed_ticks ?? "-";
   byId("log").textContent = status.log ? `log: ${status.log}` : "";
   byId("events").replaceChildren(...[...status.events].reverse().map(eventItem));
+}
+
+function spellController({ controller, controller_changes: changes }) {
+  return changes ? `${controller}*, ${changes}` : controller;
 }
 
 function eventItem(event) {

@@ -78,10 +78,8 @@ def _write_gain_changes(page: Page, run: ReportedRun) -> None:
 
 
 def _show_time(run: ReportedRun, event: Mapping[str, Any]) -> str:
-    ticks = run.log.columns.get("tick")
-    if ticks is None or not len(ticks) or not isinstance(event.get("tick"), int):
-        return "-"
-    return f"{run.t_s[min(int(np.searchsorted(ticks, event['tick'])), len(ticks) - 1)]:.3f}"
+    at_s = run.time_of(event)
+    return "-" if at_s is None else f"{at_s:.3f}"
 
 
 def _show_details(event: Mapping[str, Any]) -> str:

@@ -8,7 +8,7 @@ are removed where text comes in, and again where it is shown: an old log may hol
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TextIO
 
 _SEQUENCE = re.compile(
@@ -60,13 +60,15 @@ def clean_document(value: Any) -> Any:
 class PlainStream:
     """Standard output or error that passes no control characters on, but a first return."""
 
-    def __init__(self, stream: TextIO) -> None:
-        """Write to `stream`; all but `write` is its own."""
+    def __init__(self, stream: TextIO, before_write: Callable[[], None] = lambda: None) -> None:
+        """Write to `stream`; all but `write` is its own. `before_write` is called before each."""
+        self._before_write = before_write
         self.unfiltered = stream
         """What our own drawing of a whole screen writes to."""
 
     def write(self, text: str) -> int:
         """Write a text without its control characters; return its length."""
+        self._before_write()
         again = "\r" if text.startswith("\r") else ""  # a progress line begins anew
         self.unfiltered.write(again + clean_lines(text))
         return len(text)

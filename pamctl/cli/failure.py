@@ -18,6 +18,7 @@ import typer
 from typer.core import TyperGroup
 
 from hal.rig import RigError
+from pamctl.cli.waiting import tell_while_silent
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import PlainStream, clean_lines
 from pamctl.settings.problems import ConfigError, Problem
@@ -128,9 +129,10 @@ def _print_plainly(command: Any) -> None:
 def _with_plain_streams(verb: Callable[..., None]) -> Callable[..., None]:
     @wraps(verb)
     def carry_out(*arguments: Any, **options: Any) -> None:
-        out, err = PlainStream(sys.stdout), PlainStream(sys.stderr)
-        with redirect_stdout(out), redirect_stderr(err):
-            verb(*arguments, **options)
+        with tell_while_silent(verb.__name__) as end:
+            out, err = PlainStream(sys.stdout, end), PlainStream(sys.stderr, end)
+            with redirect_stdout(out), redirect_stderr(err):
+                verb(*arguments, **options)
 
     return carry_out
 

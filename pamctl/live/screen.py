@@ -69,23 +69,23 @@ def draw_screen(
     """Lay out one picture for a terminal of `size` columns and lines."""
     width, lines = size
     if status is None:
-        head: list[RenderableType] = [
-            _draw_headline("away", problem or "waiting for the daemon", "q quits", width)
-        ]
-        return Group(*head, *_draw_plots(history, width, lines - 1))
+        why = _draw_headline("away", problem or "waiting for the daemon", "q quits", width)
+        return Group(why, *_draw_plots(history, width, lines - 1))
     where = f"{status['backend']} {status['device']}  q quits"
     what = status["fault"] or status["run"] or ""
     figures = _list_figures(status)
     columns = min(3, max(1, width // _FIGURE_WIDTH))
-    above = [
-        _draw_headline(status["state"], what, where, width),
-        _cut_text(f"controller {spell_controller(status['names'])}", width),
-        _draw_figures(figures, columns),
-    ]
     log = _cut_text(f"log   {status['log'] or '-'}", width, keep_end=True)
     left = lines - 3 - math.ceil(len(figures) / columns)
     plots = _draw_plots(history, width, left - _FEWEST_EVENTS)
-    return Group(*above, *plots, log, *_draw_events(status["events"], left - len(plots), width))
+    return Group(
+        _draw_headline(status["state"], what, where, width),
+        _cut_text(f"controller {spell_controller(status['names'])}", width),
+        _draw_figures(figures, columns),
+        *plots,
+        log,
+        *_draw_events(status["events"], left - len(plots), width),
+    )
 
 
 def _draw_headline(state: str, what: str, where: str, width: int) -> Text:

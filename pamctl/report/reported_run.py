@@ -115,8 +115,12 @@ class ReportedRun:
     @cached_property
     def moments(self) -> list[tuple[float, str]]:
         """Marks, changes of gains and the trip, each with its time, in order."""
-        told = {"mark": lambda e: str(e.get("text", "mark")), "tripped": lambda e: "trip"}
-        marked = [(e, told[e["event"]](e)) for e in self.log.events if e.get("event") in told]
+        words = {"mark": "mark", "tripped": "trip"}
+        marked = [
+            (event, str(event.get("text", words[event["event"]])))
+            for event in self.log.events
+            if event.get("event") in words
+        ]
         changed = {id(after): after for _, after, _ in list_gain_changes(self.log.gains)}
         named = [*marked, *((after, "gains") for after in changed.values())]
         found = [(at, said) for e, said in named if (at := self.time_of(e)) is not None]

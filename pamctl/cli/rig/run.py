@@ -92,6 +92,7 @@ def run(
         raise typer.BadParameter("without a clock there is nothing live", param_hint="--live")
     port = choose_live_port(live, live_port, live_origins)
     require_linux()
+    from pamctl.control.experiment import plan_experiment
     from pamctl.live.live_view import require_foxglove, serve_live_view
     from pamctl.processes.run_once import run_once
     from pamctl.report.progress_line import ProgressLine
@@ -99,7 +100,10 @@ def run(
     if live:
         require_foxglove()
     view = partial(serve_live_view, port, live_origins or ())
-    done = run_once(settings, names, log, ProgressLine(quiet=quiet or as_json), view, quiet=quiet)
+    length_s = plan_experiment(settings.experiment).duration_s
+    length_s = min(length_s, settings.duration_s or length_s)
+    progress = ProgressLine(quiet=quiet or as_json, length_s=length_s)
+    done = run_once(settings, names, log, progress, view, quiet=quiet)
     if done.note:
         print(f"warning: {done.note}", file=sys.stderr)
     if as_json:

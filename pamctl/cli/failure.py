@@ -40,6 +40,15 @@ class Failed(typer.Exit):
 class Verbs(TyperGroup):
     """All verbs. Whatever one of them raises is reported here."""
 
+    panels: Sequence[str] = ()
+    """The groups of the help, in their order."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the verbs, group by group."""
+        groups = {name: self.commands[name].rich_help_panel for name in super().list_commands(ctx)}
+        order = {panel: place for place, panel in enumerate(self.panels)}
+        return sorted(groups, key=lambda name: order.get(groups[name], len(order)))
+
     def __init__(self, *arguments: Any, **options: Any) -> None:
         """Take the verbs; the help shows no type beside a flag, which takes no value."""
         super().__init__(*arguments, **options)

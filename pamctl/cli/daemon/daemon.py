@@ -70,7 +70,7 @@ def daemon(
         bool, typer.Option("--json", help="Print each event as one line of JSON")
     ] = False,
 ) -> None:
-    """Stay up: home, run experiments and hold positions as clients ask (pamctl start, goto ...)."""
+    """Stay up: home, run experiments and hold positions as clients such as `pamctl start` ask."""
     settings, names = resolve_options(
         backend, rig, overrides, controller=controller, plant=plant, seed=seed, rt=rt
     )

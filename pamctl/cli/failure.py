@@ -45,7 +45,8 @@ class Verbs(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of the verbs, group by group."""
-        groups = {name: self.commands[name].rich_help_panel for name in super().list_commands(ctx)}
+        names = super().list_commands(ctx)
+        groups = {name: getattr(self.commands[name], "rich_help_panel", None) for name in names}
         order = {panel: place for place, panel in enumerate(self.panels)}
         return sorted(groups, key=lambda name: order.get(groups[name], len(order)))
 

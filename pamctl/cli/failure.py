@@ -46,7 +46,7 @@ class Verbs(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of the verbs, group by group."""
         names = super().list_commands(ctx)
-        groups = {name: getattr(self.commands[name], "rich_help_panel", None) for name in names}
+        groups = {name: str(getattr(self.commands[name], "rich_help_panel", "")) for name in names}
         order = {panel: place for place, panel in enumerate(self.panels)}
         return sorted(groups, key=lambda name: order.get(groups[name], len(order)))
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.signal import lfilter
 
-from pamctl.diagnose.measured.noise.filtering import QUIETEST
+from pamctl.diagnose.measured.noise.filtering import QUIETEST, find_filtering
 from pamctl.diagnose.measured.noise.moving_noise import measure_growth
 from pamctl.diagnose.measured.noise.spectrum import falls_steeply, find_tail
 from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches
@@ -104,6 +104,8 @@ def estimate_channel_noise(records: Sequence[Record], channel: str) -> Noise:
     stated = [r.stated_noise[channel] for r in records if channel in r.stated_noise]
     rests = _collect_rests(records, channel, step)
     walk = measure_walk(rests)
+    if walk and find_filtering(records, channel) is not None:
+        walk = 0.0  # what a filter left of the noise is slow by itself
     rested = _estimate_from_rests([remove_walk(r) for r in rests] if walk else rests, step)
     if stated:
         pooled = float(np.sqrt(np.mean(np.square(stated))))

@@ -215,3 +215,18 @@ def test_the_rounding_of_a_slow_signal_is_slow() -> None:
     errors = np.array([coarse.simulate_sensor(still, random) - still for _ in range(400)])
     assert np.all(np.ptp(errors, axis=1) == 0.0)
     assert np.std(errors[:, 0]) == pytest.approx(100.0 / np.sqrt(12.0), rel=0.1)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.45])
+@pytest.mark.parametrize("offset", [0.0, 0.2])
+def test_noise_below_a_converters_step_is_read_from_how_often_each_step_is_shown(
+    share: float, offset: float
+) -> None:
+    random = np.random.default_rng(8)
+    t_s = np.arange(3000) * 1e-3
+    true = 100.0 * (offset + np.where(t_s < 1.0, 0.0, 300.0 * np.sin(t_s - 1.0)))
+    shown = 100.0 * np.round(true / 100.0 + random.normal(0.0, share, 3000))
+    valve_v = np.where(t_s < 1.0, -1.0, 1.0)
+    noise = estimate_channel_noise([Record("rest", t_s, valve_v, shown)], "pressure_pa")
+    assert noise.resolution == pytest.approx(100.0)
+    assert noise.deviation == pytest.approx(100.0 * share, rel=0.15)

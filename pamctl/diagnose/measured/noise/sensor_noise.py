@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.signal import lfilter
+from scipy.stats import norm
 
 from pamctl.diagnose.measured.noise.filtering import QUIETEST, find_filtering
 from pamctl.diagnose.measured.noise.moving_noise import measure_growth
@@ -27,6 +28,8 @@ COARSE = 1.3
 """A tail of up to this multiple of the rounding error is the converter's alone."""
 VAGUE = 0.25
 """A tail that is less certain than this, relative, says nothing."""
+TWO_STEPS = 0.1
+"""Relative uncertainty of a noise that reaches two steps of its converter."""
 RIDGE = 1e-6
 """White share that is added to the noise of a rest: a filtered one would predict itself."""
 Source = Literal["stated", "rest", "spectrum", "residual", "unknown"]
@@ -145,7 +148,8 @@ def _refine_white(rested: Noise, records: Sequence[Record], channel: str) -> Noi
     """Take the size of white noise from the whole run: it shows more than a second of rest."""
     differences = float(np.median([_estimate_from_differences(r[channel]) for r in records]))
     close = abs(differences - rested.total) < 4.0 * rested.uncertainty * rested.total
-    if not rested.deviation or rested.memory or not close:
+    is_fine = rested.deviation > rested.resolution  # else differences are not normal
+    if not (is_fine and close) or rested.memory:
         return rested
     size = _subtract_rounding(differences, rested.resolution)
     return replace(rested, deviation=size, uncertainty=0.005)
@@ -209,8 +213,10 @@ def _estimate_from_rests(pieces: Sequence[Array], step: float) -> Noise | None:
         lags += [float(piece[lag:] @ piece[: len(piece) - lag]) for lag in range(ORDER + 1)]
     lags /= sum(map(len, pieces))
     deviation = float(np.sqrt(lags[0]))
-    if deviation <= 0.6 * step:  # only the converter is visible
+    if not deviation:
         return Noise(0.0, (), 0.0, step)
+    if deviation <= 0.6 * step:
+        return _read_between_steps(pieces, step)
     lags[0] -= step**2 / 12.0
     lags[0] *= 1.0 + RIDGE
     toeplitz = np.array([[lags[abs(i - j)] for j in range(ORDER)] for i in range(ORDER)])
@@ -229,6 +235,26 @@ def _estimate_from_rests(pieces: Sequence[Array], step: float) -> Noise | None:
         step,
         _relative_uncertainty(pieces, worth),
     )
+
+
+def _read_between_steps(pieces: Sequence[Array], step: float) -> Noise:
+    """Return a noise of about a converter's step, from how often each step is shown.
+
+    The two edges of the usual step are one step apart: the shares beyond them say how many
+    deviations that is. On two steps nobody can tell noise from a value between them; on one step
+    there is hardly any.
+    """
+    deviations = []
+    for piece in pieces:
+        shown = np.round((piece - np.median(piece)) / step)
+        below, above = float(np.mean(shown < 0.0)), float(np.mean(shown > 0.0))
+        if below and above:
+            deviations.append(step / -float(norm.ppf(below) + norm.ppf(above)))
+    if deviations:
+        worth = _relative_uncertainty(pieces, 0.2)
+        return Noise(float(np.median(deviations)), (), 0.0, step, worth)
+    shakes = any(np.ptp(piece) > 0.5 * step for piece in pieces)
+    return Noise(0.0, (), 0.0, step, TWO_STEPS if shakes else 0.0)
 
 
 def _relative_uncertainty(pieces: Sequence[Array], worth: float) -> float:

@@ -114,6 +114,12 @@ class Course:
             segment = self.segments[self._index]
         return reference_at(segment, t_s - self._begin_s)
 
+    def rehearse(self, t_s: float) -> Reference | None:
+        """Return the reference at `t_s` as the present segment has it, and change nothing."""
+        if self._index == len(self.segments):
+            return None
+        return reference_at(self.segments[self._index], t_s - self._begin_s)
+
     def take_cue(self, t_s: float) -> Cue | None:
         """Return the next cue that is due at `t_s`, each once; None if there is none."""
         at = self._next_cue

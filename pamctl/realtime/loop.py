@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, Protocol
 
 from hal.calibration import Zero, output_v
@@ -31,6 +32,9 @@ class Journal(Protocol):
 
     def put_tick(self, record: TickRecord) -> None:
         """Keep a tick."""
+
+    def rehearse_tick(self, record: TickRecord) -> None:
+        """Do the work of `put_tick`, and keep nothing."""
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Keep an event; its key `event` names it."""
@@ -83,6 +87,9 @@ class ReferenceSource(Protocol):
 
     def begin_stop(self, t_s: float, valve_v: float) -> None:
         """Go from the present valve command to the safe one on a ramp."""
+
+    def rehearse_reference(self, t_s: float) -> Reference | None:
+        """Do the work of `next_reference` where that changes nothing; else return None."""
 
 
 class Supervisor(Protocol):
@@ -158,6 +165,7 @@ class _Loop:
     supervisor: Supervisor
     truth: Callable[[], Truth]
     ending: Ending = _ENDED
+    last: TickRecord | None = None
 
     def run(self) -> Ending:
         """Tick until the program ends."""
@@ -188,8 +196,34 @@ class _Loop:
             self.helm.finish_tick(timing, raw, state)
             if abort:
                 return self.ending
-            wake = self.clock.wait()
+            wake = self.clock.wait(partial(self._rehearse, setup, state))
             raw = self.rig.read()
+
+    def _rehearse(self, setup: TickSetup, state: TickState) -> None:
+        """Run the last tick once more and forget it: the caches are warm for the next one."""
+        last = self.last
+        if last is None:
+            return
+        timing, reference = last.timing, last.reference
+        try:
+            reference = self.program.rehearse_reference(timing.t_s) or reference
+            after, decision = step(setup, state, last.raw, reference, timing)
+        except (ArithmeticError, ValueError):  # a tick that fails says so when it is real
+            return
+        output_v(setup.calibration, decision.valve_v)
+        self.journal.rehearse_tick(
+            TickRecord(
+                timing,
+                last.raw,
+                after.measurement,
+                reference,
+                after.estimate,
+                after.command,
+                decision,
+                last.outcome,
+                last.truth,
+            )
+        )
 
     def _ask(
         self, timing: Timing, raw: RawSample, state: TickState
@@ -239,19 +273,18 @@ class _Loop:
                 (decided_ns - sampled_ns) * 1e-9,
                 (now_ns() - decided_ns) * 1e-9,
             )
-            self.journal.put_tick(
-                TickRecord(
-                    timing,
-                    raw,
-                    state.measurement,
-                    reference,
-                    state.estimate,
-                    state.command,
-                    decision,
-                    outcome,
-                    self.truth(),
-                )
+            self.last = TickRecord(
+                timing,
+                raw,
+                state.measurement,
+                reference,
+                state.estimate,
+                state.command,
+                decision,
+                outcome,
+                self.truth(),
             )
+            self.journal.put_tick(self.last)
         # The last tick of each thousand, or the first one after it if that was missed.
         if (timing.tick + 1) % KEYFRAME_TICKS <= timing.missed:
             self.journal.put_keyframe(timing.tick, raw.encoder_t_ns, freeze_state(state))

@@ -51,6 +51,12 @@ class Program:
             self._course_begin_s = t_s
         return self._course.at(t_s - self._course_begin_s), zero
 
+    def rehearse_reference(self, t_s: float) -> Reference | None:
+        """Return the reference at `t_s` of a course that is under way, and change nothing."""
+        if self._course_begin_s is None or self._stop_begin_s is not None:
+            return None
+        return self._course.rehearse(t_s - self._course_begin_s)
+
     @property
     def running(self) -> tuple[Course, float] | None:
         """The course and its begin (s) while only the time decides the reference; else None."""

@@ -98,6 +98,10 @@ class SteeredProgram:
             self._reference = reference
         return reference, zero
 
+    def rehearse_reference(self, t_s: float) -> Reference | None:
+        """Return the reference that the present run would give, and change nothing."""
+        return None if self._run is None else self._run.rehearse_reference(t_s)
+
     def _ask(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
         run = self._run
         if run is None:

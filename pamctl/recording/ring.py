@@ -314,16 +314,24 @@ class Ring:
         head = self._head
         if head >= self._full_at:
             self._make_room(1)
+        self._write_tick(head, record)
+        self._head = self._words[_HEAD] = head + 1
+
+    def rehearse_tick(self, record: TickRecord) -> None:
+        """Write a tick into the next row and do not move the head: nobody reads it there."""
+        if self._head < self._full_at:
+            self._write_tick(self._head, record)
+
+    def _write_tick(self, row: int, record: TickRecord) -> None:
         self._pack_row(
             self._buffer,
-            self._rows_at + head % self.rows * ROW_BYTES,
+            self._rows_at + row % self.rows * ROW_BYTES,
             RowKind.TICK,
             self._tick.size,
             record.timing.tick,
             record.raw.encoder_t_ns,
             *chain(*record),
         )
-        self._head = self._words[_HEAD] = head + 1
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event: a JSON object whose key `event` names it.

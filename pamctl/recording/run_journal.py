@@ -27,6 +27,10 @@ class RingJournal:
             self._worst_late_s = late_s
             self._ring.worst_late_ns = round(late_s * 1e9)
 
+    def rehearse_tick(self, record: TickRecord) -> None:
+        """Do what `put_tick` does, up to the point where others would see it."""
+        self._ring.rehearse_tick(record)
+
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event. The first event, just before the first tick, starts the heartbeat."""
         self._ring.put_event(tick, t_ns, event)

@@ -97,6 +97,10 @@ class SessionJournal:
         if record.timing.missed:
             ring.missed_ticks += record.timing.missed
 
+    def rehearse_tick(self, record: TickRecord) -> None:
+        """Do what `put_tick` does, up to the point where others would see it."""
+        self._ring.rehearse_tick(record)
+
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event. The first event, just before the first tick, starts the heartbeat."""
         if event["event"] in _FIRST_EVENTS:

@@ -517,7 +517,7 @@ class SlowClock:
     def wall_offset_ns(self) -> int:
         return 0
 
-    def wait(self) -> Any:
+    def wait(self, rehearse: Any = None) -> Any:
         self._tick += 1
         deadline_ns = (self._tick + 10) * MS
         self._now_ns = deadline_ns + 30_000

@@ -50,7 +50,7 @@ class Checkout:
     """One version of pamctl, in its own folder of runs."""
 
     def __init__(self, root: Path, folder: Path) -> None:
-        self._environment = os.environ | {"PYTHONPATH": str(root)}
+        self._environment = {"PYTHONPATH": str(root)}
         self._folder = folder
         folder.mkdir()
 
@@ -68,7 +68,7 @@ class Checkout:
             capture_output=True,
             text=True,
             cwd=self._folder,
-            env=self._environment | environment,
+            env=os.environ | environment | self._environment,
         )
         if done.returncode:
             raise Amiss(f"exit code {done.returncode}: {done.stderr.strip()}")

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from pamctl.control.course_table import pack_course
 from pamctl.control.references.shape import Shape
 from pamctl.control.trajectory import rest_to_rest
 from pamctl.signals import Reference
@@ -95,6 +96,8 @@ class Course:
             self.end_reason = (
                 f"the duration of {self.duration_s:g} s ended the experiment of {whole_s:g} s"
             )
+        self.table = pack_course(self.segments)
+        """The segments for machine code; None if it cannot follow them."""
         self._cues = tuple(cues)
         self._index = 0
         self._begin_s = 0.0

@@ -19,6 +19,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
+from pamctl.processes.machine_code import load_tick
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
@@ -91,8 +92,9 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
     if not settings.fast and not await_guardian(ring):
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
-        _record_start(ring, settings, preparation)
         setup = build_tick_setup(settings)
+        tick, path = load_tick(setup)
+        _record_start(ring, settings, preparation, path)
         for event in () if settings.fast else check_rate(settings, setup):
             ring.put_event(0, ring.meta.start_mono_ns, event)
         parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
@@ -110,6 +112,7 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
             parts.truth,
             CuedHelm(setup, controller, program, journal),
             opened=partial(free_foreign_threads, preparation),
+            tick=tick,
         )
 
 
@@ -154,9 +157,9 @@ def await_guardian(ring: Ring) -> bool:
     return True
 
 
-def _record_start(ring: Ring, settings: RunSettings, preparation: Preparation) -> None:
-    """Record how this process is scheduled and which gains it begins with."""
-    setup = preparation.as_metadata()
+def _record_start(ring: Ring, settings: RunSettings, preparation: Preparation, path: str) -> None:
+    """Record how this process is scheduled, how it runs the tick, and its first gains."""
+    setup = {**preparation.as_metadata(), "tick": path}
     if settings.fast:
         setup = {"mode": "fast: no clock"}
     event = {"event": "timing_setup", **setup}

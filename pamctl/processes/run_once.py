@@ -27,6 +27,7 @@ from pamctl.processes.backends import (
     require_backend,
 )
 from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
+from pamctl.processes.machine_code import start_building
 from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.tick import first_state
 from pamctl.recording.log_path import choose_log_path
@@ -76,6 +77,9 @@ def run_once(
     """
     # Wrong input is found before the valve is touched.
     require_backend(settings)
+    note = start_building(settings)
+    if note and not quiet:
+        print(f"note: {note}", file=sys.stderr, flush=True)
     path = choose_log_path(log, names["controller"], names["experiment"])
     with secure_device(settings) as rig:
         finish_orphans(SHARED_MEMORY, quiet=quiet)

@@ -24,6 +24,7 @@ from pamctl.processes.loop_main import (
     run_to_ending,
 )
 from pamctl.processes.loop_supervisor import LoopSupervisor
+from pamctl.processes.machine_code import load_tick
 from pamctl.processes.session_supervisor import SessionSupervisor
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.orders import Orders
@@ -68,7 +69,8 @@ def _run(
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
     with prepare(settings.rt, settings.rig.loop.cpu) as preparation:
         setup = build_tick_setup(settings)
-        start = {"event": "timing_setup", **preparation.as_metadata()}
+        tick, path = load_tick(setup)
+        start = {"event": "timing_setup", **preparation.as_metadata(), "tick": path}
         journal.put_event(0, ring.meta.start_mono_ns, start)
         for event in check_rate(settings, setup):
             journal.put_event(0, ring.meta.start_mono_ns, event)
@@ -92,6 +94,7 @@ def _run(
             parts.truth,
             steered,
             partial(free_foreign_threads, preparation),
+            tick,
         )
 
 

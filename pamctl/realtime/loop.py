@@ -11,30 +11,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
-from hal.calibration import Zero, output_v
+from hal.calibration import Zero
 from hal.rig import RawSample, Rig, RigError, open_rig
 from pamctl.control.homing import HomingError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
 from pamctl.realtime.keyframe import freeze_state
-from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state, step
+from pamctl.realtime.tick import TickSetup, first_state, rezero_state
+from pamctl.realtime.tick_path import PlainTick, RunningCourse, TickJournal, TickPath
+from pamctl.realtime.whole_tick import TickTimes
 from pamctl.safety import OVERRUNS, explain_verdicts
-from pamctl.signals import Decision, Reference, TickOutcome, TickRecord, Timing, Truth
+from pamctl.signals import Decision, Reference, TickOutcome, Timing, Truth
 
 KEYFRAME_TICKS = 1000
 
 
-class Journal(Protocol):
+class Journal(TickJournal, Protocol):
     """Takes what must not be lost. Its methods raise `RingFull` where there is no room."""
-
-    def put_tick(self, record: TickRecord) -> None:
-        """Keep a tick."""
-
-    def rehearse_tick(self, record: TickRecord) -> None:
-        """Do the work of `put_tick`, and keep nothing."""
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Keep an event; its key `event` names it."""
@@ -52,7 +47,11 @@ class Helm(Protocol):
     def setup(self, t_s: float) -> TickSetup:
         """Return the set-up of the tick at `t_s`."""
 
-    def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+    @property
+    def settled_setup(self) -> TickSetup | None:
+        """The set-up of the next tick, whenever it is; None while it depends on the time."""
+
+    def finish_tick(self, done: TickPath) -> None:
         """Take note that a tick is done; changes hold from the next tick on."""
 
 
@@ -67,7 +66,12 @@ class FixedHelm:
         """Return the one set-up."""
         return self._setup
 
-    def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+    @property
+    def settled_setup(self) -> TickSetup | None:
+        """Return the one set-up."""
+        return self._setup
+
+    def finish_tick(self, done: TickPath) -> None:
         """Do nothing."""
 
 
@@ -88,6 +92,10 @@ class ReferenceSource(Protocol):
     def begin_stop(self, t_s: float, valve_v: float) -> None:
         """Go from the present valve command to the safe one on a ramp."""
 
+    @property
+    def running(self) -> RunningCourse | None:
+        """The course and its begin (s) while only the time decides the reference; else None."""
+
     def rehearse_reference(self, t_s: float) -> Reference | None:
         """Do the work of `next_reference` where that changes nothing; else return None."""
 
@@ -102,13 +110,6 @@ class Supervisor(Protocol):
         """Tell whether to skip the smooth stop."""
 
 
-class _Times(NamedTuple):
-    """Where in time the loop is."""
-
-    first_t_ns: int
-    last_t_ns: int
-
-
 def run_loop(
     rig: Rig,
     clock: Clock,
@@ -120,12 +121,14 @@ def run_loop(
     truth: Callable[[], Truth],
     helm: Helm | None = None,
     opened: Callable[[], Sequence[Mapping[str, object]]] = tuple,
+    tick: TickPath | None = None,
 ) -> Ending:
     """Run the program to its end; leave the rig safe and closed on every path.
 
     `nominal_zero` gives the sensors' zeros until homing finds better ones; `truth` is what
     a simulated plant knows. Without a `helm` the set-up stays as it is. `opened` is called once,
-    right after the rig is open, and returns events for the log. `RigError`, a safety
+    right after the rig is open, and returns events for the log. `tick` runs the ticks; by default
+    plain Python does. `RigError`, a safety
     trip and a failed homing become the ending. Anything else is an error in pamctl and is raised.
     """
     try:
@@ -135,7 +138,10 @@ def run_loop(
             for event in noted:
                 journal.put_event(0, clock.now_ns(), event)
             helm = helm or FixedHelm(setup)
-            loop = _Loop(rig, clock, setup, helm, nominal_zero, program, journal, supervisor, truth)
+            tick = tick or PlainTick()
+            loop = _Loop(
+                rig, clock, setup, helm, nominal_zero, program, journal, supervisor, truth, tick
+            )
             try:
                 return loop.run()
             finally:
@@ -164,85 +170,68 @@ class _Loop:
     journal: Journal
     supervisor: Supervisor
     truth: Callable[[], Truth]
+    tick: TickPath
     ending: Ending = _ENDED
-    last: TickRecord | None = None
 
     def run(self) -> Ending:
         """Tick until the program ends."""
+        tick = self.tick
         wake = self.clock.wait()
         raw = self.rig.read()
-        state = first_state(self.setup, self.nominal_zero(raw))
-        self._record_zero(wake.tick, raw, state.zero)
-        times = _Times(raw.encoder_t_ns, raw.encoder_t_ns - self.clock.period_ns)
+        zero = self.nominal_zero(raw)
+        began_ns = raw.encoder_t_ns
+        times = TickTimes(began_ns, began_ns - self.clock.period_ns)
+        tick.begin(first_state(self.setup, zero), times)
+        self._record_zero(wake.tick, raw, zero)
         while True:
             sampled_ns = self.clock.now_ns()
-            timing = _make_timing(times, wake, raw)
-            times = times._replace(last_t_ns=raw.encoder_t_ns)
-            reference, zero = self._ask(timing, raw, state)
-            if zero is not None:
-                state = rezero_state(self.helm.setup(timing.t_s), state, zero)
-                self._record_zero(timing.tick, raw, zero)
-            if reference is None:
+            if not tick.follow_course(wake, raw) and not self._ask_and_run(wake, raw):
                 return self.ending
-            setup = self.helm.setup(timing.t_s)
-            state, decision = step(setup, state, raw, reference, timing)
-            self._act(wake, sampled_ns, timing, raw, reference, state, decision)
+            self._act(wake, raw, sampled_ns)
+            decision = tick.decision
             if decision.tripped:
-                return self._end_tripped(timing, raw, decision)
+                return self._end_tripped(wake, raw, decision)
             # The abort is read first. Two signals between the two reads are then a stop in this
             # tick and an abort in the next one, and the run never ends without its reason.
             abort = self.supervisor.wants_abort()
-            self._obey_supervisor(timing, raw, decision)
-            self.helm.finish_tick(timing, raw, state)
+            self._obey_supervisor(wake, raw, decision)
+            self.helm.finish_tick(tick)
             if abort:
                 return self.ending
-            wake = self.clock.wait(partial(self._rehearse, setup, state))
+            tick.expect(self.helm.settled_setup, self.program.running)
+            wake = self.clock.wait(self._rehearse)
             raw = self.rig.read()
 
-    def _rehearse(self, setup: TickSetup, state: TickState) -> None:
-        """Run the last tick once more and forget it: the caches are warm for the next one."""
-        last = self.last
-        if last is None:
-            return
-        timing, reference = last.timing, last.reference
-        try:
-            reference = self.program.rehearse_reference(timing.t_s) or reference
-            after, decision = step(setup, state, last.raw, reference, timing)
-        except (ArithmeticError, ValueError):  # a tick that fails says so when it is real
-            return
-        output_v(setup.calibration, decision.valve_v)
-        self.journal.rehearse_tick(
-            TickRecord(
-                timing,
-                last.raw,
-                after.measurement,
-                reference,
-                after.estimate,
-                after.command,
-                decision,
-                last.outcome,
-                last.truth,
-            )
-        )
+    def _ask_and_run(self, wake: Wake, raw: RawSample) -> bool:
+        """Ask program and helm, and run the tick; return False at the end of the program."""
+        tick = self.tick
+        timing = tick.time(wake, raw)
+        reference, zero = self._ask(timing, raw)
+        if zero is not None:
+            state = rezero_state(self.helm.setup(timing.t_s), tick.state, zero)
+            tick.begin(state, tick.times)
+            self._record_zero(timing.tick, raw, zero)
+        if reference is None:
+            return False
+        tick.run(self.helm.setup(timing.t_s), wake, raw, reference)
+        return True
 
-    def _ask(
-        self, timing: Timing, raw: RawSample, state: TickState
-    ) -> tuple[Reference | None, Zero | None]:
+    def _ask(self, timing: Timing, raw: RawSample) -> tuple[Reference | None, Zero | None]:
         """Return the program's reference; when the experiment is over, begin the smooth stop."""
         reference, zero = self.program.next_reference(timing.t_s, raw)
         if reference is None and not self.program.is_stopping:
             self.ending = Ending(ExitCode.OK, self.program.end_reason)
-            self._begin_stop(timing, raw, state.safety.valve_v)
+            self._begin_stop(timing, raw, self.tick.state.safety.valve_v)
             reference, _ = self.program.next_reference(timing.t_s, raw)
         return reference, zero
 
-    def _obey_supervisor(self, timing: Timing, raw: RawSample, decision: Decision) -> None:
+    def _obey_supervisor(self, wake: Wake, raw: RawSample, decision: Decision) -> None:
         """Check, in the slack after the tick, whether the run shall end."""
         if not self.program.is_stopping:
-            wanted = self.supervisor.find_stop(timing.tick)
+            wanted = self.supervisor.find_stop(wake.tick)
             if wanted is not None:
                 self.ending = wanted
-                self._begin_stop(timing, raw, decision.valve_v)
+                self._begin_stop(self.tick.timing, raw, decision.valve_v)
 
     def _begin_stop(self, timing: Timing, raw: RawSample, valve_v: float) -> None:
         last_v = self.setup.limits.safe_valve_v if math.isnan(valve_v) else valve_v
@@ -250,22 +239,13 @@ class _Loop:
         event = {"event": "stopping", "reason": self.ending.reason}
         self.journal.put_event(timing.tick, raw.encoder_t_ns, event)
 
-    def _act(
-        self,
-        wake: Wake,
-        sampled_ns: int,
-        timing: Timing,
-        raw: RawSample,
-        reference: Reference,
-        state: TickState,
-        decision: Decision,
-    ) -> None:
+    def _act(self, wake: Wake, raw: RawSample, sampled_ns: int) -> None:
         """Write to the valve and record the tick, even if the write fails."""
         now_ns = self.clock.now_ns
         decided_ns = now_ns()
         applied_v = math.nan
         try:
-            applied_v = self.rig.write(output_v(self.setup.calibration, decision.valve_v))
+            applied_v = self.rig.write(self.tick.output_v)
         finally:
             outcome = TickOutcome(
                 applied_v,
@@ -273,41 +253,24 @@ class _Loop:
                 (decided_ns - sampled_ns) * 1e-9,
                 (now_ns() - decided_ns) * 1e-9,
             )
-            self.last = TickRecord(
-                timing,
-                raw,
-                state.measurement,
-                reference,
-                state.estimate,
-                state.command,
-                decision,
-                outcome,
-                self.truth(),
-            )
-            self.journal.put_tick(self.last)
+            self.tick.record(self.journal, outcome, self.truth())
         # The last tick of each thousand, or the first one after it if that was missed.
-        if (timing.tick + 1) % KEYFRAME_TICKS <= timing.missed:
-            self.journal.put_keyframe(timing.tick, raw.encoder_t_ns, freeze_state(state))
+        if (wake.tick + 1) % KEYFRAME_TICKS <= wake.missed:
+            self.journal.put_keyframe(wake.tick, raw.encoder_t_ns, freeze_state(self.tick.state))
+
+    def _rehearse(self) -> None:
+        """Run the last tick once more and forget it: the caches are warm for the next one."""
+        self.tick.rehearse(self.program.rehearse_reference, self.journal)
 
     def _record_zero(self, tick: int, raw: RawSample, zero: Zero) -> None:
         """Record from which tick on the sensors have other zeros: replay needs it."""
         self.journal.put_event(tick, raw.encoder_t_ns, {"event": "zeroed", **zero._asdict()})
 
-    def _end_tripped(self, timing: Timing, raw: RawSample, decision: Decision) -> Ending:
+    def _end_tripped(self, wake: Wake, raw: RawSample, decision: Decision) -> Ending:
         self.rig.make_safe()
         reasons = explain_verdicts(decision.verdicts)
         event: dict[str, object] = {"event": "tripped", "reasons": reasons}
-        self.journal.put_event(timing.tick, raw.encoder_t_ns, event)
+        self.journal.put_event(wake.tick, raw.encoder_t_ns, event)
         overruns_only = decision.verdicts == OVERRUNS
         code = ExitCode.OVERRUNS if overruns_only else ExitCode.SAFETY_TRIP
         return Ending(code, "safety trip: " + "; ".join(reasons))
-
-
-def _make_timing(times: _Times, wake: Wake, raw: RawSample) -> Timing:
-    return Timing(
-        wake.tick,
-        (raw.encoder_t_ns - times.first_t_ns) * 1e-9,
-        (raw.encoder_t_ns - times.last_t_ns) * 1e-9,
-        (wake.now_ns - wake.deadline_ns) * 1e-9,
-        wake.missed,
-    )

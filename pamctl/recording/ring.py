@@ -322,6 +322,21 @@ class Ring:
         if self._head < self._full_at:
             self._write_tick(self._head, record)
 
+    def put_row(self, row: bytearray) -> None:
+        """Put one tick that is packed already, as `put_tick` packs it."""
+        head = self._head
+        if head >= self._full_at:
+            self._make_room(1)
+        at = self._rows_at + head % self.rows * ROW_BYTES
+        self._buffer[at : at + ROW_BYTES] = row
+        self._head = self._words[_HEAD] = head + 1
+
+    def rehearse_row(self, row: bytearray) -> None:
+        """Copy a packed tick into the next row and do not move the head."""
+        if self._head < self._full_at:
+            at = self._rows_at + self._head % self.rows * ROW_BYTES
+            self._buffer[at : at + ROW_BYTES] = row
+
     def _write_tick(self, row: int, record: TickRecord) -> None:
         self._pack_row(
             self._buffer,

@@ -1,0 +1,58 @@
+"""Builds a tick's machine code: `python -m pamctl.processes.builder_main`, started by the front.
+
+The settings of the run are its standard input. It outlives the front, and nobody waits for it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+from pamctl.control.law import KERNELS, answer
+from pamctl.processes.machine_code import find_tick_library
+from pamctl.realtime.tick import TickSetup
+from pamctl.realtime.tick_words import TickWords
+from pamctl.realtime.whole_tick import run_whole_tick
+from pamctl.settings.build import build_tick_setup
+from pamctl.settings.resolve import from_resolved
+
+
+def main() -> None:
+    """Build once; other builders of the same code leave it to this one."""
+    _take_only_idle_time()
+    setup = build_tick_setup(from_resolved(sys.stdin.read()))
+    path = find_tick_library(setup)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path.with_suffix(".lock"), "w") as lock, suppress(BlockingIOError):
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not path.exists():
+            _build(setup, path)
+
+
+def _take_only_idle_time() -> None:
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
+
+def _build(setup: TickSetup, path: Path) -> None:
+    try:
+        build_tick_library(setup, path)
+    except Exception as error:  # whatever the compiler says: the next run must be able to tell it
+        reason = str(error).strip().partition("\n")[0]
+        path.with_suffix(".failed").write_text(f"{type(error).__name__}: {reason}")
+
+
+def build_tick_library(setup: TickSetup, path: Path) -> None:
+    """Build the machine code of a set-up's tick."""
+    from pamctl.compiled_ahead.emit import build_library
+
+    source, names = TickWords(setup).write_glue()
+    law = KERNELS[type(setup.gains)]
+    build_library(source, run_whole_tick, names, "idbd", path, (answer, law))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""The tick's numbers as machine code sees them, and the code between the two.
+
+words  setup | state | times | place | wake, raw | given reference | results
+row    the row of the ring, up to the outcome
+table  the course
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from hal.calibration import Zero
+from hal.rig import RawSample
+from pamctl.compiled_ahead.layout import Block, write_constructor
+from pamctl.control.course_table import NO_COURSE, SEGMENT_WORDS, CoursePlace
+from pamctl.realtime.clock import Wake
+from pamctl.realtime.tick import TickSetup, TickState, first_state
+from pamctl.realtime.whole_tick import TickTimes
+from pamctl.recording.ring import ROW_HEADER, RowKind, tick_struct
+from pamctl.signals import TICK_FIELDS, Decision, Reference, Timing
+
+
+class Sensed(NamedTuple):
+    """What is new in every tick."""
+
+    wake: Wake
+    raw: RawSample
+
+
+class Answered(NamedTuple):
+    """What the loop needs of a tick at once."""
+
+    is_done: bool
+    output_v: float
+    timing: Timing
+    reference: Reference
+    decision: Decision
+
+
+_REFERENCE = Reference(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_SENSED = Sensed(Wake(0, 0, 0, 0), RawSample(0.0, 0, 0, 0))
+_ANSWERED = Answered(False, 0.0, Timing(0, 0.0, 0.0, 0.0, 0), _REFERENCE, Decision(0.0, 0, False))
+RECORDED = tuple(field for field in TICK_FIELDS if field.stage not in ("outcome", "truth"))
+"""The columns of a row that machine code writes; the others follow them."""
+OUTCOME_AT = ROW_HEADER.size + tick_struct(RECORDED).size
+"""Where in a row the outcome begins."""
+
+
+TABLE_BYTES = 1024 * 8 * SEGMENT_WORDS
+"""A longer course is left to Python."""
+
+
+class TickWords:
+    """Where everything lies, for one type of gains."""
+
+    def __init__(self, setup: TickSetup) -> None:
+        """Lay out for set-ups like this one. Raises `NotFlat`."""
+        self.setup: Block[TickSetup] = Block(setup, 0)
+        self.state: Block[TickState] = Block(first_state(setup, Zero(0.0, 0.0)), self.setup.end)
+        self.times: Block[TickTimes] = Block(TickTimes(0, 0), self.state.end)
+        self.place: Block[CoursePlace] = Block(NO_COURSE, self.times.end)
+        self.sensed: Block[Sensed] = Block(_SENSED, self.place.end)
+        self.given: Block[Reference] = Block(_REFERENCE, self.sensed.end)
+        self.answered: Block[Answered] = Block(_ANSWERED, self.given.end)
+        self.words = self.answered.end
+
+    def write_glue(self) -> tuple[str, dict[str, Any]]:
+        """Return the source of the function between words and kernel, and the types it names."""
+        types: dict[type, str] = {}
+        lines = ["def glue(ints, floats, row, table):"]
+        for name in ("setup", "state", "times", "place", "given"):
+            lines.append(f"    {name} = {_construct(getattr(self, name), types)}")
+        lines += [
+            f"    sensed = {_construct(self.sensed, types)}",
+            "    wake, raw = sensed",
+            "    done = kernel(setup, state, times, place, wake, raw, given, table)",
+            f"    ints[{self.answered.begin}] = int(done.is_done)",
+            "    if not done.is_done:",
+            "        return",
+            *self._write_results(),
+            *_write_row(),
+        ]
+        return "\n".join(lines) + "\n", {name: kind for kind, name in types.items()}
+
+    def _write_results(self) -> list[str]:
+        lines = []
+        for name in ("state", "times", "place"):
+            lines += _store(getattr(self, name), f"done.{name}.")
+        return lines + _store(self.answered, "done.")
+
+
+def _construct(block: Block[Any], types: dict[type, str]) -> str:
+    return write_constructor(block.template, _read_word, types, block.begin)
+
+
+def _read_word(at: int, kind: type) -> str:
+    if kind is float:
+        return f"floats[{at}]"
+    return f"ints[{at}] != 0" if kind is bool else f"ints[{at}]"
+
+
+def _store(block: Block[Any], prefix: str) -> list[str]:
+    return [
+        f"    floats[{at}] = {prefix}{leaf.path}"
+        if leaf.kind is float
+        else f"    ints[{at}] = int({prefix}{leaf.path})"
+        for at, leaf in enumerate(block.leaves, block.begin)
+    ]
+
+
+_PUT = {float: ("put_float", 8), int: ("put_int", 8), bool: ("put_bool", 1)}
+_PLACES = {
+    "measurement": "done.state.",
+    "estimate": "done.state.",
+    "command": "done.state.",
+    "raw": "",
+}
+
+
+def _write_row() -> list[str]:
+    """Write the lines that fill a row of the ring, byte for byte as `Ring.put_tick` does."""
+    kind_and_size = RowKind.TICK | tick_struct(TICK_FIELDS).size << 32
+    lines = [
+        f"    put_int(row, 0, {kind_and_size})",
+        "    put_int(row, 8, done.timing.tick)",
+        "    put_int(row, 16, raw.encoder_t_ns)",
+    ]
+    at = ROW_HEADER.size
+    for field in RECORDED:
+        put, size = _PUT[field.kind]
+        value = f"{_PLACES.get(field.stage, 'done.')}{field.stage}.{field.name}"
+        lines.append(f"    {put}(row, {at}, {value})")
+        at += size
+    return lines

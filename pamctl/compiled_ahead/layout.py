@@ -29,7 +29,9 @@ class Leaf(NamedTuple):
 
 
 def list_leaves(template: object, path: str = "") -> Iterator[Leaf]:
-    """List the numbers of a value in order. Raises `NotFlat`."""
+    """List the numbers of a value in order; None is no number. Raises `NotFlat`."""
+    if template is None:
+        return
     if isinstance(template, tuple) and hasattr(template, "_fields"):
         for name, part in zip(template._fields, template, strict=True):
             yield from list_leaves(part, f"{path}.{name}" if path else name)
@@ -51,6 +53,8 @@ def write_constructor(
     counted = iter(range(begin, 1 << 30))
 
     def write(part: Any) -> str:
+        if part is None:
+            return "None"
         if not isinstance(part, tuple):
             return write_leaf(next(counted), next(list_leaves(part)).kind)
         name = types.setdefault(type(part), f"{type(part).__name__}_{len(types)}")

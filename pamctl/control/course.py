@@ -123,6 +123,11 @@ class Course:
             return None
         return reference_at(self.segments[self._index], t_s - self._begin_s)
 
+    @property
+    def next_cue_s(self) -> float:
+        """When the next cue is due, s; infinity if there is none."""
+        return self._cues[self._next_cue].at_s if self._next_cue < len(self._cues) else math.inf
+
     def take_cue(self, t_s: float) -> Cue | None:
         """Return the next cue that is due at `t_s`, each once; None if there is none."""
         at = self._next_cue

@@ -8,28 +8,40 @@ from __future__ import annotations
 import fcntl
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
+from hal.sim.sim_rig import SimRig
 from pamctl.control.law import KERNELS, answer
-from pamctl.processes.machine_code import find_tick_library
+from pamctl.processes.backends import build_clock, build_rig
+from pamctl.processes.machine_code import find_leap_library, find_tick_library
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_words import TickWords
 from pamctl.realtime.whole_tick import run_whole_tick
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import from_resolved
+from pamctl.simulate.leap import LeapWords, may_leap, run_simulated_tick
 
 
 def main() -> None:
     """Build once; other builders of the same code leave it to this one."""
     _take_only_idle_time()
-    setup = build_tick_setup(from_resolved(sys.stdin.read()))
-    path = find_tick_library(setup)
+    settings = from_resolved(sys.stdin.read())
+    setup = build_tick_setup(settings)
+    _build_once(find_tick_library(setup), partial(build_tick_library, setup))
+    rig = build_rig(settings, build_clock(settings, may_spin=False)).rig if settings.fast else None
+    if isinstance(rig, SimRig) and may_leap(rig):
+        _build_once(find_leap_library(setup, rig), partial(build_leap_library, setup, rig))
+
+
+def _build_once(path: Path, build: Callable[[Path], None]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path.with_suffix(".lock"), "w") as lock, suppress(BlockingIOError):
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if not path.exists():
-            _build(setup, path)
+            _build(build, path)
 
 
 def _take_only_idle_time() -> None:
@@ -37,9 +49,9 @@ def _take_only_idle_time() -> None:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
-def _build(setup: TickSetup, path: Path) -> None:
+def _build(build: Callable[[Path], None], path: Path) -> None:
     try:
-        build_tick_library(setup, path)
+        build(path)
     except Exception as error:  # whatever the compiler says: the next run must be able to tell it
         reason = str(error).strip().partition("\n")[0]
         path.with_suffix(".failed").write_text(f"{type(error).__name__}: {reason}")
@@ -52,6 +64,15 @@ def build_tick_library(setup: TickSetup, path: Path) -> None:
     source, names = TickWords(setup).write_glue()
     law = KERNELS[type(setup.gains)]
     build_library(source, run_whole_tick, names, "idbd", path, (answer, law))
+
+
+def build_leap_library(setup: TickSetup, rig: SimRig, path: Path) -> None:
+    """Build the machine code of many ticks over a simulated rig."""
+    from pamctl.compiled_ahead.emit import build_library
+
+    source, names = LeapWords(setup, rig).write_leap()
+    law = KERNELS[type(setup.gains)]
+    build_library(source, run_simulated_tick, names, "idbdd", path, (answer, law))
 
 
 if __name__ == "__main__":

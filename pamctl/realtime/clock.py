@@ -283,6 +283,11 @@ class VirtualClock:
         now_ns = self._now_ns = self._tick * self._period_ns
         return Wake(self._tick, now_ns, now_ns, missed)
 
+    def skip_to(self, tick: int) -> None:
+        """Take note that all ticks up to this one are done."""
+        self._tick = tick
+        self._now_ns = tick * self._period_ns
+
 
 def grid_point_from(time_ns: int, point_ns: int, period_ns: int) -> int:
     """The first point at or after `time_ns` of the grid that has a point at `point_ns`."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from hal.calibration import Zero
 from hal.rig import RawSample, Rig, RigError, open_rig
@@ -39,6 +39,20 @@ class Journal(TickJournal, Protocol):
 
     def end_ticks(self) -> None:
         """Take note that the valve is safe and will not be moved again."""
+
+
+class RowsJournal(Protocol):
+    """Takes many ticks at once."""
+
+    def put_rows(self, rows: memoryview) -> None:
+        """Keep ticks that are packed already as rows of the ring."""
+
+
+class ManyTicks(Protocol):
+    """Runs many ticks of a simulated rig at once, for a loop without a clock."""
+
+    def run(self, tick: Any, first_tick: int, ticks: int, journal: Any) -> int:
+        """Run at most so many ticks and put their rows; return how many there were."""
 
 
 class Helm(Protocol):
@@ -96,6 +110,10 @@ class ReferenceSource(Protocol):
     def running(self) -> RunningCourse | None:
         """The course and its begin (s) while only the time decides the reference; else None."""
 
+    @property
+    def next_cue_s(self) -> float:
+        """When something is due next beside the reference; infinity if nothing is."""
+
     def rehearse_reference(self, t_s: float) -> Reference | None:
         """Do the work of `next_reference` where that changes nothing; else return None."""
 
@@ -122,13 +140,14 @@ def run_loop(
     helm: Helm | None = None,
     opened: Callable[[], Sequence[Mapping[str, object]]] = tuple,
     tick: TickPath | None = None,
+    many: ManyTicks | None = None,
 ) -> Ending:
     """Run the program to its end; leave the rig safe and closed on every path.
 
     `nominal_zero` gives the sensors' zeros until homing finds better ones; `truth` is what
     a simulated plant knows. Without a `helm` the set-up stays as it is. `opened` is called once,
     right after the rig is open, and returns events for the log. `tick` runs the ticks; by default
-    plain Python does. `RigError`, a safety
+    plain Python does. `many` runs those that nothing interrupts. `RigError`, a safety
     trip and a failed homing become the ending. Anything else is an error in pamctl and is raised.
     """
     try:
@@ -140,7 +159,17 @@ def run_loop(
             helm = helm or FixedHelm(setup)
             tick = tick or PlainTick()
             loop = _Loop(
-                rig, clock, setup, helm, nominal_zero, program, journal, supervisor, truth, tick
+                rig,
+                clock,
+                setup,
+                helm,
+                nominal_zero,
+                program,
+                journal,
+                supervisor,
+                truth,
+                tick,
+                many,
             )
             try:
                 return loop.run()
@@ -171,6 +200,7 @@ class _Loop:
     supervisor: Supervisor
     truth: Callable[[], Truth]
     tick: TickPath
+    many: ManyTicks | None
     ending: Ending = _ENDED
 
     def run(self) -> Ending:
@@ -187,20 +217,44 @@ class _Loop:
             sampled_ns = self.clock.now_ns()
             if not tick.follow_course(wake, raw) and not self._ask_and_run(wake, raw):
                 return self.ending
-            self._act(wake, raw, sampled_ns)
-            decision = tick.decision
-            if decision.tripped:
-                return self._end_tripped(wake, raw, decision)
-            # The abort is read first. Two signals between the two reads are then a stop in this
-            # tick and an abort in the next one, and the run never ends without its reason.
-            abort = self.supervisor.wants_abort()
-            self._obey_supervisor(wake, raw, decision)
-            self.helm.finish_tick(tick)
-            if abort:
-                return self.ending
-            tick.expect(self.helm.settled_setup, self.program.running)
+            self._act(wake, sampled_ns)
+            ended = self._finish(wake.tick, wake.missed, raw)
+            while ended is None and self._run_many():
+                ended = self._finish(tick.timing.tick, 0, tick.raw)
+            if ended is not None:
+                return ended
             wake = self.clock.wait(self._rehearse)
             raw = self.rig.read()
+
+    def _finish(self, at: int, missed: int, raw: RawSample) -> Ending | None:
+        """Do what is due in the slack after tick `at`; return how the run ends if it does."""
+        tick, decision = self.tick, self.tick.decision
+        # The last tick of each thousand, or the first one after it if that was missed.
+        if (at + 1) % KEYFRAME_TICKS <= missed:
+            self.journal.put_keyframe(at, raw.encoder_t_ns, freeze_state(tick.state))
+        if decision.tripped:
+            return self._end_tripped(at, raw, decision)
+        # The abort is read first. Two signals between the two reads are then a stop in this
+        # tick and an abort in the next one, and the run never ends without its reason.
+        abort = self.supervisor.wants_abort()
+        self._obey_supervisor(at, raw, decision)
+        self.helm.finish_tick(tick)
+        if abort:
+            return self.ending
+        tick.expect(self.helm.settled_setup, self.program.running)
+        return None
+
+    def _run_many(self) -> bool:
+        """Run the ticks up to the next frozen state or cue at once, where that is possible."""
+        many, tick = self.many, self.tick
+        if many is None or not tick.follows:
+            return False
+        timing, period_s = tick.timing, self.clock.period_ns * 1e-9
+        ticks = KEYFRAME_TICKS - (timing.tick + 1) % KEYFRAME_TICKS
+        until_cue = (self.program.next_cue_s - timing.t_s) / period_s - 2.0
+        return (
+            many.run(tick, timing.tick + 1, int(min(ticks, max(until_cue, 0.0))), self.journal) > 0
+        )
 
     def _ask_and_run(self, wake: Wake, raw: RawSample) -> bool:
         """Ask program and helm, and run the tick; return False at the end of the program."""
@@ -225,10 +279,10 @@ class _Loop:
             reference, _ = self.program.next_reference(timing.t_s, raw)
         return reference, zero
 
-    def _obey_supervisor(self, wake: Wake, raw: RawSample, decision: Decision) -> None:
+    def _obey_supervisor(self, at: int, raw: RawSample, decision: Decision) -> None:
         """Check, in the slack after the tick, whether the run shall end."""
         if not self.program.is_stopping:
-            wanted = self.supervisor.find_stop(wake.tick)
+            wanted = self.supervisor.find_stop(at)
             if wanted is not None:
                 self.ending = wanted
                 self._begin_stop(self.tick.timing, raw, decision.valve_v)
@@ -239,7 +293,7 @@ class _Loop:
         event = {"event": "stopping", "reason": self.ending.reason}
         self.journal.put_event(timing.tick, raw.encoder_t_ns, event)
 
-    def _act(self, wake: Wake, raw: RawSample, sampled_ns: int) -> None:
+    def _act(self, wake: Wake, sampled_ns: int) -> None:
         """Write to the valve and record the tick, even if the write fails."""
         now_ns = self.clock.now_ns
         decided_ns = now_ns()
@@ -254,9 +308,6 @@ class _Loop:
                 (now_ns() - decided_ns) * 1e-9,
             )
             self.tick.record(self.journal, outcome, self.truth())
-        # The last tick of each thousand, or the first one after it if that was missed.
-        if (wake.tick + 1) % KEYFRAME_TICKS <= wake.missed:
-            self.journal.put_keyframe(wake.tick, raw.encoder_t_ns, freeze_state(self.tick.state))
 
     def _rehearse(self) -> None:
         """Run the last tick once more and forget it: the caches are warm for the next one."""
@@ -266,11 +317,11 @@ class _Loop:
         """Record from which tick on the sensors have other zeros: replay needs it."""
         self.journal.put_event(tick, raw.encoder_t_ns, {"event": "zeroed", **zero._asdict()})
 
-    def _end_tripped(self, wake: Wake, raw: RawSample, decision: Decision) -> Ending:
+    def _end_tripped(self, at: int, raw: RawSample, decision: Decision) -> Ending:
         self.rig.make_safe()
         reasons = explain_verdicts(decision.verdicts)
         event: dict[str, object] = {"event": "tripped", "reasons": reasons}
-        self.journal.put_event(wake.tick, raw.encoder_t_ns, event)
+        self.journal.put_event(at, raw.encoder_t_ns, event)
         overruns_only = decision.verdicts == OVERRUNS
         code = ExitCode.OVERRUNS if overruns_only else ExitCode.SAFETY_TRIP
         return Ending(code, "safety trip: " + "; ".join(reasons))

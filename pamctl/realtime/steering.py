@@ -102,6 +102,11 @@ class SteeredProgram:
         return None if self._run is None or self._is_over else self._run.running
 
     @property
+    def next_cue_s(self) -> float:
+        """When the next cue of the present run is due, s."""
+        return math.inf if self._run is None else self._run.next_cue_s
+
+    @property
     def settled_setup(self) -> TickSetup | None:
         """The set-up of the next tick, whenever it is; None while gains are on a ramp."""
         return self._tuning.settled_setup

@@ -60,6 +60,9 @@ class TickJournal(Protocol):
 class TickPath(Protocol):
     """Runs ticks in order, and holds the last one."""
 
+    follows: bool
+    """The next tick follows a course that this path knows."""
+
     @property
     def raw(self) -> RawSample:
         """The sample of the last tick."""
@@ -124,6 +127,7 @@ class PlainTick:
     decision: Decision
     state: TickState
     output_v = math.nan
+    follows = False
 
     def begin(self, state: TickState, times: TickTimes) -> None:
         """Begin before the first tick, or afresh with another state."""
@@ -186,12 +190,10 @@ class CompiledTick:
     def __init__(self, library: KernelLibrary, words: TickWords, setup: TickSetup) -> None:
         """Use a library that was built from these words. `setup` is the first one."""
         self._library, self._layout = library, words
-        self._words = bytearray(words.words * WORD_BYTES)
+        self.words = bytearray(words.words * WORD_BYTES)
         self._row = bytearray(ROW_BYTES)
-        self._table = bytearray(TABLE_BYTES)
-        self._native, self._arguments = library.bind(
-            self._words, self._words, self._row, self._table
-        )
+        self.table = bytearray(TABLE_BYTES)
+        self._native, self._arguments = library.bind(self.words, self.words, self._row, self.table)
         self._put_sensed = struct.Struct("<qqqqdqqq").pack_into
         self._sensed_at = words.sensed.begin * WORD_BYTES
         self._get_answer = struct.Struct("<qd").unpack_from
@@ -200,10 +202,11 @@ class CompiledTick:
         self._decision_at = (words.answered.end - len(Decision._fields)) * WORD_BYTES
         self._put_outcome = struct.Struct("<6d").pack_into
         self._setup = setup
-        words.setup.write(self._words, setup)
-        words.place.write(self._words, NO_COURSE)
+        words.setup.write(self.words, setup)
+        words.place.write(self.words, NO_COURSE)
         self._course: Course | None = None
-        self._follows = False
+        self.follows = False
+        """The next tick follows the course that the table has."""
         self._understudy: CompiledTick | None = None
         self.output_v = math.nan
 
@@ -211,7 +214,7 @@ class CompiledTick:
 
     @property
     def _sensed(self) -> Sensed:
-        return self._layout.sensed.read(self._words)
+        return self._layout.sensed.read(self.words)
 
     @property
     def raw(self) -> RawSample:
@@ -221,63 +224,63 @@ class CompiledTick:
     @property
     def timing(self) -> Timing:
         """The time of the last tick."""
-        return self._layout.answered.read(self._words).timing
+        return self._layout.answered.read(self.words).timing
 
     @property
     def reference(self) -> Reference:
         """The reference of the last tick."""
-        return self._layout.answered.read(self._words).reference
+        return self._layout.answered.read(self.words).reference
 
     @property
     def decision(self) -> Decision:
         """The decision of the last tick."""
-        valve_v, verdicts, tripped = self._get_decision(self._words, self._decision_at)
+        valve_v, verdicts, tripped = self._get_decision(self.words, self._decision_at)
         return Decision(valve_v, verdicts, tripped != 0)
 
     @property
     def state(self) -> TickState:
         """The state after the last tick."""
-        return self._layout.state.read(self._words)
+        return self._layout.state.read(self.words)
 
     # --- the next tick -----------------------------------------------------------------
 
     def begin(self, state: TickState, times: TickTimes) -> None:
         """Begin before the first tick, or afresh with another state."""
-        self._layout.state.write(self._words, state)
-        self._layout.times.write(self._words, times)
+        self._layout.state.write(self.words, state)
+        self._layout.times.write(self.words, times)
 
     @property
     def times(self) -> TickTimes:
         """Where in time the loop is."""
-        return self._layout.times.read(self._words)
+        return self._layout.times.read(self.words)
 
     def expect(self, setup: TickSetup | None, running: RunningCourse | None) -> None:
         """Take note of what the next tick may use; None where the loop must ask in that tick."""
-        self._follows = False
+        self.follows = False
         if setup is None or running is None:
             return
         course, begin_s = running
         if course is not self._course:
-            if course.table is None or len(course.table) > len(self._table):
+            if course.table is None or len(course.table) > len(self.table):
                 return
-            self._table[: len(course.table)] = course.table
+            self.table[: len(course.table)] = course.table
             place = CoursePlace(len(course.segments), 0, begin_s, course.duration_s)
-            self._layout.place.write(self._words, place)
+            self._layout.place.write(self.words, place)
             self._course = course
         self._use(setup)
-        self._follows = True
+        self.follows = True
 
     def _use(self, setup: TickSetup) -> None:
         if setup is not self._setup:
-            self._layout.setup.write(self._words, setup)
+            self._layout.setup.write(self.words, setup)
             self._setup = setup
 
     def follow_course(self, wake: Wake, raw: RawSample) -> bool:
         """Run a tick on what was expected; False, and nothing done, where the loop must ask."""
-        return self._follows and self._run_native(wake, raw)
+        return self.follows and self._run_native(wake, raw)
 
     def _run_native(self, wake: Wake, raw: RawSample) -> bool:
-        words = self._words
+        words = self.words
         self._put_sensed(words, self._sensed_at, *wake, *raw)
         if self._native(*self._arguments):
             return False
@@ -292,14 +295,14 @@ class CompiledTick:
         """Run a tick."""
         self._use(setup)
         if self._course is not None:
-            self._layout.place.write(self._words, NO_COURSE)
+            self._layout.place.write(self.words, NO_COURSE)
             self._course = None
-        self._layout.given.write(self._words, reference)
+        self._layout.given.write(self.words, reference)
         if not self._run_native(wake, raw):
             self._run_plain(wake, raw, reference)
 
     def _run_plain(self, wake: Wake, raw: RawSample, reference: Reference) -> None:
-        plain, words = PlainTick(), self._words
+        plain, words = PlainTick(), self.words
         plain.begin(self.state, self.times)
         timing = plain.time(wake, raw)
         plain.run(self._setup, wake, raw, reference)
@@ -319,11 +322,11 @@ class CompiledTick:
         double = self._understudy
         if double is None:
             double = self._understudy = CompiledTick(self._library, self._layout, self._setup)
-        double._words[:] = self._words
+        double.words[:] = self.words
         if self._course is not double._course:
-            double._table[:] = self._table
+            double.table[:] = self.table
             double._course = self._course
-        if not self._follows:
+        if not self.follows:
             ask(self.timing.t_s)
         wake, raw = self._sensed
         if not double._run_native(wake, raw):
@@ -338,12 +341,13 @@ class CompiledTick:
         journal.put_row(self._row, (wake.now_ns - wake.deadline_ns) * 1e-9, wake.missed)
 
 
-def load_compiled_tick(path: Path, setup: TickSetup) -> CompiledTick:
+def load_compiled_tick(
+    path: Path, setup: TickSetup, words: TickWords | None = None
+) -> CompiledTick:
     """Return the tick of a library that was built for such a set-up.
 
-    Raises OSError where there is none.
+    `words` may have more than the tick needs. Raises OSError where there is none.
     """
-    words = TickWords(setup)
-    tick = CompiledTick(KernelLibrary(path), words, setup)
+    tick = CompiledTick(KernelLibrary(path), words or TickWords(setup), setup)
     tick.begin(first_state(setup, Zero(0.0, 0.0)), TickTimes(0, 0))
     return tick

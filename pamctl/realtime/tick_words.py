@@ -7,6 +7,8 @@ table  the course
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from textwrap import indent
 from typing import Any, NamedTuple
 
 from hal.calibration import Zero
@@ -17,7 +19,7 @@ from pamctl.realtime.clock import Wake
 from pamctl.realtime.tick import TickSetup, TickState, first_state
 from pamctl.realtime.whole_tick import TickTimes
 from pamctl.recording.ring import ROW_HEADER, RowKind, tick_struct
-from pamctl.signals import TICK_FIELDS, Decision, Reference, Timing
+from pamctl.signals import TICK_FIELDS, Decision, Field, Reference, Timing
 
 
 class Sensed(NamedTuple):
@@ -40,8 +42,10 @@ class Answered(NamedTuple):
 _REFERENCE = Reference(0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _SENSED = Sensed(Wake(0, 0, 0, 0), RawSample(0.0, 0, 0, 0))
 _ANSWERED = Answered(False, 0.0, Timing(0, 0.0, 0.0, 0.0, 0), _REFERENCE, Decision(0.0, 0, False))
-RECORDED = tuple(field for field in TICK_FIELDS if field.stage not in ("outcome", "truth"))
-"""The columns of a row that machine code writes; the others follow them."""
+RECORDED: tuple[Field, ...] = tuple(
+    field for field in TICK_FIELDS if field.stage not in ("outcome", "truth")
+)
+"""The columns of a row that the tick's machine code writes; the others follow them."""
 OUTCOME_AT = ROW_HEADER.size + tick_struct(RECORDED).size
 """Where in a row the outcome begins."""
 
@@ -67,29 +71,35 @@ class TickWords:
     def write_glue(self) -> tuple[str, dict[str, Any]]:
         """Return the source of the function between words and kernel, and the types it names."""
         types: dict[type, str] = {}
-        lines = ["def glue(ints, floats, row, table):"]
-        for name in ("setup", "state", "times", "place", "given"):
-            lines.append(f"    {name} = {_construct(getattr(self, name), types)}")
-        lines += [
-            f"    sensed = {_construct(self.sensed, types)}",
-            "    wake, raw = sensed",
-            "    done = kernel(setup, state, times, place, wake, raw, given, table)",
-            f"    ints[{self.answered.begin}] = int(done.is_done)",
-            "    if not done.is_done:",
-            "        return",
-            *self._write_results(),
-            *_write_row(),
+        lines = [
+            *self.write_arguments(types),
+            f"sensed = {construct(self.sensed, types)}",
+            "wake, raw = sensed",
+            "done = kernel(setup, state, times, place, wake, raw, given, table)",
+            f"ints[{self.answered.begin}] = int(done.is_done)",
+            "if not done.is_done:",
+            "    return",
+            *self.write_results(),
+            *write_row(RECORDED, {"raw": "raw"}),
         ]
-        return "\n".join(lines) + "\n", {name: kind for kind, name in types.items()}
+        source = "def glue(ints, floats, row, table):\n" + indent("\n".join(lines), "    ") + "\n"
+        return source, {name: kind for kind, name in types.items()}
 
-    def _write_results(self) -> list[str]:
+    def write_arguments(self, types: dict[type, str]) -> list[str]:
+        """Write the lines that make the kernel's arguments, all but the sample, of the words."""
+        names = ("setup", "state", "times", "place", "given")
+        return [f"{name} = {construct(getattr(self, name), types)}" for name in names]
+
+    def write_results(self) -> list[str]:
+        """Write the lines that put the results of `done` into the words."""
         lines = []
         for name in ("state", "times", "place"):
-            lines += _store(getattr(self, name), f"done.{name}.")
-        return lines + _store(self.answered, "done.")
+            lines += store(getattr(self, name), f"done.{name}.")
+        return lines + store(self.answered, "done.")
 
 
-def _construct(block: Block[Any], types: dict[type, str]) -> str:
+def construct(block: Block[Any], types: dict[type, str]) -> str:
+    """Write the expression that makes a block's value of its words."""
     return write_constructor(block.template, _read_word, types, block.begin)
 
 
@@ -99,36 +109,42 @@ def _read_word(at: int, kind: type) -> str:
     return f"ints[{at}] != 0" if kind is bool else f"ints[{at}]"
 
 
-def _store(block: Block[Any], prefix: str) -> list[str]:
+def store(block: Block[Any], prefix: str) -> list[str]:
+    """Write the lines that put the numbers of `prefix` into a block's words."""
     return [
-        f"    floats[{at}] = {prefix}{leaf.path}"
+        f"floats[{at}] = {prefix}{leaf.path}"
         if leaf.kind is float
-        else f"    ints[{at}] = int({prefix}{leaf.path})"
+        else f"ints[{at}] = int({prefix}{leaf.path})"
         for at, leaf in enumerate(block.leaves, block.begin)
     ]
 
 
 _PUT = {float: ("put_float", 8), int: ("put_int", 8), bool: ("put_bool", 1)}
-_PLACES = {
-    "measurement": "done.state.",
-    "estimate": "done.state.",
-    "command": "done.state.",
-    "raw": "",
+_STAGES = {
+    "timing": "done.timing",
+    "measurement": "done.state.measurement",
+    "reference": "done.reference",
+    "estimate": "done.state.estimate",
+    "command": "done.state.command",
+    "decision": "done.decision",
 }
 
 
-def _write_row() -> list[str]:
-    """Write the lines that fill a row of the ring, byte for byte as `Ring.put_tick` does."""
+def write_row(fields: Sequence[Field], others: Mapping[str, str], base: str = "") -> list[str]:
+    """Write the lines that fill a row of the ring, byte for byte as `Ring.put_tick` does.
+
+    `others` names the stages that are not in `done`; the row begins at the byte `base`.
+    """
+    stages = {**_STAGES, **others}
     kind_and_size = RowKind.TICK | tick_struct(TICK_FIELDS).size << 32
     lines = [
-        f"    put_int(row, 0, {kind_and_size})",
-        "    put_int(row, 8, done.timing.tick)",
-        "    put_int(row, 16, raw.encoder_t_ns)",
+        f"put_int(row, {base}0, {kind_and_size})",
+        f"put_int(row, {base}8, done.timing.tick)",
+        f"put_int(row, {base}16, {stages['raw']}.encoder_t_ns)",
     ]
     at = ROW_HEADER.size
-    for field in RECORDED:
+    for field in fields:
         put, size = _PUT[field.kind]
-        value = f"{_PLACES.get(field.stage, 'done.')}{field.stage}.{field.name}"
-        lines.append(f"    {put}(row, {at}, {value})")
+        lines.append(f"{put}(row, {base}{at}, {stages[field.stage]}.{field.name})")
         at += size
     return lines

@@ -331,6 +331,17 @@ class Ring:
         self._buffer[at : at + ROW_BYTES] = row
         self._head = self._words[_HEAD] = head + 1
 
+    def put_rows(self, rows: memoryview) -> memoryview:
+        """Put as many packed ticks as there is room for; return the others."""
+        head = self._head
+        self._full_at = self.tail + self.rows
+        start = head % self.rows
+        count = min(len(rows) // ROW_BYTES, self._full_at - head, self.rows - start)
+        at, size = self._rows_at + start * ROW_BYTES, count * ROW_BYTES
+        self._buffer[at : at + size] = rows[:size]
+        self._head = self._words[_HEAD] = head + count
+        return rows[size:]
+
     def rehearse_row(self, row: bytearray) -> None:
         """Copy a packed tick into the next row and do not move the head."""
         if self._head < self._full_at:

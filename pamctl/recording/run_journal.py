@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TypeVar
 
 from pamctl.recording.ring import LoopStage, RecorderFlag, Ring, RingFull
 from pamctl.signals import TickRecord
+
+Put = TypeVar("Put")
 
 
 class RingJournal:
@@ -65,6 +69,22 @@ class RingJournal:
 class PatientJournal(RingJournal):
     """For runs without a clock: if the ring is full, it waits for the recorder."""
 
+    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
+        """Put a tick that is packed already, as soon as there is room."""
+        self._put_patiently(lambda: self._ring.put_row(row))
+
+    def put_rows(self, rows: memoryview) -> None:
+        """Put ticks that are packed already, as there is room for them."""
+        while rows:
+            rows = self._put_patiently(partial(self._put_some, rows))
+        self._ring.loop_beat_ns = self._now_ns()
+
+    def _put_some(self, rows: memoryview) -> memoryview:
+        others = self._ring.put_rows(rows)
+        if len(others) == len(rows):
+            raise RingFull("the ring is full: the recorder is behind or gone")
+        return others
+
     def put_tick(self, record: TickRecord) -> None:
         """Put a tick as soon as there is room."""
         try:
@@ -86,7 +106,7 @@ class PatientJournal(RingJournal):
         """Put the frozen state as soon as there is room."""
         self._put_patiently(lambda: self._ring.put_keyframe(tick, t_ns, state))
 
-    def _put_patiently(self, put: Callable[[], None]) -> None:
+    def _put_patiently(self, put: Callable[[], Put]) -> Put:
         """Try until it succeeds; give up if the recorder has failed or fallen silent."""
         beats, silent_since_s = self._ring.recorder_beats, time.monotonic()
         while True:

@@ -91,3 +91,24 @@ class Block(Generic[T]):
     def read(self, buffer: Any) -> T:
         """Return the value in the buffer."""
         return self._build(self._struct.unpack_from(buffer, self._offset))
+
+
+def construct(block: Block[Any], types: dict[type, str]) -> str:
+    """Write the expression that makes a block's value of its words."""
+    return write_constructor(block.template, _read_word, types, block.begin)
+
+
+def _read_word(at: int, kind: type) -> str:
+    if kind is float:
+        return f"floats[{at}]"
+    return f"ints[{at}] != 0" if kind is bool else f"ints[{at}]"
+
+
+def store(block: Block[Any], prefix: str) -> list[str]:
+    """Write the lines that put the numbers of `prefix` into a block's words."""
+    return [
+        f"floats[{at}] = {prefix}{leaf.path}"
+        if leaf.kind is float
+        else f"ints[{at}] = int({prefix}{leaf.path})"
+        for at, leaf in enumerate(block.leaves, block.begin)
+    ]

@@ -32,6 +32,11 @@ class SimulatedPlant:
         )
 
     @property
+    def truth(self) -> tuple[float, float]:
+        """True displacement (m) and absolute pressure (Pa)."""
+        return self.state.position_m, self.state.pressure_pa
+
+    @property
     def is_delayed(self) -> bool:
         """Whether commands are on their way to the valve: the state is not all there is."""
         return self._line is not None

@@ -14,9 +14,18 @@ from functools import partial
 from pathlib import Path
 
 from hal.sim.sim_rig import SimRig
+from pamctl.compiled_ahead.layout import NotFlat
 from pamctl.control.law import KERNELS, answer
+from pamctl.plant.model import plant_parameters
+from pamctl.plant.native_plant import PlantWords, advance_and_sense
+from pamctl.plant.parameters import PlantParameters
 from pamctl.processes.backends import build_clock, build_rig
-from pamctl.processes.machine_code import find_leap_library, find_tick_library
+from pamctl.processes.machine_code import (
+    find_leap_library,
+    find_plant_library,
+    find_tick_library,
+    may_be_native,
+)
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_words import TickWords
 from pamctl.realtime.whole_tick import run_whole_tick
@@ -31,6 +40,11 @@ def main() -> None:
     settings = from_resolved(sys.stdin.read())
     setup = build_tick_setup(settings)
     _build_once(find_tick_library(setup), partial(build_tick_library, setup))
+    if may_be_native(settings):
+        parameters = plant_parameters(settings.plant)
+        with suppress(NotFlat):
+            path = find_plant_library(parameters)
+            _build_once(path, partial(build_plant_library, parameters))
     rig = build_rig(settings, build_clock(settings, may_spin=False)).rig if settings.fast else None
     if isinstance(rig, SimRig) and may_leap(rig):
         _build_once(find_leap_library(setup, rig), partial(build_leap_library, setup, rig))
@@ -64,6 +78,14 @@ def build_tick_library(setup: TickSetup, path: Path) -> None:
     source, names = TickWords(setup).write_glue()
     law = KERNELS[type(setup.gains)]
     build_library(source, run_whole_tick, names, "idbd", path, (answer, law))
+
+
+def build_plant_library(parameters: PlantParameters, path: Path) -> None:
+    """Build the machine code of a plant."""
+    from pamctl.compiled_ahead.emit import build_library
+
+    source, names = PlantWords(parameters).write_glue()
+    build_library(source, advance_and_sense, names, "id", path)
 
 
 def build_leap_library(setup: TickSetup, rig: SimRig, path: Path) -> None:

@@ -19,7 +19,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.processes.machine_code import load_leap, load_tick
+from pamctl.processes.machine_code import load_leap, load_plant, load_tick
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
@@ -98,7 +98,8 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
         many = None
         for event in () if settings.fast else check_rate(settings, setup):
             ring.put_event(0, ring.meta.start_mono_ns, event)
-        parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
+        clock = build_clock(settings, may_spin=preparation.may_spin)
+        parts = build_rig(settings, clock, plant=load_plant(settings))
         if settings.fast:
             tick, many = load_leap(setup, parts.rig, parts.clock)
         program = build_program(settings)

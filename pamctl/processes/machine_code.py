@@ -18,6 +18,10 @@ from pamctl.compiled_ahead.library import (
     hash_module,
 )
 from pamctl.control.law import KERNELS
+from pamctl.plant.model import plant_parameters
+from pamctl.plant.native_plant import NativePlant, PlantWords
+from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import build_clock, build_rig
 from pamctl.realtime.clock import Clock, VirtualClock
 from pamctl.realtime.tick import TickSetup
@@ -69,10 +73,36 @@ def load_leap(setup: TickSetup, rig: Rig, clock: Clock) -> tuple[TickPath, Leap 
     return load_tick(setup)[0], None
 
 
+def find_plant_library(parameters: PlantParameters) -> Path:
+    """Return where the machine code of a plant is, or will be. Raises `NotFlat`."""
+    source, names = PlantWords(parameters).write_glue()
+    return find_library_path("plant", source, repr(names))
+
+
+def load_plant(settings: RunSettings) -> SimulatedPlant | None:
+    """Return the plant of a simulated rig as machine code, if there is any."""
+    if not may_be_native(settings):
+        return None
+    parameters = plant_parameters(settings.plant)
+    with suppress(NotFlat, OSError, AttributeError):
+        return NativePlant(KernelLibrary(find_plant_library(parameters)), parameters)
+    return None
+
+
+def may_be_native(settings: RunSettings) -> bool:
+    """Tell whether a run in real time has a plant that machine code can advance."""
+    if settings.fast or not settings.rig.record.is_simulated:
+        return False
+    return not SimulatedPlant(plant_parameters(settings.plant)).is_delayed
+
+
 def list_libraries(settings: RunSettings) -> list[Path]:
     """List the machine code that a run can use. Raises `NotFlat`."""
     setup = build_tick_setup(settings)
     libraries = [find_tick_library(setup)]
+    if may_be_native(settings):
+        with suppress(NotFlat):
+            libraries.append(find_plant_library(plant_parameters(settings.plant)))
     if settings.fast:
         rig = build_rig(settings, build_clock(settings, may_spin=False)).rig
         if isinstance(rig, SimRig) and may_leap(rig):

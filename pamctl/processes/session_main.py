@@ -24,7 +24,7 @@ from pamctl.processes.loop_main import (
     run_to_ending,
 )
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.processes.machine_code import load_tick
+from pamctl.processes.machine_code import load_plant, load_tick
 from pamctl.processes.session_supervisor import SessionSupervisor
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.orders import Orders
@@ -74,7 +74,8 @@ def _run(
         journal.put_event(0, ring.meta.start_mono_ns, start)
         for event in check_rate(settings, setup):
             journal.put_event(0, ring.meta.start_mono_ns, event)
-        parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
+        clock = build_clock(settings, may_spin=preparation.may_spin)
+        parts = build_rig(settings, clock, plant=load_plant(settings))
         steered = SteeredProgram(
             orders,
             journal,

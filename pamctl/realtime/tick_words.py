@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from hal.calibration import Zero
 from hal.rig import RawSample
-from pamctl.compiled_ahead.layout import Block, write_constructor
+from pamctl.compiled_ahead.layout import Block, construct, store
 from pamctl.control.course_table import NO_COURSE, SEGMENT_WORDS, CoursePlace
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.tick import TickSetup, TickState, first_state
@@ -96,27 +96,6 @@ class TickWords:
         for name in ("state", "times", "place"):
             lines += store(getattr(self, name), f"done.{name}.")
         return lines + store(self.answered, "done.")
-
-
-def construct(block: Block[Any], types: dict[type, str]) -> str:
-    """Write the expression that makes a block's value of its words."""
-    return write_constructor(block.template, _read_word, types, block.begin)
-
-
-def _read_word(at: int, kind: type) -> str:
-    if kind is float:
-        return f"floats[{at}]"
-    return f"ints[{at}] != 0" if kind is bool else f"ints[{at}]"
-
-
-def store(block: Block[Any], prefix: str) -> list[str]:
-    """Write the lines that put the numbers of `prefix` into a block's words."""
-    return [
-        f"floats[{at}] = {prefix}{leaf.path}"
-        if leaf.kind is float
-        else f"ints[{at}] = int({prefix}{leaf.path})"
-        for at, leaf in enumerate(block.leaves, block.begin)
-    ]
 
 
 _PUT = {float: ("put_float", 8), int: ("put_int", 8), bool: ("put_bool", 1)}

@@ -22,7 +22,7 @@ from hal.sim.sim_rig import (
     sensed_counts,
     sensed_pressure_v,
 )
-from pamctl.compiled_ahead.layout import WORD_BYTES, Block
+from pamctl.compiled_ahead.layout import WORD_BYTES, Block, construct, store
 from pamctl.compiled_ahead.library import KernelLibrary
 from pamctl.control.course_table import CoursePlace
 from pamctl.plant.parameters import PlantParameters, PlantState
@@ -32,7 +32,7 @@ from pamctl.plant.step import advance_plant
 from pamctl.realtime.clock import VirtualClock, Wake
 from pamctl.realtime.tick import TickSetup, TickState
 from pamctl.realtime.tick_path import CompiledTick
-from pamctl.realtime.tick_words import Sensed, TickWords, construct, store, write_row
+from pamctl.realtime.tick_words import Sensed, TickWords, write_row
 from pamctl.realtime.whole_tick import TickTimes, WholeTick, run_whole_tick
 from pamctl.recording.ring import ROW_BYTES
 from pamctl.signals import TICK_FIELDS, Reference, TickOutcome, Truth

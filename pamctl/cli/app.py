@@ -40,6 +40,8 @@ from pamctl.cli.rig.calibrate import calibrate_app
 from pamctl.cli.rig.doctor import doctor
 from pamctl.cli.rig.run import run
 from pamctl.cli.rig.safe import safe
+from pamctl.cli.runs.runs import runs_app
+from pamctl.cli.runs.sweep import sweep
 from pamctl.cli.tune import tune
 
 app = typer.Typer(
@@ -58,7 +60,7 @@ _GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Run": (run,),
     "Rig": (safe, doctor),
     "Analyse": (report, replay, compare, audit, diagnose),
-    "Tune": (tune,),
+    "Tune": (tune, sweep),
     "Daemon": (daemon, status, start, stop, estop, ack, disarm, mark, watch),
     "Other": (reproduce, manual),
 }
@@ -71,6 +73,7 @@ app.command("set", rich_help_panel="Daemon")(set_keys)
 app.add_typer(gains_app, name="gains", rich_help_panel="Daemon")
 app.add_typer(calibrate_app, name="calibrate", rich_help_panel="Rig")
 app.add_typer(log_app, name="log", rich_help_panel="Logs")
+app.add_typer(runs_app, name="runs", rich_help_panel="Logs")
 app.add_typer(plant_app, name="plant", rich_help_panel="Analyse")
 app.add_typer(config_app, name="config", rich_help_panel="Other")
 log_app.command("info")(show_info)

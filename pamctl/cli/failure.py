@@ -6,21 +6,17 @@ raises `Failed` where there is no such error.
 
 from __future__ import annotations
 
-import errno
 import json
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import typer
 from typer.core import TyperGroup
 
-from hal.rig import RigError
 from pamctl.exit_codes import ExitCode
-from pamctl.settings.problems import ConfigError, Problem
-
-_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-"""What a package or a cache may meet that does not write through `pamctl.new_file`."""
+from pamctl.session.pamctl_error import explain_error
+from pamctl.settings.problems import ConfigError
 
 
 class Failed(typer.Exit):
@@ -75,20 +71,10 @@ class Verbs(TyperGroup):
             raise
         except ConfigError as error:
             problems = [problem._asdict() for problem in error.problems]
-            raise Failed(
-                _choose_config_code(error.problems), str(error), problems=problems
-            ) from error
-        except RigError as error:
-            raise Failed(ExitCode.UNAVAILABLE, str(error)) from error
-        except OSError as error:
-            if error.errno not in _NO_ROOM:
-                raise
-            reason = f"cannot write {error.filename or 'a file'}: {error.strerror}; make room there"
-            raise Failed(ExitCode.UNEXPECTED, reason) from error
+            raise Failed(error.exit_code, str(error), problems=problems) from error
         except Exception as error:
-            code = getattr(error, "exit_code", None)
-            if isinstance(code, ExitCode):
-                raise Failed(code, str(error)) from error
+            if (known := explain_error(error)) is not None:
+                raise Failed(*known) from error
             if (wrong := _word_wrong_usage(error)) is None:
                 raise
             raise wrong from error
@@ -139,10 +125,3 @@ def _report_failure(failed: Failed, *, as_json: bool) -> None:
 def _print_document(exit_code: object, reason: str, **details: object) -> None:
     # One line: it may end a stream of lines, as of `pamctl watch --json`.
     print(json.dumps({"exit_code": exit_code, "reason": reason, **details}))
-
-
-def _choose_config_code(problems: Iterable[Problem]) -> ExitCode:
-    """Return 2 where only options are wrong, 78 where a file or a setting is."""
-    places = (problem.where for problem in problems)
-    options_only = all(where.startswith("--") and not where.startswith("--set") for where in places)
-    return ExitCode.USAGE if options_only else ExitCode.BAD_CONFIG

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pamctl.log.annotate.annotation import ANNOTATION, Annotation
 from pamctl.log.contents import Contents
 from pamctl.log.framing import LogError
 from pamctl.log.reader import scan_log
@@ -32,6 +34,7 @@ def info(path: str | Path) -> dict[str, Any]:
     with suppress(LogError):
         config = contents.config()
     events = contents.values[EVENT_TOPIC]
+    said = Annotation.from_metadata(contents.metadata.get(ANNOTATION, {}))
     return {
         "path": str(path),
         "complete": damage is None,
@@ -48,6 +51,8 @@ def info(path: str | Path) -> dict[str, Any]:
         "source": contents.metadata.get("import", {}).get("source"),
         "cut_from": _describe_cut(contents.metadata.get(CUT)),
         **{key: run.get(key) for key in ("law", "controller", "experiment", "plant", "backend")},
+        **asdict(said),
+        "tags": list(said.tags),
         "seed": config.get("seed"),
         "timing_setup": dict(contents.metadata.get("timing_setup", {})),
         **{key: origin.get(key) for key in ("version", "host")},

@@ -1,7 +1,7 @@
-"""The loop process: `python -m pamctl.processes.loop_main RING`, started by the front.
+"""The loop process: `python -m pamctl.processes.loop_main RING [FD]`, started by the front.
 
-All it needs is in the ring's meta. The end of its standard input is the front's death. Its
-standard output is one JSON line: how the run ended.
+All it needs is in the ring's meta; marks come from the slot for orders in `FD`. The end of its
+standard input is the front's death. Its standard output is one JSON line: how the run ended.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.processes.machine_code import load_leap, load_plant, load_tick
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
+from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_cost import TickCost, rehearse_tick_s
@@ -114,11 +115,15 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
             journal,
             supervisor,
             parts.truth,
-            CuedHelm(setup, controller, program, journal),
+            CuedHelm(setup, controller, program, journal, _attach_orders()),
             opened=partial(free_foreign_threads, preparation),
             tick=tick,
             many=many,
         )
+
+
+def _attach_orders() -> Orders | None:
+    return Orders(int(sys.argv[2])) if len(sys.argv) > 2 else None
 
 
 def check_rate(settings: RunSettings, setup: TickSetup) -> list[dict[str, object]]:

@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from pamctl.json_text import to_json
+from pamctl.plain_text import strip_controls
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun
 from pamctl.safety import VERDICTS
@@ -87,7 +88,7 @@ def _show_details(event: Mapping[str, Any]) -> str:
 def _show_short(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
-    return value if isinstance(value, str) else to_json(value).decode()
+    return strip_controls(value) if isinstance(value, str) else to_json(value).decode()
 
 
 def write_differences(page: Page, runs: Sequence[ReportedRun]) -> None:

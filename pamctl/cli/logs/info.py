@@ -43,11 +43,13 @@ def _format_info(found: dict[str, Any]) -> list[str]:
     return [
         f"{name.replace('_', ' '):<16}{_format_value(value)}"
         for name, value in found.items()
-        if value not in (None, {}, [])
+        if value not in (None, {}, [], "")
     ]
 
 
 def _format_value(value: object) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{name} {_format_value(part)}" for name, part in value.items())
+    if isinstance(value, list):
+        return " ".join(map(str, value))
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -19,7 +19,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.processes.machine_code import load_leap, load_plant, load_tick
+from pamctl.processes.machine_code.libraries import load_leap, load_plant, load_tick
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.orders import Orders

@@ -28,12 +28,9 @@ from pamctl.processes.backends import (
     require_backend,
 )
 from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
-<<<<<<< HEAD
-from pamctl.processes.machine_code import start_building
-=======
+from pamctl.processes.machine_code.libraries import start_building
 from pamctl.processes.mark_desk import MarkDesk, open_mark_desk
 from pamctl.processes.run_here import run_here
->>>>>>> main
 from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.tick import first_state
 from pamctl.recording.log_path import choose_log_path

@@ -24,7 +24,7 @@ from pamctl.processes.loop_main import (
     run_to_ending,
 )
 from pamctl.processes.loop_supervisor import LoopSupervisor
-from pamctl.processes.machine_code import load_plant, load_tick
+from pamctl.processes.machine_code.libraries import load_plant, load_tick
 from pamctl.processes.session_supervisor import SessionSupervisor
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.orders import Orders

@@ -63,13 +63,10 @@ class CuedHelm:
 
     def finish_tick(self, done: TickPath) -> None:
         """Put the marks that are due, and change the gains from the next tick on."""
-<<<<<<< HEAD
         timing = done.timing
-=======
         order = self._orders.take() if self._orders is not None else None
         if order is not None:
-            put_mark(self._journal, timing, raw, order["text"])
->>>>>>> main
+            put_mark(self._journal, timing, done.raw, order["text"])
         while (cue := self._program.take_cue(timing.t_s)) is not None:
             raw = done.raw
             if cue.gains is None:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 MOST_TICKS = 1000
 
 
-class Noise(NamedTuple):
+class GaussState(NamedTuple):
     """The state of Python's `Random.gauss` beside its uniform numbers."""
 
     next_deviate: float
@@ -71,7 +71,7 @@ class SimulatedTick(NamedTuple):
     sensed: Sensed
     muscle: PlantState
     moment: SimMoment
-    noise: Noise
+    noise: GaussState
     outcome: TickOutcome
     truth: Truth
 
@@ -87,7 +87,7 @@ def run_simulated_tick(
     muscle: PlantState,
     chain: SensorChain,
     moment: SimMoment,
-    noise: Noise,
+    noise: GaussState,
     uniforms: Any,
     span: LeapSpan,
     tick: int,
@@ -122,13 +122,15 @@ def run_simulated_tick(
     )
 
 
-def draw_deviate(noise: Noise, uniforms: Any) -> tuple[float, Noise]:
+def draw_deviate(noise: GaussState, uniforms: Any) -> tuple[float, GaussState]:
     """Kernel: return a standard normal deviate, as Python's `Random.gauss` does."""
     if not math.isnan(noise.next_deviate):
-        return 0.0 + noise.next_deviate * 1.0, Noise(math.nan, noise.drawn)
+        return 0.0 + noise.next_deviate * 1.0, GaussState(math.nan, noise.drawn)
     angle = uniforms[noise.drawn] * (2.0 * math.pi)
     radius = math.sqrt(-2.0 * math.log(1.0 - uniforms[noise.drawn + 1]))
-    return 0.0 + math.cos(angle) * radius * 1.0, Noise(math.sin(angle) * radius, noise.drawn + 2)
+    return 0.0 + math.cos(angle) * radius * 1.0, GaussState(
+        math.sin(angle) * radius, noise.drawn + 2
+    )
 
 
 def may_leap(rig: SimRig) -> bool:
@@ -149,7 +151,7 @@ class LeapWords(TickWords):
         self.muscle: Block[PlantState] = Block(plant.state, self.plant.end)
         self.chain: Block[SensorChain] = Block(chain, self.muscle.end)
         self.moment: Block[SimMoment] = Block(SimMoment(0.0, 0.0, 0), self.chain.end)
-        self.noise: Block[Noise] = Block(Noise(0.0, 0), self.moment.end)
+        self.noise: Block[GaussState] = Block(GaussState(0.0, 0), self.moment.end)
         self.span: Block[LeapSpan] = Block(LeapSpan(0, 0, 0, 0, 0), self.noise.end)
         self.words = self.span.end
 
@@ -224,7 +226,7 @@ class Leap:
         drawn = self._draw_uniforms(ticks - (following is not None))
         layout.muscle.write(words, self._plant.state)
         layout.moment.write(words, self._rig.freeze())
-        layout.noise.write(words, Noise(math.nan if following is None else following, 0))
+        layout.noise.write(words, GaussState(math.nan if following is None else following, 0))
         span = LeapSpan(ticks, first_tick, self._clock.period_ns, self._delay_ticks, 0)
         layout.span.write(words, span)
         function(*arguments)  # where it fails, the ticks before are done, and Python says why

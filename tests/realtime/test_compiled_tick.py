@@ -26,7 +26,7 @@ from pamctl.compiled_ahead.emit import CannotBuild
 from pamctl.compiled_ahead.layout import Block, NotFlat
 from pamctl.exit_codes import Ending
 from pamctl.log.reader import read
-from pamctl.processes import builder_main, machine_code
+from pamctl.processes.machine_code import builder_main, libraries
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
@@ -56,7 +56,7 @@ SHORT = (
 @pytest.fixture(scope="module")
 def library() -> Path:
     """The machine code of the paper's law."""
-    path = machine_code.find_tick_library(SETUP)
+    path = libraries.find_tick_library(SETUP)
     if not path.exists():
         builder_main.build_tick_library(SETUP, path)
     return path
@@ -296,9 +296,9 @@ def test_a_value_that_is_not_made_of_numbers_is_refused() -> None:
 def test_without_a_linker_nothing_is_built_and_the_reason_is_said(monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("PAMCTL_NO_BUILD")
-    monkeypatch.setattr(machine_code, "find_linker", lambda: None)
-    assert "install gcc" in machine_code.start_building(resolve())
-    tick, what = machine_code.load_tick(SETUP)
+    monkeypatch.setattr(libraries, "find_linker", lambda: None)
+    assert "install gcc" in libraries.start_building(resolve())
+    tick, what = libraries.load_tick(SETUP)
     assert isinstance(tick, PlainTick)
     assert what == "plain Python"
     monkeypatch.setenv("PATH", "")
@@ -310,8 +310,8 @@ def test_without_a_linker_nothing_is_built_and_the_reason_is_said(monkeypatch, t
 def test_other_sources_laws_and_machines_have_other_code(monkeypatch) -> None:
     from pamctl.compiled_ahead import library
 
-    here = machine_code.find_tick_library(SETUP)
-    smc = machine_code.find_tick_library(build_tick_setup(run_settings(controller="smc")))
+    here = libraries.find_tick_library(SETUP)
+    smc = libraries.find_tick_library(build_tick_setup(run_settings(controller="smc")))
     assert here != smc
     monkeypatch.setattr(library, "_hash_house", lambda: "another processor")
-    assert machine_code.find_tick_library(SETUP) != here
+    assert libraries.find_tick_library(SETUP) != here

@@ -18,7 +18,7 @@ from support.runs import MemoryJournal, ScriptedSupervisor, parts, run_settings,
 from hal.faulty import FaultSettings
 from pamctl.compiled_ahead.library import KernelLibrary
 from pamctl.exit_codes import Ending
-from pamctl.processes import machine_code
+from pamctl.processes.machine_code import libraries
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.tick_path import CompiledTick, PlainTick
@@ -27,7 +27,14 @@ from pamctl.recording.ring import ROW_BYTES, tick_struct
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
 from pamctl.signals import TICK_FIELDS, Truth
-from pamctl.simulate.leap import Leap, LeapWords, Noise, draw_deviate, may_leap, run_simulated_tick
+from pamctl.simulate.leap import (
+    GaussState,
+    Leap,
+    LeapWords,
+    draw_deviate,
+    may_leap,
+    run_simulated_tick,
+)
 
 SHORT = (
     "experiment.approach_s=0.5",
@@ -81,7 +88,7 @@ def run_both(settings: RunSettings, *faults: FaultSettings, compiled: bool = Fal
         program, tick, many = build_program(settings), PlainTick(), None
         rig = made.whole if faults else made.rig
         if leaps and compiled:
-            tick, many = machine_code.load_leap(setup, rig, made.clock)
+            tick, many = libraries.load_leap(setup, rig, made.clock)
         elif leaps:
             words = LeapWords(setup, made.rig)
             one = PlainLibrary(*words.write_glue(), run_whole_tick)
@@ -142,7 +149,7 @@ def test_machine_code_leaves_the_same() -> None:
     settings = run_settings(*SHORT)
     rig = parts(settings).rig
     setup = build_tick_setup(settings)
-    needed = [machine_code.find_leap_library(setup, rig), machine_code.find_tick_library(setup)]
+    needed = [libraries.find_leap_library(setup, rig), libraries.find_tick_library(setup)]
     if not all(path.exists() for path in needed):
         pytest.skip("no run has built the machine code yet: `pamctl run --fast` does")
     KernelLibrary(needed[0])
@@ -152,7 +159,7 @@ def test_machine_code_leaves_the_same() -> None:
 def test_the_noise_is_that_of_pythons_generator() -> None:
     theirs, ours = random.Random(7), random.Random(7)
     uniforms = [ours.random() for _ in range(1000)]
-    noise = Noise(math.nan, 0)
+    noise = GaussState(math.nan, 0)
     for _ in range(999):
         deviate, noise = draw_deviate(noise, uniforms)
         assert deviate == theirs.gauss(0.0, 1.0)
@@ -162,7 +169,7 @@ def test_the_noise_is_that_of_pythons_generator() -> None:
 def test_a_plant_with_commands_on_their_way_is_left_to_the_loop() -> None:
     settings = run_settings("plant.effects.command_delay.delay_s=0.0015")
     assert not may_leap(parts(settings).rig)
-    tick, many = machine_code.load_leap(
+    tick, many = libraries.load_leap(
         build_tick_setup(settings), parts(settings).rig, parts(settings).clock
     )
     assert many is None

@@ -1,6 +1,7 @@
-"""Builds a tick's machine code: `python -m pamctl.processes.builder_main`, started by the front.
+"""Builds machine code, once: `python -m pamctl.processes.machine_code.builder_main`.
 
-The settings of the run are its standard input. It outlives the front, and nobody waits for it.
+The front starts it with the settings of its run on standard input. It outlives the front, and
+nobody waits for it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pamctl.plant.model import plant_parameters
 from pamctl.plant.native_plant import PlantWords, advance_and_sense
 from pamctl.plant.parameters import PlantParameters
 from pamctl.processes.backends import build_clock, build_rig
-from pamctl.processes.machine_code import (
+from pamctl.processes.machine_code.libraries import (
     find_leap_library,
     find_plant_library,
     find_tick_library,

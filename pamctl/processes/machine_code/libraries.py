@@ -131,7 +131,7 @@ def start_building(settings: RunSettings) -> str:
     if find_linker() is None:
         return "the tick runs in plain Python: machine code needs a C compiler, install gcc"
     builder = subprocess.Popen(
-        [sys.executable, "-m", "pamctl.processes.builder_main"],
+        [sys.executable, "-m", "pamctl.processes.machine_code.builder_main"],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -26,6 +26,7 @@ from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_cost import TickCost, rehearse_tick_s
+from pamctl.realtime.tick_path import TickPath
 from pamctl.recording.last_words import make_outcome_event, put_last_event
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.recording.run_journal import PatientJournal, RingJournal
@@ -97,7 +98,7 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
         tick, path = load_tick(setup)
         _record_start(ring, settings, preparation, path)
         many = None
-        for event in () if settings.fast else check_rate(settings, setup):
+        for event in () if settings.fast else check_rate(settings, setup, tick):
             ring.put_event(0, ring.meta.start_mono_ns, event)
         clock = build_clock(settings, may_spin=preparation.may_spin)
         parts = build_rig(settings, clock, plant=load_plant(settings))
@@ -126,13 +127,15 @@ def _attach_orders() -> Orders | None:
     return Orders(int(sys.argv[2])) if len(sys.argv) > 2 else None
 
 
-def check_rate(settings: RunSettings, setup: TickSetup) -> list[dict[str, object]]:
+def check_rate(
+    settings: RunSettings, setup: TickSetup, tick: TickPath | None = None
+) -> list[dict[str, object]]:
     """Warn of a rate that this PC cannot hold; return what to note in the log.
 
     Call it in the loop's process as it is scheduled, before the rig is open.
     """
     rate_hz = settings.rig.loop.rate_hz
-    cost = TickCost.estimate(rehearse_tick_s(setup, 1.0 / rate_hz))
+    cost = TickCost.estimate(rehearse_tick_s(setup, 1.0 / rate_hz, tick=tick))
     warning = cost.find_warning(rate_hz)
     if not warning:
         return []

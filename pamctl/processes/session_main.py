@@ -72,7 +72,7 @@ def _run(
         tick, path = load_tick(setup)
         start = {"event": "timing_setup", **preparation.as_metadata(), "tick": path}
         journal.put_event(0, ring.meta.start_mono_ns, start)
-        for event in check_rate(settings, setup):
+        for event in check_rate(settings, setup, tick):
             journal.put_event(0, ring.meta.start_mono_ns, event)
         clock = build_clock(settings, may_spin=preparation.may_spin)
         parts = build_rig(settings, clock, plant=load_plant(settings))

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import random
-import struct
 from itertools import chain
 from typing import Any
 
 import pytest
+from support.plain_library import PlainLibrary
 from support.runs import MemoryJournal, ScriptedSupervisor, parts, run_settings, unpack_row
 
 from hal.faulty import FaultSettings
@@ -52,32 +52,6 @@ class RowsInMemory(MemoryJournal):
         self.leaps += 1
         for at in range(0, len(rows), ROW_BYTES):
             self.ticks.append(unpack_row(bytes(rows[at : at + ROW_BYTES])))
-
-
-class PlainLibrary:
-    """Runs the source of machine code in plain Python."""
-
-    def __init__(self, source: str, names: dict[str, Any], kernel: Any) -> None:
-        def put(code: str) -> Any:
-            return lambda row, at, value: struct.pack_into(code, row, at, value)
-
-        scope = {**names, "kernel": kernel}
-        scope |= {"put_float": put("<d"), "put_int": put("<q"), "put_bool": put("<?")}
-        exec(source, scope)
-        self._glue = scope["glue"]
-
-    def bind(self, words: bytearray, _: bytearray, row: bytearray, *tables: bytearray) -> Any:
-        floats = [memoryview(table).cast("d") for table in tables]
-        arguments = [memoryview(words).cast("q"), memoryview(words).cast("d"), row, *floats]
-
-        def call(*arguments: Any) -> int:
-            try:
-                self._glue(*arguments)
-            except (ArithmeticError, ValueError):
-                return 1
-            return 0
-
-        return call, arguments
 
 
 def run_both(settings: RunSettings, *faults: FaultSettings, compiled: bool = False) -> Any:

@@ -35,7 +35,7 @@ from pamctl.log.reader import read  # noqa: E402
 
 DEVICE = ("--set", f"rig.sim.device=bench{os.getpid()}")
 AT_ONCE = ("--set", "rig.homing.enabled=false")
-LONG_S, SHORT_S, LIVE_S = 40.0, 20.0, 8.0
+LONG_S, SHORT_S, LIVE_S = 320.0, 20.0, 8.0
 LIVE_TRIM_S = 1.0
 """Left out at the begin of a live run: the first ticks are not what a run consists of."""
 
@@ -82,12 +82,13 @@ def start_up_s(checkout: Checkout, name: str) -> float:
     return float(read(path).time_ns[0] - started_ns) * 1e-9
 
 
-def fast_multiple(checkout: Checkout, name: str, scale: float = 1.0) -> float:
-    """Simulated seconds per wall second, without start-up; the experiment lasts 40 s by default."""
-    options = ("--fast", "--experiment", "tracking-1")
-    long_s, _ = checkout.run(f"long-{name}", *options, "--duration", str(LONG_S * scale))
-    short_s, _ = checkout.run(f"short-{name}", *options, "--duration", str(SHORT_S * scale))
-    return (LONG_S - SHORT_S) * scale / (long_s - short_s)
+def fast_multiple(checkout: Checkout, name: str) -> float:
+    """Simulated seconds per wall second, without start-up."""
+    cycles = ("--set", f"experiment.cycles={LONG_S / 30.0 + 1:.0f}")
+    options = ("--fast", "--experiment", "tracking-1", *cycles)
+    long_s, _ = checkout.run(f"long-{name}", *options, "--duration", str(LONG_S))
+    short_s, _ = checkout.run(f"short-{name}", *options, "--duration", str(SHORT_S))
+    return (LONG_S - SHORT_S) / (long_s - short_s)
 
 
 def live_sim(checkout: Checkout, name: str, rate_hz: float = 1000.0) -> dict[str, float]:
@@ -162,7 +163,9 @@ def repeat(
         turn = list(checkouts.items())
         for which, checkout in turn if index % 2 else turn[::-1]:
             try:
-                figures[which].append(measure(checkout, f"{label}-{index}.mcap"))
+                figure = measure(checkout, f"{label}-{index}.mcap")
+                figures[which].append(figure)
+                print(f"{label} ({which}), round {index + 1}: {tell(figure)}", file=sys.stderr)
             except Amiss as reason:
                 amiss[which].append(str(reason))
                 print(f"{label}, {which}, round {index + 1}: {reason}", file=sys.stderr)

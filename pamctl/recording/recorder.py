@@ -9,8 +9,6 @@ Exit codes: 0 the log is complete, 3 the disk was full and the log ends early, 1
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import os
 import select
 import signal
@@ -19,6 +17,7 @@ import sys
 import time
 from pathlib import Path
 
+from pamctl.kept_memory import keep_freed_memory
 from pamctl.recording.disk_space import is_full
 from pamctl.recording.ring import RecorderFlag, Ring, RingError
 
@@ -72,7 +71,7 @@ def main(arguments: list[str]) -> int:
     """Record the ring given as the only argument; return the exit code."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    _keep_freed_memory()
+    keep_freed_memory()
     try:
         (ring_path,) = arguments
         with Ring.attach(ring_path) as ring:
@@ -82,21 +81,6 @@ def main(arguments: list[str]) -> int:
     except (ValueError, RingError) as error:
         print(f"recorder: {error}", file=sys.stderr)
         return 1
-
-
-def _keep_freed_memory() -> None:
-    """Let the C library keep what is freed: every chunk needs the same megabytes again.
-
-    Otherwise the kernel takes them back, and clears every page anew: two fifths of a chunk's time.
-    """
-    with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library than glibc
-        mallopt = ctypes.CDLL(None).mallopt
-        mallopt(_M_MMAP_THRESHOLD, _KEPT_BYTES)
-        mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
-
-
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-_KEPT_BYTES = 32 << 20
 
 
 def _record(ring: Ring, owner: _Pipe) -> int:

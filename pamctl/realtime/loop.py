@@ -205,22 +205,21 @@ class _Loop:
 
     def run(self) -> Ending:
         """Tick until the program ends."""
-        tick = self.tick
         wake = self.clock.wait()
         raw = self.rig.read()
         zero = self.nominal_zero(raw)
         began_ns = raw.encoder_t_ns
         times = TickTimes(began_ns, began_ns - self.clock.period_ns)
-        tick.begin(first_state(self.setup, zero), times)
+        self.tick.begin(first_state(self.setup, zero), times)
         self._record_zero(wake.tick, raw, zero)
         while True:
             sampled_ns = self.clock.now_ns()
-            if not tick.follow_course(wake, raw) and not self._ask_and_run(wake, raw):
+            if not self.tick.follow_course(wake, raw) and not self._ask_and_run(wake, raw):
                 return self.ending
             self._act(wake, sampled_ns)
             ended = self._finish(wake.tick, wake.missed, raw)
             while ended is None and self._run_many():
-                ended = self._finish(tick.timing.tick, 0, tick.raw)
+                ended = self._finish(self.tick.timing.tick, 0, self.tick.raw)
             if ended is not None:
                 return ended
             wake = self.clock.wait(self._rehearse)
@@ -258,16 +257,21 @@ class _Loop:
 
     def _ask_and_run(self, wake: Wake, raw: RawSample) -> bool:
         """Ask program and helm, and run the tick; return False at the end of the program."""
+        timing = self.tick.time(wake, raw)
+        setup = self.helm.setup(timing.t_s)
+        if not self.tick.fits(setup):  # another law than this run began with
+            plain = PlainTick()
+            plain.begin(self.tick.state, self.tick.times)
+            plain.time(wake, raw)
+            self.tick = plain
         tick = self.tick
-        timing = tick.time(wake, raw)
         reference, zero = self._ask(timing, raw)
         if zero is not None:
-            state = rezero_state(self.helm.setup(timing.t_s), tick.state, zero)
-            tick.begin(state, tick.times)
+            tick.begin(rezero_state(setup, tick.state, zero), tick.times)
             self._record_zero(timing.tick, raw, zero)
         if reference is None:
             return False
-        tick.run(self.helm.setup(timing.t_s), wake, raw, reference)
+        tick.run(setup, wake, raw, reference)
         return True
 
     def _ask(self, timing: Timing, raw: RawSample) -> tuple[Reference | None, Zero | None]:

@@ -94,6 +94,9 @@ class TickPath(Protocol):
     def begin(self, state: TickState, times: TickTimes) -> None:
         """Begin before the first tick, or afresh with another state."""
 
+    def fits(self, setup: TickSetup) -> bool:
+        """Tell whether this path can run a tick of such a set-up: another law may need another."""
+
     def expect(self, setup: TickSetup | None, running: RunningCourse | None) -> None:
         """Take note of what the next tick may use; None where the loop must ask in that tick."""
 
@@ -132,6 +135,10 @@ class PlainTick:
     def begin(self, state: TickState, times: TickTimes) -> None:
         """Begin before the first tick, or afresh with another state."""
         self.state, self.times = state, times
+
+    def fits(self, setup: TickSetup) -> bool:
+        """Say yes: plain Python runs every law."""
+        return True
 
     def expect(self, setup: TickSetup | None, running: RunningCourse | None) -> None:
         """Do nothing: plain Python asks in every tick."""
@@ -257,7 +264,7 @@ class CompiledTick:
     def expect(self, setup: TickSetup | None, running: RunningCourse | None) -> None:
         """Take note of what the next tick may use; None where the loop must ask in that tick."""
         self.follows = False
-        if setup is None or running is None:
+        if setup is None or running is None or not self.fits(setup):
             return
         course, begin_s = running
         if course is not self._course:
@@ -269,6 +276,10 @@ class CompiledTick:
             self._course = course
         self._use(setup)
         self.follows = True
+
+    def fits(self, setup: TickSetup) -> bool:
+        """Tell whether the law is the one that the machine code was built for."""
+        return type(setup.gains) is type(self._setup.gains)
 
     def _use(self, setup: TickSetup) -> None:
         if setup is not self._setup:

@@ -139,6 +139,45 @@ def test_gains_that_change_on_a_ramp_are_followed(library: Path) -> None:
     assert outcome[0] == outcome[1]
 
 
+def test_another_law_than_the_one_built_runs_in_plain_python(library: Path) -> None:
+    settings = run_settings(*SHORT)
+    other = run_settings(controller="smc").controller
+    outcome = []
+    for tick in (PlainTick(), load_compiled_tick(library, build_tick_setup(settings))):
+        setup, made, journal = build_tick_setup(settings), parts(settings), MemoryJournal()
+        program = build_program(settings)
+        helm = CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal)
+        supervisor = Replacing(helm, other)
+        run_loop(
+            made.whole,
+            made.clock,
+            setup,
+            nominal_zero_of(settings),
+            program,
+            journal,
+            supervisor,
+            lambda: Truth(0.0, 0.0),
+            helm,
+            tick=tick,
+        )
+        outcome.append([*map(pack, journal.ticks)])
+    assert len(outcome[0]) > 2000
+    assert outcome[0] == outcome[1]
+
+
+class Replacing(ScriptedSupervisor):
+    """Replaces the law at tick 100, during homing: then no law moves the muscle."""
+
+    def __init__(self, helm: CuedHelm, other: Any) -> None:
+        super().__init__()
+        self._helm, self._other = helm, other
+
+    def find_stop(self, tick: int) -> Ending | None:
+        if tick == 100:
+            self._helm._tuning.replace(self._other)
+        return None
+
+
 class Softening(CuedHelm):
     """Begins a ramp to softer gains at tick 300."""
 

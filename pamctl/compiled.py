@@ -44,19 +44,35 @@ def compile_kernel(kernel: Kernel, substitution: Substitution | None = None) -> 
     return cast(Kernel, _make_twin(kernel, substitution, for_python=True))
 
 
+def make_inner_twin(kernel: Kernel, substitution: Substitution | None = None) -> Kernel:
+    """Return a twin that only compiled code can call, and that is in no cache.
+
+    Machine code from a cache cannot be written into an object file.
+    """
+    return cast(Kernel, _make_twin(kernel, substitution, for_python=False, cached=False))
+
+
 @cache
-def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_python: bool) -> Any:
+def _make_twin(
+    kernel: FunctionType,
+    substitution: Substitution | None,
+    *,
+    for_python: bool,
+    cached: bool = True,
+) -> Any:
     """Return a twin that Python can call, or one that only other twins call.
 
     The code that converts tuples from Python or C is longer than most kernels. Without it the
     closed loop compiles in less than half the time.
     """
     if substitution is not None and kernel is substitution[0]:
-        return _make_twin(substitution[1], None, for_python=for_python)
+        return _make_twin(substitution[1], None, for_python=for_python, cached=cached)
     twin = FunctionType(
         kernel.__code__,
         {
-            name: _make_twin(value, _select_substitution(value, substitution), for_python=False)
+            name: _make_twin(
+                value, _select_substitution(value, substitution), for_python=False, cached=cached
+            )
             if _is_kernel(value, kernel)
             else value
             for name, value in _used_globals(kernel).items()
@@ -70,7 +86,7 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
     modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
     return _import_numba(*modules).njit(
         twin,
-        cache=_may_cache(),
+        cache=cached and _may_cache(),
         error_model="python",  # division by zero raises, as in the plain function
         no_cpython_wrapper=not for_python,
         no_cfunc_wrapper=True,

@@ -74,6 +74,7 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
         error_model="python",  # division by zero raises, as in the plain function
         no_cpython_wrapper=not for_python,
         no_cfunc_wrapper=True,
+        forceinline=not for_python,
     )
 
 

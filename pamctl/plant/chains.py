@@ -254,6 +254,7 @@ depends_on_speed = _make_speed_test()
 def undo_reading(place: str, effects: Any, shown: Any, times_s: Any, atmosphere_pa: float) -> Any:
     """Return the readings of an ideal sensor (arrays), as far as effects can be undone."""
     for name, entry in reversed(order_entries(place)):
-        if entry.undo is not None:
-            shown = entry.undo(getattr(effects, name), shown, times_s, atmosphere_pa)
+        effect = getattr(effects, name)
+        if entry.undo is not None and effect != CATALOGUE[name].kind():
+            shown = entry.undo(effect, shown, times_s, atmosphere_pa)
     return shown

@@ -30,9 +30,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pamctl.bounded_memory import BoundedMemory
 from pamctl.compiled import compile_kernel
 from pamctl.plant.chains import undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
+from pamctl.plant.flat import parameters_of
 from pamctl.plant.parameters import (
     PlantParameters,
     PlantState,
@@ -184,7 +186,7 @@ def _run_pressure(
         restarts = restarts._replace(rows=cut.first[restarts.rows])
         cut = cut._replace(first=np.arange(len(cut.ends_s)))
     rows = np.empty((len(PressureResponse._fields), len(cut.first)))
-    ends_m = np.interp(cut.ends_s, grid.samples_s, true_m)
+    ends_m = _interpolate(cut.ends_s, grid.samples_s, true_m)
     _get_twin(run_pressure)(p, start, cut, ends_m, restarts, rows)
     return PressureResponse(*rows), cut.ends_s
 
@@ -215,13 +217,57 @@ def drive_mechanics(
     rows = np.empty((len(MechanicsResponse._fields), len(pressures)))
     cut = build_steps(p, pressures, grid)
     true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
-    ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
+    ends_pa = _interpolate(cut.ends_s, grid.samples_s, true_pa)
     if bend_pa is not None:
         ends_pa = ends_pa + bend_pa
-    ends_n = np.interp(cut.ends_s, grid.samples_s, forces)
+    ends_n = _interpolate(cut.ends_s, grid.samples_s, forces)
     restarts = _undo_restarts("position_reading", p, restarts, grid)
     _get_twin(run_mechanics)(p, state, cut, ends_pa, ends_n, restarts, rows)
     return MechanicsResponse(*rows)
+
+
+def _interpolate(ends_s: Array, samples_s: Array, values: Array) -> Array:
+    """Return a signal at the ends of the steps; a fit drives one record hundreds of times."""
+    made_from = (ends_s, samples_s, values)
+    made = lambda: (np.interp(ends_s, samples_s, values),)  # noqa: E731
+    return _INTERPOLATED.recall(tuple(map(id, made_from)), made_from, made)[0]
+
+
+_INTERPOLATED: BoundedMemory[tuple[Array]] = BoundedMemory(50_000_000)
+
+
+def select_pressure_numbers(p: PlantParameters) -> PlantParameters:
+    """Return the plant with neutral numbers where `drive_pressure` does not depend on them."""
+    paper = p.paper._replace(
+        mass_kg=1.0, damping_n_s_per_m=1.0, stiffness_n_per_m=1.0, friction_area_m=0.0
+    )
+    effects = p.effects._replace(mechanics=_NEUTRAL.mechanics)
+    return p._replace(paper=paper, effects=effects, mechanics_act=False)
+
+
+def select_mechanics_numbers(p: PlantParameters) -> PlantParameters:
+    """Return the plant with neutral numbers where `drive_mechanics` does not depend on them.
+
+    With a restriction of the line the muscle's pressure depends on the air's numbers too.
+    """
+    if p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0:
+        return p
+    paper = p.paper._replace(
+        tank_pressure_pa=1.0,
+        specific_energy_j_per_kg=1.0,
+        valve_gain_m2_per_v=1.0,
+        inverse_gamma=1.0,
+        critical_ratio=1.0,
+        choked_flow_s_per_m=1.0,
+        unchoked_flow_s_per_m=1.0,
+    )
+    effects = p.effects._replace(
+        timing=_NEUTRAL.timing, valve=_NEUTRAL.valve, air=_NEUTRAL.air
+    )
+    return p._replace(paper=paper, effects=effects, valve_acts=False, air_acts=False)
+
+
+_NEUTRAL = parameters_of({}).effects
 
 
 def _settle_valve(p: PlantParameters, state: PlantState, held_v: float | None) -> PlantState:
@@ -484,7 +530,7 @@ def _select_commands(command_v: Array, indices: NDArray[np.int64], held_v: float
 def _merge_instants(ends_s: Array, more_s: Array) -> Array:
     """Return the instants of both within the span of the first; nearly equal ones count once."""
     inside = (more_s > ends_s[0]) & (more_s < ends_s[-1])
-    cuts_s = np.sort(np.concatenate([ends_s, more_s[inside]]))
+    cuts_s = np.sort(np.concatenate([ends_s, more_s[inside]]), kind="stable")  # of sorted parts
     merged: Array = cuts_s[np.concatenate([[True], np.diff(cuts_s) > SAME_INSTANT_S])]
     return merged
 

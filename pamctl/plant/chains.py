@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from graphlib import TopologicalSorter
 from math import nan
 from typing import Any, NamedTuple
@@ -116,6 +116,7 @@ SensorMemory = _make_group("SensorMemory", _make_memories("sensors", 0.0, nan))
 """Memories of the effects on the readings."""
 
 
+@lru_cache(maxsize=256)
 def make_rest_memories(position_m: float, pressure_pa: float) -> tuple[Any, Any, Any]:
     """Return the memories of valve, mechanics and sensors after a long rest."""
     return (

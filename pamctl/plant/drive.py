@@ -34,7 +34,9 @@ from pamctl.bounded_memory import BoundedMemory
 from pamctl.compiled import compile_kernel
 from pamctl.plant.chains import undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
+from pamctl.plant.correction_tables import Correction
 from pamctl.plant.flat import parameters_of
+from pamctl.plant.packing import make_unpacker, pack
 from pamctl.plant.parameters import (
     PlantParameters,
     PlantState,
@@ -123,7 +125,7 @@ def drive_coupled(
     grid = build_grid(dt_s, len(commands), steps, acts_after_s)
     state = _settle_valve(p, vented_state(p) if start is None else start, grid.held_v)
     rows = np.empty((len(CoupledResponse._fields), len(commands)))
-    _get_twin(run_coupled)(p, state, build_steps(p, commands, grid), rows)
+    _run(run_coupled, p, state, build_steps(p, commands, grid), rows)
     return CoupledResponse(*rows)
 
 
@@ -187,7 +189,7 @@ def _run_pressure(
         cut = cut._replace(first=np.arange(len(cut.ends_s)))
     rows = np.empty((len(PressureResponse._fields), len(cut.first)))
     ends_m = _interpolate(cut.ends_s, grid.samples_s, true_m)
-    _get_twin(run_pressure)(p, start, cut, ends_m, restarts, rows)
+    _run(run_pressure, p, start, cut, ends_m, restarts, rows)
     return PressureResponse(*rows), cut.ends_s
 
 
@@ -222,7 +224,7 @@ def drive_mechanics(
         ends_pa = ends_pa + bend_pa
     ends_n = _interpolate(cut.ends_s, grid.samples_s, forces)
     restarts = _undo_restarts("position_reading", p, restarts, grid)
-    _get_twin(run_mechanics)(p, state, cut, ends_pa, ends_n, restarts, rows)
+    _run(run_mechanics, p, state, cut, ends_pa, ends_n, restarts, rows)
     return MechanicsResponse(*rows)
 
 
@@ -267,7 +269,10 @@ def select_mechanics_numbers(p: PlantParameters) -> PlantParameters:
     return p._replace(paper=paper, effects=effects, valve_acts=False, air_acts=False)
 
 
-_NEUTRAL = parameters_of({}).effects
+_PLANT = parameters_of({})
+_NEUTRAL = _PLANT.effects
+unpack_plant = make_unpacker("unpack_plant", _PLANT, Correction)
+unpack_state = make_unpacker("unpack_state", vented_state(_PLANT))
 
 
 def _settle_valve(p: PlantParameters, state: PlantState, held_v: float | None) -> PlantState:
@@ -277,11 +282,15 @@ def _settle_valve(p: PlantParameters, state: PlantState, held_v: float | None) -
     return state._replace(valve=settle_valve(p.effects.valve, state.valve, held_v))
 
 
-# The kernels. Each fills `rows`, with one row for each field of its result.
+# The kernels. Each fills `rows`, with one row for each field of its result. `numbers` and `begins`
+# are the plant's numbers and its state at the start, packed; `correction` is not packed.
 
 
-def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: Array) -> None:
+def run_coupled(
+    numbers: Array, correction: Correction, begins: Array, steps: DriveSteps, rows: Array
+) -> None:
     """Kernel of `drive_coupled`."""
+    p, state = unpack_plant(numbers, correction), unpack_state(begins)
     for k in range(rows.shape[1]):
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
@@ -294,14 +303,16 @@ def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: 
 
 
 def run_pressure(
-    p: PlantParameters,
-    state: PlantState,
+    numbers: Array,
+    correction: Correction,
+    begins: Array,
     steps: DriveSteps,
     positions_m: Array,
     restarts: Restarts,
     rows: Array,
 ) -> None:
     """Kernel of `drive_pressure`. `positions_m` holds the positions at the ends of the steps."""
+    p, state = unpack_plant(numbers, correction), unpack_state(begins)
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
     age_s = state.age_s
     again = 0
@@ -333,8 +344,9 @@ def run_pressure(
 
 
 def run_mechanics(
-    p: PlantParameters,
-    state: PlantState,
+    numbers: Array,
+    correction: Correction,
+    begins: Array,
     steps: DriveSteps,
     pressures_pa: Array,
     forces_n: Array,
@@ -342,6 +354,7 @@ def run_mechanics(
     rows: Array,
 ) -> None:
     """Kernel of `drive_mechanics`. The loads are those at the ends of the steps."""
+    p, state = unpack_plant(numbers, correction), unpack_state(begins)
     x, v, sensors, mechanics = (
         state.position_m,
         state.velocity_m_per_s,
@@ -380,6 +393,11 @@ def run_mechanics(
         rows[0, k] = sensed_position_m(p, x, sensors, age_s)
         rows[1, k] = x
         rows[2, k] = v
+
+
+def _run(kernel: Callable[..., None], p: PlantParameters, state: PlantState, *given: Any) -> None:
+    """Call the compiled kernel with the plant's numbers and state packed."""
+    _get_twin(kernel)(pack(p[:-1]), p.correction, pack(state), *given)
 
 
 @cache
@@ -552,7 +570,7 @@ def _undo_restarts(
     A sensor's lag is undone by the slope, which the restarts, far apart, do not show: each is
     undone as a short line.
     """
-    if not p.sensors_act:
+    if not (p.sensors_act and len(restarts.rows)):
         return restarts
     around_s = np.array([-SLOPE_S, 0.0, SLOPE_S])
     times_s = np.add.outer(grid.samples_s[restarts.rows], around_s)

@@ -321,10 +321,12 @@ class Drive:
 
     def residual_of(self, simulated: Array) -> Array:
         """Return measurement minus a simulated output, in deviations of the sensor."""
-        most = RUNAWAY * self.deviation
-        error = np.nan_to_num(self.measured - simulated, nan=most).clip(-most, most)
+        error, most = self.measured - simulated, RUNAWAY * self.deviation
+        largest = float(np.max(np.abs(error)))
+        if not largest <= most:  # not a number, too
+            error = np.nan_to_num(error, nan=most).clip(-most, most)
         # A model that runs away does so in a straight line: that is no error of a start.
-        if not self.has_known_start and np.max(np.abs(error)) < most:
+        if not self.has_known_start and largest < most:
             error = self._start_modes.project_out(error)
         if self.rows is not None:
             error = error[self.rows]

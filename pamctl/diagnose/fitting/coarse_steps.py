@@ -7,6 +7,7 @@ to a hundredth of a sensor's noise in pressure, a ninth in position.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from pamctl.diagnose.fitting.drives import Drive
@@ -20,25 +21,29 @@ STEPS_IN_TIME = 4.0
 def coarsen(
     drives: Sequence[Drive], *plants: PlantSettings, free: Sequence[FreeNumber] = ()
 ) -> tuple[Drive, ...]:
-    """Return the drives with half the steps; as they are, if a plant has a short time constant.
+    """Return the drives with half the steps; as they are, if a plant needs all of them.
 
-    Times among the numbers `free` may become short.
+    Short time constants do, and friction that falls with speed. Numbers that are `free` may
+    become so.
     """
-    if any(_is_time(number.name) for number in free):
+    if any(_unit_of(number.name) in ("s", "m/s") for number in free):
         return tuple(drives)
-    times_s = [
-        value
+    acting = [
+        (value, _unit_of(name))
         for plant in plants
         for name, value in values_of(plant).items()
-        if value > 0.0 and _is_time(name)
+        if value > 0.0
     ]
-    return tuple(d if _is_too_coarse(d, times_s) else d.coarse for d in drives)
+    if any(unit == "m/s" for _, unit in acting):
+        return tuple(drives)
+    shortest_s = min((value for value, unit in acting if unit == "s"), default=math.inf)
+    return tuple(d if _is_too_coarse(d, shortest_s) else d.coarse for d in drives)
 
 
-def _is_too_coarse(drive: Drive, times_s: Sequence[float]) -> bool:
+def _is_too_coarse(drive: Drive, shortest_s: float) -> bool:
     longest_s = float(drive.coarse.grid.step_s.max(initial=0.0))
-    return min(times_s, default=longest_s * STEPS_IN_TIME) < STEPS_IN_TIME * longest_s
+    return shortest_s < STEPS_IN_TIME * longest_s
 
 
-def _is_time(name: str) -> bool:
-    return "." in name and look_up_parameter(name).unit == "s"
+def _unit_of(name: str) -> str:
+    return look_up_parameter(name).unit if "." in name else ""

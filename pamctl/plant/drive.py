@@ -25,7 +25,7 @@ from the kernels of the simulated rig itself: a fit uses the simulation's own in
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -36,7 +36,7 @@ from pamctl.plant.chains import undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
 from pamctl.plant.correction_tables import Correction
 from pamctl.plant.flat import parameters_of
-from pamctl.plant.packing import make_unpacker, pack
+from pamctl.plant.packing import make_packing
 from pamctl.plant.parameters import (
     PlantParameters,
     PlantState,
@@ -238,6 +238,7 @@ def _interpolate(ends_s: Array, samples_s: Array, values: Array) -> Array:
 _INTERPOLATED: BoundedMemory[tuple[Array]] = BoundedMemory(50_000_000)
 
 
+@lru_cache(maxsize=64)
 def select_pressure_numbers(p: PlantParameters) -> PlantParameters:
     """Return the plant with neutral numbers where `drive_pressure` does not depend on them."""
     paper = p.paper._replace(
@@ -247,6 +248,7 @@ def select_pressure_numbers(p: PlantParameters) -> PlantParameters:
     return p._replace(paper=paper, effects=effects, mechanics_act=False)
 
 
+@lru_cache(maxsize=64)
 def select_mechanics_numbers(p: PlantParameters) -> PlantParameters:
     """Return the plant with neutral numbers where `drive_mechanics` does not depend on them.
 
@@ -263,16 +265,15 @@ def select_mechanics_numbers(p: PlantParameters) -> PlantParameters:
         choked_flow_s_per_m=1.0,
         unchoked_flow_s_per_m=1.0,
     )
-    effects = p.effects._replace(
-        timing=_NEUTRAL.timing, valve=_NEUTRAL.valve, air=_NEUTRAL.air
-    )
+    effects = p.effects._replace(timing=_NEUTRAL.timing, valve=_NEUTRAL.valve, air=_NEUTRAL.air)
     return p._replace(paper=paper, effects=effects, valve_acts=False, air_acts=False)
 
 
 _PLANT = parameters_of({})
 _NEUTRAL = _PLANT.effects
-unpack_plant = make_unpacker("unpack_plant", _PLANT, Correction)
-unpack_state = make_unpacker("unpack_state", vented_state(_PLANT))
+_OF_PLANT = make_packing("unpack_plant", _PLANT, Correction)
+_OF_STATE = make_packing("unpack_state", vented_state(_PLANT))
+unpack_plant, unpack_state = _OF_PLANT.unpack, _OF_STATE.unpack
 
 
 def _settle_valve(p: PlantParameters, state: PlantState, held_v: float | None) -> PlantState:
@@ -397,7 +398,7 @@ def run_mechanics(
 
 def _run(kernel: Callable[..., None], p: PlantParameters, state: PlantState, *given: Any) -> None:
     """Call the compiled kernel with the plant's numbers and state packed."""
-    _get_twin(kernel)(pack(p[:-1]), p.correction, pack(state), *given)
+    _get_twin(kernel)(_OF_PLANT.pack(p), p.correction, _OF_STATE.pack(state), *given)
 
 
 @cache

@@ -41,7 +41,7 @@ class Effort:
 
 QUICK = Effort(8, 1e-3, updates=2, ends_fine=False)
 """To compare candidates."""
-FULL = Effort(15, 1e-6, most_rounds=10)
+FULL = Effort(15, 1e-6, updates=1, most_rounds=10)
 """For numbers that are reported."""
 STEP = 3e-3
 """Step of a derivative, in scales of the number. The simulation is exact between events, so a short
@@ -90,7 +90,8 @@ class Fit:
 
     @cached_property
     def _inverse_square(self) -> Array:
-        return np.linalg.pinv(self.jacobian.T @ self.jacobian, hermitian=True)
+        inverse: Array = np.linalg.pinv(self.jacobian.T @ self.jacobian, hermitian=True)
+        return inverse
 
     @cached_property
     def mean_square(self) -> float:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pamctl.diagnose.measured.record import Array
 
@@ -113,8 +114,13 @@ def descend(
 
 
 def _dogleg(
-    model: _Quadratic, here: Array, radius: float, low: Array, high: Array, free: Array
-) -> tuple[Array, Array, bool]:
+    model: _Quadratic,
+    here: Array,
+    radius: float,
+    low: Array,
+    high: Array,
+    free: NDArray[np.bool_],
+) -> tuple[Array, NDArray[np.int64], bool]:
     """Return the step, the bounds that it hits (-1, 0, 1), and whether the radius cut it.
 
     The step is Gauss and Newton's if that stays inside the box, else a way that begins along the

@@ -195,7 +195,7 @@ class Drive:
 
     @cached_property
     def coarse(self) -> Drive:
-        """This drive with half the steps; itself where it has only one, or simulates nothing."""
+        """The drive with half the steps; itself where it has only one, or simulates nothing."""
         if self.is_equation or self.steps < 2:
             return self
         return replace(self, steps=self.steps // 2)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from pamctl.diagnose.fitting.block_fit import Fit, project_out, find_secants
+from pamctl.diagnose.fitting.block_fit import Fit, find_secants, project_out
 from pamctl.diagnose.fitting.candidates import Candidate, generate_doses
 from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.measured.record import Array

@@ -16,8 +16,8 @@ from operator import is_not
 import numpy as np
 from pydantic import ValidationError
 
+from pamctl.descent import Descent, DescentEnd, descend
 from pamctl.diagnose.fitting.coarse_steps import coarsen
-from pamctl.diagnose.fitting.descent import Descent, Ending, descend
 from pamctl.diagnose.fitting.drives import RUNAWAY, Drive, move_residuals, stack_residuals
 from pamctl.diagnose.fitting.numbers import FreeNumber, value_of, with_values
 from pamctl.diagnose.measured.record import Array
@@ -90,8 +90,8 @@ class Fit:
 
     @cached_property
     def _inverse_square(self) -> Array:
-        inverse: Array = np.linalg.pinv(self.jacobian.T @ self.jacobian, hermitian=True)
-        return inverse
+        square = self.jacobian.T @ self.jacobian
+        return np.asarray(np.linalg.pinv(square, hermitian=True), dtype=np.float64)
 
     @cached_property
     def mean_square(self) -> float:
@@ -177,7 +177,7 @@ def _fit_with_steps(
     knee = ROBUST * max(float(np.median(np.abs(first_residual))) / 0.6745, 1.0)
     problem = _LeastSquares(drives, start, free, effort, knee)
     result = problem.descend(problem.first, STEP)
-    if result.ending is Ending.STUCK:
+    if result.ending is DescentEnd.STUCK:
         over = problem.descend(problem.descend(result.vector, LONG_STEP).vector, STEP)
         result = min(result, over, key=lambda r: r.cost)
     return problem.settings_at(result.vector)
@@ -223,7 +223,7 @@ class _LeastSquares:
         """Minimise from a vector, with derivatives by differences of `step` scales."""
         result = self._descend_round(vector, step)
         for _ in range(self.effort.most_rounds - 1):
-            if result.ending is not Ending.EVALUATIONS:
+            if result.ending is not DescentEnd.EVALUATIONS:
                 break
             before = result.cost
             result = self._descend_round(result.vector, step)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from pamctl.diagnose.fitting.descent import Ending, descend
+from pamctl.descent import DescentEnd, descend
 from pamctl.diagnose.measured.record import Array
 
 KNEE = 0.3
@@ -66,7 +66,7 @@ def test_it_takes_the_steps_of_scipys_dogbox(seed: int, evaluations: int) -> Non
     )
     np.testing.assert_allclose(ours.vector, theirs.x, atol=1e-9)
     assert ours.cost == pytest.approx(theirs.cost, rel=1e-9)
-    assert (ours.ending is Ending.EVALUATIONS) == (theirs.status == 0)
+    assert (ours.ending is DescentEnd.EVALUATIONS) == (theirs.status == 0)
 
 
 def test_it_asks_for_no_derivatives_where_it_ends() -> None:
@@ -80,7 +80,7 @@ def test_it_asks_for_no_derivatives_where_it_ends() -> None:
         problem.residual, jacobian, problem.start, problem.low, problem.high,
         knee=KNEE, tolerance=1e-6, evaluations=15,
     )  # fmt: skip
-    assert found.ending is Ending.LEVEL
+    assert found.ending is DescentEnd.LEVEL
     assert not any(np.array_equal(v, found.vector) for v in asked)
 
 

@@ -7,9 +7,9 @@ import pytest
 from support.free_mass import axis, pushed_mass
 from support.made_records import pair
 
+from pamctl.descent import Descent, DescentEnd
 from pamctl.diagnose.fitting import block_fit
 from pamctl.diagnose.fitting.block_fit import FULL, QUICK, Fit, fit_numbers, limit_to_plant, rms
-from pamctl.diagnose.fitting.descent import Descent, Ending
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.far_starts import is_far, search_starts
@@ -64,7 +64,7 @@ def test_a_fit_goes_on_while_it_gains_and_stops_where_it_does_not(
     def descend_some(
         residual_at: object, jacobian_at: object, start: Array, *bounds: Array, **options: object
     ) -> Descent:
-        return Descent(start, next(costs), Ending.EVALUATIONS)
+        return Descent(start, next(costs), DescentEnd.EVALUATIONS)
 
     monkeypatch.setattr(block_fit, "descend", descend_some)
     monkeypatch.setattr(block_fit, "coarsen", lambda drives, *plants, **free: drives)

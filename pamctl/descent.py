@@ -15,7 +15,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.diagnose.measured.record import Array
+Array = NDArray[np.float64]
 
 LEAST_GRADIENT = 1e-10
 LEAST_STEP = 1e-6
@@ -24,7 +24,7 @@ NEARLY = 1e-12
 """Directions in which the residual changes by less, as a share of the most, in squares, stay."""
 
 
-class Ending(Enum):
+class DescentEnd(Enum):
     """Why a descent ended."""
 
     EVALUATIONS = "it has used up its evaluations"
@@ -38,7 +38,7 @@ class Descent:
 
     vector: Array
     cost: float
-    ending: Ending
+    ending: DescentEnd
 
 
 class _Quadratic:
@@ -86,7 +86,7 @@ def descend(
         model = _Quadratic(residual, jacobian_at(here), knee)
         free = side * model.gradient >= 0.0
         if not free.any() or np.max(np.abs(model.gradient[free])) < LEAST_GRADIENT:
-            return Descent(here, cost, Ending.LEVEL)
+            return Descent(here, cost, DescentEnd.LEVEL)
         gained, ending = -1.0, None
         while gained <= 0.0 and left > 0 and ending is None:
             step, hit, is_cut = _dogleg(model, here, radius, low, high, free)
@@ -101,16 +101,16 @@ def descend(
             elif ratio > 0.75 and is_cut:
                 radius *= 2.0
             if gained < tolerance * cost and ratio > 0.25:
-                ending = Ending.LEVEL
+                ending = DescentEnd.LEVEL
             elif np.linalg.norm(step) < LEAST_STEP * (LEAST_STEP + np.linalg.norm(here)):
-                ending = Ending.STUCK
+                ending = DescentEnd.STUCK
         if gained > 0.0:
             side[free] = hit[free]
             here = np.where(side < 0, low, np.where(side > 0, high, there))
             residual, cost = new, cost_there
         if ending is not None:
             return Descent(here, cost, ending)
-    return Descent(here, cost, Ending.EVALUATIONS)
+    return Descent(here, cost, DescentEnd.EVALUATIONS)
 
 
 def _dogleg(

@@ -70,7 +70,7 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
     modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
     return _import_numba(*modules).njit(
         twin,
-        cache=_may_cache(),
+        cache=for_python and _may_cache(),
         error_model="python",  # division by zero raises, as in the plain function
         no_cpython_wrapper=not for_python,
         no_cfunc_wrapper=True,

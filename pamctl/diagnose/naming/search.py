@@ -16,7 +16,6 @@ from typing import TypeVar
 
 from pamctl.diagnose.fitting.block_fit import FULL
 from pamctl.diagnose.fitting.candidates import Candidate, select_reaching
-from pamctl.diagnose.fitting.drives import MECHANICS
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import fit_jointly, fit_model, fit_to_end
 from pamctl.diagnose.naming.score import Score, score_candidates
@@ -48,9 +47,6 @@ WORTH_ANOTHER_FORM = 0.5
 SEVERAL_STARTS = (2, 1)
 """Candidates of a shortlist that are fitted from several starts: as first effects, and as further
 ones."""
-LEAST_WITHOUT_FRICTION = 2e-3
-"""In a block without friction a candidate that promises a smaller share of the residual is not
-fitted: nothing holds the recalibrated model in a wrong valley there."""
 SILENT_S = 5.0
 """Longest time without a line of progress, if fits end in it."""
 MOST_EFFECTS = 3
@@ -291,13 +287,11 @@ def _list_other_jobs(base: Model, candidates: Sequence[Candidate], jobs: _Jobs) 
     """
     others: _Jobs = {}
     for block in base.unexplained:
-        sticks = block == MECHANICS or not all(d.has_position for d in base.evidence.train[block])
-        least = 0.0 if sticks else LEAST_WITHOUT_FRICTION
         for score in score_candidates(
             base.fit_of(block), select_reaching(candidates, {block}), block
         ):
             key = frozenset({score.candidate})
-            if key not in jobs and score.explained >= least:
+            if key not in jobs:
                 start = score.start or make_small_dose(base, score.candidate)
                 others.setdefault(key, _Job(base, replace(score, start=start), is_wide=False))
     return others

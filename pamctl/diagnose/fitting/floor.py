@@ -110,8 +110,8 @@ def estimate_floor(
 
     Repeats show it: no model can explain what differs between them. Without repeats, it is what the
     recalibrated model leaves in its quietest stretches, without their trends: noise is in all of
-    them, and what the model lacks is not. `residual` is that model's on `drives`. The result bounds
-    the floor from above.
+    them, and what the model lacks is not. `residual` is that model's on `drives`. It is not below
+    the simulated one, which the noise of the block's input alone may set.
     """
     if repeated.rms:
         limit = float(np.hypot(repeated.rms * (1.0 + 2.0 * repeated.uncertainty), margin))
@@ -120,7 +120,8 @@ def estimate_floor(
     quiet = float(np.quantile(levels, QUIET))
     scatter = float(levels[levels <= np.median(levels)].std())
     limit = float(np.hypot(quiet + LIMIT_SIGMAS * scatter, margin))
-    return simulated.with_level(max(quiet, LEAST_LEVEL), limit, 0.0)
+    level = max(quiet, simulated.mean, LEAST_LEVEL)
+    return simulated.with_level(level, max(limit, simulated.limit), 0.0)
 
 
 def _measure_stretches(residual: Array, drives: Sequence[Drive]) -> Array:
@@ -271,8 +272,8 @@ class _Imitator:
             return drive
         driven, pressed_pa = drive.driven, drive.pressed_pa
         if self._inner in self.noises:
-            driven = driven + drive.draw_disturbance(self.noises[self._inner], replica)
+            driven = driven + drive.draw_disturbance(driven, self.noises[self._inner], replica)
         if pressed_pa is not None and "pressure_pa" in self.noises:
             noise = self.noises["pressure_pa"]
-            pressed_pa = pressed_pa + drive.draw_disturbance(noise, replica, PRESSED)
+            pressed_pa = pressed_pa + drive.draw_disturbance(pressed_pa, noise, replica, PRESSED)
         return replace(drive, driven=driven, pressed_pa=pressed_pa, is_remembered=False)

@@ -47,6 +47,7 @@ from pamctl.plant.sensing import (
     sensors_step,
 )
 from pamctl.plant.step import mechanics_block_step, plant_step, pressure_block_step
+from pamctl.plant.terms.sensor_terms import undo_reading_term
 from pamctl.plant.valve_chain import settle_valve
 
 if TYPE_CHECKING:
@@ -228,7 +229,7 @@ def _settle_valve(p: PlantParameters, state: PlantState, held_v: float | None) -
     """Return the state with a valve that has settled under the command before the first one."""
     if held_v is None or not p.valve_acts:
         return state
-    return state._replace(valve=settle_valve(p.effects.valve, state.valve, held_v))
+    return state._replace(valve=settle_valve(p.effects.valve, p.terms, state.valve, held_v))
 
 
 # The kernels. Each fills `rows`, with one row for each field of its result.
@@ -494,6 +495,7 @@ def undo_sensor(place: str, p: PlantParameters, shown: Array, times_s: Array) ->
     if not p.sensors_act:
         return shown
     atmosphere_pa = p.paper.atmospheric_pressure_pa
+    shown = undo_reading_term(place, p.terms, shown, times_s, atmosphere_pa)
     true: Array = undo_reading(place, p.effects.sensors, shown, times_s, atmosphere_pa)
     return true
 

@@ -22,7 +22,7 @@ from pamctl.diagnose.fitting.numbers import (
     sensor_zero,
     with_values,
 )
-from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.catalogue import WITH_TERMS
 from pamctl.plant.model import PlantSettings
 
 FOREIGN_ZERO_PA = 5e3
@@ -155,7 +155,7 @@ def fit_model(
 def _has_shared_effect(evidence: Evidence) -> bool:
     """Tell whether the start model has an effect that both blocks must agree on."""
     return any(
-        len({*CATALOGUE[name].seen_by} & {*evidence.blocks}) > 1
+        len({*WITH_TERMS[name].seen_by} & {*evidence.blocks}) > 1
         for name in active_effects(evidence.nominal)
     )
 

@@ -43,6 +43,9 @@ CONSTANT, GAIN, CURVE, BEYOND, WAVE, ONSET = range(6)
 DEAD_ZONE, SATURATION, LAG, PLAY, SLEW, HYSTERESIS = range(6, 12)
 WITH_MEMORY = ("lag", "play", "slew", "hysteresis")
 
+NEEDS_INNER = ("wave", "dead_zone", "saturation", "lag", "play", "slew", "hysteresis")
+"""Operators whose inner number is a width, a period or a time."""
+
 DRIVERS = ("command", "position", "pressure", "velocity", "time")
 COMMAND, POSITION, PRESSURE, VELOCITY, TIME = range(5)
 REFERENCES = {"command": 1.0, "position": 0.01, "pressure": 1e5, "velocity": 0.1, "time": 1.0}
@@ -52,6 +55,15 @@ DRIVER_UNITS = {"command": "V", "position": "m", "pressure": "Pa", "velocity": "
 ONSET_SHARE = 0.02
 """Share of the instant over which an onset rises: a fit needs a slope."""
 KNOTS = 5
+
+
+def numbers_of_operator(operator: str) -> tuple[str, ...]:
+    """Return the names of the numbers that an operator has beside its size."""
+    if operator in ("constant", "gain"):
+        return ()
+    if operator == "curve":
+        return ("low", "high", *(f"knot_{k}" for k in range(1, KNOTS + 1)))
+    return ("inner", "phase") if operator == "wave" else ("inner",)
 
 
 class Term(NamedTuple):

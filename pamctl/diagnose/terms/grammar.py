@@ -20,7 +20,7 @@ from pamctl.plant.terms.operators import DRIVERS, KNOTS, OPERATORS, REFERENCES
 
 SPAN = (0.01, 0.99)
 """Quantiles of a driver that bound its span."""
-WAVES_HZ = (0.08, 8.0, 32)
+WAVES_HZ = (0.06, 12.0, 56)
 """Least and greatest frequency of a wave in time that is asked, and how many."""
 
 _SHARES: Mapping[str, tuple[float, ...]] = {
@@ -155,6 +155,7 @@ def list_questions(
         and location.part not in full
         and nominal.actuator in location.actuators
         for question in _ask_location(location, spans)
+        if not (question.operator == "wave" and block not in location.seen_by[:1])
     )
 
 
@@ -181,7 +182,7 @@ def _list_inner_numbers(
     if driver == "time":
         for share in _SHARES["onset"]:
             yield "onset", share * span.high
-        if location.name in ("supply", "filling", "exhausting", "pressure_sensor"):
+        if location.name in ("supply", "filling", "exhausting"):
             for hz in np.geomspace(*WAVES_HZ):
                 yield "wave", float(1.0 / hz)
         return

@@ -11,13 +11,15 @@ questions reaches on residuals whose stretches have random signs: then nothing i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pamctl.diagnose.fitting.block_fit import Fit, project_out, rms, secant
 from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.terms.doses import Doses
 from pamctl.diagnose.terms.grammar import Question
 
 STRETCH_S = 1.0
@@ -31,7 +33,7 @@ ROBUST = 10.0
 """Residuals above this multiple of the usual one count less."""
 DOSE = 0.5
 """RMS of a dose's result, as a share of the residual's."""
-MOST_RELINEARISED = 24
+MOST_RELINEARISED = 12
 SAME = 0.98
 """Terms whose fitted results correlate by more than this cannot be told apart."""
 
@@ -105,10 +107,9 @@ class _Residual:
         weights = self.weights if columns.ndim == 1 else self.weights[:, None]
         return project_out(self.basis, columns * weights)
 
-    def sum_stretches(self, values: Array) -> Array:
-        """Return sums over the stretches, shape (stretches, ...)."""
-        sums: Array = np.add.reduceat(values, self.edges, axis=0)
-        return sums
+    def cut(self, rows: Array) -> list[Array]:
+        """Cut rows into the stretches."""
+        return np.split(rows, self.edges[1:])
 
 
 @dataclass(frozen=True)
@@ -120,30 +121,37 @@ class _Sums:
     products: Array
     """Of columns by the residual, shape (stretches, p)."""
 
-    def predict(self, signs: Array) -> float:
-        """Return by how much the amounts of each half reduce the square of the other half."""
-        gained = 0.0
+    def predict(self, signs: Array) -> Array:
+        """Return by how much the amounts of each half reduce the square of the other half.
+
+        `signs` are those of the residual's stretches, shape (m, stretches); the result (m,).
+        """
+        gained = np.zeros(len(signs))
         halves = np.arange(len(self.products)) % 2 == 0
         for fit in (halves, ~halves):
-            amounts = self.solve(fit, signs)
-            judged = self.squares[~fit].sum(axis=0)
-            product = (signs[~fit, None] * self.products[~fit]).sum(axis=0)
-            gained += 2.0 * float(amounts @ product) - float(amounts @ judged @ amounts)
+            amounts = (signs[:, fit] @ self.products[fit]) @ self._invert(fit)
+            product = signs[:, ~fit] @ self.products[~fit]
+            squared = np.einsum("mi,ij,mj->m", amounts, self.squares[~fit].sum(axis=0), amounts)
+            gained += 2.0 * np.sum(amounts * product, axis=1) - squared
         return gained
 
-    def solve(self, rows: Array, signs: Array) -> Array:
-        """Return the amounts that fit some of the stretches best."""
+    def fit_all(self) -> Array:
+        """Return the amounts that fit all stretches best."""
+        every = np.ones(len(self.products), dtype=np.bool_)
+        amounts: Array = self._invert(every) @ self.products.sum(axis=0)
+        return amounts
+
+    def _invert(self, rows: NDArray[np.bool_]) -> Array:
         squares = self.squares[rows].sum(axis=0)
-        product = (signs[rows, None] * self.products[rows]).sum(axis=0)
         scale = np.sqrt(np.maximum(np.diag(squares), 1e-300))
         scaled = squares / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
-        amounts: Array = np.linalg.solve(scaled, product / scale) / scale
-        return amounts
+        inverse: Array = np.linalg.inv(scaled) / np.outer(scale, scale)
+        return inverse
 
 
 def rank_terms(fitted: Fit, block: str, questions: Sequence[Question]) -> TermRanking:
     """Score all questions on a block's fit, the best first; see the module's text."""
-    residual = _Residual(fitted)
+    residual, doses = _Residual(fitted), Doses(fitted)
     sizes = _choose_sizes(residual, questions)
     total = float(residual.left @ residual.left)
     random = np.random.default_rng(17)
@@ -152,11 +160,12 @@ def rank_terms(fitted: Fit, block: str, questions: Sequence[Question]) -> TermRa
     scores: list[TermScore] = []
     for question in questions:
         size = sizes[question.location.name] / question.typical_shape()
-        score, sums = _score_dose(residual, question, 1.0 if question.is_following else size)
+        columns = doses.answer(question, 1.0 if question.is_following else size)
+        score, sums = _score_columns(residual, question, columns)
         scores.append(score)
-        by_chance = np.maximum(by_chance, [sums.predict(s) / total for s in signs])
+        by_chance = np.maximum(by_chance, sums.predict(signs) / total)
     scores.sort(key=lambda s: -s.explained)
-    first = [_score_again(residual, s) for s in scores[:MOST_RELINEARISED]]
+    first = [_score_again(residual, doses, s) for s in scores[:MOST_RELINEARISED]]
     ranked = sorted((*first, *scores[MOST_RELINEARISED:]), key=lambda s: -s.explained)
     chance = float(np.max(by_chance))
     return TermRanking(block, tuple(ranked), len(questions), chance)
@@ -177,33 +186,23 @@ def _choose_sizes(residual: _Residual, questions: Sequence[Question]) -> dict[st
     return sizes
 
 
-def build_doses(question: Question, size: float) -> Iterator[dict[str, float]]:
-    """Yield the values of each of the question's shapes at a size."""
-    for shape in question.list_shapes():
-        named = {question.prefix + name: value for name, value in shape.items()}
-        yield question.fix() | named | {question.prefix + "size": size}
-
-
-def _score_dose(
-    residual: _Residual, question: Question, size: float
-) -> tuple[TermScore, _Sums]:
-    moved = [secant(residual.fitted, dose) / size for dose in build_doses(question, size)]
-    columns = residual.clean(np.nan_to_num(np.column_stack(moved)))
-    squares = residual.sum_stretches(columns[:, :, None] * columns[:, None, :])
-    sums = _Sums(squares, residual.sum_stretches(columns * residual.left[:, None]))
-    plain = np.ones(len(residual.edges))
-    amounts = sums.solve(np.ones(len(plain), dtype=bool), plain)
-    explained = sums.predict(plain) / float(residual.left @ residual.left)
+def _score_columns(residual: _Residual, question: Question, raw: Array) -> tuple[TermScore, _Sums]:
+    """Score doses, shape (n, p), each per size."""
+    columns = residual.clean(raw)
+    pairs = zip(residual.cut(columns), residual.cut(residual.left), strict=True)
+    sums = _Sums(*map(np.array, zip(*((c.T @ c, c.T @ left) for c, left in pairs), strict=True)))
+    amounts = sums.fit_all()
+    plain = np.ones((1, len(residual.edges)))
+    explained = float(sums.predict(plain)[0]) / float(residual.left @ residual.left)
     score = TermScore(question, explained, tuple(map(float, amounts)), columns @ amounts)
     return score, sums
 
 
-def _score_again(residual: _Residual, score: TermScore) -> TermScore:
+def _score_again(residual: _Residual, doses: Doses, score: TermScore) -> TermScore:
     """Score with a dose of the size that was found: a plant is not linear."""
-    if score.question.is_following or score.explained <= 0.0:
-        return score
     largest = max(score.amounts, key=abs)
-    if largest == 0.0:
+    if score.question.is_following or score.explained <= 0.0 or largest == 0.0:
         return score
-    again, _ = _score_dose(residual, score.question, largest)
-    return again if again.explained > score.explained else replace(score)
+    columns = doses.simulate(score.question, largest)
+    again, _ = _score_columns(residual, score.question, columns)
+    return again if again.explained > score.explained else score

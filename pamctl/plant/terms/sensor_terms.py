@@ -53,19 +53,26 @@ def undo_reading_term(
     """Return the readings of sensors without the term; `place` is that of the effects."""
     if terms is None or terms.sensors.size == 0.0:
         return shown
-    import numpy as np  # the process of the control loop, which never calls this, has no numpy
+    from pamctl.compiled import compile_kernel  # the loop's process never calls this
 
-    true = shown
-    for _ in range(ROUNDS):
-        if place == "pressure_reading":
-            again = [
-                show_pressure_term(terms, value, atmosphere_pa, t)
-                for value, t in zip(true.tolist(), times_s.tolist(), strict=True)
-            ]
-        else:
-            again = [
-                show_position_term(terms, value, t)
-                for value, t in zip(true.tolist(), times_s.tolist(), strict=True)
-            ]
-        true = true - (np.array(again) - shown)
+    true = shown.copy()
+    compile_kernel(fill_undone)(place == "pressure_reading", terms, shown, times_s, atmosphere_pa, true)
     return true
+
+
+def fill_undone(
+    is_pressure: bool,
+    terms: Terms,
+    shown: Array,
+    times_s: Array,
+    atmosphere_pa: float,
+    true: Array,
+) -> None:
+    """Kernel of `undo_reading_term`: find what the term turns into each reading."""
+    for k in range(len(shown)):
+        for _ in range(ROUNDS):
+            if is_pressure:
+                again = show_pressure_term(terms, true[k], atmosphere_pa, times_s[k])
+            else:
+                again = show_position_term(terms, true[k], times_s[k])
+            true[k] -= again - shown[k]

@@ -17,14 +17,14 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from hidden.uncatalogued import UNCATALOGUED, Uncatalogued  # noqa: E402
+from hidden.uncatalogued import UNCATALOGUED, Uncatalogued
 
-from pamctl.diagnose import Record  # noqa: E402
-from pamctl.diagnose.fitting.evidence import prepare_evidence, with_modelled_pressure  # noqa: E402
-from pamctl.diagnose.fitting.model_fit import recalibrate  # noqa: E402
-from pamctl.diagnose.naming.search import closed_share  # noqa: E402
-from pamctl.diagnose.terms.trials import choose_simplest, find_terms  # noqa: E402
-from pamctl.plant.model import PlantSettings  # noqa: E402
+from pamctl.diagnose import Record
+from pamctl.diagnose.fitting.evidence import prepare_evidence, with_modelled_pressure
+from pamctl.diagnose.fitting.model_fit import recalibrate
+from pamctl.diagnose.naming.search import closed_share
+from pamctl.diagnose.terms.trials import choose_simplest, find_terms
+from pamctl.plant.model import PlantSettings
 
 
 def examine(case: Uncatalogued, program: str, seed: int) -> dict[str, object]:

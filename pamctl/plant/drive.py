@@ -47,7 +47,7 @@ from pamctl.plant.sensing import (
     sensors_step,
 )
 from pamctl.plant.step import mechanics_block_step, plant_step, pressure_block_step
-from pamctl.plant.terms.sensor_terms import undo_reading_term
+from pamctl.plant.terms.undone_readings import undo_reading_term
 from pamctl.plant.valve_chain import settle_valve
 
 if TYPE_CHECKING:

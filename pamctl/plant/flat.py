@@ -41,7 +41,9 @@ def _lay_out_group(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
 
 _LAYOUTS = tuple((type(group), _lay_out_group(group)) for group in Effects())
 NEUTRAL: dict[str, float] = {
-    f"{effect.name}.{p.name}": p.neutral for effect in WITH_TERMS.values() for p in effect.parameters
+    f"{effect.name}.{p.name}": p.neutral
+    for effect in WITH_TERMS.values()
+    for p in effect.parameters
 }
 """The neutral value of every parameter of every effect and term."""
 
@@ -102,8 +104,11 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         effects=Effects(*groups),
         valve_acts=_has_term(terms, "valve") or any(v[name] != neutral for name, neutral in _VALVE),
         air_acts=_has_term(terms, "air") or any(v[name] != neutral for name, neutral in _AIR),
-        mechanics_act=direct or _has_term(terms, "mechanics") or any(v[name] != neutral for name, neutral in _MECHANICS),
-        sensors_act=_has_term(terms, "sensors") or any(v[name] != neutral for name, neutral in _SENSORS),
+        mechanics_act=direct
+        or _has_term(terms, "mechanics")
+        or any(v[name] != neutral for name, neutral in _MECHANICS),
+        sensors_act=_has_term(terms, "sensors")
+        or any(v[name] != neutral for name, neutral in _SENSORS),
         direct=direct,
         terms=terms,
     )

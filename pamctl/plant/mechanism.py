@@ -127,9 +127,7 @@ def mechanism_forces(
     stiffness = p.paper.stiffness_n_per_m * drift_factor(e.drift.stiffness_per_s, age_s)
     drive_n = pull_n + p.extra_n - stiffness * position_m
     drive_n = add_force(e, memory, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s)
-    drive_n = add_force_term(
-        p.terms, term, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s
-    )
+    drive_n = add_force_term(p.terms, term, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s)
     kinetic = FrictionBand(0.0, grip * lever_m)
     now = pass_friction(e, memory, kinetic, position_m, velocity_m_per_s, gauge_pa, age_s)
     now = pass_band_term(p.terms, now, position_m, velocity_m_per_s, gauge_pa, age_s)

@@ -341,7 +341,9 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
     """Return the plant file of a flat mapping, validated; effects at neutral are left out."""
     parameters: dict[str, float] = {}
     effects: dict[str, dict[str, float]] = {}
-    plain: dict[str, Any] = {CHAMBER_VOLUME: values[CHAMBER_VOLUME]} if values.get(CHAMBER_VOLUME) else {}
+    plain: dict[str, Any] = (
+        {CHAMBER_VOLUME: values[CHAMBER_VOLUME]} if values.get(CHAMBER_VOLUME) else {}
+    )
     for name, value in values.items():
         effect, dot, parameter = name.partition(".")
         if dot:

@@ -110,9 +110,7 @@ def mechanics_block_step(
         middle_m = position_m + 0.5 * step_s * velocity_m_per_s
         load = middle_n if p.direct else middle_pa
         extra_n = interpolate_table(p.correction.pull, middle_m, load)
-        with_effects = MechanismParameters(
-            p.paper, p.effects.mechanics, p.direct, extra_n, p.terms
-        )
+        with_effects = MechanismParameters(p.paper, p.effects.mechanics, p.direct, extra_n, p.terms)
         return mechanism_step(
             with_effects,
             position_m,

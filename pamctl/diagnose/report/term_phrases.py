@@ -69,9 +69,7 @@ def list_term_entries(diagnosis: Diagnosis) -> list[dict[str, Any]]:
             "driver_unit": term.driver_unit,
             "equation": term.equation,
             "parameters": {n.name.split(".")[1]: n.as_dict() for n in term.numbers},
-            "curve": [
-                {"at": p.at, "value": p.value, "ci90": [p.low, p.high]} for p in term.curve
-            ],
+            "curve": [{"at": p.at, "value": p.value, "ci90": [p.low, p.high]} for p in term.curve],
             "kin": [*term.kin],
             "cannot_be_told_from": [*term.equals],
             "closed": term.closed,

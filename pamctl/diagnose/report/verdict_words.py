@@ -182,8 +182,10 @@ def _word_described(diagnosis: Diagnosis) -> VerdictWords:
     closes = describe_closed_shares(diagnosis)
     names = spell_effects(diagnosis)
     beside = f" Beside it, the catalogue explains a part: {names}." if names else ""
-    left = "" if diagnosis.model and diagnosis.model.is_complete else (
-        f" {describe_largest_remainder(diagnosis)}"
+    left = (
+        ""
+        if diagnosis.model and diagnosis.model.is_complete
+        else (f" {describe_largest_remainder(diagnosis)}")
     )
     equals = describe_equals(term)
     numbers = ", ".join(

@@ -19,7 +19,6 @@ from pamctl.diagnose.name import Naming
 from pamctl.diagnose.naming.search import closed_share
 from pamctl.diagnose.naming.stretches import gains_in_block
 from pamctl.diagnose.naming.verdict import Verdict, spoils_block
-from pamctl.diagnose.terms.score import TermRanking
 from pamctl.diagnose.terms.trials import TermTrial, choose_simplest, find_terms, list_equals
 from pamctl.diagnose.terms.words import describe_term, find_kin, write_equation
 from pamctl.plant.terms.operators import DRIVER_UNITS, KNOTS
@@ -111,7 +110,8 @@ def describe_rest(
     plain = Description(ranking.asked, ranking.by_chance, leads)
     if chosen is None:
         return plain
-    return replace(plain, **_say_term(naming, chosen, trials, ranking, block))
+    term, said = _say_term(naming, chosen, trials, block)
+    return replace(plain, term=term, naming=said)
 
 
 def _choose(
@@ -171,9 +171,8 @@ def _say_term(
     naming: Naming,
     chosen: TermTrial,
     trials: Sequence[TermTrial],
-    ranking: TermRanking,
     block: str,
-) -> dict[str, object]:
+) -> tuple[DescribedTerm, Naming]:
     model, question = chosen.model, chosen.question
     numbers = estimate_intervals(model)
     own = tuple(n for n in numbers if n.name.startswith(question.prefix))
@@ -199,7 +198,7 @@ def _say_term(
     said = replace(
         naming, verdict=Verdict.DESCRIBED, model=model, standings=standings, numbers=numbers
     )
-    return {"term": term, "naming": said}
+    return term, said
 
 
 def _draw_curve(trial: TermTrial, numbers: Sequence[FittedNumber]) -> tuple[CurvePoint, ...]:
@@ -224,4 +223,3 @@ def _draw_curve(trial: TermTrial, numbers: Sequence[FittedNumber]) -> tuple[Curv
 def is_confirmed(explained: Mapping[str, float], term: DescribedTerm) -> bool:
     """Tell whether the samples that confirm show the term's share as well."""
     return explained.get(term.block, 0.0) >= LEAST_CLOSED
-

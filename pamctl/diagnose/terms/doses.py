@@ -48,9 +48,7 @@ class Doses:
 
     def simulate(self, question: Question, size: float) -> Array:
         """Return what each shape adds per size, by driving the plant, shape (n, p)."""
-        moved = [
-            secant(self.fitted, named) / size for named in build_doses(question, size)
-        ]
+        moved = [secant(self.fitted, named) / size for named in build_doses(question, size)]
         columns: Array = np.nan_to_num(np.column_stack(moved))
         return columns
 

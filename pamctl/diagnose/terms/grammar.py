@@ -125,9 +125,7 @@ def measure_spans(drives: tuple[Drive, ...]) -> dict[str, Span]:
         signals["velocity"].append(drive.velocity_m_per_s)
         load = drive.load if drive.pressed_pa is None else drive.pressed_pa
         signals["pressure"].append(load - float(np.min(load)))
-    spans = {
-        name: _measure_span(np.concatenate(parts)) for name, parts in signals.items() if parts
-    }
+    spans = {name: _measure_span(np.concatenate(parts)) for name, parts in signals.items() if parts}
     spans["time"] = Span(0.0, longest_s, longest_s)
     return {name: span for name, span in spans.items() if span.width > 0.0}
 
@@ -176,9 +174,7 @@ def _ask_location(location: Location, spans: Mapping[str, Span]) -> Iterator[Que
                 yield Question(location, operator, driver, {"inner": inner}, span)
 
 
-def _list_inner_numbers(
-    location: Location, driver: str, span: Span
-) -> Iterator[tuple[str, float]]:
+def _list_inner_numbers(location: Location, driver: str, span: Span) -> Iterator[tuple[str, float]]:
     if driver == "time":
         for share in _SHARES["onset"]:
             yield "onset", share * span.high

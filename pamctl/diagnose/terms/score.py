@@ -94,9 +94,7 @@ class _Residual:
         bound = fitted.at_bound
         movable = [i for i, free in enumerate(fitted.free) if free.name not in bound]
         weighed = fitted.jacobian[:, movable] * self.weights[:, None]
-        self.basis: Array = (
-            np.linalg.qr(weighed)[0] if movable else np.zeros((len(raw), 0))
-        )
+        self.basis: Array = np.linalg.qr(weighed)[0] if movable else np.zeros((len(raw), 0))
         self.left: Array = self.clean(raw)
         period_s = float(np.median(fitted.drives[0].step_s))
         length = max(min(round(STRETCH_S / period_s), len(raw) // FEWEST_STRETCHES), 1)

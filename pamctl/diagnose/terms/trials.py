@@ -165,7 +165,6 @@ def list_equals(
     return tuple(
         t
         for t in trials
-        if t.question.key != chosen.question.key and not gains_in_block(t.model, chosen.model, block)
+        if t.question.key != chosen.question.key
+        and not gains_in_block(t.model, chosen.model, block)
     )
-
-

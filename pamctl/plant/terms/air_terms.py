@@ -26,7 +26,9 @@ def pass_supply_term(terms: Terms | None, supply_pa: float, age_s: float) -> flo
     term = terms.air
     if term.size == 0.0 or term.location != SUPPLY_AT:
         return supply_pa
-    return max(supply_pa + term.size * shape_of(term, age_s, TermMemory(0.0, 0.0)), LOWEST_SUPPLY_PA)
+    return max(
+        supply_pa + term.size * shape_of(term, age_s, TermMemory(0.0, 0.0)), LOWEST_SUPPLY_PA
+    )
 
 
 def add_flow_term(

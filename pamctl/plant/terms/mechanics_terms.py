@@ -8,7 +8,6 @@ from pamctl.plant.terms.operators import (
     DAMPING_AT,
     DRY_AT,
     FORCE_AT,
-    POSITION,
     PRESSING_AT,
     PRESSURE,
     PULL_AT,

@@ -87,9 +87,9 @@ def find_mechanics_tangent(
 def _pair(p: PlantParameters, terms: Terms) -> tuple[PlantParameters, PlantParameters]:
     """Return the plant without and with the push, both on the same branches."""
     own = Terms() if p.terms is None else p.terms
-    flags = {"valve_acts": True, "air_acts": True, "mechanics_act": True}
     merged = [new if new.size else old for new, old in zip(terms, own, strict=True)]
-    return p._replace(**flags, terms=own), p._replace(**flags, terms=Terms(*merged))
+    general = p._replace(valve_acts=True, air_acts=True, mechanics_act=True, terms=own)
+    return general, general._replace(terms=Terms(*merged))
 
 
 def run_pressure_tangent(

@@ -22,8 +22,8 @@ def write_terms(page: Page, diagnosis: Diagnosis) -> None:
             [lead.text, f"{lead.residual_over_floor:.2f}", f"{100.0 * lead.explained:.0f} %"]
             for lead in about.leads
         ],
-        caption=f"Terms that were fitted in the plant, the best first. {describe_questions(diagnosis)}"
-        " A term that is not in the verdict is a lead: where to look, and no finding.",
+        caption="Terms that were fitted in the plant, the best first. "
+        f"{describe_questions(diagnosis)} A term that is not in the verdict is a lead: where to look, and no finding.",
     )
 
 

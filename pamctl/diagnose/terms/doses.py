@@ -1,8 +1,8 @@
 """What a term adds to a block's output: by tangents where they hold, else by the plant itself.
 
-Tangents serve for a location that is pushed in proportion, on a muscle's records that run freely
-from a known start. A command that is late or cut acts at its full size, and a volume stores what it
-has: their doses are driven through the plant, as are those of every other machine.
+Tangents serve where the air is pushed in proportion, on records that run freely from a known start.
+All other doses are driven through the plant at a size that is seen: a command that is late or cut
+acts at its full size, a volume stores what it has, and what sticks does not feel a small force.
 """
 
 from __future__ import annotations
@@ -21,15 +21,11 @@ from pamctl.plant.terms.locations import LOCATIONS
 from pamctl.plant.terms.operators import DRIVERS, OPERATORS, Term, Terms
 from pamctl.plant.terms.tangents import (
     answer_pushes,
-    find_mechanics_tangent,
     find_pressure_tangent,
     trace_shape,
 )
 
-BY_TANGENT = frozenset(
-    {"filling", "exhausting", "supply", "flow", "force", "stiffness", "damping",
-     "braid_friction", "pull", "pressing"}
-)  # fmt: skip
+BY_TANGENT = frozenset({"filling", "exhausting", "supply", "flow"})
 
 
 class Doses:
@@ -38,7 +34,7 @@ class Doses:
     def __init__(self, fitted: Fit) -> None:
         self.fitted = fitted
         self.p: PlantParameters = plant_parameters(fitted.settings)
-        self.has_tangents = not self.p.direct and all(map(_runs_freely, fitted.drives))
+        self.has_tangents = all(map(_runs_freely, fitted.drives))
         self._tangents: dict[tuple[str, int], tuple[Array, Array]] = {}
         self._drivers: dict[tuple[str, int], Array] = {}
 
@@ -69,18 +65,12 @@ class Doses:
         key = question.location.name, index
         if key not in self._tangents:
             drive, terms = self.fitted.drives[index], _push(question, size)
-            if drive.block == PRESSURE:
-                start = None
-                if drive.start != self.p.atmospheric_pressure_pa:
-                    start = rest_state(self.p, float(drive.driven[0]), drive.start)
-                found = find_pressure_tangent(
-                    self.p, terms, drive.valve_v, drive.driven, drive.grid, start
-                )
-            else:
-                start = None
-                if drive.start:
-                    start = rest_state(self.p, drive.start, self.p.atmospheric_pressure_pa)
-                found = find_mechanics_tangent(self.p, terms, drive.driven, drive.grid, start)
+            start = None
+            if drive.start != self.p.atmospheric_pressure_pa:
+                start = rest_state(self.p, float(drive.driven[0]), drive.start)
+            found = find_pressure_tangent(
+                self.p, terms, drive.valve_v, drive.driven, drive.grid, start
+            )
             self._tangents[key] = (found[0], found[1] / size)
         kept, push = self._tangents[key]
         return kept, push * size
@@ -101,25 +91,19 @@ class Doses:
             elif name == "command":
                 values = drive.valve_v
             elif name == "pressure":
-                measured_pa = drive.measured if drive.block == PRESSURE else drive.driven
-                values = measured_pa - self.p.atmospheric_pressure_pa
-            elif name == "velocity":
-                values = drive.velocity_m_per_s
-            elif drive.block == PRESSURE:
-                values = drive.driven
+                values = drive.measured - self.p.atmospheric_pressure_pa
             else:
-                values = drive.simulate(self.fitted.settings)
+                values = drive.driven
             self._drivers[key] = values
         return self._drivers[key]
 
 
 def _runs_freely(drive: Drive) -> bool:
     return (
-        drive.has_position
+        drive.block == PRESSURE
+        and drive.has_position
         and not drive.is_equation
         and not drive.windows
-        and drive.bend is None
-        and not np.isnan(drive.driven).any()
     )
 
 

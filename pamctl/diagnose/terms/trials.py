@@ -5,14 +5,15 @@ The same fits, floors and held-out samples judge them as judge the effects of th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from math import atan2, hypot, pi
 
+from pamctl.diagnose.fitting.block_fit import FULL
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model, extract_block_fit
-from pamctl.diagnose.fitting.model_fit import fit_model, fit_to_end
+from pamctl.diagnose.fitting.model_fit import fit_model
 from pamctl.diagnose.fitting.numbers import FreeNumber
 from pamctl.diagnose.naming.search import rank, run_fit_jobs
 from pamctl.diagnose.naming.stretches import gains_in_block
@@ -22,7 +23,7 @@ from pamctl.plant.terms.operators import KNOTS
 
 MOST_FITTED = 8
 """Groups of terms whose first is fitted in the plant."""
-MOST_FINISHED = 3
+MOST_FINISHED = 2
 WIDE = 10.0
 """A size may grow to this multiple of what the score suggests."""
 INNER_FACTOR = 4.0
@@ -30,6 +31,10 @@ INNER_FACTOR = 4.0
 WAVE_SHARE = 0.25
 """A period may move by this share."""
 MOST_KNOT = 20.0
+NEAR_SCORE = 0.15
+"""A simpler term of a group is fitted too if it explains at most this much less."""
+WORTH_FINISHING = 3.0
+"""A term that leaves more than this multiple of what the best one leaves is not fitted further."""
 NEAR_BEST = 0.1
 """A term with fewer numbers counts as equally good if it leaves at most this share more."""
 
@@ -39,10 +44,12 @@ class TermTrial:
     """A term that was fitted in the plant, beside a model's effects."""
 
     score: TermScore
-    candidate: Candidate
     model: Model
-    alike: tuple[TermScore, ...] = ()
-    """Other terms whose result looked the same before the fit."""
+
+    @property
+    def candidate(self) -> Candidate:
+        """The term as the fit has it: the last of the model's effects."""
+        return self.model.effects[-1]
 
     @property
     def question(self) -> Question:
@@ -58,33 +65,53 @@ def find_terms(
     taken = {c.name for c in before.effects} | {*before.evidence.nominal.acting}
     questions = list_questions(block, fitted.drives, before.evidence.nominal, taken)
     ranking = rank_terms(fitted, block, questions)
-    groups = _keep_different(ranking)
-    jobs = [(before, make_candidate(g[0], before), g[0]) for g in groups]
-    models = run_fit_jobs(_fit_term, jobs, executor)
-    trials = [
-        TermTrial(group[0], job[1], model, tuple(group[1:]))
-        for group, job, model in zip(groups, jobs, models, strict=True)
-    ]
-    trials.sort(key=lambda t: rank(t.model))
-    ended = [
-        TermTrial(t.score, t.candidate, fit_to_end(t.model), t.alike)
+    scores = _select_scores(ranking)
+    jobs = [(before, score) for score in scores]
+    models = run_fit_jobs(_fit_size, jobs, executor)
+    trials = sorted(map(TermTrial, scores, models), key=lambda t: rank(t.model))
+    near = [
+        t
         for t in trials[:MOST_FINISHED]
+        if t.model.rms[block] <= WORTH_FINISHING * trials[0].model.rms[block]
     ]
-    return ranking, tuple(sorted((*ended, *trials[MOST_FINISHED:]), key=lambda t: rank(t.model)))
+    ended = run_fit_jobs(_finish, [(before, t) for t in near], executor)
+    return ranking, tuple(sorted((*ended, *trials[len(near) :]), key=lambda t: rank(t.model)))
 
 
-def _keep_different(ranking: TermRanking) -> list[list[TermScore]]:
-    """Return the first groups; of one term with several inner numbers only the best is fitted."""
-    kept: dict[tuple[str, str, str], list[TermScore]] = {}
+def _select_scores(ranking: TermRanking) -> list[TermScore]:
+    """Return the first term of each group, and a simpler one that looks like it.
+
+    Of one term with several inner numbers only the best is fitted.
+    """
+    kept: dict[tuple[str, str, str], TermScore] = {}
     for group in ranking.group(3 * MOST_FITTED):
-        kept.setdefault(group[0].question.key, group)
+        first = group[0]
+        kept.setdefault(first.question.key, first)
+        simple = [
+            s
+            for s in group
+            if len(s.amounts) < len(first.amounts) and s.explained >= first.explained - NEAR_SCORE
+        ]
+        for score in simple[:1]:
+            kept.setdefault(score.question.key, score)
     return [*kept.values()][:MOST_FITTED]
 
 
-def _fit_term(job: tuple[Model, Candidate, TermScore]) -> Model:
-    before, candidate, score = job
-    start = {**before.effect_values, **start_of(score)}
-    return fit_model(before, (*before.effects, candidate), [start])
+def _fit_size(job: tuple[Model, TermScore]) -> Model:
+    """Fit a term's size and inner number; a curve keeps the shape of its score."""
+    before, score = job
+    candidate = make_candidate(score, before, start_of(score), is_bent=False)
+    return fit_model(before, (*before.effects, candidate), [before.effect_values])
+
+
+def _finish(job: tuple[Model, TermTrial]) -> TermTrial:
+    """Fit a term to the end, with all its numbers."""
+    before, trial = job
+    start = {**dict(trial.candidate.held), **trial.model.effect_values}
+    own = {n: v for n, v in start.items() if n.startswith(trial.question.prefix)}
+    candidate = make_candidate(trial.score, before, own, is_bent=True)
+    effects = (*before.effects, candidate)
+    return TermTrial(trial.score, fit_model(before, effects, [start], effort=FULL))
 
 
 def start_of(score: TermScore) -> dict[str, float]:
@@ -102,35 +129,35 @@ def start_of(score: TermScore) -> dict[str, float]:
     return {prefix + name: value for name, value in {**question.held, **values}.items()}
 
 
-def make_candidate(score: TermScore, before: Model) -> Candidate:
-    """Return a term as a candidate of the search, with ranges around what its score suggests.
+def make_candidate(
+    score: TermScore, before: Model, start: Mapping[str, float], *, is_bent: bool
+) -> Candidate:
+    """Return a term as a candidate of the search, with ranges around its start.
 
-    Of a curve the largest knot stays 1: the size is then the curve's largest value.
+    `held` has every number's start. Of a curve the largest knot stays 1: the size is then the
+    curve's largest value. The others move only if `is_bent`.
     """
-    question, prefix, start = score.question, score.question.prefix, start_of(score)
+    question, prefix = score.question, score.question.prefix
     size = start[prefix + "size"]
     ends = sorted((-0.2 * WIDE * size, WIDE * size))
     free = [FreeNumber(prefix + "size", ends[0], ends[1], 0.05 * abs(size))]
-    inner = question.held.get("inner")
-    if inner is not None:
-        free.append(_free_inner(prefix, question, inner))
+    if "inner" in question.held:
+        free.append(_free_inner(prefix, question, start[prefix + "inner"]))
     if question.operator == "wave":
         free.append(FreeNumber(prefix + "phase", -2.0 * pi, 2.0 * pi, 0.05))
-    if question.operator == "curve":
+    if question.operator == "curve" and is_bent:
         free += [
             FreeNumber(name, -MOST_KNOT, MOST_KNOT, 0.05)
             for name in (f"{prefix}knot_{k}" for k in range(1, KNOTS + 1))
             if start.get(name) != 1.0
         ]
-    moved = {f.name for f in free}
     held = {**question.fix(), **start}
-    blocks = frozenset(question.location.seen_by) & {*before.evidence.blocks}
     return Candidate(
         question.location.term_name,
         f"{question.operator} of {question.driver}",
         tuple(free),
-        tuple((n, v) for n, v in held.items() if n not in moved),
-        frozenset(blocks),
+        tuple(held.items()),
+        frozenset(question.location.seen_by) & {*before.evidence.blocks},
     )
 
 
@@ -155,7 +182,11 @@ def choose_simplest(trials: Sequence[TermTrial], block: str) -> TermTrial:
         if t.model.rms[block] <= (1.0 + NEAR_BEST) * best.model.rms[block]
         and (t.model.is_explained(block) or not best.model.is_explained(block))
     ]
-    return min(good, key=lambda t: (len(t.candidate.free), rank(t.model)))
+    return min(good, key=lambda t: (_count_numbers(t), rank(t.model)))
+
+
+def _count_numbers(trial: TermTrial) -> int:
+    return len(trial.score.amounts) + len(trial.question.held)
 
 
 def list_equals(

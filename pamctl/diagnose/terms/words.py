@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pamctl.diagnose.terms.grammar import Question
-from pamctl.plant.terms.operators import DRIVER_UNITS, REFERENCES
+from pamctl.plant.terms.operators import DRIVER_UNITS, KNOTS, REFERENCES
 
 _SHOWN: Mapping[str, tuple[float, str]] = {
     "m": (1e3, "mm"), "Pa": (1e-3, "kPa"), "V": (1.0, "V"), "m/s": (1e3, "mm/s"), "s": (1.0, "s"),
@@ -101,8 +101,6 @@ def describe_size(question: Question, size: float) -> str:
     shown = spell_quantity(abs(size) if question.operator in _BOTH_WAYS else size, location.unit)
     if question.operator in _BOTH_WAYS:
         return f"+-{shown}"
-    if question.operator == "curve":
-        return f"up to {shown}"
     if question.operator in ("constant", "onset"):
         return shown
     per = spell_quantity(REFERENCES[question.driver], DRIVER_UNITS[question.driver])
@@ -122,6 +120,11 @@ def describe_term(question: Question, values: Mapping[str, float]) -> str:
     article = place if place.startswith("a ") else f"a change of {place}"
     memory = describe_memory(question, inner)
     size = describe_size(question, values[question.prefix + "size"])
+    if question.operator == "curve":
+        knots = [values[f"{question.prefix}knot_{k}"] for k in range(1, KNOTS + 1)]
+        ends = sorted(values[question.prefix + "size"] * knot for knot in knots)
+        low, high = (spell_quantity(end, question.location.unit) for end in (ends[0], ends[-1]))
+        size = f"from {low} to {high}"
     return f"{article} {memory}, {size}"
 
 

@@ -1,13 +1,13 @@
-"""The plant's answer to a small push at one location, step by step along a drive.
+"""The air's answer to a small push at one location, step by step along a drive.
 
-Between two samples, a block's output y answers a push b and its own deviation in proportion:
+Between two samples the pressure P answers a push b and its own deviation in proportion:
 
-    dy[k + 1] = kept[k] dy[k] + push[k]
+    dP[k + 1] = kept[k] dP[k] + push[k]
 
 Both factors come from the plant's own steps, each started from the drive's state: one step with the
-output moved, one with a term of constant size. The answer to any driver is then a filter, a hundred
-times as cheap as another drive. It holds for blocks of one state: the air of a muscle, and its
-motion, whose mass acts for 0.1 ms only.
+pressure moved, one with a term of constant size. The answer to any driver is then a filter, a
+hundred times as cheap as another drive. The mechanics have no such answer: while the muscle sticks,
+a small push moves nothing, and a large one does.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 
 from pamctl.compiled import compile_kernel
 from pamctl.plant.drive import DriveSteps, SampleGrid, build_steps, undo_sensor
-from pamctl.plant.parameters import PlantParameters, PlantState, rest_state, vented_state
-from pamctl.plant.step import mechanics_block_step, pressure_block_step
+from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
+from pamctl.plant.step import pressure_block_step
 from pamctl.plant.terms.operators import Term, TermMemory, Terms, follow_value, shape_of
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 MOVED_PA = 50.0
-MOVED_M = 1e-6
 """By how much the output is moved to see what is kept of it."""
 
 
@@ -57,30 +56,6 @@ def find_pressure_tangent(
     ends_m = np.interp(cut.ends_s, grid.samples_s, true_m)
     rows = np.zeros((2, len(command_v) - 1))
     _get_twin(run_pressure_tangent)(plain, pushed, start, cut, ends_m, rows)
-    return rows[0], rows[1]
-
-
-def find_mechanics_tangent(
-    p: PlantParameters,
-    terms: Terms,
-    pressure_pa: Array,
-    grid: SampleGrid,
-    start: PlantState | None = None,
-) -> tuple[Array, Array]:
-    """Return what is kept and pushed (m) between samples, each of shape (n - 1,).
-
-    Other arguments as for `drive_mechanics`; of a muscle only.
-    """
-    plain, pushed = _pair(p, terms)
-    position_m = 0.0 if start is None else start.position_m
-    state = vented_state(plain)
-    if position_m:
-        state = rest_state(plain, position_m, p.paper.atmospheric_pressure_pa)
-    cut = build_steps(plain, pressure_pa, grid)
-    true_pa = undo_sensor("pressure_reading", p, pressure_pa, grid.samples_s)
-    ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
-    rows = np.zeros((2, len(pressure_pa) - 1))
-    _get_twin(run_mechanics_tangent)(plain, pushed, state, cut, ends_pa, rows)
     return rows[0], rows[1]
 
 
@@ -120,34 +95,6 @@ def run_pressure_tangent(
             age_s += h
         rows[0, k] = (moved_pa - here_pa) / MOVED_PA
         rows[1, k] = push_pa - here_pa
-
-
-def run_mechanics_tangent(
-    p: PlantParameters,
-    pushed: PlantParameters,
-    state: PlantState,
-    steps: DriveSteps,
-    pressures_pa: Array,
-    rows: Array,
-) -> None:
-    """Kernel of `find_mechanics_tangent`."""
-    x, v, memory, age_s = state.position_m, state.velocity_m_per_s, state.mechanics, state.age_s
-    for k in range(rows.shape[1]):
-        moved_m, moved_v, moved_memory = x + MOVED_M, v, memory
-        push_m, push_v, push_memory = x, v, memory
-        for j in range(steps.first[k], steps.first[k + 1]):
-            h = steps.step_s[j]
-            middle_pa = 0.5 * (pressures_pa[j] + pressures_pa[j + 1])
-            x, v, memory = mechanics_block_step(p, x, v, memory, middle_pa, 0.0, age_s, h)
-            moved_m, moved_v, moved_memory = mechanics_block_step(
-                p, moved_m, moved_v, moved_memory, middle_pa, 0.0, age_s, h
-            )
-            push_m, push_v, push_memory = mechanics_block_step(
-                pushed, push_m, push_v, push_memory, middle_pa, 0.0, age_s, h
-            )
-            age_s += h
-        rows[0, k] = (moved_m - x) / MOVED_M
-        rows[1, k] = push_m - x
 
 
 def trace_shape(term: Term, driver: Array, step_s: Array) -> Array:

@@ -23,7 +23,8 @@ def write_terms(page: Page, diagnosis: Diagnosis) -> None:
             for lead in about.leads
         ],
         caption="Terms that were fitted in the plant, the best first. "
-        f"{describe_questions(diagnosis)} A term that is not in the verdict is a lead: where to look, and no finding.",
+        f"{describe_questions(diagnosis)} A term that is not in the verdict is a lead: it says "
+        "where to look, and is no finding.",
     )
 
 

@@ -22,11 +22,15 @@ from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.terms.doses import Doses
 from pamctl.diagnose.terms.grammar import Question
 
-STRETCH_S = 1.0
-"""Stretches that fit and judge in turn."""
-FEWEST_STRETCHES = 8
+STRETCH_S = 0.25
+"""Stretches whose signs are drawn: residuals this far apart count as independent."""
+FEWEST_STRETCHES = 24
+TURN = 4
+"""Stretches that fit in turn with as many that judge: whole seconds, not neighbours."""
 SHUFFLES = 40
 """Residuals with random signs, from which the search's own score is known."""
+CHANCE = 0.95
+"""Quantile of the best scores of those residuals: one search in twenty finds more in nothing."""
 RIDGE = 1e-4
 """Relative to the square of the columns: doses that recalibration imitates get small amounts."""
 ROBUST = 10.0
@@ -125,7 +129,7 @@ class _Sums:
         `signs` are those of the residual's stretches, shape (m, stretches); the result (m,).
         """
         gained = np.zeros(len(signs))
-        halves = np.arange(len(self.products)) % 2 == 0
+        halves = np.arange(len(self.products)) // TURN % 2 == 0
         for fit in (halves, ~halves):
             amounts = (signs[:, fit] @ self.products[fit]) @ self._invert(fit)
             product = signs[:, ~fit] @ self.products[~fit]
@@ -165,7 +169,7 @@ def rank_terms(fitted: Fit, block: str, questions: Sequence[Question]) -> TermRa
     scores.sort(key=lambda s: -s.explained)
     first = [_score_again(residual, doses, s) for s in scores[:MOST_RELINEARISED]]
     ranked = sorted((*first, *scores[MOST_RELINEARISED:]), key=lambda s: -s.explained)
-    chance = float(np.max(by_chance))
+    chance = float(np.quantile(by_chance, CHANCE))
     return TermRanking(block, tuple(ranked), len(questions), chance)
 
 

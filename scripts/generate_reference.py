@@ -97,11 +97,11 @@ def walk_verbs() -> Iterator[tuple[str, Any]]:
 
     def walk(command: Any, words: str) -> Iterator[tuple[str, Any]]:
         children = getattr(command, "commands", None)
+        if not children or command.invoke_without_command:
+            yield words, command
         if children:
             for name, child in children.items():
                 yield from walk(child, f"{words} {name}")
-        else:
-            yield words, command
 
     yield from walk(typer.main.get_command(app), "pamctl")
 
@@ -364,7 +364,9 @@ def write_log_schema() -> str:
             "Attachment `config.json` holds the resolved configuration. Metadata records: `run` "
             "(law, backend, experiment), `pamctl` (versions), `timing_setup` (scheduling, and what "
             "was not permitted), `rig` (the rig's description of itself), `import` (imported logs "
-            "only: source, its SHA-256, how each column was read). Data CRCs are on.\n",
+            "only: source, its SHA-256, how each column was read), `annotation` (tags, note, "
+            "operator, sample; the last record counts), `sweep` (place of the run in a sweep). "
+            "Data CRCs are on.\n",
             "## Imported logs\n",
             f"A log of another system has `tick`, `t_s`, `dt_s`, `missed` and those of {imported} "
             f"that were measured. The tick channel's metadata says `origin: "

@@ -120,6 +120,28 @@ SocketOption = Annotated[
     ),
 ]
 
+# --- what is said of a run --------------------------------------------------------------------
+
+NoteOption = Annotated[
+    str | None, typer.Option("--note", metavar="TEXT", help="Note for the log", show_default="none")
+]
+OperatorOption = Annotated[
+    str | None, typer.Option("--operator", metavar="NAME", help="Who runs it", show_default="none")
+]
+SampleOption = Annotated[
+    str | None,
+    typer.Option("--sample", metavar="NAME", help="Muscle or part on the rig", show_default="none"),
+]
+TagOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tag",
+        metavar="TAG",
+        help="Tag of the log, one word; can be repeated",
+        show_default="none",
+    ),
+]
+
 # --- live values for Foxglove -----------------------------------------------------------------
 
 LiveOption = Annotated[
@@ -207,5 +229,5 @@ def _check_seconds(
 def require_linux() -> None:
     """Leave with 69 on other systems, before anything is imported that only Linux has."""
     if sys.platform != "linux":
-        others = "the verbs that read logs, and config, reproduce and tune, work here too"
+        others = "`run --fast`, the verbs that read logs, config, reproduce and tune work here too"
         raise Failed(ExitCode.UNAVAILABLE, f"this verb needs Linux; {others}")

@@ -1,4 +1,4 @@
-"""`pamctl plant new`: a plant file from a datasheet."""
+"""`pamctl plant`: a plant file from a datasheet, and a plant file as an FMU."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from pamctl.plant.model import PlantSettings
     from pamctl.settings.datasheet.plant_questions import PlantQuestion
 
-plant_app = typer.Typer(no_args_is_help=True, help="Make plant files, which describe a rig.")
+plant_app = typer.Typer(
+    no_args_is_help=True, help="Make and export plant files, which describe a rig."
+)
 
 _ACTUATORS = {
     "muscle": "a braided pneumatic muscle behind a valve",
@@ -29,7 +31,7 @@ _ACTUATORS = {
 
 @plant_app.callback()
 def _group() -> None:
-    """Make plant files, which describe a rig."""
+    """Make and export plant files, which describe a rig."""
 
 
 @plant_app.command("new")
@@ -82,6 +84,36 @@ def make_plant(
             "it takes the other numbers as they are\n"
             f"next: pamctl diagnose LOG --plant {out} --out DIR"
         )
+
+
+@plant_app.command("export")
+def export_plant(
+    plant: Annotated[str, typer.Argument(metavar="NAME|FILE", help="Plant file to export")],
+    out: Annotated[Path, typer.Argument(metavar="OUT.fmu", help="New file")],
+    sources_only: Annotated[
+        bool,
+        typer.Option(
+            "--sources-only", help="Compile nothing: the importer compiles the sources inside"
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a plant as an FMU (FMI 3.0, co-simulation) for Simulink and other simulators.
+
+    It needs a C compiler, and runs on this kind of computer.
+    """
+    if out.suffix.lower() != ".fmu":
+        raise typer.BadParameter(f"{str(out)!r} must end with .fmu", param_hint="OUT.fmu")
+    from pamctl.cli.settings_from_options import find_argument_file
+    from pamctl.fmu.archive import write_fmu
+    from pamctl.settings.resolve import read_section_file
+
+    settings = read_section_file("plant", find_argument_file("plant", plant))
+    platform = write_fmu(settings, out, sources_only=sources_only)
+    if as_json:
+        print_json({"plant": plant, "fmu": str(out), "platform": platform or None})
+    else:
+        typer.echo(f"{out}: FMI 3.0 for co-simulation, {platform or 'sources only'}")
 
 
 def _choose_actuator(actuator: str | None, *, ask: bool) -> str:

@@ -35,7 +35,7 @@ class HeldCommand(NamedTuple):
     duration_s: float
 
 
-class Hold(Configured):
+class HeldPart(Configured):
     """One command, held."""
 
     wave: Literal["hold"]
@@ -43,7 +43,7 @@ class Hold(Configured):
     duration_s: Seconds
 
 
-class Square(Configured):
+class SquarePart(Configured):
     """Full strokes; the first one fills."""
 
     wave: Literal["square"]
@@ -52,7 +52,7 @@ class Square(Configured):
     cycles: Annotated[int, Field(ge=1, le=100_000)] = 3
 
 
-class Staircase(Configured):
+class StaircasePart(Configured):
     """Small pulses to both sides of null; the valve is closed after each."""
 
     wave: Literal["staircase"]
@@ -60,7 +60,7 @@ class Staircase(Configured):
     hold_s: Seconds = 0.15
 
 
-class Multisine(Configured):
+class MultisinePart(Configured):
     """Many tones at once, spread evenly over the octaves, with phases drawn from the seed."""
 
     wave: Literal["multisine"]
@@ -72,11 +72,11 @@ class Multisine(Configured):
     bias_v: Volts = 0.0
 
     @model_validator(mode="after")
-    def _check_frequencies(self) -> Multisine:
+    def _check_frequencies(self) -> MultisinePart:
         return _require_rising(self, self.low_hz, self.high_hz)
 
 
-class Chirp(Configured):
+class ChirpPart(Configured):
     """One tone that rises evenly over the octaves."""
 
     wave: Literal["chirp"]
@@ -86,11 +86,13 @@ class Chirp(Configured):
     duration_s: Seconds
 
     @model_validator(mode="after")
-    def _check_frequencies(self) -> Chirp:
+    def _check_frequencies(self) -> ChirpPart:
         return _require_rising(self, self.low_hz, self.high_hz)
 
 
-Part = Annotated[Hold | Square | Staircase | Multisine | Chirp, Field(discriminator="wave")]
+Part = Annotated[
+    HeldPart | SquarePart | StaircasePart | MultisinePart | ChirpPart, Field(discriminator="wave")
+]
 
 
 class ProgramSettings(Configured):
@@ -105,26 +107,26 @@ def generate_commands(settings: ProgramSettings) -> Iterator[HeldCommand]:
     """Yield the program's commands in order."""
     for index, part in enumerate(settings.parts):
         match part:
-            case Hold():
+            case HeldPart():
                 yield HeldCommand(part.valve_v, part.duration_s)
-            case Square():
+            case SquarePart():
                 half_s = 0.5 / part.frequency_hz
                 for _ in range(part.cycles):
                     yield from (
                         HeldCommand(part.amplitude_v, half_s),
                         HeldCommand(-part.amplitude_v, half_s),
                     )
-            case Staircase():
+            case StaircasePart():
                 for level_v in part.levels_v:
                     for valve_v in (level_v, 0.0, -level_v, 0.0):
                         yield HeldCommand(valve_v, part.hold_s)
-            case Multisine():
+            case MultisinePart():
                 yield from _multisine(part, random.Random(f"{settings.seed} {index}"))
-            case Chirp():
+            case ChirpPart():
                 yield from _chirp(part)
 
 
-def _multisine(part: Multisine, drawn: random.Random) -> Iterator[HeldCommand]:
+def _multisine(part: MultisinePart, drawn: random.Random) -> Iterator[HeldCommand]:
     ratio = (part.high_hz / part.low_hz) ** (1.0 / max(part.tones - 1, 1))
     tones = [
         (math.tau * part.low_hz * ratio**i, drawn.uniform(0.0, math.tau)) for i in range(part.tones)
@@ -135,7 +137,7 @@ def _multisine(part: Multisine, drawn: random.Random) -> Iterator[HeldCommand]:
         yield _sample(part.bias_v + part.amplitude_v * value / peak)
 
 
-def _chirp(part: Chirp) -> Iterator[HeldCommand]:
+def _chirp(part: ChirpPart) -> Iterator[HeldCommand]:
     growth = math.log(part.high_hz / part.low_hz) / part.duration_s
     for t_s in _times(part.duration_s):
         phase = math.tau * part.low_hz * math.expm1(growth * t_s) / growth

@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from pamctl.daemon.protocol import LONGEST_MOTION_S, LONGEST_REMARK, Method, NoParams, Params
+from pamctl.daemon.protocol import (
+    LONGEST_MOTION_S,
+    LONGEST_REMARK,
+    Method,
+    NoParams,
+    Params,
+    RequestRefusedError,
+)
 from pamctl.daemon.service import Service
+from pamctl.log.annotate.annotation import (
+    LONGEST_NAME,
+    LONGEST_NOTE,
+    MOST_TAGS,
+    SWEEP,
+    AnnotationError,
+    make_annotation,
+)
+from pamctl.plain_text import clean_text
 from pamctl.realtime.gain_ramp import DEFAULT_RAMP_S
 
 Ramp = Annotated[float, Field(ge=0, le=60, description="s")]
@@ -20,6 +37,11 @@ class StartParams(Params):
     experiment: dict[str, Any]
     name: Name
     duration_s: Annotated[float | None, Field(gt=0)] = None
+    note: Annotated[str, Field(max_length=LONGEST_NOTE)] = ""
+    operator: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
+    sample: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
+    tags: Annotated[list[str], Field(default_factory=list, max_length=MOST_TAGS)]
+    sweep: Annotated[dict[str, str] | None, Field(max_length=8)] = None
 
 
 class GotoParams(Params):
@@ -47,7 +69,7 @@ class LoadParams(Params):
 class MarkParams(Params):
     """A remark for the log."""
 
-    text: Annotated[str, Field(min_length=1, max_length=LONGEST_REMARK)]
+    text: Annotated[str, AfterValidator(clean_text), Field(min_length=1, max_length=LONGEST_REMARK)]
 
 
 class RecentParams(Params):
@@ -58,6 +80,15 @@ class RecentParams(Params):
     fields: Annotated[list[str] | None, Field(max_length=100)] = None
 
 
+def _start(service: Service, asked: StartParams) -> Path:
+    try:
+        said = make_annotation(asked.tags, asked.note, asked.operator, asked.sample)
+    except AnnotationError as error:
+        raise RequestRefusedError(str(error)) from error
+    records = {} if asked.sweep is None else {SWEEP: asked.sweep}
+    return service.start(asked.experiment, asked.name, asked.duration_s, said, records)
+
+
 def methods_of(service: Service) -> dict[str, Method]:
     """Return every method of a service by its name."""
     return {
@@ -66,9 +97,7 @@ def methods_of(service: Service) -> dict[str, Method]:
             RecentParams, lambda p: service.recent(p.after_tick, p.every, p.fields), changes=False
         ),
         "estop": Method(NoParams, lambda _: service.estop(), changes=False),
-        "start": Method(
-            StartParams, lambda p: {"log": str(service.start(p.experiment, p.name, p.duration_s))}
-        ),
+        "start": Method(StartParams, lambda p: {"log": str(_start(service, p))}),
         "stop": Method(NoParams, lambda _: service.stop()),
         "disarm": Method(NoParams, lambda _: service.disarm()),
         "ack": Method(NoParams, lambda _: {"fault": service.ack()}),

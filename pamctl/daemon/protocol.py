@@ -12,6 +12,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from pamctl.exit_codes import ExitCode
+
 LARGEST_REQUEST = 1 << 18
 """Bytes of a line. The largest sensible request is an experiment of a few thousand steps."""
 
@@ -60,6 +62,8 @@ class Request:
 
 class RequestRefusedError(Exception):
     """A request that cannot be met in this state, or is wrong. It changed nothing."""
+
+    exit_code = ExitCode.CHECK_FAILED
 
 
 class RequestError(Exception):

@@ -11,6 +11,7 @@ from typing import Any
 from pamctl.control.experiment import ExperimentSettings
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.realtime.gain_ramp import GainRampError, require_blendable
+from pamctl.settings.envelope import find_excesses
 from pamctl.settings.problems import ConfigError
 from pamctl.settings.resolve import (
     SECTIONS,
@@ -19,6 +20,9 @@ from pamctl.settings.resolve import (
     settings_to_data,
     validate_settings,
 )
+
+_LEISURELY_M_PER_S = 4e-3
+_SHORTEST_MOTION_S = 0.5
 
 
 def change_gains(settings: RunSettings, changes: Sequence[str]) -> RunSettings:
@@ -55,6 +59,34 @@ def load_experiment(
     except ConfigError as error:
         raise RequestRefusedError(str(error)) from error
     return settings.model_copy(update={"experiment": checked, "duration_s": duration_s})
+
+
+def plan_hold(
+    settings: RunSettings, position_m: float, within_s: float | None, here_m: float
+) -> dict[str, Any]:
+    """Return the experiment that goes to a position and holds it; refuse one beyond the stroke.
+
+    The motion takes `within_s`, or as long as 4 mm/s take from `here_m`.
+    """
+    limits = settings.rig.limits
+    if not limits.stroke_low_mm <= position_m * 1e3 <= limits.stroke_high_mm:
+        raise RequestRefusedError(
+            f"goto {position_m * 1e3:g} mm lies outside the stroke of {limits.stroke_low_mm:g} to "
+            f"{limits.stroke_high_mm:g} mm (rig.limits)"
+        )
+    motion_s = within_s or abs(position_m - here_m) / _LEISURELY_M_PER_S
+    return {
+        "kind": "hold",
+        "position_mm": position_m * 1e3,
+        "transition_s": max(motion_s, _SHORTEST_MOTION_S),
+    }
+
+
+def require_feasible(settings: RunSettings) -> None:
+    """Refuse an experiment that asks for more than rig and model can do."""
+    excesses = find_excesses(settings)
+    if excesses:
+        raise RequestRefusedError("; ".join(f"the experiment {e}" for e in excesses))
 
 
 def require_tunable(settings: RunSettings, changed: RunSettings) -> None:

@@ -29,19 +29,22 @@ from pamctl.daemon.requested_settings import (
     change_gains,
     load_controller,
     load_experiment,
+    plan_hold,
+    require_feasible,
     require_tunable,
 )
 from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending
+from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
+from pamctl.log.changed_gains import CHANGES, describe_changes
 from pamctl.log.naming import bare_name
-from pamctl.settings.envelope import find_excesses
+from pamctl.plain_text import clean_text
+from pamctl.runs.index_finished import index_in_own_process
 from pamctl.settings.resolve import RunSettings, settings_to_data
 from pamctl.signals import Phase
 
 _RECENT_EVENTS = 50
-_LEISURELY_M_PER_S = 4e-3
-_SHORTEST_MOTION_S = 0.5
 
 
 class DaemonState(StrEnum):
@@ -66,10 +69,13 @@ class Service:
         shelf: Shelf,
         latch: Latch,
         *,
+        file_gains: Mapping[str, Any] | None = None,
         idle_after_s: float = 600.0,
         tell: Callable[[Mapping[str, object]], object] = lambda event: None,
     ) -> None:
         """`settings` says rig, plant and the first gains; its experiment is not run.
+
+        `file_gains` are those of the file that the controller is named after; by default the first.
 
         A session that is parked for `idle_after_s` ends. `tell` is called with every event, from
         any thread, and must not wait for anything. A fault that `latch` kept from before this
@@ -77,6 +83,7 @@ class Service:
         """
         self._settings = settings
         self._names = dict(names)
+        self._file_gains = file_gains or settings_to_data(settings.controller)
         self._workshop = workshop
         self._shelf = shelf
         self._idle_after_s = idle_after_s
@@ -142,6 +149,8 @@ class Service:
             "device": self._workshop.device,
             "backend": self._settings.rig.backend,
             "limits": {"stroke_mm": self._stroke_mm()},
+            "logs": str(self._shelf.directory),
+            "rate_hz": self._rate_hz,
             "disk_free_bytes": self._shelf.free_bytes,
             "pids": {} if session is None else session.pids,
             "uptime_s": time.monotonic() - self._began_s,
@@ -160,23 +169,27 @@ class Service:
 
     # --- orders ----------------------------------------------------------------------------------
 
-    def start(self, experiment: Mapping[str, Any], name: str, duration_s: float | None) -> Path:
-        """Run an experiment; home first where needed. Return the path of its log."""
+    def start(
+        self,
+        experiment: Mapping[str, Any],
+        name: str,
+        duration_s: float | None,
+        said: Annotation = NOTHING_SAID,
+        records: Mapping[str, Mapping[str, str]] | None = None,
+    ) -> Path:
+        """Run an experiment; home first where needed. Return the path of its log.
+
+        What is `said` of the run goes into its log, and so do further metadata `records` by name.
+        """
         with self._busy:
             self._require(DaemonState.IDLE, DaemonState.READY)
-            return self._begin(experiment, bare_name(name), duration_s)
+            return self._begin(experiment, bare_name(name), duration_s, said, records)
 
     def goto(self, position_m: float, within_s: float | None) -> Path:
         """Go to a position and hold it; home first where needed. Return the path of the log."""
         with self._busy:
             self._require(DaemonState.IDLE, DaemonState.READY, DaemonState.RUNNING)
-            self._require_within_stroke(position_m)
-            motion_s = within_s or abs(position_m - self._current_position_m()) / _LEISURELY_M_PER_S
-            hold = {
-                "kind": "hold",
-                "position_mm": position_m * 1e3,
-                "transition_s": max(motion_s, _SHORTEST_MOTION_S),
-            }
+            hold = plan_hold(self._settings, position_m, within_s, self._current_position_m())
             session = self._session
             if session is None or session.run is None:
                 return self._begin(hold, "goto", None)
@@ -185,14 +198,6 @@ class Service:
             # Positions that are held one after the other share one log.
             session.order({"do": "run", "ring": None, "experiment": hold, "duration_s": None})
             return session.run.log
-
-    def _require_within_stroke(self, position_m: float) -> None:
-        low_mm, high_mm = self._stroke_mm()
-        if not low_mm <= position_m * 1e3 <= high_mm:
-            raise RequestRefusedError(
-                f"goto {position_m * 1e3:g} mm lies outside the stroke of "
-                f"{low_mm:g} to {high_mm:g} mm (rig.limits)"
-            )
 
     def stop(self, reason: str = "stopped by request") -> None:
         """End the current run, smoothly; the muscle stays homed and parked."""
@@ -237,7 +242,8 @@ class Service:
     def load_gains(self, controller: Mapping[str, Any], name: str, ramp_s: float) -> dict[str, Any]:
         """Take the gains of a whole controller file; return all its keys."""
         with self._busy:
-            gains = self._tune(load_controller(self._settings, controller, name), ramp_s)
+            changed = load_controller(self._settings, controller, name)
+            gains = self._tune(changed, ramp_s, settings_to_data(changed.controller))
             self._names["controller"] = name
             return gains
 
@@ -246,6 +252,9 @@ class Service:
         with self._busy:
             if self._session is None or self._session.run is None:
                 raise RequestRefusedError("nothing is being logged")
+            text = clean_text(text)
+            if not text:
+                raise RequestRefusedError("the remark is empty")
             self._session.order({"do": "mark", "text": text})
             self._announce_event("mark", text=text)
 
@@ -295,6 +304,7 @@ class Service:
             "run over", run=run.name, log=str(run.log), note=report.note if report else ""
         )
         self._shelf.tidy()
+        index_in_own_process(run.log)
 
     def close(self) -> None:
         """End everything and begin nothing more; the valve is safe when this returns."""
@@ -324,11 +334,16 @@ class Service:
         self._latch.engage(ending.reason)
         self._announce_event("fault", reason=ending.reason, code=int(ending.code))
 
-    def _begin(self, experiment: Mapping[str, Any], name: str, duration_s: float | None) -> Path:
+    def _begin(
+        self,
+        experiment: Mapping[str, Any],
+        name: str,
+        duration_s: float | None,
+        said: Annotation = NOTHING_SAID,
+        records: Mapping[str, Mapping[str, str]] | None = None,
+    ) -> Path:
         settings = load_experiment(self._settings, experiment, name, duration_s)
-        excesses = find_excesses(settings)
-        if excesses:
-            raise RequestRefusedError("; ".join(f"the experiment {e}" for e in excesses))
+        require_feasible(settings)
         length_s = plan_experiment(settings.experiment).duration_s
         self._shelf.require_room(min(length_s, duration_s or math.inf), self._rate_hz)
         session = self._session or self._begin_session()
@@ -336,6 +351,7 @@ class Service:
         self._require(DaemonState.READY, DaemonState.RUNNING)
         path = self._shelf.new_path(f"{bare_name(self._names['controller'])}-{name}")
         meta = self._workshop.meta(settings, {**self._names, "experiment": name}, path)
+        meta = annotate_meta(meta, said, records)
         order = {
             "do": "run",
             "experiment": settings_to_data(settings.experiment),
@@ -357,7 +373,9 @@ class Service:
 
     # --- small questions -------------------------------------------------------------------------
 
-    def _tune(self, changed: RunSettings, ramp_s: float) -> dict[str, Any]:
+    def _tune(
+        self, changed: RunSettings, ramp_s: float, file_gains: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
         session = self._session
         controller = settings_to_data(changed.controller)
         if session is not None:
@@ -365,14 +383,19 @@ class Service:
                 require_tunable(self._settings, changed)
             session.order({"do": "gains", "controller": controller, "ramp_s": ramp_s})
         self._settings = changed
-        self._announce_event("gains", ramp_s=ramp_s)
+        self._file_gains = file_gains or self._file_gains
+        changes = describe_changes(controller, self._file_gains)
+        self._names.pop(CHANGES, None)
+        if changes:
+            self._names[CHANGES] = changes
+        self._announce_event("gains", ramp_s=ramp_s, changes=changes)
         return controller
 
     def _require(self, *allowed: DaemonState) -> None:
         state = self.state
         if state == DaemonState.FAULT:
             raise RequestRefusedError(
-                f"fault: {self._latch.reason}; acknowledge it first (pamctl ack)"
+                f"fault: {self._latch.reason}; acknowledge it first with `pamctl ack`"
             )
         if self._is_leaving:
             raise RequestRefusedError("the daemon is being ended")

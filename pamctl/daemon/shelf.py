@@ -37,18 +37,19 @@ class Shelf:
             raise ShelfError(f"--logs {directory}: {error.strerror or error}") from error
         if not os.access(directory, os.W_OK | os.X_OK):
             raise ShelfError(f"--logs {directory}: cannot write into {directory}")
-        self._directory = directory.resolve()
+        self.directory = directory.resolve()
+        """The directory, from the root."""
         self._keep = keep
 
     @property
     def free_bytes(self) -> int:
         """Free space of the disk."""
-        disk = os.statvfs(self._directory)
+        disk = os.statvfs(self.directory)
         return disk.f_bavail * disk.f_frsize
 
     def new_path(self, what: str) -> Path:
         """Return the path of the next log; its name says that it is the daemon's."""
-        return make_dated_path(self._directory, f"{_DAEMON_PREFIX}-{what}")
+        return make_dated_path(self.directory, f"{_DAEMON_PREFIX}-{what}")
 
     def require_room(self, duration_s: float, rate_hz: float) -> None:
         """Raise `RequestRefusedError` where a run of this length would fill the disk."""
@@ -56,19 +57,32 @@ class Shelf:
         needed, free = round(ticks * _BYTES_PER_TICK) + _SPARE_BYTES, self.free_bytes
         if free < needed:
             raise RequestRefusedError(
-                f"the disk of {self._directory} has {free >> 20} MiB left, this run may need "
+                f"the disk of {self.directory} has {free >> 20} MiB left, this run may need "
                 f"{needed >> 20}; make room, or shorten it with --duration"
             )
 
     def tidy(self) -> None:
         """Remove the daemon's oldest logs beyond those to keep, with their flight records.
 
-        Logs of other runs may lie in the same directory; they stay.
+        Logs with a tag stay, and so do logs of other runs in the same directory.
         """
         if self._keep is None:
             return
-        logs = sorted(self._directory.glob(f"[0-9]*-[0-9]*-{_DAEMON_PREFIX}-*.mcap"))
+        logs = sorted(self.directory.glob(f"[0-9]*-[0-9]*-{_DAEMON_PREFIX}-*.mcap"))
         for log in logs[: -self._keep]:
+            if _has_tag(log):
+                continue
             # First what lies beside the log: without the log nothing would name it any more.
             flight_record_path(log).unlink(missing_ok=True)
             log.unlink(missing_ok=True)
+
+
+def _has_tag(log: Path) -> bool:
+    """Tell whether somebody has tagged the log; a damaged one says what stands before its end."""
+    # Not at the top: a daemon that keeps all its logs needs no memory for this.
+    from pamctl.log.annotate.read_annotation import LogError, read_annotation
+
+    try:
+        return bool(read_annotation(log).tags)
+    except LogError:
+        return False

@@ -102,12 +102,12 @@ class Container:
         self._metadata_indexes: list[MetadataIndex] = []
         self._counts: defaultdict[int, int] = defaultdict(int)
         self._put(MAGIC)
-        self._put(_encode_record(Header("", library)))
+        self._put(encode_record(Header("", library)))
 
     def schema(self, name: str, encoding: str, data: bytes) -> int:
         """Register a schema; return its number."""
         number = len(self._schemas)
-        self._schemas[number] = _encode_record(
+        self._schemas[number] = encode_record(
             Schema(id=number, data=data, encoding=encoding, name=name)
         )
         return number
@@ -122,7 +122,7 @@ class Container:
             metadata=dict(metadata),
             schema_id=schema,
         )
-        self._channels[number] = schema, _encode_record(channel)
+        self._channels[number] = schema, encode_record(channel)
         self._describe(number)
         return number
 
@@ -143,7 +143,7 @@ class Container:
         attachment = Attachment(
             create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data
         )
-        offset, length = self._put(_encode_record(attachment))
+        offset, length = self._put(encode_record(attachment))
         self._attachment_indexes.append(
             AttachmentIndex(
                 offset=offset,
@@ -158,7 +158,7 @@ class Container:
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
-        offset, length = self._put(_encode_record(Metadata(name=name, metadata=dict(values))))
+        offset, length = self._put(encode_record(Metadata(name=name, metadata=dict(values))))
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=length, name=name))
 
     def end_chunk(self, packed: PackedChunk | None = None) -> None:
@@ -177,7 +177,7 @@ class Container:
         self._stream.flush()
 
     def _put_chunk(self, written: Chunk) -> None:
-        offset, length = self._put(_encode_record(written))
+        offset, length = self._put(encode_record(written))
         index_at, index_offsets = self._at, {}
         for channel, index in self._chunk.index_records():
             index_offsets[channel], _ = self._put(index)
@@ -198,28 +198,28 @@ class Container:
     def finish(self) -> None:
         """Write the last chunk, the summary and the footer."""
         self.end_chunk()
-        self._put(_encode_record(DataEnd(self._crc)))
+        self._put(encode_record(DataEnd(self._crc)))
         start, summary, offsets = self._at, b"", b""
         for opcode, records in self._summary():
             group = b"".join(records)
             offset = SummaryOffset(opcode, start + len(summary), len(group))
-            offsets += _encode_record(offset) if group else b""
+            offsets += encode_record(offset) if group else b""
             summary += group
         footer = Footer(start, start + len(summary) if offsets else 0, 0)
         summary += offsets
-        without_crc = summary + _encode_record(footer)[: FRAME.size + _FOOTER_BODY_BYTES - 4]
+        without_crc = summary + encode_record(footer)[: FRAME.size + _FOOTER_BODY_BYTES - 4]
         footer.summary_crc = zlib.crc32(without_crc)
-        self._put(summary + _encode_record(footer) + MAGIC)
+        self._put(summary + encode_record(footer) + MAGIC)
         self._stream.flush()
 
     def _summary(self) -> Iterable[tuple[Opcode, Iterable[bytes]]]:
         """Yield the records of the summary by kind: repeated descriptions, counts, indexes."""
         yield Opcode.SCHEMA, self._schemas.values()
         yield Opcode.CHANNEL, (record for _, record in self._channels.values())
-        yield Opcode.STATISTICS, [_encode_record(self._statistics())]
-        yield Opcode.CHUNK_INDEX, map(_encode_record, self._chunk_indexes)
-        yield Opcode.ATTACHMENT_INDEX, map(_encode_record, self._attachment_indexes)
-        yield Opcode.METADATA_INDEX, map(_encode_record, self._metadata_indexes)
+        yield Opcode.STATISTICS, [encode_record(self._statistics())]
+        yield Opcode.CHUNK_INDEX, map(encode_record, self._chunk_indexes)
+        yield Opcode.ATTACHMENT_INDEX, map(encode_record, self._attachment_indexes)
+        yield Opcode.METADATA_INDEX, map(encode_record, self._metadata_indexes)
 
     def _statistics(self) -> Statistics:
         return Statistics(
@@ -292,7 +292,8 @@ class _Chunk:
             yield channel, FRAME.pack(Opcode.MESSAGE_INDEX, len(body)) + body
 
 
-def _encode_record(record: McapRecord) -> bytes:
+def encode_record(record: McapRecord) -> bytes:
+    """Return a record as bytes, its frame included."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]

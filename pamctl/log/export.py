@@ -1,6 +1,6 @@
-"""Write the ticks of a log for other tools: CSV, MAT, NPZ, Parquet.
+"""Write the ticks of a log for other tools: CSV, MAT, NPZ, Parquet, TDMS.
 
-Field names end with the unit in every format; MAT, NPZ and Parquet also store units apart.
+Field names end with the unit in every format; all but CSV also store units apart.
 """
 
 from __future__ import annotations
@@ -89,16 +89,16 @@ def _choose_writer(destination: Path) -> Callable[[BufferedWriter, Columns, str]
     if suffix not in _WRITERS:
         known = ", ".join(_WRITERS)
         raise ExportError(f"{destination}: no such format {suffix!r}; there are {known}")
-    if suffix == ".parquet":
-        _require_pyarrow()
+    if suffix in _PACKAGES:
+        _require_package(*_PACKAGES[suffix])
     return _WRITERS[suffix]
 
 
-def _require_pyarrow() -> None:
+def _require_package(what: str, package: str, extra: str) -> None:
     try:
-        import pyarrow  # noqa: F401
+        __import__(package)
     except ImportError:
-        detail = "Parquet needs the package pyarrow; install it with pip install '.[parquet]'"
+        detail = f"{what} needs the package {package}; install it with pip install '.[{extra}]'"
         raise ExportError(detail) from None
 
 
@@ -143,4 +143,27 @@ def _write_parquet(stream: BufferedWriter, columns: Columns, source: str) -> Non
     parquet.write_table(table, stream)
 
 
-_WRITERS = {".csv": _write_csv, ".mat": _write_mat, ".npz": _write_npz, ".parquet": _write_parquet}
+def _write_tdms(stream: BufferedWriter, columns: Columns, source: str) -> None:
+    """Write one group, a channel for each field, with its unit as LabVIEW names it."""
+    from nptdms import ChannelObject, RootObject, TdmsWriter
+
+    channels = [
+        ChannelObject("pamctl", name, column, {"unit_string": unit_of_column(name)})
+        for name, column in columns.items()
+    ]
+    with TdmsWriter(stream) as writer:
+        writer.write_segment([RootObject({"source": source}), *channels])
+
+
+_WRITERS = {
+    ".csv": _write_csv,
+    ".mat": _write_mat,
+    ".npz": _write_npz,
+    ".parquet": _write_parquet,
+    ".tdms": _write_tdms,
+}
+_PACKAGES = {
+    ".parquet": ("Parquet", "pyarrow", "parquet"),
+    ".tdms": ("TDMS", "nptdms", "labfiles"),
+}
+"""Formats that an extra of the package writes."""

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pamctl.log.annotate.annotation import ANNOTATION, Annotation
+from pamctl.log.changed_gains import CHANGES, describe_running_changes
 from pamctl.log.contents import Contents
 from pamctl.log.framing import LogError
 from pamctl.log.reader import scan_log
-from pamctl.log.schema import CUT, EVENT_TOPIC, IMPORTED
+from pamctl.log.schema import CUT, EVENT_TOPIC, GAINS_TOPIC, IMPORTED
 from pamctl.log.ticks import TickBatch
 from pamctl.signals import Phase
 
@@ -32,6 +35,7 @@ def info(path: str | Path) -> dict[str, Any]:
     with suppress(LogError):
         config = contents.config()
     events = contents.values[EVENT_TOPIC]
+    said = Annotation.from_metadata(contents.metadata.get(ANNOTATION, {}))
     return {
         "path": str(path),
         "complete": damage is None,
@@ -48,6 +52,10 @@ def info(path: str | Path) -> dict[str, Any]:
         "source": contents.metadata.get("import", {}).get("source"),
         "cut_from": _describe_cut(contents.metadata.get(CUT)),
         **{key: run.get(key) for key in ("law", "controller", "experiment", "plant", "backend")},
+        **asdict(said),
+        "tags": list(said.tags),
+        CHANGES: run.get(CHANGES),
+        "gains_while_running": describe_running_changes(contents.values[GAINS_TOPIC]),
         "seed": config.get("seed"),
         "timing_setup": dict(contents.metadata.get("timing_setup", {})),
         **{key: origin.get(key) for key in ("version", "host")},

@@ -150,6 +150,7 @@ def _compose(
     # The cache of machine code needs a file that exists.
     exec(compile(source, __file__, "exec"), scope)
     kernel: Kernel = scope[name]
+    kernel.__dict__["source"] = source  # for those who translate it
     return kernel
 
 

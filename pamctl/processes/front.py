@@ -25,6 +25,7 @@ from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian_handle import LOOK_EVERY_S, Guardianship
 from pamctl.processes.loop_supervisor import STOP_SIGNALS
+from pamctl.processes.mark_desk import MarkDesk
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.realtime.scheduling import Mode, raise_front_priority
 from pamctl.recording.finish_apart import finish_in_own_process
@@ -61,13 +62,14 @@ def conduct_run(
     progress: Progress,
     mode: Mode,
     pace: LoopSettings,
+    desk: MarkDesk | None = None,
 ) -> FrontReport:
     """Run the loop on a fresh ring to its end; return when the log is on disk.
 
     Takes over SIGINT and SIGTERM while it runs. `rig` is not opened here: it is made safe
     where neither loop nor guardian is left to do it. `mode` is for this process alone: it
     says whether the front may be scheduled in real time while it watches. `pace` says
-    how long the loop may be silent.
+    how long the loop may be silent. `desk` takes marks from other terminals.
     """
     with _SignalForwarder() as signals:
         # The loop inherits the block and lifts it when it has handlers: a signal that comes
@@ -76,15 +78,16 @@ def conduct_run(
             recorder = spawn_recorder(ring.path)
             guardian = Guardianship(ring, commands.guardian, rig, pace)
             loop = subprocess.Popen(
-                [*commands.loop, str(ring.path)],
+                [*commands.loop, str(ring.path), *([] if desk is None else [str(desk.fd)])],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
+                pass_fds=[] if desk is None else [desk.fd],
                 process_group=0,
             )
             ring.loop_pid = loop.pid
         signals.start_forwarding(loop)
         with raise_front_priority(mode):
-            _watch(ring, loop, recorder, guardian, progress)
+            _watch(ring, loop, recorder, guardian, progress, desk)
         ending = guardian.judge_ending(read_ending(loop))
         if not ring.loop_done:
             put_event_for_dead_loop(ring, make_outcome_event(ending))
@@ -140,6 +143,7 @@ def _watch(
     recorder: subprocess.Popen[bytes],
     guardian: Guardianship,
     progress: Progress,
+    desk: MarkDesk | None,
 ) -> None:
     """Return when the loop has ended; end it when the recorder has."""
     shown_s = 0.0
@@ -148,6 +152,8 @@ def _watch(
             if recorder.poll() is not None:
                 ring.raise_flag(RecorderFlag.FAILED)
             guardian.look(loop)
+            if desk is not None:
+                desk.look()
             now_s = time.monotonic()
             if now_s - shown_s >= _POLL_S and (tick := ring.latest_tick()) is not None:
                 shown_s = now_s

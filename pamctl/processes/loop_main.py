@@ -1,7 +1,7 @@
-"""The loop process: `python -m pamctl.processes.loop_main RING`, started by the front.
+"""The loop process: `python -m pamctl.processes.loop_main RING [FD]`, started by the front.
 
-All it needs is in the ring's meta. The end of its standard input is the front's death. Its
-standard output is one JSON line: how the run ended.
+All it needs is in the ring's meta; marks come from the slot for orders in `FD`. The end of its
+standard input is the front's death. Its standard output is one JSON line: how the run ended.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
+from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_cost import TickCost, rehearse_tick_s
@@ -108,9 +109,13 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
             journal,
             supervisor,
             parts.truth,
-            CuedHelm(setup, controller, program, journal),
+            CuedHelm(setup, controller, program, journal, _attach_orders()),
             opened=partial(free_foreign_threads, preparation),
         )
+
+
+def _attach_orders() -> Orders | None:
+    return Orders(int(sys.argv[2])) if len(sys.argv) > 2 else None
 
 
 def check_rate(settings: RunSettings, setup: TickSetup) -> list[dict[str, object]]:

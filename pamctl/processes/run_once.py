@@ -1,4 +1,4 @@
-"""A run from its settings to its figures: the front's work, which needs Linux."""
+"""A run from its settings to its figures: the front's work, which needs Linux but for `--fast`."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from hal.rig import Rig
 from pamctl.control.filters import warp_cutoff
 from pamctl.control.law_registry import describe_law, law_of
 from pamctl.exit_codes import Ending, ExitCode
+from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.naming import bare_name
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.backends import (
@@ -27,12 +28,15 @@ from pamctl.processes.backends import (
     require_backend,
 )
 from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
+from pamctl.processes.mark_desk import MarkDesk, open_mark_desk
+from pamctl.processes.run_here import run_here
 from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.tick import first_state
 from pamctl.recording.log_path import choose_log_path
 from pamctl.recording.orphans import finish_orphans
 from pamctl.recording.ring import Ring
 from pamctl.report.progress_line import ProgressLine
+from pamctl.runs.index_finished import index_quietly
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import (
     RunSettings,
@@ -69,24 +73,34 @@ def run_once(
     live_view: LiveView,
     *,
     quiet: bool,
+    said: Annotation = NOTHING_SAID,
+    records: Mapping[str, Mapping[str, str]] | None = None,
 ) -> FinishedRun:
     """Run once; `names` are those of the configuration files, by section.
+
+    What is `said` of the run goes into its log, and so do further metadata `records` by name.
 
     Raises `LogPathError`, and `RigError` or `RingError` where the device cannot be had.
     """
     # Wrong input is found before the valve is touched.
     require_backend(settings)
     path = choose_log_path(log, names["controller"], names["experiment"])
+    meta = annotate_meta(make_run_meta(settings, names, path), said, records)
+    if settings.fast and sys.platform != "linux":
+        ending = run_here(meta, settings, lambda tick: progress(tick, 0.0))
+        progress.end_line()
+        return _conclude_run(settings, names, path, FrontReport(ending, True, ""))
     with secure_device(settings) as rig:
         finish_orphans(SHARED_MEMORY, quiet=quiet)
-        meta = make_run_meta(settings, names, path)
         with (
             Ring.create(new_ring_path(), meta, settings.rig.loop.ring_rows) as ring,
             live_view("--ring", str(ring.path)),
+            # Without a clock there is no moment to mark.
+            open_mark_desk(path, wanted=not settings.fast) as desk,
         ):
-            report = _conduct_run(ring, rig, progress, settings)
+            report = _conduct_run(ring, rig, progress, settings, desk)
     progress.end_line()
-    return _conclude_run(settings, names, path, report)
+    return _conclude_run(settings, names, path, report, is_usual_place=log is None)
 
 
 @contextmanager
@@ -108,7 +122,7 @@ def secure_device(settings: RunSettings) -> Iterator[Rig]:
 
 
 def _conduct_run(
-    ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettings
+    ring: Ring, rig: Rig, progress: ProgressLine, settings: RunSettings, desk: MarkDesk | None
 ) -> FrontReport:
     start = [sys.executable, "-m"]
     guardian = None if settings.fast else [*start, "pamctl.processes.guardian_main"]
@@ -116,7 +130,7 @@ def _conduct_run(
     try:
         # Without a clock no valve depends on the front: it needs no priority.
         mode = "off" if settings.fast else settings.rt
-        return conduct_run(ring, commands, rig, progress, mode, settings.rig.loop)
+        return conduct_run(ring, commands, rig, progress, mode, settings.rig.loop, desk)
     except BaseException:
         if not ring.head:
             ring.unlink()
@@ -163,7 +177,12 @@ def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -
 
 
 def _conclude_run(
-    settings: RunSettings, names: dict[str, str], path: Path, report: FrontReport
+    settings: RunSettings,
+    names: dict[str, str],
+    path: Path,
+    report: FrontReport,
+    *,
+    is_usual_place: bool,
 ) -> FinishedRun:
     ending = report.ending
     document: dict[str, Any] = {
@@ -184,6 +203,7 @@ def _conclude_run(
             path.unlink()  # nothing happened: leave nothing behind
         else:
             lines.append(f"log: {path}")
+            index_quietly(path, make_index=is_usual_place)
     code = int(ending.code or (ExitCode.OK if report.log_is_whole else ExitCode.CHECK_FAILED))
     reason = ending.reason if ending.code else ""
     return FinishedRun(code, reason, report.note, document, "\n".join(lines))

@@ -23,6 +23,13 @@ class CueJournal(Protocol):
         """Keep gains that apply from the next tick on."""
 
 
+class OrderSlot(Protocol):
+    """Where orders come from."""
+
+    def take(self) -> dict[str, Any] | None:
+        """Return the next order, or None."""
+
+
 class CuedHelm:
     """The helm of a single run: it does what the course has due, in the slack after a tick."""
 
@@ -32,8 +39,13 @@ class CuedHelm:
         controller: Mapping[str, Any],
         program: Program,
         journal: CueJournal,
+        orders: OrderSlot | None = None,
     ) -> None:
-        """Begin with the gains of `setup`; `controller` holds them as a file does."""
+        """Begin with the gains of `setup`; `controller` holds them as a file does.
+
+        Marks from outside come from `orders`.
+        """
+        self._orders = orders
         self._tuning = GainRamp(setup, read_controller(controller))
         self._controller = controller
         self._program = program
@@ -45,6 +57,9 @@ class CuedHelm:
 
     def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
         """Put the marks that are due, and change the gains from the next tick on."""
+        order = self._orders.take() if self._orders is not None else None
+        if order is not None:
+            put_mark(self._journal, timing, raw, order["text"])
         while (cue := self._program.take_cue(timing.t_s)) is not None:
             if cue.gains is None:
                 put_mark(self._journal, timing, raw, cue.mark)

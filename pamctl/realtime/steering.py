@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from hal.calibration import Zero
 from hal.rig import RawSample
@@ -17,7 +17,7 @@ from pamctl.control.course import make_valve_reference
 from pamctl.control.law import LawSettings
 from pamctl.control.law_registry import read_controller
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.realtime.cued_helm import put_mark, say_gain_change
+from pamctl.realtime.cued_helm import OrderSlot, put_mark, say_gain_change
 from pamctl.realtime.gain_ramp import GainRamp
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.realtime.program import Program
@@ -25,13 +25,6 @@ from pamctl.realtime.tick import TickSetup, TickState
 from pamctl.recording.ring import Ring
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.signals import Phase, Reference, Timing
-
-
-class OrderSlot(Protocol):
-    """Where orders come from."""
-
-    def take(self) -> dict[str, Any] | None:
-        """Return the next order, or None."""
 
 
 class _ComingRun(NamedTuple):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
-import resource
 
 STEP_BYTES = 4 << 20
 
@@ -48,6 +47,8 @@ class Reserve:
         os.ftruncate(self._fd, position)
 
     def _allocate(self, start: int, end: int) -> None:
+        import resource  # other systems have none, and reserve nothing
+
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
         if limit != resource.RLIM_INFINITY and end > limit:
             raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))

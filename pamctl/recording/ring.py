@@ -17,7 +17,6 @@ Rows and header are little-endian; times are nanoseconds of the monotonic clock.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import mmap
 import os
 import struct
@@ -452,10 +451,14 @@ class Ring:
 
     def hold(self) -> None:
         """Mark the ring as used by this process, until it closes the ring or dies."""
+        import fcntl  # a log is made from rows on other systems too
+
         fcntl.flock(self._fd, fcntl.LOCK_SH)
 
     def claim(self) -> bool:
         """Take the ring for this process alone; return False if another process holds it."""
+        import fcntl
+
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

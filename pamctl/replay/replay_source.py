@@ -100,10 +100,13 @@ class ReplaySource:
         return rezero_state(self.setup_at(tick), after_last, zero)
 
     def _find_ramp(self, change: GainChange) -> range:
-        """Return the ticks of a ramp, and the first tick with the final gains."""
+        """Return the ticks of a ramp, and the first tick with the final gains.
+
+        Rounding may end the ramp a tick later than the sum of its times says.
+        """
         times_s = self.log.t
         end = int(np.searchsorted(times_s, change.from_t_s + change.ramp_s))
-        return range(change.tick, min(end + 1, len(self)))
+        return range(change.tick, min(end + 2, len(self)))
 
     def setup_at(self, tick: int) -> TickSetup:
         """Return the setup of a tick; on a ramp it applies to this tick only."""

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from pydantic_core import ErrorDetails
 
 from hal.backend import hint_at_missing
+from pamctl.exit_codes import ExitCode
 from pamctl.settings.yaml12 import KeyPath
 
 JsonSchema = dict[str, Any]
@@ -49,6 +50,13 @@ class ConfigError(Exception):
         """Keep the problems; the message has one line each."""
         self.problems = tuple(problems)
         super().__init__("\n".join(map(str, self.problems)))
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """2 where only options are wrong, 78 where a file or a setting is."""
+        places = [problem.where for problem in self.problems]
+        options_only = all(at.startswith("--") and not at.startswith("--set") for at in places)
+        return ExitCode.USAGE if options_only else ExitCode.BAD_CONFIG
 
 
 @dataclass(frozen=True)

@@ -420,7 +420,7 @@ def test_a_changed_experiment_is_not_compared_with_table_iv(tmp_path: Path) -> N
 
 def test_a_log_is_named_after_the_whole_name_of_the_experiment(tmp_path: Path) -> None:
     pamctl("run", "--fast", "--experiment", "square-0.25", "--duration", "0.1", cwd=tmp_path)
-    (log,) = (tmp_path / "logs").iterdir()
+    (log,) = (tmp_path / "logs").glob("*.mcap")
     assert log.name.endswith("-qsmc-square-0.25.mcap")
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nptdms import TdmsFile
 from scipy.io import loadmat
 from support.made_up import log_run
 from typer.testing import CliRunner
@@ -66,7 +67,15 @@ def from_parquet(path: Path) -> dict[str, list[Any]]:
     return dict(table.to_pydict())
 
 
-FORMATS = {"csv": from_csv, "npz": from_npz, "mat": from_mat, "parquet": from_parquet}
+def from_tdms(path: Path) -> dict[str, list[Any]]:
+    channels = TdmsFile.read(path)["pamctl"].channels()
+    assert all(c.properties["unit_string"] == unit_of_column(c.name) for c in channels)
+    return {channel.name: channel[:].tolist() for channel in channels}
+
+
+FORMATS = {
+    "csv": from_csv, "npz": from_npz, "mat": from_mat, "parquet": from_parquet, "tdms": from_tdms,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("suffix", "read_back"), FORMATS.items(), ids=FORMATS)

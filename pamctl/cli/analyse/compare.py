@@ -8,12 +8,15 @@ from typing import Annotated
 import typer
 
 from pamctl.cli.options import JsonOption
-from pamctl.cli.output import PAGE_BEGIN, print_result
+from pamctl.cli.output import PAGE_BEGIN, print_json, print_result
 from pamctl.new_file import NewFileError, require_place, write_files
 
 
 def compare(
-    path: Annotated[Path, typer.Argument(metavar="LOG", help="Log that the models are held to")],
+    paths: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG...", help="Logs that the models are held to, one by one"),
+    ],
     plants: Annotated[
         list[str] | None,
         typer.Option(
@@ -32,23 +35,32 @@ def compare(
     as_json: JsonOption = False,
 ) -> None:
     """Drive models by the logged command, and compare them with the measurement."""
+    if plot is not None and len(paths) > 1:
+        raise typer.BadParameter("a page is of one log; leave out the others", param_hint="--plot")
     if plot is not None:
         require_place(plot, replaces=PAGE_BEGIN)
     from pamctl.compare.compare_plants import compare_plants
     from pamctl.compare.compare_text import format_comparison, make_comparison_document
     from pamctl.log import read
 
-    found = compare_plants(read(path), plants or [])
+    found = [(path, compare_plants(read(path), plants or [])) for path in paths]
+    if len(found) > 1:
+        if as_json:
+            print_json([{**make_comparison_document(*one), "plot": None} for one in found])
+        else:
+            typer.echo("\n\n".join(format_comparison(*one) for one in found))
+        return
+    ((path, models),) = found
     failure = None
     if plot is not None:
         from pamctl.compare.compare_page import draw_comparison_page
 
-        page = draw_comparison_page(path.name, found).html()
+        page = draw_comparison_page(path.name, models).html()
         try:
             write_files({plot: page}, replaces=PAGE_BEGIN)
         except NewFileError as error:
             failure = error
     saved = None if plot is None or failure else str(plot)
-    document = {**make_comparison_document(path, found), "plot": saved}
+    document = {**make_comparison_document(path, models), "plot": saved}
     end = f"\nplots: {saved}" if saved else ""
-    print_result(document, lambda: format_comparison(path, found) + end, failure, as_json=as_json)
+    print_result(document, lambda: format_comparison(path, models) + end, failure, as_json=as_json)

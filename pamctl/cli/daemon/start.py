@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
 from pamctl.cli.daemon.ask import ask, print_answer, read_section
-from pamctl.cli.options import NO_CHANGES, JsonOption, SocketOption, seconds_option
+from pamctl.cli.options import (
+    NO_CHANGES,
+    JsonOption,
+    NoteOption,
+    OperatorOption,
+    SampleOption,
+    SocketOption,
+    TagOption,
+    seconds_option,
+)
+from pamctl.log.annotate.annotation import make_annotation
 from pamctl.log.naming import file_safe_name
 
 
@@ -33,10 +44,20 @@ def start(
             show_default=NO_CHANGES,
         ),
     ] = None,
+    note: NoteOption = None,
+    operator: OperatorOption = None,
+    sample: SampleOption = None,
+    tags: TagOption = None,
     socket: SocketOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run an experiment; home first if the muscle is not homed."""
+    said = make_annotation(tags or (), note, operator, sample)
     data = read_section("experiment", experiment, overrides or ())
-    params = {"experiment": data, "name": file_safe_name(experiment), "duration_s": duration_s}
+    params: dict[str, object] = {
+        "experiment": data,
+        "name": file_safe_name(experiment),
+        "duration_s": duration_s,
+    }
+    params |= {**asdict(said), "tags": list(said.tags)}
     print_answer(ask(socket, "start", params), "log: {log}", as_json=as_json)

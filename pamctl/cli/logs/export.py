@@ -16,7 +16,7 @@ def export_log(
     source: Annotated[Path, typer.Argument(metavar="LOG", help="Log to export")],
     destination: Annotated[
         Path,
-        typer.Argument(metavar="OUT", help="New file: .csv, .mat, .npz or .parquet"),
+        typer.Argument(metavar="OUT", help="New file: .csv, .mat, .npz, .parquet or .tdms"),
     ],
     fields: Annotated[
         str | None,
@@ -48,7 +48,7 @@ def export_log(
     ] = 1,
     as_json: JsonOption = False,
 ) -> None:
-    """Write the ticks as .csv, .mat, .npz or .parquet; names carry the units, floats are exact."""
+    """Write the ticks for other tools; names carry the units, floats are exact."""
     from pamctl.log.export import export_ticks
 
     names = _parse_names(fields)

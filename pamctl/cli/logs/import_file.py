@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 def import_file(
     source: Annotated[
-        Path, typer.Argument(metavar="IN", help="Measurement as a CSV file or a MAT file")
+        Path,
+        typer.Argument(metavar="IN", help="Measurement: CSV or other text, MAT, TDMS, LVM, Excel"),
     ],
     destination: Annotated[Path, typer.Argument(metavar="OUT", help="New log")],
     map_path: Annotated[
@@ -46,9 +47,9 @@ def import_file(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Import a measurement: t_s, valve_v, pressure_pa, position_m, force_n, or other units.
+    """Import a measurement: time, valve command, pressure, position, force.
 
-    A name says quantity and unit: time_ms, pressure_gauge_kpa, position_mm.
+    A header says quantity and unit: position_mm, pressure_gauge_kpa, `Position [mm]`.
     Errors stop the import (65); warnings go into the log.
     """
     from pamctl.log.importing.pipeline import import_log

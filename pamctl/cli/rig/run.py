@@ -22,17 +22,22 @@ from pamctl.cli.options import (
     LiveOption,
     LiveOriginOption,
     LivePortOption,
+    NoteOption,
+    OperatorOption,
     PlantOption,
     RigOption,
     RtOption,
+    SampleOption,
     SeedOption,
     SetOption,
+    TagOption,
     choose_live_port,
     require_linux,
 )
 from pamctl.cli.output import print_json
 from pamctl.cli.settings_from_options import resolve_options
 from pamctl.exit_codes import ExitCode
+from pamctl.log.annotate.annotation import make_annotation
 from pamctl.settings.resolve import settings_to_json, settings_to_yaml
 
 
@@ -61,6 +66,10 @@ def run(
     seed: SeedOption = None,
     overrides: SetOption = None,
     rt: RtOption = None,
+    note: NoteOption = None,
+    operator: OperatorOption = None,
+    sample: SampleOption = None,
+    tags: TagOption = None,
     as_json: JsonOption = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the resolved configuration and stop")
@@ -71,6 +80,7 @@ def run(
     live_origins: LiveOriginOption = None,
 ) -> None:
     """Move the muscle, log every tick, and show how well it tracked."""
+    said = make_annotation(tags or (), note, operator, sample)
     settings, names = resolve_options(
         backend,
         rig,
@@ -91,7 +101,9 @@ def run(
     if live and settings.fast:
         raise typer.BadParameter("without a clock there is nothing live", param_hint="--live")
     port = choose_live_port(live, live_port, live_origins)
-    require_linux()
+    if not settings.fast:
+        require_linux()
+    from pamctl.control.experiment import plan_experiment
     from pamctl.live.live_view import require_foxglove, serve_live_view
     from pamctl.processes.run_once import run_once
     from pamctl.report.progress_line import ProgressLine
@@ -99,7 +111,10 @@ def run(
     if live:
         require_foxglove()
     view = partial(serve_live_view, port, live_origins or ())
-    done = run_once(settings, names, log, ProgressLine(quiet=quiet or as_json), view, quiet=quiet)
+    length_s = plan_experiment(settings.experiment).duration_s
+    length_s = min(length_s, settings.duration_s or length_s)
+    progress = ProgressLine(quiet=quiet or as_json, length_s=length_s)
+    done = run_once(settings, names, log, progress, view, quiet=quiet, said=said)
     if done.note:
         print(f"warning: {done.note}", file=sys.stderr)
     if as_json:

@@ -20,14 +20,14 @@ from pamctl.control.references.forms import (
 )
 
 
-class MuscleSine(SineForm):
+class MuscleSineSettings(SineForm):
     """A sine: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["sine"]
 
 
-class ValveSine(SineForm):
+class ValveSineSettings(SineForm):
     """A sine: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -36,14 +36,14 @@ class ValveSine(SineForm):
     kind: Literal["valve_sine"]
 
 
-class MuscleMultisine(MultisineForm):
+class MuscleMultisineSettings(MultisineForm):
     """Many tones at once: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["multisine"]
 
 
-class ValveMultisine(MultisineForm):
+class ValveMultisineSettings(MultisineForm):
     """Many tones at once: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -52,14 +52,14 @@ class ValveMultisine(MultisineForm):
     kind: Literal["valve_multisine"]
 
 
-class MuscleChirp(ChirpForm):
+class MuscleChirpSettings(ChirpForm):
     """A tone of changing frequency: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["chirp"]
 
 
-class ValveChirp(ChirpForm):
+class ValveChirpSettings(ChirpForm):
     """A tone of changing frequency: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -68,14 +68,14 @@ class ValveChirp(ChirpForm):
     kind: Literal["valve_chirp"]
 
 
-class MuscleRandom(RandomForm):
+class MuscleRandomSettings(RandomForm):
     """Random motion within a band: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["random"]
 
 
-class ValveRandom(RandomForm):
+class ValveRandomSettings(RandomForm):
     """Random motion within a band: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -84,14 +84,14 @@ class ValveRandom(RandomForm):
     kind: Literal["valve_random"]
 
 
-class MuscleRoundedSquare(RoundedSquareForm):
+class MuscleRoundedSquareSettings(RoundedSquareForm):
     """A square wave with rounded transitions: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["rounded_square"]
 
 
-class ValveRoundedSquare(RoundedSquareForm):
+class ValveRoundedSquareSettings(RoundedSquareForm):
     """A square wave with rounded transitions: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -100,14 +100,14 @@ class ValveRoundedSquare(RoundedSquareForm):
     kind: Literal["valve_rounded_square"]
 
 
-class MuscleTriangle(TriangleForm):
+class MuscleTriangleSettings(TriangleForm):
     """A triangle wave with rounded corners: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["triangle"]
 
 
-class ValveTriangle(TriangleForm):
+class ValveTriangleSettings(TriangleForm):
     """A triangle wave with rounded corners: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -116,14 +116,14 @@ class ValveTriangle(TriangleForm):
     kind: Literal["valve_triangle"]
 
 
-class MuscleRamps(RampsForm):
+class MuscleRampsSettings(RampsForm):
     """Ramps from level to level: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["ramps"]
 
 
-class ValveRamps(RampsForm):
+class ValveRampsSettings(RampsForm):
     """Ramps from level to level: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -132,14 +132,14 @@ class ValveRamps(RampsForm):
     kind: Literal["valve_ramps"]
 
 
-class MuscleStaircase(StaircaseForm):
+class MuscleStaircaseSettings(StaircaseForm):
     """Smooth steps from level to level: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["staircase"]
 
 
-class ValveStaircase(StaircaseForm):
+class ValveStaircaseSettings(StaircaseForm):
     """Smooth steps from level to level: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -148,14 +148,14 @@ class ValveStaircase(StaircaseForm):
     kind: Literal["valve_staircase"]
 
 
-class MuscleTable(TableForm):
+class MuscleTableSettings(TableForm):
     """Points of a CSV or MAT file, joined smoothly: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["table"]
 
 
-class ValveTable(TableForm):
+class ValveTableSettings(TableForm):
     """Points of a CSV or MAT file, joined smoothly: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -164,14 +164,14 @@ class ValveTable(TableForm):
     kind: Literal["valve_table"]
 
 
-class MuscleMove(MoveForm):
+class MuscleMoveSettings(MoveForm):
     """From rest to rest, within a sequence: of the muscle, in closed loop."""
 
     model_config = IN_MM
     kind: Literal["move"]
 
 
-class ValveMove(MoveForm):
+class ValveMoveSettings(MoveForm):
     """From rest to rest, within a sequence: of the valve, in open loop."""
 
     model_config = IN_VOLTS
@@ -181,23 +181,23 @@ class ValveMove(MoveForm):
 
 
 StandingForm = (
-    MuscleSine
-    | ValveSine
-    | MuscleMultisine
-    | ValveMultisine
-    | MuscleChirp
-    | ValveChirp
-    | MuscleRandom
-    | ValveRandom
-    | MuscleRoundedSquare
-    | ValveRoundedSquare
-    | MuscleTriangle
-    | ValveTriangle
-    | MuscleRamps
-    | ValveRamps
-    | MuscleStaircase
-    | ValveStaircase
-    | MuscleTable
-    | ValveTable
+    MuscleSineSettings
+    | ValveSineSettings
+    | MuscleMultisineSettings
+    | ValveMultisineSettings
+    | MuscleChirpSettings
+    | ValveChirpSettings
+    | MuscleRandomSettings
+    | ValveRandomSettings
+    | MuscleRoundedSquareSettings
+    | ValveRoundedSquareSettings
+    | MuscleTriangleSettings
+    | ValveTriangleSettings
+    | MuscleRampsSettings
+    | ValveRampsSettings
+    | MuscleStaircaseSettings
+    | ValveStaircaseSettings
+    | MuscleTableSettings
+    | ValveTableSettings
 )
 """The forms that make an experiment alone."""

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from hal.configured import Configured
 from pamctl.control.course import Plan
 from pamctl.control.references.forms import Count, Form, Seconds
-from pamctl.control.references.kinds import MuscleMove, StandingForm, ValveMove
+from pamctl.control.references.kinds import MuscleMoveSettings, StandingForm, ValveMoveSettings
 from pamctl.control.references.sketch import Sketch
 
 
@@ -48,7 +48,13 @@ class RepeatPart(Configured):
 
 
 Part = Annotated[
-    StandingForm | MuscleMove | ValveMove | PausePart | MarkPart | GainsPart | RepeatPart,
+    StandingForm
+    | MuscleMoveSettings
+    | ValveMoveSettings
+    | PausePart
+    | MarkPart
+    | GainsPart
+    | RepeatPart,
     Field(discriminator="kind"),
 ]
 

@@ -1,6 +1,7 @@
-"""Import measurements of other systems (CSV, MAT): each column is converted to SI.
+"""Import measurements of other systems: each column is converted to SI.
 
-    csv_table, mat_table -> quantities, column_map -> judge -> resample -> imported_log
+    csv_table, mat_table, lab_files -> headers, column_map
+    -> plausibility -> resample -> imported_log
 
 Read `pipeline.py` first.
 """

@@ -10,10 +10,6 @@ The label of a Simulink signal serves as its name if it states a quantity and a 
 
 from __future__ import annotations
 
-import os
-import pickle
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.io.matlab import MatlabOpaque
 
 from pamctl.log.importing.measured_table import Floats, ImportRefused, MeasuredTable
+from pamctl.log.importing.parse_apart import parse_apart
 
 _SIMULINK_TIME = "time_s"
 """Simulink's own time (`tout`, and the time of its structures) is in seconds."""
@@ -35,31 +32,8 @@ class _Column(NamedTuple):
 
 
 def read_mat(path: Path) -> MeasuredTable:
-    """Read a file of version 4, 6 or 7; raise ImportRefused with the fix if that is impossible.
-
-    A process of its own parses the file. A damaged file may crash scipy's parser.
-    """
-    command = [sys.executable, "-m", "pamctl.log.importing.mat_table", os.fspath(path)]
-    parser = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
-    if parser.returncode:
-        raise ImportRefused(
-            f"{path} is a damaged MAT file: its parser crashed (code {parser.returncode}); "
-            "save the file again"
-        )
-    outcome = pickle.loads(parser.stdout)
-    if isinstance(outcome, str):
-        raise ImportRefused(outcome)
-    table: MeasuredTable = outcome
-    return table
-
-
-def main() -> None:
-    """Parse the file that is named by the argument; write the table or the refusal to stdout."""
-    try:
-        outcome: MeasuredTable | str = parse_mat(Path(sys.argv[1]))
-    except ImportRefused as refusal:
-        outcome = str(refusal)
-    sys.stdout.buffer.write(pickle.dumps(outcome))
+    """Read a file in a process of its own; raise ImportRefused with the fix if it cannot be."""
+    return parse_apart(path)
 
 
 def parse_mat(path: Path) -> MeasuredTable:
@@ -69,9 +43,8 @@ def parse_mat(path: Path) -> MeasuredTable:
     try:
         with path.open("rb") as file:  # given a path, loadmat hides why it cannot open the file
             content = loadmat(file, struct_as_record=True, squeeze_me=False)
-    except NotImplementedError:
-        detail = "is a MAT file of version 7.3; save it again with save(name, ..., '-v7')"
-        raise ImportRefused(f"{path} {detail}") from None
+    except NotImplementedError:  # version 7.3: an HDF5 file
+        content = _read_version_7_3(path)
     except OSError as error:
         raise ImportRefused(f"cannot read {path}: {error.strerror or error}") from error
     # A parser may raise anything for a file that is not a MAT file.
@@ -93,6 +66,16 @@ def parse_mat(path: Path) -> MeasuredTable:
         np.arange(1, longest + 1),
         {column.name: column.called for column in columns if column.called},
     )
+
+
+def _read_version_7_3(path: Path) -> dict[str, Any]:
+    try:
+        from pamctl.log.importing.lab_files.mat73_content import load_mat73
+    except ModuleNotFoundError:
+        detail = "is a MAT file of version 7.3: install h5py with pip install '.[labfiles]'"
+        way_out = "save it again with save(name, ..., '-v7')"
+        raise ImportRefused(f"{path} {detail}, or {way_out}") from None
+    return load_mat73(path)
 
 
 def _read_columns(name: str, value: Any) -> Iterator[_Column]:
@@ -158,7 +141,3 @@ def _flatten_values(value: Any) -> Floats:
 def _read_label(signal: Any) -> str:
     label = signal["label"] if "label" in signal.dtype.names else ""
     return str(np.asarray(label).reshape(-1)[0]) if np.size(label) else ""
-
-
-if __name__ == "__main__":
-    main()

@@ -28,6 +28,10 @@ class MeasuredTable:
     """Number of each row in the file: the line of a CSV file, the index from 1 in a MAT file."""
     called: Mapping[str, str] = field(default_factory=dict)
     """The labels of Simulink signals, by column."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Units that the file states apart from the names, by column."""
+    notes: tuple[str, ...] = ()
+    """What the user must know of the file, such as that its end is missing."""
 
     def __getitem__(self, name: str) -> Floats:
         """Return a column; raise ImportRefused with the existing names if there is none."""

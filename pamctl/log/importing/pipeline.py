@@ -14,16 +14,24 @@ from pamctl.json_text import to_json
 from pamctl.log.check.log_problems import LogFinding, LogFindings, Severity
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.log.importing.csv_table import read_csv
+from pamctl.log.importing.headers import match_headers
 from pamctl.log.importing.imported_log import nominal_period_s, write_imported
 from pamctl.log.importing.measured_table import ImportRefused, MeasuredTable
+from pamctl.log.importing.parse_apart import PARSERS, parse_apart
 from pamctl.log.importing.plausibility import judge_sign, judge_time, judge_values
-from pamctl.log.importing.quantities import TIME, ColumnReading, parse_column_name
+from pamctl.log.importing.quantities import TIME, ColumnReading
 from pamctl.log.importing.resample import resample_columns
 from pamctl.new_file import require_place
 from pamctl.regular_file import describe_irregular_file
 
 Floats = NDArray[np.float64]
 
+_CLOSED = {
+    ".xls": "the old format of Excel; save it as .xlsx or CSV",
+    ".ods": "save the sheet as .xlsx or CSV",
+    ".slx": "a model, not a measurement; save what it logged as a MAT file",
+}
+"""Formats that are often tried, with what to do."""
 MOST_TICKS = 50_000_000
 """Half a day at 1 kHz: protects against a mistyped rate."""
 
@@ -51,7 +59,7 @@ def import_log(
     resample_hz: float | None = None,
     accept_units: bool = False,
 ) -> ImportSummary:
-    """Make a log from a CSV or MAT file, unless `findings` has an error.
+    """Make a log from a measured file, unless `findings` has an error.
 
     `accept_units` turns errors about implausible units into warnings. Raise ImportRefused if the
     file cannot be read or its columns cannot be identified, NewFileError if the log cannot be
@@ -61,7 +69,9 @@ def import_log(
     require_place(destination)
     table = _read_table(source)
     findings = LogFindings()
-    readings = import_map.readings() if import_map else _match_names(table, findings)
+    for note in table.notes:
+        findings.warning("incomplete", note)
+    readings = import_map.readings() if import_map else match_headers(table, findings)
     quantities = _convert_to_si(table, readings)
     t_s = quantities.pop(TIME, None)
     if t_s is None:
@@ -98,49 +108,12 @@ def import_log(
 def _read_table(source: Path) -> MeasuredTable:
     if something := describe_irregular_file(source):
         raise ImportRefused(f"cannot read {source}: it is {something}")
-    if source.suffix.lower() != ".mat":
-        return read_csv(source)
-    # SciPy is slow to load, and a CSV file does not need it.
-    from pamctl.log.importing.mat_table import read_mat
-
-    return read_mat(source)
-
-
-def _match_names(table: MeasuredTable, findings: LogFindings) -> list[ColumnReading]:
-    """Return the columns whose names state quantity and unit."""
-    found: dict[str, ColumnReading] = {}
-    ignored = []
-    for column in table.columns:
-        reading = parse_column_name(column) or parse_column_name(
-            column, table.called.get(column, "")
-        )
-        if reading is None:
-            ignored.append(column)
-        elif reading.quantity not in found:
-            found[reading.quantity] = reading
-        elif reading.quantity != TIME or not _is_same_time(table, found[TIME], reading):
-            both = f"{found[reading.quantity].column} and {column}"
-            raise ImportRefused(f"both {both} give {reading.quantity}; choose one with --map")
-    if TIME not in found:
-        listed = ", ".join(list(table.columns)[:20])
-        if all(name.isdigit() for name in table.columns):
-            raise ImportRefused(
-                f"there is no line of names above the numbers: the columns are called {listed}; "
-                "say what they hold with --map, such as `time: {column: 1, unit: ms}`"
-            )
-        detail = "no column is called t_s, time_s, time_ms or the like, with the unit in its name"
-        raise ImportRefused(f"{detail}; there are {listed}; name the time column with --map")
-    if ignored:
-        findings.note(
-            "ignored",
-            f"left out, no known quantity and unit in the name: {', '.join(ignored[:20])}",
-        )
-    return list(found.values())
-
-
-def _is_same_time(table: MeasuredTable, one: ColumnReading, other: ColumnReading) -> bool:
-    first, second = table[one.column], table[other.column]
-    return len(first) == len(second) and bool((one.to_si(first) == other.to_si(second)).all())
+    ending = source.suffix.lower()
+    if ending in _CLOSED:
+        raise ImportRefused(f"cannot read {source}: {_CLOSED[ending]}")
+    if ending in PARSERS:
+        return parse_apart(source)
+    return read_csv(source)
 
 
 def _convert_to_si(table: MeasuredTable, readings: Sequence[ColumnReading]) -> dict[str, Floats]:
@@ -222,10 +195,15 @@ def _describe_import(
     """Return the metadata record `import`: the source, and how the log was made from it."""
     return {
         "source": source.name,
-        "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+        "sha256": _hash_file(source),
         "rows": str(len(table.rows)),
         "first_t_s": repr(first_t_s),
         "map": to_json([asdict(reading) for reading in readings]).decode(),
         "resampled_hz": "" if resample_hz is None else repr(resample_hz),
         "report": to_json([finding._asdict() for finding in findings.summarise()]).decode(),
     }
+
+
+def _hash_file(source: Path) -> str:
+    with source.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hal.calibration import CalibrationSettings
+from pamctl.units import find_units
 
 if TYPE_CHECKING:  # settings import the map, and the loop process must not load numpy
     import numpy as np
@@ -18,20 +19,8 @@ if TYPE_CHECKING:  # settings import the map, and the loop process must not load
 ATMOSPHERIC_PRESSURE_PA = CalibrationSettings().atmospheric_pressure_pa
 
 TIME = "t_s"
-UNITS: Mapping[str, Mapping[str, float]] = {
-    TIME: {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "valve_v": {"V": 1.0, "mV": 1e-3},
-    "pressure_pa": {
-        "Pa": 1.0,
-        "kPa": 1e3,
-        "MPa": 1e6,
-        "bar": 1e5,
-        "mbar": 1e2,
-        "psi": 6894.757293168,
-    },
-    "position_m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 25.4e-3},
-    "force_n": {"N": 1.0, "kN": 1e3},
-}
+QUANTITIES = (TIME, "valve_v", "pressure_pa", "position_m", "force_n")
+UNITS: Mapping[str, Mapping[str, float]] = {name: find_units(name) for name in QUANTITIES}
 """SI value of each unit of a quantity."""
 
 _WORDS = {

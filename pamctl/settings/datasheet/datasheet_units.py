@@ -10,24 +10,9 @@ import re
 from collections.abc import Mapping
 
 from pamctl.exit_codes import ExitCode
-from pamctl.log.importing.quantities import UNITS
+from pamctl.units import find_units
 
-_LENGTHS, _PRESSURES = UNITS["position_m"], UNITS["pressure_pa"]
-_UNITS_OF_SUFFIX: Mapping[str, Mapping[str, float]] = {
-    "_n_s_per_m": {"N s/m": 1.0, "N s/mm": 1e3, "kN s/m": 1e3, "N s/cm": 1e2},
-    "_n_per_m": {"N/m": 1.0, "N/mm": 1e3, "N/cm": 1e2, "kN/m": 1e3},
-    "_j_per_kg_k": {"J/(kg K)": 1.0},
-    "_m2_per_v": {"m2/V": 1.0, "mm2/V": 1e-6},
-    "_per_m": {"1/m": 1.0, "1/mm": 1e3},
-    "_kg": {"kg": 1.0, "g": 1e-3, "lb": 0.45359237, "t": 1e3},
-    "_m3": {"m3": 1.0, "l": 1e-3, "dm3": 1e-3, "ml": 1e-6, "cm3": 1e-6, "mm3": 1e-9},
-    "_m2": {"m2": 1.0, "cm2": 1e-4, "mm2": 1e-6},
-    "_pa": _PRESSURES,
-    "_k": {"K": 1.0},
-    "_m": _LENGTHS,
-    "_n": {"N": 1.0, "kN": 1e3},
-}
-"""SI value of each unit; the first one that ends a name counts."""
+_LENGTHS = find_units("length_m")
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _DEGREES = ("deg", "degree", "degrees", "\N{DEGREE SIGN}")
 
@@ -42,11 +27,6 @@ class DatasheetError(Exception):
     """A number cannot be read, or cannot be right. The message says what would do."""
 
     exit_code = ExitCode.USAGE
-
-
-def find_units(name: str) -> Mapping[str, float]:
-    """Return the units of a setting with their SI values; empty for a plain number."""
-    return next((units for end, units in _UNITS_OF_SUFFIX.items() if name.endswith(end)), {})
 
 
 def list_units(name: str) -> str:

@@ -1,0 +1,272 @@
+"""A Gymnasium environment: learn to move the simulated muscle along a reference.
+
+    env = pamctl.gym.MuscleEnv("paper", pamctl.Sine(offset_mm=12, amplitude_mm=3, frequency_hz=1))
+    observation, info = env.reset(seed=1)
+    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+
+`gymnasium.make("pamctl/Muscle-v0", plant="paper")` makes the same one. The plant, its converters
+and its noise are those of the simulated rig, compiled. There is no homing: the zeros are known.
+Needs the package gymnasium: `pip install 'pamctl[gym]'`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.calibration import Zero, output_v, position_m, pressure_pa, valve_v
+from hal.converter import quantise_v
+from hal.sim.sim_rig import SensorChain, SimSettings, sensed_counts, sensed_pressure_v, sensor_chain
+from pamctl.compiled import compile_kernel
+from pamctl.control.course import Course
+from pamctl.control.experiment import ExperimentSettings, plan_experiment
+from pamctl.exit_codes import ExitCode
+from pamctl.plant.delayed_command import advance_delayed_plant
+from pamctl.plant.model import plant_parameters
+from pamctl.plant.parameters import PlantParameters, PlantState, vented_state
+from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
+from pamctl.plant.simulated import LONGEST_STEP_S
+from pamctl.plant.step import advance_plant
+from pamctl.session.experiment_form import ExperimentForm
+from pamctl.session.muscle_motions import Random
+from pamctl.session.pamctl_error import PamctlError, require_package, translate_errors
+from pamctl.session.simulated_rig import AskedSection, resolve_session
+from pamctl.signals import Reference
+
+if TYPE_CHECKING:
+    import gymnasium
+
+    from pamctl.plant.model import PlantSettings
+else:
+    gymnasium = require_package("gymnasium", "gym")
+
+Observation = NDArray[np.float32]
+
+OBSERVED = (
+    "position_mm",
+    "pressure_kpa",
+    "reference_mm",
+    "reference_velocity_mm_per_s",
+    "reference_next_mm",
+    "valve_v",
+)
+"""The observation: two sensor readings (absolute pressure), three numbers of the reference, the
+last now and at the next step, and the last valve command."""
+_HIGHEST = np.array([1e3, 1e4, 1e3, 1e5, 1e3, 10.0], dtype=np.float32)
+FULL_V = 5.0
+"""The valve command of an action of 1; positive fills."""
+TRIP_REWARD = -100.0
+MM, KPA = 1e3, 1e-3
+
+
+class MuscleEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """The muscle follows a reference; the reward of a step is minus the error's size in mm.
+
+    The action is the valve command over 5 V, shape (1,), held for `step_s`. The episode is
+    truncated at the end of the reference, and terminated beyond the rig's limits of stroke or
+    pressure, with a reward of -100 more. `info` holds `error_m` and `t_s`.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012  (the name and form that gymnasium demands)
+
+    def __init__(
+        self,
+        plant: AskedSection | PlantSettings = "paper",
+        reference: ExperimentForm | None = None,
+        *,
+        step_s: float = 0.01,
+        duration_s: float = 10.0,
+        overrides: tuple[str, ...] = (),
+        render_mode: str | None = None,
+    ) -> None:
+        """`plant` and `overrides` are those of `pamctl.simulate`.
+
+        Without a `reference`, each episode draws another random motion of `duration_s` up to 1 Hz.
+        `step_s` is a whole number of the loop's periods. Raises `PamctlError`.
+        """
+        with translate_errors():
+            settings, _ = resolve_session(plant, "qsmc", "sim", 0, overrides)
+        rig = settings.rig
+        self._period_s = 1.0 / rig.loop.rate_hz
+        self._ticks = round(step_s / self._period_s)
+        if self._ticks < 1 or not math.isclose(self._ticks * self._period_s, step_s):
+            fix = f"give a multiple of the period of {self._period_s:g} s"
+            raise PamctlError(f"step_s {step_s:g} is no number of ticks; {fix}", ExitCode.USAGE)
+        self.render_mode = render_mode
+        self._plant = plant_parameters(settings.plant)
+        assert isinstance(rig.device_settings, SimSettings)
+        self._chain = sensor_chain(rig.device_settings, rig.calibration)
+        zero = self._chain.zero
+        self._homed = zero._replace(encoder_zero_counts=float(math.floor(zero.encoder_zero_counts)))
+        self._stroke_m = (rig.limits.stroke_low_mm / MM, rig.limits.stroke_high_mm / MM)
+        self._limit_pa = rig.limits.pressure_pa
+        self._reference, self._duration_s = reference, duration_s
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.observation_space = gymnasium.spaces.Box(-_HIGHEST, _HIGHEST, dtype=np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin with the vented muscle at rest; `seed` is of the noise and the drawn reference."""
+        super().reset(seed=seed)
+        self._course = _plan_course(self._reference or self._draw_reference())
+        self._muscle = vented_state(self._plant)
+        self._step, self._arrived, self._valve_v = 0, 0, 0.0
+        self._written_s, self._written_v = np.zeros(0), np.zeros(0)
+        self._write()
+        self._advance(0)
+        self._now = _require_reference(self._course.at(0.0))
+        self._next = self._course.at(self._step_s)
+        return self._observe()
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Hold the valve command for a step; return what is measured at its end."""
+        asked_v = FULL_V * min(1.0, max(-1.0, float(np.asarray(action).reshape(-1)[0])))
+        self._valve_v = self._output(asked_v)
+        self._write()
+        self._advance(self._ticks)
+        self._step += 1
+        ahead = self._next
+        if ahead is not None:
+            self._now, self._next = ahead, self._course.at((self._step + 1) * self._step_s)
+        observation, info = self._observe()
+        low_m, high_m = self._stroke_m
+        is_inside = low_m <= self._read_m <= high_m and self._read_pa <= self._limit_pa
+        reward = -abs(info["error_m"]) * MM + (0.0 if is_inside else TRIP_REWARD)
+        return observation, reward, not is_inside, is_inside and self._next is None, info
+
+    @property
+    def _step_s(self) -> float:
+        return self._ticks * self._period_s
+
+    def _draw_reference(self) -> ExperimentForm:
+        seed = int(self.np_random.integers(1 << 31))
+        return Random(
+            offset_mm=11.8, amplitude_mm=5.0, high_hz=1.0, duration_s=self._duration_s, seed=seed
+        )
+
+    def _write(self) -> None:
+        """Keep the commands that have not reached the valve yet: only a delay needs them."""
+        if self._step >= len(self._written_s):
+            more = np.zeros(max(1024, len(self._written_s)))
+            self._written_s = np.concatenate([self._written_s, more])
+            self._written_v = np.concatenate([self._written_v, more])
+        self._written_s[self._step] = self._step * self._step_s
+        self._written_v[self._step] = self._valve_v
+
+    def _output(self, asked_v: float) -> float:
+        """Return the valve command that the output's converter realises."""
+        chain = self._chain
+        volts = quantise_v(chain.output_converter, output_v(chain.calibration, asked_v))
+        return valve_v(chain.calibration, volts)
+
+    def _observe(self) -> tuple[Observation, dict[str, Any]]:
+        now = self._now
+        ahead_m = now.reference_m if self._next is None else self._next.reference_m
+        observation = np.array(
+            [
+                self._read_m * MM,
+                self._read_pa * KPA,
+                now.reference_m * MM,
+                now.reference_velocity_m_per_s * MM,
+                ahead_m * MM,
+                self._valve_v,
+            ],
+            dtype=np.float32,
+        )
+        info = {"error_m": self._read_m - now.reference_m, "t_s": self._step * self._step_s}
+        return np.clip(observation, -_HIGHEST, _HIGHEST), info
+
+    def _advance(self, ticks: int) -> None:
+        """Advance the muscle under the present command, and measure it as the homed rig does."""
+        self._muscle, self._arrived, self._read_m, self._read_pa = _compile_step()(
+            self._plant,
+            self._muscle,
+            self._chain,
+            self._homed,
+            self._written_s,
+            self._written_v,
+            self._step + 1,
+            self._arrived,
+            self._step * self._step_s,
+            self._period_s,
+            ticks,
+            float(self.np_random.standard_normal()),
+        )
+
+
+@cache
+def _compile_step() -> Callable[..., tuple[PlantState, int, float, float]]:
+    return compile_kernel(advance_and_measure)
+
+
+def advance_and_measure(
+    plant: PlantParameters,
+    muscle: PlantState,
+    chain: SensorChain,
+    homed: Zero,
+    written_s: NDArray[np.float64],
+    written_v: NDArray[np.float64],
+    count: int,
+    arrived: int,
+    now_s: float,
+    period_s: float,
+    ticks: int,
+    noise: float,
+) -> tuple[PlantState, int, float, float]:
+    """Kernel: advance by some ticks under the last of `count` written commands (V), and measure.
+
+    Returns the muscle, the command that acts, position (m) and absolute pressure (Pa).
+    """
+    is_late = plant.effects.timing.command_delay.delay_s > 0.0
+    for tick in range(ticks):
+        if is_late:
+            muscle, arrived = advance_delayed_plant(
+                plant,
+                muscle,
+                written_s,
+                written_v,
+                count,
+                arrived,
+                now_s + tick * period_s,
+                period_s,
+                LONGEST_STEP_S,
+            )
+        else:
+            muscle = advance_plant(plant, muscle, written_v[count - 1], period_s, LONGEST_STEP_S)
+    shown_m = sensed_position_m(plant, muscle.position_m, muscle.sensors, muscle.age_s)
+    shown_pa = sensed_pressure_pa(
+        plant, muscle.pressure_pa, muscle.air, muscle.sensors, muscle.age_s
+    )
+    return (
+        muscle,
+        arrived,
+        position_m(chain.calibration, homed, sensed_counts(chain, shown_m)),
+        pressure_pa(chain.calibration, homed, sensed_pressure_v(chain, shown_pa, noise)),
+    )
+
+
+def _plan_course(reference: ExperimentForm) -> Course:
+    from pydantic import TypeAdapter
+
+    adapter: TypeAdapter[Any] = TypeAdapter(ExperimentSettings)
+    plan = plan_experiment(adapter.validate_python(reference.to_data()))
+    return Course(plan.segments, None, plan.cues)
+
+
+def _require_reference(reference: Reference | None) -> Reference:
+    """Refuse an experiment of the valve: there is nothing to follow."""
+    if reference is None or math.isnan(reference.reference_m):
+        fix = "give a motion of the muscle, such as pamctl.Sine"
+        raise PamctlError(f"this reference moves the valve; {fix}", ExitCode.USAGE)
+    return reference
+
+
+gymnasium.register("pamctl/Muscle-v0", entry_point="pamctl.gym:MuscleEnv")

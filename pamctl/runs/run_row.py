@@ -1,0 +1,216 @@
+"""One row of the index: what a log says of its run, and how well the run tracked."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pamctl.exit_codes import ExitCode
+from pamctl.log.annotate.annotation import ANNOTATION, SWEEP, Annotation
+from pamctl.log.contents import Contents
+from pamctl.log.framing import LogError
+from pamctl.log.naming import bare_name
+from pamctl.log.reader import scan_log
+from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
+from pamctl.log.ticks import TickColumns
+from pamctl.plain_text import clean_text
+from pamctl.safety import explain_verdicts
+from pamctl.simulate.merit import compute_merit
+
+ENDINGS = {
+    ExitCode.OK: "ok",
+    ExitCode.SAFETY_TRIP: "trip",
+    ExitCode.OVERRUNS: "overruns",
+    ExitCode.SIGINT: "stopped",
+    ExitCode.SIGTERM: "stopped",
+}
+"""The ending of a run in one word; every other code is `failed`."""
+UNFINISHED, UNREADABLE, IMPORTED, FAILED = "unfinished", "unreadable", "imported", "failed"
+ENDING_WORDS = tuple(dict.fromkeys([*ENDINGS.values(), FAILED, UNFINISHED, IMPORTED, UNREADABLE]))
+
+_FIELDS = ("t_s", "phase", "position_m", "reference_m", "missed", "verdicts")
+_STAMP = re.compile(r"^(\d{8}-\d{6})")
+_OWN_CLOCK_S = 86400.0 * 365
+"""A start before 1971 is that of a run without a clock."""
+_MOST_MARKS = 200
+
+
+@dataclass(frozen=True)
+class RunRow:
+    """What the index knows of a log. Errors in um, of measured displacement against reference.
+
+    A number that is not known is None.
+    """
+
+    path: str
+    """Name of the file in the folder."""
+    size: int
+    mtime_ns: int
+    when_s: float = 0.0
+    """Start of the run in seconds since the epoch. A run without a clock does not know it: then
+    the date in the file's name, else the file's own date."""
+    law: str = ""
+    controller: str = ""
+    experiment: str = ""
+    plant: str = ""
+    rig: str = ""
+    backend: str = ""
+    ending: str = UNREADABLE
+    """One of `ENDING_WORDS`."""
+    exit_code: int | None = None
+    reason: str = ""
+    """Why it ended; of a damaged log what the damage is."""
+    ticks: int = 0
+    duration_s: float = 0.0
+    missed: int | None = None
+    max_um: float | None = None
+    rms_um: float | None = None
+    steady_um: float | None = None
+    verdicts: str = ""
+    """Clips and trips of the safety rules, one clause each."""
+    tags: tuple[str, ...] = ()
+    note: str = ""
+    operator: str = ""
+    sample: str = ""
+    marks: str = ""
+    """The remarks of the run, one behind the other."""
+    sweep: Mapping[str, Any] = field(default_factory=dict)
+    """Place in a sweep: `name`, `point`, `repeat`; empty for others."""
+    gains: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of controller and experiment, and the seed, by dotted key."""
+
+
+METRICS = {"max_um": "largest error", "rms_um": "RMS error", "steady_um": "steady-state error"}
+
+
+def read_row(path: Path) -> RunRow:
+    """Read a log, whatever state it is in: what cannot be read is said in `reason`.
+
+    Raise OSError if the file has gone.
+    """
+    stat = path.stat()
+    bare = RunRow(path.name, stat.st_size, stat.st_mtime_ns, when_s=_date_file(path, stat.st_mtime))
+    ticks = TickColumns()
+    contents = Contents((TICK_TOPIC, EVENT_TOPIC), ticks.take, _FIELDS)
+    try:
+        damage = scan_log(path, contents)
+        if contents.ticks is None:
+            why = f"it has no ticks: {damage}" if damage else f"it has no channel {TICK_TOPIC}"
+            return replace(bare, reason=why)
+        return _describe_run(bare, contents, ticks, str(damage or ""))
+    except LogError as error:
+        return replace(bare, reason=str(error))
+    # A foreign file may be wrong in any way; it must not hide the others.
+    except Exception as error:
+        return replace(bare, reason=f"{type(error).__name__}: {error}")
+
+
+def _describe_run(bare: RunRow, contents: Contents, ticks: TickColumns, damage: str) -> RunRow:
+    assert contents.ticks is not None
+    columns = ticks.columns({n: c for n, c in contents.ticks.none.items() if n in _FIELDS})
+    run, said = contents.metadata.get("run", {}), contents.metadata.get(ANNOTATION, {})
+    events = contents.values[EVENT_TOPIC]
+    config: dict[str, Any] = {}
+    with suppress(LogError):
+        config = contents.config()
+    words: dict[str, Any] = {key: bare_name(clean_text(run.get(key, ""))) for key in _NAMES}
+    row = replace(bare, **words, **_measure(columns), **_judge_ending(events, contents, damage))
+    annotation = Annotation.from_metadata(said)
+    return replace(
+        row,
+        when_s=_find_start_s(contents, bare.when_s),
+        tags=annotation.tags,
+        note=annotation.note,
+        operator=annotation.operator,
+        sample=annotation.sample,
+        marks=_join_marks(events),
+        sweep=_read_sweep(contents.metadata.get(SWEEP, {})),
+        gains=_collect_gains(config),
+    )
+
+
+_NAMES = ("law", "controller", "experiment", "plant", "rig", "backend")
+
+
+def _measure(columns: Mapping[str, Any]) -> dict[str, Any]:
+    t_s = columns.get("t_s", np.zeros(0))
+    found: dict[str, Any] = {"ticks": len(t_s)}
+    if len(t_s):
+        found["duration_s"] = float(t_s[-1] - t_s[0])
+    if "missed" in columns:
+        found["missed"] = int(columns["missed"].sum())
+    if "verdicts" in columns and len(t_s):
+        bits = int(np.bitwise_or.reduce(columns["verdicts"].astype(np.int64)))
+        found["verdicts"] = "; ".join(explain_verdicts(bits))
+    if {"position_m", "reference_m", "phase"} <= columns.keys():
+        error_m = columns["position_m"] - columns["reference_m"]
+        merit = compute_merit(t_s, columns["phase"], error_m)
+        for name, value_m in merit._asdict().items() if merit else ():
+            if np.isfinite(value_m):
+                found[name.replace("_m", "_um")] = 1e6 * value_m
+    return found
+
+
+def _judge_ending(events: list[dict[str, Any]], contents: Contents, damage: str) -> dict[str, Any]:
+    if damage:
+        return {"ending": UNFINISHED, "reason": damage}
+    if contents.is_imported:
+        return {"ending": IMPORTED}
+    outcome = next((e for e in reversed(events) if e.get("event") == "outcome"), None)
+    if outcome is None:
+        return {"ending": UNFINISHED, "reason": "the log does not say how the run ended"}
+    code = int(outcome["code"])
+    reason = clean_text(str(outcome.get("reason", "")))
+    return {"exit_code": code, "reason": reason, "ending": ENDINGS.get(ExitCode(code), FAILED)}
+
+
+def _join_marks(events: list[dict[str, Any]]) -> str:
+    texts = [clean_text(str(e.get("text", ""))) for e in events if e.get("event") == "mark"]
+    return "; ".join(texts[:_MOST_MARKS])
+
+
+def _find_start_s(contents: Contents, otherwise_s: float) -> float:
+    start = contents.metadata.get("pamctl", {}).get("start", "")
+    with suppress(ValueError):
+        began = datetime.fromisoformat(start)
+        began_s = (began if began.tzinfo else began.replace(tzinfo=UTC)).timestamp()
+        if began_s > _OWN_CLOCK_S and not contents.is_imported:
+            return began_s
+    return otherwise_s
+
+
+def _date_file(path: Path, mtime_s: float) -> float:
+    if stamp := _STAMP.match(path.name):
+        with suppress(ValueError):
+            return datetime.strptime(f"{stamp[1]}+0000", "%Y%m%d-%H%M%S%z").timestamp()
+    return mtime_s
+
+
+def _read_sweep(values: Mapping[str, str]) -> dict[str, Any]:
+    with suppress(ValueError, KeyError, TypeError, AttributeError):
+        point = {str(k): v for k, v in json.loads(values["point"]).items()}
+        place = {"point": point, "repeat": int(values["repeat"])}
+        return {"name": clean_text(values["name"]), "base": values.get("base", ""), **place}
+    return {}
+
+
+def _collect_gains(config: Mapping[str, Any]) -> dict[str, Any]:
+    kept = {name: config[name] for name in ("controller", "experiment", "seed") if name in config}
+    return dict(_flatten(kept))
+
+
+def _flatten(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _flatten(value, f"{above}{name}.")
+        elif isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
+            yield f"{above}{name}", clean_text(value) if isinstance(value, str) else value

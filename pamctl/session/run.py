@@ -1,0 +1,212 @@
+"""A run that is over: its log as arrays with units, its figures, its pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.exit_codes import Ending, ExitCode
+from pamctl.log import Log, read
+from pamctl.session.pamctl_error import require_package, translate_errors
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+    from pamctl.diagnose import Record
+
+_PICTURE_HEIGHT_PX = 640
+
+
+@dataclass(frozen=True)
+class RunMetrics:
+    """The figures of a run in SI; NaN where nothing was tracked.
+
+    Errors are measured displacement minus reference, without homing and approach. The steady
+    error is of the last 5 s of each rest.
+    """
+
+    max_error_m: float
+    rms_error_m: float
+    steady_error_m: float
+    true_max_error_m: float
+    """By the true displacement, which only a simulated rig knows; else NaN."""
+    true_rms_error_m: float
+    ticks: int
+    missed_ticks: int
+
+
+@dataclass(frozen=True)
+class Run:
+    """A log in memory: `run["position_m"]` is a column of its ticks, shape (n,).
+
+    The name of a column ends with its unit; all are in SI, and pressure is absolute.
+    """
+
+    log: Log
+
+    @classmethod
+    def open(cls, path: str | Path) -> Run:
+        """Read any log: of a run, of a daemon, or imported. Raises `PamctlError`."""
+        with translate_errors():
+            return cls(read(path))
+
+    def __getitem__(self, column: str) -> NDArray[Any]:
+        """Return a column; raise `PamctlError` with the nearest name where there is none."""
+        with translate_errors():
+            return self.log[column]
+
+    def __len__(self) -> int:
+        """Return the number of ticks."""
+        return len(self.log)
+
+    def __repr__(self) -> str:
+        """Return file, length and ending in one line."""
+        lasts = f"{self.duration_s:g} s" if len(self) else "no ticks"
+        return f"<Run {self.path.name}: {lasts}, {self.ending.reason or 'no ending'}>"
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.log.path
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The names of the columns."""
+        return tuple(self.log.columns)
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """The unit of each column."""
+        return self.log.units
+
+    @property
+    def t_s(self) -> NDArray[np.float64]:
+        """Time of each tick (s), shape (n,), since the first tick of the session."""
+        return self["t_s"]
+
+    @property
+    def duration_s(self) -> float:
+        """From the first tick to the last (s)."""
+        return float(self.t_s[-1] - self.t_s[0]) if len(self) else 0.0
+
+    @property
+    def error_m(self) -> NDArray[np.float64]:
+        """Measured displacement minus reference (m), shape (n,); NaN where there is no reference.
+
+        Laws use the column `error_m`, which is of the filtered displacement.
+        """
+        return np.asarray(self["position_m"] - self["reference_m"], np.float64)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything that the run was set to: controller, experiment, rig, plant."""
+        return self.log.config
+
+    @property
+    def events(self) -> list[dict[str, Any]]:
+        """Everything that was noted: zeros, marks, trips, the outcome."""
+        return self.log.events
+
+    @property
+    def marks(self) -> list[tuple[float, str]]:
+        """The remarks, each with its time (s) on the axis of `t_s`."""
+        marks = [e for e in self.events if e["event"] == "mark"]
+        ticks, t_s = self["tick"], self.t_s
+        at = [min(int(np.searchsorted(ticks, e["tick"])), len(t_s) - 1) for e in marks]
+        return [(float(t_s[i]), str(e["text"])) for i, e in zip(at, marks, strict=True)]
+
+    @property
+    def ending(self) -> Ending:
+        """How the run ended: exit code and reason."""
+        for event in reversed(self.events):
+            if event["event"] == "outcome":
+                return Ending(ExitCode(event["code"]), str(event["reason"]))
+        return Ending(ExitCode.OK, "")
+
+    @cached_property
+    def metrics(self) -> RunMetrics:
+        """The figures of the run."""
+        from pamctl.simulate.merit import Merit, compute_log_merits
+
+        nothing = Merit(math.nan, math.nan, math.nan)
+        merits = {} if self.log.is_imported or not len(self) else compute_log_merits(self.log)
+        measured, true = merits.get("measured") or nothing, merits.get("true") or nothing
+        missed = self.log.columns.get("missed")
+        return RunMetrics(
+            *measured,
+            true.max_m,
+            true.rms_m,
+            len(self),
+            0 if missed is None else int(missed.sum()),
+        )
+
+    # --- to other tools -----------------------------------------------------------------------
+
+    def to_pandas(self, columns: Sequence[str] | None = None) -> pandas.DataFrame:
+        """Return the ticks as a table with `t_s` as its index; `attrs["units"]` has the units.
+
+        `columns` are the columns to take [default: all]. Raises `PamctlError` without pandas.
+        """
+        frame_module = require_package("pandas")
+        names = [name for name in columns or self.columns if name != "t_s"]
+        index = frame_module.Index(self.t_s, name="t_s")
+        frame = frame_module.DataFrame({name: self[name] for name in names}, index=index)
+        frame.attrs["units"] = {name: self.units[name] for name in names}
+        return frame
+
+    def to_xarray(self, columns: Sequence[str] | None = None) -> xarray.Dataset:
+        """Return the ticks over the coordinate `t_s`, each variable with the attribute `units`.
+
+        `columns` are the columns to take [default: all]. Raises `PamctlError` without xarray.
+        """
+        arrays: Any = require_package("xarray")
+        names = [name for name in columns or self.columns if name != "t_s"]
+        variables = {name: ("t_s", self[name], {"units": self.units[name]}) for name in names}
+        axis = ("t_s", self.t_s, {"units": "s"})
+        source = {"source": str(self.path)}
+        data: xarray.Dataset = arrays.Dataset(variables, coords={"t_s": axis}, attrs=source)
+        return data
+
+    def to_record(self) -> Record:
+        """Return the signals that `pamctl.diagnose.diagnose` takes; raises `PamctlError`."""
+        from pamctl.diagnose import record_of
+
+        with translate_errors():
+            return record_of(self.path)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page of `pamctl report`; raise `PamctlError` where it cannot be written."""
+        from pamctl.new_file import write_files
+        from pamctl.report.compose import compose_report
+
+        target = Path(path)
+        with translate_errors():
+            write_files({target: compose_report([self.log]).html()})
+        return target
+
+    def _repr_html_(self) -> str:
+        """Return figures and pictures of the report, which a notebook shows."""
+        from pamctl.report.html_page import Page
+        from pamctl.report.motion_section import write_motion
+        from pamctl.report.reported_run import name_runs
+        from pamctl.report.summary_section import write_summary
+
+        runs = name_runs([self.log])
+        page = Page(runs[0].name, self.ending.reason)
+        write_summary(page, runs)
+        if len(self):
+            write_motion(page, runs)
+        # In a frame of its own, the page's style changes nothing of the notebook.
+        return (
+            f'<iframe srcdoc="{escape(page.html())}" style="width:100%; border:0" '
+            f'height="{_PICTURE_HEIGHT_PX}"></iframe>'
+        )

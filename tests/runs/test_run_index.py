@@ -1,0 +1,226 @@
+"""The index of a folder of logs: made from the logs alone, and never in anybody's way."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.small_log import write_small
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+from pamctl.log import read
+from pamctl.log.annotate.annotation import SWEEP, make_annotation
+from pamctl.log.annotate.append_metadata import append_metadata, write_annotation
+from pamctl.log.annotate.read_annotation import read_annotation
+from pamctl.runs.edit_annotation import edit_annotations
+from pamctl.runs.index_finished import INDEX_NAME, index_quietly
+from pamctl.runs.run_index import RunIndex, RunsError
+from pamctl.runs.run_row import RunRow, read_row
+from pamctl.simulate.merit import compute_log_merits
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with two logs, half a log, an imported one, and three files that are none."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for name in ("qsmc", "pid-delayed"):
+        shutil.copy(GOLDEN / f"{name}.mcap", logs)
+    (logs / "half.mcap").write_bytes((GOLDEN / "qsmc.mcap").read_bytes()[:100_000])
+    write_small(logs / "imported.mcap")
+    (logs / "text.mcap").write_text("nothing of the kind")
+    (logs / "empty.mcap").touch()
+    (logs / "notes.txt").write_text("not looked at")
+    (logs / "link.mcap").symlink_to(GOLDEN / "qsmc.mcap")
+    (logs / "folder.mcap").mkdir()
+    os.mkfifo(logs / "pipe.mcap")
+    return logs
+
+
+def rows_of(folder: Path) -> dict[str, RunRow]:
+    with RunIndex(folder) as index:
+        index.refresh()
+        return {row.path: row for row in index.select()}
+
+
+def test_every_log_has_a_row_whatever_its_state(folder: Path) -> None:
+    rows = rows_of(folder)
+    assert {name: row.ending for name, row in rows.items()} == {
+        "qsmc.mcap": "ok",
+        "pid-delayed.mcap": "ok",
+        "half.mcap": "unfinished",
+        "imported.mcap": "imported",
+        "text.mcap": "unreadable",
+        "empty.mcap": "unreadable",
+    }
+    assert 0 < rows["half.mcap"].ticks < rows["qsmc.mcap"].ticks
+    assert rows["text.mcap"].reason
+    assert rows["pid-delayed.mcap"].law == "pid"
+
+
+@pytest.mark.parametrize("name", ["qsmc", "pid-delayed"])
+def test_the_figures_are_those_of_the_run_itself(name: str) -> None:
+    row, log = read_row(GOLDEN / f"{name}.mcap"), read(GOLDEN / f"{name}.mcap")
+    merit = compute_log_merits(log)["measured"]
+    assert merit is not None
+    assert (row.max_um, row.rms_um) == pytest.approx((1e6 * merit.max_m, 1e6 * merit.rms_m))
+    assert row.ticks == len(log)
+    assert row.missed == int(log["missed"].sum())
+    assert row.gains["controller.law"] == log.config["controller"]["law"] == row.law
+
+
+def test_the_index_is_made_again_from_the_logs_alone(folder: Path) -> None:
+    first = rows_of(folder)
+    index = folder / INDEX_NAME
+    index.unlink()
+    assert rows_of(folder) == first
+    index.write_bytes(b"SQLite format 3\0" + bytes(5000))  # damaged
+    assert rows_of(folder) == first
+    index.write_text("something else altogether, longer than the head of a database file " * 3)
+    assert rows_of(folder) == first
+    index.unlink()
+    index.mkdir()  # none can be made: it is kept in memory
+    assert rows_of(folder) == first
+
+
+def test_an_index_of_another_version_is_made_again(folder: Path) -> None:
+    first = rows_of(folder)
+    with RunIndex(folder) as index:
+        index._base.execute("PRAGMA user_version = 99")
+        index._base.execute("ALTER TABLE runs RENAME COLUMN law TO other")
+    assert rows_of(folder) == first
+
+
+def test_new_changed_moved_and_removed_logs_are_seen(folder: Path) -> None:
+    rows_of(folder)
+    (folder / "qsmc.mcap").rename(folder / "moved.mcap")
+    (folder / "pid-delayed.mcap").unlink()
+    write_annotation(folder / "imported.mcap", make_annotation(["good"]))
+    rows = rows_of(folder)
+    assert rows.keys() == {"moved.mcap", "half.mcap", "imported.mcap", "text.mcap", "empty.mcap"}
+    assert rows["imported.mcap"].tags == ("good",)
+
+
+def test_only_what_is_new_is_read(folder: Path) -> None:
+    rows_of(folder)
+    shutil.copy(GOLDEN / "missed.mcap", folder)
+    said = []
+    with RunIndex(folder) as index:
+        index.refresh(lambda done, of: said.append((done, of)))
+    assert said == [(1, 1)]
+
+
+A_USER = """
+import os, sys
+from pathlib import Path
+from pamctl.runs.edit_annotation import edit_annotations
+from pamctl.runs.run_index import RunIndex
+
+folder = Path(sys.argv[1])
+for n in range(3):
+    with RunIndex(folder) as index:
+        index.refresh(rebuild=n % 2)
+    edit_annotations([folder / "imported.mcap"], lambda said: said.add_tag(f"p{os.getpid()}n{n}"))
+"""
+
+
+def test_processes_may_use_the_index_at_once(folder: Path) -> None:
+    users = [
+        subprocess.Popen([sys.executable, "-c", A_USER, str(folder)], stderr=subprocess.PIPE)
+        for _ in range(3)
+    ]
+    for user in users:
+        _, complaint = user.communicate(timeout=120)
+        assert user.returncode == 0, complaint.decode()
+    expected = {f"p{user.pid}n{n}" for user in users for n in range(3)}
+    assert set(read_annotation(folder / "imported.mcap").tags) == expected
+    assert set(rows_of(folder)["imported.mcap"].tags) == expected
+
+
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunsError, match="no folder"):
+        RunIndex(tmp_path / "nowhere")
+
+
+def test_trouble_with_the_index_is_no_trouble_of_a_run(tmp_path: Path) -> None:
+    log = Path(shutil.copy(GOLDEN / "qsmc.mcap", tmp_path / "run.mcap"))
+    index_quietly(log, make_index=False)
+    assert list(tmp_path.iterdir()) == [log]
+    index_quietly(log)
+    assert (tmp_path / INDEX_NAME).exists()
+    log.unlink()
+    index_quietly(log)
+
+
+def test_all_logs_are_looked_at_before_one_is_changed(folder: Path) -> None:
+    good = folder / "imported.mcap"
+    before = good.read_bytes()
+    done = CliRunner().invoke(app, ["runs", "tag", "x", str(good), str(folder / "text.mcap")])
+    assert done.exit_code == 65
+    assert good.read_bytes() == before
+    edit_annotations([good, good], lambda said: said.add_tag("x"))
+    changed = good.read_bytes()
+    edit_annotations([good], lambda said: said.add_tag("x"))
+    assert good.read_bytes() == changed
+
+
+def invoke(*words: object) -> str:
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def test_runs_are_tagged_noted_found_and_listed(folder: Path) -> None:
+    there = ("runs", "--logs", folder)
+    qsmc, pid = folder / "qsmc.mcap", folder / "pid-delayed.mcap"
+    invoke("runs", "tag", "good", qsmc, pid)
+    invoke("runs", "untag", "good", pid)
+    invoke("runs", "note", "new \x1b[31mhose", qsmc)
+    assert invoke(*there, "--tag", "good", "--paths") == f"{qsmc}\n"
+    assert invoke(*there, "--note-text", "HOSE", "--paths") == f"{qsmc}\n"
+    assert invoke(*there, "--law", "p*", "--ending", "ok", "--paths") == f"{pid}\n"
+    assert invoke(*there, "--without-tag", "good", "--ending", "ok", "--paths") == f"{pid}\n"
+    table = invoke(*there, "--ending", "ok")
+    assert "[good]  new hose" in table
+    assert table.endswith("2 of 6 runs\n")
+    (one,) = json.loads(invoke(*there, "--tag", "good", "--json"))["runs"]
+    assert one["path"] == "qsmc.mcap"
+    assert one["note"] == "new hose"
+    csv = invoke(*there, "--ending", "ok", "--csv").splitlines()
+    assert len(csv) == 3
+    assert "controller.law" in csv[0].split(",")
+
+
+def test_a_page_shows_errors_against_a_setting(folder: Path, tmp_path: Path) -> None:
+    for number, gain in enumerate((20.0, 20.0, 40.0)):
+        log = shutil.copy(GOLDEN / "qsmc.mcap", folder / f"run{number}.mcap")
+        point = json.dumps({"controller.lambda_per_s": gain})
+        place = {"name": "s", "base": "", "point": point, "repeat": str(number % 2)}
+        append_metadata(Path(log), SWEEP, place)
+    page = tmp_path / "page.html"
+    key = "controller.lambda_per_s"
+    where = ("--where", f"{key}>=20", "--ending", "ok", "--page", page)
+    invoke("runs", "--logs", folder, *where)
+    text = page.read_text()
+    assert text.count("<svg") >= 2
+    assert f">{key}</h2>" in text
+    refused = CliRunner().invoke(
+        app, ["runs", "--logs", str(folder), "--page", str(page), "--against", "no.such"]
+    )
+    assert refused.exit_code == 2
+    assert "no.such" in refused.stderr
+
+
+def test_a_hostile_log_writes_no_control_character_to_the_terminal(folder: Path) -> None:
+    log = folder / "imported.mcap"
+    append_metadata(log, "run", {"law": "\x1b[31mlaw", "experiment": "a\u202eb\nc"})
+    shown = invoke("runs", "--logs", folder)
+    assert not {c for c in shown if not c.isprintable()} - {"\n"}

@@ -1,0 +1,38 @@
+"""The notebook of the manual runs from its first cell to its last, and finds what is hidden."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pamctl
+from pamctl.manual import list_pages
+from pamctl.settings.resolve import settings_to_data
+
+NOTEBOOK = list_pages()[0].path.parent / "afternoon.ipynb"
+
+
+def test_the_notebook_finds_the_dead_band_and_better_gains(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    cells = [c for c in json.loads(NOTEBOOK.read_text())["cells"] if c["cell_type"] == "code"]
+    assert not any(cell["outputs"] for cell in cells)
+    seen: dict[str, Any] = {}
+    for number, cell in enumerate(cells, 1):
+        exec(compile("".join(cell["source"]), f"cell {number}", "exec"), seen)
+        if "parameters" in cell["metadata"].get("tags", ()):
+            seen["GENERATIONS"] = 4  # of half a second each
+    assert seen["diagnosis"].verdict == "named"
+    effects = settings_to_data(seen["diagnosis"].plant)["effects"]
+    assert effects["valve_deadband"]["fill_width_v"] == pytest.approx(0.25, abs=0.01)
+    assert "valve deadband" in capsys.readouterr().out
+    assert seen["after"].metrics.rms_error_m < seen["before"].metrics.rms_error_m
+    assert len(seen["softer"].marks) == 1
+    logs = sorted(tmp_path.glob("logs/*.mcap"))
+    assert len(logs) == 9
+    assert seen["rig"].state == "idle"
+    assert all(pamctl.Run.open(log).ending.code == 0 for log in logs)

@@ -1,0 +1,230 @@
+"""A session on the simulated rig: the daemon's rules, whole logs, and the right motion."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.processes.daemons import QUICK
+from support.runs import COUNT_M
+
+import pamctl
+from pamctl.exit_codes import ExitCode
+from pamctl.replay import replay_log
+from pamctl.session.simulated_rig import simulate
+from pamctl.settings.resolve import resolve
+from pamctl.signals import Phase
+from pamctl.simulate.batch import simulate_run
+
+SINE = pamctl.Sine(offset_mm=10, amplitude_mm=1, frequency_hz=2, cycles=2)
+ROOT = Path(__file__).resolve().parents[2]
+NOT_HOMED = "rig.homing.enabled=false"
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[pamctl.SimulatedRig]:
+    with simulate(logs=tmp_path, overrides=QUICK) as made:
+        yield made
+
+
+def test_an_afternoon_of_positions_runs_marks_and_gains_replays_to_the_bit(
+    rig: pamctl.SimulatedRig,
+) -> None:
+    assert rig.state == "idle"
+    rig.goto(10e-3, within_s=1.0)
+    tick = rig.status()["tick"]
+    assert rig.state == "ready"
+    assert tick["reference_m"] == pytest.approx(10e-3)
+    assert abs(tick["position_m"] - 10e-3) < 0.2e-3
+    run = rig.run(SINE, name="first")
+    assert run.ending == (ExitCode.OK, "the experiment is complete")
+    assert rig.state == "ready"
+    log = rig.start(SINE)
+    seen = []
+    for tick in rig.live(rate_hz=20):
+        seen.append(tick["tick"])
+        if len(seen) == 10:
+            rig.mark("softer from here")
+            rig.set(lambda_per_s=12, ramp_s=0.2)
+    assert np.all(np.diff(seen) == 50)
+    again = rig.wait()
+    assert again.path == log
+    ((at_s, text),) = again.marks
+    assert text == "softer from here"
+    assert again.t_s[0] < at_s < again.t_s[-1]
+    assert [g["lambda_per_s"] for g in again.log.gains][-1] == rig.gains["lambda_per_s"] == 12
+    for each in (run, again):
+        assert replay_log(each.log).is_equal
+
+
+def test_the_motion_is_that_of_the_compiled_batch(tmp_path: Path) -> None:
+    """The batch is composed otherwise, and begins with the experiment at once."""
+    quiet = [NOT_HOMED, "rig.sim.sensor_noise_v=0", "rig.sim.encoder_start_counts=1000.4"]
+    tracking = pamctl.Tracking(
+        offset_mm=8, amplitude_mm=3, transition_s=0.5, approach_s=1, settle_s=0.5, cycles=1
+    )
+    with simulate("paper-valve109", logs=tmp_path, overrides=quiet) as rig:
+        run = rig.run(tracking)
+    settings = resolve(plant="paper-valve109", overrides=quiet, fast=True)
+    experiment = type(settings.experiment).model_validate(tracking.to_data())
+    batch = simulate_run(settings.model_copy(update={"experiment": experiment}))
+    assert batch.tripped_s is None
+    ticks = len(batch.t_s)
+    apart_m = np.abs(run["true_position_m"][:ticks] - batch["true_position_m"])
+    tracked = run["phase"][:ticks] == Phase.TRACK
+    # While it is parked the muscle's pressure has settled: the first steps of the encoder come
+    # at other ticks, and the law answers them.
+    assert apart_m[tracked].max() < 2 * COUNT_M
+    assert np.ptp(batch["true_position_m"]) > 6e-3
+
+
+def test_an_exception_in_the_block_stops_the_run_smoothly_and_its_log_is_whole(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(KeyboardInterrupt), simulate(logs=tmp_path, overrides=QUICK) as rig:
+        log = rig.start(SINE)
+        for tick in rig.live():
+            if tick["reference_m"] > 5e-3:
+                raise KeyboardInterrupt
+    run = pamctl.Run.open(log)
+    assert run.ending.reason == "the session ended"
+    assert run["valve_v"][-1] == pytest.approx(-5.0, abs=0.1)
+    assert replay_log(run.log).is_equal
+
+
+def test_ctrl_c_during_a_run_stops_it_and_leaves_the_log(tmp_path: Path) -> None:
+    program = f"""
+import os, pathlib, signal, threading, time, pamctl
+def press():
+    while not list(pathlib.Path({str(tmp_path)!r}).glob("*.mcap")):
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGINT)
+with pamctl.simulate(logs={str(tmp_path)!r}, overrides={QUICK!r}) as rig:
+    threading.Thread(target=press, daemon=True).start()
+    rig.run(pamctl.Sine(offset_mm=10, amplitude_mm=1, frequency_hz=1, cycles=20_000))
+"""
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert "KeyboardInterrupt" in done.stderr
+    (log,) = tmp_path.glob("*.mcap")
+    assert pamctl.Run.open(log).ending.reason in {"interrupted", "the session ended"}
+    left = os.environ["PAMCTL_SHARED_MEMORY"]
+    assert not list(Path(left).glob("*.ring"))
+
+
+def test_what_is_refused_has_the_shells_line_and_code_and_changes_nothing(
+    rig: pamctl.SimulatedRig,
+) -> None:
+    before = rig.gains
+    for wrong, line, code in (
+        (lambda: rig.goto(0.2), "goto 200 mm lies outside the stroke", ExitCode.CHECK_FAILED),
+        (lambda: rig.set(lamda_per_s=3), "did you mean 'lambda_per_s'", ExitCode.CHECK_FAILED),
+        (lambda: rig.set(lambda_per_s=-3), "controller.lambda_per_s", ExitCode.CHECK_FAILED),
+        (lambda: rig.mark("x"), "nothing is being logged", ExitCode.CHECK_FAILED),
+        (lambda: rig.stop(), "nothing is running: the state is idle", ExitCode.CHECK_FAILED),
+        (lambda: rig.run("sin"), "did you mean 'sine'", ExitCode.BAD_CONFIG),
+        (lambda: rig.run(pamctl.Hold(position_mm=9)), "has no end", ExitCode.USAGE),
+        (
+            lambda: rig.run(pamctl.Sine(offset_mm=31, amplitude_mm=2, frequency_hz=1)),
+            "a position of 33 mm", ExitCode.CHECK_FAILED,
+        ),
+        (lambda: rig.wait(), "no run was begun here", ExitCode.USAGE),
+        (lambda: rig.ack(), "there is no fault", ExitCode.CHECK_FAILED),
+    ):  # fmt: skip
+        with pytest.raises(pamctl.PamctlError) as refused:
+            wrong()
+        assert line in str(refused.value)
+        assert refused.value.exit_code == code, line
+    assert rig.gains == before
+    assert rig.state == "idle"
+
+
+@pytest.mark.parametrize(
+    ("options", "line", "code"),
+    [
+        ({"plant": "papr"}, "did you mean 'paper'", ExitCode.USAGE),
+        ({"plant": {"parameters": {"stifness_n_per_m": 1.0}}}, "did you mean", ExitCode.BAD_CONFIG),
+        ({"rig": "pci6221"}, "is not simulated; start `pamctl daemon`", ExitCode.USAGE),
+        ({"overrides": ["rig.homing.fills=x"]}, "rig.homing.fills", ExitCode.BAD_CONFIG),
+    ],
+)
+def test_settings_that_cannot_be_used_begin_nothing(
+    options: dict[str, str], line: str, code: ExitCode, tmp_path: Path
+) -> None:
+    with pytest.raises(pamctl.PamctlError) as refused:
+        simulate(logs=tmp_path / "logs", **options)  # type: ignore[arg-type]
+    assert line in str(refused.value)
+    assert refused.value.exit_code == code
+    assert not (tmp_path / "logs").exists()
+
+
+def test_a_trip_names_its_reason_its_code_and_the_log_and_is_latched(tmp_path: Path) -> None:
+    limits = [*QUICK, NOT_HOMED, "rig.limits.stroke_high_mm=9"]
+    steps = pamctl.Steps(steps=[{"valve_v": 5.0, "hold_s": 3.0}])
+    with simulate(logs=tmp_path, overrides=limits) as rig:
+        with pytest.raises(pamctl.PamctlError, match="safety trip") as tripped:
+            rig.run(steps)
+        assert tripped.value.exit_code == ExitCode.SAFETY_TRIP
+        assert tripped.value.log is not None
+        assert pamctl.Run.open(tripped.value.log).ending.code == ExitCode.SAFETY_TRIP
+        assert "ack()" in tripped.value.fix
+        with pytest.raises(pamctl.PamctlError, match="acknowledge it first"):
+            rig.goto(5e-3)
+        assert "safety trip" in rig.ack()
+        rig.goto(5e-3)
+
+
+def test_the_emergency_stop_ends_the_run_at_once_and_is_latched(rig: pamctl.SimulatedRig) -> None:
+    log = rig.start(SINE)
+    rig.sleep(1.5)
+    rig.estop()
+    assert rig.state == "fault"
+    run = pamctl.Run.open(log)
+    assert run.ending == (ExitCode.SAFETY_TRIP, "emergency stop")
+    assert rig.ack() == "emergency stop"
+    assert rig.state == "idle"
+
+
+def test_a_run_is_arrays_units_tables_and_pictures(
+    rig: pamctl.SimulatedRig, tmp_path: Path
+) -> None:
+    run = rig.run(SINE)
+    figures = run.metrics
+    tracked = np.isin(run["phase"], (2, 3))
+    assert figures.max_error_m == pytest.approx(np.abs(run.error_m[tracked]).max())
+    assert figures.rms_error_m == pytest.approx(np.sqrt(np.mean(run.error_m[tracked] ** 2)))
+    assert figures.ticks == len(run) == len(run.t_s)
+    assert run.units["position_m"] == "m"
+    frame = run.to_pandas(["position_m", "reference_m"])
+    assert list(frame.columns) == ["position_m", "reference_m"]
+    assert frame.attrs["units"]["position_m"] == "m"
+    assert frame["position_m"].to_numpy() == pytest.approx(run["position_m"])
+    data = run.to_xarray()
+    assert data["pressure_pa"].attrs["units"] == "Pa"
+    assert data["pressure_pa"].sel(t_s=run.t_s[7]).item() == run["pressure_pa"][7]
+    shown = run._repr_html_()
+    assert shown.startswith("<iframe srcdoc=")
+    assert "&lt;svg" in shown
+    assert run.report(tmp_path / "page.html").read_text().startswith("<!doctype html>")
+    with pytest.raises(pamctl.PamctlError, match="did you mean"):
+        run["positon_m"]
+    with pytest.raises(pamctl.PamctlError) as missing:
+        pamctl.Run.open(tmp_path / "none.mcap")
+    assert missing.value.exit_code == ExitCode.BAD_DATA
+
+
+def test_importing_pamctl_loads_nothing_and_the_room_stays_a_room() -> None:
+    program = (
+        "import sys, pamctl; heavy = {'numpy', 'pydantic', 'numba', 'scipy', 'pamctl.session'}\n"
+        "assert not heavy & {*sys.modules}, heavy & {*sys.modules}\n"
+        "import pamctl.simulate.merit as merit\n"
+        "assert merit.STEADY_S and callable(pamctl.simulate) and pamctl.aio.connect\n"
+        "assert 'Sine' in dir(pamctl)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

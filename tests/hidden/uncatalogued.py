@@ -88,7 +88,7 @@ UNCATALOGUED = (
                  "wearing_friction"),
     Uncatalogued("supply_ripple", "pressure", (("supply", "time"),), "supply_ripple"),
     Uncatalogued("valve_gain_wobble", "pressure",
-                 (("filling", "time"), ("exhausting", "time")), "valve_gain_wobble"),
+                 (("opening", "time"),), "valve_gain_wobble"),
     Uncatalogued("null_offset", "pressure", (("command", ""),),
                  run=_with_valve(lambda v: v + 0.07)),
     Uncatalogued("slew_limit", "pressure", (("command", "command"),),

@@ -100,6 +100,9 @@ SAME = {
     "narrow exhaust": (
         flat("exhausting", "constant", "time", size=-0.2), {"valve_asymmetry.exhaust_gain": 0.8},
     ),
+    "wider valve": (
+        flat("opening", "constant", "time", size=0.1), {"valve_gain_m2_per_v": 1.1 * 1.03e-6},
+    ),
     "higher supply": (
         flat("supply", "constant", "time", size=9e3), {"tank_pressure_pa": 441.3e3 + 9e3},
     ),

@@ -25,7 +25,7 @@ from pamctl.plant.terms.tangents import (
     trace_shape,
 )
 
-BY_TANGENT = frozenset({"filling", "exhausting", "supply", "flow"})
+BY_TANGENT = frozenset({"filling", "exhausting", "opening", "supply", "flow"})
 
 
 class Doses:
@@ -78,7 +78,10 @@ class Doses:
     def _trace(self, question: Question, shape: Mapping[str, float], index: int) -> Array:
         drive = self.fitted.drives[index]
         driver = self._find_driver(question.driver, index)
-        if question.location.name in ("filling", "exhausting") and question.driver == "command":
+        if (
+            question.location.name in ("filling", "exhausting", "opening")
+            and question.driver == "command"
+        ):
             driver = np.abs(driver)
         return trace_shape(_make_term(question, shape, 1.0), driver, drive.step_s)
 

@@ -178,7 +178,7 @@ def _list_inner_numbers(location: Location, driver: str, span: Span) -> Iterator
     if driver == "time":
         for share in _SHARES["onset"]:
             yield "onset", share * span.high
-        if location.name in ("supply", "filling", "exhausting"):
+        if location.name in ("supply", "opening"):
             for hz in np.geomspace(*WAVES_HZ):
                 yield "wave", float(1.0 / hz)
         return

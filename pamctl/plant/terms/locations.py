@@ -131,9 +131,11 @@ LOCATIONS: dict[str, Location] = {
                  ("pressure", "time"), (), ("pressure", "mechanics"), _BEHIND_VALVE),
         Location("encoder", "the encoder's reading", "m", 2e-5, "sensors",
                  ("position", "time"), actuators=_MOVING),
+        Location("opening", "the valve's opening", "1", 0.02, "valve", ("command", "time"), (),
+                 _AIR, _BEHIND_VALVE),
     )
 }  # fmt: skip
-"""By name, from the command to the sensors, in the order of the numbers of `operators.py`."""
+"""By name, in the order of the numbers of `operators.py`."""
 
 TERMS: dict[str, EffectDescription] = {
     location.term_name: location.description for location in LOCATIONS.values()

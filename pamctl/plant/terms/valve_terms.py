@@ -6,6 +6,7 @@ from pamctl.plant.terms.operators import (
     COMMAND_AT,
     EXHAUSTING_AT,
     FILLING_AT,
+    OPENING_AT,
     TIME,
     TermMemory,
     Terms,
@@ -37,15 +38,15 @@ def follow_command_term(
 
 
 def pass_opening_term(terms: Terms | None, opening_v: float, age_s: float) -> float:
-    """Return the opening, changed by a share on one side."""
+    """Return the opening, changed by a share on one side or on both."""
     if terms is None:
         return opening_v
     term = terms.valve
     if term.size == 0.0:
         return opening_v
-    if (opening_v > 0.0 and term.location == FILLING_AT) or (
-        opening_v < 0.0 and term.location == EXHAUSTING_AT
-    ):
+    fills = opening_v > 0.0 and term.location == FILLING_AT
+    exhausts = opening_v < 0.0 and term.location == EXHAUSTING_AT
+    if fills or exhausts or term.location == OPENING_AT:
         value = age_s if term.driver == TIME else abs(opening_v)
         return opening_v * max(1.0 + term.size * shape_of(term, value, TermMemory(0.0, 0.0)), 0.0)
     return opening_v

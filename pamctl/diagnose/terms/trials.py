@@ -90,9 +90,10 @@ def _select_scores(ranking: TermRanking) -> list[TermScore]:
         simple = [
             s
             for s in group
-            if len(s.amounts) < len(first.amounts) and s.explained >= first.explained - NEAR_SCORE
+            if _count_numbers(s) < _count_numbers(first)
+            and s.explained >= first.explained - NEAR_SCORE
         ]
-        for score in simple[:1]:
+        for score in sorted(simple, key=_count_numbers)[:1]:
             kept.setdefault(score.question.key, score)
     return [*kept.values()][:MOST_FITTED]
 
@@ -182,11 +183,11 @@ def choose_simplest(trials: Sequence[TermTrial], block: str) -> TermTrial:
         if t.model.rms[block] <= (1.0 + NEAR_BEST) * best.model.rms[block]
         and (t.model.is_explained(block) or not best.model.is_explained(block))
     ]
-    return min(good, key=lambda t: (_count_numbers(t), rank(t.model)))
+    return min(good, key=lambda t: (_count_numbers(t.score), rank(t.model)))
 
 
-def _count_numbers(trial: TermTrial) -> int:
-    return len(trial.score.amounts) + len(trial.question.held)
+def _count_numbers(score: TermScore) -> int:
+    return len(score.amounts) + len(score.question.held)
 
 
 def list_equals(

@@ -178,7 +178,8 @@ def _word_partial(diagnosis: Diagnosis) -> VerdictWords:
 
 def _word_described(diagnosis: Diagnosis) -> VerdictWords:
     term = find_term(diagnosis)
-    assert term is not None
+    if term is None:
+        return _word_none_known(diagnosis)
     closes = describe_closed_shares(diagnosis)
     names = spell_effects(diagnosis)
     beside = f" Beside it, the catalogue explains a part: {names}." if names else ""

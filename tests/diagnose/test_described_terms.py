@@ -14,7 +14,7 @@ from pamctl.diagnose.report.extended_plant_file import format_plant_file
 from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.terminal_summary import summary
 from pamctl.diagnose.terms.grammar import list_questions
-from pamctl.diagnose.terms.score import rank_terms
+from pamctl.diagnose.terms.term_score import rank_terms
 from pamctl.diagnose.terms.trials import choose_simplest, find_terms
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings

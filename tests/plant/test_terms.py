@@ -12,7 +12,7 @@ from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
 from pamctl.plant.paper.muscle import force_area_m2
 from pamctl.plant.terms.locations import LOCATIONS
-from pamctl.plant.terms.operators import DRIVERS, OPERATORS, REFERENCES, Term, Terms
+from pamctl.plant.terms.operators import DRIVERS, OPERATORS, REFERENCES, PlantTerm, Terms
 from pamctl.plant.terms.tangents import answer_pushes, find_pressure_tangent, trace_shape
 
 TICK_S = 1e-3
@@ -36,7 +36,7 @@ STEPS_S = np.full(len(TIMES_S) - 1, TICK_S)
 
 
 def trace(operator: str, driver: str = "position", **numbers: float) -> np.ndarray:
-    term = Term(1.0, 0.0, OPERATORS.index(operator), DRIVERS.index(driver), **numbers)
+    term = PlantTerm(1.0, 0.0, OPERATORS.index(operator), DRIVERS.index(driver), **numbers)
     return trace_shape(term, WAY_M, STEPS_S)
 
 
@@ -73,7 +73,7 @@ def test_a_hysteresis_remembers_its_last_reversal_whatever_the_rate() -> None:
     back_m = WAY_M[first] - WAY_M[first : second + 1]
     expected = -1.0 + (kept[first] + 1.0) * np.exp(-back_m / 2e-3)
     np.testing.assert_allclose(kept[first : second + 1], expected, atol=1e-9)
-    slow = Term(1.0, 0.0, OPERATORS.index("hysteresis"), DRIVERS.index("position"), 2e-3)
+    slow = PlantTerm(1.0, 0.0, OPERATORS.index("hysteresis"), DRIVERS.index("position"), 2e-3)
     np.testing.assert_allclose(trace_shape(slow, WAY_M, 7.0 * STEPS_S), kept)
 
 
@@ -187,7 +187,7 @@ def test_tangents_answer_as_the_plant_does() -> None:
     """Away from the ends of the pressure, where a flow ends within a step."""
     volts = 0.6 * np.sin(9.0 * TIMES_S) + 0.3 * np.sign(np.sin(40.0 * TIMES_S)) + 0.1
     grid = build_grid(TICK_S, len(volts))
-    push = Terms()._replace(air=Term(2e3, float([*LOCATIONS].index("supply"))))
+    push = Terms()._replace(air=PlantTerm(2e3, float([*LOCATIONS].index("supply"))))
     p = parameters_of({})
     coupled = drive_coupled(p, volts, grid)
     kept, pushed = find_pressure_tangent(p, push, volts, coupled.position_m, grid)

@@ -18,7 +18,7 @@ from pamctl.diagnose.terms.grammar import Question
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.parameters import PlantParameters, rest_state
 from pamctl.plant.terms.locations import LOCATIONS
-from pamctl.plant.terms.operators import DRIVERS, OPERATORS, Term, Terms
+from pamctl.plant.terms.operators import DRIVERS, OPERATORS, PlantTerm, Terms
 from pamctl.plant.terms.tangents import (
     answer_pushes,
     find_pressure_tangent,
@@ -123,8 +123,8 @@ def build_doses(question: Question, size: float) -> list[dict[str, float]]:
     return doses
 
 
-def _make_term(question: Question, shape: Mapping[str, float], size: float) -> Term:
-    return Term(
+def _make_term(question: Question, shape: Mapping[str, float], size: float) -> PlantTerm:
+    return PlantTerm(
         size=size,
         location=float([*LOCATIONS].index(question.location.name)),
         operator=float(OPERATORS.index(question.operator)),
@@ -136,7 +136,7 @@ def _make_term(question: Question, shape: Mapping[str, float], size: float) -> T
 
 def _push(question: Question, size: float) -> Terms:
     """Return a term of constant size at the question's location."""
-    term = Term(
+    term = PlantTerm(
         size=size,
         location=float([*LOCATIONS].index(question.location.name)),
         operator=float(OPERATORS.index("constant")),

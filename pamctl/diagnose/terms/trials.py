@@ -18,7 +18,7 @@ from pamctl.diagnose.fitting.numbers import FreeNumber
 from pamctl.diagnose.naming.search import rank, run_fit_jobs
 from pamctl.diagnose.naming.stretches import gains_in_block
 from pamctl.diagnose.terms.grammar import Question, list_questions
-from pamctl.diagnose.terms.score import TermRanking, TermScore, rank_terms
+from pamctl.diagnose.terms.term_score import TermRanking, TermScore, rank_terms
 from pamctl.plant.terms.operators import KNOTS
 
 MOST_FITTED = 8

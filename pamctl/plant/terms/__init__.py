@@ -5,5 +5,5 @@
 A location is a place of the plant (`locations.py`), an operator says how the driver acts
 (`operators.py`), a driver is a signal of the plant. One location holds one term. `pamctl diagnose`
 finds them where no effect of the catalogue fits; a plant file states them under `terms:`. The
-equations of a plant without terms are those of the paper, to the bit.
+equations of a plant without terms are those of the paper, to the bit. Read `locations.py` first.
 """

@@ -13,7 +13,7 @@ from pamctl.plant.effects.description import (
     shape,
 )
 from pamctl.plant.effects.places import Part
-from pamctl.plant.terms.operators import DRIVERS, KNOTS, OPERATORS, WITH_MEMORY, Term, Terms
+from pamctl.plant.terms.operators import DRIVERS, KNOTS, OPERATORS, WITH_MEMORY, PlantTerm, Terms
 
 SUFFIX = "_term"
 """A term's numbers are called after its location: `force_term.size`."""
@@ -53,7 +53,7 @@ class Location:
         block: Block = "sensors" if self.part == "sensors" else self.seen_by[0]
         return EffectDescription(
             name=self.term_name,
-            kind=Term,
+            kind=PlantTerm,
             block=block,
             equation=f"{self.words}, changed by size x operator(driver)",
             parameters=_describe_parameters(self),
@@ -148,7 +148,7 @@ def make_terms(values: Mapping[str, float]) -> Terms | None:
 
     Raises ValueError where two terms act in one part of a step.
     """
-    found: dict[str, Term] = {}
+    found: dict[str, PlantTerm] = {}
     for place, location in enumerate(LOCATIONS.values()):
         name = location.term_name
         if not values.get(f"{name}.size", 0.0):
@@ -158,5 +158,5 @@ def make_terms(values: Mapping[str, float]) -> Terms | None:
         numbers = {
             p.name: values.get(f"{name}.{p.name}", p.neutral) for p in TERMS[name].parameters
         }
-        found[location.part] = Term(**numbers, location=float(place))
+        found[location.part] = PlantTerm(**numbers, location=float(place))
     return Terms(**found) if found else None

@@ -14,7 +14,7 @@ from pamctl.plant.terms.operators import (
     STIFFNESS_AT,
     TIME,
     VELOCITY,
-    Term,
+    PlantTerm,
     TermMemory,
     Terms,
     follow_value,
@@ -30,7 +30,7 @@ def needs_speed(terms: Terms | None) -> bool:
 
 
 def scaled_shape(
-    term: Term,
+    term: PlantTerm,
     memory: TermMemory,
     position_m: float,
     velocity_m_per_s: float,

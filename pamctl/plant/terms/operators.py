@@ -66,7 +66,7 @@ def numbers_of_operator(operator: str) -> tuple[str, ...]:
     return ("inner", "phase") if operator == "wave" else ("inner",)
 
 
-class Term(NamedTuple):
+class PlantTerm(NamedTuple):
     """The numbers of a term; without a size it does not act."""
 
     size: float = 0.0
@@ -100,13 +100,13 @@ class TermMemory(NamedTuple):
 class Terms(NamedTuple):
     """The terms of a plant: one for each part of a step. None of a plant: it has no terms."""
 
-    valve: Term = Term()
-    air: Term = Term()
-    mechanics: Term = Term()
-    sensors: Term = Term()
+    valve: PlantTerm = PlantTerm()
+    air: PlantTerm = PlantTerm()
+    mechanics: PlantTerm = PlantTerm()
+    sensors: PlantTerm = PlantTerm()
 
 
-def reference_of(term: Term) -> float:
+def reference_of(term: PlantTerm) -> float:
     """Return the driver's reference, Q; equal to `REFERENCES`."""
     if term.driver == POSITION:
         return 0.01
@@ -117,7 +117,7 @@ def reference_of(term: Term) -> float:
     return 1.0
 
 
-def shape_of(term: Term, value: float, memory: TermMemory) -> float:
+def shape_of(term: PlantTerm, value: float, memory: TermMemory) -> float:
     """Return the shape at a driver's value; a term's effect is its size times this."""
     operator = term.operator
     if operator == CONSTANT:
@@ -145,7 +145,7 @@ def shape_of(term: Term, value: float, memory: TermMemory) -> float:
     return (memory.kept - value) / reference_of(term)
 
 
-def bend_curve(term: Term, value: float) -> float:
+def bend_curve(term: PlantTerm, value: float) -> float:
     """Return the curve through the five knots: linear between them, constant beyond."""
     along = (KNOTS - 1) * (value - term.low) / (term.high - term.low)
     if along <= 1.0:
@@ -158,7 +158,7 @@ def bend_curve(term: Term, value: float) -> float:
 
 
 def follow_value(
-    term: Term, memory: TermMemory, begin: float, end: float, step_s: float
+    term: PlantTerm, memory: TermMemory, begin: float, end: float, step_s: float
 ) -> TermMemory:
     """Return the memory after a step in which the driver goes linearly from `begin` to `end`."""
     operator = term.operator

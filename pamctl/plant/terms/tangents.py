@@ -21,7 +21,7 @@ from pamctl.compiled import compile_kernel
 from pamctl.plant.drive import DriveSteps, SampleGrid, build_steps, undo_sensor
 from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
 from pamctl.plant.step import pressure_block_step
-from pamctl.plant.terms.operators import Term, TermMemory, Terms, follow_value, shape_of
+from pamctl.plant.terms.operators import PlantTerm, TermMemory, Terms, follow_value, shape_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -97,14 +97,14 @@ def run_pressure_tangent(
         rows[1, k] = push_pa - here_pa
 
 
-def trace_shape(term: Term, driver: Array, step_s: Array) -> Array:
+def trace_shape(term: PlantTerm, driver: Array, step_s: Array) -> Array:
     """Return a term's shape along a driver, without its size, shape (n,)."""
     shape = np.empty(len(driver))
     _get_twin(fill_shape)(term, np.ascontiguousarray(driver), step_s, shape)
     return shape
 
 
-def fill_shape(term: Term, driver: Array, step_s: Array, shape: Array) -> None:
+def fill_shape(term: PlantTerm, driver: Array, step_s: Array, shape: Array) -> None:
     """Kernel of `trace_shape`."""
     memory = TermMemory(0.0, 0.0)
     for k in range(len(driver)):

@@ -74,6 +74,8 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
     )
     # numba's cache identifies a function by its name, and a kernel may be called both ways.
     twin.__qualname__ = kernel.__qualname__ + ("" if for_python else "_for_kernels")
+    if substitution is not None:
+        twin.__qualname__ += f"_with_{substitution[1].__qualname__}"
     twin.__module__ = kernel.__module__
     modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
     return _import_numba(*modules).njit(

@@ -36,7 +36,7 @@ from pamctl.plant.chains import undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
 from pamctl.plant.correction_tables import Correction
 from pamctl.plant.flat import parameters_of
-from pamctl.plant.packing import make_packing
+from pamctl.plant.packing import Packing, make_packing
 from pamctl.plant.parameters import (
     PlantParameters,
     PlantState,
@@ -51,6 +51,8 @@ from pamctl.plant.sensing import (
     sensors_step,
 )
 from pamctl.plant.step import mechanics_block_step, plant_step, pressure_block_step
+from pamctl.plant.terms.operators import Terms
+from pamctl.plant.terms.undone_readings import undo_reading_term
 from pamctl.plant.valve_chain import settle_valve
 
 if TYPE_CHECKING:
@@ -271,27 +273,31 @@ def select_mechanics_numbers(p: PlantParameters) -> PlantParameters:
 
 _PLANT = parameters_of({})
 _NEUTRAL = _PLANT.effects
-_OF_PLANT = make_packing("unpack_plant", _PLANT, Correction)
-_OF_STATE = make_packing("unpack_state", vented_state(_PLANT))
-unpack_plant, unpack_state = _OF_PLANT.unpack, _OF_STATE.unpack
+
+
+def _make_drive_packing(name: str, p: PlantParameters) -> Packing:
+    return make_packing(name, (p, vented_state(p)), Correction)
+
+
+_PLAIN = _make_drive_packing("unpack_drive", _PLANT)
+_WITH_TERMS = _make_drive_packing("unpack_drive_with_terms", _PLANT._replace(terms=Terms()))
+unpack_drive = _PLAIN.unpack
 
 
 def _settle_valve(p: PlantParameters, state: PlantState, held_v: float | None) -> PlantState:
     """Return the state with a valve that has settled under the command before the first one."""
     if held_v is None or not p.valve_acts:
         return state
-    return state._replace(valve=settle_valve(p.effects.valve, state.valve, held_v))
+    return state._replace(valve=settle_valve(p.effects.valve, p.terms, state.valve, held_v))
 
 
-# The kernels. Each fills `rows`, with one row for each field of its result. `numbers` and `begins`
-# are the plant's numbers and its state at the start, packed; `correction` is not packed.
+# The kernels. Each fills `rows`, with one row for each field of its result. `numbers` holds the
+# plant's numbers and its state at the start, packed; `correction` is not packed.
 
 
-def run_coupled(
-    numbers: Array, correction: Correction, begins: Array, steps: DriveSteps, rows: Array
-) -> None:
+def run_coupled(numbers: Array, correction: Correction, steps: DriveSteps, rows: Array) -> None:
     """Kernel of `drive_coupled`."""
-    p, state = unpack_plant(numbers, correction), unpack_state(begins)
+    p, state = unpack_drive(numbers, correction)
     for k in range(rows.shape[1]):
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
@@ -306,14 +312,13 @@ def run_coupled(
 def run_pressure(
     numbers: Array,
     correction: Correction,
-    begins: Array,
     steps: DriveSteps,
     positions_m: Array,
     restarts: Restarts,
     rows: Array,
 ) -> None:
     """Kernel of `drive_pressure`. `positions_m` holds the positions at the ends of the steps."""
-    p, state = unpack_plant(numbers, correction), unpack_state(begins)
+    p, state = unpack_drive(numbers, correction)
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
     age_s = state.age_s
     again = 0
@@ -347,7 +352,6 @@ def run_pressure(
 def run_mechanics(
     numbers: Array,
     correction: Correction,
-    begins: Array,
     steps: DriveSteps,
     pressures_pa: Array,
     forces_n: Array,
@@ -355,7 +359,7 @@ def run_mechanics(
     rows: Array,
 ) -> None:
     """Kernel of `drive_mechanics`. The loads are those at the ends of the steps."""
-    p, state = unpack_plant(numbers, correction), unpack_state(begins)
+    p, state = unpack_drive(numbers, correction)
     x, v, sensors, mechanics = (
         state.position_m,
         state.velocity_m_per_s,
@@ -398,12 +402,13 @@ def run_mechanics(
 
 def _run(kernel: Callable[..., None], p: PlantParameters, state: PlantState, *given: Any) -> None:
     """Call the compiled kernel with the plant's numbers and state packed."""
-    _get_twin(kernel)(_OF_PLANT.pack(p), p.correction, _OF_STATE.pack(state), *given)
+    packing = _PLAIN if p.terms is None else _WITH_TERMS
+    _get_twin(kernel, packing)(packing.pack((p, state)), p.correction, *given)
 
 
 @cache
-def _get_twin(kernel: Callable[..., None]) -> Callable[..., None]:
-    return compile_kernel(kernel)
+def _get_twin(kernel: Callable[..., None], packing: Packing) -> Callable[..., None]:
+    return compile_kernel(kernel, None if packing is _PLAIN else (unpack_drive, packing.unpack))
 
 
 def _check_signal(name: str, values: ArrayLike, length: int | None = None) -> Array:
@@ -559,6 +564,7 @@ def undo_sensor(place: str, p: PlantParameters, shown: Array, times_s: Array) ->
     if not p.sensors_act:
         return shown
     atmosphere_pa = p.paper.atmospheric_pressure_pa
+    shown = undo_reading_term(place, p.terms, shown, times_s, atmosphere_pa)
     true: Array = undo_reading(place, p.effects.sensors, shown, times_s, atmosphere_pa)
     return true
 

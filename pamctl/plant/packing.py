@@ -32,8 +32,9 @@ class Packing(NamedTuple):
 def make_packing(name: str, example: Any, apart: type | None = None) -> Packing:
     """Make the packing of tuples like `example`; `name` is that of the kernel.
 
-    Leaves are floats, or truth values where the example has them. A part of the type `apart` is
-    not packed: it is the kernel's second argument.
+    Leaves are floats, or truth values where the example has them. A part that is None in the
+    example stays None. A part of the type `apart` is not packed: it is the kernel's second
+    argument.
     """
     types: dict[str, type] = {}
     taken: list[str] = []
@@ -41,6 +42,8 @@ def make_packing(name: str, example: Any, apart: type | None = None) -> Packing:
     def write(part: Any, path: str) -> str:
         if apart is not None and isinstance(part, apart):
             return "apart"
+        if part is None:
+            return "None"
         if isinstance(part, tuple):
             kind = f"Kind{len(types)}"
             types[kind] = type(part)

@@ -25,7 +25,7 @@ from pamctl.diagnose.fitting.numbers import (
     with_values,
 )
 from pamctl.diagnose.measured.record import Array
-from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.catalogue import WITH_TERMS
 from pamctl.plant.model import PlantSettings
 
 FOREIGN_ZERO_PA = 5e3
@@ -175,7 +175,7 @@ def reaches_limits(fitted: Fit, base: Model) -> bool:
 def _has_shared_effect(evidence: Evidence) -> bool:
     """Tell whether the start model has an effect that both blocks must agree on."""
     return any(
-        len({*CATALOGUE[name].seen_by} & {*evidence.blocks}) > 1
+        len({*WITH_TERMS[name].seen_by} & {*evidence.blocks}) > 1
         for name in active_effects(evidence.nominal)
     )
 

@@ -45,9 +45,9 @@ def make_packing(name: str, example: Any, apart: type | None = None) -> Packing:
         if part is None:
             return "None"
         if isinstance(part, tuple):
-            kind = f"Kind{len(types)}"
+            kind = "" if type(part) is tuple else f"Kind{len(types)}"
             types[kind] = type(part)
-            inner = (write(p, f"{path}[{i}]") for i, p in enumerate(part))
+            inner = [write(p, f"{path}[{i}]") for i, p in enumerate(part)]
             return f"{kind}({', '.join(inner)})"
         taken.append(path)
         leaf = f"packed[{len(taken) - 1}]"

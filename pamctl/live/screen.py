@@ -77,8 +77,19 @@ def draw_screen(
         *_draw_plots(history, width),
         Text(),
         _cut_text(f"log   {status['log'] or '-'}", width, keep_end=True),
-        *_draw_events(status["events"], lines - _LINES_BESIDE_EVENTS, width),
+        *_draw_monitor(status, width),
+        *_draw_events(status["events"], lines - _LINES_BESIDE_EVENTS - (status.get("monitor") is not None), width),
     )
+
+
+def _draw_monitor(status: Mapping[str, Any], width: int) -> list[Text]:
+    monitor = status.get("monitor")
+    if monitor is None:
+        return []
+    line = _cut_text(monitor["sentence"], width)
+    is_off = any(block["state"] == "off" for block in monitor["blocks"])
+    line.stylize("bold red" if is_off else "dim")
+    return [line]
 
 
 def _draw_headline(state: str, what: str, where: str, width: int) -> Text:

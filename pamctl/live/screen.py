@@ -78,7 +78,11 @@ def draw_screen(
         Text(),
         _cut_text(f"log   {status['log'] or '-'}", width, keep_end=True),
         *_draw_monitor(status, width),
-        *_draw_events(status["events"], lines - _LINES_BESIDE_EVENTS - (status.get("monitor") is not None), width),
+        *_draw_events(
+            status["events"],
+            lines - _LINES_BESIDE_EVENTS - (status.get("monitor") is not None),
+            width,
+        ),
     )
 
 

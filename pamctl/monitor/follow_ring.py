@@ -87,14 +87,8 @@ class RingFollower:
 def _make_row_type(fields: Sequence[Field]) -> np.dtype[np.void]:
     columns = [("row_kind", "<u4"), ("row_size", "<u4"), ("row_tick", "<i8"), ("row_t_ns", "<i8")]
     columns += [(field.name, _TYPES[field.kind]) for field in fields]
-    packed = np.dtype(columns)
-    assert packed.fields is not None
-    assert packed.fields[columns[4][0]][1] == ROW_HEADER.size
-    return np.dtype(
-        {
-            "names": packed.names,
-            "formats": [packed.fields[name][0] for name in packed.names or ()],
-            "offsets": [packed.fields[name][1] for name in packed.names or ()],
-            "itemsize": ROW_BYTES,
-        }
-    )
+    used = sum(np.dtype(kind).itemsize for _, kind in columns)
+    row: np.dtype[np.void] = np.dtype([*columns, ("row_rest", f"V{ROW_BYTES - used}")])
+    assert row.fields is not None
+    assert row.fields[columns[4][0]][1] == ROW_HEADER.size
+    return row

@@ -8,12 +8,11 @@ The sums go on from run to run; a window never reaches over a gap, nor into homi
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import savgol_filter
 
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, has_constant_volume
 from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_channel_noise
 from pamctl.diagnose.measured.record import Record
 from pamctl.log.measured_signals import Signals
@@ -26,6 +25,10 @@ LEARN_S = 8.0
 """Measurement from which the sensors' noise is estimated, before the first window is judged."""
 KEEP_S = 60.0
 """Measurement that is kept for a diagnosis."""
+NEAR_START_S = 5.0
+"""An alarm that begins so soon after its run began is diagnosed from the run's begin, at rest."""
+START_WITHIN_S = 0.3
+SMOOTH_SAMPLES = 41
 LONGEST_GAP_S = 0.05
 """Windows do not reach over a longer gap."""
 SILENT = 5
@@ -96,7 +99,10 @@ class RunWatch:
         if not self._kept:
             return None
         record = _join(self._kept)
-        first = int(np.searchsorted(record.t_s, since_s))
+        if since_s - record.t_s[0] < NEAR_START_S:
+            first = 0
+        else:
+            first = _find_clean_start(record, int(np.searchsorted(record.t_s, since_s)))
         if len(record) - first < 2:
             return None
         cut = record.cut_samples(first, len(record), "last minute")
@@ -156,9 +162,17 @@ class RunWatch:
         return changed
 
 
-def list_watched_blocks(plant: PlantSettings) -> tuple[str, ...]:
-    """Return the blocks that a plant of this kind has."""
-    return (PRESSURE,) if has_constant_volume(plant) else (PRESSURE, MECHANICS)
+def _find_clean_start(record: Record, first: int) -> int:
+    """Return the sample near `first` whose pressure has the least noise.
+
+    A chamber remembers where it started: the first sample's noise would stay in the residual.
+    """
+    samples = round(START_WITHIN_S / record.period_s)
+    near = record["pressure_pa"][first : first + samples]
+    if len(near) <= SMOOTH_SAMPLES:
+        return first
+    off = np.abs(near - savgol_filter(near, SMOOTH_SAMPLES, 2))
+    return first + int(np.argmin(off))
 
 
 def _length_s(record: Record) -> float:
@@ -197,10 +211,6 @@ def _record_of(part: Signals, begin_s: float) -> Record:
 
 def _join(pieces: deque[_Piece] | list[_Piece]) -> Record:
     records = [piece.record for piece in pieces]
-    columns: Mapping[str, np.ndarray] = {
-        name: np.concatenate([record[name] for record in records])
-        for name in ("valve_v", *CHANNELS)
-    }
     acts = None
     if any(record.acts_after_s is not None for record in records):
         acts = np.concatenate(
@@ -209,7 +219,9 @@ def _join(pieces: deque[_Piece] | list[_Piece]) -> Record:
     return Record(
         "run",
         np.concatenate([record.t_s for record in records]),
-        **columns,
+        valve_v=np.concatenate([record["valve_v"] for record in records]),
+        pressure_pa=np.concatenate([record["pressure_pa"] for record in records]),
+        position_m=np.concatenate([record["position_m"] for record in records]),
         acts_after_s=acts,
         held_v=records[0].held_v,
     )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +65,7 @@ def follow_health(
     """Fit logs, each with its time (s since the epoch), and compare them; raise `NoHealth`."""
     ordered = sorted(logs, key=lambda item: (item[1], item[0].name))
     fit = partial(_fit_one, plant=plant)
-    fitted = []
+    fitted: list[FittedRun] = []
     for run in map(fit, ordered) if executor is None else executor.map(fit, ordered):
         progress(f"{len(fitted) + 1} of {len(ordered)}: {run.name} {run.refused}".rstrip())
         fitted.append(run)
@@ -103,18 +104,7 @@ def _find_changes(runs: Sequence[FittedRun]) -> list[NumberDrift]:
         drift = find_drift(name, numbers, [runs[k].when_s for k in having])
         if drift is not None:
             first, second = having[drift.first], having[drift.second]
-            found.append(
-                NumberDrift(
-                    name,
-                    drift.kind,
-                    first,
-                    second,
-                    drift.before,
-                    drift.after,
-                    drift.unit,
-                    drift.sigmas,
-                )  # fmt: skip
-            )
+            found.append(replace(drift, first=first, second=second))
     return sorted(found, key=lambda one: -one.sigmas)
 
 
@@ -149,7 +139,7 @@ def _find_last_good(runs: Sequence[FittedRun], changes: Sequence[NumberDrift]) -
     """Return the latest runs that belong together and that the model explains."""
     ends = sorted({c.second for c in changes if c.kind == "step"} | {0, len(runs)})
     trends = any(c.kind == "trend" for c in changes)
-    for first, end in reversed([*zip(ends, ends[1:], strict=False)]):
+    for first, end in reversed([*pairwise(ends)]):
         good = [run for run in runs[first:end] if _is_good(run)]
         if good:
             return good[-1:] if trends else good
@@ -166,8 +156,7 @@ def _pool_plant(runs: Sequence[FittedRun], plant: PlantSettings) -> PlantSetting
     for name in runs[-1].numbers:
         if not name.endswith(MISFIT):
             numbers = [run.numbers[name] for run in runs if name in run.numbers]
-            weights = [
-                1.0 / max(n.high - n.low, 1e-12 * abs(n.value), 1e-300) ** 2 for n in numbers
-            ]
+            widths = [max(n.high - n.low, 1e-12 * abs(n.value), 1e-150) for n in numbers]
+            weights = 1.0 / np.square(widths)
             values[name] = float(np.average([n.value for n in numbers], weights=weights))
     return with_values(plant, values)

@@ -68,6 +68,7 @@ def draw_screen(
             *_draw_plots(history, width),
         )
     where = f"{status['backend']} {status['device']}"
+    room = lines - _LINES_BESIDE_EVENTS - (status.get("monitor") is not None)
     what = status["fault"] or status["run"] or ""
     return Group(
         _draw_headline(status["state"], what, where, width),
@@ -78,11 +79,7 @@ def draw_screen(
         Text(),
         _cut_text(f"log   {status['log'] or '-'}", width, keep_end=True),
         *_draw_monitor(status, width),
-        *_draw_events(
-            status["events"],
-            lines - _LINES_BESIDE_EVENTS - (status.get("monitor") is not None),
-            width,
-        ),
+        *_draw_events(status["events"], room, width),
     )
 
 

@@ -1,4 +1,4 @@
-"""One window of a run against the model: how far each block is off, and how far noise alone takes it.
+"""One window of a run against the model: how far each block is off, and how far noise takes it.
 
 Each block is driven by the other's measured signal, from the measured state, as in the diagnosis.
 The window begins with a run-in that is not judged: valve, bristles and the error of the start
@@ -142,7 +142,7 @@ class WindowJudge:
         shown = drive.simulate_with(p)
         rms = _rms_without(drive.measured - shown, None, judged)
         floors = []
-        for draw in range(DRAWS):
+        for _ in range(DRAWS):
             disturbance = smooth_signal(
                 driving.simulate_sensor(np.zeros(len(record)), random), record.step_s, SMOOTH_HZ
             )

@@ -82,7 +82,7 @@ def draw_segment(random: np.random.Generator) -> tuple[str, str, list[str], floa
     if kind == 0:  # a position held
         return "hold", law, [f"{random.uniform(3.0, 18.0):.2f}"], seconds
     if kind == 1:  # other gains
-        scale = random.uniform(0.7, 1.3)
+        scale = random.uniform(0.6, 1.0)
         named = "lambda_per_s" if law != "pid" else "lpf1_hz"
         value = getattr(resolve(controller=law).controller, named) * scale
         return "tracking-2", law, [f"controller.{named}={value:.6g}"], seconds

@@ -16,7 +16,7 @@ from scipy.signal import savgol_filter
 from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_channel_noise
 from pamctl.diagnose.measured.record import Record
 from pamctl.log.measured_signals import Signals
-from pamctl.monitor.judge_window import JUDGED_S, RUN_IN_S, WindowJudge
+from pamctl.monitor.judge_window import JUDGED_S, RUN_IN_S, WindowJudge, WindowMisfit
 from pamctl.monitor.misfit_sums import MisfitAlarm, MisfitSums
 from pamctl.plant.model import PlantSettings
 from pamctl.signals import Phase
@@ -33,6 +33,10 @@ LONGEST_GAP_S = 0.05
 """Windows do not reach over a longer gap."""
 SILENT = 5
 """Windows without excitation in a row, after which the monitor says that it cannot tell."""
+BASELINE_WINDOWS = 8
+"""Windows from which the rig's own floor is taken, beside the model's."""
+MOST_OF_BASELINE = 1.5
+"""A rig may leave this multiple of the model's floor from the first; more is a misfit."""
 CHANNELS = ("pressure_pa", "position_m")
 
 
@@ -66,6 +70,7 @@ class RunWatch:
         """Consecutive pieces without a gap between them."""
         self._judged_to_s = -np.inf
         self._silent: dict[str, int] = {}
+        self._first_ratios: dict[str, list[float]] = {}
         self.blocks: dict[str, BlockReport] = {}
         """The newest report of each block."""
         self.windows = 0
@@ -152,6 +157,7 @@ class RunWatch:
         changed = {}
         for misfit in WindowJudge(self._plant, self._noises).judge(window.record, self.windows):
             block = misfit.block
+            misfit = self._raise_floor(misfit)
             self._sums.take(misfit, window.start_s)
             self._silent[block] = 0 if misfit.shows else self._silent.get(block, 0) + 1
             alarm = self._sums.find_alarm(block)
@@ -160,6 +166,19 @@ class RunWatch:
             changed[block] = BlockReport(block, state, over, misfit.activity, alarm)
         self.blocks |= changed
         return changed
+
+    def _raise_floor(self, misfit: WindowMisfit) -> WindowMisfit:
+        """Return a misfit over the floor of this rig, as its first windows show it.
+
+        A second of rest tells little of the slow part of a sensor's noise, and no plant file is
+        exact. What is there from the first, and small, is no change.
+        """
+        ratios = self._first_ratios.setdefault(misfit.block, [])
+        if len(ratios) < BASELINE_WINDOWS:
+            ratios.append(misfit.rms / max(misfit.floor, 1e-30))
+        raised = float(np.clip(np.median(ratios), 1.0, MOST_OF_BASELINE))
+        excess = misfit.excess - float(np.log(raised))
+        return replace(misfit, floor=raised * misfit.floor, excess=excess)
 
 
 def _find_clean_start(record: Record, first: int) -> int:

@@ -25,7 +25,7 @@ from pamctl.cli.options import (
     require_linux,
     seconds_option,
 )
-from pamctl.cli.settings_from_options import resolve_options
+from pamctl.cli.settings_from_options import read_file_gains, resolve_options
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import RunSettings
 
@@ -89,7 +89,7 @@ def daemon(
         bool, typer.Option("--json", help="Print each event as one line of JSON")
     ] = False,
 ) -> None:
-    """Stay up: home, run experiments and hold positions as clients ask (pamctl start, goto ...)."""
+    """Stay up: home, run experiments and hold positions as clients such as `pamctl start` ask."""
     settings, names = resolve_options(
         backend, rig, overrides, controller=controller, plant=plant, seed=seed, rt=rt
     )
@@ -115,6 +115,7 @@ def daemon(
         announce=as_json,
         watched=watched,
         monitor_trips=monitor_trips,
+        file_gains=read_file_gains(settings, names["controller"]),
     )
     raise typer.Exit(int(serve_daemon(settings, names, options)))
 

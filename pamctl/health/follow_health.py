@@ -33,7 +33,7 @@ class NoHealth(Exception):
 
 
 @dataclass(frozen=True)
-class Drift:
+class FollowedDrift:
     """A number that changed, and whether it changes within runs too."""
 
     change: NumberDrift
@@ -49,7 +49,7 @@ class RigHealth:
 
     runs: tuple[FittedRun, ...]
     refused: tuple[FittedRun, ...]
-    drifts: tuple[Drift, ...]
+    drifts: tuple[FollowedDrift, ...]
     good: tuple[FittedRun, ...]
     """The runs that `plant` is the mean of; empty if none is good."""
     plant: PlantSettings | None
@@ -82,7 +82,9 @@ def follow_health(
     halves = _fit_latest_halves(runs, paths, plant) if changes else []
     grown = {c.name.removesuffix(MISFIT) for c in changes if c.name.endswith(MISFIT)}
     drifts = tuple(
-        Drift(change, _changes_within(change, halves), bool(grown) and MISFIT not in change.name)
+        FollowedDrift(
+            change, _changes_within(change, halves), bool(grown) and MISFIT not in change.name
+        )
         for change in changes
     )
     good = _find_last_good(runs, changes)

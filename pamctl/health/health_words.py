@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from pamctl.health.fit_run import MISFIT, FittedRun
-from pamctl.health.follow_health import Drift, RigHealth
+from pamctl.health.follow_health import FollowedDrift, RigHealth
 from pamctl.settings.yaml12 import dump_yaml
 
 SCHEMA = 1
@@ -28,7 +28,7 @@ def describe_health(health: RigHealth) -> list[str]:
     return lines
 
 
-def describe_drift(drift: Drift, runs: Sequence[FittedRun]) -> str:
+def describe_drift(drift: FollowedDrift, runs: Sequence[FittedRun]) -> str:
     """Return one drift as a sentence."""
     change = drift.change
     at = format_day(runs[change.first].when_s), format_day(runs[change.second].when_s)
@@ -73,7 +73,7 @@ def build_health_document(health: RigHealth) -> dict[str, Any]:
     }
 
 
-def _drift_entry(drift: Drift, runs: Sequence[FittedRun]) -> dict[str, Any]:
+def _drift_entry(drift: FollowedDrift, runs: Sequence[FittedRun]) -> dict[str, Any]:
     change = drift.change
     return {
         "name": change.name,

@@ -11,6 +11,7 @@ from pamctl import __version__
 from pamctl.cli.analyse.audit import audit
 from pamctl.cli.analyse.compare import compare
 from pamctl.cli.analyse.diagnose import diagnose
+from pamctl.cli.analyse.health import health
 from pamctl.cli.analyse.replay import replay
 from pamctl.cli.analyse.report import report
 from pamctl.cli.config import config_app
@@ -69,7 +70,7 @@ log_app = typer.Typer(
 _GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Run": (run,),
     "Daemon": (daemon, status, start, stop, estop, ack, disarm, mark, watch),
-    "Analyse": (report, replay, compare, audit, diagnose),
+    "Analyse": (report, replay, compare, audit, diagnose, health),
     "Tune": (tune, sweep),
     "Rig": (safe, doctor),
     "Logs": (),

@@ -23,6 +23,7 @@ from typing import Any
 from pamctl import __version__
 from pamctl.control.experiment import HoldSettings, plan_experiment
 from pamctl.daemon.latch import Latch
+from pamctl.daemon.monitor_desk import MonitorDesk
 from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.daemon.recent_columns import read_recent_columns, replace_nan
 from pamctl.daemon.requested_settings import (
@@ -40,6 +41,7 @@ from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_me
 from pamctl.log.changed_gains import CHANGES, describe_changes
 from pamctl.log.naming import bare_name
 from pamctl.plain_text import clean_text
+from pamctl.plant.model import PlantSettings
 from pamctl.runs.index_finished import index_in_own_process
 from pamctl.settings.resolve import RunSettings, settings_to_data
 from pamctl.signals import Phase
@@ -72,6 +74,8 @@ class Service:
         file_gains: Mapping[str, Any] | None = None,
         idle_after_s: float = 600.0,
         tell: Callable[[Mapping[str, object]], object] = lambda event: None,
+        watched: PlantSettings | None = None,
+        monitor_trips: bool = False,
     ) -> None:
         """`settings` says rig, plant and the first gains; its experiment is not run.
 
@@ -79,7 +83,8 @@ class Service:
 
         A session that is parked for `idle_after_s` ends. `tell` is called with every event, from
         any thread, and must not wait for anything. A fault that `latch` kept from before this
-        daemon was started must be acknowledged first.
+        daemon was started must be acknowledged first. A monitor follows every run against the
+        plant `watched`; its alarm is an emergency stop where `monitor_trips`.
         """
         self._settings = settings
         self._names = dict(names)
@@ -98,6 +103,9 @@ class Service:
         self._is_leaving = False
         self._tell = tell
         self.events: deque[dict[str, Any]] = deque(maxlen=_RECENT_EVENTS)
+        self._monitor = MonitorDesk(
+            watched, self._announce_event, self.mark, self._trip if monitor_trips else None
+        )
 
     # --- status ------------------------------------------------------------------------
 
@@ -152,7 +160,8 @@ class Service:
             "logs": str(self._shelf.directory),
             "rate_hz": self._rate_hz,
             "disk_free_bytes": self._shelf.free_bytes,
-            "pids": {} if session is None else session.pids,
+            "pids": {**({} if session is None else session.pids), **self._monitor.pids},
+            "monitor": self._monitor.status(),
             "uptime_s": time.monotonic() - self._began_s,
             "version": __version__,
             "events": list(self.events)[-10:],
@@ -215,12 +224,15 @@ class Service:
 
     def estop(self) -> None:
         """Drive the safe voltage within a tick, and latch the fault. Waits for no order."""
+        self._trip("emergency stop")
+
+    def _trip(self, reason: str) -> None:
         session = self._session
         if session is not None:
             session.stop_now()
         else:
             self._workshop.rig.make_safe()
-        self._latch.engage("emergency stop")
+        self._latch.engage(reason)
         self._announce_event("estop")
 
     def ack(self) -> str:
@@ -311,6 +323,7 @@ class Service:
         self._is_leaving = True
         with self._busy:
             self._end_session()
+        self._monitor.close()
 
     def stop_at_once(self) -> None:
         """End at once, at the safe voltage. This is no fault: nothing is left to acknowledge."""
@@ -363,6 +376,8 @@ class Service:
             self._parked_since_s = time.monotonic()
             raise
         self._holds = isinstance(settings.experiment, HoldSettings)
+        if session.run is not None:
+            self._monitor.begin_run(name, session.run.ring.path)
         self._announce_event("run begins", run=name, log=str(path))
         return path
 

@@ -25,6 +25,7 @@ from pamctl.daemon.service import DaemonState, Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending, ExitCode
+from pamctl.plant.model import PlantSettings
 from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend
 from pamctl.processes.machine_code.libraries import start_building
 from pamctl.processes.run_once import LiveView, make_run_meta, new_ring_path, secure_device
@@ -53,6 +54,10 @@ class ServiceOptions(NamedTuple):
     """Print each event as a line of JSON."""
     file_gains: Mapping[str, Any]
     """Those of the file that the controller is named after."""
+    watched: PlantSettings | None = None
+    """Plant that the monitor compares every run with; None starts no monitor."""
+    monitor_trips: bool = False
+    """An alarm of the monitor is an emergency stop."""
 
 
 def serve_daemon(
@@ -84,6 +89,8 @@ def serve_daemon(
                 file_gains=options.file_gains,
                 idle_after_s=options.idle_after_s,
                 tell=tell,
+                watched=options.watched,
+                monitor_trips=options.monitor_trips,
             )
             with options.live_view("--socket", str(options.socket)):
                 ending = asyncio.run(_serve(service, options.socket, options.group, tell))

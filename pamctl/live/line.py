@@ -15,7 +15,7 @@ EVERY = 20
 COLUMNS = ("tick", "t_s", "phase", "position_m", "reference_m", "pressure_pa", "valve_v")
 _STATUS_FIELDS = (
     "state", "fault", "run", "log", "worst_late_s", "missed_ticks", "backend", "device",
-    "limits", "names", "disk_free_bytes", "version", "events",
+    "limits", "names", "disk_free_bytes", "version", "events", "monitor",
 )  # fmt: skip
 
 
@@ -30,7 +30,7 @@ def describe_glimpses(glimpses: Sequence[Glimpse], newest: Glimpse | None) -> di
     newest = newest or Glimpse(None, [])
     status: dict[str, Any] | None = None
     if newest.status is not None:
-        status = {name: newest.status[name] for name in _STATUS_FIELDS}
+        status = {name: newest.status.get(name) for name in _STATUS_FIELDS}
     rows = [
         [_nan_to_none(tick[name]) for name in COLUMNS] for one in glimpses for tick in one.ticks
     ]

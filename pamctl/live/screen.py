@@ -74,6 +74,7 @@ def draw_screen(
     where = f"{status['backend']} {status['device']}  q quits"
     what = status["fault"] or status["run"] or ""
     figures = _list_figures(status)
+    monitor = _draw_monitor(status, width)
     columns = min(3, max(1, width // _FIGURE_WIDTH))
     log = _cut_text(f"log   {status['log'] or '-'}", width, keep_end=True)
     left = lines - 3 - math.ceil(len(figures) / columns)
@@ -84,8 +85,19 @@ def draw_screen(
         _draw_figures(figures, columns),
         *plots,
         log,
-        *_draw_events(status["events"], left - len(plots), width),
+        *monitor,
+        *_draw_events(status["events"], left - len(plots) - len(monitor), width),
     )
+
+
+def _draw_monitor(status: Mapping[str, Any], width: int) -> list[Text]:
+    monitor = status.get("monitor")
+    if monitor is None:
+        return []
+    line = _cut_text(monitor["sentence"], width)
+    is_off = any(block["state"] == "off" for block in monitor["blocks"])
+    line.stylize("bold red" if is_off else "dim")
+    return [line]
 
 
 def _draw_headline(state: str, what: str, where: str, width: int) -> Text:

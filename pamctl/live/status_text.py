@@ -22,6 +22,8 @@ def format_status(status: Mapping[str, Any]) -> str:
         tick = {k: float("nan") if v is None else v for k, v in status["tick"].items()}
         lines.append(format_progress(tick, status["worst_late_s"]).strip())
     lines.append(f"controller: {spell_controller(status['names'])}")
+    if status.get("monitor"):
+        lines.append(status["monitor"]["sentence"])
     if status["log"]:
         lines.append(f"log: {status['log']}")
     lines.append(f"disk: {status['disk_free_bytes'] / 1e9:.1f} GB free")

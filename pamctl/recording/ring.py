@@ -472,6 +472,21 @@ class Ring:
             if self.head - head <= self.rows // 4:
                 return [self._tick_columns(payload) for payload in reversed(payloads)]
 
+    def copy_recent(self, first_row: int) -> RowBatch:
+        """Copy the rows from `first_row` on, committed or not; it takes nothing from the recorder.
+
+        At most the newest quarter of the ring. A batch may begin within an entry, or after
+        `first_row`: then rows were lost.
+        """
+        while True:
+            head = self.head
+            self._barrier()
+            first = min(max(first_row, head - self.rows // 4, 0), head)
+            data = self._copy(first, head)
+            self._barrier()
+            if self.head - head <= self.rows // 4:
+                return RowBatch(first, data)
+
     def _row_header(self, row: int) -> tuple[int, int, int, int]:
         at = self._rows_at + row % self.rows * ROW_BYTES
         kind, size, tick, t_ns = ROW_HEADER.unpack_from(self._buffer, at)

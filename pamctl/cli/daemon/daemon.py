@@ -26,6 +26,8 @@ from pamctl.cli.options import (
     seconds_option,
 )
 from pamctl.cli.settings_from_options import read_file_gains, resolve_options
+from pamctl.plant.model import PlantSettings
+from pamctl.settings.resolve import RunSettings
 
 
 def daemon(
@@ -63,6 +65,23 @@ def daemon(
         float,
         seconds_option("--idle-after", "Idle time before the session ends", at_least=1.0),
     ] = 600.0,
+    monitor: Annotated[
+        bool,
+        typer.Option("--monitor", help="Compare every run with the plant file, and say if it fits"),
+    ] = False,
+    monitor_plant: Annotated[
+        str | None,
+        typer.Option(
+            "--monitor-plant",
+            metavar="NAME|FILE",
+            help="Plant that --monitor compares with",
+            show_default="that of --plant",
+        ),
+    ] = None,
+    monitor_trips: Annotated[
+        bool,
+        typer.Option("--monitor-trips", help="Stop at the safe voltage at the monitor's alarm"),
+    ] = False,
     live: LiveOption = False,
     live_port: LivePortOption = DEFAULT_LIVE_PORT,
     live_origins: LiveOriginOption = None,
@@ -74,8 +93,11 @@ def daemon(
     settings, names = resolve_options(
         backend, rig, overrides, controller=controller, plant=plant, seed=seed, rt=rt
     )
+    if (monitor_plant is not None or monitor_trips) and not monitor:
+        raise typer.BadParameter("--monitor-plant and --monitor-trips go with --monitor")
     del names["experiment"]  # each start names its own
     port = choose_live_port(live, live_port, live_origins)
+    watched = _choose_watched_plant(settings, monitor_plant) if monitor else None
     require_linux()
     from pamctl.daemon.client import own_socket
     from pamctl.daemon.serving import ServiceOptions, serve_daemon  # no other verb waits for it
@@ -91,6 +113,16 @@ def daemon(
         idle_after_s,
         partial(serve_live_view, port, live_origins or ()),
         announce=as_json,
+        watched=watched,
+        monitor_trips=monitor_trips,
         file_gains=read_file_gains(settings, names["controller"]),
     )
     raise typer.Exit(int(serve_daemon(settings, names, options)))
+
+
+def _choose_watched_plant(settings: RunSettings, name: str | None) -> PlantSettings:
+    """Return the plant that the monitor follows."""
+    if name is None:
+        return settings.plant
+    watched, _ = resolve_options(None, None, None, plant=name)
+    return watched.plant

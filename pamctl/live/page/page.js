@@ -134,6 +134,7 @@ function showStatus(status, problem) {
   figure("late", scaled(status.worst_late_s, 1e6), 1, "\u00b5s");
   byId("missed").textContent = status.missed_ticks ?? "-";
   byId("log").textContent = status.log ? `log: ${status.log}` : "";
+  byId("monitor").textContent = status.monitor ? status.monitor.sentence : "";
   byId("events").replaceChildren(...[...status.events].reverse().map(eventItem));
 }
 

@@ -1,0 +1,78 @@
+"""One run: the numbers of its plant with intervals, and what they leave unexplained."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from pamctl.diagnose.fitting.evidence import prepare_evidence
+from pamctl.diagnose.fitting.intervals import FittedNumber, estimate_intervals
+from pamctl.diagnose.fitting.model_fit import recalibrate
+from pamctl.diagnose.measured.from_log import record_of
+from pamctl.diagnose.measured.noise.mend import mend_records
+from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.measured.refuse import BadData, check_measured_runs, check_sensors
+from pamctl.log.framing import LogError
+from pamctl.plant.model import PlantSettings
+
+MISFIT = " misfit"
+"""Ends the name of a block's misfit, which is followed like a number."""
+MISFIT_SCATTER = 0.15
+"""Relative half width of a misfit over its floor."""
+SHORTEST_S = 3.0
+
+
+@dataclass(frozen=True)
+class FittedRun:
+    """A run with its numbers; or why it has none."""
+
+    name: str
+    when_s: float
+    experiment: str = ""
+    numbers: Mapping[str, FittedNumber] = field(default_factory=dict)
+    """Fitted numbers by name, and the misfit of each block, over its floor."""
+    refused: str = ""
+
+
+def fit_log(path: Path, when_s: float, plant: PlantSettings) -> FittedRun:
+    """Fit a log; a log that cannot be used is returned with the reason."""
+    try:
+        record = record_of(path)
+        return replace(fit_record(record, plant), name=path.name, when_s=when_s)
+    except (LogError, BadData, OSError) as error:
+        return FittedRun(path.name, when_s, refused=" ".join(str(error).split()))
+
+
+def fit_record(record: Record, plant: PlantSettings) -> FittedRun:
+    """Fit a record; raise `BadData` where it cannot be fitted."""
+    (record,), _ = mend_records([record])
+    if plant.noise is not None:
+        record = replace(record, stated_noise={**record.stated_noise, **plant.noise.stated})
+    if record.duration_s < SHORTEST_S:
+        raise BadData(f"{record.duration_s:.1f} s after homing; {SHORTEST_S:g} s are needed")
+    check_measured_runs([record], plant, None)
+    evidence = prepare_evidence([record], [record], plant)
+    if not evidence.blocks:
+        raise BadData("it holds no pressure with the valve's command or the position")
+    check_sensors([record], evidence.noises, plant, None)
+    model = recalibrate(evidence)
+    numbers = {number.name: number for number in estimate_intervals(model)}
+    for block in evidence.blocks:
+        ratio = model.ratio(block)
+        half = MISFIT_SCATTER * ratio
+        name = block + MISFIT
+        numbers[name] = FittedNumber(name, ratio, ratio - half, ratio + half, "x floor")
+    return FittedRun(record.name, 0.0, record.experiment, numbers)
+
+
+def fit_halves(path: Path, plant: PlantSettings) -> tuple[FittedRun, FittedRun] | None:
+    """Fit the halves of a log; None where one cannot be fitted."""
+    try:
+        record = record_of(path)
+        middle = len(record) // 2
+        parts = (record.cut_samples(0, middle, "a"), record.cut_samples(middle, len(record), "b"))
+        first, second = (replace(part, t_s=part.t_s - part.t_s[0]) for part in parts)
+        return fit_record(first, plant), fit_record(second, plant)
+    except (LogError, BadData, OSError):
+        return None

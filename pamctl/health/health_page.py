@@ -1,0 +1,56 @@
+"""The page of a rig's health: one picture a number."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pamctl.health.follow_health import RigHealth
+from pamctl.health.health_words import describe_health, format_day
+from pamctl.report.drawing.svg import PlotAxis, SvgPlot
+from pamctl.report.html_page import Page
+
+DAY_S = 86400.0
+_LONG_S = 2.0 * DAY_S
+
+
+def write_health_page(health: RigHealth, folder: str) -> Page:
+    """Return the page."""
+    first, last = health.runs[0], health.runs[-1]
+    span = f"{format_day(first.when_s)} to {format_day(last.when_s)}"
+    page = Page(f"Health of {folder}", f"{len(health.runs)} runs, {span}")
+    page.section("What changed")
+    kind = "bad" if health.drifts else "good"
+    for sentence in describe_health(health):
+        page.note(sentence, kind=kind)
+    page.section("Numbers")
+    for name in dict.fromkeys(name for run in health.runs for name in run.numbers):
+        page.figure(_draw_number(health, name))
+    page.text("A dot is a run; the band is its 90 % interval. Steps are marked.")
+    if health.refused:
+        page.section("Logs left out")
+        page.table(["log", "why"], [[run.name, run.refused] for run in health.refused])
+    return page
+
+
+def _draw_number(health: RigHealth, name: str) -> SvgPlot:
+    having = [run for run in health.runs if name in run.numbers]
+    since_s = np.array([run.when_s - health.runs[0].when_s for run in having])
+    in_days = float(np.ptp(since_s)) > _LONG_S
+    # Runs of one moment, as those without a clock have, stand side by side.
+    if np.ptp(since_s) <= 0.0:
+        x, axis = np.arange(len(having), dtype=float), PlotAxis("run", "")
+    else:
+        x = since_s / (DAY_S if in_days else 3600.0)
+        axis = PlotAxis("since the first run", "d" if in_days else "h")
+    numbers = [run.numbers[name] for run in having]
+    plot = SvgPlot(name, axis, PlotAxis(name, numbers[0].unit))
+    plot.band(x, [n.low for n in numbers], [n.high for n in numbers])
+    plot.line(x, [n.value for n in numbers])
+    plot.points(x, [n.value for n in numbers])
+    for drift in health.drifts:
+        change = drift.change
+        if change.name == name and change.kind == "step":
+            at = [k for k, run in enumerate(having) if run is health.runs[change.second]]
+            if at:
+                plot.place(float(x[at[0]]), "step")
+    return plot

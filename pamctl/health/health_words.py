@@ -1,0 +1,97 @@
+"""The health of a rig as sentences, as a document and as a plant file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from pamctl.health.fit_run import MISFIT, FittedRun
+from pamctl.health.follow_health import FollowedDrift, RigHealth
+from pamctl.settings.yaml12 import dump_yaml
+
+SCHEMA = 1
+_WITHIN = {
+    True: ", within the runs too",
+    False: ", from run to run, not within them",
+    None: "",
+}
+
+
+def describe_health(health: RigHealth) -> list[str]:
+    """Return what is to be said, one sentence a drift."""
+    lines = [describe_drift(drift, health.runs) for drift in health.drifts]
+    if not lines:
+        lines = [f"No number drifts over {len(health.runs)} runs."]
+    if health.plant is None:
+        lines.append("No run is explained by the plant file with any numbers: diagnose one.")
+    return lines
+
+
+def describe_drift(drift: FollowedDrift, runs: Sequence[FittedRun]) -> str:
+    """Return one drift as a sentence."""
+    change = drift.change
+    at = format_day(runs[change.first].when_s), format_day(runs[change.second].when_s)
+    size = f"from {change.before:.4g} to {change.after:.4g} {change.unit}".rstrip()
+    if change.before and not change.name.endswith(MISFIT):
+        size = f"{100.0 * change.relative:+.1f} % ({size})"
+    if change.kind == "step":
+        names = f"{runs[change.first].name} and {runs[change.second].name}"
+        text = f"{change.name}: {size}, a step between {names} ({at[1]})"
+    else:
+        text = f"{change.name}: {size}, a trend since {at[0]}"
+    text += _WITHIN[drift.within]
+    if change.name.endswith(MISFIT) and change.after > change.before:
+        text += "; no number of the plant file explains it: `pamctl diagnose` the later run"
+    elif drift.is_doubtful:
+        text += "; doubtful, because a misfit changed too"
+    return text + "."
+
+
+def format_day(when_s: float) -> str:
+    """Return a time for people, in UTC."""
+    return datetime.fromtimestamp(when_s, UTC).strftime("%d %B %Y %H:%M")
+
+
+def build_health_document(health: RigHealth) -> dict[str, Any]:
+    """Return the document as plain values."""
+    return {
+        "schema": SCHEMA,
+        "sentences": describe_health(health),
+        "drifts": [_drift_entry(drift, health.runs) for drift in health.drifts],
+        "runs": [
+            {
+                "log": run.name,
+                "when_s": run.when_s,
+                "experiment": run.experiment,
+                "numbers": {name: n.as_dict() for name, n in run.numbers.items()},
+            }
+            for run in health.runs
+        ],
+        "refused": [{"log": run.name, "reason": run.refused} for run in health.refused],
+        "last_good": [run.name for run in health.good],
+    }
+
+
+def _drift_entry(drift: FollowedDrift, runs: Sequence[FittedRun]) -> dict[str, Any]:
+    change = drift.change
+    return {
+        "name": change.name,
+        "kind": change.kind,
+        "from": runs[change.first].name,
+        "to": runs[change.second].name,
+        "before": change.before,
+        "after": change.after,
+        "unit": change.unit,
+        "sigmas": change.sigmas,
+        "within_runs": drift.within,
+        "doubtful": drift.is_doubtful,
+    }
+
+
+def format_good_plant(health: RigHealth) -> str:
+    """Write the last good state as a plant file; there must be one."""
+    assert health.plant is not None
+    data = health.plant.model_dump(mode="json", round_trip=True, exclude_none=True)
+    names = ", ".join(run.name for run in health.good)
+    return f"# Written by `pamctl health`: the last good state, from {names}.\n{dump_yaml(data)}"

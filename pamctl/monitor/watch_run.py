@@ -1,0 +1,246 @@
+"""Follow one rig, second by second: columns in, state of both blocks out.
+
+    ring -> columns of about a second -> signals -> record of a window -> misfits -> sums -> alarm
+
+The sums go on from run to run; a window never reaches over a gap, nor into homing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_channel_noise
+from pamctl.diagnose.measured.record import Record
+from pamctl.log.measured_signals import Signals
+from pamctl.monitor.judge_window import JUDGED_S, RUN_IN_S, WindowJudge, WindowMisfit
+from pamctl.monitor.misfit_sums import MisfitAlarm, MisfitSums
+from pamctl.plant.model import PlantSettings
+from pamctl.signals import Phase
+
+LEARN_S = 8.0
+"""Measurement from which the sensors' noise is estimated, before the first window is judged."""
+KEEP_S = 60.0
+"""Measurement that is kept for a diagnosis."""
+NEAR_START_S = 5.0
+"""An alarm that begins so soon after its run began is diagnosed from the run's begin, at rest."""
+START_WITHIN_S = 0.3
+SMOOTH_SAMPLES = 41
+LONGEST_GAP_S = 0.05
+"""Windows do not reach over a longer gap."""
+SILENT = 5
+"""Windows without excitation in a row, after which the monitor says that it cannot tell."""
+BASELINE_WINDOWS = 8
+"""Windows from which the rig's own floor is taken, beside the model's."""
+MOST_OF_BASELINE = 1.5
+"""A rig may leave this multiple of the model's floor from the first; more is a misfit."""
+CHANNELS = ("pressure_pa", "position_m")
+
+
+@dataclass(frozen=True)
+class BlockReport:
+    """What the monitor knows of one block."""
+
+    block: str
+    state: str
+    """`fits`, `off`, or `cannot tell`."""
+    over_floor: float
+    """The newest window: misfit over its floor."""
+    activity: str
+    alarm: MisfitAlarm | None
+
+
+@dataclass(frozen=True)
+class _Piece:
+    record: Record
+    start_s: float
+
+
+class RunWatch:
+    """The model of a rig against its measurement; one for the life of a daemon."""
+
+    def __init__(self, plant: PlantSettings) -> None:
+        self._plant = plant
+        self._noises: dict[str, Noise] | None = None
+        self._sums = MisfitSums()
+        self._kept: deque[_Piece] = deque()
+        """Consecutive pieces without a gap between them."""
+        self._judged_to_s = -np.inf
+        self._silent: dict[str, int] = {}
+        self._first_ratios: dict[str, list[float]] = {}
+        self.blocks: dict[str, BlockReport] = {}
+        """The newest report of each block."""
+        self.windows = 0
+
+    @property
+    def is_learning(self) -> bool:
+        """Whether the noise of the sensors is not known yet."""
+        return self._noises is None
+
+    def begin_run(self) -> None:
+        """Forget the measurement of the run before; the sums and the noise are kept."""
+        self._kept.clear()
+        self._judged_to_s = -np.inf
+
+    def take(self, signals: Signals, start_s: float) -> dict[str, BlockReport]:
+        """Take the ticks since the last call; return the reports that changed.
+
+        `start_s` is the time of `signals.t_s[0]` on a clock that goes on from run to run.
+        """
+        for piece in _cut_usable(signals, start_s):
+            self._add(piece)
+        if self._noises is None and not self._learn():
+            return {}
+        changed: dict[str, BlockReport] = {}
+        while (window := self._next_window()) is not None:
+            changed |= self._judge(window)
+        return changed
+
+    def recall(self, since_s: float) -> Record | None:
+        """Return the measurement since a time, at most a minute; None if there is none."""
+        if not self._kept:
+            return None
+        record = _join(self._kept)
+        if since_s - record.t_s[0] < NEAR_START_S:
+            first = 0
+        else:
+            first = _find_clean_start(record, int(np.searchsorted(record.t_s, since_s)))
+        if len(record) - first < 2:
+            return None
+        cut = record.cut_samples(first, len(record), "last minute")
+        return replace(cut, t_s=cut.t_s - cut.t_s[0], stated_noise=self._state_noise())
+
+    def _state_noise(self) -> dict[str, float]:
+        stated = self._plant.noise.stated if self._plant.noise else {}
+        return {**stated}
+
+    def _add(self, piece: _Piece) -> None:
+        if self._kept:
+            last = self._kept[-1]
+            if piece.start_s - last.start_s - _length_s(last.record) > LONGEST_GAP_S:
+                self.begin_run()
+        self._kept.append(piece)
+        while len(self._kept) > 1 and piece.start_s - self._kept[1].start_s > KEEP_S:
+            self._kept.popleft()
+
+    def _learn(self) -> bool:
+        """Estimate the noise once there is enough measurement; return whether it is known."""
+        if not self._kept:
+            return False
+        record = _join(self._kept)
+        if record.duration_s < LEARN_S:
+            return False
+        record = replace(record, stated_noise=self._state_noise())
+        self._noises = {name: estimate_channel_noise([record], name) for name in CHANNELS}
+        return True
+
+    def _next_window(self) -> _Piece | None:
+        if not self._kept:
+            return None
+        first_s, last = self._kept[0].start_s, self._kept[-1]
+        end_s = last.start_s + _length_s(last.record)
+        begin_s = max(first_s, self._judged_to_s - RUN_IN_S)
+        if end_s < begin_s + RUN_IN_S + JUDGED_S:
+            return None
+        near = [p for p in self._kept if p.start_s + _length_s(p.record) >= begin_s]
+        record = _join(near)
+        a, b = np.searchsorted(record.t_s, [begin_s, begin_s + RUN_IN_S + JUDGED_S])
+        self._judged_to_s = begin_s + RUN_IN_S + JUDGED_S
+        return _Piece(record.cut_samples(int(a), int(b), "window"), begin_s + RUN_IN_S)
+
+    def _judge(self, window: _Piece) -> dict[str, BlockReport]:
+        assert self._noises is not None
+        self.windows += 1
+        changed = {}
+        for misfit in WindowJudge(self._plant, self._noises).judge(window.record, self.windows):
+            block = misfit.block
+            misfit = self._raise_floor(misfit)
+            self._sums.take(misfit, window.start_s)
+            self._silent[block] = 0 if misfit.shows else self._silent.get(block, 0) + 1
+            alarm = self._sums.find_alarm(block)
+            state = "off" if alarm else "cannot tell" if self._silent[block] >= SILENT else "fits"
+            over = misfit.rms / max(misfit.floor, 1e-30)
+            changed[block] = BlockReport(block, state, over, misfit.activity, alarm)
+        self.blocks |= changed
+        return changed
+
+    def _raise_floor(self, misfit: WindowMisfit) -> WindowMisfit:
+        """Return a misfit over the floor of this rig, as its first windows show it.
+
+        A second of rest tells little of the slow part of a sensor's noise, and no plant file is
+        exact. What is there from the first, and small, is no change.
+        """
+        ratios = self._first_ratios.setdefault(misfit.block, [])
+        if len(ratios) < BASELINE_WINDOWS:
+            ratios.append(misfit.rms / max(misfit.floor, 1e-30))
+        raised = float(np.clip(np.median(ratios), 1.0, MOST_OF_BASELINE))
+        excess = misfit.excess - float(np.log(raised))
+        return replace(misfit, floor=raised * misfit.floor, excess=excess)
+
+
+def _find_clean_start(record: Record, first: int) -> int:
+    """Return the sample near `first` whose pressure has the least noise.
+
+    A chamber remembers where it started: the first sample's noise would stay in the residual.
+    """
+    samples = round(START_WITHIN_S / record.period_s)
+    near = record["pressure_pa"][first : first + samples]
+    if len(near) <= SMOOTH_SAMPLES:
+        return first
+    off = np.abs(near - savgol_filter(near, SMOOTH_SAMPLES, 2))
+    return first + int(np.argmin(off))
+
+
+def _length_s(record: Record) -> float:
+    return float(record.t_s[-1] - record.t_s[0])
+
+
+def _cut_usable(signals: Signals, start_s: float) -> list[_Piece]:
+    """Cut signals into stretches without homing, stop ramp, failed writes and gaps."""
+    if signals.valve_v is None or signals.pressure_pa is None or signals.position_m is None:
+        return []
+    usable = (signals.phase != Phase.HOMING) & (signals.phase != Phase.STOPPING)
+    for column in (signals.valve_v, signals.pressure_pa, signals.position_m):
+        usable &= np.isfinite(column)
+    cuts = np.flatnonzero(
+        (np.diff(usable.astype(int)) != 0) | (np.diff(signals.t_s) > LONGEST_GAP_S)
+    )
+    pieces = []
+    for first, end in zip([0, *(cuts + 1)], [*(cuts + 1), len(usable)], strict=True):
+        if end - first > 1 and usable[first]:
+            begin_s = start_s + float(signals.t_s[first] - signals.t_s[0])
+            pieces.append(_Piece(_record_of(signals[int(first) : int(end)], begin_s), begin_s))
+    return pieces
+
+
+def _record_of(part: Signals, begin_s: float) -> Record:
+    return Record(
+        "piece",
+        part.t_s - part.t_s[0] + begin_s,
+        valve_v=part.valve_v,
+        pressure_pa=part.pressure_pa,
+        position_m=part.position_m,
+        acts_after_s=part.acts_after_s,
+        held_v=part.held_v,
+    )
+
+
+def _join(pieces: deque[_Piece] | list[_Piece]) -> Record:
+    records = [piece.record for piece in pieces]
+    acts = None
+    if any(record.acts_after_s is not None for record in records):
+        acts = np.concatenate(
+            [np.zeros(len(r)) if r.acts_after_s is None else r.acts_after_s for r in records]
+        )
+    return Record(
+        "run",
+        np.concatenate([record.t_s for record in records]),
+        valve_v=np.concatenate([record["valve_v"] for record in records]),
+        pressure_pa=np.concatenate([record["pressure_pa"] for record in records]),
+        position_m=np.concatenate([record["position_m"] for record in records]),
+        acts_after_s=acts,
+        held_v=records[0].held_v,
+    )

@@ -1,0 +1,95 @@
+"""The health of a rig: what drifts is named, what does not is not."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pamctl.diagnose.fitting.intervals import FittedNumber
+from pamctl.health.find_drift import SIGMAS_OF_CI90, find_drift
+from pamctl.settings.resolve import read_section_file
+
+
+def pamctl(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pamctl", *arguments]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+def make_numbers(values: np.ndarray, sigma: float) -> list[FittedNumber]:
+    half = SIGMAS_OF_CI90 * sigma
+    return [FittedNumber("k", float(v), float(v) - half, float(v) + half, "N/m") for v in values]
+
+
+def test_numbers_that_only_scatter_do_not_drift() -> None:
+    random = np.random.default_rng(4)
+    alarms = 0
+    for trial in range(300):
+        count = 2 + trial % 10
+        values = 100.0 + random.normal(0.0, 1.0, count)
+        alarms += find_drift("k", make_numbers(values, 1.0), range(count)) is not None
+    assert alarms <= 3
+
+
+def test_a_step_is_found_where_it_is() -> None:
+    random = np.random.default_rng(5)
+    values = 100.0 + random.normal(0.0, 1.0, 12) + np.where(np.arange(12) >= 7, -8.0, 0.0)
+    drift = find_drift("k", make_numbers(values, 1.0), range(12))
+    assert drift is not None
+    assert (drift.kind, drift.first, drift.second) == ("step", 6, 7)
+    assert drift.relative == pytest.approx(-0.08, abs=0.02)
+
+
+def test_a_trend_is_no_step() -> None:
+    random = np.random.default_rng(6)
+    days = np.arange(12.0)
+    values = 100.0 + random.normal(0.0, 1.0, 12) + 1.5 * days
+    drift = find_drift("k", make_numbers(values, 1.0), list(days * 86400.0))
+    assert drift is not None
+    assert drift.kind == "trend"
+    assert drift.after - drift.before == pytest.approx(16.5, rel=0.2)
+
+
+def test_intervals_that_are_too_narrow_are_widened_by_the_scatter_of_neighbours() -> None:
+    random = np.random.default_rng(7)
+    alarms = 0
+    for _ in range(100):
+        values = 100.0 + random.normal(0.0, 5.0, 12)
+        alarms += find_drift("k", make_numbers(values, 1.0), range(12)) is not None
+    assert alarms <= 5
+
+
+def test_a_folder_of_logs_names_the_number_that_moved(tmp_path: Path) -> None:
+    logs, out = tmp_path / "logs", tmp_path / "out"
+    logs.mkdir()
+    for k, friction in enumerate([55.3, 55.3, 50.0]):
+        changed = f"plant.parameters.kinetic_friction_per_m={friction}"
+        path = logs / f"2026110{k + 1}-120000-r.mcap"
+        done = pamctl(
+            "run", "--fast", "--quiet", "--experiment", "tracking-2", "--duration", "12",
+            "--seed", str(k), "--set", changed, "--log", str(path),
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    (logs / "broken.mcap").write_bytes(b"nothing")
+    done = pamctl("health", str(logs), "--out", str(out), "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    (drift,) = document["drifts"]
+    assert drift["name"] == "kinetic_friction_per_m"
+    assert drift["to"] == "20261103-120000-r.mcap"
+    assert drift["after"] == pytest.approx(50.0, rel=0.02)
+    assert document["last_good"] == ["20261103-120000-r.mcap"]
+    plant = read_section_file("plant", out / "plant.yaml")
+    assert plant.parameters.kinetic_friction_per_m == pytest.approx(50.0, rel=0.02)
+    assert "<svg" in (out / "report.html").read_text()
+
+
+def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
+    done = pamctl("health", str(tmp_path), "--out", str(tmp_path / "out"))
+    assert done.returncode == 65
+    assert "two are needed" in done.stderr
+    assert not (tmp_path / "out").exists()

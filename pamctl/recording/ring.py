@@ -438,6 +438,21 @@ class Ring:
             if self.head - head <= self.rows // 4:
                 return [self._tick_columns(payload) for payload in reversed(payloads)]
 
+    def newest_rows(self, after_row: int) -> RowBatch:
+        """Copy the rows from number `after_row` on, committed or not.
+
+        At most the newest half of the ring: older rows may be overwritten during the copy. The
+        batch may begin within an entry.
+        """
+        while True:
+            head = self.head
+            self._barrier()
+            first = max(after_row, head - self.rows // 2)
+            batch = RowBatch(first, self._copy(first, head))
+            self._barrier()
+            if self.head - head <= self.rows // 4:
+                return batch
+
     def _row_header(self, row: int) -> tuple[int, int, int, int]:
         at = self._rows_at + row % self.rows * ROW_BYTES
         kind, size, tick, t_ns = ROW_HEADER.unpack_from(self._buffer, at)

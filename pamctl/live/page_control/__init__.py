@@ -1,0 +1,1 @@
+"""What the page of `watch --web --allow-control` may order, and the forms that it orders with."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +122,7 @@ def test_a_slider_is_a_gains_event_of_the_log_with_its_ramp_and_undo_another(
     run: Log, tab: Page
 ) -> None:
     values = [gains["lambda_per_s"] for gains in run.gains]
-    changed = [after for before, after in zip(values, values[1:], strict=False) if after != before]
+    changed = [after for before, after in pairwise(values) if after != before]
     assert changed == [pytest.approx(tab.value("chosen")), values[0]]
     assert run.gains[1]["ramp_s"] == 0.5
     marks = [event["text"] for event in run.events if event.get("event") == "mark"]
@@ -239,8 +240,8 @@ def test_a_search_in_pieces_finds_what_a_walk_over_the_samples_finds(slope: str)
         for piece in np.array_split(values, generator.integers(1, 8)):
             crossing = find_crossing(piece, level, slope, hysteresis, armed)
             armed = crossing.armed
-            if crossing.index is not None:
-                found = start + crossing.index
+            if crossing.at is not None:
+                found = start + crossing.at
                 break
             start += len(piece)
         assert found == wanted

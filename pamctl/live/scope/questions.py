@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pamctl.live.scope.tick_memory import TickMemory
-from pamctl.live.scope.tick_source import ScopeRefusal, Stretch, TickSource
+from pamctl.live.scope.tick_source import ScopeRefusal, TickRange, TickSource
 from pamctl.live.scope.trigger import Armed, Slope
 
 _JSON, _BINARY = "application/json", "application/octet-stream"
@@ -44,8 +44,8 @@ class _StretchQuestion(_Question):
     first: Tick
     last: Tick
 
-    def stretch(self) -> Stretch:
-        return Stretch(self.log, self.first, self.last)
+    def stretch(self) -> TickRange:
+        return TickRange(self.log, self.first, self.last)
 
 
 class _TicksQuestion(_StretchQuestion):

@@ -139,7 +139,7 @@ class TickMemory:
                 for piece in self._pieces
                 if piece["tick"][-1] >= first_tick and piece["tick"][0] <= last_tick
             ]
-        unknown = [name for name in names if pieces and name not in pieces[0].dtype.names]
+        unknown = [name for name in names if pieces and name not in (pieces[0].dtype.names or ())]
         if unknown:
             raise KeyError(unknown[0])
         kept = [_cut_ticks(piece, first_tick, last_tick) for piece in pieces]

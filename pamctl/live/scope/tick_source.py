@@ -30,7 +30,7 @@ class ScopeRefusal(Exception):
         self.status = status
 
 
-class Stretch(NamedTuple):
+class TickRange(NamedTuple):
     """Ticks of one log, from the first to the last, both included."""
 
     log: str
@@ -59,7 +59,7 @@ class TickSource:
         """The daemon's logs; None before the daemon has answered."""
 
     def read_columns(
-        self, stretch: Stretch, names: Sequence[str], every: int = 1
+        self, stretch: TickRange, names: Sequence[str], every: int = 1
     ) -> Mapping[str, NDArray[np.float64]]:
         """Return columns of every `every`th tick of a stretch. Raises `ScopeRefusal`."""
         columns = self._read_all(stretch, names)
@@ -72,7 +72,7 @@ class TickSource:
         return taken
 
     def _read_all(
-        self, stretch: Stretch, names: Sequence[str]
+        self, stretch: TickRange, names: Sequence[str]
     ) -> Mapping[str, NDArray[np.float64]]:
         held = self._memory.state()
         is_held = held.is_complete or held.first_tick <= stretch.first_tick
@@ -84,7 +84,7 @@ class TickSource:
         return self._read_file(stretch, names)
 
     def _read_file(
-        self, stretch: Stretch, names: Sequence[str]
+        self, stretch: TickRange, names: Sequence[str]
     ) -> Mapping[str, NDArray[np.float64]]:
         try:
             log = read(self._require_log(stretch.log), fields=dict.fromkeys(["tick", *names]))
@@ -105,16 +105,16 @@ class TickSource:
         armed: Armed | None = None,
     ) -> Search:
         """Search the ticks behind `after_tick` for the first crossing. Raises `ScopeRefusal`."""
-        stretch = Stretch(log, after_tick + 1, 1 << 62)
+        stretch = TickRange(log, after_tick + 1, 1 << 62)
         columns = self.read_columns(stretch, ("tick", "t_s", field))
         crossing: Crossing = find_crossing(columns[field], level, slope, hysteresis, armed)
-        ticks, at = columns["tick"], crossing.index
+        ticks, at = columns["tick"], crossing.at
         searched = int(ticks[-1]) if len(ticks) else after_tick
         if at is None:
             return Search(None, None, searched, crossing.armed)
         return Search(int(ticks[at]), float(columns["t_s"][at]), searched, crossing.armed)
 
-    def cut(self, stretch: Stretch) -> bytes:
+    def cut(self, stretch: TickRange) -> bytes:
         """Return a stretch of a finished log as a log of its own. Raises `ScopeRefusal`."""
         source = self._require_log(stretch.log)
         try:

@@ -20,8 +20,8 @@ class Armed(NamedTuple):
 class Crossing(NamedTuple):
     """The result of a search."""
 
-    index: int | None
-    """Of the first value at or beyond the level; None if there is none."""
+    at: int | None
+    """Index of the first value at or beyond the level; None if there is none."""
     armed: Armed
     """For the search in the values that follow."""
 

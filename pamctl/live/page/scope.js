@@ -1,7 +1,7 @@
 "use strict";
 // The scope: every tick of the run, or of a log, around a trigger.
 
-const SCOPE_MS = 100;
+const SCOPE_MS = 200;
 const ROLL_POINTS = 4000;
 const PANE_HEIGHT = 190;
 const MOST_FIELDS = 12;
@@ -99,9 +99,13 @@ async function searchTrigger(held) {
     return;
   }
   await loadCapture({ log: held.log, first: Math.max(0, found - ticksOf(number("tpre"))), last, trigger: found });
-  sayScope(`triggered at tick ${found}`);
+  sayScope(`triggered at tick ${found}. ${tellUnseen(held)}`);
   if (scope.mode === "single") setMode("still");
   Object.assign(scope, { found: null, armed: "", after: Math.max(last, found + ticksOf(number("tholdoff"))), sinceMs: performance.now() });
+}
+
+function tellUnseen({ unseen }) {
+  return unseen ? `${unseen} ticks of this run came too fast for this PC to show: the log has them` : "";
 }
 
 async function waitForTrigger(held) {
@@ -123,13 +127,14 @@ async function stepScope() {
   try {
     if (scope.mode !== "still" && !document.hidden) {
       const held = await (await ask("/scope/state", {})).json();
-      if (held.last_tick !== scope.held?.last_tick) scope.grewMs = performance.now();
+      const isNew = held.last_tick !== scope.held?.last_tick || held.log !== scope.held?.log || !scope.capture;
+      if (isNew) scope.grewMs = performance.now();
       scope.held = held;
       if (held.problem) sayScope(held.problem);
       else if (held.last_tick < held.first_tick) sayScope("no run is logged");
       else if (scope.mode === "roll") {
-        await roll(held, number("tpre") + number("tpost"));
-        sayScope(performance.now() - scope.grewMs > 1500 ? `the run is over: ${held.log}` : "");
+        if (isNew) await roll(held, number("tpre") + number("tpost"));
+        sayScope(performance.now() - scope.grewMs > 1500 ? `the run is over: ${held.log}` : tellUnseen(held));
       } else await searchTrigger(held);
     }
   } catch (error) {

@@ -36,6 +36,8 @@ class MemoryState(NamedTuple):
     """The limits of what is kept; the last is below the first if nothing is."""
     is_complete: bool
     """The run goes on, or all of it is kept: its file has nothing more to offer now."""
+    unseen: int
+    """Rows that were overwritten before they were read here; the log has them."""
     problem: str
     """Why no ticks come; empty if all is well."""
 
@@ -54,6 +56,7 @@ class TickMemory:
         self._pieces: deque[NDArray[Any]] = deque()
         self._bytes = 0
         self._is_whole = True
+        self._unseen = 0
         self._events: deque[dict[str, Any]] = deque(maxlen=_MOST_EVENTS)
 
     def follow(self, ring: str | None, log: str | None) -> None:
@@ -78,7 +81,7 @@ class TickMemory:
         with self._lock:
             self._ring, self._row = ring, 0
             self._log, self._problem, self._bytes = log, "", 0
-            self._is_whole = True
+            self._is_whole, self._unseen = True, 0
             self._pieces.clear()
             self._events.clear()
             self._dtype = row_dtype(ring.meta.tick_fields)
@@ -86,8 +89,8 @@ class TickMemory:
 
     def _take_new_rows(self, ring: Ring) -> None:
         batch = ring.newest_rows(self._row)
-        is_gapless = batch.first_row == self._row
-        self._row = batch.end_row
+        missed = batch.first_row - self._row
+        is_first, self._row = self._row == 0, batch.end_row
         rows = np.frombuffer(batch.data, self._dtype)
         ticks = rows["columns"][rows["kind"] == RowKind.TICK]  # a copy, without the row's rest
         events = [
@@ -97,7 +100,8 @@ class TickMemory:
             )
         ]
         with self._lock:
-            self._is_whole = self._is_whole and is_gapless
+            self._is_whole = self._is_whole and not missed
+            self._unseen += 0 if is_first else missed
             self._events.extend(events)
             if len(ticks):
                 self._pieces.append(ticks)
@@ -119,7 +123,7 @@ class TickMemory:
             first, last = 0, -1
             if self._pieces:
                 first, last = int(self._pieces[0]["tick"][0]), int(self._pieces[-1]["tick"][-1])
-            return MemoryState(self._log, first, last, is_complete, self._problem)
+            return MemoryState(self._log, first, last, is_complete, self._unseen, self._problem)
 
     def events(self) -> list[dict[str, Any]]:
         """Return the newest events of the run, oldest first, each with its `tick`."""

@@ -250,6 +250,14 @@ class Drive:
         resting_pa = driven.true_pressure_pa[samples // 2 : samples]
         return float(np.mean(resting_pa)) - p.atmospheric_pressure_pa
 
+    def show_output(self, true: Array) -> Array:
+        """Return a simulated output as the record's column shows it."""
+        return true
+
+    def without_filter(self) -> Drive:
+        """Return the drive as its sensor showed it: a column may have been filtered since."""
+        return self
+
     def residual(self, settings: PlantSettings) -> Array:
         """Return measurement minus simulation, in deviations of the sensor, shape (samples,)."""
         return self.residual_of(self.simulate(settings))
@@ -271,14 +279,15 @@ class Drive:
         """Return a random generator that is fixed by this record and the key."""
         return np.random.default_rng([crc32(self.measured.tobytes()), *key])
 
-    def draw_disturbance(self, noise: Noise, replica: int, stream: int = 0) -> Array:
+    def draw_disturbance(self, signal: Array, noise: Noise, replica: int, stream: int = 0) -> Array:
         """Draw noise of a driving signal, smoothed like the signal itself, shape (n,).
 
-        The draws are kept: the floors of all models use the same noise.
+        A coarse converter's error goes slowly where the signal does: it is that of the signal. The
+        draws are kept: the floors of all models use the same noise.
         """
         if (replica, stream) not in self._disturbances:
             random = self.random_generator(replica, stream)
-            drawn = noise.simulate_sensor(np.zeros(len(self.driven)), random, self.driven)
+            drawn = noise.simulate_sensor(signal, random) - signal
             smooth = smooth_signal(drawn, self.step_s, self.cutoff_hz)
             self._disturbances[replica, stream] = smooth
         return self._disturbances[replica, stream]

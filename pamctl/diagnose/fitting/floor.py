@@ -105,8 +105,8 @@ def estimate_floor(
 
     Repeats show it: no model can explain what differs between them. Without repeats, it is what the
     recalibrated model leaves in its quietest stretches, without their trends: noise is in all of
-    them, and what the model lacks is not. `residual` is that model's on `drives`. The result bounds
-    the floor from above.
+    them, and what the model lacks is not. `residual` is that model's on `drives`. It is not below
+    the simulated one, which the noise of the block's input alone may set.
     """
     if repeated.rms:
         limit = float(np.hypot(repeated.rms * (1.0 + 2.0 * repeated.uncertainty), margin))
@@ -115,7 +115,8 @@ def estimate_floor(
     quiet = float(np.quantile(levels, QUIET))
     scatter = float(levels[levels <= np.median(levels)].std())
     limit = float(np.hypot(quiet + LIMIT_SIGMAS * scatter, margin))
-    return simulated.with_level(max(quiet, LEAST_LEVEL), limit, 0.0)
+    level = max(quiet, simulated.mean, LEAST_LEVEL)
+    return simulated.with_level(level, max(limit, simulated.limit), 0.0)
 
 
 def _measure_stretches(residual: Array, drives: Sequence[Drive]) -> Array:
@@ -254,10 +255,11 @@ def _add_noise(
         inner = "force_n" if settings.actuator == "direct" else "pressure_pa"
     driven = drive.driven
     if inner in noises:
-        driven = driven + drive.draw_disturbance(noises[inner], replica)
+        driven = driven + drive.draw_disturbance(driven, noises[inner], replica)
     pressed_pa = drive.pressed_pa
     if pressed_pa is not None and "pressure_pa" in noises:
-        pressed_pa = pressed_pa + drive.draw_disturbance(noises["pressure_pa"], replica, PRESSED)
+        noise = noises["pressure_pa"]
+        pressed_pa = pressed_pa + drive.draw_disturbance(pressed_pa, noise, replica, PRESSED)
     measured = noises[outer].simulate_sensor(ideal, drive.random_generator(replica, 1))
     noisy = replace(drive, driven=driven, measured=measured, pressed_pa=pressed_pa)
     noisy.__dict__["grid"] = drive.grid  # the steps are the same

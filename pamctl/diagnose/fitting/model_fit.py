@@ -163,8 +163,11 @@ def _has_shared_effect(evidence: Evidence) -> bool:
 def _start_from_base(
     base: Model, blocks: frozenset[str], effects: Sequence[Candidate]
 ) -> PlantSettings:
-    """Return the base model's numbers, without the effects that were taken out."""
-    kept = {c.name for c in effects}
+    """Return the base model's numbers, without the effects and the forms that were taken out.
+
+    A number that the new form of an effect does not fit is not carried over: nobody would see it.
+    """
+    moved = {f.name for c in effects for f in c.free}
     values = {name: value for c in effects if c.blocks & blocks for name, value in c.held}
     for block in sorted(blocks, reverse=True):  # the mechanics decide the geometry
         if base.fits:
@@ -172,7 +175,7 @@ def _start_from_base(
             values |= {
                 f.name: fitted.values[f.name]
                 for f in fitted.free
-                if f.effect is None or f.effect in kept
+                if f.effect is None or f.name in moved
             }
     return with_values(base.evidence.nominal, values)
 

@@ -130,6 +130,20 @@ def test_a_slider_is_a_gains_event_of_the_log_with_its_ramp_and_undo_another(
     assert marks[-1] == "a spike"
 
 
+def test_a_view_that_left_ticks_out_has_all_of_them_when_it_stands_still(
+    run: Log, tab: Page
+) -> None:
+    last = int(run["tick"][-1])
+    whole = f"{{ log: captured.log, first: {last - 400}, last: {last}, trigger: null }}"
+    tab.value(f"(setMode('roll'), loadCapture({whole}, 7).then(setStill))")
+    tab.wait_for("scope.capture.every === 1")
+    wanted = run["tick"][run["tick"] >= last - 400]
+    assert show_values(tab, "scope.capture.ticks")[-1] > wanted[-1] - 7
+    assert np.array_equal(
+        show_values(tab, "scope.capture.ticks"), wanted[: tab.value("scope.capture.ticks.length")]
+    )
+
+
 def test_a_drag_zooms_and_pauses_and_a_layout_is_kept(run: Log, tab: Page) -> None:
     tab.value("(showCapture(captured), setView(-0.05, 0.1))")
     assert tab.value("scope.mode") == "still"

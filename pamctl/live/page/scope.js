@@ -207,11 +207,12 @@ function placeCursor(which, index) {
   refreshScope();
 }
 
+// The live view may leave ticks out; what stands still has every tick.
 function setStill() {
-  const { cursors } = scope;
   setMode("still");
-  scope.cursors = cursors;
   sayScope("paused");
+  const { capture } = scope;
+  if (capture?.log && capture.every > 1) loadCapture(capture, 1).catch((error) => sayScope(error.message));
 }
 
 function setView(from, to) {
@@ -295,9 +296,11 @@ async function changePanes(change) {
   buildPanes();
 }
 
+// Cursors keep their time.
 function showCapture(capture) {
+  const before = scope.capture;
   scope.capture = capture;
-  scope.cursors = scope.cursors.map((at) => (at === null || at >= capture.t.length ? null : at));
+  scope.cursors = scope.cursors.map((at) => (at === null || !before ? null : nearestIndex(capture.t, before.t[at])));
   refreshScope();
 }
 

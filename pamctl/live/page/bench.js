@@ -56,7 +56,8 @@ function gainRow(gain) {
   return row;
 }
 
-async function setGain(gain, value) {
+async function setGain({ name }, value) {
+  const gain = bench.gains.find((one) => one.name === name);
   if (!isWithin(value, gain)) {
     say(`NOT SENT: ${gain.name} must be ${spellBounds(gain) || "a number"}`);
     return buildGains();

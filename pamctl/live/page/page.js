@@ -244,7 +244,9 @@ async function order(what) {
 
 function showOutcomes(outcomes) {
   for (const { order: number, do: what, error } of outcomes) {
-    if (pending.delete(number) && error) say(`NOT DONE: ${what}: ${error}`);
+    if (!pending.delete(number) || !error) continue;
+    say(`NOT DONE: ${what}: ${error}`);
+    if (what === "set") followController.known = null; // show the gains that hold
   }
 }
 

@@ -116,6 +116,11 @@ class TickMemory:
             self._ring.close()
             self._ring = None
 
+    def is_following(self, log: str) -> bool:
+        """Tell whether the run of this log goes on."""
+        with self._lock:
+            return self._ring is not None and log == self._log
+
     def state(self) -> MemoryState:
         """Return what is held."""
         with self._lock:

@@ -117,6 +117,10 @@ class TickSource:
     def cut(self, stretch: TickRange) -> bytes:
         """Return a stretch of a finished log as a log of its own. Raises `ScopeRefusal`."""
         source = self._require_log(stretch.log)
+        if self._memory.is_following(stretch.log):
+            raise ScopeRefusal(
+                HTTPStatus.CONFLICT, "the run goes on: its log can be cut when it is over"
+            )
         try:
             ticks = read(source, fields=("tick",))["tick"]
             first = int(np.searchsorted(ticks, stretch.first_tick, "left"))

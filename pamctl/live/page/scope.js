@@ -175,7 +175,7 @@ function drawLines(chart) {
   const { capture } = scope;
   if (!capture) return;
   const { ctx, bbox } = chart;
-  const line = (t, name, dash, label) => {
+  const line = (t, name, dash, label, row = 0) => {
     const x = chart.valToPos(t, "x", true);
     if (!(x >= bbox.left && x <= bbox.left + bbox.width)) return;
     ctx.strokeStyle = ctx.fillStyle = colour(name);
@@ -186,14 +186,14 @@ function drawLines(chart) {
     ctx.stroke();
     ctx.textAlign = "left";
     ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
-    ctx.fillText(label, x + 3 * devicePixelRatio, bbox.top + 12 * devicePixelRatio);
+    ctx.fillText(label, x + 3 * devicePixelRatio, bbox.top + 12 * (row + 1) * devicePixelRatio);
   };
   ctx.save();
   ctx.lineWidth = devicePixelRatio;
-  for (const event of capture.events ?? []) {
+  for (const [k, event] of (capture.events ?? []).entries()) {
     if (event.tick < capture.ticks[0] || event.tick > capture.ticks.at(-1)) continue;
     const at = nearestIndex(capture.ticks, event.tick);
-    line(capture.t[at], "--dim", [2, 3], event.event === "mark" ? String(event.text).slice(0, 24) : event.event);
+    line(capture.t[at], "--dim", [2, 3], event.event === "mark" ? String(event.text).slice(0, 24) : event.event, 1 + k % 4);
   }
   if (capture.trigger !== null) line(0, "--warn", [6, 4], "T");
   scope.cursors.forEach((at, which) => at !== null && line(capture.t[at], "--fg", [], "AB"[which]));

@@ -337,7 +337,7 @@ class _Problem:
         ):
             drives = [self.suspect.apply(d, amount) for d in fitted.drives]
             rows = slice(row, row + len(weight))
-            own = sensitivity(drives, settings, fitted.free, residual[rows] / weight, self.step)
+            own = sensitivity(drives, settings, fitted.free, self.step)
             slope[rows, column : column + own.shape[1]] = weight[:, None] * own
             row, column = row + len(weight), column + own.shape[1]
         self._last_slope = (key, slope.copy())

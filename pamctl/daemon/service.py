@@ -149,6 +149,7 @@ class Service:
             "fault": self._latch.reason,
             "run": None if run is None else run.name,
             "log": None if run is None else str(run.log),
+            "ring": None if run is None else str(run.ring.path),
             "tick": None if tick is None else replace_nan(tick),
             "worst_late_s": None if session is None else session.worst_late_s,
             "missed_ticks": None if session is None else session.missed_ticks,

@@ -8,9 +8,12 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from pamctl.live.feed import DaemonFeed, Glimpse
 from pamctl.live.line import COLUMNS, EVERY, LOOKS_PER_S, describe_glimpses
+from pamctl.live.scope.tick_memory import TickMemory
+from pamctl.live.scope.tick_source import TickSource
 
 _KEPT_LOOKS = round(60 * LOOKS_PER_S)
 
@@ -21,6 +24,8 @@ class Broadcast:
     def __init__(self, socket: Path) -> None:
         """Begin to look now."""
         self._feed = DaemonFeed(socket, EVERY, COLUMNS)
+        self.memory = TickMemory()
+        self.source = TickSource(self.memory)
         self._news = threading.Lock()
         self._kept: deque[Glimpse] = deque(maxlen=_KEPT_LOOKS)
         self._count = 0
@@ -32,11 +37,25 @@ class Broadcast:
     def _poll_feed(self) -> None:
         while not self._ended.wait(1.0 / LOOKS_PER_S):
             glimpse = self._feed.look()
+            self._follow_run(glimpse.status)
             with self._news:
                 self._kept.append(glimpse)
                 self._count += 1
                 self._looked_s = time.monotonic()
         self._feed.close()
+        self.memory.close()
+
+    def _follow_run(self, status: Mapping[str, Any] | None) -> None:
+        if status is None:
+            self.memory.follow(None, None)
+            return
+        self.source.folder = Path(status["logs"])
+        self.memory.follow(status.get("ring"), status["log"])
+
+    def newest_status(self) -> dict[str, Any] | None:
+        """Return the daemon's status; None while it does not answer."""
+        with self._news:
+            return self._kept[-1].status if self._kept else None
 
     def encode_news(self, seen: int, more: Mapping[str, object]) -> bytes:
         """Return as JSON: all since look number `seen`, the newest state, and `more`.

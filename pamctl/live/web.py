@@ -2,7 +2,10 @@
 
     GET /            the page, its script, its style, uPlot
     GET /news        what is new since the look that the page has seen last
-    POST /do         stop, goto, estop; only with --allow-control and its token
+    GET /scope/...   ticks at full rate, and searches for a trigger in them
+    GET /bench       the gains with their bounds, and the experiments
+    GET /runs        the newest runs of the daemon's folder
+    POST /do         an order; only with --allow-control and its token
 
 Each request is answered at once: the page asks for news ten times a second, and an order is
 confirmed when it is taken. A browser opens at most six connections to one address, for all of its
@@ -18,7 +21,6 @@ from __future__ import annotations
 
 import hmac
 import json
-import math
 import secrets
 import sys
 import threading
@@ -34,7 +36,11 @@ from urllib.parse import parse_qs, urlsplit
 
 from pamctl.daemon.server import Allowance
 from pamctl.live.broadcast import Broadcast
-from pamctl.live.page_orders import OrderFailure, PageOrders
+from pamctl.live.page_control.bench_forms import describe_bench, list_runs
+from pamctl.live.page_control.page_orders import OrderFailure, PageOrders
+from pamctl.live.page_control.translate_order import OrderNotUnderstood, translate_order
+from pamctl.live.scope.questions import ScopeQuestions
+from pamctl.live.scope.tick_source import ScopeRefusal
 
 LARGEST_BODY = 4096
 MOST_CONNECTIONS = 32
@@ -44,6 +50,9 @@ _SILENT_S = 10.0
 _PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/scope.js": ("scope.js", "text/javascript; charset=utf-8"),
+    "/signal.js": ("signal.js", "text/javascript; charset=utf-8"),
+    "/bench.js": ("bench.js", "text/javascript; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/uplot.js": ("uplot/uplot.js", "text/javascript; charset=utf-8"),
     "/uplot.css": ("uplot/uplot.css", "text/css; charset=utf-8"),
@@ -87,6 +96,7 @@ class PageServer(ThreadingHTTPServer):
         """Begin to look at the daemon behind `socket`; without a `token` the page is read-only."""
         self.broadcast = Broadcast(socket)  # first: `server_close` ends both if the port is taken
         self.orders = PageOrders(socket)
+        self.scope = ScopeQuestions(self.broadcast.memory, self.broadcast.source)
         super().__init__(("127.0.0.1", port), _Handler)
         self.token = token
         self.pages = {at: _read_part(name) for at, (name, _) in _PAGE.items()}
@@ -167,6 +177,12 @@ class _Handler(BaseHTTPRequestHandler):
             self._require_own_page()
             if self.path.startswith("/news?"):
                 self._answer(HTTPStatus.OK, self._collect_news(), "application/json")
+            elif self.path.startswith("/scope/"):
+                self._answer(HTTPStatus.OK, *self._ask_scope())
+            elif self.path == "/bench":
+                self._answer_json(describe_bench(self.server.broadcast.newest_status()))
+            elif self.path == "/runs":
+                self._answer_json(list_runs(self.server.broadcast.newest_status()))
             elif self.path in _PAGE:
                 self._answer(HTTPStatus.OK, self.server.pages[self.path], _PAGE[self.path][1])
             else:
@@ -231,9 +247,11 @@ class _Handler(BaseHTTPRequestHandler):
         return self.rfile.read(int(digits))
 
     def _give_order(self, order: dict[str, Any]) -> tuple[HTTPStatus, dict[str, Any]]:
-        method, params = _translate_order(order)
         try:
+            method, params = translate_order(order)
             number = self.server.orders.give(method, params)
+        except OrderNotUnderstood as error:
+            raise _RequestRefusal(HTTPStatus.BAD_REQUEST, str(error)) from None
         except OrderFailure as failure:
             raise _RequestRefusal(failure.status, str(failure)) from None
         if number is None:
@@ -254,6 +272,17 @@ class _Handler(BaseHTTPRequestHandler):
             "orders": self.server.orders.outcomes(),
         }
         return self.server.broadcast.encode_news(seen, news)
+
+    def _answer_json(self, document: object) -> None:
+        self._answer(HTTPStatus.OK, json.dumps(document).encode(), "application/json")
+
+    def _ask_scope(self) -> tuple[bytes, str]:
+        asked = urlsplit(self.path)
+        query = {name: values[0] for name, values in parse_qs(asked.query).items()}
+        try:
+            return self.server.scope.answer(asked.path, query)
+        except ScopeRefusal as refusal:
+            raise _RequestRefusal(refusal.status, str(refusal)) from None
 
     def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
         self._begin(status, kind, len(body))
@@ -291,25 +320,3 @@ def _parse_order(body: bytes) -> dict[str, Any]:
     if not isinstance(order, dict):
         raise _RequestRefusal(HTTPStatus.BAD_REQUEST, 'an order is {"do": ...}')
     return order
-
-
-def _translate_order(order: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Return method and parameters; the daemon checks their values."""
-    match order:
-        case {"do": "estop" | "stop" as do}:
-            return do, {}
-        case {"do": "goto", "position_mm": int() | float() as position_mm} if _is_length(
-            position_mm
-        ):
-            return "goto", {"position_m": position_mm * 1e-3}
-    raise _RequestRefusal(
-        HTTPStatus.BAD_REQUEST, "there are estop, stop, and goto with position_mm, a number"
-    )
-
-
-def _is_length(value: float) -> bool:
-    """Tell whether JSON gave a finite number: `true` is an int of Python's, 1e999 is infinite."""
-    try:
-        return not isinstance(value, bool) and math.isfinite(value)
-    except OverflowError:  # an integer of hundreds of digits
-        return False

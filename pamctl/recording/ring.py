@@ -475,13 +475,13 @@ class Ring:
     def copy_recent(self, first_row: int) -> RowBatch:
         """Copy the rows from `first_row` on, committed or not; it takes nothing from the recorder.
 
-        At most the newest quarter of the ring. A batch may begin within an entry, or after
-        `first_row`: then rows were lost.
+        At most the newest half of the ring: older rows may be overwritten during the copy. A batch
+        may begin within an entry, or after `first_row`: then rows were lost.
         """
         while True:
             head = self.head
             self._barrier()
-            first = min(max(first_row, head - self.rows // 4, 0), head)
+            first = min(max(first_row, head - self.rows // 2, 0), head)
             data = self._copy(first, head)
             self._barrier()
             if self.head - head <= self.rows // 4:

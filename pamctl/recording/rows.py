@@ -35,7 +35,7 @@ class RowLogger:
         self._writer = writer
         self._meta = meta
         self._layout = TickLayout.of_fields(meta.tick_fields)
-        self._row = _row_dtype(meta.tick_fields)
+        self._row = row_dtype(meta.tick_fields)
         self._channels = begin_log(writer, meta)
         self.last_tick = -(1 << 62)
         """Ticks up to this one are already in the log, and are left out."""
@@ -102,7 +102,8 @@ def _values_to_text(value: Mapping[str, object]) -> dict[str, str]:
     }
 
 
-def _row_dtype(fields: Sequence[Field]) -> np.dtype[Any]:
+def row_dtype(fields: Sequence[Field]) -> np.dtype[Any]:
+    """Return the layout of a row: `kind`, `tick`, `t_ns`, and in `columns` a tick's fields."""
     columns = np.dtype([(field.name, _NUMPY_TYPES[field.kind]) for field in fields])
     return np.dtype(
         {

@@ -88,7 +88,9 @@ class Page:
 
     def click(self, selector: str) -> None:
         """Press and release the left button in the middle of an element."""
-        where = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
+        element = f"document.querySelector({json.dumps(selector)})"
+        self.value(f"{element}.scrollIntoView({{ block: 'center', behavior: 'instant' }})")
+        where = f"{element}.getBoundingClientRect()"
         x, y = self.value(f"(b => [b.x + b.width / 2, b.y + b.height / 2])({where})")
         for kind in ("mousePressed", "mouseReleased"):
             self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)

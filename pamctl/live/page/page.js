@@ -124,6 +124,8 @@ function showNewest(fields, ticks, isLive) {
 }
 
 function showStatus(status, problem) {
+  newestStatus = status;
+  byId("ack").hidden = byId("controls").hidden || status?.state !== "fault";
   const state = status ? status.state : "away";
   byId("state").textContent = state;
   byId("state").dataset.state = state;
@@ -154,6 +156,7 @@ function eventItem(event) {
 
 // --- what is new -----------------------------------------------------------------------------
 
+let newestStatus = null;
 let server = "", look = 0, heardMs = performance.now();
 const pending = new Set();
 
@@ -191,7 +194,7 @@ async function followNews() {
 function showMode(control) {
   const may = control && token !== "";
   byId("estop").hidden = !may;
-  byId("controls").hidden = !may;
+  for (const part of ["controls", "gainbox", "experimentbox", "markform"]) byId(part).hidden = !may;
   byId("mode").textContent = may ? "" : control
     ? "read-only: open the page by its whole address, with the token behind #"
     : "read-only; to stop, in a terminal: pamctl estop";
@@ -218,6 +221,7 @@ function send(what) {
   });
 }
 
+// Returns whether the daemon has taken it.
 async function order(what) {
   const beganMs = performance.now();
   const sayNotSent = () => say(`NOT SENT: ${what.do} is not confirmed; in a terminal: pamctl ${what.do}`, "notsent");
@@ -230,16 +234,20 @@ async function order(what) {
     const tookMs = performance.now() - beganMs;
     if (!answer.ok) say(`NOT DONE: ${what.do}: ${told.error}`, what.do === "estop" ? "notsent" : "");
     else say(tookMs > CONFIRMED_MS ? `${what.do}: confirmed after ${(tookMs / 1e3).toFixed(1)} s` : "");
+    return answer.ok;
   } catch {
     clearTimeout(late);
     sayNotSent();
     if (what.do === "estop") setTimeout(() => order(what), CONFIRMED_MS); // until it gets through
+    return false;
   }
 }
 
 function showOutcomes(outcomes) {
   for (const { order: number, do: what, error } of outcomes) {
-    if (pending.delete(number) && error) say(`NOT DONE: ${what}: ${error}`);
+    if (!pending.delete(number) || !error) continue;
+    say(`NOT DONE: ${what}: ${error}`);
+    if (what === "set") followController.known = null; // show the gains that hold
   }
 }
 

@@ -1,0 +1,171 @@
+"""The newest ticks of the run that is logged now: every tick, every column.
+
+They are read from the ring in shared memory, as the recorder does. The loop does not notice: a
+viewer copies rows, and writes nothing. The ring belongs to the user of the daemon, and only that
+user can read it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.json_text import from_json
+from pamctl.plain_text import clean_document
+from pamctl.recording.ring import Ring, RingError, RowKind
+from pamctl.recording.rows import row_dtype
+
+MOST_BYTES = 256 << 20
+"""A tick has some 330 bytes: this holds 13 minutes at 1 kHz, or 80 s at 10 kHz."""
+_MOST_EVENTS = 500
+
+
+class MemoryState(NamedTuple):
+    """What the memory holds."""
+
+    log: str
+    """Name of the run's log; empty before the first run."""
+    first_tick: int
+    last_tick: int
+    """The limits of what is kept; the last is below the first if nothing is."""
+    is_complete: bool
+    """The run goes on, or all of it is kept: its file has nothing more to offer now."""
+    unseen: int
+    """Rows that were overwritten before they were read here; the log has them."""
+    problem: str
+    """Why no ticks come; empty if all is well."""
+
+
+class TickMemory:
+    """Follows the ring of the current run. One thread follows, any thread asks."""
+
+    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
+        """Hold at most `most_bytes` of ticks; the oldest are dropped."""
+        self._lock = threading.Lock()
+        self._most_bytes = most_bytes
+        self._ring: Ring | None = None
+        self._row = 0
+        self._log = ""
+        self._problem = ""
+        self._pieces: deque[NDArray[Any]] = deque()
+        self._bytes = 0
+        self._is_whole = True
+        self._unseen = 0
+        self._events: deque[dict[str, Any]] = deque(maxlen=_MOST_EVENTS)
+
+    def follow(self, ring: str | None, log: str | None) -> None:
+        """Take what is new; `ring` and `log` are the paths of the current run, None without one.
+
+        The ticks of a run that has ended stay until the next run begins.
+        """
+        if self._ring is not None:
+            self._take_new_rows(self._ring)  # the last rows of a run that has just ended too
+            if ring == str(self._ring.path):
+                return
+            self.close()
+        if ring is not None and log is not None:
+            self._attach(Path(ring), Path(log).name)
+
+    def _attach(self, path: Path, log: str) -> None:
+        try:
+            ring = Ring.attach(path, populate=False)
+        except RingError as error:
+            self._problem = "" if not path.exists() else _explain_problem(error)
+            return
+        with self._lock:
+            self._ring, self._row = ring, 0
+            self._log, self._problem, self._bytes = log, "", 0
+            self._is_whole, self._unseen = True, 0
+            self._pieces.clear()
+            self._events.clear()
+            self._dtype = row_dtype(ring.meta.tick_fields)
+        self._take_new_rows(ring)
+
+    def _take_new_rows(self, ring: Ring) -> None:
+        batch = ring.copy_recent(self._row)
+        missed = batch.first_row - self._row
+        is_first, self._row = self._row == 0, batch.end_row
+        rows = np.frombuffer(batch.data, self._dtype)
+        ticks = rows["columns"][rows["kind"] == RowKind.TICK]  # a copy, without the row's rest
+        events = [
+            {**clean_document(from_json(entry.payload)), "tick": entry.tick}
+            for entry in (
+                batch.entry(int(at)) for at in np.flatnonzero(rows["kind"] == RowKind.EVENT)
+            )
+        ]
+        with self._lock:
+            self._is_whole = self._is_whole and not missed
+            self._unseen += 0 if is_first else missed
+            self._events.extend(events)
+            if len(ticks):
+                self._pieces.append(ticks)
+                self._bytes += ticks.nbytes
+            while self._bytes > self._most_bytes and len(self._pieces) > 1:
+                self._bytes -= self._pieces.popleft().nbytes
+                self._is_whole = False
+
+    def close(self) -> None:
+        """Leave the ring; what was taken stays."""
+        if self._ring is not None:
+            self._ring.close()
+            self._ring = None
+
+    def is_following(self, log: str) -> bool:
+        """Tell whether the run of this log goes on."""
+        with self._lock:
+            return self._ring is not None and log == self._log
+
+    def state(self) -> MemoryState:
+        """Return what is held."""
+        with self._lock:
+            is_complete = self._ring is not None or self._is_whole
+            first, last = 0, -1
+            if self._pieces:
+                first, last = int(self._pieces[0]["tick"][0]), int(self._pieces[-1]["tick"][-1])
+            return MemoryState(self._log, first, last, is_complete, self._unseen, self._problem)
+
+    def events(self) -> list[dict[str, Any]]:
+        """Return the newest events of the run, oldest first, each with its `tick`."""
+        with self._lock:
+            return list(self._events)
+
+    def read_columns(
+        self, names: Sequence[str], first_tick: int, last_tick: int
+    ) -> Mapping[str, NDArray[np.float64]]:
+        """Return columns of the ticks from `first_tick` to `last_tick`, both included.
+
+        Raises KeyError for a column that the run does not have.
+        """
+        with self._lock:
+            pieces = [
+                piece
+                for piece in self._pieces
+                if piece["tick"][-1] >= first_tick and piece["tick"][0] <= last_tick
+            ]
+        unknown = [name for name in names if pieces and name not in (pieces[0].dtype.names or ())]
+        if unknown:
+            raise KeyError(unknown[0])
+        kept = [_cut_ticks(piece, first_tick, last_tick) for piece in pieces]
+        return {
+            name: np.concatenate([np.empty(0), *(piece[name] for piece in kept)]) for name in names
+        }
+
+
+def _cut_ticks(piece: NDArray[Any], first_tick: int, last_tick: int) -> NDArray[Any]:
+    start = np.searchsorted(piece["tick"], first_tick, "left")
+    return piece[start : np.searchsorted(piece["tick"], last_tick, "right")]
+
+
+def _explain_problem(error: RingError) -> str:
+    if isinstance(error.__cause__, PermissionError):
+        return (
+            "only the user of the daemon can see every tick: start `pamctl watch --web` as that "
+            "user, or open the log when the run is over"
+        )
+    return str(error)

@@ -1,0 +1,126 @@
+"""The scope's memory: what it takes from a ring, keeps, and says of what it could not take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.made_up import columns, meta, put, tick
+
+from pamctl.live.scope.questions import ScopeQuestions
+from pamctl.live.scope.tick_memory import TickMemory
+from pamctl.live.scope.tick_source import ScopeRefusal, TickSource
+from pamctl.recording.ring import Ring
+
+ROWS = 256
+TICK_BYTES = 300
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Iterator[Ring]:
+    with Ring.create(tmp_path / "pamctl-test.ring", meta(tmp_path / "a.mcap"), ROWS) as ring:
+        yield ring
+
+
+def follow(memory: TickMemory, ring: Ring) -> None:
+    ring.commit(ring.head)  # as the recorder does
+    memory.follow(str(ring.path), ring.meta.log_path)
+
+
+def ticks_of(memory: TickMemory) -> list[int]:
+    return [int(at) for at in memory.read_columns(["tick"], 0, 1 << 40)["tick"]]
+
+
+def test_every_tick_is_taken_once_with_all_its_columns_however_often_the_ring_wraps(ring):
+    memory = TickMemory()
+    for first in range(0, 1000, 100):
+        put(ring, range(first, first + 100))
+        ring.put_event(first, 0, {"event": "mark", "text": "x" * 900})  # longer than a row
+        follow(memory, ring)
+    assert ticks_of(memory) == list(range(1000))
+    assert [event["tick"] for event in memory.events()] == list(range(0, 1000, 100))
+    for name, value in columns(tick(777)).items():
+        kept = memory.read_columns([name], 777, 777)[name]
+        assert np.array_equal(kept, [value], equal_nan=True), name
+    assert memory.state().unseen == 0
+    memory.close()
+
+
+def test_rows_that_were_overwritten_before_they_were_read_are_counted(ring):
+    memory = TickMemory()
+    put(ring, range(10))
+    follow(memory, ring)
+    for first in range(10, 410, 100):
+        put(ring, range(first, first + 100))
+        ring.commit(ring.head)
+    follow(memory, ring)
+    assert ticks_of(memory) == [*range(10), *range(410 - ROWS // 2, 410)]
+    assert memory.state().unseen == 400 - ROWS // 2
+    memory.close()
+
+
+def test_the_oldest_ticks_are_dropped_and_a_run_that_has_ended_is_kept(ring):
+    memory = TickMemory(most_bytes=250 * TICK_BYTES)
+    for first in range(0, 1000, 100):
+        put(ring, range(first, first + 100))
+        follow(memory, ring)
+    put(ring, range(1000, 1010))
+    ring.unlink()
+    memory.follow(None, None)  # the run is over: its last rows are taken
+    state = memory.state()
+    assert state.last_tick == 1009
+    assert 700 <= state.first_tick <= 900
+    assert not state.is_complete
+
+
+def test_a_ring_that_another_user_holds_is_a_reason_and_no_error(ring, monkeypatch):
+    def refuse(*_: object, **__: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("pamctl.recording.ring.os.open", refuse)
+    memory = TickMemory()
+    memory.follow(str(ring.path), ring.meta.log_path)
+    assert "the user of the daemon" in memory.state().problem
+
+
+def test_a_search_goes_on_where_the_last_one_ended(ring):
+    memory = TickMemory()
+    source = TickSource(memory)
+    put(ring, range(100))
+    follow(memory, ring)
+    first = source.search("a.mcap", "tick", -1, 150.0, "rising")
+    assert (first.tick, first.searched) == (None, 99)
+    put(ring, range(100, 200))
+    follow(memory, ring)
+    second = source.search("a.mcap", "tick", first.searched, 150.0, "rising", 0.0, first.armed)
+    assert second.tick == 150
+    memory.close()
+
+
+@pytest.mark.parametrize(
+    ("path", "query", "status"),
+    [
+        ("/scope/nothing", {}, 404),
+        ("/scope/ticks", {}, 400),
+        ("/scope/ticks", {"log": "a.mcap", "first": "0", "last": "9", "fields": "nope"}, 400),
+        ("/scope/ticks", {"log": "a.mcap", "first": "0", "last": "9" * 400, "fields": "tick"}, 400),
+        ("/scope/ticks", {"log": "../a.mcap", "first": "0", "last": "9", "fields": "tick"}, 404),
+        ("/scope/ticks", {"log": "b.mcap", "first": "0", "last": "9", "fields": "tick"}, 404),
+        ("/scope/cut", {"log": "a.mcap", "first": "0", "last": "9"}, 409),
+        ("/scope/cut", {"log": "/etc/passwd", "first": "0", "last": "9"}, 404),
+        ("/scope/trigger", {"log": "a.mcap", "field": "tick", "level": "inf", "slope": "up"}, 400),
+    ],
+)
+def test_a_question_that_cannot_be_answered_is_refused(ring, tmp_path, path, query, status):
+    memory = TickMemory()
+    source = TickSource(memory)
+    source.folder = tmp_path
+    (tmp_path / "a.mcap").touch()  # the recorder has begun it
+    put(ring, range(10))
+    follow(memory, ring)
+    with pytest.raises(ScopeRefusal) as refusal:
+        ScopeQuestions(memory, source).answer(path, query)
+    assert refusal.value.status == status
+    memory.close()

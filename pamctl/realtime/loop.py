@@ -250,6 +250,7 @@ class _Loop:
                     decision,
                     outcome,
                     self.truth(),
+                    state.compensated or (),
                 )
             )
         # The last tick of each thousand, or the first one after it if that was missed.

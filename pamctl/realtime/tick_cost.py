@@ -15,13 +15,13 @@ from pamctl.control.course import make_valve_reference
 from pamctl.realtime.tick import TickSetup, first_state, step
 from pamctl.recording.ring import tick_struct
 from pamctl.signals import (
-    TICK_FIELDS,
     Phase,
     Reference,
     TickOutcome,
     TickRecord,
     Timing,
     Truth,
+    list_tick_fields,
 )
 
 _REHEARSALS = 100
@@ -63,7 +63,7 @@ def rehearse_tick_s(
     setup: TickSetup, period_s: float, now_ns: Callable[[], int] = time.perf_counter_ns
 ) -> float:
     """Return the median time of a tick without rig and clock: step, record, packing (s)."""
-    packing = tick_struct(TICK_FIELDS)
+    packing = tick_struct(list_tick_fields(setup.compensation is not None))
     row = bytearray(packing.size)
     sensor_v = 0.5 * (setup.limits.sensor_low_v + setup.limits.sensor_high_v)
     state = first_state(setup, Zero(sensor_v, 0.0))
@@ -90,6 +90,7 @@ def rehearse_tick_s(
             decision,
             outcome,
             truth,
+            state.compensated or (),
         )
         packing.pack_into(row, 0, *chain(*record))
         took_ns.append(now_ns() - began_ns)

@@ -152,7 +152,8 @@ def _measure(columns: Mapping[str, Any]) -> dict[str, Any]:
         bits = int(np.bitwise_or.reduce(columns["verdicts"].astype(np.int64)))
         found["verdicts"] = "; ".join(explain_verdicts(bits))
     if {"position_m", "reference_m", "phase"} <= columns.keys():
-        error_m = columns["position_m"] - columns["reference_m"]
+        shown = columns.get("corrected_position_m", columns["position_m"])
+        error_m = shown - columns["reference_m"]
         merit = compute_merit(t_s, columns["phase"], error_m)
         for name, value_m in merit._asdict().items() if merit else ():
             if np.isfinite(value_m):

@@ -75,7 +75,8 @@ def _find_steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
 def compute_log_merits(log: Log) -> dict[str, Merit | None]:
     """Return the figures of a log: `measured`, and `true` if the rig was simulated."""
     t_s, phase, reference = log["t_s"], log["phase"], log["reference_m"]
-    figures = {"measured": compute_merit(t_s, phase, log["position_m"] - reference)}
+    shown = log.columns.get("corrected_position_m", log["position_m"])
+    figures = {"measured": compute_merit(t_s, phase, shown - reference)}
     if np.isfinite(log["true_position_m"]).any():
         figures["true"] = compute_merit(t_s, phase, log["true_position_m"] - reference)
     return figures

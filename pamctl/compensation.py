@@ -104,7 +104,7 @@ def limit_slope(commands_v: list[float], reach_v: float, steepest: float) -> tup
     wanted_v = list_wanted_v(reach_v)
     limited = [commands_v[0]]
     for i in range(CELLS):
-        most = steepest * (wanted_v[i + 1] - wanted_v[i])
+        most = steepest * abs(wanted_v[i + 1] - wanted_v[i])
         change_v = commands_v[i + 1] - limited[i]
         limited.append(limited[i] + min(max(change_v, -most), most))
     return tuple(limited)

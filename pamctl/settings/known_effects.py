@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from difflib import get_close_matches
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -124,8 +124,3 @@ def _find_line(effects: Effects, place: str, names: Sequence[str], atmosphere_pa
             "no straight line, which a tick cannot use"
         )
     return _Line(scale, first - scale * float(shown[0]))
-
-
-def set_compensated(controller: Any, names: Sequence[str]) -> Any:
-    """Return a gains file that also undoes these effects."""
-    return controller.model_copy(update={"compensate": tuple(names)})

@@ -30,6 +30,8 @@ def undo_curve_v(curve: ValveCurve, passed_v: float) -> float:
 
     The area of a curve that bends down has a largest value: beyond it the travel stays there.
     """
+    if passed_v == 0.0:
+        return 0.0
     low_v, high_v = 0.0, 2.0 * FULL_COMMAND_V
     bend, power = curve.curvature_per_v, curve.exponent
     if bend < 0.0:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hal.rig import Rig
 from pamctl import __version__
@@ -20,7 +20,7 @@ from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.methods import methods_of
 from pamctl.daemon.notify import notify, watchdog_period_s
-from pamctl.daemon.server import Server
+from pamctl.daemon.server import Server, require_no_daemon
 from pamctl.daemon.service import DaemonState, Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
@@ -50,6 +50,8 @@ class ServiceOptions(NamedTuple):
     live_view: LiveView
     announce: bool
     """Print each event as a line of JSON."""
+    file_gains: Mapping[str, Any]
+    """Those of the file that the controller is named after."""
 
 
 def serve_daemon(
@@ -60,6 +62,8 @@ def serve_daemon(
     Raises `ShelfError` where logs cannot be written, `RigError`, `RingError` or `SocketError`
     where the device or the socket cannot be had.
     """
+    # First: whoever starts a second daemon wants to hear of the first, not of its device.
+    require_no_daemon(options.socket)
     shelf = Shelf(options.logs, options.keep)
     announcements = Announcements(sys.stdout.fileno()) if options.announce else None
     tell: Tell = _announce_nothing if announcements is None else announcements.put
@@ -73,6 +77,7 @@ def serve_daemon(
                 _make_workshop(settings, device),
                 shelf,
                 Latch(SHARED_MEMORY / f"pamctl-{device_of(settings)}.fault"),
+                file_gains=options.file_gains,
                 idle_after_s=options.idle_after_s,
                 tell=tell,
             )

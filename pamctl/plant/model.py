@@ -159,7 +159,7 @@ class PlantSettings(Configured):
     effects: EffectSettings = EffectSettings()
     correction: Annotated[
         CorrectionSettings | None,
-        Field(description="tables for what no effect explains; `pamctl diagnose --correction`"),
+        Field(description="tables for what no effect explains: --correction of `pamctl diagnose`"),
     ] = None
     known: Annotated[
         tuple[str, ...],

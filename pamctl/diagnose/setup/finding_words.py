@@ -77,8 +77,8 @@ def advise_mending(suspect: Suspect, value: float) -> str:
         )
     if suspect.kind == "null_offset":
         return (
-            "run `pamctl calibrate valve`, or add the offset to the driver's null; a record is "
-            f"mended by subtracting {value:.4g} V from valve_v"
+            "run `pamctl calibrate valve --out RIG.yaml`, or add the offset to the driver's null; "
+            f"a record is mended by subtracting {value:.4g} V from valve_v"
         )
     if suspect.kind == "skew":
         return (

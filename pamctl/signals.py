@@ -181,12 +181,13 @@ def _flatten(stages: Mapping[str, type]) -> tuple[Field, ...]:
     )
 
 
-_STAGES = get_type_hints(TickRecord)
+TICK_STAGES: dict[str, type] = {
+    stage: kind for stage, kind in get_type_hints(TickRecord).items() if stage != "compensation"
+}
+"""The stages of every run's ticks, in order, by their names in `TickRecord`."""
 COMPENSATION_FIELDS: tuple[Field, ...] = _flatten({"compensation": Compensated})
 """The columns that a run with `compensate` adds to each tick, after all others."""
-TICK_FIELDS: tuple[Field, ...] = _flatten(
-    {stage: kind for stage, kind in _STAGES.items() if stage != "compensation"}
-)
+TICK_FIELDS: tuple[Field, ...] = _flatten(TICK_STAGES)
 """The columns of a tick in order, each `int`, `float` or `bool`."""
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 from hal.rig import RawSample
 
@@ -194,3 +194,9 @@ TICK_FIELDS: tuple[Field, ...] = _flatten(TICK_STAGES)
 def list_tick_fields(compensates: bool) -> tuple[Field, ...]:
     """Return the columns of a run: all of `TICK_FIELDS`, and those of a compensation."""
     return (*TICK_FIELDS, *COMPENSATION_FIELDS) if compensates else TICK_FIELDS
+
+
+def find_followed_m(columns: Mapping[str, Any]) -> Any:
+    """Return the displacement whose error counts: the corrected one in a run that corrects it."""
+    name = "corrected_position_m" if "corrected_position_m" in columns else "position_m"
+    return columns[name]

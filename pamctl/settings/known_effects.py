@@ -8,8 +8,6 @@ from difflib import get_close_matches
 from itertools import pairwise
 from typing import NamedTuple
 
-import numpy as np
-
 from pamctl.compensation import Compensation, limit_slope, list_wanted_v
 from pamctl.control.law import LawSettings
 from pamctl.plant.catalogue import CATALOGUE
@@ -108,6 +106,8 @@ def _tabulate_side(
 
 def _find_line(effects: Effects, place: str, names: Sequence[str], atmosphere_pa: float) -> _Line:
     """Return the line that undoes the effects on a reading."""
+    import numpy as np  # settings load without it
+
     if place == "pressure_reading":
         shown = atmosphere_pa + np.array(_GAUGE_PROBES_PA)
     else:

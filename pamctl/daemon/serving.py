@@ -26,6 +26,7 @@ from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend
+from pamctl.processes.machine_code.libraries import start_building
 from pamctl.processes.run_once import LiveView, make_run_meta, new_ring_path, secure_device
 from pamctl.recording.orphans import finish_orphans_in_own_process
 from pamctl.settings.resolve import RunSettings
@@ -69,6 +70,9 @@ def serve_daemon(
     tell: Tell = _announce_nothing if announcements is None else announcements.put
     try:
         require_backend(settings)
+        note = start_building(settings)
+        if note:
+            print(f"note: {note}", file=sys.stderr, flush=True)
         with secure_device(settings) as device:
             finish_orphans_in_own_process(SHARED_MEMORY)  # its memory would stay with the daemon
             service = Service(

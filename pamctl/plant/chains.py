@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable, Collection, Iterable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from graphlib import TopologicalSorter
 from math import nan
 from typing import Any, NamedTuple
@@ -116,6 +116,7 @@ SensorMemory = _make_group("SensorMemory", _make_memories("sensors", 0.0, nan))
 """Memories of the effects on the readings."""
 
 
+@lru_cache(maxsize=256)
 def make_rest_memories(position_m: float, pressure_pa: float) -> tuple[Any, Any, Any]:
     """Return the memories of valve, mechanics and sensors after a long rest."""
     return (
@@ -265,8 +266,10 @@ def undo_reading(
     `effects` are the `SensorEffects`; with `names` only those are undone.
     """
     for name, entry in reversed(order_entries(place)):
-        if entry.undo is not None and (names is None or name in names):
-            shown = entry.undo(getattr(effects, name), shown, times_s, atmosphere_pa)
+        effect = getattr(effects, name)
+        is_chosen = names is None or name in names
+        if entry.undo is not None and is_chosen and effect != CATALOGUE[name].kind():
+            shown = entry.undo(effect, shown, times_s, atmosphere_pa)
     return shown
 
 

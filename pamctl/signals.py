@@ -10,8 +10,9 @@ muscle is a positive displacement.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum
-from typing import NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 from hal.rig import RawSample
 
@@ -134,6 +135,20 @@ class Truth(NamedTuple):
     """Absolute pressure in the simulated muscle, without the sensor's noise."""
 
 
+class Compensated(NamedTuple):
+    """What the compensation of known effects makes of command and measurement.
+
+    The columns of a run with `compensate`; other runs do not have them.
+    """
+
+    compensated_v: float
+    """Command at which the known valve opens as `command_v` would open the ideal one."""
+    corrected_position_m: float
+    """Displacement as the law gets it."""
+    corrected_pressure_pa: float
+    """Absolute pressure as the law gets it."""
+
+
 class TickRecord(NamedTuple):
     """All signals of one tick: a row of the ring, and a message of the log."""
 
@@ -146,6 +161,8 @@ class TickRecord(NamedTuple):
     decision: Decision
     outcome: TickOutcome
     truth: Truth
+    compensation: Compensated | tuple[()] = ()
+    """Empty in a run that compensates nothing."""
 
 
 class Field(NamedTuple):
@@ -156,8 +173,7 @@ class Field(NamedTuple):
     stage: str
 
 
-def _flatten(record: type) -> tuple[Field, ...]:
-    stages = get_type_hints(record)
+def _flatten(stages: Mapping[str, type]) -> tuple[Field, ...]:
     return tuple(
         Field(name, kind, stage)
         for stage, signals in stages.items()
@@ -165,5 +181,22 @@ def _flatten(record: type) -> tuple[Field, ...]:
     )
 
 
-TICK_FIELDS: tuple[Field, ...] = _flatten(TickRecord)
+TICK_STAGES: dict[str, type] = {
+    stage: kind for stage, kind in get_type_hints(TickRecord).items() if stage != "compensation"
+}
+"""The stages of every run's ticks, in order, by their names in `TickRecord`."""
+COMPENSATION_FIELDS: tuple[Field, ...] = _flatten({"compensation": Compensated})
+"""The columns that a run with `compensate` adds to each tick, after all others."""
+TICK_FIELDS: tuple[Field, ...] = _flatten(TICK_STAGES)
 """The columns of a tick in order, each `int`, `float` or `bool`."""
+
+
+def list_tick_fields(compensates: bool) -> tuple[Field, ...]:
+    """Return the columns of a run: all of `TICK_FIELDS`, and those of a compensation."""
+    return (*TICK_FIELDS, *COMPENSATION_FIELDS) if compensates else TICK_FIELDS
+
+
+def find_followed_m(columns: Mapping[str, Any]) -> Any:
+    """Return the displacement whose error counts: the corrected one in a run that corrects it."""
+    name = "corrected_position_m" if "corrected_position_m" in columns else "position_m"
+    return columns[name]

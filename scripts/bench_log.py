@@ -23,7 +23,7 @@ from pamctl.log.run_meta import RunMeta
 from pamctl.log.schema import TICK_TOPIC
 from pamctl.recording.recorder import await_recorder, spawn_recorder
 from pamctl.recording.ring import Ring, RingFull
-from pamctl.signals import TickRecord
+from pamctl.signals import TICK_STAGES, TickRecord
 
 
 def make_up_ticks(count: int) -> list[TickRecord]:
@@ -35,15 +35,15 @@ def make_up_ticks(count: int) -> list[TickRecord]:
         return chance.gauss(1e-3 * index, 1e-4) if kind is float else kind(index)
 
     return [
-        TickRecord._make(
-            signals._make(value(kind, index) for kind in kinds) for signals, kinds in stages
+        TickRecord(
+            *(signals._make(value(kind, index) for kind in kinds) for signals, kinds in stages)
         )
         for index in range(count)
     ]
 
 
 def _stage_types() -> list[Any]:
-    return list(get_type_hints(TickRecord).values())
+    return list(TICK_STAGES.values())
 
 
 def put_cost(directory: Path, ticks: list[TickRecord]) -> dict[str, float]:

@@ -15,7 +15,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import typer
 from measured_table import format_table
@@ -325,9 +325,10 @@ def write_log_schema() -> str:
     """Return the page of the log's channels and columns."""
     docs = read_attribute_docs(signals)
     hal_docs = read_attribute_docs(rig)
-    hints = {stage: kind.__name__ for stage, kind in get_type_hints(signals.TickRecord).items()}
+    kinds = {**signals.TICK_STAGES, "compensation": signals.Compensated}
+    hints = {stage: kind.__name__ for stage, kind in kinds.items()}
     rows = []
-    for number, (name, kind, stage) in enumerate(signals.TICK_FIELDS, 1):
+    for number, (name, kind, stage) in enumerate(signals.list_tick_fields(True), 1):
         owner = hints[stage]
         meaning = docs.get(owner, {}).get(name) or hal_docs.get(owner, {}).get(name, "")
         unit = log_schema.unit_of_column(name) if kind is not bool else ""
@@ -353,7 +354,9 @@ def write_log_schema() -> str:
             "fixed width, NaN kept. The message's `sequence` is the tick. SI units; pressure is "
             "absolute; a contraction is a positive displacement.\n",
             format_table(["number", "field", "type", "unit", "stage", "meaning"], rows),
-            f"\nValues of `phase`: {phases}.\n",
+            "\nOnly a run that compensates known effects has the fields of the stage "
+            "`compensation`.\n",
+            f"Values of `phase`: {phases}.\n",
             "## Bits of `verdicts`\n",
             format_table(["bit", "meaning"], verdicts),
             "\nBits below 8 cut the command. Bits from 8 on trip: the run ends at the safe "

@@ -41,6 +41,16 @@ def tune(
             show_default="drawn plants only",
         ),
     ] = None,
+    compensate: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--compensate",
+            metavar="EFFECT",
+            help="Undo this effect of the plant file around the law, and say so in the gains; "
+            "can be repeated",
+            show_default="nothing",
+        ),
+    ] = None,
     size: Annotated[
         int | None,
         typer.Option(
@@ -129,7 +139,9 @@ def tune(
     if controller_from is not None:
         file_law = use_law_file(controller_from)
         law = file_law if law is None and check is None else law
-    task = TuningTask.of(law, plants or [], size, seed, quantile, held_out, out, check, start)
+    task = TuningTask.of(
+        law, plants or [], size, seed, quantile, held_out, out, check, start, compensate or []
+    )
     if task.checked is not None:
         scores = check_gains(task, jobs)
         if as_json:

@@ -61,6 +61,10 @@ class LawSettings(Configured):
     command_limit_v: Annotated[
         float, Field(gt=0, le=10, description="the law's own limit of u, either side of 0")
     ] = 5.0
+    compensate: Annotated[
+        tuple[str, ...],
+        Field(description="effects of the plant file to undo, as `compensate` of a rig file"),
+    ] = ()
 
 
 BLENDED_BY_EVERY_LAW = frozenset({"lpf1_hz", "lpf2_hz", "command_limit_v"})

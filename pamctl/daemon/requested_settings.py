@@ -106,6 +106,8 @@ def _use_controller(settings: RunSettings, raw: RawSettings) -> RunSettings:
         raise _make_refusal(error) from error
     except ValueError as error:
         raise RequestRefusedError(str(error)) from error
+    if controller.compensate != settings.controller.compensate:
+        raise RequestRefusedError("another `compensate` takes effect when the daemon starts again")
     return changed
 
 

@@ -55,8 +55,8 @@ class Telemetry:
             self._status.log(status)
 
     def _pack_tick(self, tick: Mapping[str, float]) -> bytes:
-        for name, value in tick.items():
-            self._columns[name] = value
+        for field in TICK_FIELDS:
+            self._columns[field.name] = tick[field.name]
         return self._layout.encode(self._columns).tobytes()
 
 

@@ -14,7 +14,7 @@ from rich.text import Text
 from pamctl.live.braille import DOTS_ACROSS, Extremes, draw_dots, find_bounds
 from pamctl.live.history import History
 from pamctl.log.changed_gains import spell_controller
-from pamctl.signals import Phase
+from pamctl.signals import Phase, find_followed_m
 
 COLUMNS = (
     "tick", "t_s", "phase", "position_m", "reference_m", "pressure_pa", "valve_v",
@@ -57,7 +57,7 @@ PLOTS = (
 
 def add_error(tick: Mapping[str, float]) -> dict[str, float]:
     """Add the tracking error: measured displacement minus reference."""
-    return {**tick, "error_m": tick["position_m"] - tick["reference_m"]}
+    return {**tick, "error_m": find_followed_m(tick) - tick["reference_m"]}
 
 
 def draw_screen(

@@ -17,7 +17,7 @@ memory is called, and its memory updated, only if the effect is active.
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache, lru_cache
 from graphlib import TopologicalSorter
 from math import nan
@@ -253,10 +253,33 @@ follow_position_reading = _make_follow("position_reading", SensorMemory)
 depends_on_speed = _make_speed_test()
 
 
-def undo_reading(place: str, effects: Any, shown: Any, times_s: Any, atmosphere_pa: float) -> Any:
-    """Return the readings of an ideal sensor (arrays), as far as effects can be undone."""
+def undo_reading(
+    place: str,
+    effects: Any,
+    shown: Any,
+    times_s: Any,
+    atmosphere_pa: float,
+    names: Collection[str] | None = None,
+) -> Any:
+    """Return the readings of an ideal sensor (arrays), as far as effects can be undone.
+
+    `effects` are the `SensorEffects`; with `names` only those are undone.
+    """
     for name, entry in reversed(order_entries(place)):
         effect = getattr(effects, name)
-        if entry.undo is not None and effect != CATALOGUE[name].kind():
+        is_chosen = names is None or name in names
+        if entry.undo is not None and is_chosen and effect != CATALOGUE[name].kind():
             shown = entry.undo(effect, shown, times_s, atmosphere_pa)
     return shown
+
+
+def undo_valve_v(effects: Any, names: Collection[str], wanted_v: float) -> float:
+    """Return the command (V) at which the valve opens as an ideal one does at `wanted_v`.
+
+    `effects` are the `ValveEffects`; those in `names` are undone.
+    """
+    for place in ("opening", "command"):
+        for name, entry in reversed(order_entries(place)):
+            if name in names and entry.undo is not None:
+                wanted_v = float(entry.undo(getattr(effects, name), wanted_v))
+    return wanted_v

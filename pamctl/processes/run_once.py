@@ -46,6 +46,7 @@ from pamctl.settings.resolve import (
     settings_to_json,
     settings_to_yaml,
 )
+from pamctl.signals import list_tick_fields
 
 LiveView = Callable[..., AbstractContextManager[None]]
 """Serves live values inside a `with` block; `live_view("--ring", path)` names their source."""
@@ -148,7 +149,7 @@ def new_ring_path() -> Path:
 
 def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -> RunMeta:
     """Return the head of the log of a run that begins now."""
-    clock = build_clock(settings, may_spin=False)
+    clock, setup = build_clock(settings, may_spin=False), build_tick_setup(settings)
     mono_ns = 0 if settings.fast else time.monotonic_ns()
     cal = calibration(settings.rig.calibration)
     controller, nominal_dt_s = settings.controller, 1.0 / settings.rig.loop.rate_hz
@@ -176,7 +177,8 @@ def make_run_meta(settings: RunSettings, names: Mapping[str, str], path: Path) -
             ),
         },
         metadata={"run": run, "law": describe_law(law_of(controller))},
-        keyframe_fields=keyframe_fields(first_state(build_tick_setup(settings), Zero(0.0, 0.0))),
+        keyframe_fields=keyframe_fields(first_state(setup, Zero(0.0, 0.0))),
+        tick_fields=list_tick_fields(setup.compensation is not None),
     )
 
 

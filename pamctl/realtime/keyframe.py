@@ -15,11 +15,13 @@ def freeze_state(state: object) -> list[float]:
     """Flatten a tick's state, tuples in tuples, into doubles."""
     if isinstance(state, tuple):
         return [number for part in state for number in freeze_state(part)]
-    return [float(state)]  # type: ignore[arg-type]
+    return [] if state is None else [float(state)]  # type: ignore[arg-type]
 
 
 def keyframe_fields(state: object, path: str = "") -> list[str]:
     """Name the doubles that `freeze_state` makes: `filters.rate.pole` and the like."""
+    if state is None:
+        return []
     if not isinstance(state, tuple):
         return [path]
     return [
@@ -40,6 +42,8 @@ def thaw_state(like: State, numbers: Mapping[str, float]) -> State:
 
 
 def _shape_numbers(like: Any, numbers: Mapping[str, float], path: str) -> Any:
+    if like is None:
+        return None
     if not isinstance(like, tuple):
         return type(like)(numbers.get(path, like))
     names = _name_parts(like, path)

@@ -2,6 +2,9 @@
 
     RawSample -> Measurement -> Estimate -> Command -> Decision
 
+Known effects of sensors and valve can be undone on both sides of the law (`pamctl.compensation`).
+Safety judges what the sensors show, and clips what goes to the valve.
+
 The tick is pure: it has no clock, no rig, no log. The loop around it reads the rig, calls it,
 writes, and records what was really written. The batch simulation compiles this very function.
 """
@@ -13,10 +16,16 @@ from typing import NamedTuple
 
 from hal.calibration import Calibration, Zero, position_m, pressure_pa
 from hal.rig import RawSample
+from pamctl.compensation import (
+    Compensation,
+    compensate_command,
+    correct_measurement,
+    follow_compensation,
+)
 from pamctl.control.filters import UNPRIMED, FilterGains, FilterState, estimate
 from pamctl.control.law import Gains, Memory, respond
 from pamctl.safety import INITIAL_SAFETY_STATE, Limits, SafetyState, admit
-from pamctl.signals import Command, Decision, Estimate, Measurement, Reference, Timing
+from pamctl.signals import Command, Compensated, Decision, Estimate, Measurement, Reference, Timing
 
 
 class TickSetup(NamedTuple):
@@ -28,6 +37,8 @@ class TickSetup(NamedTuple):
     armed: Memory
     """The memory of the law that the gains belong to, when it has just been switched on."""
     limits: Limits
+    compensation: Compensation | None = None
+    """What is undone of sensors and valve; None undoes nothing."""
 
 
 class TickState(NamedTuple):
@@ -43,6 +54,8 @@ class TickState(NamedTuple):
     filters: FilterState
     law: Memory
     safety: SafetyState
+    compensated: Compensated | None
+    """None where nothing is undone."""
 
 
 def step(
@@ -50,12 +63,18 @@ def step(
 ) -> tuple[TickState, Decision]:
     """Run one tick."""
     measurement = measure(setup.calibration, state.zero, raw)
-    estimated, filters = estimate(setup.filters, state.filters, measurement, reference, timing.dt_s)
+    corrected = correct_measurement(setup.compensation, measurement)
+    estimated, filters = estimate(setup.filters, state.filters, corrected, reference, timing.dt_s)
     command, law = respond(setup.gains, setup.armed, state.law, reference, estimated, timing.dt_s)
+    asked = compensate_command(setup.compensation, reference, command)
     decision, safety = admit(
-        setup.limits, state.safety, raw, measurement, reference, estimated, command, timing
+        setup.limits, state.safety, raw, measurement, reference, estimated, asked, timing
     )
-    return TickState(state.zero, measurement, estimated, command, filters, law, safety), decision
+    compensated = follow_compensation(setup.compensation, state.compensated, corrected, asked)
+    return (
+        TickState(state.zero, measurement, estimated, command, filters, law, safety, compensated),
+        decision,
+    )
 
 
 def measure(calibration: Calibration, zero: Zero, raw: RawSample) -> Measurement:
@@ -76,6 +95,7 @@ def first_state(setup: TickSetup, zero: Zero) -> TickState:
         UNPRIMED,
         setup.armed,
         INITIAL_SAFETY_STATE._replace(valve_v=setup.limits.safe_valve_v),
+        None if setup.compensation is None else Compensated(math.nan, math.nan, math.nan),
     )
 
 

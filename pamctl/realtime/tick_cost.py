@@ -18,12 +18,12 @@ from pamctl.realtime.tick_path import PlainTick, TickPath
 from pamctl.realtime.whole_tick import TickTimes
 from pamctl.recording.ring import ROW_BYTES, tick_struct
 from pamctl.signals import (
-    TICK_FIELDS,
     Phase,
     Reference,
     TickOutcome,
     TickRecord,
     Truth,
+    list_tick_fields,
 )
 
 _REHEARSALS = 100
@@ -71,7 +71,7 @@ def rehearse_tick_s(
 
     `tick` runs it, by default in plain Python; it must begin afresh afterwards.
     """
-    tick, journal = tick or PlainTick(), _OneRow()
+    tick, journal = tick or PlainTick(), _OneRow(setup)
     sensor_v = 0.5 * (setup.limits.sensor_low_v + setup.limits.sensor_high_v)
     period_ns = round(period_s * 1e9)
     tick.begin(first_state(setup, Zero(sensor_v, 0.0)), TickTimes(0, -period_ns))
@@ -96,8 +96,8 @@ def rehearse_tick_s(
 class _OneRow:
     """Takes each tick as the ring does, into one row."""
 
-    def __init__(self) -> None:
-        self._packing = tick_struct(TICK_FIELDS)
+    def __init__(self, setup: TickSetup) -> None:
+        self._packing = tick_struct(list_tick_fields(setup.compensation is not None))
         self._row = bytearray(ROW_BYTES)
 
     def put_tick(self, record: TickRecord) -> None:

@@ -188,6 +188,7 @@ class PlainTick:
             self.decision,
             outcome,
             truth,
+            state.compensated or (),
         )
 
 

@@ -216,4 +216,8 @@ def _find_losses(log: Log, *, begins_known: bool) -> frozenset[int]:
 
 def find_absent_fields(log: Log) -> list[str]:
     """Return the fields that this version computes and a log of another version lacks."""
-    return [field.name for field in REPLAYED_FIELDS if field.name not in log.columns]
+    return [
+        field.name
+        for field in REPLAYED_FIELDS
+        if field.stage != "compensation" and field.name not in log.columns
+    ]

@@ -13,20 +13,33 @@ from hal.rig import RawSample
 from pamctl.compiled import compile_kernel
 from pamctl.control.law import KERNELS, LawKernel, answer
 from pamctl.realtime.tick import TickSetup, TickState, step
-from pamctl.signals import TICK_FIELDS, Field, Reference, Timing
+from pamctl.signals import (
+    COMPENSATION_FIELDS,
+    TICK_FIELDS,
+    Compensated,
+    Field,
+    Reference,
+    Timing,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
-REPLAYED_FIELDS: tuple[Field, ...] = tuple(
+_OF_EVERY_RUN = tuple(
     field
     for field in TICK_FIELDS
     if field.stage in ("measurement", "estimate", "command", "decision")
     or field.name == "applied_v"
 )
-"""The fields that `replay_ticks` computes, in the order of its rows."""
+REPLAYED_FIELDS: tuple[Field, ...] = (*_OF_EVERY_RUN, *COMPENSATION_FIELDS)
+"""The fields that `replay_ticks` computes, in the order of its rows.
+
+Those of a compensation are NaN in a run that has none.
+"""
+APPLIED_ROW = len(_OF_EVERY_RUN) - 1
+"""The row of `applied_v`."""
 
 
 class TickInputs(NamedTuple):
@@ -90,7 +103,14 @@ def replay_ticks(
         rows[7, i], rows[8, i], rows[9, i], rows[10, i], rows[11, i] = state.command
         rows[12, i], rows[13, i], rows[14, i] = decision
         rows[15, i] = nearest_output_v(output, output_v(setup.calibration, decision.valve_v))
+        _fill_compensated(rows, i, state.compensated)
     return state
+
+
+def _fill_compensated(rows: NDArray[np.float64], i: int, compensated: Compensated | None) -> None:
+    if compensated is None:
+        return
+    rows[16, i], rows[17, i], rows[18, i] = compensated
 
 
 def replay_stretch(
@@ -100,7 +120,7 @@ def replay_stretch(
 
     Returns the state after the last tick, and the rows, shape (len(REPLAYED_FIELDS), n).
     """
-    rows = np.empty((len(REPLAYED_FIELDS), len(inputs.tick)))
+    rows = np.full((len(REPLAYED_FIELDS), len(inputs.tick)), np.nan)
     if plain:
         # The loop computes with Python's numbers: numpy's scalars use another library for powers.
         inputs = TickInputs._make(column.tolist() for column in inputs)

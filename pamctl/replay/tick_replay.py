@@ -12,7 +12,7 @@ from pamctl.realtime.tick import TickState
 from pamctl.replay.differences import Differences, Floats, StageField, find_differing
 from pamctl.replay.program_replay import ProgramAnswer, ProgramReplay
 from pamctl.replay.replay_source import ReplaySource
-from pamctl.replay.tick_kernel import REPLAYED_FIELDS, replay_stretch
+from pamctl.replay.tick_kernel import APPLIED_ROW, REPLAYED_FIELDS, replay_stretch
 from pamctl.safety import INITIAL_SAFETY_STATE
 from pamctl.signals import TICK_FIELDS
 
@@ -90,7 +90,7 @@ class TickReplay:
     def _forget_failed_writes(self, rows: Floats, begin: int, end: int) -> None:
         """Set the output of failed writes to NaN, as in the log: what was applied is unknown."""
         failed = np.isnan(self._read_logged("applied_v", begin, end))
-        rows[-1, failed] = np.nan
+        rows[APPLIED_ROW, failed] = np.nan
 
     def _differs(self, after: TickState, rows: Floats, begin: int, end: int) -> bool:
         keyframe = self._recording.keyframes.get(end - 1)

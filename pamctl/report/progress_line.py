@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Mapping
 
-from pamctl.signals import Phase
+from pamctl.signals import Phase, find_followed_m
 
 
 class ProgressLine:
@@ -63,7 +63,7 @@ def format_progress(tick: Mapping[str, float], worst_late_s: float, end_s: float
     phase = Phase(int(tick["phase"])).name.lower().replace("_", " ")
     motion = f"x {tick['position_m'] * 1e3:7.3f} mm"
     if tick["reference_m"] == tick["reference_m"]:
-        error_um = (tick["position_m"] - tick["reference_m"]) * 1e6
+        error_um = (find_followed_m(tick) - tick["reference_m"]) * 1e6
         motion = f"{motion}  error {error_um:+8.1f} um"
     return (
         f"{tick['t_s']:5.1f}{end} s  {phase:<9} {motion}  "

@@ -81,8 +81,14 @@ class ReportedRun:
     @cached_property
     def error_m(self) -> Floats | None:
         """Measured displacement minus reference; None without a reference."""
-        position, reference = self.column("position_m"), self.column("reference_m")
+        position, reference = self.followed_m, self.column("reference_m")
         return None if position is None or reference is None else position - reference
+
+    @property
+    def followed_m(self) -> Floats | None:
+        """The measured displacement whose error counts; see `pamctl.signals.find_followed_m`."""
+        corrected = self.column("corrected_position_m")
+        return self.column("position_m") if corrected is None else corrected
 
     @property
     def meta(self) -> dict[str, str]:

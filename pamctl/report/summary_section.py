@@ -101,8 +101,7 @@ def make_merit_rows(run: ReportedRun) -> list[list[str]]:
     reference, rows = run.column("reference_m"), []
     if reference is None:
         return []
-    for what, column in (("measured", "position_m"), ("true", "true_position_m")):
-        position = run.column(column)
+    for what, position in (("measured", run.followed_m), ("true", run.column("true_position_m"))):
         found = (
             None if position is None else compute_merit(run.t_s, run.phase, position - reference)
         )

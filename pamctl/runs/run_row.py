@@ -24,6 +24,7 @@ from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
 from pamctl.log.ticks import TickColumns
 from pamctl.plain_text import clean_text
 from pamctl.safety import explain_verdicts
+from pamctl.signals import find_followed_m
 from pamctl.simulate.merit import compute_merit
 
 ENDINGS = {
@@ -37,7 +38,9 @@ ENDINGS = {
 UNFINISHED, UNREADABLE, IMPORTED, FAILED = "unfinished", "unreadable", "imported", "failed"
 ENDING_WORDS = tuple(dict.fromkeys([*ENDINGS.values(), FAILED, UNFINISHED, IMPORTED, UNREADABLE]))
 
-_FIELDS = ("t_s", "phase", "position_m", "reference_m", "missed", "verdicts")
+_FIELDS = (
+    "t_s", "phase", "position_m", "corrected_position_m", "reference_m", "missed", "verdicts",
+)  # fmt: skip
 _STAMP = re.compile(r"^(\d{8}-\d{6})")
 _OWN_CLOCK_S = 86400.0 * 365
 """A start before 1971 is that of a run without a clock."""
@@ -152,7 +155,7 @@ def _measure(columns: Mapping[str, Any]) -> dict[str, Any]:
         bits = int(np.bitwise_or.reduce(columns["verdicts"].astype(np.int64)))
         found["verdicts"] = "; ".join(explain_verdicts(bits))
     if {"position_m", "reference_m", "phase"} <= columns.keys():
-        error_m = columns["position_m"] - columns["reference_m"]
+        error_m = find_followed_m(columns) - columns["reference_m"]
         merit = compute_merit(t_s, columns["phase"], error_m)
         for name, value_m in merit._asdict().items() if merit else ():
             if np.isfinite(value_m):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log import Log, read
 from pamctl.session.pamctl_error import require_package, translate_errors
+from pamctl.signals import find_followed_m
 
 if TYPE_CHECKING:
     import pandas
@@ -104,7 +105,7 @@ class Run:
 
         Laws use the column `error_m`, which is of the filtered displacement.
         """
-        return np.asarray(self["position_m"] - self["reference_m"], np.float64)
+        return np.asarray(find_followed_m(self.log.columns) - self["reference_m"], np.float64)
 
     @property
     def settings(self) -> dict[str, Any]:

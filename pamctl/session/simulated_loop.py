@@ -29,11 +29,10 @@ from pamctl.recording.session_journal import SessionJournal
 from pamctl.session.held_ctrl_c import hold_back_ctrl_c
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
-from pamctl.signals import TICK_FIELDS, TickRecord
+from pamctl.signals import TickRecord, list_tick_fields
 
 _SESSION_ROWS = 256
 _RUN_ROWS = 4096
-_NAMES = [field.name for field in TICK_FIELDS]
 _NAMING = threading.Lock()
 """Held from the choice of a log's name until the file exists: rigs may share a folder."""
 
@@ -123,7 +122,10 @@ class SimulatedLoop:
 
     def read_tick(self) -> dict[str, float] | None:
         """Return the newest tick's columns by name."""
-        return None if self.last is None else dict(zip(_NAMES, chain(*self.last), strict=True))
+        if self.last is None:
+            return None
+        names = (field.name for field in list_tick_fields(bool(self.last.compensation)))
+        return dict(zip(names, chain(*self.last), strict=True))
 
     @hold_back_ctrl_c()
     def close(self, *, at_once: bool = False) -> Ending:

@@ -22,6 +22,7 @@ from pamctl.plant.model import plant_parameters
 from pamctl.realtime.program import Program
 from pamctl.realtime.tick import TickSetup
 from pamctl.safety import convert_limits
+from pamctl.settings.known_effects import build_compensation
 from pamctl.settings.resolve import RunSettings
 
 _EXPERIMENT: TypeAdapter[Any] = TypeAdapter(ExperimentSettings)
@@ -42,6 +43,7 @@ def build_tick_setup(settings: RunSettings) -> TickSetup:
             model=plant_parameters(settings.plant).paper,
             pinned=settings.readonly,
         ),
+        compensation=build_compensation(settings.plant, settings.rig, settings.controller),
     )
 
 

@@ -28,6 +28,7 @@ from pamctl.control.law_registry import (
 )
 from pamctl.log.importing.column_map import ImportMap
 from pamctl.plant.model import PlantSettings
+from pamctl.settings.known_effects import build_compensation
 from pamctl.settings.problems import (
     ConfigError,
     JsonSchema,
@@ -88,6 +89,11 @@ class RunSettings(Configured):
                 "plant.actuator direct is a mechanism without a valve, which no run can drive: it "
                 "is for `pamctl diagnose`; give the plant of a muscle"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _check_compensation(self) -> RunSettings:
+        build_compensation(self.plant, self.rig, self.controller)
         return self
 
 

@@ -38,6 +38,13 @@ class RigFile(Configured):
     envelope: EnvelopeSettings = EnvelopeSettings()
     homing: HomingSettings = HomingSettings()
     loop: LoopSettings = LoopSettings()
+    compensate: Annotated[
+        tuple[str, ...],
+        Field(
+            description="effects of the plant file that the tick undoes around the law, such as "
+            "`valve_deadband`; see `pamctl manual undo-what-was-found`"
+        ),
+    ] = ()
 
     if TYPE_CHECKING:  # each backend's model declares these, with its own name and default
         backend: str

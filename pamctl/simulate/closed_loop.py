@@ -18,6 +18,7 @@ from hal.calibration import output_v, valve_v
 from hal.converter import quantise_v
 from hal.rig import RawSample
 from hal.sim.sim_rig import SensorChain, sensed_counts, sensed_pressure_v
+from pamctl.compensation import correct_measurement
 from pamctl.compiled import compile_kernel
 from pamctl.control.course import Course, Segment
 from pamctl.control.law import KERNELS, LawKernel, answer
@@ -41,6 +42,7 @@ class BatchRow(NamedTuple):
     true_position_m: float
     true_pressure_pa: float
     position_m: float
+    """As measured, and corrected by a compensation where there is one; so is the pressure."""
     pressure_pa: float
     error_m: float
     command_v: float
@@ -182,8 +184,7 @@ def run_closed_loop(
         state, decision = step(setup, state, raw, reference, timing)
         rows[tick, 0] = muscle.position_m
         rows[tick, 1] = muscle.pressure_pa
-        rows[tick, 2] = state.measurement.position_m
-        rows[tick, 3] = state.measurement.pressure_pa
+        rows[tick, 2], rows[tick, 3] = correct_measurement(setup.compensation, state.measurement)
         rows[tick, 4] = state.estimate.error_m
         rows[tick, 5] = state.command.command_v
         rows[tick, 6] = decision.valve_v

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log.reader import Log
-from pamctl.signals import Phase
+from pamctl.signals import Phase, find_followed_m
 
 STEADY_S = 5.0
 
@@ -75,7 +75,8 @@ def _find_steady_parts(t_s: Floats, phase: NDArray[np.int64]) -> list[slice]:
 def compute_log_merits(log: Log) -> dict[str, Merit | None]:
     """Return the figures of a log: `measured`, and `true` if the rig was simulated."""
     t_s, phase, reference = log["t_s"], log["phase"], log["reference_m"]
-    figures = {"measured": compute_merit(t_s, phase, log["position_m"] - reference)}
+    followed = find_followed_m(log.columns)
+    figures = {"measured": compute_merit(t_s, phase, followed - reference)}
     if np.isfinite(log["true_position_m"]).any():
         figures["true"] = compute_merit(t_s, phase, log["true_position_m"] - reference)
     return figures

@@ -119,10 +119,12 @@ class GainsSearch:
     state: Path | None = None
     """File that keeps the search after each generation, so that it can be resumed."""
     trial: GainsTrial = field(default_factory=GainsTrial)
+    compensate: tuple[str, ...] = ()
+    """Effects that every candidate undoes; the gains name them."""
 
     def __post_init__(self) -> None:
         """Begin, or resume the search in `state`; raise `SearchError` if that is another one."""
-        self._space = find_space(self.law)
+        self._space = find_space(self.law, self.compensate)
         self._order = list(range(len(self.jury.drawn)))
         self._generation = 0
         self._runs = 0

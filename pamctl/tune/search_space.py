@@ -6,6 +6,7 @@ bounds.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,11 +71,16 @@ class GainSpace:
         return inside
 
 
-def find_space(law: str) -> GainSpace:
-    """Return the space of an installed law; raise ValueError where it has none."""
+def find_space(law: str, compensate: Sequence[str] = ()) -> GainSpace:
+    """Return the space of an installed law; raise ValueError where it has none.
+
+    Each of its gains also undoes the effects of `compensate`.
+    """
     space = find_law(law).search
     if space is None:
         raise ValueError(
             f"the law {law!r} defines no search space; gains that exist can be scored with --check"
         )
+    if compensate:
+        space = space._replace(fixed={**space.fixed, "compensate": list(compensate)})
     return GainSpace(space)

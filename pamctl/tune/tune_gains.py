@@ -66,7 +66,9 @@ def search_gains(
     interrupted = False
     scores: dict[str, Scores]
     with _start_workers(jobs) as executor:
-        search = GainsSearch(task.law, task.jury, task.seed, task.start, state, task.trial)
+        search = GainsSearch(
+            task.law, task.jury, task.seed, task.start, state, task.trial, task.compensate
+        )
         try:
             while search.generation < generations:
                 progress(search.advance(executor), time.monotonic() - began_s)

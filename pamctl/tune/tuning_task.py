@@ -10,8 +10,14 @@ from typing import Any
 from pamctl.control.law_registry import installed_laws
 from pamctl.log.naming import bare_name
 from pamctl.new_file import require_place
+from pamctl.settings.known_effects import build_compensation
 from pamctl.settings.problems import ConfigError, Problem
-from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
+from pamctl.settings.resolve import (
+    find_config_file,
+    read_section_file,
+    resolve,
+    settings_to_data,
+)
 from pamctl.tune.gains_search import Jury
 from pamctl.tune.gains_trial import GainsTrial
 from pamctl.tune.plant_ensemble import Member, draw_ensemble, make_fixed_members
@@ -40,6 +46,8 @@ class TuningTask:
     checked: Any
     """Controller to score; None to seek one."""
     start: dict[str, Any] | None
+    compensate: tuple[str, ...] = ()
+    """Effects that the gains undo, each with the numbers of the plant that it is judged on."""
 
     @property
     def trial(self) -> GainsTrial:
@@ -63,6 +71,7 @@ class TuningTask:
         out: Path | None,
         check: str | None,
         start: str | None,
+        compensate: Sequence[str] = (),
     ) -> TuningTask:
         """Make a task of the options of `pamctl tune`; raise `ConfigError`."""
         checked = None if check is None else _read("controller", check, "--check")
@@ -80,6 +89,12 @@ class TuningTask:
             raise _option_error(f"--start {start}", "the search works in mm, not in inches")
         named = make_fixed_members([(bare_name(name), _read("plant", name)) for name in plants])
         draws = size is not None or not plants
+        if compensate and draws:
+            raise _option_error(
+                f"--compensate {compensate[0]}",
+                "undoes what a plant file says: give --plant FILE, and no --ensemble",
+            )
+        _require_undoable(compensate, named)
         if held_out is not None and not draws:
             message = "there are no fresh plants: with --plant, give --ensemble too"
             raise _option_error(f"--held-out {held_out}", message)
@@ -87,11 +102,25 @@ class TuningTask:
         judges = held_out or _DEFAULT_HELD_OUT
         fresh = draw_ensemble(judges, seed + _FRESH_SEED_OFFSET) if draws else []
         begun = None if began is None else settings_to_data(began)
-        return cls(law, drawn, named, fresh, seed, quantile, out, checked, begun)
+        if checked is not None and compensate:
+            checked = checked.model_copy(update={"compensate": tuple(compensate)})
+        names = tuple(compensate)
+        return cls(law, drawn, named, fresh, seed, quantile, out, checked, begun, names)
 
 
 def _option_error(where: str, message: str) -> ConfigError:
     return ConfigError([Problem(where, "", message)])
+
+
+def _require_undoable(names: Sequence[str], members: Sequence[Member]) -> None:
+    """Refuse what a run on one of the plants would refuse."""
+    base = resolve()
+    controller = base.controller.model_copy(update={"compensate": tuple(names)})
+    for member in members:
+        try:
+            build_compensation(member.plant, base.rig, controller)
+        except ValueError as error:
+            raise _option_error(f"--compensate {' '.join(names)}", str(error)) from None
 
 
 def _require_space(law: str) -> None:

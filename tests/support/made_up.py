@@ -14,7 +14,7 @@ from typing import Any, get_type_hints
 from pamctl.log.run_meta import RunMeta
 from pamctl.recording.recorder import await_recorder, spawn_recorder
 from pamctl.recording.ring import Ring, RingFull
-from pamctl.signals import TICK_FIELDS, TickRecord
+from pamctl.signals import TICK_FIELDS, TICK_STAGES, TickRecord
 from support.patience import PATIENCE_S
 
 PERIOD_NS = 1_000_000
@@ -23,20 +23,20 @@ START_MONO_NS = 5_000_000_000
 
 
 _STAGES = tuple(
-    (signals, tuple(get_type_hints(signals).values()))
-    for signals in get_type_hints(TickRecord).values()
+    (signals, tuple(get_type_hints(signals).values())) for signals in TICK_STAGES.values()
 )
 
 
 @cache
 def tick(index: int) -> TickRecord:
     """Return a tick whose columns differ from each other and from tick to tick, but for time."""
-    record = TickRecord._make(
+    made: Any = (
         signals._make(
             _value(kind, index, 10 * stage + position) for position, kind in enumerate(kinds)
         )
         for stage, (signals, kinds) in enumerate(_STAGES)
     )
+    record = TickRecord(*made)
     return record._replace(
         timing=record.timing._replace(tick=index, t_s=index * 1e-3, dt_s=1e-3, missed=0),
         raw=record.raw._replace(encoder_t_ns=START_MONO_NS + index * PERIOD_NS),

@@ -17,6 +17,9 @@ MECHANICAL_UNITS = frozenset(
 )
 """Units of numbers whose size follows the machine's: its force, travel, speed and pressure."""
 
+UNDOABLE_PLACES = ("command", "opening", "pressure_reading", "position_reading")
+"""Where a tick can undo an effect: before the valve, and behind the sensors."""
+
 Block = Literal["pressure", "mechanics", "sensors"]
 Actuator = Literal["muscle", "direct", "chamber"]
 """What a plant file calls `actuator`.
@@ -125,8 +128,15 @@ class EffectEntry:
     after: tuple[str, ...] = ()
     """Effects of the same place that must act before this kernel."""
     undo: Callable[..., Any] | None = None
-    """For a reading: (parameters, readings, times_s, atmosphere_pa) -> the readings of a sensor
-    without the effect, all arrays. It may add noise; None if the effect cannot be undone."""
+    """The inverse of the kernel; None if the effect cannot be undone.
+
+    For a reading: (parameters, readings, times_s, atmosphere_pa) -> the readings of a sensor
+    without the effect, all arrays. It may add noise.
+    For `command` and `opening`: (parameters, passed_v) -> the value that the kernel turns into
+    `passed_v`, both V. Where several do it is the one nearest null, and where none does the one
+    that comes nearest. It is called when a run is set up, never in a tick
+    (`pamctl.settings.known_effects`).
+    """
 
 
 @dataclass(frozen=True)
@@ -175,6 +185,18 @@ class EffectDescription:
         """The parts of a step that compute it."""
         entered = {PLACES[entry.place].part for entry in self.entries}
         return tuple(sorted({*entered, *self.woven}))
+
+    @property
+    def is_undoable(self) -> bool:
+        """Tell whether a tick can undo it: each kernel has an inverse, and none a memory."""
+        return (
+            bool(self.entries)
+            and not self.woven
+            and all(
+                entry.place in UNDOABLE_PLACES and entry.undo is not None and entry.memory is None
+                for entry in self.entries
+            )
+        )
 
 
 def acts(effect: EffectDescription, values: Mapping[str, float]) -> bool:

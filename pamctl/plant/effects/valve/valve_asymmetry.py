@@ -18,6 +18,11 @@ def apply_asymmetry_v(asymmetry: ValveAsymmetry, opening_v: float) -> float:
     return opening_v if opening_v > 0.0 else asymmetry.exhaust_gain * opening_v
 
 
+def undo_asymmetry_v(asymmetry: ValveAsymmetry, passed_v: float) -> float:
+    """Return the opening of the wider or narrower port that has this area."""
+    return passed_v if passed_v > 0.0 else passed_v / asymmetry.exhaust_gain
+
+
 DESCRIPTION = EffectDescription(
     name="valve_asymmetry",
     kind=ValveAsymmetry,
@@ -38,7 +43,9 @@ DESCRIPTION = EffectDescription(
     signature="filling is right; the flow of exhausting is wrong by a constant factor",
     best_experiment="null-staircase",
     seen_by=("pressure",),
-    entries=(EffectEntry("opening", apply_asymmetry_v, after=("valve_curve",)),),
+    entries=(
+        EffectEntry("opening", apply_asymmetry_v, after=("valve_curve",), undo=undo_asymmetry_v),
+    ),
     told_from={
         "valve_deadband": Distinction("null-staircase", "a dead band acts near null only"),
         "supply_droop": Distinction(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pow
+from math import copysign, pow
 from typing import NamedTuple
 
 from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectForm, size
@@ -23,6 +23,26 @@ def apply_curve_v(curve: ValveCurve, opening_v: float) -> float:
     if curve.exponent != 1.0 and travel > 0.0:
         bent_v *= pow(travel / FULL_COMMAND_V, curve.exponent - 1.0)
     return bent_v
+
+
+def undo_curve_v(curve: ValveCurve, passed_v: float) -> float:
+    """Return the travel at which the port has this area, by bisection.
+
+    The area of a curve that bends down has a largest value: beyond it the travel stays there.
+    """
+    if passed_v == 0.0:
+        return 0.0
+    low_v, high_v = 0.0, 2.0 * FULL_COMMAND_V
+    bend, power = curve.curvature_per_v, curve.exponent
+    if bend < 0.0:
+        high_v = min(high_v, -power / ((power + 1.0) * bend))
+    for _ in range(60):
+        middle_v = 0.5 * (low_v + high_v)
+        if apply_curve_v(curve, middle_v) < abs(passed_v):
+            low_v = middle_v
+        else:
+            high_v = middle_v
+    return copysign(high_v, passed_v)
 
 
 DESCRIPTION = EffectDescription(
@@ -54,7 +74,7 @@ DESCRIPTION = EffectDescription(
     signature="the flow's error depends on the size of the command and not on its sign",
     best_experiment="null-staircase",
     seen_by=("pressure",),
-    entries=(EffectEntry("opening", apply_curve_v, after=("valve_deadband",)),),
+    entries=(EffectEntry("opening", apply_curve_v, after=("valve_deadband",), undo=undo_curve_v),),
     forms=(
         EffectForm("quadratic", free=("curvature_per_v",)),
         EffectForm("power", free=("exponent",)),

@@ -21,6 +21,13 @@ def apply_deadband_v(deadband: ValveDeadband, opening_v: float) -> float:
     return min(opening_v + deadband.exhaust_width_v, 0.0)
 
 
+def undo_deadband_v(deadband: ValveDeadband, passed_v: float) -> float:
+    """Return the travel that leaves this opening beyond the overlap; 0 for a closed valve."""
+    if passed_v > 0.0:
+        return passed_v + deadband.fill_width_v
+    return passed_v - deadband.exhaust_width_v if passed_v < 0.0 else 0.0
+
+
 DESCRIPTION = EffectDescription(
     name="valve_deadband",
     kind=ValveDeadband,
@@ -36,7 +43,7 @@ DESCRIPTION = EffectDescription(
     "the measured one stays; full-scale squares show only a loss of gain",
     best_experiment="null-staircase",
     seen_by=("pressure",),
-    entries=(EffectEntry("opening", apply_deadband_v),),
+    entries=(EffectEntry("opening", apply_deadband_v, undo=undo_deadband_v),),
     forms=(
         EffectForm("two sides", free=("fill_width_v", "exhaust_width_v")),
         EffectForm("filling only", free=("fill_width_v",)),

@@ -41,5 +41,8 @@ DESCRIPTION = EffectDescription(
     signature="at large commands only, in both directions, the measured flow is smaller",
     best_experiment="null-staircase",
     seen_by=("pressure",),
-    entries=(EffectEntry("command", saturate_command_v),),
+    entries=(
+        # Within its limit the driver passes the command on; more command does no more.
+        EffectEntry("command", saturate_command_v, undo=saturate_command_v),
+    ),
 )

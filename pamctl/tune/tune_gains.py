@@ -62,8 +62,8 @@ def search_gains(
 
     `command` goes into the file as its origin; `progress` is called after each generation with
     the seconds so far. The plants run in `jobs` processes of this machine, or on the Dask cluster
-    at the address `cluster`. Raises `SearchError`, `ClusterError`, and `KeyboardInterrupt` where that comes before
-    the end of the first generation.
+    at the address `cluster`. Raises `SearchError`, `ClusterError`, and `KeyboardInterrupt` where
+    that comes before the end of the first generation.
     """
     assert task.out is not None
     state = task.out.with_suffix(".search.json")
@@ -126,9 +126,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _score_gains(
-    executor: Executor, controller: Any, task: TuningTask
-) -> dict[str, Scores]:
+def _score_gains(executor: Executor, controller: Any, task: TuningTask) -> dict[str, Scores]:
     """Return the scores on the fresh plants and on the named ones, where there are any."""
     verdict = partial(_judge_member, controller)
     members = [*task.fresh, *task.named]

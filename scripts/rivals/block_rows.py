@@ -103,7 +103,9 @@ def _join(parts: list[dict[str, Any]], name: str, left_out: set[str]) -> Block:
         return np.concatenate([rows[key] for rows in parts])
 
     effects = {
-        effect: [np.concatenate([r["effects"][effect][k] for r in parts]) for k in range(len(forms))]
+        effect: [
+            np.concatenate([r["effects"][effect][k] for r in parts]) for k in range(len(forms))
+        ]
         for effect, forms in parts[0]["effects"].items()
         if effect not in left_out
     }
@@ -123,7 +125,9 @@ def _fill_muscle(record: Record, p: Numbers) -> dict[str, Any]:
     inside = np.diff(record["pressure_pa"] * volume) / rt
 
     def flow(opening: Array, tank_pa: float = tank, critical: float = 0.0) -> Array:
-        fill = np.maximum(opening, 0.0) * psi(p, np.full_like(pressure, tank_pa), pressure, critical)
+        fill = np.maximum(opening, 0.0) * psi(
+            p, np.full_like(pressure, tank_pa), pressure, critical
+        )
         vent = np.maximum(-opening, 0.0) * psi(p, pressure, np.full_like(pressure, air), critical)
         return np.asarray(gain * dt * (fill - vent))
 
@@ -199,7 +203,11 @@ def _volume(p: Numbers, x: Array, braid: float) -> Array:
 
 
 def _move_muscle(record: Record, p: Numbers) -> dict[str, Any]:
-    dt, x, moved = np.diff(record["t_s"]), middle(record["position_m"]), np.diff(record["position_m"])
+    dt, x, moved = (
+        np.diff(record["t_s"]),
+        middle(record["position_m"]),
+        np.diff(record["position_m"]),
+    )
     gauge = middle(record["pressure_pa"]) - p["atmospheric_pressure_pa"]
     v = slope(record["t_s"], record["position_m"])
     up = (middle(v) > 0).astype(float)
@@ -222,9 +230,7 @@ def _move_muscle(record: Record, p: Numbers) -> dict[str, Any]:
     balanced = balanced + up * kinetic / (dt * area(braid))
     effects = _list_mechanical(dt, x, middle(v))
     effects |= {
-        "presliding": [
-            [bristle(x, s) * kinetic - up * kinetic] for s in (5e-6, 2e-5, 5e-5, 2e-4)
-        ],
+        "presliding": [[bristle(x, s) * kinetic - up * kinetic] for s in (5e-6, 2e-5, 5e-5, 2e-4)],
         "stribeck": [
             [kinetic * np.exp(-((middle(v) / s) ** 2)) * up] for s in (2e-3, 5e-3, 1e-2, 2e-2)
         ],
@@ -243,7 +249,11 @@ def _move_muscle(record: Record, p: Numbers) -> dict[str, Any]:
 
 
 def _pull(record: Record, p: Numbers) -> dict[str, Any]:
-    dt, x, moved = np.diff(record["t_s"]), middle(record["position_m"]), np.diff(record["position_m"])
+    dt, x, moved = (
+        np.diff(record["t_s"]),
+        middle(record["position_m"]),
+        np.diff(record["position_m"]),
+    )
     v = slope(record["t_s"], record["position_m"])
     left = (middle(record["force_n"]) - p["stiffness_n_per_m"] * x) * dt
     left -= p["damping_n_s_per_m"] * moved + p["mass_kg"] * np.diff(v)

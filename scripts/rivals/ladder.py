@@ -25,7 +25,7 @@ def diagnose_task(task: Any) -> dict[str, Any]:
 def climb(train: Block, held: Block) -> list[list[str]]:
     """Return the effects of a block, rung by rung; a rung is one name or an inseparable set."""
     columns, held_columns = train.base, held.base
-    best = fit_columns(columns, train.target, held_columns, held.target)
+    start = best = fit_columns(columns, train.target, held_columns, held.target)
     rungs: list[list[str]] = []
     for _ in range(MOST_RUNGS):
         tried: list[tuple[float, str, Array, Array, Fit]] = []
@@ -40,7 +40,7 @@ def climb(train: Block, held: Block) -> list[list[str]]:
         if not tried:
             break
         score, _, wider, held_wider, fit = min(tried, key=lambda one: one[0])
-        if score > best.scores - CLEAR or not is_better_held_out(best, fit):
+        if score > best.scores - CLEAR or not is_better_held_out(start, best, fit):
             break
         rungs.append(sorted({name for each, name, *_ in tried if each < score + CLEAR}))
         columns, held_columns, best = wider, held_wider, fit

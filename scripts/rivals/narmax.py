@@ -1,7 +1,7 @@
 """SysIdentPy's NARMAX (forward regression, BIC) on what the recalibrated blocks leave.
 
-A polynomial of the second degree in the inputs and their lags, without feedback of the output (NFIR):
-it is simulated, not predicted a step ahead. It is named as Operon's expressions are.
+A polynomial of the second degree in the inputs and their lags, without feedback of the output
+(NFIR): it is simulated, not predicted a step ahead. It is named as Operon's expressions are.
 """
 
 from __future__ import annotations
@@ -28,16 +28,20 @@ def regress(inputs: Array, target: Array, held: Array) -> Any:
     from sysidentpy.basis_function import Polynomial
     from sysidentpy.model_structure_selection import FROLS
 
-    model = FROLS(
-        order_selection=True,
-        n_info_values=MOST_TERMS,
-        info_criteria="bic",
-        estimator="least_squares",
-        xlag=[[*range(1, LAG + 1)] for _ in range(inputs.shape[1])],
-        ylag=1,
-        basis_function=Polynomial(degree=2),
-        model_type="NFIR",
-    ) if inputs.shape[1] > 1 else FROLS(basis_function=Polynomial(degree=2), model_type="NFIR")
+    model = (
+        FROLS(
+            order_selection=True,
+            n_info_values=MOST_TERMS,
+            info_criteria="bic",
+            estimator="least_squares",
+            xlag=[[*range(1, LAG + 1)] for _ in range(inputs.shape[1])],
+            ylag=1,
+            basis_function=Polynomial(degree=2),
+            model_type="NFIR",
+        )
+        if inputs.shape[1] > 1
+        else FROLS(basis_function=Polynomial(degree=2), model_type="NFIR")
+    )
     # A row's own inputs count too: the model knows lags from 1 on.
     ahead, held_ahead = (np.vstack([x[1:], x[-1:]]) for x in (inputs, held))
     with warnings.catch_warnings():

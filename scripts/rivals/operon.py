@@ -1,7 +1,7 @@
 """Operon (pyoperon): symbolic regression of what the recalibrated blocks leave.
 
-The expression is free; the effect is named whose columns explain at least half of it, and a set where
-several do so equally well. A model that leaves the held-out rows as they are is no discrepancy.
+The expression is free; the effect is named whose columns explain at least half of it, and a set
+where several do so equally well. A model that leaves the held-out rows as they are is no discrepancy.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
 """PySINDy's sparse regression (STLSQ) over the library of the catalogue's columns.
 
-The threshold comes from a grid, by BIC on the training rows, as PySINDy's users do; columns are
-normalised, the base is projected out before. Names are those of the columns that survive.
+Each effect enters in the form that explains most alone: neighbours on a grid are nearly the same
+column, and thresholds then keep all or none. The base is projected out, the columns are normalised.
+Of the thresholds of a grid the sparsest model is taken that is about as good as the best on the
+held-out rows. Names are those of the columns that survive.
 """
 
 from __future__ import annotations
@@ -10,11 +12,11 @@ import warnings
 from typing import Any
 
 import numpy as np
-from block_rows import Block, make_blocks
-from naming import fit_columns, is_better_held_out, make_verdict
+from block_rows import Array, Block, make_blocks
+from naming import HELD_OUT_GAIN, Fit, fit_columns, is_better_held_out, make_verdict
 
-THRESHOLDS = np.geomspace(0.01, 1.0, 13)
-"""In standard deviations of the target: the columns have norm 1."""
+THRESHOLDS = np.geomspace(0.01, 3.0, 20)
+"""In standard deviations of the target: the columns have a mean square of 1."""
 
 
 def diagnose_task(task: Any) -> dict[str, Any]:
@@ -28,32 +30,47 @@ def select_names(train: Block, held: Block) -> list[str]:
     """Return the effects whose columns survive, or nothing where the held-out rows do not gain."""
     from pysindy import STLSQ
 
-    labels = [n for n, forms in train.effects.items() for f in forms for _ in range(f.shape[1])]
-    library = np.column_stack([f for forms in train.effects.values() for f in forms])
-    held_library = np.column_stack([f for n in train.effects for f in held.effects[n]])
+    start = fit_columns(train.base, train.target, held.base, held.target)
+    labels, library, held_library = _build_library(train, held)
     basis = np.linalg.qr(train.base / np.maximum(np.linalg.norm(train.base, axis=0), 1e-300))[0]
     free = library - basis @ (basis.T @ library)
-    target = train.target - basis @ (basis.T @ train.target)
     norms = np.linalg.norm(free, axis=0)
-    usable = norms > 1e-6 * np.linalg.norm(library, axis=0)
-    rows = len(target)
-    scaled = free[:, usable] / norms[usable] * np.sqrt(rows)
-    deviation = max(float(np.std(target)), 1e-300)
-    before = fit_columns(train.base, train.target, held.base, held.target)
-    best, kept_best = before, np.zeros(0, dtype=int)
-    at = np.flatnonzero(usable)
+    at = np.flatnonzero(norms > 1e-6 * np.linalg.norm(library, axis=0))
+    scaled = free[:, at] / norms[at] * np.sqrt(len(free))
+    target = start.left / max(float(np.std(start.left)), 1e-300)
+    fits: list[tuple[Fit, Array]] = []
     for threshold in THRESHOLDS:
         optimizer = STLSQ(threshold=float(threshold), alpha=1e-3, max_iter=50)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it warns where nothing survives
-            optimizer.fit(scaled, (target / deviation)[:, None])
+            optimizer.fit(scaled, target[:, None])
         kept = at[np.abs(np.ravel(optimizer.coef_)) > 0]
-        fit = fit_columns(
-            np.column_stack([train.base, library[:, kept]]), train.target,
-            np.column_stack([held.base, held_library[:, kept]]), held.target,
-        )  # fmt: skip
-        if fit.scores < best.scores:
-            best, kept_best = fit, kept
-    if not is_better_held_out(before, best):
+        columns = np.column_stack([train.base, library[:, kept]])
+        held_columns = np.column_stack([held.base, held_library[:, kept]])
+        fits.append((fit_columns(columns, train.target, held_columns, held.target), kept))
+    left = [float(np.mean(fit.held_out**2)) for fit, _ in fits]
+    enough = min(left) + HELD_OUT_GAIN * float(np.mean(start.held_out**2))
+    good = [one for one, each in zip(fits, left, strict=True) if each <= enough]
+    best, kept = min(good, key=lambda one: len(one[1]))
+    if not is_better_held_out(start, start, best):
         return []
-    return list(dict.fromkeys(labels[k] for k in kept_best))
+    return list(dict.fromkeys(labels[k] for k in kept))
+
+
+def _build_library(train: Block, held: Block) -> tuple[list[str], Array, Array]:
+    """Return names, columns and held-out columns, each effect in the form that is best alone."""
+    labels: list[str] = []
+    chosen: list[tuple[Array, Array]] = []
+    for name, forms in train.effects.items():
+        pairs = [*zip(forms, held.effects[name], strict=True)]
+        best = min(pairs, key=lambda pair: _score_alone(train, held, *pair))
+        labels += [name] * best[0].shape[1]
+        chosen.append(best)
+    columns, held_columns = (np.column_stack(side) for side in zip(*chosen, strict=True))
+    return labels, columns, held_columns
+
+
+def _score_alone(train: Block, held: Block, form: Array, held_form: Array) -> float:
+    columns = np.column_stack([train.base, form])
+    held_columns = np.column_stack([held.base, held_form])
+    return fit_columns(columns, train.target, held_columns, held.target).scores

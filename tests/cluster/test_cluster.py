@@ -111,7 +111,7 @@ def test_an_address_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPa
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         nobody = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        with pytest.raises(ClusterError, match="no scheduler answers within 0.2 s"):
+        with pytest.raises(ClusterError, match=r"no scheduler answers within 0\.2 s"):
             connect_to_cluster(nobody).__enter__()
     with pytest.raises(ClusterError, match="no scheduler answers"):
         connect_to_cluster("nowhere at all").__enter__()

@@ -1,10 +1,10 @@
 """`python -m pamctl.benchmark`: write the records, run a method, print the table.
 
-    python -m pamctl.benchmark write RECORDS --truth TRUTH.json [--suite sample|all]
-        [--program brief|short|standard] [--seed N]
-    python -m pamctl.benchmark run RECORDS --method pamctl --out VERDICTS
-        [--jobs N | --cluster ADDRESS]
-    python -m pamctl.benchmark score TRUTH.json VERDICTS [NAME=VERDICTS ...] [--json]
+python -m pamctl.benchmark write RECORDS --truth TRUTH.json [--suite sample|all]
+    [--program brief|short|standard] [--seed N]
+python -m pamctl.benchmark run RECORDS --method pamctl --out VERDICTS
+    [--jobs N | --cluster ADDRESS]
+python -m pamctl.benchmark score TRUTH.json VERDICTS [NAME=VERDICTS ...] [--json]
 """
 
 from __future__ import annotations
@@ -56,9 +56,7 @@ def _make_parser() -> argparse.ArgumentParser:
     write.set_defaults(command=_write)
     run = verbs.add_parser("run", help="run a method; stored verdicts are not run again")
     run.add_argument("records", type=Path)
-    run.add_argument(
-        "--method", required=True, help="pamctl, MODULE:FUNCTION or FILE.py:FUNCTION"
-    )
+    run.add_argument("--method", required=True, help="pamctl, MODULE:FUNCTION or FILE.py:FUNCTION")
     run.add_argument("--out", type=Path, required=True, help="folder for the verdicts")
     places = run.add_mutually_exclusive_group()
     places.add_argument("--jobs", type=_parse_jobs, default=1, help="processes of this machine (1)")

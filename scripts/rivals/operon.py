@@ -1,7 +1,8 @@
 """Operon (pyoperon): symbolic regression of what the recalibrated blocks leave.
 
 The expression is free; the effect is named whose columns explain at least half of it, and a set
-where several do so equally well. A model that leaves the held-out rows as they are is no discrepancy.
+where several do so equally well. A model that leaves the held-out rows as they are is no
+discrepancy.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 from block_rows import Array, Block, make_blocks
 from naming import HELD_OUT_GAIN, MEANT, fit_columns, make_verdict, name_model
 
-GENERATIONS = 200
+GENERATIONS = 30
 POPULATION = 500
 
 

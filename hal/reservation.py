@@ -49,8 +49,8 @@ def reserve(fd: int, what: str, pid_at: int = 0) -> None:
         holder = os.pread(fd, len(format(0, _PID)), pid_at).decode(errors="replace").strip("\0 ")
         raise RigError(
             f"{what} is held by process {holder or '(unknown)'}",
-            fix="wait for it to end; or end it, a daemon's session with `pamctl disarm` or "
-            f"`pamctl estop`, a run with Ctrl-C{f' or kill {holder}' if holder else ''}",
+            fix="wait for it to end; or end it: a run or a daemon with Ctrl-C in its terminal"
+            f"{f', or `kill {holder}`' if holder else ''}",
         ) from None
     os.pwrite(fd, format(os.getpid(), _PID).encode(), pid_at)
 

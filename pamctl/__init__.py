@@ -10,8 +10,6 @@ loaded when they are first used: no verb of the shell waits for them.
         run = rig.run(pamctl.Sine(offset_mm=12, amplitude_mm=2, frequency_hz=1))
 """
 
-from typing import Any
-
 __version__ = "0.1.0"
 
 __all__ = [
@@ -106,7 +104,7 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Load a public name; other modules of the house need none of them."""
     from importlib import import_module
 

@@ -10,9 +10,9 @@ A module that calls kernels of outside packages lists their modules in `KERNEL_M
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import os
+import re
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -44,6 +44,14 @@ def compile_kernel(kernel: Kernel, substitution: Substitution | None = None) -> 
     return cast(Kernel, _make_twin(kernel, substitution, for_python=True))
 
 
+def make_inner_twin(kernel: Kernel, substitution: Substitution | None = None) -> Kernel:
+    """Return a twin that only compiled code can call, and that is in no cache.
+
+    Machine code from a cache cannot be written into an object file.
+    """
+    return cast(Kernel, _make_twin(kernel, substitution, for_python=False))
+
+
 @cache
 def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_python: bool) -> Any:
     """Return a twin that Python can call, or one that only other twins call.
@@ -66,14 +74,17 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
     )
     # numba's cache identifies a function by its name, and a kernel may be called both ways.
     twin.__qualname__ = kernel.__qualname__ + ("" if for_python else "_for_kernels")
+    if substitution is not None:
+        twin.__qualname__ += f"_with_{substitution[1].__qualname__}"
     twin.__module__ = kernel.__module__
     modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
     return _import_numba(*modules).njit(
         twin,
-        cache=_may_cache(),
+        cache=for_python and _may_cache(),
         error_model="python",  # division by zero raises, as in the plain function
         no_cpython_wrapper=not for_python,
         no_cfunc_wrapper=True,
+        forceinline=not for_python,
     )
 
 
@@ -156,31 +167,45 @@ def _hash_sources(*modules: str) -> str:
     return digest.hexdigest()[:16]
 
 
+_IMPORT = re.compile(
+    rb"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n#]*)|import[ \t]+([^\n#]*))",
+    re.MULTILINE,
+)
+"""An import in a source. One in a docstring counts too, which does no harm."""
+_COMMENT = re.compile(rb"#[^\n]*")
+
+
 @cache
 def _find_imports(module: str) -> set[str]:
     """Find the modules that a module's source imports, also those for types.
 
-    Only modules of pamctl and of the module's own package count.
+    Only modules of pamctl and of the module's own package count. The sources are searched, not
+    parsed: that would take longer than to load the machine code.
     """
     found: set[str] = set()
     house = {*_HOUSE, _root_package(module)}
-    for node in ast.walk(ast.parse(_source_of(module).read_bytes())):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            source = _name_source(node, module)
-            names = [source, *(f"{source}.{alias.name}" for alias in node.names)]
+    for origin, names, modules in _IMPORT.findall(_source_of(module).read_bytes()):
+        if modules:
+            found |= {*_split_names(modules)}
         else:
-            continue
-        found |= {n for n in names if _root_package(n) in house and _source_of(n).is_file()}
+            source = _name_source(origin.decode(), module)
+            found |= {source, *(f"{source}.{name}" for name in _split_names(names))}
+    found = {n for n in found if _root_package(n) in house and _source_of(n).is_file()}
     return found | {*_list_added_modules(module)}
 
 
-def _name_source(node: ast.ImportFrom, module: str) -> str:
-    name = node.module or ""
-    if not node.level:
+def _split_names(names: bytes) -> list[str]:
+    """Return the names of a list of imports, without the names that they get."""
+    plain = _COMMENT.sub(b"", names).decode().strip("() \t\n")
+    return [word.split()[0] for word in plain.split(",") if word.strip()]
+
+
+def _name_source(origin: str, module: str) -> str:
+    """Return the module that `from origin import` names."""
+    name = origin.lstrip(".")
+    if name == origin:
         return name
-    return resolve_name("." * node.level + name, sys.modules[module].__package__)
+    return resolve_name(origin, sys.modules[module].__package__)
 
 
 def _source_of(module: str) -> Path:

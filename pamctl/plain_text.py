@@ -1,31 +1,77 @@
-"""Text from outside: notes, tags and marks, without characters that control a terminal or a page.
+"""Text from outside, without what would steer a terminal or reorder what is read.
 
-It is cleaned where it enters and where it is shown: a log may come from anywhere.
+A remark, a name or a log of somebody else may hold control characters: a terminal that prints an
+escape sequence clears its screen, and a bidirectional override shows words in another order. They
+are removed where text comes in, and again where it is shown: an old log may hold them.
 """
 
 from __future__ import annotations
 
 import re
-import unicodedata
+from collections.abc import Callable, Mapping
+from typing import Any, TextIO
+from unicodedata import category
 
-_ESCAPE_SEQUENCE = re.compile(
-    r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]"  # CSI: colours, cursor
-    r"|(?:\x1b[\]PX^_]|[\x9d\x90\x98\x9e\x9f])[^\x07\x1b\x9c]*(?:\x07|\x1b\\|\x9c|$)"  # OSC, DCS
-    r"|\x1b[ -/]*[0-~]"
+_SEQUENCE = re.compile(
+    r"(?:\x1b\]|\x9d)[^\x07\x1b\x9c]*(?:\x07|\x1b\\|\x9c)?"  # OSC: titles, links, the clipboard
+    r"|(?:\x1b[PX^_]|[\x90\x98\x9e\x9f])[^\x1b\x9c]*(?:\x1b\\|\x9c)?"  # DCS, SOS, PM, APC
+    r"|(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]?"  # CSI: colours, the cursor, the screen
+    r"|\x1b[ -/]*[0-~]?"
 )
-_CONTROLS = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+"""The control sequences of ECMA-48."""
+
+_UNSEEN = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f"  # C0 without tab and line feed, DEL, C1
+    "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069"  # marks and overrides of direction
+    "\u200b\u2060-\u2064\ufeff\u2028\u2029"  # invisible, and separators of lines
+    "\ud800-\udfff\U000e0000-\U000e007f]"  # halves of characters, tags
+)
+
+
+_BREAKS = re.compile("[\t\n\v\f\r\x1c-\x1f\x85\u2028\u2029]+")
+_CONTROLS = frozenset({"Cc", "Cf", "Cs"})
 """Control and format characters (bidirectional ones are among them), halves of characters."""
 _JOINERS = frozenset("\N{ZERO WIDTH JOINER}\N{ZERO WIDTH NON-JOINER}")
 """Format characters that some languages need to be written."""
-_BREAKS = frozenset("\t\n\v\f\r\x1c\x1d\x1e\x1f\x85\u2028\u2029")
 
 
-def strip_controls(text: str) -> str:
-    """Return the text on one line, without control characters, escape sequences and bidi marks."""
-    without = _ESCAPE_SEQUENCE.sub("", text)
-    kept = (" " if c in _BREAKS else c for c in without if c in _BREAKS or not _is_control(c))
-    return "".join(kept).strip()
+def clean_text(text: str) -> str:
+    """Return a name or a remark as one line, without characters that cannot be seen."""
+    line = _BREAKS.sub(" ", _SEQUENCE.sub("", text))
+    return "".join(c for c in line if c in _JOINERS or category(c) not in _CONTROLS).strip()
 
 
-def _is_control(character: str) -> bool:
-    return unicodedata.category(character) in _CONTROLS and character not in _JOINERS
+def clean_lines(text: str) -> str:
+    """Return a text without control characters; tabs and line ends stay."""
+    return _UNSEEN.sub("", _SEQUENCE.sub("", text)) if _UNSEEN.search(text) else text
+
+
+def clean_document(value: Any) -> Any:
+    """Return what JSON held with every text in it cleaned, names included."""
+    if isinstance(value, str):
+        return clean_lines(value)
+    if isinstance(value, Mapping):
+        return {clean_document(name): clean_document(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [clean_document(part) for part in value]
+    return value
+
+
+class PlainStream:
+    """Standard output or error that passes no control characters on, but a first return."""
+
+    def __init__(self, stream: TextIO, before_write: Callable[[], None] = lambda: None) -> None:
+        """Write to `stream`; all but `write` is its own. `before_write` is called before each."""
+        self._before_write = before_write
+        self.unfiltered = stream
+        """What our own drawing of a whole screen writes to."""
+
+    def write(self, text: str) -> int:
+        """Write a text without its control characters; return its length."""
+        self._before_write()
+        again = "\r" if text.startswith("\r") else ""  # a progress line begins anew
+        self.unfiltered.write(again + clean_lines(text))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.unfiltered, name)

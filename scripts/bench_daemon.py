@@ -36,7 +36,7 @@ from pamctl.daemon.client import Client, DaemonUnreachableError
 from pamctl.log import read
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 
-CLIENTS, CLIENT_HZ = 5, 10.0
+CLIENTS, CLIENT_HZ, PAGE_HZ = 5, 10.0, 10.0
 SETTLE_S, WINDOW_S = 2.0, 4.0
 AO_STEP_V = 20.0 / 65536.0
 PATIENCE_S = 60.0
@@ -142,10 +142,12 @@ def _poll(bench: Bench, ended: threading.Event, seen: dict[str, int]) -> None:
 
 def _view_page(port: int, ended: threading.Event, seen: dict[str, int]) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
-    connection.request("GET", "/stream")
-    stream = connection.getresponse()
-    while not ended.is_set():
-        seen["pictures"] += stream.readline().startswith(b"data")
+    server, look = "", 0
+    while not ended.wait(1.0 / PAGE_HZ):
+        connection.request("GET", f"/news?server={server}&after={look}")
+        news = json.loads(connection.getresponse().read())
+        seen["pictures"] += news["look"] > look
+        server, look = news["server"], news["look"]
     connection.close()
 
 

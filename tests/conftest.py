@@ -18,6 +18,7 @@ settings.load_profile("patient")
 # find ours. Set before pamctl is imported; every process that a test starts inherits it.
 _OURS = Path("/dev/shm", f"pamctl-tests-{os.getpid()}")
 os.environ["PAMCTL_SHARED_MEMORY"] = str(_OURS)
+os.environ["PAMCTL_NO_BUILD"] = "1"  # no compiler may run behind another test's back
 
 from pamctl.realtime.scheduling import keep_single_threaded  # noqa: E402
 

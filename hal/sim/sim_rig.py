@@ -90,6 +90,17 @@ def sensed_counts(chain: SensorChain, position_m: float) -> int:
     return math.floor(encoder_counts(chain.calibration, chain.zero, position_m))
 
 
+class SimMoment(NamedTuple):
+    """Where a simulated rig is between two ticks, beside its plant and its noise."""
+
+    command_v: float
+    """Valve command that acts on the plant."""
+    output_v: float
+    """Voltage on the analog output."""
+    plant_t_ns: int
+    """The time that the plant has come to."""
+
+
 class SimRig:
     """Advances a plant by the given clock, between reads and writes."""
 
@@ -113,7 +124,8 @@ class SimRig:
         self._safe_output_v = safe_output_v
         self._now_ns = now_ns
         self._delay_ticks: Literal[0, 1] = output_delay_ticks
-        self._noise = random.Random(seed).gauss
+        self._random = random.Random(seed)
+        self._noise = self._random.gauss
         self._plant_t_ns = 0
         self._register = register or PrivateRegister(safe_output_v)
         self._safe_failure: RigError | None = None
@@ -174,6 +186,19 @@ class SimRig:
         self.make_safe()
         self._register.release()
         self._is_open = False
+
+    @property
+    def parts(self) -> tuple[Plant, SensorChain, int, random.Random]:
+        """Plant, sensors, output delay (ticks) and noise, for who runs many ticks at once."""
+        return self._plant, self._chain, self._delay_ticks, self._random
+
+    def freeze(self) -> SimMoment:
+        """Return the moment that the rig is in."""
+        return SimMoment(self._command_v, self._register.volts, self._plant_t_ns)
+
+    def thaw(self, moment: SimMoment) -> None:
+        """Go on from a moment; the caller has set the plant and the noise."""
+        self._command_v, self._register.volts, self._plant_t_ns = moment
 
     @property
     def output_v(self) -> float:

@@ -43,12 +43,22 @@ from pamctl.cli.rig.safe import safe
 from pamctl.cli.runs.runs import runs_app
 from pamctl.cli.runs.sweep import sweep
 from pamctl.cli.tune import tune
+from pamctl.settings.resolve import SECTIONS, list_shipped
+
+_EPILOG = (
+    "First: `pamctl run --fast`, then `pamctl report LOG`. Every verb has `--help`, and "
+    "`pamctl manual` lists the pages.",
+    "Exit codes: 0 ok, 1 unexpected, 2 wrong usage, 3 a check failed or data were lost, 4 safety "
+    "trip, 5 too many missed ticks, 65 bad data, 69 device or daemon unavailable, 78 bad "
+    "configuration, 130 and 143 ended by a signal.",
+    *(f"{section.capitalize()}s: {', '.join(list_shipped(section))}" for section in SECTIONS),
+)
 
 app = typer.Typer(
     name="pamctl",
     cls=Verbs,
     no_args_is_help=True,
-    add_completion=False,
+    epilog="\n\n".join(_EPILOG),
     pretty_exceptions_show_locals=False,
     help="Real-time controller daemon of a pneumatic artificial muscle (PAM) rig.",
 )
@@ -58,12 +68,14 @@ log_app = typer.Typer(
 
 _GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     "Run": (run,),
-    "Rig": (safe, doctor),
+    "Daemon": (daemon, status, start, stop, estop, ack, disarm, mark, watch),
     "Analyse": (report, replay, compare, audit, diagnose),
     "Tune": (tune, sweep),
-    "Daemon": (daemon, status, start, stop, estop, ack, disarm, mark, watch),
+    "Rig": (safe, doctor),
+    "Logs": (),
     "Other": (reproduce, manual),
 }
+Verbs.panels = tuple(_GROUPS)
 for panel, verbs in _GROUPS.items():
     for verb in verbs:
         app.command(rich_help_panel=panel)(verb)

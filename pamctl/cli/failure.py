@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from functools import wraps
 from typing import Any, Protocol, runtime_checkable
 
 import typer
 from typer.core import TyperGroup
 
+from pamctl.cli.waiting import tell_while_silent
 from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import PlainStream, clean_lines
 from pamctl.session.pamctl_error import explain_error
 from pamctl.settings.problems import ConfigError
 
@@ -32,10 +36,21 @@ class Failed(typer.Exit):
 class Verbs(TyperGroup):
     """All verbs. Whatever one of them raises is reported here."""
 
+    panels: Sequence[str] = ()
+    """The groups of the help, in their order."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the verbs, group by group."""
+        names = super().list_commands(ctx)
+        groups = {name: str(getattr(self.commands[name], "rich_help_panel", "")) for name in names}
+        order = {panel: place for place, panel in enumerate(self.panels)}
+        return sorted(groups, key=lambda name: order.get(groups[name], len(order)))
+
     def __init__(self, *arguments: Any, **options: Any) -> None:
         """Take the verbs; the help shows no type beside a flag, which takes no value."""
         super().__init__(*arguments, **options)
         _hide_flag_types(self)
+        _print_plainly(self)
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **extra: Any) -> Any:
         """Run the verb that the arguments name; report its failure."""
@@ -98,6 +113,26 @@ def _hide_flag_types(command: Any) -> None:
         _hide_flag_types(inner)
 
 
+def _print_plainly(command: Any) -> None:
+    """Let no verb print control characters: what it shows may be somebody else's log."""
+    inner = getattr(command, "commands", {}).values()
+    for one in inner:
+        _print_plainly(one)
+    if not inner and command.callback is not None:
+        command.callback = _with_plain_streams(command.callback)
+
+
+def _with_plain_streams(verb: Callable[..., None]) -> Callable[..., None]:
+    @wraps(verb)
+    def carry_out(*arguments: Any, **options: Any) -> None:
+        with tell_while_silent(verb.__name__) as end:
+            out, err = PlainStream(sys.stdout, end), PlainStream(sys.stderr, end)
+            with redirect_stdout(out), redirect_stderr(err):
+                verb(*arguments, **options)
+
+    return carry_out
+
+
 @runtime_checkable
 class _WrongUsage(Protocol):
     """What typer raises for arguments that make no sense; it has no public name."""
@@ -110,14 +145,14 @@ class _WrongUsage(Protocol):
 
 def print_error(reason: str) -> None:
     """Print the line for people, on standard error."""
-    print(f"error: {reason}", file=sys.stderr)
+    print(f"error: {clean_lines(reason)}", file=sys.stderr)
 
 
 def _report_failure(failed: Failed, *, as_json: bool) -> None:
     if as_json:
         _print_document(failed.exit_code, failed.reason, **failed.details)
     if "problems" in failed.details:
-        print(failed.reason, file=sys.stderr)  # each line begins with its place
+        print(clean_lines(failed.reason), file=sys.stderr)  # each line begins with its place
     else:
         print_error(failed.reason)
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import typer
 
 from hal.backend import find_backends, hint_at_missing
+from pamctl.log.changed_gains import CHANGES, describe_changes
 from pamctl.settings.envelope import find_excesses
 from pamctl.settings.problems import ConfigError, Problem
 from pamctl.settings.resolve import (
@@ -16,7 +17,10 @@ from pamctl.settings.resolve import (
     SECTIONS,
     RunSettings,
     find_config_file,
+    list_shipped,
+    read_section_file,
     resolve,
+    settings_to_data,
 )
 from pamctl.settings.table_file import read_tables
 
@@ -26,7 +30,7 @@ class ResolvedOptions(NamedTuple):
 
     settings: RunSettings
     names: dict[str, str]
-    """Names of the files, by section."""
+    """Names of the files, by section; and what was changed in the controller's gains."""
 
 
 class VerbOptions(TypedDict, total=False):
@@ -63,7 +67,17 @@ def resolve_options(
     excesses = find_excesses(settings)
     if excesses:
         raise ConfigError(Problem(f"experiment {names['experiment']}", "", e) for e in excesses)
-    return ResolvedOptions(settings, names)
+    gains = settings_to_data(settings.controller)
+    changes = describe_changes(gains, read_file_gains(settings, names["controller"]))
+    return ResolvedOptions(settings, names | ({CHANGES: changes} if changes else {}))
+
+
+def read_file_gains(settings: RunSettings, controller: str) -> dict[str, Any]:
+    """Return the gains of the file a controller is named after, or those in use if none was."""
+    if controller == settings.controller.law not in list_shipped("controller"):
+        return settings_to_data(settings.controller)  # gains of a law file, without a file
+    path = find_config_file("controller", controller)
+    return settings_to_data(read_section_file("controller", path, (), read_tables))
 
 
 def _choose_rig(backend: str | None, rig: str | None) -> str | None:

@@ -52,8 +52,8 @@ def format_comparison(path: Path, found: Mapping[str, Comparison]) -> str:
 
 def _suggest_next(path: Path, found: Mapping[str, Comparison]) -> str:
     plants = [f" --plant {name}" for name in found if name != OWN_PLANT]
-    command = f"pamctl diagnose {shlex.quote(str(path))}{plants[0] if plants else ''}"
-    return f"{command} --out diagnosis  # names what the model lacks"
+    log, plant = shlex.quote(str(path)), plants[0] if plants else ""
+    return f"pamctl diagnose {log}{plant} --out diagnosis  # names what the model lacks"
 
 
 def _format_cells(gap: ComparisonGap, scale: float) -> str:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from pamctl.control.course_table import pack_course
 from pamctl.control.references.shape import Shape
 from pamctl.control.trajectory import rest_to_rest
 from pamctl.signals import Reference
@@ -95,6 +96,8 @@ class Course:
             self.end_reason = (
                 f"the duration of {self.duration_s:g} s ended the experiment of {whole_s:g} s"
             )
+        self.table = pack_course(self.segments)
+        """The segments for machine code; None if it cannot follow them."""
         self._cues = tuple(cues)
         self._index = 0
         self._begin_s = 0.0
@@ -113,6 +116,17 @@ class Course:
                 return None
             segment = self.segments[self._index]
         return reference_at(segment, t_s - self._begin_s)
+
+    def rehearse(self, t_s: float) -> Reference | None:
+        """Return the reference at `t_s` as the present segment has it, and change nothing."""
+        if self._index == len(self.segments):
+            return None
+        return reference_at(self.segments[self._index], t_s - self._begin_s)
+
+    @property
+    def next_cue_s(self) -> float:
+        """When the next cue is due, s; infinity if there is none."""
+        return self._cues[self._next_cue].at_s if self._next_cue < len(self._cues) else math.inf
 
     def take_cue(self, t_s: float) -> Cue | None:
         """Return the next cue that is due at `t_s`, each once; None if there is none."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pamctl.exit_codes import ExitCode
+from pamctl.plain_text import clean_document
 
 _PATIENCE_S = 60.0
 """Starting a session may take a driver several seconds."""
@@ -80,7 +81,7 @@ class Client:
             raise DaemonUnreachableError(f"the daemon does not answer: {error}") from error
         if not line:
             raise DaemonUnreachableError("the daemon closed the connection")
-        answer = json.loads(line)
+        answer = clean_document(json.loads(line))
         if "error" in answer:
             raise DaemonDeclinedError(answer["error"]["message"], answer["error"]["code"])
         return answer["result"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from pamctl.daemon.protocol import (
     LONGEST_MOTION_S,
@@ -24,6 +24,7 @@ from pamctl.log.annotate.annotation import (
     AnnotationError,
     make_annotation,
 )
+from pamctl.plain_text import clean_text
 from pamctl.realtime.gain_ramp import DEFAULT_RAMP_S
 
 Ramp = Annotated[float, Field(ge=0, le=60, description="s")]
@@ -68,7 +69,7 @@ class LoadParams(Params):
 class MarkParams(Params):
     """A remark for the log."""
 
-    text: Annotated[str, Field(min_length=1, max_length=LONGEST_REMARK)]
+    text: Annotated[str, AfterValidator(clean_text), Field(min_length=1, max_length=LONGEST_REMARK)]
 
 
 class RecentParams(Params):

@@ -231,6 +231,12 @@ def _make_socket(path: Path, owners: int) -> socket.socket:
     return listening
 
 
+def require_no_daemon(path: Path) -> None:
+    """Raise `SocketError` if a daemon answers at a socket, or something else lies there."""
+    if path.exists():
+        _require_stale(path)
+
+
 def _require_stale(path: Path) -> None:
     if not path.is_socket():  # a file of somebody: it must not be lost
         raise SocketError(f"{path}: there is something else; give another place with --socket")
@@ -239,5 +245,6 @@ def _require_stale(path: Path) -> None:
         with suppress(ConnectionRefusedError, FileNotFoundError):
             probe.connect(str(path))
             raise SocketError(
-                f"{path}: a daemon answers there already; give another place with --socket"
+                f"{path}: a daemon answers there already; ask it with `pamctl status`, end it "
+                "with Ctrl-C in its terminal, or give another place with --socket"
             )

@@ -37,8 +37,9 @@ from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending
 from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
+from pamctl.log.changed_gains import CHANGES, describe_changes
 from pamctl.log.naming import bare_name
-from pamctl.plain_text import strip_controls
+from pamctl.plain_text import clean_text
 from pamctl.runs.index_finished import index_in_own_process
 from pamctl.settings.resolve import RunSettings, settings_to_data
 from pamctl.signals import Phase
@@ -68,10 +69,13 @@ class Service:
         shelf: Shelf,
         latch: Latch,
         *,
+        file_gains: Mapping[str, Any] | None = None,
         idle_after_s: float = 600.0,
         tell: Callable[[Mapping[str, object]], object] = lambda event: None,
     ) -> None:
         """`settings` says rig, plant and the first gains; its experiment is not run.
+
+        `file_gains` are those of the file that the controller is named after; by default the first.
 
         A session that is parked for `idle_after_s` ends. `tell` is called with every event, from
         any thread, and must not wait for anything. A fault that `latch` kept from before this
@@ -79,6 +83,7 @@ class Service:
         """
         self._settings = settings
         self._names = dict(names)
+        self._file_gains = file_gains or settings_to_data(settings.controller)
         self._workshop = workshop
         self._shelf = shelf
         self._idle_after_s = idle_after_s
@@ -237,7 +242,8 @@ class Service:
     def load_gains(self, controller: Mapping[str, Any], name: str, ramp_s: float) -> dict[str, Any]:
         """Take the gains of a whole controller file; return all its keys."""
         with self._busy:
-            gains = self._tune(load_controller(self._settings, controller, name), ramp_s)
+            changed = load_controller(self._settings, controller, name)
+            gains = self._tune(changed, ramp_s, settings_to_data(changed.controller))
             self._names["controller"] = name
             return gains
 
@@ -246,7 +252,7 @@ class Service:
         with self._busy:
             if self._session is None or self._session.run is None:
                 raise RequestRefusedError("nothing is being logged")
-            text = strip_controls(text)
+            text = clean_text(text)
             if not text:
                 raise RequestRefusedError("the remark is empty")
             self._session.order({"do": "mark", "text": text})
@@ -367,7 +373,9 @@ class Service:
 
     # --- small questions -------------------------------------------------------------------------
 
-    def _tune(self, changed: RunSettings, ramp_s: float) -> dict[str, Any]:
+    def _tune(
+        self, changed: RunSettings, ramp_s: float, file_gains: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
         session = self._session
         controller = settings_to_data(changed.controller)
         if session is not None:
@@ -375,14 +383,19 @@ class Service:
                 require_tunable(self._settings, changed)
             session.order({"do": "gains", "controller": controller, "ramp_s": ramp_s})
         self._settings = changed
-        self._announce_event("gains", ramp_s=ramp_s)
+        self._file_gains = file_gains or self._file_gains
+        changes = describe_changes(controller, self._file_gains)
+        self._names.pop(CHANGES, None)
+        if changes:
+            self._names[CHANGES] = changes
+        self._announce_event("gains", ramp_s=ramp_s, changes=changes)
         return controller
 
     def _require(self, *allowed: DaemonState) -> None:
         state = self.state
         if state == DaemonState.FAULT:
             raise RequestRefusedError(
-                f"fault: {self._latch.reason}; acknowledge it first (pamctl ack)"
+                f"fault: {self._latch.reason}; acknowledge it first with `pamctl ack`"
             )
         if self._is_leaving:
             raise RequestRefusedError("the daemon is being ended")

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hal.rig import Rig
 from pamctl import __version__
@@ -20,12 +20,13 @@ from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.methods import methods_of
 from pamctl.daemon.notify import notify, watchdog_period_s
-from pamctl.daemon.server import Server
+from pamctl.daemon.server import Server, require_no_daemon
 from pamctl.daemon.service import DaemonState, Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import SHARED_MEMORY, device_of, require_backend
+from pamctl.processes.machine_code.libraries import start_building
 from pamctl.processes.run_once import LiveView, make_run_meta, new_ring_path, secure_device
 from pamctl.recording.orphans import finish_orphans_in_own_process
 from pamctl.settings.resolve import RunSettings
@@ -50,6 +51,8 @@ class ServiceOptions(NamedTuple):
     live_view: LiveView
     announce: bool
     """Print each event as a line of JSON."""
+    file_gains: Mapping[str, Any]
+    """Those of the file that the controller is named after."""
 
 
 def serve_daemon(
@@ -60,11 +63,16 @@ def serve_daemon(
     Raises `ShelfError` where logs cannot be written, `RigError`, `RingError` or `SocketError`
     where the device or the socket cannot be had.
     """
+    # First: whoever starts a second daemon wants to hear of the first, not of its device.
+    require_no_daemon(options.socket)
     shelf = Shelf(options.logs, options.keep)
     announcements = Announcements(sys.stdout.fileno()) if options.announce else None
     tell: Tell = _announce_nothing if announcements is None else announcements.put
     try:
         require_backend(settings)
+        note = start_building(settings)
+        if note:
+            print(f"note: {note}", file=sys.stderr, flush=True)
         with secure_device(settings) as device:
             finish_orphans_in_own_process(SHARED_MEMORY)  # its memory would stay with the daemon
             service = Service(
@@ -73,6 +81,7 @@ def serve_daemon(
                 _make_workshop(settings, device),
                 shelf,
                 Latch(SHARED_MEMORY / f"pamctl-{device_of(settings)}.fault"),
+                file_gains=options.file_gains,
                 idle_after_s=options.idle_after_s,
                 tell=tell,
             )

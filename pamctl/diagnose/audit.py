@@ -17,7 +17,7 @@ from math import inf
 import numpy as np
 
 from pamctl.diagnose.experiments import find_separating_experiment
-from pamctl.diagnose.fitting.block_fit import Fit, project_out, secant
+from pamctl.diagnose.fitting.block_fit import Fit, find_secants, project_out
 from pamctl.diagnose.fitting.candidates import Candidate, apply_dose, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import prepare_evidence, with_modelled_pressure
@@ -201,9 +201,7 @@ def _simulate_doses(model: Model, block: str, candidates: Iterable[Candidate]) -
     fitted = extract_block_fit(model.fit_of(block), block)
     basis = np.linalg.qr(fitted.jacobian)[0] if fitted.free else np.zeros((len(fitted.residual), 0))
     return {
-        c.name: project_out(
-            basis, np.column_stack([secant(fitted, d) for d in _list_smallest_doses(c, fitted)])
-        )
+        c.name: project_out(basis, find_secants(fitted, _list_smallest_doses(c, fitted)))
         for c in candidates
         if block in c.blocks
     }

@@ -47,16 +47,25 @@ def confirm_naming(naming: Naming, confirming: Evidence) -> Confirmation:
     if signs:
         less = Verdict.NONE_KNOWN if naming.verdict in SILENT else Verdict.PARTIAL
         naming = replace(naming, verdict=less)
+    closes = max(_close_shares(base, model).values(), default=0.0)
+    if naming.verdict is Verdict.PARTIAL and closes <= 0.0:
+        naming = naming.withdraw_effects(naming.model.names)
+        model = _count_on(naming.model, naming.base, confirming)
     if naming.model is not chosen.model:
         coupled = compare_coupled(naming.base, naming.model)
-    reached = {block for effect in model.effects for block in effect.blocks}
     return Confirmation(
         naming,
         signs,
         coupled.measure_gaps(confirming, model.floors),
         {block: model.ratio(block) for block in confirming.blocks},
-        {b: closed_share(base, model, b) for b in naming.base.unexplained if b in reached},
+        {b: s for b, s in _close_shares(base, model).items() if b in naming.base.unexplained},
     )
+
+
+def _close_shares(base: Model, model: Model) -> dict[str, float]:
+    """Return the share of the way to its limit that the effects go, by block that they reach."""
+    reached = {block for effect in model.effects for block in effect.blocks}
+    return {b: closed_share(base, model, b) for b in reached}
 
 
 def _count_on(model: Model, base: Model, confirming: Evidence) -> Model:

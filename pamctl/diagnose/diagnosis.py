@@ -22,6 +22,7 @@ from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.naming.whiteness import ResidualSign
 from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.show import HeldOutGap
+from pamctl.diagnose.terms.describe import Description
 from pamctl.plant.model import PlantSettings
 
 
@@ -68,6 +69,8 @@ class Diagnosis:
     """What speaks against noise in residuals that are at their limits."""
     setup: tuple[SetupFinding, ...] = ()
     """What is wrong about the set-up: numbers of the plant file, columns of the records."""
+    described: Description | None = None
+    """What was asked of a remainder that no effect explains; None where nothing was asked."""
     audit: Audit | None = None
     """What these records could not have shown."""
     accepted: tuple[AcceptedDoubt, ...] = ()

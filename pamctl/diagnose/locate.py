@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +16,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.stats import false_discovery_control
 from scipy.stats import t as student
 
-from pamctl.diagnose.fitting.block_fit import Fit, rms
+from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import imitate_records, sensor_noise_of
@@ -34,8 +33,6 @@ SLOW_M_PER_S = 5e-4
 CHOKED = 0.528
 """Critical pressure ratio of air; flow below it is choked."""
 EVENLY = "spread evenly"
-_NOISE: WeakKeyDictionary[Fit, dict[str, Array]] = WeakKeyDictionary()
-"""By fit and block."""
 RATE = 0.05
 """Share of the regimes that stand out which may be noise, on average."""
 
@@ -106,12 +103,9 @@ def draw_noise(model: Model, block: str) -> Array:
     In deviations of the sensor. Models that share a fit share them. Where the sensor's noise is
     unknown, it is as large as the floor: its drawn size was arbitrary.
     """
-    fitted, evidence = model.fit_for_floor(block), model.evidence
-    known = _NOISE.setdefault(fitted, {})
-    if block not in known:
-        made = imitate_records(fitted, evidence.holdout[block], evidence.noises)
-        known[block] = np.array([imitation.residual for imitation in made])
-    noise, floor = known[block], model.floors[block]
+    evidence, floor = model.evidence, model.floors[block]
+    made = imitate_records(model.fit_for_floor(block), evidence.holdout[block], evidence.noises)
+    noise = made.residuals
     return noise * (floor.mean / rms(noise)) if floor.is_estimate else noise
 
 

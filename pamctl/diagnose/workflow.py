@@ -52,6 +52,7 @@ from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.setup.suspect_setup import suspect_air_first, suspect_setup
 from pamctl.diagnose.setup_beside import ask_beside
 from pamctl.diagnose.setup_verdict import conclude_setup
+from pamctl.diagnose.terms.describe import Description, describe_rest, is_confirmed
 from pamctl.plant.model import PlantSettings
 
 
@@ -111,11 +112,12 @@ def diagnose(
     naming, setup = ask_beside(naming, setup, candidates, executor, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)
+    found, described = _describe_rest(found, confirming, executor, progress)
     on = describe_confirmation(confirming, is_cut=is_cut)
     diagnosis = _conclude(
         found, on, confirming, setup.train, setup.holdout, candidates, correction=correction
     )
-    diagnosis = conclude_setup(diagnosis, setup)
+    diagnosis = replace(conclude_setup(diagnosis, setup), described=described)
     channels = describe_channels([*train, *holdout], evidence.noises, faults)
     extended = diagnosis.plant.model_copy(update={"noise": plant.noise})
     return replace(diagnosis, plant=extended, noise=channels, accepted=accepted)
@@ -159,6 +161,25 @@ def _check_and_prepare(
         )
     accepted += check_sensors(records, evidence.noises, plant, accept)
     return keep_for_choice(evidence, is_cut=is_cut), fitted, held, is_cut, accepted
+
+
+def _describe_rest(
+    found: Confirmation,
+    confirming: Evidence,
+    executor: Executor | None,
+    progress: Progress,
+) -> tuple[Confirmation, Description | None]:
+    """Ask what no effect explains; a term that the confirming samples refute is only a lead."""
+    if found.naming.verdict not in (Verdict.PARTIAL, Verdict.NONE_KNOWN) or found.signs:
+        return found, None
+    described = describe_rest(found.naming, executor, progress)
+    if described.naming is None or described.term is None:
+        return found, described
+    again = confirm_naming(described.naming, confirming)
+    kept = again.naming.verdict is Verdict.DESCRIBED
+    if not (kept and is_confirmed(again.explained, described.term)):
+        return found, replace(described, term=None, naming=None)
+    return again, described
 
 
 @dataclass(frozen=True)

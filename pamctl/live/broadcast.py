@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import threading
+import time
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 
 from pamctl.live.feed import DaemonFeed, Glimpse
-from pamctl.live.line import COLUMNS, EVERY, LOOKS_PER_S, encode_glimpses
+from pamctl.live.line import COLUMNS, EVERY, LOOKS_PER_S, describe_glimpses
 
 _KEPT_LOOKS = round(60 * LOOKS_PER_S)
 
@@ -18,9 +21,10 @@ class Broadcast:
     def __init__(self, socket: Path) -> None:
         """Begin to look now."""
         self._feed = DaemonFeed(socket, EVERY, COLUMNS)
-        self._news = threading.Condition()
+        self._news = threading.Lock()
         self._kept: deque[Glimpse] = deque(maxlen=_KEPT_LOOKS)
         self._count = 0
+        self._looked_s = time.monotonic()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._poll_feed, name="broadcast", daemon=True)
         self._thread.start()
@@ -31,16 +35,25 @@ class Broadcast:
             with self._news:
                 self._kept.append(glimpse)
                 self._count += 1
-                self._news.notify_all()
+                self._looked_s = time.monotonic()
         self._feed.close()
 
-    def after(self, seen: int, patience_s: float) -> tuple[int, str]:
-        """Wait for news since look number `seen`; return the newest number and all as JSON."""
+    def encode_news(self, seen: int, more: Mapping[str, object]) -> bytes:
+        """Return as JSON: all since look number `seen`, the newest state, and `more`.
+
+        `look` is the number to name next time; `age_s` is the time since the newest look.
+        """
         with self._news:
-            self._news.wait_for(lambda: self._count > seen, patience_s)
-            missing = min(self._count - seen, len(self._kept))
+            missing = min(max(self._count - seen, 0), len(self._kept))
             fresh = [self._kept[len(self._kept) - missing + i] for i in range(missing)]
-            return self._count, encode_glimpses(fresh)
+            newest = self._kept[-1] if self._kept else None
+            count, age_s = self._count, time.monotonic() - self._looked_s
+        document = describe_glimpses(fresh, newest)
+        return json.dumps(
+            {"look": count, "age_s": age_s, **more, **document},
+            separators=(",", ":"),
+            allow_nan=False,
+        ).encode()
 
     def end(self) -> None:
         """Stop looking."""

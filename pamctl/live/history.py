@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Iterable, Mapping
 
-BLOCKS = "▁▂▃▄▅▆▇█"
+from pamctl.live.braille import NOTHING, Extremes
 
 
 class History:
@@ -26,37 +26,23 @@ class History:
         while self._ticks and self._ticks[-1]["t_s"] - self._ticks[0]["t_s"] > self._seconds:
             self._ticks.popleft()
 
-    def bin_column(self, column: str, bins: int) -> list[float]:
-        """Return the value of largest size in each of `bins` equal times; NaN where there is none.
+    def bin_column(self, column: str, bins: int) -> list[Extremes]:
+        """Return the smallest and the largest value in each of `bins` equal times.
 
         Not the mean: a peak that lasts a tick is what one looks for.
         """
-        largest = [math.nan] * bins
+        parts = [NOTHING] * bins
         if not self._ticks:
-            return largest
+            return parts
         end_s = self._ticks[-1]["t_s"]
         for tick in self._ticks:
             value = tick[column]
             at = bins - 1 - int((end_s - tick["t_s"]) / self._seconds * bins)
-            if at >= 0 and not math.isnan(value) and not abs(largest[at]) >= abs(value):
-                largest[at] = value
-        return largest
-
-
-def draw_sparkline(values: list[float]) -> tuple[str, float, float]:
-    """Draw values as a line of blocks; return it with the smallest and the largest value.
-
-    NaN is a blank; both bounds are NaN where there is nothing else.
-    """
-    known = [value for value in values if not math.isnan(value)]
-    if not known:
-        return " " * len(values), math.nan, math.nan
-    low, high = min(known), max(known)
-    step = (high - low) / (len(BLOCKS) - 1)
-
-    def block(value: float) -> str:
-        if math.isnan(value):
-            return " "
-        return BLOCKS[round((value - low) / step)] if step > 0.0 else BLOCKS[0]
-
-    return "".join(map(block, values)), low, high
+            if at < 0 or math.isnan(value):
+                continue
+            low, high = parts[at]
+            parts[at] = Extremes(
+                value if math.isnan(low) else min(low, value),
+                value if math.isnan(high) else max(high, value),
+            )
+        return parts

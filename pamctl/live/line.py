@@ -19,17 +19,22 @@ _STATUS_FIELDS = (
 )  # fmt: skip
 
 
-def encode_glimpses(glimpses: Sequence[Glimpse]) -> str:
-    """Return what was seen in several looks: the last state, and all ticks."""
-    newest = glimpses[-1] if glimpses else Glimpse(None, [])
+def encode_glimpse(glimpse: Glimpse) -> str:
+    """Return what was seen in one look as one line."""
+    document = describe_glimpses([glimpse], glimpse)
+    return json.dumps(document, separators=(",", ":"), allow_nan=False)
+
+
+def describe_glimpses(glimpses: Sequence[Glimpse], newest: Glimpse | None) -> dict[str, Any]:
+    """Return the ticks of several looks, and the state of the newest."""
+    newest = newest or Glimpse(None, [])
     status: dict[str, Any] | None = None
     if newest.status is not None:
         status = {name: newest.status[name] for name in _STATUS_FIELDS}
     rows = [
         [_nan_to_none(tick[name]) for name in COLUMNS] for one in glimpses for tick in one.ticks
     ]
-    document = {"status": status, "problem": newest.problem, "fields": COLUMNS, "ticks": rows}
-    return json.dumps(document, separators=(",", ":"), allow_nan=False)
+    return {"status": status, "problem": newest.problem, "fields": COLUMNS, "ticks": rows}
 
 
 def _nan_to_none(value: float) -> float | None:

@@ -11,7 +11,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from pamctl.live.history import History, draw_sparkline
+from pamctl.live.braille import DOTS_ACROSS, Extremes, draw_dots, find_bounds
+from pamctl.live.history import History
+from pamctl.log.changed_gains import spell_controller
 from pamctl.signals import Phase
 
 COLUMNS = (
@@ -20,9 +22,13 @@ COLUMNS = (
 """Columns that the screen asks of the daemon."""
 HISTORY_S = 30.0
 
-_LINES_BESIDE_EVENTS = 15
-_FRAME = 27
-"""Characters of a plot's line beside the plot itself: name, bounds, unit."""
+_FRAME = 20
+"""Characters of a plot's line beside the plot itself: name or unit, and a bound."""
+_FEWEST_EVENTS = 3
+_LOWEST_PLOT, _HIGHEST_PLOT = 2, 8
+"""Lines of a plot."""
+_FIGURE_WIDTH = 26
+"""Characters of a figure: its name, its value and its unit."""
 
 _STATE_STYLE = {
     "idle": "dim", "ready": "green", "homing": "yellow", "running": "bold green",
@@ -31,7 +37,7 @@ _STATE_STYLE = {
 
 
 class PlotLine(NamedTuple):
-    """One line of blocks."""
+    """One plot."""
 
     name: str
     column: str
@@ -41,11 +47,11 @@ class PlotLine(NamedTuple):
 
 
 PLOTS = (
-    PlotLine("reference", "reference_m", 1e3, "mm", "7.2f"),
-    PlotLine("position", "position_m", 1e3, "mm", "7.2f"),
-    PlotLine("error", "error_m", 1e6, "um", "7.1f"),
-    PlotLine("pressure", "pressure_pa", 1e-3, "kPa", "7.1f"),
-    PlotLine("command", "valve_v", 1.0, "V", "7.2f"),
+    PlotLine("reference", "reference_m", 1e3, "mm", "8.3f"),
+    PlotLine("position", "position_m", 1e3, "mm", "8.3f"),
+    PlotLine("error", "error_m", 1e6, "um", "8.1f"),
+    PlotLine("pressure", "pressure_pa", 1e-3, "kPa", "8.1f"),
+    PlotLine("command", "valve_v", 1.0, "V", "8.3f"),
 )
 
 
@@ -63,21 +69,22 @@ def draw_screen(
     """Lay out one picture for a terminal of `size` columns and lines."""
     width, lines = size
     if status is None:
-        return Group(
-            _draw_headline("away", problem or "waiting for the daemon", "", width),
-            *_draw_plots(history, width),
-        )
-    where = f"{status['backend']} {status['device']}"
+        why = _draw_headline("away", problem or "waiting for the daemon", "q quits", width)
+        return Group(why, *_draw_plots(history, width, lines - 1))
+    where = f"{status['backend']} {status['device']}  q quits"
     what = status["fault"] or status["run"] or ""
+    figures = _list_figures(status)
+    columns = min(3, max(1, width // _FIGURE_WIDTH))
+    log = _cut_text(f"log   {status['log'] or '-'}", width, keep_end=True)
+    left = lines - 3 - math.ceil(len(figures) / columns)
+    plots = _draw_plots(history, width, left - _FEWEST_EVENTS)
     return Group(
         _draw_headline(status["state"], what, where, width),
-        Text(),
-        _draw_figures(status),
-        Text(),
-        *_draw_plots(history, width),
-        Text(),
-        _cut_text(f"log   {status['log'] or '-'}", width, keep_end=True),
-        *_draw_events(status["events"], lines - _LINES_BESIDE_EVENTS, width),
+        _cut_text(f"controller {spell_controller(status['names'])}", width),
+        _draw_figures(figures, columns),
+        *plots,
+        log,
+        *_draw_events(status["events"], left - len(plots), width),
     )
 
 
@@ -90,32 +97,29 @@ def _draw_headline(state: str, what: str, where: str, width: int) -> Text:
     return line
 
 
-def _draw_figures(status: Mapping[str, Any]) -> Table:
+def _list_figures(status: Mapping[str, Any]) -> list[tuple[str, str]]:
     tick = {k: math.nan if v is None else v for k, v in (status["tick"] or {}).items()}
-    table = Table.grid(padding=(0, 3), expand=False)
-    for _ in range(3):
+    late_s, missed = status["worst_late_s"], status["missed_ticks"]
+    return [
+        ("reference", _format_value(tick, "reference_m", 1e3, "8.3f", "mm")),
+        ("pressure", _format_value(tick, "pressure_pa", 1e-3, "7.1f", "kPa")),
+        ("phase", _format_phase(tick)),
+        ("position", _format_value(tick, "position_m", 1e3, "8.3f", "mm")),
+        ("command", _format_value(tick, "valve_v", 1.0, "+7.3f", "V")),
+        ("wake-up", "-" if late_s is None else f"{late_s * 1e6:.1f} us"),
+        ("error", _format_error(tick)),
+        ("time", _format_value(tick, "t_s", 1.0, "7.1f", "s")),
+        ("missed", "-" if missed is None else f"{missed} ticks"),
+    ]
+
+
+def _draw_figures(figures: Sequence[tuple[str, str]], columns: int) -> Table:
+    table = Table.grid(padding=(0, 2), expand=False)
+    for _ in range(columns):
         table.add_column(style="dim", no_wrap=True)
         table.add_column(justify="right", no_wrap=True)
-    late_s, missed = status["worst_late_s"], status["missed_ticks"]
-    rows = (
-        (
-            ("reference", _format_value(tick, "reference_m", 1e3, "8.3f", "mm")),
-            ("pressure", _format_value(tick, "pressure_pa", 1e-3, "7.1f", "kPa")),
-            ("phase", _format_phase(tick)),
-        ),
-        (
-            ("position", _format_value(tick, "position_m", 1e3, "8.3f", "mm")),
-            ("command", _format_value(tick, "valve_v", 1.0, "+7.3f", "V")),
-            ("worst wake-up", "-" if late_s is None else f"{late_s * 1e6:.1f} us"),
-        ),
-        (
-            ("error", _format_error(tick)),
-            ("time", _format_value(tick, "t_s", 1.0, "7.1f", "s")),
-            ("missed ticks", "-" if missed is None else str(missed)),
-        ),
-    )
-    for row in rows:
-        table.add_row(*(cell for pair in row for cell in pair))
+    for first in range(0, len(figures), columns):
+        table.add_row(*(cell for pair in figures[first : first + columns] for cell in pair))
     return table
 
 
@@ -134,23 +138,31 @@ def _format_phase(tick: Mapping[str, float]) -> str:
     return Phase(int(tick["phase"])).name.lower().replace("_", " ") if tick else "-"
 
 
-def _draw_plots(history: History, width: int) -> list[Text]:
-    room = max(10, width - _FRAME - 3)
-    lines = []
-    for plot in PLOTS:
-        blocks, low, high = draw_sparkline(history.bin_column(plot.column, room))
-        bounds = "" if math.isnan(low) else _format_bounds(low, high, plot)
-        line = Text(f"{plot.name:<10}", style="dim")
-        line.append(blocks, style="cyan")
-        line.append(f" {bounds}", style="dim")
-        lines.append(line)
-    last = Text(f"{'':<10}{'-' + format(HISTORY_S, 'g') + ' s':<{room - 3}}now", style="dim")
+def _draw_plots(history: History, width: int, room: int) -> list[Text]:
+    """Draw all plots in `room` lines, with the times of their ends in the last."""
+    across = max(10, width - _FRAME)
+    high = min(_HIGHEST_PLOT, max(_LOWEST_PLOT, (room - 1) // len(PLOTS)))
+    lines = [
+        line
+        for plot in PLOTS
+        for line in _draw_plot(plot, history.bin_column(plot.column, across * DOTS_ACROSS), high)
+    ]
+    begin = f"-{HISTORY_S:g} s"
+    last = Text(f"{'':<{_FRAME}}{begin:<{across - 3}}now", style="dim")
     return [*lines, last]
 
 
-def _format_bounds(low: float, high: float, plot: PlotLine) -> str:
-    numbers = (f"{value * plot.scale:{plot.form}}".strip() for value in (low, high))
-    return f"{'..'.join(numbers)} {plot.unit}"
+def _draw_plot(plot: PlotLine, parts: Sequence[Extremes], high: int) -> list[Text]:
+    """Draw a plot with its largest value in the first line, and its smallest in the last."""
+    bounds = find_bounds(parts)
+    margin = [(plot.name, bounds.high), *[("", math.nan)] * (high - 2), (plot.unit, bounds.low)]
+    lines = []
+    for (word, value), dots in zip(margin, draw_dots(parts, high), strict=True):
+        number = "" if math.isnan(value) else f"{value * plot.scale:{plot.form}}"
+        line = Text(f"{word:<10}{number:>9} ", style="dim")
+        line.append(dots, style="cyan")
+        lines.append(line)
+    return lines
 
 
 def _draw_events(events: Sequence[Mapping[str, Any]], room: int, width: int) -> list[Text]:

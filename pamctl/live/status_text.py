@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from pamctl.log.changed_gains import spell_controller
 from pamctl.report.progress_line import format_progress
 
 if TYPE_CHECKING:  # `pamctl status` does not wait for it
@@ -20,6 +21,7 @@ def format_status(status: Mapping[str, Any]) -> str:
     if status["tick"] is not None:
         tick = {k: float("nan") if v is None else v for k, v in status["tick"].items()}
         lines.append(format_progress(tick, status["worst_late_s"]).strip())
+    lines.append(f"controller: {spell_controller(status['names'])}")
     if status["log"]:
         lines.append(f"log: {status['log']}")
     lines.append(f"disk: {status['disk_free_bytes'] / 1e9:.1f} GB free")

@@ -1,8 +1,12 @@
 """`pamctl watch --web`: a page for the browsers of this PC only.
 
     GET /            the page, its script, its style, uPlot
-    GET /stream      what is new, ten times a second (server-sent events)
+    GET /news        what is new since the look that the page has seen last
     POST /do         stop, goto, estop; only with --allow-control and its token
+
+Each request is answered at once: the page asks for news ten times a second, and an order is
+confirmed when it is taken. A browser opens at most six connections to one address, for all of its
+tabs together. No tab may hold one of them, or an order would wait for it.
 
 It is a process of its own and an ordinary client of the control socket: neither it nor any
 browser can touch the loop. Loopback alone does not protect from pages of other sites in the same
@@ -14,6 +18,7 @@ from __future__ import annotations
 
 import hmac
 import json
+import math
 import secrets
 import sys
 import threading
@@ -23,16 +28,18 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from pathlib import Path
+from socket import SHUT_RDWR
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
-from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.daemon.server import Allowance
 from pamctl.live.broadcast import Broadcast
+from pamctl.live.page_orders import OrderFailure, PageOrders
 
 LARGEST_BODY = 4096
 MOST_CONNECTIONS = 32
-_PATIENCE_S = 10.0
-_STILL_THERE_S = 2.0
+_SILENT_S = 10.0
+"""A connection without a request for so long is closed (s)."""
 
 _PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
@@ -71,21 +78,24 @@ def serve_page(socket: Path, port: int, *, allow_control: bool) -> None:
 
 
 class PageServer(ThreadingHTTPServer):
-    """Listens on the loopback address; a thread for each browser."""
+    """Listens on the loopback address; a thread for each connection."""
 
     daemon_threads = True
     request_queue_size = MOST_CONNECTIONS
 
     def __init__(self, socket: Path, port: int, token: str) -> None:
         """Begin to look at the daemon behind `socket`; without a `token` the page is read-only."""
-        self.broadcast = Broadcast(socket)  # first: `server_close` ends it if the port is taken
+        self.broadcast = Broadcast(socket)  # first: `server_close` ends both if the port is taken
+        self.orders = PageOrders(socket)
         super().__init__(("127.0.0.1", port), _Handler)
         self.token = token
-        self.control_socket = socket
         self.pages = {at: _read_part(name) for at, (name, _) in _PAGE.items()}
+        self.name = secrets.token_urlsafe(6)
+        """Tells a page that another server answers now, which counts its looks anew."""
         self._allowance = Allowance(time.monotonic())
         self._asking = threading.Lock()
-        self._room = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self._connections: dict[Any, float] = {}
+        """Each with the time of its last request."""
         self.hosts = {f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost")}
 
     def spend_request(self) -> bool:
@@ -94,10 +104,17 @@ class PageServer(ThreadingHTTPServer):
             return self._allowance.spend(time.monotonic())
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Give a thread to a connection if there are not too many."""
-        if not self._room.acquire(blocking=False):
-            self.shutdown_request(request)
-            return
+        """Give a thread to a connection. Where there are too many, the longest silent one ends.
+
+        The new one stays: it may bring the emergency stop.
+        """
+        with self._asking:
+            if len(self._connections) >= MOST_CONNECTIONS:
+                silent = min(self._connections, key=self._connections.__getitem__)
+                del self._connections[silent]
+                with suppress(OSError):
+                    silent.shutdown(SHUT_RDWR)  # its thread reads the end, and leaves
+            self._connections[request] = time.monotonic()
         super().process_request(request, client_address)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
@@ -105,7 +122,14 @@ class PageServer(ThreadingHTTPServer):
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self._room.release()
+            with self._asking:
+                self._connections.pop(request, None)
+
+    def note_request(self, connection: Any) -> None:
+        """Remember that a connection is in use."""
+        with self._asking:
+            if connection in self._connections:
+                self._connections[connection] = time.monotonic()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Report errors, except those of browsers that went away."""
@@ -113,9 +137,10 @@ class PageServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
     def server_close(self) -> None:
-        """Stop looking at the daemon."""
+        """Stop looking at the daemon, and take no more orders."""
         super().server_close()
         self.broadcast.end()
+        self.orders.end()
 
 
 class _RequestRefusal(Exception):
@@ -131,14 +156,17 @@ class _Handler(BaseHTTPRequestHandler):
 
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "pamctl", ""
-    timeout = _PATIENCE_S
+    timeout = _SILENT_S
+    wbufsize = -1  # head and body leave together
+    disable_nagle_algorithm = True
     server: PageServer
 
     def do_GET(self) -> None:
+        self.server.note_request(self.connection)
         try:
             self._require_own_page()
-            if self.path == "/stream":
-                self._stream()
+            if self.path.startswith("/news?"):
+                self._answer(HTTPStatus.OK, self._collect_news(), "application/json")
             elif self.path in _PAGE:
                 self._answer(HTTPStatus.OK, self.server.pages[self.path], _PAGE[self.path][1])
             else:
@@ -147,12 +175,13 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(refusal)
 
     def do_POST(self) -> None:
+        self.server.note_request(self.connection)
         try:
             self._require_own_page()
             if self.path != "/do":
                 raise _RequestRefusal(HTTPStatus.NOT_FOUND, "there is no such page")
-            result = self._carry_out_order(self._read_order())
-            self._answer(HTTPStatus.OK, json.dumps(result).encode(), "application/json")
+            status, outcome = self._give_order(self._read_order())
+            self._answer(status, json.dumps(outcome).encode(), "application/json")
         except _RequestRefusal as refusal:
             self._refuse(refusal)
 
@@ -192,35 +221,39 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get_content_type() != "application/json":
             raise _RequestRefusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "an order is application/json")
         length = self.headers.get("Content-Length", "")
-        if not length.isdecimal():
+        if not (length.isascii() and length.isdecimal()):
             raise _RequestRefusal(HTTPStatus.LENGTH_REQUIRED, "an order has a length")
-        if int(length) > LARGEST_BODY:
+        digits = length.lstrip("0") or "0"
+        if len(digits) > len(str(LARGEST_BODY)) or int(digits) > LARGEST_BODY:
             raise _RequestRefusal(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"at most {LARGEST_BODY} bytes"
             )
-        return self.rfile.read(int(length))
+        return self.rfile.read(int(digits))
 
-    def _carry_out_order(self, order: dict[str, Any]) -> Any:
+    def _give_order(self, order: dict[str, Any]) -> tuple[HTTPStatus, dict[str, Any]]:
         method, params = _translate_order(order)
         try:
-            with Client(self.server.control_socket, _PATIENCE_S) as client:
-                return client.call(method, params)
-        except DaemonDeclinedError as error:
-            raise _RequestRefusal(HTTPStatus.CONFLICT, str(error)) from None
-        except DaemonUnreachableError as error:
-            raise _RequestRefusal(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+            number = self.server.orders.give(method, params)
+        except OrderFailure as failure:
+            raise _RequestRefusal(failure.status, str(failure)) from None
+        if number is None:
+            return HTTPStatus.OK, {}
+        return HTTPStatus.ACCEPTED, {"order": number}
 
     # --- answers -----------------------------------------------------------------------------
 
-    def _stream(self) -> None:
-        """Send new values while the browser listens."""
-        self._begin(HTTPStatus.OK, "text/event-stream", None)
-        may_control = json.dumps({"control": bool(self.server.token)})
-        self.wfile.write(f"event: hello\ndata: {may_control}\n\n".encode())
-        seen = 0
-        while True:
-            seen, line = self.server.broadcast.after(seen, _STILL_THERE_S)
-            self.wfile.write(f"data: {line}\n\n".encode())
+    def _collect_news(self) -> bytes:
+        """Return what came after the look that the page names, or all where it names none."""
+        asked = parse_qs(urlsplit(self.path).query)
+        after = asked.get("after", ["0"])[0]
+        is_known = asked.get("server") == [self.server.name] and after.isascii()
+        seen = int(after) if is_known and after.isdecimal() and len(after) < 16 else 0
+        news = {
+            "server": self.server.name,
+            "control": bool(self.server.token),
+            "orders": self.server.orders.outcomes(),
+        }
+        return self.server.broadcast.encode_news(seen, news)
 
     def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
         self._begin(status, kind, len(body))
@@ -232,15 +265,12 @@ class _Handler(BaseHTTPRequestHandler):
         with suppress(ConnectionError, TimeoutError):
             self._answer(refusal.status, body, "application/json")
 
-    def _begin(self, status: HTTPStatus, kind: str, length: int | None) -> None:
+    def _begin(self, status: HTTPStatus, kind: str, length: int) -> None:
         self.send_response(status)
         self.send_header("Content-Type", kind)
         for name, value in _HEADERS.items():
             self.send_header(name, value)
-        if length is None:
-            self.close_connection = True
-        else:
-            self.send_header("Content-Length", str(length))
+        self.send_header("Content-Length", str(length))
         if self.close_connection:
             self.send_header("Connection", "close")
         self.end_headers()
@@ -268,8 +298,18 @@ def _translate_order(order: dict[str, Any]) -> tuple[str, dict[str, Any]]:
     match order:
         case {"do": "estop" | "stop" as do}:
             return do, {}
-        case {"do": "goto", "position_mm": int() | float() as position_mm}:
+        case {"do": "goto", "position_mm": int() | float() as position_mm} if _is_length(
+            position_mm
+        ):
             return "goto", {"position_m": position_mm * 1e-3}
     raise _RequestRefusal(
-        HTTPStatus.BAD_REQUEST, "there are estop, stop, and goto with position_mm"
+        HTTPStatus.BAD_REQUEST, "there are estop, stop, and goto with position_mm, a number"
     )
+
+
+def _is_length(value: float) -> bool:
+    """Tell whether JSON gave a finite number: `true` is an int of Python's, 1e999 is infinite."""
+    try:
+        return not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # an integer of hundreds of digits
+        return False

@@ -14,6 +14,7 @@ from pamctl.log.framing import FileRecord, LogError, record_at
 from pamctl.log.schema import EVENT_TOPIC, GAINS_TOPIC, IMPORTED, KEYFRAME_TOPIC, TICK_TOPIC
 from pamctl.log.ticks import TickBatch, TickDecoder
 from pamctl.log.wire import UnknownLayout
+from pamctl.plain_text import clean_document
 
 
 class Contents:
@@ -50,7 +51,7 @@ class Contents:
     def config(self) -> dict[str, Any]:
         """Return the configuration, empty if there is none; raise LogError if it is not JSON."""
         try:
-            return dict(from_json(self.attachments.get("config.json", b"{}")))
+            return dict(clean_document(from_json(self.attachments.get("config.json", b"{}"))))
         except (ValueError, TypeError) as error:
             raise LogError(f"the attachment config.json makes no sense: {error}") from error
 
@@ -76,7 +77,7 @@ class Contents:
                 self.attachments[attachment.name] = attachment.data
             case Opcode.METADATA:
                 metadata = Metadata.read(record.stream())
-                self.metadata[metadata.name] = metadata.metadata
+                self.metadata[metadata.name] = clean_document(metadata.metadata)
         return record.end
 
     def inside(self, chunk: memoryview) -> None:
@@ -103,5 +104,5 @@ class Contents:
         self.counts[channel.topic] += 1
         if channel.topic in self.values and self.wants(channel.topic):
             message = Message.read(record.stream(), len(record.body))
-            self.values[channel.topic].append(from_json(message.data))
+            self.values[channel.topic].append(clean_document(from_json(message.data)))
         return record.end

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from pamctl.log.annotate.annotation import ANNOTATION, Annotation
+from pamctl.log.changed_gains import CHANGES, describe_running_changes
 from pamctl.log.contents import Contents
 from pamctl.log.framing import LogError
 from pamctl.log.reader import scan_log
-from pamctl.log.schema import CUT, EVENT_TOPIC, IMPORTED
+from pamctl.log.schema import CUT, EVENT_TOPIC, GAINS_TOPIC, IMPORTED
 from pamctl.log.ticks import TickBatch
 from pamctl.signals import Phase
 
@@ -53,6 +54,8 @@ def info(path: str | Path) -> dict[str, Any]:
         **{key: run.get(key) for key in ("law", "controller", "experiment", "plant", "backend")},
         **asdict(said),
         "tags": list(said.tags),
+        CHANGES: run.get(CHANGES),
+        "gains_while_running": describe_running_changes(contents.values[GAINS_TOPIC]),
         "seed": config.get("seed"),
         "timing_setup": dict(contents.metadata.get("timing_setup", {})),
         **{key: origin.get(key) for key in ("version", "host")},

@@ -21,6 +21,7 @@ from typing import Any
 
 from pamctl.plant.effects.description import EffectDescription, EffectEntry
 from pamctl.plant.effects.places import PLACES
+from pamctl.plant.terms.locations import TERMS
 
 GROUP = "pamctl.effects"
 SHIPPED = EntryPoint("shipped", "pamctl.plant.effects", GROUP)
@@ -113,3 +114,5 @@ def list_arguments(kernel: Any) -> list[str]:
 
 CATALOGUE: dict[str, EffectDescription] = load_effects()
 """Every effect by its name: first the pressure block, then the mechanics, then the sensors."""
+WITH_TERMS: dict[str, EffectDescription] = {**CATALOGUE, **TERMS}
+"""All whose numbers a plant may have: the effects, then the terms, one for each location."""

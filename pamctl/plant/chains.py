@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from graphlib import TopologicalSorter
 from math import nan
 from typing import Any, NamedTuple
@@ -116,6 +116,7 @@ SensorMemory = _make_group("SensorMemory", _make_memories("sensors", 0.0, nan))
 """Memories of the effects on the readings."""
 
 
+@lru_cache(maxsize=256)
 def make_rest_memories(position_m: float, pressure_pa: float) -> tuple[Any, Any, Any]:
     """Return the memories of valve, mechanics and sensors after a long rest."""
     return (
@@ -255,6 +256,7 @@ depends_on_speed = _make_speed_test()
 def undo_reading(place: str, effects: Any, shown: Any, times_s: Any, atmosphere_pa: float) -> Any:
     """Return the readings of an ideal sensor (arrays), as far as effects can be undone."""
     for name, entry in reversed(order_entries(place)):
-        if entry.undo is not None:
-            shown = entry.undo(getattr(effects, name), shown, times_s, atmosphere_pa)
+        effect = getattr(effects, name)
+        if entry.undo is not None and effect != CATALOGUE[name].kind():
+            shown = entry.undo(effect, shown, times_s, atmosphere_pa)
     return shown

@@ -20,6 +20,7 @@ from pamctl.plant.effects.valve.valve_leak import leak_area_m2
 from pamctl.plant.paper.muscle import volume_m3
 from pamctl.plant.paper.valve import orifice_flow
 from pamctl.plant.parameters import AirParameters, AirState
+from pamctl.plant.terms.air_terms import pass_volume_term
 
 SOLVED_PA = 1e-3
 """Tolerance of a pressure that is found by iteration."""
@@ -102,9 +103,9 @@ def solve_supply_pa(
     """
     droop = p.effects.supply_droop
     if droop.resistance_pa_s_per_kg <= 0.0:
-        return p.paper.tank_pressure_pa
+        return p.tank_pa
     kept = kept_share(droop, step_s)
-    idle_pa = kept * before_pa + (1.0 - kept) * p.paper.tank_pressure_pa
+    idle_pa = kept * before_pa + (1.0 - kept) * p.tank_pa
     if open_to.tank_m2 <= 0.0:
         return idle_pa
     drop = (1.0 - kept) * droop.resistance_pa_s_per_kg * open_to.tank_m2
@@ -145,7 +146,7 @@ def solve_feed(
     flow_one = flow_into(p, air, open_to, one, step_s)
     miss_one = -rise * flow_one
     if flow_one > 0.0:
-        other = max(p.paper.tank_pressure_pa, idle_pa)
+        other = max(p.tank_pa, idle_pa)
     else:
         other = min(p.paper.atmospheric_pressure_pa, idle_pa)
     miss_other = other - idle_pa - rise * flow_into(p, air, open_to, other, step_s)
@@ -191,7 +192,9 @@ def air_volume_m3(p: AirParameters, position_m: float, pressure_pa: float) -> fl
             braid, pressure_pa - p.paper.atmospheric_pressure_pa
         )
         room_m3 = length * (stretched * stretched - length * length) * p.paper.volume_scale
-    return pass_volume(p.effects, room_m3, position_m, pressure_pa)
+    room_m3 = pass_volume(p.effects, room_m3, position_m, pressure_pa)
+    gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
+    return pass_volume_term(p.terms, room_m3, position_m, gauge_pa)
 
 
 def amount_of_air(p: AirParameters, position_m: float, pressure_pa: float) -> float:
@@ -299,9 +302,9 @@ def stop_at_balance(
     source_pa = p.paper.atmospheric_pressure_pa
     if open_to.tank_m2 > 0.0:
         kept = kept_share(p.effects.supply_droop, step_s)
-        source_pa = p.paper.tank_pressure_pa
+        source_pa = p.tank_pa
         if p.effects.supply_droop.resistance_pa_s_per_kg > 0.0:
-            source_pa = kept * air.supply_pa + (1.0 - kept) * p.paper.tank_pressure_pa
+            source_pa = kept * air.supply_pa + (1.0 - kept) * p.tank_pa
     if (pressure_pa - source_pa) * (next_pa - source_pa) < 0.0:
         return source_pa, True
     return next_pa, next_pa == source_pa
@@ -370,11 +373,11 @@ def advance_supply_pa(
     """Return the supply's pressure after a step with the flow of the step's middle."""
     droop = p.effects.supply_droop
     if droop.resistance_pa_s_per_kg <= 0.0:
-        return p.paper.tank_pressure_pa
+        return p.tank_pa
     kept, given = kept_share(droop, step_s), 0.0
     if open_to.tank_m2 > 0.0:
         given = open_to.tank_m2 * port_flow(p, fed_by.supply_pa, fed_by.node_pa)
-    refilled_pa: float = p.paper.tank_pressure_pa - droop.resistance_pa_s_per_kg * given
+    refilled_pa: float = p.tank_pa - droop.resistance_pa_s_per_kg * given
     return kept * air.supply_pa + (1.0 - kept) * refilled_pa
 
 

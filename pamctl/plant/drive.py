@@ -25,14 +25,18 @@ from the kernels of the simulated rig itself: a fit uses the simulation's own in
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pamctl.bounded_memory import BoundedMemory
 from pamctl.compiled import compile_kernel
 from pamctl.plant.chains import undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
+from pamctl.plant.correction_tables import Correction
+from pamctl.plant.flat import parameters_of
+from pamctl.plant.packing import Packing, make_packing
 from pamctl.plant.parameters import (
     PlantParameters,
     PlantState,
@@ -47,6 +51,8 @@ from pamctl.plant.sensing import (
     sensors_step,
 )
 from pamctl.plant.step import mechanics_block_step, plant_step, pressure_block_step
+from pamctl.plant.terms.operators import Terms
+from pamctl.plant.terms.undone_readings import undo_reading_term
 from pamctl.plant.valve_chain import settle_valve
 
 if TYPE_CHECKING:
@@ -121,7 +127,7 @@ def drive_coupled(
     grid = build_grid(dt_s, len(commands), steps, acts_after_s)
     state = _settle_valve(p, vented_state(p) if start is None else start, grid.held_v)
     rows = np.empty((len(CoupledResponse._fields), len(commands)))
-    _get_twin(run_coupled)(p, state, build_steps(p, commands, grid), rows)
+    _run(run_coupled, p, state, build_steps(p, commands, grid), rows)
     return CoupledResponse(*rows)
 
 
@@ -184,8 +190,8 @@ def _run_pressure(
         restarts = restarts._replace(rows=cut.first[restarts.rows])
         cut = cut._replace(first=np.arange(len(cut.ends_s)))
     rows = np.empty((len(PressureResponse._fields), len(cut.first)))
-    ends_m = np.interp(cut.ends_s, grid.samples_s, true_m)
-    _get_twin(run_pressure)(p, start, cut, ends_m, restarts, rows)
+    ends_m = _interpolate(cut.ends_s, grid.samples_s, true_m)
+    _run(run_pressure, p, start, cut, ends_m, restarts, rows)
     return PressureResponse(*rows), cut.ends_s
 
 
@@ -215,27 +221,83 @@ def drive_mechanics(
     rows = np.empty((len(MechanicsResponse._fields), len(pressures)))
     cut = build_steps(p, pressures, grid)
     true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
-    ends_pa = np.interp(cut.ends_s, grid.samples_s, true_pa)
+    ends_pa = _interpolate(cut.ends_s, grid.samples_s, true_pa)
     if bend_pa is not None:
         ends_pa = ends_pa + bend_pa
-    ends_n = np.interp(cut.ends_s, grid.samples_s, forces)
+    ends_n = _interpolate(cut.ends_s, grid.samples_s, forces)
     restarts = _undo_restarts("position_reading", p, restarts, grid)
-    _get_twin(run_mechanics)(p, state, cut, ends_pa, ends_n, restarts, rows)
+    _run(run_mechanics, p, state, cut, ends_pa, ends_n, restarts, rows)
     return MechanicsResponse(*rows)
+
+
+def _interpolate(ends_s: Array, samples_s: Array, values: Array) -> Array:
+    """Return a signal at the ends of the steps; a fit drives one record hundreds of times."""
+    made_from = (ends_s, samples_s, values)
+    made = lambda: (np.interp(ends_s, samples_s, values),)  # noqa: E731
+    return _INTERPOLATED.recall(tuple(map(id, made_from)), made_from, made)[0]
+
+
+_INTERPOLATED: BoundedMemory[tuple[Array]] = BoundedMemory(50_000_000)
+
+
+@lru_cache(maxsize=64)
+def select_pressure_numbers(p: PlantParameters) -> PlantParameters:
+    """Return the plant with neutral numbers where `drive_pressure` does not depend on them."""
+    paper = p.paper._replace(
+        mass_kg=1.0, damping_n_s_per_m=1.0, stiffness_n_per_m=1.0, friction_area_m=0.0
+    )
+    effects = p.effects._replace(mechanics=_NEUTRAL.mechanics)
+    return p._replace(paper=paper, effects=effects, mechanics_act=False)
+
+
+@lru_cache(maxsize=64)
+def select_mechanics_numbers(p: PlantParameters) -> PlantParameters:
+    """Return the plant with neutral numbers where `drive_mechanics` does not depend on them.
+
+    With a restriction of the line the muscle's pressure depends on the air's numbers too.
+    """
+    if p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0:
+        return p
+    paper = p.paper._replace(
+        tank_pressure_pa=1.0,
+        specific_energy_j_per_kg=1.0,
+        valve_gain_m2_per_v=1.0,
+        inverse_gamma=1.0,
+        critical_ratio=1.0,
+        choked_flow_s_per_m=1.0,
+        unchoked_flow_s_per_m=1.0,
+    )
+    effects = p.effects._replace(timing=_NEUTRAL.timing, valve=_NEUTRAL.valve, air=_NEUTRAL.air)
+    return p._replace(paper=paper, effects=effects, valve_acts=False, air_acts=False)
+
+
+_PLANT = parameters_of({})
+_NEUTRAL = _PLANT.effects
+
+
+def _make_drive_packing(name: str, p: PlantParameters) -> Packing:
+    return make_packing(name, (p, vented_state(p)), Correction)
+
+
+_PLAIN = _make_drive_packing("unpack_drive", _PLANT)
+_WITH_TERMS = _make_drive_packing("unpack_drive_with_terms", _PLANT._replace(terms=Terms()))
+unpack_drive = _PLAIN.unpack
 
 
 def _settle_valve(p: PlantParameters, state: PlantState, held_v: float | None) -> PlantState:
     """Return the state with a valve that has settled under the command before the first one."""
     if held_v is None or not p.valve_acts:
         return state
-    return state._replace(valve=settle_valve(p.effects.valve, state.valve, held_v))
+    return state._replace(valve=settle_valve(p.effects.valve, p.terms, state.valve, held_v))
 
 
-# The kernels. Each fills `rows`, with one row for each field of its result.
+# The kernels. Each fills `rows`, with one row for each field of its result. `numbers` holds the
+# plant's numbers and its state at the start, packed; `correction` is not packed.
 
 
-def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: Array) -> None:
+def run_coupled(numbers: Array, correction: Correction, steps: DriveSteps, rows: Array) -> None:
     """Kernel of `drive_coupled`."""
+    p, state = unpack_drive(numbers, correction)
     for k in range(rows.shape[1]):
         if k:
             for j in range(steps.first[k - 1], steps.first[k]):
@@ -248,14 +310,15 @@ def run_coupled(p: PlantParameters, state: PlantState, steps: DriveSteps, rows: 
 
 
 def run_pressure(
-    p: PlantParameters,
-    state: PlantState,
+    numbers: Array,
+    correction: Correction,
     steps: DriveSteps,
     positions_m: Array,
     restarts: Restarts,
     rows: Array,
 ) -> None:
     """Kernel of `drive_pressure`. `positions_m` holds the positions at the ends of the steps."""
+    p, state = unpack_drive(numbers, correction)
     pressure_pa, valve, air, sensors = state.pressure_pa, state.valve, state.air, state.sensors
     age_s = state.age_s
     again = 0
@@ -287,8 +350,8 @@ def run_pressure(
 
 
 def run_mechanics(
-    p: PlantParameters,
-    state: PlantState,
+    numbers: Array,
+    correction: Correction,
     steps: DriveSteps,
     pressures_pa: Array,
     forces_n: Array,
@@ -296,6 +359,7 @@ def run_mechanics(
     rows: Array,
 ) -> None:
     """Kernel of `drive_mechanics`. The loads are those at the ends of the steps."""
+    p, state = unpack_drive(numbers, correction)
     x, v, sensors, mechanics = (
         state.position_m,
         state.velocity_m_per_s,
@@ -336,9 +400,15 @@ def run_mechanics(
         rows[2, k] = v
 
 
+def _run(kernel: Callable[..., None], p: PlantParameters, state: PlantState, *given: Any) -> None:
+    """Call the compiled kernel with the plant's numbers and state packed."""
+    packing = _PLAIN if p.terms is None else _WITH_TERMS
+    _get_twin(kernel, packing)(packing.pack((p, state)), p.correction, *given)
+
+
 @cache
-def _get_twin(kernel: Callable[..., None]) -> Callable[..., None]:
-    return compile_kernel(kernel)
+def _get_twin(kernel: Callable[..., None], packing: Packing) -> Callable[..., None]:
+    return compile_kernel(kernel, None if packing is _PLAIN else (unpack_drive, packing.unpack))
 
 
 def _check_signal(name: str, values: ArrayLike, length: int | None = None) -> Array:
@@ -484,7 +554,7 @@ def _select_commands(command_v: Array, indices: NDArray[np.int64], held_v: float
 def _merge_instants(ends_s: Array, more_s: Array) -> Array:
     """Return the instants of both within the span of the first; nearly equal ones count once."""
     inside = (more_s > ends_s[0]) & (more_s < ends_s[-1])
-    cuts_s = np.sort(np.concatenate([ends_s, more_s[inside]]))
+    cuts_s = np.sort(np.concatenate([ends_s, more_s[inside]]), kind="stable")  # of sorted parts
     merged: Array = cuts_s[np.concatenate([[True], np.diff(cuts_s) > SAME_INSTANT_S])]
     return merged
 
@@ -494,6 +564,7 @@ def undo_sensor(place: str, p: PlantParameters, shown: Array, times_s: Array) ->
     if not p.sensors_act:
         return shown
     atmosphere_pa = p.paper.atmospheric_pressure_pa
+    shown = undo_reading_term(place, p.terms, shown, times_s, atmosphere_pa)
     true: Array = undo_reading(place, p.effects.sensors, shown, times_s, atmosphere_pa)
     return true
 
@@ -506,7 +577,7 @@ def _undo_restarts(
     A sensor's lag is undone by the slope, which the restarts, far apart, do not show: each is
     undone as a short line.
     """
-    if not p.sensors_act:
+    if not (p.sensors_act and len(restarts.rows)):
         return restarts
     around_s = np.array([-SLOPE_S, 0.0, SLOPE_S])
     times_s = np.add.outer(grid.samples_s[restarts.rows], around_s)

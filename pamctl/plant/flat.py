@@ -13,12 +13,14 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any
 
-from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
 from pamctl.plant.chains import Effects, change_numbers
 from pamctl.plant.effects.description import ACTUATORS
 from pamctl.plant.effects.places import Part
 from pamctl.plant.muscle_parameters import MuscleParameters
 from pamctl.plant.parameters import PaperParameters, PlantParameters
+from pamctl.plant.terms.locations import make_terms
+from pamctl.plant.terms.operators import Terms
 
 PAPER: dict[str, float] = MuscleParameters().model_dump()
 """Tables I and II in SI."""
@@ -39,9 +41,11 @@ def _lay_out_group(group: Any) -> tuple[tuple[Any, tuple[str, ...]], ...]:
 
 _LAYOUTS = tuple((type(group), _lay_out_group(group)) for group in Effects())
 NEUTRAL: dict[str, float] = {
-    f"{effect.name}.{p.name}": p.neutral for effect in CATALOGUE.values() for p in effect.parameters
+    f"{effect.name}.{p.name}": p.neutral
+    for effect in WITH_TERMS.values()
+    for p in effect.parameters
 }
-"""The neutral value of every parameter of every effect."""
+"""The neutral value of every parameter of every effect and term."""
 
 
 def _sizes_of(part: Part) -> tuple[tuple[str, float], ...]:
@@ -94,15 +98,24 @@ def parameters_of(values: Mapping[str, float]) -> PlantParameters:
         * math.sqrt(1.0 - critical ** ((gamma - 1.0) / gamma)),
         unchoked_flow_s_per_m=unchoked,
     )
+    terms = make_terms(values)
     return PlantParameters(
         paper=change_numbers(paper, v),
         effects=Effects(*groups),
-        valve_acts=any(v[name] != neutral for name, neutral in _VALVE),
-        air_acts=any(v[name] != neutral for name, neutral in _AIR),
-        mechanics_act=direct or any(v[name] != neutral for name, neutral in _MECHANICS),
-        sensors_act=any(v[name] != neutral for name, neutral in _SENSORS),
+        valve_acts=_has_term(terms, "valve") or any(v[name] != neutral for name, neutral in _VALVE),
+        air_acts=_has_term(terms, "air") or any(v[name] != neutral for name, neutral in _AIR),
+        mechanics_act=direct
+        or _has_term(terms, "mechanics")
+        or any(v[name] != neutral for name, neutral in _MECHANICS),
+        sensors_act=_has_term(terms, "sensors")
+        or any(v[name] != neutral for name, neutral in _SENSORS),
         direct=direct,
+        terms=terms,
     )
+
+
+def _has_term(terms: Terms | None, part: str) -> bool:
+    return terms is not None and getattr(terms, part).size != 0.0
 
 
 def _make_chamber_rigid(v: Mapping[str, float]) -> dict[str, float]:

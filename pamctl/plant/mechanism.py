@@ -35,6 +35,16 @@ from pamctl.plant.paper.friction import AxialForces
 from pamctl.plant.paper.mechanics import slide
 from pamctl.plant.paper.muscle import braid_lever_m, force_area_m2
 from pamctl.plant.parameters import MechanicsState, MechanismParameters
+from pamctl.plant.terms.mechanics_terms import (
+    add_damping_term,
+    add_force_term,
+    follow_motion_term,
+    needs_speed,
+    pass_band_term,
+    pass_grip_term,
+    pass_pulling_term,
+)
+from pamctl.plant.terms.operators import TermMemory
 
 
 def mechanism_step(
@@ -56,21 +66,25 @@ def mechanism_step(
     middle_m = position_m + half_s * velocity_m_per_s
     gauge_pa = middle_pa - p.paper.atmospheric_pressure_pa
     memory = follow_motion(p.effects, before.memory, position_m, middle_m, gauge_pa, half_s)
+    term = follow_motion_term(p.terms, before.term, position_m, middle_m, gauge_pa, half_s)
     middle_age_s = age_s + half_s
     speed = velocity_m_per_s
-    if depends_on_speed(p.effects):
+    if depends_on_speed(p.effects) or needs_speed(p.terms):
         # Friction falls with speed: the speed in the middle is predicted twice.
         for _ in range(2):
-            forces = mechanism_forces(p, memory, middle_m, gauge_pa, middle_n, speed, middle_age_s)
+            forces = mechanism_forces(
+                p, memory, term, middle_m, gauge_pa, middle_n, speed, middle_age_s
+            )
             _, speed, _ = move_muscle(
                 p, forces, before.bristle_n, position_m, velocity_m_per_s, half_s
             )
-    forces = mechanism_forces(p, memory, middle_m, gauge_pa, middle_n, speed, middle_age_s)
+    forces = mechanism_forces(p, memory, term, middle_m, gauge_pa, middle_n, speed, middle_age_s)
     end_m, end_v, bristle_n = move_muscle(
         p, forces, before.bristle_n, position_m, velocity_m_per_s, step_s
     )
     memory = follow_motion(p.effects, before.memory, position_m, end_m, gauge_pa, step_s)
-    return end_m, end_v, MechanicsState(bristle_n, memory)
+    term = follow_motion_term(p.terms, before.term, position_m, end_m, gauge_pa, step_s)
+    return end_m, end_v, MechanicsState(bristle_n, memory, term)
 
 
 def follow_motion(
@@ -85,6 +99,7 @@ def follow_motion(
 def mechanism_forces(
     p: MechanismParameters,
     memory: Any,
+    term: TermMemory | None,
     position_m: float,
     gauge_pa: float,
     force_n: float,
@@ -102,17 +117,24 @@ def mechanism_forces(
         pulling_pa = pass_pulling_pressure(
             e, gauge_pa, position_m, velocity_m_per_s, gauge_pa, age_s
         )
+        pulling_pa = pass_pulling_term(
+            p.terms, pulling_pa, position_m, velocity_m_per_s, gauge_pa, age_s
+        )
         pull_n = pulling_pa * pull_area_m2(p, position_m, gauge_pa)
         lever_m = braid_lever_m(p.paper, position_m)
         grip = p.paper.friction_area_m * pressing_pa * drift_factor(e.drift.friction_per_s, age_s)
+        grip = pass_grip_term(p.terms, grip, position_m, velocity_m_per_s, gauge_pa, age_s)
     stiffness = p.paper.stiffness_n_per_m * drift_factor(e.drift.stiffness_per_s, age_s)
     drive_n = pull_n + p.extra_n - stiffness * position_m
     drive_n = add_force(e, memory, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s)
+    drive_n = add_force_term(p.terms, term, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s)
     kinetic = FrictionBand(0.0, grip * lever_m)
     now = pass_friction(e, memory, kinetic, position_m, velocity_m_per_s, gauge_pa, age_s)
+    now = pass_band_term(p.terms, now, position_m, velocity_m_per_s, gauge_pa, age_s)
     at_rest = now
-    if depends_on_speed(e):
+    if depends_on_speed(e) or needs_speed(p.terms):
         at_rest = pass_friction(e, memory, kinetic, position_m, 0.0, gauge_pa, age_s)
+        at_rest = pass_band_term(p.terms, at_rest, position_m, 0.0, gauge_pa, age_s)
     damping = add_damping(
         e,
         memory,
@@ -122,6 +144,7 @@ def mechanism_forces(
         gauge_pa,
         age_s,
     )
+    damping = add_damping_term(p.terms, damping, position_m, velocity_m_per_s, gauge_pa, age_s)
     return AxialForces(
         drive_n,
         now.lower_n,

@@ -16,7 +16,7 @@ from pydantic import (
 )
 
 from hal.configured import Configured
-from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
 from pamctl.plant.correction_tables import Correction, CorrectionTable
 from pamctl.plant.effects.description import (
     ACTUATORS,
@@ -34,6 +34,8 @@ from pamctl.plant.flat import (
 )
 from pamctl.plant.muscle_parameters import MuscleParameters
 from pamctl.plant.parameters import PlantParameters
+from pamctl.plant.terms.locations import LOCATIONS, SUFFIX, TERMS
+from pamctl.plant.terms.operators import NEEDS_INNER, numbers_of_operator
 
 
 def _limit_number(p: EffectParameter) -> Any:
@@ -71,6 +73,76 @@ EffectSettings = create_model(
     __base__=Configured,
     __doc__="Active effects, by their names in the catalogue; all others do not act.",
     **_effect_fields,
+)
+
+
+class TermSettings(Configured):
+    """A term: size x operator(driver), added at its location or changing it by that share."""
+
+    @model_validator(mode="after")
+    def _check_term(self) -> TermSettings:
+        location = LOCATIONS[type(self).__name__.removesuffix(SUFFIX)]
+        operator, driver = self.__dict__["operator"], self.__dict__["driver"]
+        if driver not in location.drivers:
+            raise ValueError(f"driver {driver}: here it may be {', '.join(location.drivers)}")
+        if not location.allows(operator, driver):
+            of = " or ".join(location.memory_of) or "no driver"
+            raise ValueError(f"operator {operator} has a memory, which here is one of {of}")
+        if operator == "curve" and self.__dict__["high"] <= self.__dict__["low"]:
+            raise ValueError("a curve's `high` must be greater than its `low`")
+        if operator in NEEDS_INNER and self.__dict__["inner"] <= 0.0:
+            raise ValueError(f"inner of a {operator} must be greater than 0")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _leave_out_idle_numbers(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out the numbers that this operator does not have."""
+        data: dict[str, Any] = write(self)
+        used = {"size", "operator", "driver", *numbers_of_operator(data["operator"])}
+        return {name: value for name, value in data.items() if name in used}
+
+
+def _make_term_settings(name: str) -> type[Configured]:
+    fields: dict[str, Any] = {
+        p.name: (Annotated[float, Field(description=f"{p.meaning} ({p.unit})")], p.neutral)
+        for p in TERMS[name].parameters
+        if not p.choices
+    }
+    fields["size"] = (fields["size"][0], ...)
+    choices: dict[str, Any] = {
+        p.name: (Annotated[Literal[p.choices], Field(description=p.meaning)], ...)
+        for p in TERMS[name].parameters
+        if p.choices
+    }
+    return create_model(name, __base__=TermSettings, **choices, **fields)
+
+
+_of_terms = {name: _make_term_settings(name) for name in TERMS}
+globals().update(_of_terms)
+_term_fields: dict[str, Any] = {
+    name.removesuffix(SUFFIX): (settings | None, None) for name, settings in _of_terms.items()
+}
+
+
+class _OneTermAPart(Configured):
+    @model_validator(mode="after")
+    def _check_parts(self) -> _OneTermAPart:
+        parts: dict[str, str] = {}
+        for name, term in self.__dict__.items():
+            part = LOCATIONS[name].part
+            if term is not None and parts.setdefault(part, name) != name:
+                raise ValueError(
+                    f"{name} and {parts[part]} are both in the {part}, which holds one term; "
+                    "leave one out"
+                )
+        return self
+
+
+TermsSettings = create_model(
+    "TermsSettings",
+    __base__=_OneTermAPart,
+    __doc__="What the catalogue has no name for, by location; one in each part of the plant.",
+    **_term_fields,
 )
 
 
@@ -157,9 +229,13 @@ class PlantSettings(Configured):
     ] = None
     parameters: MuscleParameters = MuscleParameters()
     effects: EffectSettings = EffectSettings()
+    terms: Annotated[
+        TermsSettings,
+        Field(description="what no effect of the catalogue is; `pamctl diagnose` describes it"),
+    ] = TermsSettings()
     correction: Annotated[
         CorrectionSettings | None,
-        Field(description="tables for what no effect explains; `pamctl diagnose --correction`"),
+        Field(description="tables for what no effect explains: --correction of `pamctl diagnose`"),
     ] = None
     known: Annotated[
         tuple[str, ...],
@@ -204,6 +280,8 @@ class PlantSettings(Configured):
         data: dict[str, Any] = write(self)
         if not self.known:
             data.pop("known", None)
+        if not any(data.get("terms", {}).values()):
+            data.pop("terms", None)
         if self.actuator == "direct" and "parameters" in data:
             data["parameters"] = {
                 name: value
@@ -211,6 +289,15 @@ class PlantSettings(Configured):
                 if name in AXIS or value != PAPER[name]
             }
         return data
+
+    @property
+    def acting(self) -> dict[str, dict[str, Any]]:
+        """The settings of the effects and terms that the file states, by name before the dot."""
+        stated: dict[str, dict[str, Any]] = self.effects.model_dump(exclude_none=True)
+        for name, term in self.terms:
+            if term is not None:
+                stated[f"{name}{SUFFIX}"] = dict(term)
+        return stated
 
 
 AXIS = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
@@ -242,8 +329,8 @@ def values_of(settings: PlantSettings) -> dict[str, float]:
         values[ACTUATOR] = float(ACTUATORS.index(settings.actuator))
     if settings.chamber_volume_m3 is not None:
         values[CHAMBER_VOLUME] = settings.chamber_volume_m3
-    for name, effect in settings.effects.model_dump(exclude_none=True).items():
-        for parameter in CATALOGUE[name].parameters:
+    for name, effect in settings.acting.items():
+        for parameter in WITH_TERMS[name].parameters:
             value = effect[parameter.name]
             index = parameter.choices.index(value) if parameter.choices else value
             values[f"{name}.{parameter.name}"] = float(index)
@@ -254,7 +341,9 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
     """Return the plant file of a flat mapping, validated; effects at neutral are left out."""
     parameters: dict[str, float] = {}
     effects: dict[str, dict[str, float]] = {}
-    plain = {CHAMBER_VOLUME: values[CHAMBER_VOLUME]} if values.get(CHAMBER_VOLUME) else {}
+    plain: dict[str, Any] = (
+        {CHAMBER_VOLUME: values[CHAMBER_VOLUME]} if values.get(CHAMBER_VOLUME) else {}
+    )
     for name, value in values.items():
         effect, dot, parameter = name.partition(".")
         if dot:
@@ -264,8 +353,11 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
     acting = {
         name: _name_choices(name, numbers)
         for name, numbers in effects.items()
-        if name not in CATALOGUE or acts(CATALOGUE[name], numbers)
+        if name not in WITH_TERMS or acts(WITH_TERMS[name], numbers)
     }
+    terms = {n.removesuffix(SUFFIX): acting.pop(n) for n in [*acting] if n in TERMS}
+    if terms:
+        plain["terms"] = terms
     actuator = ACTUATORS[round(values.get(ACTUATOR, 0.0))]
     return PlantSettings.model_validate(
         {"actuator": actuator, **plain, "parameters": parameters, "effects": acting}
@@ -275,6 +367,6 @@ def settings_of(values: Mapping[str, float]) -> PlantSettings:
 def _name_choices(effect: str, numbers: Mapping[str, float]) -> dict[str, Any]:
     """Replace the numbers of choices by their names."""
     choices = (
-        {p.name: p.choices for p in CATALOGUE[effect].parameters} if effect in CATALOGUE else {}
+        {p.name: p.choices for p in WITH_TERMS[effect].parameters} if effect in WITH_TERMS else {}
     )
     return {n: choices[n][round(v)] if choices.get(n) else v for n, v in numbers.items()}

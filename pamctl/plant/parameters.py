@@ -14,6 +14,9 @@ from pamctl.plant.chains import (
     make_rest_memories,
 )
 from pamctl.plant.correction_tables import Correction
+from pamctl.plant.terms.air_terms import pass_supply_term
+from pamctl.plant.terms.mechanics_terms import add_force_term
+from pamctl.plant.terms.operators import TermMemory, Terms
 
 
 class PaperParameters(NamedTuple):
@@ -66,6 +69,8 @@ class PlantParameters(NamedTuple):
     direct: bool
     """A measured force, and a piston if there is one, drive the mechanics instead of the muscle."""
     correction: Correction = Correction()
+    terms: Terms | None = None
+    """None: a plant without terms does not compile them."""
 
     @property
     def atmospheric_pressure_pa(self) -> float:
@@ -86,11 +91,17 @@ class AirParameters(NamedTuple):
     """`AirEffects`."""
     extra_kg_per_s: float
     """Extra flow into the muscle over this step, from effects and from the correction table."""
+    tank_pa: float
+    """Absolute pressure of the supply over this step, before it droops."""
+    terms: Terms | None
 
 
-def take_air_parameters(p: PlantParameters, extra_kg_per_s: float) -> AirParameters:
+def take_air_parameters(
+    p: PlantParameters, extra_kg_per_s: float, age_s: float = 0.0
+) -> AirParameters:
     """Return the parameters of the air's part of a step."""
-    return AirParameters(p.paper, p.effects.air, extra_kg_per_s)
+    tank_pa = pass_supply_term(p.terms, p.paper.tank_pressure_pa, age_s)
+    return AirParameters(p.paper, p.effects.air, extra_kg_per_s, tank_pa, p.terms)
 
 
 class MechanismParameters(NamedTuple):
@@ -102,6 +113,7 @@ class MechanismParameters(NamedTuple):
     direct: bool
     extra_n: float
     """Extra pull over this step, from the correction table."""
+    terms: Terms | None = None
 
 
 class ValveState(NamedTuple):
@@ -110,6 +122,8 @@ class ValveState(NamedTuple):
     spool_v: float = 0.0
     spool_rate_v_per_s: float = 0.0
     memory: Any = ValveMemory()
+    term: TermMemory | None = None
+    """Memory of the valve's term; None in a plant without terms."""
 
 
 class AirState(NamedTuple):
@@ -127,6 +141,8 @@ class MechanicsState(NamedTuple):
     bristle_n: float = inf
     """Force of the bristles; infinite until they are first loaded."""
     memory: Any = MechanicsMemory()
+    term: TermMemory | None = None
+    """Memory of the mechanics' term; None in a plant without terms."""
 
 
 class PlantState(NamedTuple):
@@ -150,14 +166,15 @@ class PlantState(NamedTuple):
 def rest_state(p: PlantParameters, position_m: float, pressure_pa: float) -> PlantState:
     """Return a plant that has rested for long at a position and absolute pressure."""
     of_valve, of_mechanics, of_sensors = make_rest_memories(position_m, pressure_pa)
+    of_term = None if p.terms is None else TermMemory()
     return PlantState(
         position_m,
         0.0,
         pressure_pa,
-        ValveState(memory=of_valve),
+        ValveState(memory=of_valve, term=of_term),
         AirState(p.paper.tank_pressure_pa, pressure_pa),
         of_sensors,
-        MechanicsState(memory=of_mechanics),
+        MechanicsState(memory=of_mechanics, term=of_term),
     )
 
 
@@ -167,5 +184,6 @@ def vented_state(p: PlantParameters) -> PlantState:
     if p.mechanics_act and not p.direct:
         memory = MechanicsState().memory
         pull_n = add_force(p.effects.mechanics, memory, 0.0, 0.0, 0.0, 0.0, 0.0)
+        pull_n = add_force_term(p.terms, TermMemory(), pull_n, 0.0, 0.0, 0.0, 0.0)
         rest_m += pull_n / p.paper.stiffness_n_per_m
     return rest_state(p, rest_m, p.paper.atmospheric_pressure_pa)

@@ -11,6 +11,7 @@ from pamctl.plant.chains import (
     pass_pressure_reading,
 )
 from pamctl.plant.parameters import AirState, PlantParameters
+from pamctl.plant.terms.sensor_terms import show_position_term, show_pressure_term
 
 
 def sensors_step(
@@ -49,7 +50,7 @@ def sensed_pressure_pa(
     shown_pa: float = pass_pressure_reading(
         p.effects.sensors, sensors, at_sensor_pa, atmosphere_pa, age_s
     )
-    return shown_pa
+    return show_pressure_term(p.terms, shown_pa, atmosphere_pa, age_s)
 
 
 def sensed_position_m(p: PlantParameters, position_m: float, sensors: Any, age_s: float) -> float:
@@ -57,4 +58,4 @@ def sensed_position_m(p: PlantParameters, position_m: float, sensors: Any, age_s
     if not p.sensors_act:
         return position_m
     shown_m: float = pass_position_reading(p.effects.sensors, sensors, position_m, age_s)
-    return shown_m
+    return show_position_term(p.terms, shown_m, age_s)

@@ -16,7 +16,7 @@ class SimulatedPlant:
 
     def __init__(self, parameters: PlantParameters, state: PlantState | None = None) -> None:
         """Start from `state`; by default vented and at rest."""
-        self._parameters = parameters
+        self.parameters = parameters
         self.state = vented_state(parameters) if state is None else state
         self._line = (
             CommandLine() if parameters.effects.timing.command_delay.delay_s > 0.0 else None
@@ -25,24 +25,34 @@ class SimulatedPlant:
     def advance(self, command_v: float, duration_s: float) -> None:
         """Advance under a constant valve command (V)."""
         if self._line is not None:
-            self.state = self._line.advance(self._parameters, self.state, command_v, duration_s)
+            self.state = self._line.advance(self.parameters, self.state, command_v, duration_s)
             return
         self.state = advance_plant(
-            self._parameters, self.state, command_v, duration_s, LONGEST_STEP_S
+            self.parameters, self.state, command_v, duration_s, LONGEST_STEP_S
         )
+
+    @property
+    def truth(self) -> tuple[float, float]:
+        """True displacement (m) and absolute pressure (Pa)."""
+        return self.state.position_m, self.state.pressure_pa
+
+    @property
+    def is_delayed(self) -> bool:
+        """Whether commands are on their way to the valve: the state is not all there is."""
+        return self._line is not None
 
     @property
     def position_m(self) -> float:
         """Displacement at the encoder, before quantisation."""
         state = self.state
-        return sensed_position_m(self._parameters, state.position_m, state.sensors, state.age_s)
+        return sensed_position_m(self.parameters, state.position_m, state.sensors, state.age_s)
 
     @property
     def pressure_pa(self) -> float:
         """Absolute pressure at the sensor, before noise."""
         state = self.state
         return sensed_pressure_pa(
-            self._parameters, state.pressure_pa, state.air, state.sensors, state.age_s
+            self.parameters, state.pressure_pa, state.air, state.sensors, state.age_s
         )
 
 

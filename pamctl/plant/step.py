@@ -20,6 +20,7 @@ from pamctl.plant.parameters import (
     take_air_parameters,
 )
 from pamctl.plant.sensing import pressure_at_sensor_pa, sensors_step
+from pamctl.plant.terms.air_terms import add_flow_term
 from pamctl.plant.valve_chain import valve_step
 
 
@@ -34,7 +35,7 @@ def plant_step(
     x, v, pressure_pa, valve, air, sensors, mechanics, age_s = state
     opening_v = command_v
     if p.valve_acts:
-        opening_v, valve = valve_step(p.effects.valve, valve, command_v, age_s, step_s)
+        opening_v, valve = valve_step(p.effects.valve, p.terms, valve, command_v, age_s, step_s)
     middle_m = x + 0.5 * step_s * v
     middle_pa, balanced = air_middle_pa(p, pressure_pa, air, opening_v, x, middle_m, age_s, step_s)
     end_m, end_v, mechanics = mechanics_block_step(
@@ -70,7 +71,7 @@ def pressure_block_step(
     """
     opening_v = command_v
     if p.valve_acts:
-        opening_v, valve = valve_step(p.effects.valve, valve, command_v, age_s, step_s)
+        opening_v, valve = valve_step(p.effects.valve, p.terms, valve, command_v, age_s, step_s)
     middle_pa, balanced = air_middle_pa(
         p, pressure_pa, air, opening_v, position_m, middle_m, age_s, step_s
     )
@@ -109,7 +110,7 @@ def mechanics_block_step(
         middle_m = position_m + 0.5 * step_s * velocity_m_per_s
         load = middle_n if p.direct else middle_pa
         extra_n = interpolate_table(p.correction.pull, middle_m, load)
-        with_effects = MechanismParameters(p.paper, p.effects.mechanics, p.direct, extra_n)
+        with_effects = MechanismParameters(p.paper, p.effects.mechanics, p.direct, extra_n, p.terms)
         return mechanism_step(
             with_effects,
             position_m,
@@ -138,8 +139,10 @@ def air_middle_pa(
     if p.air_acts:
         extra = interpolate_table(p.correction.flow, opening_v, pressure_pa)
         extra = add_flow(p.effects.air, extra, opening_v, pressure_pa, position_m, age_s)
+        gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
+        extra = add_flow_term(p.terms, extra, opening_v, gauge_pa, position_m, age_s)
         return chamber_middle_pa(
-            take_air_parameters(p, extra),
+            take_air_parameters(p, extra, age_s),
             pressure_pa,
             air,
             opening_v,
@@ -168,8 +171,10 @@ def air_step(
         extra = interpolate_table(p.correction.flow, opening_v, pressure_pa)
         middle_age_s = age_s + 0.5 * step_s
         extra = add_flow(p.effects.air, extra, opening_v, middle_pa, middle_m, middle_age_s)
+        gauge_pa = middle_pa - p.paper.atmospheric_pressure_pa
+        extra = add_flow_term(p.terms, extra, opening_v, gauge_pa, middle_m, middle_age_s)
         return chamber_step(
-            take_air_parameters(p, extra),
+            take_air_parameters(p, extra, middle_age_s),
             pressure_pa,
             air,
             middle_pa,

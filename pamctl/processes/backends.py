@@ -55,10 +55,19 @@ def require_backend(settings: RunSettings) -> None:
     settings.rig.record.require(settings.rig.device_settings)
 
 
-def build_rig(settings: RunSettings, clock: Clock, *, by_computer: bool = False) -> RigParts:
-    """Return the rig, not yet opened; `by_computer`: paced by `clock` whatever the file says."""
+def build_rig(
+    settings: RunSettings,
+    clock: Clock,
+    *,
+    by_computer: bool = False,
+    plant: SimulatedPlant | None = None,
+) -> RigParts:
+    """Return the rig, not yet opened; `by_computer`: paced by `clock` whatever the file says.
+
+    A simulated rig moves `plant`, by default one in plain Python.
+    """
     file = settings.rig
-    plant = SimulatedPlant(plant_parameters(settings.plant))
+    plant = plant or SimulatedPlant(plant_parameters(settings.plant))
     built = file.record.build(
         RigRequest(
             settings=file.device_settings,
@@ -75,7 +84,7 @@ def build_rig(settings: RunSettings, clock: Clock, *, by_computer: bool = False)
     rig = FaultyRig(built.rig, file.faults_to_inject) if file.faults_to_inject else built.rig
     pace = clock if built.await_edge is None else SampleClock(clock, built.await_edge)
     if file.record.is_simulated:
-        return RigParts(rig, pace, lambda: Truth(plant.state.position_m, plant.state.pressure_pa))
+        return RigParts(rig, pace, lambda: Truth(*plant.truth))
     return RigParts(rig, pace, lambda: _UNKNOWN)
 
 

@@ -19,12 +19,14 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
+from pamctl.processes.machine_code.libraries import load_leap, load_plant, load_tick
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_cost import TickCost, rehearse_tick_s
+from pamctl.realtime.tick_path import TickPath
 from pamctl.recording.last_words import make_outcome_event, put_last_event
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
 from pamctl.recording.run_journal import PatientJournal, RingJournal
@@ -92,11 +94,16 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
     if not settings.fast and not await_guardian(ring):
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
-        _record_start(ring, settings, preparation)
         setup = build_tick_setup(settings)
-        for event in () if settings.fast else check_rate(settings, setup):
+        tick, path = load_tick(setup)
+        _record_start(ring, settings, preparation, path)
+        many = None
+        for event in () if settings.fast else check_rate(settings, setup, tick):
             ring.put_event(0, ring.meta.start_mono_ns, event)
-        parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
+        clock = build_clock(settings, may_spin=preparation.may_spin)
+        parts = build_rig(settings, clock, plant=load_plant(settings))
+        if settings.fast:
+            tick, many = load_leap(setup, parts.rig, parts.clock)
         program = build_program(settings)
         journal = PatientJournal(ring) if settings.fast else RingJournal(ring)
         controller = settings.controller.model_dump(mode="json")
@@ -111,6 +118,8 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
             parts.truth,
             CuedHelm(setup, controller, program, journal, _attach_orders()),
             opened=partial(free_foreign_threads, preparation),
+            tick=tick,
+            many=many,
         )
 
 
@@ -118,13 +127,15 @@ def _attach_orders() -> Orders | None:
     return Orders(int(sys.argv[2])) if len(sys.argv) > 2 else None
 
 
-def check_rate(settings: RunSettings, setup: TickSetup) -> list[dict[str, object]]:
+def check_rate(
+    settings: RunSettings, setup: TickSetup, tick: TickPath | None = None
+) -> list[dict[str, object]]:
     """Warn of a rate that this PC cannot hold; return what to note in the log.
 
     Call it in the loop's process as it is scheduled, before the rig is open.
     """
     rate_hz = settings.rig.loop.rate_hz
-    cost = TickCost.estimate(rehearse_tick_s(setup, 1.0 / rate_hz))
+    cost = TickCost.estimate(rehearse_tick_s(setup, 1.0 / rate_hz, tick=tick))
     warning = cost.find_warning(rate_hz)
     if not warning:
         return []
@@ -159,9 +170,9 @@ def await_guardian(ring: Ring) -> bool:
     return True
 
 
-def _record_start(ring: Ring, settings: RunSettings, preparation: Preparation) -> None:
-    """Record how this process is scheduled and which gains it begins with."""
-    setup = preparation.as_metadata()
+def _record_start(ring: Ring, settings: RunSettings, preparation: Preparation, path: str) -> None:
+    """Record how this process is scheduled, how it runs the tick, and its first gains."""
+    setup = {**preparation.as_metadata(), "tick": path}
     if settings.fast:
         setup = {"mode": "fast: no clock"}
     event = {"event": "timing_setup", **setup}

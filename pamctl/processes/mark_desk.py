@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import strip_controls
+from pamctl.plain_text import clean_text
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.realtime.orders import Orders
 
@@ -96,7 +96,7 @@ class MarkDesk:
             return
         try:
             asked = json.loads(message)
-            text = None if asked == {"ask": "log"} else strip_controls(str(asked["mark"]))
+            text = None if asked == {"ask": "log"} else clean_text(str(asked["mark"]))
         except (ValueError, KeyError, TypeError, RecursionError):
             self._drop(client)
             return
@@ -155,7 +155,7 @@ def list_running_runs() -> list[RunningRun]:
     found = []
     for address in _list_addresses():
         with suppress(MarkError, KeyError):
-            log = strip_controls(str(_ask(address, {"ask": "log"})["log"]))
+            log = clean_text(str(_ask(address, {"ask": "log"})["log"]))
             found.append(RunningRun(address, Path(log)))
     return found
 

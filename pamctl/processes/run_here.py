@@ -17,6 +17,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.log.writer import LogWriter
 from pamctl.processes.backends import build_clock, build_rig, require_backend
+from pamctl.processes.machine_code.libraries import load_leap
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
 from pamctl.recording.last_words import make_outcome_event
@@ -75,6 +76,7 @@ def _run(journal: LogJournal, meta: RunMeta, settings: RunSettings) -> Ending:
     journal.put_gains(0, meta.start_mono_ns, controller)
     setup, program = build_tick_setup(settings), build_program(settings)
     parts = build_rig(settings, build_clock(settings, may_spin=False))
+    tick, many = load_leap(setup, parts.rig, parts.clock)
     with _heed_interrupt() as interrupt:
         return run_loop(
             parts.rig,
@@ -86,6 +88,8 @@ def _run(journal: LogJournal, meta: RunMeta, settings: RunSettings) -> Ending:
             interrupt,
             parts.truth,
             CuedHelm(setup, controller, program, journal),
+            tick=tick,
+            many=many,
         )
 
 

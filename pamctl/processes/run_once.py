@@ -28,6 +28,7 @@ from pamctl.processes.backends import (
     require_backend,
 )
 from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
+from pamctl.processes.machine_code.libraries import start_building
 from pamctl.processes.mark_desk import MarkDesk, open_mark_desk
 from pamctl.processes.run_here import run_here
 from pamctl.realtime.keyframe import keyframe_fields
@@ -84,6 +85,9 @@ def run_once(
     """
     # Wrong input is found before the valve is touched.
     require_backend(settings)
+    note = start_building(settings)
+    if note and not quiet:
+        print(f"note: {note}", file=sys.stderr, flush=True)
     path = choose_log_path(log, names["controller"], names["experiment"])
     meta = annotate_meta(make_run_meta(settings, names, path), said, records)
     if settings.fast and sys.platform != "linux":

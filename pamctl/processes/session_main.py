@@ -24,6 +24,7 @@ from pamctl.processes.loop_main import (
     run_to_ending,
 )
 from pamctl.processes.loop_supervisor import LoopSupervisor
+from pamctl.processes.machine_code.libraries import load_plant, load_tick
 from pamctl.processes.session_supervisor import SessionSupervisor
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.orders import Orders
@@ -68,11 +69,13 @@ def _run(
         return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
     with prepare(settings.rt, settings.rig.loop.cpu) as preparation:
         setup = build_tick_setup(settings)
-        start = {"event": "timing_setup", **preparation.as_metadata()}
+        tick, path = load_tick(setup)
+        start = {"event": "timing_setup", **preparation.as_metadata(), "tick": path}
         journal.put_event(0, ring.meta.start_mono_ns, start)
-        for event in check_rate(settings, setup):
+        for event in check_rate(settings, setup, tick):
             journal.put_event(0, ring.meta.start_mono_ns, event)
-        parts = build_rig(settings, build_clock(settings, may_spin=preparation.may_spin))
+        clock = build_clock(settings, may_spin=preparation.may_spin)
+        parts = build_rig(settings, clock, plant=load_plant(settings))
         steered = SteeredProgram(
             orders,
             journal,
@@ -92,6 +95,7 @@ def _run(
             parts.truth,
             steered,
             partial(free_foreign_threads, preparation),
+            tick,
         )
 
 

@@ -55,8 +55,11 @@ class Clock(Protocol):
     def wall_offset_ns(self) -> int:
         """Unix time minus `now_ns`: read once a run, so that NTP cannot reorder a log."""
 
-    def wait(self) -> Wake:
-        """Wait for the next grid point that still lies ahead, and say which one it was."""
+    def wait(self, rehearse: Callable[[], None] | None = None) -> Wake:
+        """Wait for the next grid point that still lies ahead, and say which one it was.
+
+        A clock that spins calls `rehearse` within the spin, if there is time for it.
+        """
 
 
 class GridClock:
@@ -70,6 +73,10 @@ class GridClock:
     wait then goes on to its deadline, and the loop meets the handler's flag there, at most one
     period later and with a regular dt. A handler that raises ends the wait; the clock stays
     valid, and the next `wait` counts what was missed.
+
+    A rehearsal runs at the begin of the spin. During a sleep the CPU's caches lose the tick's code
+    and data; the rehearsal fetches them again while there is nothing else to do. It is left out
+    where its usual duration would not end before the deadline.
 
     Args:
         period_ns: distance of two grid points, ns.
@@ -89,6 +96,7 @@ class GridClock:
         "_now_ns",
         "_period_ns",
         "_phase_ns",
+        "_rehearsal_ns",
         "_sleep_until",
         "_spin_ns",
         "_tick",
@@ -113,6 +121,7 @@ class GridClock:
         self._period_ns = period_ns
         self._phase_ns = phase_ns
         self._spin_ns = spin_ns
+        self._rehearsal_ns = spin_ns // 2
         self._now_ns = now_ns
         self._sleep_until = sleep_until or make_monotonic_sleeper()
         self._tick = -1
@@ -133,7 +142,7 @@ class GridClock:
         wall_ns = time.time_ns()
         return wall_ns - (before_ns + self._now_ns()) // 2
 
-    def wait(self) -> Wake:
+    def wait(self, rehearse: Callable[[], None] | None = None) -> Wake:
         """Wait for the next grid point that still lies ahead."""
         if self._tick < 0:
             return self._wait_first()
@@ -143,7 +152,7 @@ class GridClock:
         now_ns = self._now_ns()
         if now_ns > deadline_ns:  # the tick took too long
             deadline_ns = grid_point_from(now_ns, deadline_ns, period_ns)
-        now_ns = self._reach(deadline_ns, now_ns)
+        now_ns = self._reach(deadline_ns, now_ns, rehearse)
         if now_ns >= deadline_ns + period_ns:  # the sleep did
             deadline_ns = grid_point_until(now_ns, deadline_ns, period_ns)
         advanced = (deadline_ns - previous_ns) // period_ns
@@ -161,16 +170,35 @@ class GridClock:
         self._tick = 0
         return Wake(0, self._deadline_ns, now_ns, 0)
 
-    def _reach(self, deadline_ns: int, now_ns: int) -> int:
-        """Sleep and spin until the deadline has come; the time it then is."""
+    def _reach(
+        self, deadline_ns: int, now_ns: int, rehearse: Callable[[], None] | None = None
+    ) -> int:
+        """Sleep, rehearse and spin until the deadline has come; the time it then is."""
         alarm_ns = deadline_ns - self._spin_ns
         if now_ns < alarm_ns:
             self._sleep_until(alarm_ns)
         read_ns = self._now_ns
         now_ns = read_ns()
+        if rehearse is not None:
+            self._rehearse(rehearse, now_ns, deadline_ns)
+            now_ns = read_ns()
         while now_ns < deadline_ns:
             now_ns = read_ns()
         return now_ns
+
+    def _rehearse(self, rehearse: Callable[[], None], now_ns: int, deadline_ns: int) -> None:
+        """Rehearse if the longest of the last rehearsals would end before the deadline.
+
+        One that was interrupted looks long. It is forgotten within some tens of ticks.
+        """
+        expected_ns = self._rehearsal_ns
+        if now_ns + expected_ns < deadline_ns:
+            rehearse()
+            took_ns = self._now_ns() - now_ns
+            if took_ns > expected_ns:
+                self._rehearsal_ns = took_ns + (took_ns >> 3)
+                return
+        self._rehearsal_ns = expected_ns - (expected_ns >> 6)
 
 
 class SampleClock:
@@ -207,7 +235,7 @@ class SampleClock:
         """Unix time minus the host's."""
         return self._host.wall_offset_ns()
 
-    def wait(self) -> Wake:
+    def wait(self, rehearse: Callable[[], None] | None = None) -> Wake:
         """Wait for the next sample; whatever passed before the first one was not missed."""
         edge = self._await_edge()
         missed = edge.elapsed - 1 if self._tick >= 0 else 0
@@ -247,13 +275,18 @@ class VirtualClock:
         """Nothing, so that the same seed gives the same bytes on every day."""
         return 0
 
-    def wait(self) -> Wake:
+    def wait(self, rehearse: Callable[[], None] | None = None) -> Wake:
         """Go on to the next tick."""
         due = self._tick + 1
         missed = self._missed.get(due, 0)
         self._tick = due + missed
         now_ns = self._now_ns = self._tick * self._period_ns
         return Wake(self._tick, now_ns, now_ns, missed)
+
+    def skip_to(self, tick: int) -> None:
+        """Take note that all ticks up to this one are done."""
+        self._tick = tick
+        self._now_ns = tick * self._period_ns
 
 
 def grid_point_from(time_ns: int, point_ns: int, period_ns: int) -> int:

@@ -9,7 +9,8 @@ from hal.rig import RawSample
 from pamctl.control.law_registry import read_controller
 from pamctl.realtime.gain_ramp import SHORTEST_RAMP_S, GainRamp
 from pamctl.realtime.program import Program
-from pamctl.realtime.tick import TickSetup, TickState
+from pamctl.realtime.tick import TickSetup
+from pamctl.realtime.tick_path import TickPath
 from pamctl.signals import Timing
 
 
@@ -55,12 +56,19 @@ class CuedHelm:
         """Return the set-up with the gains of the moment."""
         return self._tuning.at(t_s)
 
-    def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+    @property
+    def settled_setup(self) -> TickSetup | None:
+        """The set-up of the next tick, whenever it is; None while gains are on a ramp."""
+        return self._tuning.settled_setup
+
+    def finish_tick(self, done: TickPath) -> None:
         """Put the marks that are due, and change the gains from the next tick on."""
+        timing = done.timing
         order = self._orders.take() if self._orders is not None else None
         if order is not None:
-            put_mark(self._journal, timing, raw, order["text"])
+            put_mark(self._journal, timing, done.raw, order["text"])
         while (cue := self._program.take_cue(timing.t_s)) is not None:
+            raw = done.raw
             if cue.gains is None:
                 put_mark(self._journal, timing, raw, cue.mark)
                 continue

@@ -57,6 +57,11 @@ class GainRamp:
         """No ramp is under way."""
         return self._setup is self._to
 
+    @property
+    def settled_setup(self) -> TickSetup | None:
+        """The set-up at all times to come; None while a ramp is under way."""
+        return self._setup if self._setup is self._to else None
+
     def at(self, t_s: float) -> TickSetup:
         """Return the set-up of the tick at `t_s`."""
         if self._setup is self._to:

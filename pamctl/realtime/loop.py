@@ -11,26 +11,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, Protocol
 
-from hal.calibration import Zero, output_v
+from hal.calibration import Zero
 from hal.rig import RawSample, Rig, RigError, open_rig
 from pamctl.control.homing import HomingError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
 from pamctl.realtime.keyframe import freeze_state
-from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state, step
+from pamctl.realtime.tick import TickSetup, first_state, rezero_state
+from pamctl.realtime.tick_path import PlainTick, RunningCourse, TickJournal, TickPath
+from pamctl.realtime.whole_tick import TickTimes
 from pamctl.safety import OVERRUNS, explain_verdicts
-from pamctl.signals import Decision, Reference, TickOutcome, TickRecord, Timing, Truth
+from pamctl.signals import Decision, Reference, TickOutcome, Timing, Truth
 
 KEYFRAME_TICKS = 1000
 
 
-class Journal(Protocol):
+class Journal(TickJournal, Protocol):
     """Takes what must not be lost. Its methods raise `RingFull` where there is no room."""
-
-    def put_tick(self, record: TickRecord) -> None:
-        """Keep a tick."""
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Keep an event; its key `event` names it."""
@@ -42,13 +41,31 @@ class Journal(Protocol):
         """Take note that the valve is safe and will not be moved again."""
 
 
+class RowsJournal(Protocol):
+    """Takes many ticks at once."""
+
+    def put_rows(self, rows: memoryview) -> None:
+        """Keep ticks that are packed already as rows of the ring."""
+
+
+class ManyTicks(Protocol):
+    """Runs many ticks of a simulated rig at once, for a loop without a clock."""
+
+    def run(self, tick: Any, first_tick: int, ticks: int, journal: Any) -> int:
+        """Run at most so many ticks and put their rows; return how many there were."""
+
+
 class Helm(Protocol):
     """May change the set-up of the tick, and the program, between two ticks."""
 
     def setup(self, t_s: float) -> TickSetup:
         """Return the set-up of the tick at `t_s`."""
 
-    def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+    @property
+    def settled_setup(self) -> TickSetup | None:
+        """The set-up of the next tick, whenever it is; None while it depends on the time."""
+
+    def finish_tick(self, done: TickPath) -> None:
         """Take note that a tick is done; changes hold from the next tick on."""
 
 
@@ -63,7 +80,12 @@ class FixedHelm:
         """Return the one set-up."""
         return self._setup
 
-    def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+    @property
+    def settled_setup(self) -> TickSetup | None:
+        """Return the one set-up."""
+        return self._setup
+
+    def finish_tick(self, done: TickPath) -> None:
         """Do nothing."""
 
 
@@ -84,6 +106,17 @@ class ReferenceSource(Protocol):
     def begin_stop(self, t_s: float, valve_v: float) -> None:
         """Go from the present valve command to the safe one on a ramp."""
 
+    @property
+    def running(self) -> RunningCourse | None:
+        """The course and its begin (s) while only the time decides the reference; else None."""
+
+    @property
+    def next_cue_s(self) -> float:
+        """When something is due next beside the reference; infinity if nothing is."""
+
+    def rehearse_reference(self, t_s: float) -> Reference | None:
+        """Do the work of `next_reference` where that changes nothing; else return None."""
+
 
 class Supervisor(Protocol):
     """May end the run from outside."""
@@ -93,13 +126,6 @@ class Supervisor(Protocol):
 
     def wants_abort(self) -> bool:
         """Tell whether to skip the smooth stop."""
-
-
-class _Times(NamedTuple):
-    """Where in time the loop is."""
-
-    first_t_ns: int
-    last_t_ns: int
 
 
 def run_loop(
@@ -113,12 +139,15 @@ def run_loop(
     truth: Callable[[], Truth],
     helm: Helm | None = None,
     opened: Callable[[], Sequence[Mapping[str, object]]] = tuple,
+    tick: TickPath | None = None,
+    many: ManyTicks | None = None,
 ) -> Ending:
     """Run the program to its end; leave the rig safe and closed on every path.
 
     `nominal_zero` gives the sensors' zeros until homing finds better ones; `truth` is what
     a simulated plant knows. Without a `helm` the set-up stays as it is. `opened` is called once,
-    right after the rig is open, and returns events for the log. `RigError`, a safety
+    right after the rig is open, and returns events for the log. `tick` runs the ticks; by default
+    plain Python does. `many` runs those that nothing interrupts. `RigError`, a safety
     trip and a failed homing become the ending. Anything else is an error in pamctl and is raised.
     """
     try:
@@ -128,7 +157,20 @@ def run_loop(
             for event in noted:
                 journal.put_event(0, clock.now_ns(), event)
             helm = helm or FixedHelm(setup)
-            loop = _Loop(rig, clock, setup, helm, nominal_zero, program, journal, supervisor, truth)
+            tick = tick or PlainTick()
+            loop = _Loop(
+                rig,
+                clock,
+                setup,
+                helm,
+                nominal_zero,
+                program,
+                journal,
+                supervisor,
+                truth,
+                tick,
+                many,
+            )
             try:
                 return loop.run()
             finally:
@@ -157,58 +199,97 @@ class _Loop:
     journal: Journal
     supervisor: Supervisor
     truth: Callable[[], Truth]
+    tick: TickPath
+    many: ManyTicks | None
     ending: Ending = _ENDED
 
     def run(self) -> Ending:
         """Tick until the program ends."""
         wake = self.clock.wait()
         raw = self.rig.read()
-        state = first_state(self.setup, self.nominal_zero(raw))
-        self._record_zero(wake.tick, raw, state.zero)
-        times = _Times(raw.encoder_t_ns, raw.encoder_t_ns - self.clock.period_ns)
+        zero = self.nominal_zero(raw)
+        began_ns = raw.encoder_t_ns
+        times = TickTimes(began_ns, began_ns - self.clock.period_ns)
+        self.tick.begin(first_state(self.setup, zero), times)
+        self._record_zero(wake.tick, raw, zero)
         while True:
             sampled_ns = self.clock.now_ns()
-            timing = _make_timing(times, wake, raw)
-            times = times._replace(last_t_ns=raw.encoder_t_ns)
-            reference, zero = self._ask(timing, raw, state)
-            if zero is not None:
-                state = rezero_state(self.helm.setup(timing.t_s), state, zero)
-                self._record_zero(timing.tick, raw, zero)
-            if reference is None:
+            if not self.tick.follow_course(wake, raw) and not self._ask_and_run(wake, raw):
                 return self.ending
-            setup = self.helm.setup(timing.t_s)
-            state, decision = step(setup, state, raw, reference, timing)
-            self._act(wake, sampled_ns, timing, raw, reference, state, decision)
-            if decision.tripped:
-                return self._end_tripped(timing, raw, decision)
-            # The abort is read first. Two signals between the two reads are then a stop in this
-            # tick and an abort in the next one, and the run never ends without its reason.
-            abort = self.supervisor.wants_abort()
-            self._obey_supervisor(timing, raw, decision)
-            self.helm.finish_tick(timing, raw, state)
-            if abort:
-                return self.ending
-            wake = self.clock.wait()
+            self._act(wake, sampled_ns)
+            ended = self._finish(wake.tick, wake.missed, raw)
+            while ended is None and self._run_many():
+                ended = self._finish(self.tick.timing.tick, 0, self.tick.raw)
+            if ended is not None:
+                return ended
+            wake = self.clock.wait(self._rehearse)
             raw = self.rig.read()
 
-    def _ask(
-        self, timing: Timing, raw: RawSample, state: TickState
-    ) -> tuple[Reference | None, Zero | None]:
+    def _finish(self, at: int, missed: int, raw: RawSample) -> Ending | None:
+        """Do what is due in the slack after tick `at`; return how the run ends if it does."""
+        tick, decision = self.tick, self.tick.decision
+        # The last tick of each thousand, or the first one after it if that was missed.
+        if (at + 1) % KEYFRAME_TICKS <= missed:
+            self.journal.put_keyframe(at, raw.encoder_t_ns, freeze_state(tick.state))
+        if decision.tripped:
+            return self._end_tripped(at, raw, decision)
+        # The abort is read first. Two signals between the two reads are then a stop in this
+        # tick and an abort in the next one, and the run never ends without its reason.
+        abort = self.supervisor.wants_abort()
+        self._obey_supervisor(at, raw, decision)
+        self.helm.finish_tick(tick)
+        if abort:
+            return self.ending
+        tick.expect(self.helm.settled_setup, self.program.running)
+        return None
+
+    def _run_many(self) -> bool:
+        """Run the ticks up to the next frozen state or cue at once, where that is possible."""
+        many, tick = self.many, self.tick
+        if many is None or not tick.follows:
+            return False
+        timing, period_s = tick.timing, self.clock.period_ns * 1e-9
+        ticks = KEYFRAME_TICKS - (timing.tick + 1) % KEYFRAME_TICKS
+        until_cue = (self.program.next_cue_s - timing.t_s) / period_s - 2.0
+        return (
+            many.run(tick, timing.tick + 1, int(min(ticks, max(until_cue, 0.0))), self.journal) > 0
+        )
+
+    def _ask_and_run(self, wake: Wake, raw: RawSample) -> bool:
+        """Ask program and helm, and run the tick; return False at the end of the program."""
+        timing = self.tick.time(wake, raw)
+        setup = self.helm.setup(timing.t_s)
+        if not self.tick.fits(setup):  # another law than this run began with
+            plain = PlainTick()
+            plain.begin(self.tick.state, self.tick.times)
+            plain.time(wake, raw)
+            self.tick = plain
+        tick = self.tick
+        reference, zero = self._ask(timing, raw)
+        if zero is not None:
+            tick.begin(rezero_state(setup, tick.state, zero), tick.times)
+            self._record_zero(timing.tick, raw, zero)
+        if reference is None:
+            return False
+        tick.run(setup, wake, raw, reference)
+        return True
+
+    def _ask(self, timing: Timing, raw: RawSample) -> tuple[Reference | None, Zero | None]:
         """Return the program's reference; when the experiment is over, begin the smooth stop."""
         reference, zero = self.program.next_reference(timing.t_s, raw)
         if reference is None and not self.program.is_stopping:
             self.ending = Ending(ExitCode.OK, self.program.end_reason)
-            self._begin_stop(timing, raw, state.safety.valve_v)
+            self._begin_stop(timing, raw, self.tick.state.safety.valve_v)
             reference, _ = self.program.next_reference(timing.t_s, raw)
         return reference, zero
 
-    def _obey_supervisor(self, timing: Timing, raw: RawSample, decision: Decision) -> None:
+    def _obey_supervisor(self, at: int, raw: RawSample, decision: Decision) -> None:
         """Check, in the slack after the tick, whether the run shall end."""
         if not self.program.is_stopping:
-            wanted = self.supervisor.find_stop(timing.tick)
+            wanted = self.supervisor.find_stop(at)
             if wanted is not None:
                 self.ending = wanted
-                self._begin_stop(timing, raw, decision.valve_v)
+                self._begin_stop(self.tick.timing, raw, decision.valve_v)
 
     def _begin_stop(self, timing: Timing, raw: RawSample, valve_v: float) -> None:
         last_v = self.setup.limits.safe_valve_v if math.isnan(valve_v) else valve_v
@@ -216,22 +297,13 @@ class _Loop:
         event = {"event": "stopping", "reason": self.ending.reason}
         self.journal.put_event(timing.tick, raw.encoder_t_ns, event)
 
-    def _act(
-        self,
-        wake: Wake,
-        sampled_ns: int,
-        timing: Timing,
-        raw: RawSample,
-        reference: Reference,
-        state: TickState,
-        decision: Decision,
-    ) -> None:
+    def _act(self, wake: Wake, sampled_ns: int) -> None:
         """Write to the valve and record the tick, even if the write fails."""
         now_ns = self.clock.now_ns
         decided_ns = now_ns()
         applied_v = math.nan
         try:
-            applied_v = self.rig.write(output_v(self.setup.calibration, decision.valve_v))
+            applied_v = self.rig.write(self.tick.output_v)
         finally:
             outcome = TickOutcome(
                 applied_v,
@@ -239,42 +311,21 @@ class _Loop:
                 (decided_ns - sampled_ns) * 1e-9,
                 (now_ns() - decided_ns) * 1e-9,
             )
-            self.journal.put_tick(
-                TickRecord(
-                    timing,
-                    raw,
-                    state.measurement,
-                    reference,
-                    state.estimate,
-                    state.command,
-                    decision,
-                    outcome,
-                    self.truth(),
-                )
-            )
-        # The last tick of each thousand, or the first one after it if that was missed.
-        if (timing.tick + 1) % KEYFRAME_TICKS <= timing.missed:
-            self.journal.put_keyframe(timing.tick, raw.encoder_t_ns, freeze_state(state))
+            self.tick.record(self.journal, outcome, self.truth())
+
+    def _rehearse(self) -> None:
+        """Run the last tick once more and forget it: the caches are warm for the next one."""
+        self.tick.rehearse(self.program.rehearse_reference, self.journal)
 
     def _record_zero(self, tick: int, raw: RawSample, zero: Zero) -> None:
         """Record from which tick on the sensors have other zeros: replay needs it."""
         self.journal.put_event(tick, raw.encoder_t_ns, {"event": "zeroed", **zero._asdict()})
 
-    def _end_tripped(self, timing: Timing, raw: RawSample, decision: Decision) -> Ending:
+    def _end_tripped(self, at: int, raw: RawSample, decision: Decision) -> Ending:
         self.rig.make_safe()
         reasons = explain_verdicts(decision.verdicts)
         event: dict[str, object] = {"event": "tripped", "reasons": reasons}
-        self.journal.put_event(timing.tick, raw.encoder_t_ns, event)
+        self.journal.put_event(at, raw.encoder_t_ns, event)
         overruns_only = decision.verdicts == OVERRUNS
         code = ExitCode.OVERRUNS if overruns_only else ExitCode.SAFETY_TRIP
         return Ending(code, "safety trip: " + "; ".join(reasons))
-
-
-def _make_timing(times: _Times, wake: Wake, raw: RawSample) -> Timing:
-    return Timing(
-        wake.tick,
-        (raw.encoder_t_ns - times.first_t_ns) * 1e-9,
-        (raw.encoder_t_ns - times.last_t_ns) * 1e-9,
-        (wake.now_ns - wake.deadline_ns) * 1e-9,
-        wake.missed,
-    )

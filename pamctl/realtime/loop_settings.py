@@ -16,7 +16,7 @@ class LoopSettings(Configured):
         float,
         Field(
             ge=100,
-            le=20_000,
+            le=10_000,
             description="ticks a second; a run warns where this PC cannot hold the rate",
         ),
     ] = 1000.0

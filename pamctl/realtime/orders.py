@@ -74,7 +74,7 @@ class Orders:
         deadline_s = time.monotonic() + patience_s
         while not self.is_free:
             if not is_alive():
-                raise OrderError("the loop has ended; pamctl status says why")
+                raise OrderError("the loop has ended; `pamctl status` says why")
             if time.monotonic() > deadline_s:
                 raise OrderError(f"the loop did not take the order within {patience_s:g} s")
             time.sleep(_POLL_S)

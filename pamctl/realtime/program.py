@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from hal.calibration import Zero
 from hal.rig import RawSample
 from pamctl.control.course import Course, Cue, make_valve_reference
@@ -51,6 +53,12 @@ class Program:
             self._course_begin_s = t_s
         return self._course.at(t_s - self._course_begin_s), zero
 
+    def rehearse_reference(self, t_s: float) -> Reference | None:
+        """Return the reference at `t_s` of a course that is under way, and change nothing."""
+        if self._course_begin_s is None or self._stop_begin_s is not None:
+            return None
+        return self._course.rehearse(t_s - self._course_begin_s)
+
     @property
     def running(self) -> tuple[Course, float] | None:
         """The course and its begin (s) while only the time decides the reference; else None."""
@@ -64,6 +72,13 @@ class Program:
         if self._course_begin_s is None or self._stop_begin_s is not None:
             return None
         return self._course.take_cue(t_s - self._course_begin_s)
+
+    @property
+    def next_cue_s(self) -> float:
+        """When the next cue is due, s; infinity if there is none."""
+        if self._course_begin_s is None or self._stop_begin_s is not None:
+            return math.inf
+        return self._course_begin_s + self._course.next_cue_s
 
     @property
     def is_stopping(self) -> bool:

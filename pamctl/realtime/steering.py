@@ -21,7 +21,8 @@ from pamctl.realtime.cued_helm import OrderSlot, put_mark, say_gain_change
 from pamctl.realtime.gain_ramp import GainRamp
 from pamctl.realtime.keyframe import freeze_state
 from pamctl.realtime.program import Program
-from pamctl.realtime.tick import TickSetup, TickState
+from pamctl.realtime.tick import TickSetup
+from pamctl.realtime.tick_path import RunningCourse, TickPath
 from pamctl.recording.ring import Ring
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.signals import Phase, Reference, Timing
@@ -69,7 +70,6 @@ class SteeredProgram:
         self._run_ending = Ending(ExitCode.OK, "the program ended")
         self._is_over = False
         self._is_homed = False
-        self._reference = self._parked_reference()
         self._valve_v = self._safe_valve_v
         self._is_leaving = False
 
@@ -87,9 +87,26 @@ class SteeredProgram:
         reference, zero = self._ask(t_s, sample)
         if zero is not None:
             self._is_homed = True
-        if reference is not None:
-            self._reference = reference
         return reference, zero
+
+    @property
+    def running(self) -> RunningCourse | None:
+        """The course of the present run while only the time decides its reference."""
+        return None if self._run is None or self._is_over else self._run.running
+
+    @property
+    def next_cue_s(self) -> float:
+        """When the next cue of the present run is due, s."""
+        return math.inf if self._run is None else self._run.next_cue_s
+
+    @property
+    def settled_setup(self) -> TickSetup | None:
+        """The set-up of the next tick, whenever it is; None while gains are on a ramp."""
+        return self._tuning.settled_setup
+
+    def rehearse_reference(self, t_s: float) -> Reference | None:
+        """Return the reference that the present run would give, and change nothing."""
+        return None if self._run is None else self._run.rehearse_reference(t_s)
 
     def _ask(self, t_s: float, sample: RawSample) -> tuple[Reference | None, Zero | None]:
         run = self._run
@@ -129,12 +146,13 @@ class SteeredProgram:
 
     # --- what the loop lets happen after each tick -----------------------------------------
 
-    def finish_tick(self, timing: Timing, raw: RawSample, state: TickState) -> None:
+    def finish_tick(self, done: TickPath) -> None:
         """Close a run that is over, and take an order if there is one.
 
         While a ring is attached no order is taken: orders hold in their sequence.
         """
-        self._valve_v = state.safety.valve_v
+        self._valve_v = done.decision.valve_v
+        timing, raw = done.timing, done.raw
         self._journal.close_a_little()
         if self._is_over:
             self._end_run(timing, raw)
@@ -144,19 +162,18 @@ class SteeredProgram:
         if coming is not None and not self._is_leaving:
             if next(coming.pages, _ALL_THERE) is _ALL_THERE:
                 self._coming = None
-                self._begin_run(coming.order, coming.ring, timing, raw, state)
+                self._begin_run(coming.order, coming.ring, done)
             return
         order = self._orders.take()
         if order is not None:
-            self._obey(order, timing, raw, state)
+            self._obey(order, done)
 
-    def _obey(
-        self, order: Mapping[str, Any], timing: Timing, raw: RawSample, state: TickState
-    ) -> None:
+    def _obey(self, order: Mapping[str, Any], done: TickPath) -> None:
+        timing, raw = done.timing, done.raw
         match order["do"]:
             case "run":
                 if order["ring"] is None:
-                    self._begin_run(order, None, timing, raw, state)
+                    self._begin_run(order, None, done)
                 else:
                     self._coming = self._attach(order)
             case "gains":
@@ -175,15 +192,9 @@ class SteeredProgram:
             ring = Ring.attach(order["ring"], populate=False)
         return _ComingRun(order, ring, ring.populate_in_steps())
 
-    def _begin_run(
-        self,
-        order: Mapping[str, Any],
-        ring: Ring | None,
-        timing: Timing,
-        raw: RawSample,
-        state: TickState,
-    ) -> None:
+    def _begin_run(self, order: Mapping[str, Any], ring: Ring | None, done: TickPath) -> None:
         """Begin a run with a log of its own; without a ring it goes on in the present one."""
+        timing, raw, state = done.timing, done.raw, done.state
         now = (timing.tick, raw.encoder_t_ns)
         if ring is not None:
             self._end_run(timing, raw)  # ends the holding of a position
@@ -192,7 +203,7 @@ class SteeredProgram:
         resolved = {
             "experiment": order["experiment"],
             "duration_s": order["duration_s"],
-            "start_m": self._position_m(state),
+            "start_m": self._position_m(done),
             "homes": not self._is_homed,
         }
         self._journal.put_event(*now, {"event": "order", "do": "run", **resolved})
@@ -254,9 +265,9 @@ class SteeredProgram:
             self._tuning.replace(read_controller(self._ordered))
             self._gains_said, self._cued = [self._ordered], None
 
-    def _position_m(self, state: TickState) -> float:
+    def _position_m(self, done: TickPath) -> float:
         """Return where a motion begins: at the reference, or else at the muscle's position."""
-        here_m = self._reference.reference_m
+        here_m = done.reference.reference_m
         if not math.isnan(here_m):
             return here_m
-        return state.measurement.position_m if self._is_homed else 0.0
+        return done.state.measurement.position_m if self._is_homed else 0.0

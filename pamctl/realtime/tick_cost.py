@@ -12,15 +12,17 @@ from typing import NamedTuple
 from hal.calibration import Zero
 from hal.rig import RawSample
 from pamctl.control.course import make_valve_reference
-from pamctl.realtime.tick import TickSetup, first_state, step
-from pamctl.recording.ring import tick_struct
+from pamctl.realtime.clock import Wake
+from pamctl.realtime.tick import TickSetup, first_state
+from pamctl.realtime.tick_path import PlainTick, TickPath
+from pamctl.realtime.whole_tick import TickTimes
+from pamctl.recording.ring import ROW_BYTES, tick_struct
 from pamctl.signals import (
     TICK_FIELDS,
     Phase,
     Reference,
     TickOutcome,
     TickRecord,
-    Timing,
     Truth,
 )
 
@@ -60,37 +62,52 @@ class TickCost(NamedTuple):
 
 
 def rehearse_tick_s(
-    setup: TickSetup, period_s: float, now_ns: Callable[[], int] = time.perf_counter_ns
+    setup: TickSetup,
+    period_s: float,
+    now_ns: Callable[[], int] = time.perf_counter_ns,
+    tick: TickPath | None = None,
 ) -> float:
-    """Return the median time of a tick without rig and clock: step, record, packing (s)."""
-    packing = tick_struct(TICK_FIELDS)
-    row = bytearray(packing.size)
+    """Return the median time of a tick without rig and clock: step, record, packing (s).
+
+    `tick` runs it, by default in plain Python; it must begin afresh afterwards.
+    """
+    tick, journal = tick or PlainTick(), _OneRow()
     sensor_v = 0.5 * (setup.limits.sensor_low_v + setup.limits.sensor_high_v)
-    state = first_state(setup, Zero(sensor_v, 0.0))
+    period_ns = round(period_s * 1e9)
+    tick.begin(first_state(setup, Zero(sensor_v, 0.0)), TickTimes(0, -period_ns))
     references = (
         make_valve_reference(Phase.OPEN_LOOP, setup.limits.safe_valve_v),
         Reference(Phase.TRACK, 0.0, 0.0, 0.0, 0.0, math.nan),
     )
     outcome, truth = TickOutcome(0.0, 0.0, 0.0, 0.0), Truth(math.nan, math.nan)
     took_ns = []
-    for tick in range(_REHEARSALS):
-        t_ns = round(tick * period_s * 1e9)
-        raw = RawSample(sensor_v, 0, t_ns, t_ns)
-        reference = references[tick > 0]  # the law begins from rest
+    for at in range(_REHEARSALS):
+        t_ns = at * period_ns
+        raw, wake = RawSample(sensor_v, 0, t_ns, t_ns), Wake(at, t_ns, t_ns, 0)
+        reference = references[at > 0]  # the law begins from rest
         began_ns = now_ns()
-        timing = Timing(tick, tick * period_s, period_s, 0.0, 0)
-        state, decision = step(setup, state, raw, reference, timing)
-        record = TickRecord(
-            timing,
-            raw,
-            state.measurement,
-            reference,
-            state.estimate,
-            state.command,
-            decision,
-            outcome,
-            truth,
-        )
-        packing.pack_into(row, 0, *chain(*record))
+        tick.time(wake, raw)
+        tick.run(setup, wake, raw, reference)
+        tick.record(journal, outcome, truth)
         took_ns.append(now_ns() - began_ns)
     return median(took_ns) * 1e-9
+
+
+class _OneRow:
+    """Takes each tick as the ring does, into one row."""
+
+    def __init__(self) -> None:
+        self._packing = tick_struct(TICK_FIELDS)
+        self._row = bytearray(ROW_BYTES)
+
+    def put_tick(self, record: TickRecord) -> None:
+        self._packing.pack_into(self._row, 0, *chain(*record))
+
+    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
+        self._row[:] = row
+
+    def rehearse_tick(self, record: TickRecord) -> None:
+        self.put_tick(record)
+
+    def rehearse_row(self, row: bytearray) -> None:
+        self._row[:] = row

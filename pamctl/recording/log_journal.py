@@ -48,6 +48,28 @@ class LogJournal:
             names = (field.name for field in self._meta.tick_fields)
             self._tell(dict(zip(names, columns, strict=True)))
 
+    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
+        """Keep a tick that is packed already as a row of a ring."""
+        self.put_rows(memoryview(row))
+
+    def put_rows(self, rows: memoryview) -> None:
+        """Keep ticks that are packed already as rows of a ring."""
+        _, _, tick, t_ns = ROW_HEADER.unpack_from(rows, len(rows) - ROW_BYTES)
+        self._last = (tick, t_ns)
+        self._kept += rows
+        if len(self._kept) >= CHUNK_ROWS * ROW_BYTES:
+            newest = bytes(rows[-ROW_BYTES:])
+            self.write_chunk()
+            names = (field.name for field in self._meta.tick_fields)
+            columns = self._tick.unpack_from(newest, ROW_HEADER.size)
+            self._tell(dict(zip(names, columns, strict=True)))
+
+    def rehearse_tick(self, record: TickRecord) -> None:
+        """Do nothing: without a clock there is no rehearsal."""
+
+    def rehearse_row(self, row: bytearray) -> None:
+        """Do nothing: without a clock there is no rehearsal."""
+
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Keep an event; its key `event` names it."""
         self._put(RowKind.EVENT, tick, t_ns, to_json(event))

@@ -17,6 +17,7 @@ import sys
 import time
 from pathlib import Path
 
+from pamctl.kept_memory import keep_freed_memory
 from pamctl.recording.disk_space import is_full
 from pamctl.recording.ring import RecorderFlag, Ring, RingError
 
@@ -70,6 +71,7 @@ def main(arguments: list[str]) -> int:
     """Record the ring given as the only argument; return the exit code."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    keep_freed_memory()
     try:
         (ring_path,) = arguments
         with Ring.attach(ring_path) as ring:

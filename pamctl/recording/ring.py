@@ -313,16 +313,50 @@ class Ring:
         head = self._head
         if head >= self._full_at:
             self._make_room(1)
+        self._write_tick(head, record)
+        self._head = self._words[_HEAD] = head + 1
+
+    def rehearse_tick(self, record: TickRecord) -> None:
+        """Write a tick into the next row and do not move the head: nobody reads it there."""
+        if self._head < self._full_at:
+            self._write_tick(self._head, record)
+
+    def put_row(self, row: bytearray) -> None:
+        """Put one tick that is packed already, as `put_tick` packs it."""
+        head = self._head
+        if head >= self._full_at:
+            self._make_room(1)
+        at = self._rows_at + head % self.rows * ROW_BYTES
+        self._buffer[at : at + ROW_BYTES] = row
+        self._head = self._words[_HEAD] = head + 1
+
+    def put_rows(self, rows: memoryview) -> memoryview:
+        """Put as many packed ticks as there is room for; return the others."""
+        head = self._head
+        self._full_at = self.tail + self.rows
+        start = head % self.rows
+        count = min(len(rows) // ROW_BYTES, self._full_at - head, self.rows - start)
+        at, size = self._rows_at + start * ROW_BYTES, count * ROW_BYTES
+        self._buffer[at : at + size] = rows[:size]
+        self._head = self._words[_HEAD] = head + count
+        return rows[size:]
+
+    def rehearse_row(self, row: bytearray) -> None:
+        """Copy a packed tick into the next row and do not move the head."""
+        if self._head < self._full_at:
+            at = self._rows_at + self._head % self.rows * ROW_BYTES
+            self._buffer[at : at + ROW_BYTES] = row
+
+    def _write_tick(self, row: int, record: TickRecord) -> None:
         self._pack_row(
             self._buffer,
-            self._rows_at + head % self.rows * ROW_BYTES,
+            self._rows_at + row % self.rows * ROW_BYTES,
             RowKind.TICK,
             self._tick.size,
             record.timing.tick,
             record.raw.encoder_t_ns,
             *chain(*record),
         )
-        self._head = self._words[_HEAD] = head + 1
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event: a JSON object whose key `event` names it.

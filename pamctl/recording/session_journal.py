@@ -82,20 +82,35 @@ class SessionJournal:
 
     def put_tick(self, record: TickRecord) -> None:
         """Put a tick; raise `RingFull` if there is no room."""
+        self._ring.put_tick(record)
+        self._show_life(record.timing.late_s, record.timing.missed)
+
+    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
+        """Put a tick that is packed already; raise `RingFull` if there is no room."""
+        self._ring.put_row(row)
+        self._show_life(late_s, missed)
+
+    def _show_life(self, late_s: float, missed: int) -> None:
         ring, session = self._ring, self._session
-        ring.put_tick(record)
         now_ns = time.monotonic_ns()
         session.loop_beat_ns = now_ns
         if ring is session:
             session.commit(session.head)
         else:
             ring.loop_beat_ns = now_ns
-        late_s = record.timing.late_s
         if late_s > self._worst_late_s:
             self._worst_late_s = late_s
             ring.worst_late_ns = round(late_s * 1e9)
-        if record.timing.missed:
-            ring.missed_ticks += record.timing.missed
+        if missed:
+            ring.missed_ticks += missed
+
+    def rehearse_tick(self, record: TickRecord) -> None:
+        """Do what `put_tick` does, up to the point where others would see it."""
+        self._ring.rehearse_tick(record)
+
+    def rehearse_row(self, row: bytearray) -> None:
+        """Do what `put_row` does, up to the point where others would see it."""
+        self._ring.rehearse_row(row)
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         """Put an event. The first event, just before the first tick, starts the heartbeat."""

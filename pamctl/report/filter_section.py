@@ -8,7 +8,7 @@ import numpy as np
 
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.motion_section import MM, make_time_axis
+from pamctl.report.motion_section import MM, make_time_axis, mark_moments
 from pamctl.report.reported_run import ReportedRun
 from pamctl.report.summary_section import MICRO
 
@@ -32,6 +32,7 @@ def write_filtering(page: Page, runs: Sequence[ReportedRun]) -> None:
         moved = _compute_shift_um(run)
         label = run.name if len(filtering) > 1 else ""
         plot.line(run.t_s[run.shown], moved[run.shown], label, colour=colour)  # type: ignore[index]
+    mark_moments([plot], filtering)
     page.figure(
         plot, caption="The difference that the filter makes to the displacement, lag included."
     )

@@ -8,7 +8,7 @@
     page.fold("Configuration", text)
     Path("run.html").write_text(page.html(), encoding="utf-8")
 
-Every text is escaped.
+Every text is escaped, and loses its control characters.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Protocol
 
+from pamctl.plain_text import clean_lines
 from pamctl.report.drawing.svg import SvgPlot, share_x_axis
 from pamctl.report.style import STYLE
 
@@ -128,7 +129,7 @@ class Page:
         )
         contents = f"<nav>{links}</nav>" if len(self._sections) > 1 else ""
         under = f'<p class="subtitle">{escape(self.subtitle)}</p>' if self.subtitle else ""
-        return (
+        return clean_lines(
             '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
             f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
             '<meta name="viewport" content="width=device-width, initial-scale=1">'

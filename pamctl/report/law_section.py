@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pamctl.control.law import Term
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.motion_section import MM, make_time_axis
+from pamctl.report.motion_section import MM, make_time_axis, mark_moments
 from pamctl.report.reported_run import ReportedRun
 from pamctl.report.summary_section import MICRO
 
@@ -82,6 +82,7 @@ def _write_terms(page: Page, runs: Sequence[ReportedRun]) -> None:
         over, terms = run.t_s[run.law_at_work], run.law.terms
         plot.line(over, equivalent[run.law_at_work], _name_term(terms.equivalent))
         plot.line(over, robust[run.law_at_work], _name_term(terms.robust), colour=1)
+        mark_moments([plot], [run])
         plots.append(plot)
     if plots:
         page.figure(*plots, caption="What the command is made of.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,7 +32,23 @@ def write_motion(page: Page, runs: Sequence[ReportedRun]) -> None:
         if not plots:
             page.text("The log has no displacement, no pressure and no command to show.")
             continue
+        mark_moments(plots, group)
         page.figure(*plots, caption=_make_caption(group))
+
+
+MOST_MOMENTS = 30
+
+
+def mark_moments(plots: Sequence[SvgPlot], runs: Sequence[ReportedRun]) -> None:
+    """Draw a line through all plots at each mark, change of gains and trip; name it in the first.
+
+    A run with more of them than `MOST_MOMENTS` has its first ones drawn: its table has all.
+    """
+    for colour, run in enumerate(runs):
+        for at_s, said in run.moments[:MOST_MOMENTS]:
+            for plot in plots:
+                label = textwrap.shorten(said, 24, placeholder="...") if plot is plots[0] else ""
+                plot.place(at_s, label, colour=MUTED if len(runs) == 1 else colour)
 
 
 def group_by_experiment(runs: Sequence[ReportedRun]) -> list[list[ReportedRun]]:

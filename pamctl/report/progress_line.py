@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import shutil
 import sys
 import time
 from collections.abc import Mapping
@@ -12,8 +14,10 @@ from pamctl.signals import Phase
 class ProgressLine:
     """Rewrites itself on a terminal; elsewhere it prints a line every few seconds."""
 
-    def __init__(self, *, quiet: bool) -> None:
-        """Print nothing if `quiet`."""
+    def __init__(self, *, quiet: bool, length_s: float = math.inf) -> None:
+        """Print nothing if `quiet`; `length_s` is the run's length without homing, if it ends."""
+        self._length_s = length_s
+        self._end_s = math.inf
         self._quiet = quiet or sys.stderr is None
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
         self._every_s = 0.1 if self._terminal else 5.0
@@ -27,10 +31,16 @@ class ProgressLine:
             return
         self._last_s = now_s
         try:
-            self._show(format_progress(tick, worst_late_s))
+            self._show(format_progress(tick, worst_late_s, self._find_end_s(tick)))
         except (OSError, ValueError):
             # Standard error is closed: the experiment goes on without it.
             self._quiet = True
+
+    def _find_end_s(self, tick: Mapping[str, float]) -> float:
+        """Return when the run ends; it is not known before homing has ended."""
+        if self._end_s == math.inf and tick["phase"] != Phase.HOMING:
+            self._end_s = tick["t_s"] + self._length_s
+        return self._end_s
 
     def end_line(self) -> None:
         """Put the terminal's cursor on a new line."""
@@ -39,21 +49,24 @@ class ProgressLine:
 
     def _show(self, text: str) -> None:
         if self._terminal:
+            # A line that wraps could not be rewritten: it would scroll.
+            text = text[: shutil.get_terminal_size().columns - 1]
             print("\r" + text.ljust(self._width), end="", file=sys.stderr, flush=True)
             self._width = len(text)
         else:
             print(text, file=sys.stderr, flush=True)
 
 
-def format_progress(tick: Mapping[str, float], worst_late_s: float) -> str:
-    """Write one tick as a line in millimetres, micrometres and kilopascals."""
+def format_progress(tick: Mapping[str, float], worst_late_s: float, end_s: float = math.inf) -> str:
+    """Write one tick as a line in millimetres, micrometres and kilopascals, below 100 columns."""
+    end = "" if math.isinf(end_s) else f" of {end_s:.0f}"
     phase = Phase(int(tick["phase"])).name.lower().replace("_", " ")
     motion = f"x {tick['position_m'] * 1e3:7.3f} mm"
     if tick["reference_m"] == tick["reference_m"]:
         error_um = (tick["position_m"] - tick["reference_m"]) * 1e6
-        motion = f"ref {tick['reference_m'] * 1e3:7.3f} mm  {motion}  error {error_um:+8.1f} um"
+        motion = f"{motion}  error {error_um:+8.1f} um"
     return (
-        f"{tick['t_s']:7.1f} s  {phase:<9} {motion}  "
+        f"{tick['t_s']:5.1f}{end} s  {phase:<9} {motion}  "
         f"P {tick['pressure_pa'] * 1e-3:6.1f} kPa  u {tick['valve_v']:+6.3f} V  "
-        f"worst wake-up {worst_late_s * 1e6:6.1f} us"
+        f"wake-up {worst_late_s * 1e6:.0f} us"
     )

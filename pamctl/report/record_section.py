@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import yaml
 
 from pamctl.json_text import to_json
-from pamctl.plain_text import strip_controls
+from pamctl.log.changed_gains import list_gain_changes
+from pamctl.plain_text import clean_text
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun
 from pamctl.safety import VERDICTS
@@ -64,20 +64,23 @@ def write_events(page: Page, runs: Sequence[ReportedRun]) -> None:
 def _write_gain_changes(page: Page, run: ReportedRun) -> None:
     """Write the gains that changed while the law ran; the first are in the configuration."""
     rows = [
-        [_show_time(run, after), name, _show_short(before.get(name, "-")), _show_short(after[name])]
-        for before, after in pairwise(run.log.gains)
-        for name in after
-        if name not in _WHERE and after[name] != before.get(name)
+        [
+            _show_time(run, after),
+            name,
+            _show_short(before.get(name, "-")),
+            _show_short(after[name]),
+            _show_short(after.get("ramp_s", "-")),
+        ]
+        for before, after, name in list_gain_changes(run.log.gains)
     ]
     if rows:
-        page.table(["at, s", "gain", "from", "to"], rows[:MOST_EVENTS], caption="Changed gains.")
+        header = ["at, s", "gain", "from", "to", "within, s"]
+        page.table(header, rows[:MOST_EVENTS], caption="Changed gains.")
 
 
 def _show_time(run: ReportedRun, event: Mapping[str, Any]) -> str:
-    ticks = run.log.columns.get("tick")
-    if ticks is None or not len(ticks) or not isinstance(event.get("tick"), int):
-        return "-"
-    return f"{run.t_s[min(int(np.searchsorted(ticks, event['tick'])), len(ticks) - 1)]:.3f}"
+    at_s = run.time_of(event)
+    return "-" if at_s is None else f"{at_s:.3f}"
 
 
 def _show_details(event: Mapping[str, Any]) -> str:
@@ -88,7 +91,7 @@ def _show_details(event: Mapping[str, Any]) -> str:
 def _show_short(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
-    return strip_controls(value) if isinstance(value, str) else to_json(value).decode()
+    return clean_text(value) if isinstance(value, str) else to_json(value).decode()
 
 
 def write_differences(page: Page, runs: Sequence[ReportedRun]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os.path import commonpath
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pamctl.control.law_registry import LawWords, find_law, read_law_words
 from pamctl.log import Log
+from pamctl.log.changed_gains import list_gain_changes
 from pamctl.settings.resolve import resolve as shipped
 from pamctl.settings.resolve import settings_to_data
 from pamctl.signals import Phase
@@ -103,6 +104,27 @@ class ReportedRun:
         """The outcome of the run; None if the log does not state it."""
         ended = (e for e in reversed(self.log.events) if e.get("event") == "outcome")
         return next(ended, None)
+
+    def time_of(self, event: Mapping[str, Any]) -> float | None:
+        """Return the time of an event on the axis of `t_s`; None if its tick is unknown."""
+        ticks = self.log.columns.get("tick")
+        if ticks is None or not len(ticks) or not isinstance(event.get("tick"), int):
+            return None
+        return float(self.t_s[min(int(np.searchsorted(ticks, event["tick"])), len(ticks) - 1)])
+
+    @cached_property
+    def moments(self) -> list[tuple[float, str]]:
+        """Marks, changes of gains and the trip, each with its time, in order."""
+        words = {"mark": "mark", "tripped": "trip"}
+        marked = [
+            (event, str(event.get("text", words[event["event"]])))
+            for event in self.log.events
+            if event.get("event") in words
+        ]
+        changed = {id(after): after for _, after, _ in list_gain_changes(self.log.gains)}
+        named = [*marked, *((after, "gains") for after in changed.values())]
+        found = [(at, said) for e, said in named if (at := self.time_of(e)) is not None]
+        return sorted(found)
 
     @property
     def paper_experiment(self) -> str | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from pamctl.exit_codes import ExitCode
 from pamctl.log.annotate.annotation import ANNOTATION, Annotation
+from pamctl.log.changed_gains import describe_running_changes, spell_controller
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun, law_name, paper_rows
 from pamctl.simulate.merit import Merit, compute_merit
@@ -54,6 +55,10 @@ def _collect_facts(run: ReportedRun) -> dict[str, object]:
     said = Annotation.from_metadata(run.log.metadata.get(ANNOTATION, {}))
     about = {"operator": said.operator, "sample": said.sample, "tags": " ".join(said.tags)}
     facts |= {name: text for name, text in {**about, "note": said.note}.items() if text}
+    if "controller" in facts:
+        facts["controller"] = spell_controller(known)
+    if (running := describe_running_changes(run.log.gains)) is not None:
+        facts["gains changed while it ran"] = running
     facts["ticks"] = f"{len(run):,}".replace(",", " ")
     if len(run):
         length_s = float(run.log["t_s"][-1] - run.log["t_s"][0])

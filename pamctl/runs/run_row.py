@@ -22,7 +22,7 @@ from pamctl.log.naming import bare_name
 from pamctl.log.reader import scan_log
 from pamctl.log.schema import EVENT_TOPIC, TICK_TOPIC
 from pamctl.log.ticks import TickColumns
-from pamctl.plain_text import strip_controls
+from pamctl.plain_text import clean_text
 from pamctl.safety import explain_verdicts
 from pamctl.simulate.merit import compute_merit
 
@@ -122,7 +122,7 @@ def _describe_run(bare: RunRow, contents: Contents, ticks: TickColumns, damage: 
     config: dict[str, Any] = {}
     with suppress(LogError):
         config = contents.config()
-    words: dict[str, Any] = {key: bare_name(strip_controls(run.get(key, ""))) for key in _NAMES}
+    words: dict[str, Any] = {key: bare_name(clean_text(run.get(key, ""))) for key in _NAMES}
     row = replace(bare, **words, **_measure(columns), **_judge_ending(events, contents, damage))
     annotation = Annotation.from_metadata(said)
     return replace(
@@ -169,12 +169,12 @@ def _judge_ending(events: list[dict[str, Any]], contents: Contents, damage: str)
     if outcome is None:
         return {"ending": UNFINISHED, "reason": "the log does not say how the run ended"}
     code = int(outcome["code"])
-    reason = strip_controls(str(outcome.get("reason", "")))
+    reason = clean_text(str(outcome.get("reason", "")))
     return {"exit_code": code, "reason": reason, "ending": ENDINGS.get(ExitCode(code), FAILED)}
 
 
 def _join_marks(events: list[dict[str, Any]]) -> str:
-    texts = [strip_controls(str(e.get("text", ""))) for e in events if e.get("event") == "mark"]
+    texts = [clean_text(str(e.get("text", ""))) for e in events if e.get("event") == "mark"]
     return "; ".join(texts[:_MOST_MARKS])
 
 
@@ -199,7 +199,7 @@ def _read_sweep(values: Mapping[str, str]) -> dict[str, Any]:
     with suppress(ValueError, KeyError, TypeError, AttributeError):
         point = {str(k): v for k, v in json.loads(values["point"]).items()}
         place = {"point": point, "repeat": int(values["repeat"])}
-        return {"name": strip_controls(values["name"]), "base": values.get("base", ""), **place}
+        return {"name": clean_text(values["name"]), "base": values.get("base", ""), **place}
     return {}
 
 
@@ -213,4 +213,4 @@ def _flatten(settings: Mapping[str, Any], above: str = "") -> Iterator[tuple[str
         if isinstance(value, Mapping):
             yield from _flatten(value, f"{above}{name}.")
         elif isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
-            yield f"{above}{name}", strip_controls(value) if isinstance(value, str) else value
+            yield f"{above}{name}", clean_text(value) if isinstance(value, str) else value

@@ -27,13 +27,14 @@ def regress(inputs: Array, target: Array, held: Array) -> Any:
     """Return the model's values on the training and on the held-out rows; NaN in the first rows."""
     from sysidentpy.basis_function import Polynomial
     from sysidentpy.model_structure_selection import FROLS
+    from sysidentpy.parameter_estimation import LeastSquares
 
     model = (
         FROLS(
             order_selection=True,
             n_info_values=MOST_TERMS,
             info_criteria="bic",
-            estimator="least_squares",
+            estimator=LeastSquares(),
             xlag=[[*range(1, LAG + 1)] for _ in range(inputs.shape[1])],
             ylag=1,
             basis_function=Polynomial(degree=2),

@@ -12,8 +12,9 @@ from typer.testing import CliRunner
 
 from pamctl.cli.app import app
 from pamctl.commissioning.calibrate import encoder_sign_and_scale, pressure_sensor
+from pamctl.exit_codes import ExitCode
 
-PANELS = ("Run", "Rig", "Analyse", "Tune", "Daemon", "Logs", "Other")
+PANELS = ("Run", "Daemon", "Analyse", "Tune", "Rig", "Logs", "Other")
 FRAGMENT = re.compile(
     r"(^(Of|For|As|Else|And|Or|With|Without|Where|By)\b)|([;:,(]|\.\.\.| of| the)$|repeats"
 )
@@ -32,6 +33,7 @@ PARAMETERS = [
     pytest.param(parameter, id=f"{words} {parameter.opts[0]}")
     for words, command in COMMANDS.items()
     for parameter in command.params
+    if not parameter.opts[0].endswith("-completion")  # typer's own
 ]
 
 
@@ -83,8 +85,24 @@ def test_a_flag_shows_no_type() -> None:
         assert "<" not in line
 
 
-def test_the_verbs_are_grouped() -> None:
+def test_the_verbs_are_grouped_and_the_end_says_what_is_shipped() -> None:
     assert {command.rich_help_panel for command in COMMANDS[""].commands.values()} == set(PANELS)
+    told = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "100"}).output
+    places = [told.index(f"\u2500 {panel} ") for panel in PANELS]
+    assert places == sorted(places)
+    for code in ExitCode:
+        assert re.search(rf"\b{int(code)}\b", told[told.index("Exit codes") :])
+    assert "tracking-2" in told
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_can_complete_verbs(shell: str) -> None:
+    environment = {
+        "_PAMCTL_COMPLETE": f"complete_{shell}", "COMP_WORDS": "pamctl wat", "COMP_CWORD": "1",
+        "_TYPER_COMPLETE_ARGS": "pamctl wat", "_TYPER_COMPLETE_FISH_ACTION": "get-args",
+    }  # fmt: skip
+    done = CliRunner().invoke(app, [], env=environment, prog_name="pamctl")
+    assert "watch" in done.output
 
 
 @pytest.mark.parametrize(

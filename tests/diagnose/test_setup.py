@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hidden.excitations import brief
 from hidden.rig import HiddenRig, hidden_rig
+from scipy.signal import butter, filtfilt
 from support.free_mass import FRICTION_N, MASS_KG, axis, imposed_motion, pushed_mass
 from support.made_records import PERIOD_S, measured, pair
 
@@ -18,6 +19,7 @@ from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
+from pamctl.diagnose.fitting.numbers import with_values
 from pamctl.diagnose.fitting.split import keep_for_choice
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.verdict import Verdict
@@ -35,6 +37,7 @@ from pamctl.diagnose.setup.suspects import (
     restore_command,
 )
 from pamctl.diagnose.setup.symmetries import list_equal_numbers
+from pamctl.diagnose.setup.weighed_fit import fit_suspect
 from pamctl.plant.drive import drive_mechanics, drive_pressure
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters
@@ -72,8 +75,12 @@ def _record(
     return parts[0], parts[1]
 
 
+def _base_of(runs: Runs, plant: PlantSettings) -> Model:
+    return weigh_blocks(recalibrate(prepare_evidence(*runs, plant)))
+
+
 def _base(runs: Runs) -> Model:
-    return weigh_blocks(recalibrate(prepare_evidence(*runs, PAPER)))
+    return _base_of(runs, PAPER)
 
 
 def _ask(runs: Runs) -> CheckedSetup:
@@ -89,6 +96,33 @@ def test_a_valve_that_is_closed_off_zero_is_found_and_corrected(null_v: float) -
     assert finding.value == pytest.approx(-null_v, abs=5e-4)
     assert not setup.base.unexplained
     assert finding.cannot_be_told_from == ()
+
+
+def test_a_wrong_rest_length_is_followed_to_its_end() -> None:
+    """The recalibrated braid is at its bound then, and the start leaves hundreds of floors."""
+    runs = _record(hidden_rig(seed=4))
+    base = _base_of(runs, with_values(PAPER, {"rest_length_m": 0.202}))
+    assert "braid_length_m" in base.at_bound
+    suspects = {s.label: s for s in list_suspects(base.evidence, base.at_bound)}
+    length = fit_suspect(base, suspects["rest_length_m"], -1e-5)
+    assert length.is_good
+    assert length.amount == pytest.approx(0.2 / 0.202 - 1.0, abs=2e-3)
+    scaled = suspects["scale of position_m"].apply(base.evidence.holdout[MECHANICS][0], 0.03)
+    assert scaled.show_output(np.ones(3)) == pytest.approx(1.03)  # as the record shows it
+
+
+def test_a_column_filtered_forwards_and_backwards_is_said_with_its_cutoff() -> None:
+    def smooth(record: Record) -> Record:
+        low_pass = butter(2, 40.0, fs=1000.0)
+        filtered = {c: filtfilt(*low_pass, record[c]) for c in ("pressure_pa", "position_m")}
+        return replace(record, **filtered)
+
+    setup = _ask_air_first(_record(hidden_rig(seed=5), smooth))
+    assert setup is not None
+    (finding,) = setup.findings
+    assert (finding.kind, finding.number) == ("filtered", "pressure_pa")
+    assert 1.0 / (2.0 * np.pi * finding.value) == pytest.approx(40.0, rel=0.1)
+    assert PRESSURE not in setup.base.unexplained
 
 
 def _ask_air_first(runs: Runs) -> CheckedSetup | None:
@@ -344,6 +378,26 @@ def test_a_chamber_is_asked_of_its_air_and_its_valve(
     assert finding.kind == kind
     assert finding.value == pytest.approx(value, rel=0.01)
     assert not setup.base.unexplained
+
+
+def test_a_chamber_that_starts_under_pressure_keeps_its_fit_when_the_atmosphere_is_corrected() -> (
+    None
+):
+    """The sensor measures against 94 kPa, and 101.3 kPa were added: the start is wrong too."""
+
+    def fill(seed: int) -> Record:
+        whole = _fill_chamber(seed, atmosphere_pa=94e3)
+        record = whole.cut_samples(1500, len(whole), whole.name)
+        return replace(record, pressure_pa=record["pressure_pa"] + 7.3e3)
+
+    train, holdout = [fill(1)], [fill(2)]
+    base = recalibrate(prepare_evidence(train, holdout, PlantSettings.model_validate(CHAMBER)))
+    setup = suspect_setup(base, train, holdout, FirstLevel(list_candidates(base.evidence)))
+    (finding,) = setup.findings
+    assert finding.kind == "plant_constant"
+    assert finding.value == pytest.approx(94e3, rel=0.01)
+    (drive,) = setup.base.evidence.train[PRESSURE]
+    assert drive.start == pytest.approx(drive.measured[0], abs=600.0)
 
 
 def test_numbers_that_only_show_as_a_product_are_listed_for_each_actuator() -> None:

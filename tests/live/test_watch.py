@@ -26,8 +26,9 @@ from rich.console import Console
 from support.patience import PATIENCE_S
 from support.processes.daemons import daemon
 
+from pamctl.live.braille import BLANK, Extremes, draw_dots, find_bounds
 from pamctl.live.feed import DaemonFeed
-from pamctl.live.history import BLOCKS, History, draw_sparkline
+from pamctl.live.history import History
 from pamctl.live.screen import HISTORY_S, add_error, draw_screen
 
 NOT_HOMED = "rig.homing.enabled=false"
@@ -40,6 +41,7 @@ TICK = {
 STATUS: dict[str, Any] = {
     "state": "running", "fault": "", "run": "tracking-2", "log": "/a/rather/long/" + "x" * 90,
     "tick": TICK, "worst_late_s": 123.4e-6, "missed_ticks": 7, "backend": "sim", "device": "sim0",
+    "names": {"controller": "qsmc", "controller_changes": "lambda_per_s 60 (file 37.82)"},
     "events": [{"event": "mark", "time_s": 0.0, "text": "y" * 200}] * 10,
 }  # fmt: skip
 
@@ -53,28 +55,44 @@ def drawn(status: dict[str, Any] | None, *ticks: dict[str, float], size: tuple[i
     return paper.getvalue()
 
 
-@given(st.lists(st.floats(-1e6, 1e6) | st.just(float("nan")), max_size=80))
-def test_a_sparkline_is_lowest_where_the_values_are(values: list[float]) -> None:
-    line, low, high = draw_sparkline(values)
-    assert len(line) == len(values)
-    for block, value in zip(line, values, strict=True):
+@given(st.lists(st.floats(-1e6, 1e6) | st.just(float("nan")), max_size=80), st.integers(1, 8))
+def test_dots_are_as_high_as_the_values(values: list[float], lines: int) -> None:
+    parts = [Extremes(value, value) for value in values]
+    drawn, (low, high) = draw_dots(parts, lines), find_bounds(parts)
+    assert [len(line) for line in drawn] == [(len(values) + 1) // 2] * lines
+    for at, value in enumerate(values):
+        rows = [4 * lines - 1 - row for row in range(4 * lines) if dot(drawn, at, row)]
         if value != value:
-            assert block == " "
+            assert rows == []
         elif low < high:
-            assert abs(BLOCKS.index(block) - 7 * (value - low) / (high - low)) <= 0.5 + 1e-6
+            asked = (4 * lines - 1) * (value - low) / (high - low)
+            assert min(abs(row - asked) for row in rows) <= 0.5 + 1e-6
+
+
+def dot(drawn: list[str], at: int, row: int) -> bool:
+    """Whether a dot is set, by the numbering of the Unicode block: 1 2 3 7 down, then 4 5 6 8."""
+    number = (1, 2, 3, 7, 4, 5, 6, 8)[4 * (at % 2) + row % 4]
+    return bool((ord(drawn[row // 4][at // 2]) - 0x2800) >> (number - 1) & 1)
+
+
+def test_a_step_is_drawn_without_a_hole() -> None:
+    parts = [Extremes(0.0, 0.0), Extremes(1.0, 1.0)]
+    drawn = draw_dots(parts, 2)
+    assert [row for row in range(8) if dot(drawn, 1, row)] == list(range(7))
 
 
 def test_a_peak_of_one_tick_is_not_averaged_away() -> None:
     history = History(10.0)
-    history.extend({"t_s": n * 0.01, "error_m": 5.0 if n == 333 else 0.0} for n in range(1001))
-    assert max(history.bin_column("error_m", 40)) == 5.0
+    ticks = ({"t_s": n * 0.01, "error_m": {333: 5.0, 334: -4.0}.get(n, 0.0)} for n in range(1001))
+    history.extend(ticks)
+    assert find_bounds(history.bin_column("error_m", 40)) == (-4.0, 5.0)
 
 
 def test_a_history_restarts_with_a_new_session() -> None:
     history = History(10.0)
     history.extend({"t_s": t_s, "error_m": 9.0} for t_s in (50.0, 50.5))
     history.extend([{"t_s": 0.1, "error_m": 1.0}])
-    assert [value for value in history.bin_column("error_m", 10) if value == value] == [1.0]
+    assert find_bounds(history.bin_column("error_m", 10)) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -87,14 +105,20 @@ def test_a_history_restarts_with_a_new_session() -> None:
         {**STATUS, "tick": {**TICK, "reference_m": None, "pressure_pa": None}},
     ],
 )
-def test_every_state_fits_into_80_columns_and_24_lines(status: dict[str, Any] | None) -> None:
-    lines = drawn(status, {**TICK, "t_s": 0.5}, TICK, size=(80, 24)).rstrip("\n").split("\n")
-    assert len(lines) <= 24
-    assert max(len(line.rstrip()) for line in lines) <= 80
+@pytest.mark.parametrize("size", [(80, 24), (60, 30), (140, 60)])
+def test_every_state_fits_into_the_terminal(
+    status: dict[str, Any] | None, size: tuple[int, int]
+) -> None:
+    lines = drawn(status, {**TICK, "t_s": 0.5}, TICK, size=size).rstrip("\n").split("\n")
+    assert len(lines) <= size[1]
+    assert max(len(line.rstrip()) for line in lines) <= size[0]
+    assert len(lines) >= 0.7 * size[1], "the room is used"
 
 
-def test_figures_are_in_millimetres_and_kilopascals() -> None:
-    text = drawn(STATUS, TICK, size=(80, 24))
+@pytest.mark.parametrize("size", [(60, 30), (80, 24), (200, 60)])
+def test_figures_are_in_millimetres_and_kilopascals_in_any_width(size: tuple[int, int]) -> None:
+    text = drawn(STATUS, TICK, size=size)
+    assert "qsmc*, lambda_per_s 60 (file 37.82)" in text
     for figure in ("11.800 mm", "11.801 mm", "+1.0 um", "301.3 kPa", "-0.250 V", "123.4 us", "7"):
         assert figure in text
 
@@ -144,7 +168,7 @@ def test_in_a_terminal_it_draws_and_in_a_pipe_it_writes_lines(tmp_path: Path) ->
             finally:
                 piped.kill()
     assert "position" in picture
-    assert any(block in picture for block in BLOCKS)
+    assert any(BLANK < one <= "\u28ff" for one in picture)
     assert all(re.search(r"\(goto\), sim .* x +-?\d+\.\d+ mm", line) for line in lines)
 
 
@@ -172,8 +196,11 @@ def _json_lines(socket: Path, code: int = 0) -> list[dict[str, Any]]:
 
 def test_a_terminal_gets_its_cursor_and_its_lines_back_however_it_ends(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pamctl", "watch", "--socket", str(tmp_path / "none")]
-    for number, code in ((signal.SIGINT, 0), (signal.SIGTERM, 143)):
-        seen = _seen_in_a_terminal(command, until="away", number=number, code=code)
+    ends: tuple[tuple[signal.Signals | bytes, int], ...] = (
+        (signal.SIGINT, 0), (signal.SIGTERM, 143), (b"q", 0),
+    )  # fmt: skip
+    for number, code in ends:
+        seen = _seen_in_a_terminal(command, until="away", end=number, code=code)
         assert seen.endswith(SHOW_CURSOR + LEAVE_SCREEN), repr(seen[-100:])
 
 
@@ -187,26 +214,34 @@ def _seen_in_a_terminal(
     until: str,
     *,
     kind: str = "xterm-256color",
-    number: signal.Signals = signal.SIGINT,
+    end: signal.Signals | bytes = signal.SIGINT,
     code: int = 0,
 ) -> str:
-    """Run in a terminal of 80 x 24 until a text is seen; then a signal ends it with `code`."""
+    """Run in a terminal of 80 x 24 until a text is seen; a signal or a key ends it with `code`.
+
+    The terminal's settings must then be what they were.
+    """
     ours, its = pty.openpty()
     fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
     environment = {**os.environ, "TERM": kind}
     process = subprocess.Popen(command, stdin=its, stdout=its, stderr=its, env=environment)
-    os.close(its)
+    settings = termios.tcgetattr(its)
     seen, deadline_s = b"", time.monotonic() + PATIENCE_S
     try:
         while until not in seen.decode(errors="replace"):
             assert time.monotonic() < deadline_s, seen[-2000:]
             if select.select([ours], [], [], 0.1)[0]:
                 seen += os.read(ours, 65536)
-        process.send_signal(number)
+        if isinstance(end, bytes):
+            os.write(ours, end)
+        else:
+            process.send_signal(end)
         rest: list[bytes] = []
         drain = threading.Thread(target=_drain, args=(ours, rest), daemon=True)
         drain.start()
         assert process.wait(PATIENCE_S) == code
+        assert termios.tcgetattr(its) == settings
+        os.close(its)  # the last one: now the terminal ends
         drain.join(PATIENCE_S)
     finally:
         process.kill()

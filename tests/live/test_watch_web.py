@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
 import re
 import signal
 import socket
@@ -20,6 +21,8 @@ from support.chromium import page
 from support.patience import PATIENCE_S
 from support.processes.daemons import Daemon, daemon
 
+from pamctl.live.web import MOST_CONNECTIONS
+
 NOT_HOMED = "rig.homing.enabled=false"
 
 OUTSIDE = """[...document.querySelectorAll("body *")].filter(
@@ -33,6 +36,7 @@ class Served(NamedTuple):
     address: str
     port: int
     token: str
+    pid: int
 
     def ask(
         self, method: str, path: str, body: bytes | None = None, **headers: str
@@ -41,7 +45,7 @@ class Served(NamedTuple):
         sent = {name.replace("_", "-"): value for name, value in headers.items()}
         connection.request(method, path, body, sent)
         answer = connection.getresponse()
-        read = b"" if path == "/stream" and answer.status == 200 else answer.read()
+        read = answer.read()
         connection.close()
         return answer.status, read, answer.headers
 
@@ -63,7 +67,7 @@ def served(made: Daemon, *options: str) -> Iterator[Served]:
         line = process.stdout.readline().strip()
         found = re.fullmatch(r"(http://127\.0\.0\.1:(\d+)/)(?:#(\S+))?", line)
         assert found is not None, line
-        yield Served(made, line, int(found[2]), found[3] or "")
+        yield Served(made, line, int(found[2]), found[3] or "", process.pid)
     finally:
         with process:
             process.send_signal(signal.SIGINT)
@@ -97,9 +101,9 @@ def test_plots_move_and_fit_the_page_and_the_emergency_stop_ends_at_the_safe_vol
         tab.wait_for("charts[0].chart.data[0].length > 20")
         tab.wait_for("document.querySelector('#state').textContent === 'ready'")
         count = tab.value("series.t[series.t.length - 1]")
-        before = tab.value("document.querySelector('.plot canvas').toDataURL()")
+        tab.value("window.before = document.querySelector('.plot canvas').toDataURL()")
         tab.wait_for(f"series.t[series.t.length - 1] > {count} + 0.5")
-        assert tab.value("document.querySelector('.plot canvas').toDataURL()") != before
+        tab.wait_for("document.querySelector('.plot canvas').toDataURL() !== before")
         shown_mm = tab.value("parseFloat(document.querySelector('#position').textContent)")
         assert shown_mm == pytest.approx(8.0, abs=0.05)
         tab.screenshot(tmp_path / "desktop.png")
@@ -128,6 +132,42 @@ def test_plots_move_and_fit_the_page_and_the_emergency_stop_ends_at_the_safe_vol
     up.ask("ack")
 
 
+def test_the_emergency_stop_of_one_of_twelve_tabs_is_confirmed_at_once(
+    up: Daemon, controlled: Served, tmp_path: Path
+) -> None:
+    up.ask("goto", position_m=8e-3, within_s=1.0)
+    with page(tmp_path) as tab:
+        tab.open_beside(controlled.address, 11)
+        tab.open(controlled.address, width=1280, height=900)
+        tab.wait_for("document.querySelector('#state').textContent === 'ready'")
+        tab.click("#estop")
+        up.wait_safe()
+        tab.wait_for("document.querySelector('#state').textContent === 'fault'")
+        tab.wait_for("!document.querySelector('#notice').textContent.includes('NOT SENT')")
+    up.wait_until(lambda s: not s["pids"])
+    up.ask("ack")
+
+
+def test_an_order_that_is_not_confirmed_says_so_until_it_is(up: Daemon, tmp_path: Path) -> None:
+    with served(up, "--allow-control") as shown, page(tmp_path) as tab:
+        tab.open(shown.address, width=390, height=844)
+        tab.wait_for("document.querySelector('#state').textContent === 'idle'")
+        os.kill(shown.pid, signal.SIGSTOP)
+        try:
+            tab.click("#estop")
+            tab.wait_for("document.querySelector('#notice').textContent.includes('NOT SENT')")
+            assert "pamctl estop" in tab.value("document.querySelector('#notice').textContent")
+            red = "getComputedStyle(document.querySelector('#notice')).backgroundColor"
+            assert tab.value(red) == "rgb(192, 45, 18)"
+            tab.wait_for("document.querySelector('#state').textContent === 'away'")
+            tab.screenshot(tmp_path / "not_sent.png")
+        finally:
+            os.kill(shown.pid, signal.SIGCONT)
+        tab.wait_for("document.querySelector('#state').textContent === 'fault'")
+        tab.wait_for("!document.querySelector('#notice').textContent.includes('NOT SENT')")
+    up.ask("ack")
+
+
 def test_an_open_page_survives_a_restart_of_the_daemon(tmp_path: Path) -> None:
     with (
         daemon(tmp_path, "again", NOT_HOMED) as first,
@@ -136,7 +176,8 @@ def test_an_open_page_survives_a_restart_of_the_daemon(tmp_path: Path) -> None:
     ):
         tab.open(shown.address, width=1280, height=900)
         tab.wait_for("document.querySelector('#state').textContent === 'idle'")
-        assert tab.value("document.querySelector('#estop').disabled"), "read-only"
+        tab.wait_for("document.querySelector('#mode').textContent.includes('pamctl estop')")
+        assert tab.value("document.querySelector('#estop').hidden"), "it would do nothing"
         first.process.send_signal(signal.SIGTERM)
         first.process.wait(PATIENCE_S)
         tab.wait_for("document.querySelector('#state').textContent === 'away'")
@@ -164,7 +205,7 @@ def test_every_answer_has_a_policy_that_admits_only_its_own_origin(controlled: S
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1", "", "[::1]:1"])
 def test_a_foreign_host_name_for_this_address_is_refused(controlled: Served, host: str) -> None:
-    for method, path in (("GET", "/"), ("GET", "/stream"), ("POST", "/do")):
+    for method, path in (("GET", "/"), ("GET", "/news?"), ("POST", "/do")):
         assert controlled.ask(method, path, Host=host)[0] == 421
 
 
@@ -183,7 +224,7 @@ def test_another_site_can_neither_read_nor_order_even_with_the_token(
     controlled: Served, headers: dict[str, str]
 ) -> None:
     given = {name: value.format(port=controlled.port) for name, value in headers.items()}
-    assert controlled.ask("GET", "/stream", **given)[0] == 403
+    assert controlled.ask("GET", "/news?", **given)[0] == 403
     assert controlled.order({"do": "stop"}, **given)[0] == 403
 
 
@@ -200,7 +241,7 @@ def test_nothing_can_be_ordered_without_the_option_allow_control(up: Daemon) -> 
         assert shown.token == ""
         assert shown.order({"do": "estop"})[0] == 403
         assert shown.order({"do": "estop"}, Authorization="Bearer ")[0] == 403
-        assert shown.ask("GET", "/stream")[0] == 200
+        assert shown.ask("GET", "/news?")[0] == 200
     assert up.state() != "fault"
 
 
@@ -209,6 +250,8 @@ def test_nothing_can_be_ordered_without_the_option_allow_control(up: Daemon) -> 
     [
         ({"do": "explode"}, 400), ({"do": "set", "changes": []}, 400), ([], 400), ("estop", 400),
         ({"do": "goto"}, 400), ({"do": "goto", "position_mm": "far"}, 400),
+        ({"do": "goto", "position_mm": True}, 400), ({"do": "goto", "position_mm": 10**400}, 400),
+        ({"do": "goto", "position_mm": float("nan")}, 400),
         ({"do": "goto", "position_mm": 500}, 409), ({"do": "stop"}, 409),
     ],
 )  # fmt: skip
@@ -227,6 +270,33 @@ def test_an_order_is_small_json_with_a_length(controlled: Served) -> None:
     assert controlled.ask("POST", "/do", b" " * 5000, **json_type)[0] == 413
     huge = {**json_type, "Content_Length": "99999999999"}
     assert controlled.ask("POST", "/do", None, **huge)[0] == 413
+    assert controlled.ask("POST", "/do", None, **{**huge, "Content_Length": "9" * 5000})[0] == 413
+    assert controlled.ask("POST", "/do", None, **{**huge, "Content_Length": "-1"})[0] == 411
+
+
+def test_a_crowd_of_silent_connections_keeps_nobody_out(controlled: Served) -> None:
+    at = ("127.0.0.1", controlled.port)
+    with ExitStack() as stack:
+        for _ in range(MOST_CONNECTIONS + 8):
+            stack.enter_context(socket.create_connection(at))
+        assert controlled.ask("GET", "/news?")[0] == 200
+
+
+def test_news_are_those_since_the_look_that_is_named(controlled: Served) -> None:
+    def news(query: str) -> dict[str, Any]:
+        told: dict[str, Any] = json.loads(controlled.ask("GET", f"/news?{query}")[1])
+        return told
+
+    controlled.daemon.ask("goto", position_m=8e-3, within_s=1.0)
+    controlled.daemon.wait_until(lambda status: status["tick"] is not None)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not (first := news(""))["ticks"]:
+        assert time.monotonic() < deadline_s
+    later = news(f"server={first['server']}&after={first['look']}")
+    assert all(row[0] > first["ticks"][-1][0] for row in later["ticks"])
+    for query in ("after=99", "server=x&after=99", f"server={first['server']}&after=" + "9" * 400):
+        assert news(query)["ticks"][0] == first["ticks"][0], "all that is kept"
+    controlled.daemon.ask("disarm")
 
 
 def test_a_flood_of_requests_is_limited_but_the_emergency_stop_gets_through(

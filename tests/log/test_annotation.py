@@ -29,7 +29,7 @@ from pamctl.log.check.check_log import check_log
 from pamctl.log.cutting.cut_log import cut_log
 from pamctl.log.framing import map_log_file, walk_records
 from pamctl.log.repair.recover import recover_file
-from pamctl.plain_text import strip_controls
+from pamctl.plain_text import clean_text
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "qsmc.mcap"
 DATA_END = 0x0F
@@ -162,15 +162,15 @@ def test_texts_of_a_foreign_record_are_cleaned_when_read(tmp_path: Path) -> None
     ],
 )
 def test_control_characters_are_taken_out(dirty: str, clean: str) -> None:
-    assert strip_controls(dirty) == clean
+    assert clean_text(dirty) == clean
 
 
 @given(text=st.text(st.characters(codec=None), max_size=60))
 def test_no_control_character_is_left_whatever_comes(text: str) -> None:
-    clean = strip_controls(text)
+    clean = clean_text(text)
     left = {c for c in clean if unicodedata.category(c) in {"Cc", "Cf", "Cs", "Zl", "Zp"}}
     assert left <= {"\u200c", "\u200d"}
-    assert strip_controls(clean) == clean
+    assert clean_text(clean) == clean
     clean.encode()
 
 

@@ -19,7 +19,7 @@ from support.runs import AO_STEP_V, MemoryJournal, ScriptedSupervisor, parts, ru
 from hal.faulty import FaultSettings, FaultyRig
 from hal.rig import RawSample, Rig
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.realtime import loop
+from pamctl.realtime import tick_path
 from pamctl.realtime.clock import Clock
 from pamctl.realtime.loop import run_loop
 from pamctl.safety import (
@@ -264,14 +264,14 @@ def test_a_valve_that_is_stuck_is_noticed_by_the_pressure_alone(
 def test_an_exception_in_the_law_leaves_the_output_safe(
     bench: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right = loop.step
+    right = tick_path.step
 
     def wrong(setup: Any, state: Any, raw: Any, reference: Any, timing: Any) -> Any:
         if timing.tick == BEGINS:
             raise ZeroDivisionError("in the law")
         return right(setup, state, raw, reference, timing)
 
-    monkeypatch.setattr(loop, "step", wrong)
+    monkeypatch.setattr(tick_path, "step", wrong)
     monkeypatch.setitem(SIM, "none", [])
     monkeypatch.setitem(CARD, "none", lambda card: None)
     settings = run_settings(*MOVING)

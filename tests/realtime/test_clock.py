@@ -301,3 +301,43 @@ def test_the_virtual_clock_misses_what_a_test_wants_missed() -> None:
 def test_a_virtual_clock_without_a_period_is_refused() -> None:
     with pytest.raises(ValueError, match="period_ns must be positive, got -1"):
         VirtualClock(-1)
+
+
+# The rehearsal.
+
+
+def test_a_rehearsal_runs_in_every_spin_and_moves_no_tick(fake: FakeTime) -> None:
+    clock = fake.clock(spin_ns=100_000)
+    ran_at_ns: list[int] = []
+
+    def rehearse() -> None:
+        ran_at_ns.append(fake.time_ns)
+        fake.work(20_000)
+
+    wakes = [clock.wait(rehearse) for _ in range(50)]
+    assert len(ran_at_ns) == 49  # the first wait has nothing to rehearse
+    assert [wake.tick for wake in wakes] == list(range(50))
+    for wake, at_ns in zip(wakes[1:], ran_at_ns, strict=True):
+        assert at_ns < wake.deadline_ns <= wake.now_ns <= wake.deadline_ns + 2 * fake.read_ns
+
+
+def test_a_rehearsal_that_would_not_end_in_time_is_left_out_until_it_is_short(
+    fake: FakeTime,
+) -> None:
+    clock = fake.clock(spin_ns=100_000)
+    long_ns, ran = 400_000, []
+
+    def rehearse() -> None:
+        ran.append(fake.time_ns)
+        fake.work(long_ns)
+
+    late_ns = []
+    for _ in range(20):
+        wake = clock.wait(rehearse)
+        late_ns.append(wake.now_ns - wake.deadline_ns)
+    assert len(ran) == 1  # one was late; none of the next
+    assert max(late_ns[2:]) <= 2 * fake.read_ns
+    long_ns = 10_000
+    for _ in range(200):
+        clock.wait(rehearse)
+    assert len(ran) > 50

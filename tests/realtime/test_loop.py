@@ -21,7 +21,7 @@ from support.runs import (
 from hal.faulty import FaultSettings
 from hal.rig import RigError
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.realtime import loop
+from pamctl.realtime import loop, tick_path
 from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.loop import KEYFRAME_TICKS
 from pamctl.safety import (
@@ -338,7 +338,7 @@ class Bug(Exception):
 
 @pytest.mark.parametrize("raised", [Bug, KeyboardInterrupt, SystemExit])
 def test_an_error_in_the_tick_is_raised_with_the_rig_already_safe(monkeypatch, raised) -> None:
-    right, calls = loop.step, []
+    right, calls = tick_path.step, []
 
     def wrong(*arguments: Any) -> Any:
         calls.append(arguments)
@@ -346,7 +346,7 @@ def test_an_error_in_the_tick_is_raised_with_the_rig_already_safe(monkeypatch, r
             raise raised("in the law")
         return right(*arguments)
 
-    monkeypatch.setattr(loop, "step", wrong)
+    monkeypatch.setattr(tick_path, "step", wrong)
     rigs: list[Any] = []
     with pytest.raises(raised, match="in the law"):
         run(short(), wrap=lambda rig: rigs.append(rig) or rig)
@@ -517,7 +517,7 @@ class SlowClock:
     def wall_offset_ns(self) -> int:
         return 0
 
-    def wait(self) -> Any:
+    def wait(self, rehearse: Any = None) -> Any:
         self._tick += 1
         deadline_ns = (self._tick + 10) * MS
         self._now_ns = deadline_ns + 30_000

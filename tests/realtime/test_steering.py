@@ -14,10 +14,12 @@ from support.made_up import meta, tick
 from hal.calibration import Zero
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.realtime.tick import first_state
+from pamctl.realtime.tick_path import PlainTick
 from pamctl.recording.ring import LoopStage, Ring, RowKind
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.settings.build import build_ordered_program, build_tick_setup
 from pamctl.settings.resolve import resolve
+from pamctl.signals import TickRecord
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="rings need Linux")
 
@@ -36,6 +38,14 @@ class Slot:
 
     def take(self) -> dict[str, Any] | None:
         return self.orders.pop(0) if self.orders else None
+
+
+def done_tick(record: TickRecord) -> PlainTick:
+    """Return what the loop holds of a tick."""
+    done = PlainTick()
+    done.timing, done.raw, done.reference = record.timing, record.raw, record.reference
+    done.decision, done.state = record.decision, STATE
+    return done
 
 
 class Session:
@@ -60,7 +70,7 @@ class Session:
         self.ticked += 1
         self.program.next_reference(record.timing.t_s, record.raw)
         self.journal.put_tick(record)
-        self.program.finish_tick(record.timing, record.raw, STATE)
+        self.program.finish_tick(done_tick(record))
 
     def tick_until_recorded(self) -> int:
         """Tick until a run is recorded; return how many ticks that took."""

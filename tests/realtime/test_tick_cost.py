@@ -10,7 +10,7 @@ import pytest
 from support.runs import run_settings
 
 from pamctl.processes import loop_main
-from pamctl.realtime import tick_cost
+from pamctl.realtime import tick_path
 from pamctl.realtime.tick import step
 from pamctl.realtime.tick_cost import BUSY_SHARE, LIVE_FACTOR, TickCost, rehearse_tick_s
 from pamctl.settings.build import build_tick_setup
@@ -35,7 +35,7 @@ def test_a_rehearsed_tick_computes_the_law_and_is_admitted(
         seen.append(step(*arguments))
         return seen[-1]
 
-    monkeypatch.setattr(tick_cost, "step", watch)
+    monkeypatch.setattr(tick_path, "step", watch)
     rehearse_tick_s(build_tick_setup(resolve(controller=law)), 1e-4)
     assert len(seen) == 100
     assert not any(decision.tripped for _, decision in seen)
@@ -60,7 +60,7 @@ def test_a_run_that_cannot_hold_its_rate_says_so_in_one_line_and_in_its_log(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings = run_settings()
-    monkeypatch.setattr(loop_main, "rehearse_tick_s", lambda *_: 1e-3)
+    monkeypatch.setattr(loop_main, "rehearse_tick_s", lambda *_, **__: 1e-3)
     (event,) = loop_main.check_rate(settings, SETUP)
     said = capsys.readouterr().err
     assert event["event"] == "rate_warning"
@@ -68,6 +68,6 @@ def test_a_run_that_cannot_hold_its_rate_says_so_in_one_line_and_in_its_log(
     assert said.count("\n") == 1
     assert "takes about 6000 us" in said
 
-    monkeypatch.setattr(loop_main, "rehearse_tick_s", lambda *_: 1e-6)
+    monkeypatch.setattr(loop_main, "rehearse_tick_s", lambda *_, **__: 1e-6)
     assert loop_main.check_rate(settings, SETUP) == []
     assert capsys.readouterr().err == ""

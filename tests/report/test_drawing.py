@@ -11,7 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pamctl.report.drawing.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
+from pamctl.report.drawing.decimate import (
+    break_at_gaps,
+    drop_repeats,
+    find_unbroken,
+    keep_extremes,
+    thin_cloud,
+)
 from pamctl.report.drawing.scale import PlotAxis, Scale, choose_step, fit_scale, format_tick
 from pamctl.report.drawing.svg import SvgPlot
 from pamctl.report.html_page import Page
@@ -183,3 +189,16 @@ def _heights(outline: str) -> list[int]:
     """The vertical places of a path of one move and relative steps."""
     numbers = [int(n) for n in re.findall(r"-?\d+", outline)]
     return np.cumsum(numbers[1::2]).tolist()
+
+
+def test_a_line_over_time_breaks_where_nothing_was_measured() -> None:
+    t_s = np.r_[np.arange(20) * 1e-3, 0.5 + np.arange(20) * 1e-3]
+    over, up = break_at_gaps(t_s, np.ones(40))
+    assert np.flatnonzero(np.isnan(up)).tolist() == [20]
+    assert over[20] == t_s[19]
+    assert np.array_equal(over[np.isfinite(up)], t_s)
+    plot = SvgPlot("a", PlotAxis("time", "s"), PlotAxis("b"))
+    drawn = plot.line(t_s, np.ones(40)).html()
+    assert drawn.count("M", drawn.index('class="data"')) >= 2
+    few = np.array([0.0, 1.0, 100.0])
+    assert break_at_gaps(few, few)[0] is few

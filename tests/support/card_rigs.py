@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from standin.standin import Card
 
 from hal.nidaq.card_settings import NidaqSettings
@@ -21,7 +23,7 @@ class CardClock(VirtualClock):
         super().__init__(MS)
         self._card = card
 
-    def wait(self) -> Wake:
+    def wait(self, rehearse: Callable[[], None] | None = None) -> Wake:
         wake = super().wait()
         self._card.set_time_ns(wake.now_ns)
         return wake

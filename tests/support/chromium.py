@@ -61,6 +61,13 @@ class Page:
         self._call("Emulation.setDeviceMetricsOverride", **size)
         self._call("Page.navigate", url=address)
 
+    def open_beside(self, address: str, count: int) -> None:
+        """Open `count` more tabs; this one stays the one that is told what to do."""
+        session, self._session = self._session, ""
+        for _ in range(count):
+            self._call("Target.createTarget", url=address)
+        self._session = session
+
     def value(self, expression: str) -> Any:
         """Evaluate JavaScript in the page; a promise is waited for."""
         asked = {"expression": expression, "returnByValue": True, "awaitPromise": True}

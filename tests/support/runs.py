@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 from hal.backend import Plant
 from hal.faulty import FaultSettings, FaultyRig
@@ -14,9 +15,10 @@ from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
 from pamctl.realtime.loop import run_loop
+from pamctl.recording.ring import ROW_HEADER, RowKind, tick_struct
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.signals import Phase, TickRecord, Truth
+from pamctl.signals import TICK_FIELDS, Phase, TickRecord, Truth
 
 MS = 1_000_000
 COUNT_M = 25.4e-3 / 8000.0
@@ -30,6 +32,19 @@ def run_settings(*overrides: str, **choices: Any) -> RunSettings:
     )
 
 
+def unpack_row(row: bytes | bytearray) -> TickRecord:
+    """Return the record in a row of the ring."""
+    kind, size, tick, t_ns = ROW_HEADER.unpack_from(row)
+    assert (kind, size) == (RowKind.TICK, tick_struct(TICK_FIELDS).size)
+    numbers = iter(tick_struct(TICK_FIELDS).unpack_from(row, ROW_HEADER.size))
+    stages = get_type_hints(TickRecord).values()
+    record = TickRecord._make(
+        stage._make(itertools.islice(numbers, len(stage._fields))) for stage in stages
+    )
+    assert (tick, t_ns) == (record.timing.tick, record.raw.encoder_t_ns)
+    return record
+
+
 @dataclass
 class MemoryJournal:
     """Keeps everything, and loses nothing."""
@@ -40,6 +55,17 @@ class MemoryJournal:
 
     def put_tick(self, record: TickRecord) -> None:
         self.ticks.append(record)
+
+    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
+        record = unpack_row(row)
+        assert (record.timing.late_s, record.timing.missed) == (late_s, missed)
+        self.ticks.append(record)
+
+    def rehearse_tick(self, record: TickRecord) -> None:
+        pass
+
+    def rehearse_row(self, row: bytearray) -> None:
+        pass
 
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
         self.events.append((tick, event))

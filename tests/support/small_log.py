@@ -31,8 +31,9 @@ CHUNKS = 2
 CHUNK_TICKS = 6
 
 
-def write_small(path: Path, chunks: int = CHUNKS) -> Path:
+def write_small(path: Path, chunks: int = CHUNKS, remark: str = "") -> Path:
     """Write chunks of six ticks and an event each, metadata and an attachment."""
+    more = {"text": remark} if remark else {}
     fields = imported_fields(("position_m",))
     layout = TickLayout.of_fields(fields)
     tick = np.arange(chunks * CHUNK_TICKS)
@@ -42,7 +43,7 @@ def write_small(path: Path, chunks: int = CHUNKS) -> Path:
     messages = layout.encode(table)
     with create_new_file(path) as stream:
         writer = LogWriter(stream)
-        writer.metadata("run", {"law": "qsmc"})
+        writer.metadata("run", {"law": "qsmc", **more})
         writer.attachment("config.json", to_json({"law": "qsmc"}))
         schema = (TICK_MESSAGE, "protobuf", tick_descriptor(fields))
         known = {"schema_version": "1", "units": to_json(units_of_columns(fields)).decode()}
@@ -52,7 +53,7 @@ def write_small(path: Path, chunks: int = CHUNKS) -> Path:
             part = messages[first : first + CHUNK_TICKS]
             times_ns = part["tick"].astype(np.int64) * 1_000_000
             writer.add(ticks, make_message_records(part, times_ns, part["tick"]))
-            data = to_json({"event": "x", "value": 0.1 * first, "row": first})
+            data = to_json({"event": "x", "value": 0.1 * first, "row": first, **more})
             writer.add(events, make_message_record(data, int(times_ns[-1]), first))
             writer.end_chunk()
         writer.finish()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,7 +15,6 @@ from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_sectio
 
 if TYPE_CHECKING:
     from pamctl.diagnose import Record
-    from pamctl.diagnose.audit import Audit, Inseparable
 
 
 def audit(
@@ -28,6 +26,9 @@ def audit(
         ),
     ],
     plant: PlantOption = None,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Say why each effect cannot be shown")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show which effects an experiment or a log cannot show, before anything is fitted.
@@ -35,6 +36,7 @@ def audit(
     An experiment is simulated with the default controller and the simulated rig's sensors.
     """
     start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
+    from pamctl.cli.analyse.audit_text import format_audit
     from pamctl.diagnose.audit import audit_run
 
     record = _make_record(what, plant)
@@ -44,7 +46,7 @@ def audit(
         print_json(found.as_dict())
     else:
         advise = partial(_write_advice, actuator=start.actuator, runs_here=runs_here)
-        typer.echo("\n".join(_format_audit(found, advise)))
+        typer.echo("\n".join(format_audit(found, advise, verbose=verbose)))
 
 
 def _make_record(what: str, plant: str | None) -> Record:
@@ -71,32 +73,3 @@ def _write_advice(experiment: str, *, actuator: str, runs_here: bool) -> str:
     from pamctl.diagnose.experiments import write_advice
 
     return write_advice(experiment, actuator, runs_here=runs_here)
-
-
-def _format_audit(found: Audit, advise: Callable[[str], str]) -> list[str]:
-    lines = [f"shows {len(found.sees)} effects: {', '.join(found.sees) or 'none'}", ""]
-    if found.blind_spots:
-        lines.append("cannot show, at the smallest size of interest:")
-        width = max(len(s.name) for s in found.blind_spots) + 2
-        lines += [
-            f"  {s.name:<{width}}{s.why}; {s.visibility}"
-            + (f"; add: {advise(s.experiment)}" if s.experiment else "")
-            for s in found.blind_spots
-        ]
-    else:
-        lines.append("no blind spots")
-    if found.inseparable:
-        lines += ["", "cannot tell apart, at that size:", *_format_pairs(found.inseparable, advise)]
-    return lines
-
-
-def _format_pairs(pairs: Sequence[Inseparable], advise: Callable[[str], str]) -> Iterator[str]:
-    """Group the pairs by the experiment that separates them, then by their first effect."""
-    width = max(len(pair.names[0]) for pair in pairs) + 2
-    for experiment in sorted({pair.experiment for pair in pairs}, reverse=True):
-        others: dict[str, list[str]] = {}
-        for one, other in (pair.names for pair in pairs if pair.experiment == experiment):
-            others.setdefault(one, []).append(other)
-        known = f"add: {advise(experiment)}"
-        yield f"  {known if experiment else 'no shipped experiment separates them'}"
-        yield from (f"    {one:<{width}}from {', '.join(rest)}" for one, rest in others.items())

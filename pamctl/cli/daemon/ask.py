@@ -31,7 +31,7 @@ def ask(socket: Path | None, method: str, params: Mapping[str, object] | None = 
         with Client(socket or default_socket()) as client:
             return client.call(method, params)
     except KeyboardInterrupt:
-        print("the request was sent; see pamctl status for what it did", file=sys.stderr)
+        print("the request was sent; see `pamctl status` for what it did", file=sys.stderr)
         raise
 
 

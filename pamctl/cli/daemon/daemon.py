@@ -25,7 +25,7 @@ from pamctl.cli.options import (
     require_linux,
     seconds_option,
 )
-from pamctl.cli.settings_from_options import resolve_options
+from pamctl.cli.settings_from_options import read_file_gains, resolve_options
 
 
 def daemon(
@@ -70,7 +70,7 @@ def daemon(
         bool, typer.Option("--json", help="Print each event as one line of JSON")
     ] = False,
 ) -> None:
-    """Stay up: home, run experiments and hold positions as clients ask (pamctl start, goto ...)."""
+    """Stay up: home, run experiments and hold positions as clients such as `pamctl start` ask."""
     settings, names = resolve_options(
         backend, rig, overrides, controller=controller, plant=plant, seed=seed, rt=rt
     )
@@ -91,5 +91,6 @@ def daemon(
         idle_after_s,
         partial(serve_live_view, port, live_origins or ()),
         announce=as_json,
+        file_gains=read_file_gains(settings, names["controller"]),
     )
     raise typer.Exit(int(serve_daemon(settings, names, options)))

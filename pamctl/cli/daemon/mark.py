@@ -12,12 +12,12 @@ from pamctl.cli.failure import Failed
 from pamctl.cli.options import JsonOption, SocketOption, require_linux
 from pamctl.daemon.protocol import LONGEST_REMARK
 from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import strip_controls
+from pamctl.plain_text import clean_text
 
 
 def check_remark(text: str) -> str:
-    """Return the remark without control characters; leave with 2 if it is empty or too long."""
-    text = strip_controls(text)
+    """Return the remark without control characters; leave with 2 where it is empty or too long."""
+    text = clean_text(text)
     if not 1 <= len(text) <= LONGEST_REMARK:
         message = f"must have 1 to {LONGEST_REMARK} characters (got {len(text)})"
         raise typer.BadParameter(message)

@@ -22,6 +22,7 @@ def show_info(
     Of a damaged or unfinished log it shows what stands before the damage, and exits with 3.
     """
     from pamctl.log import info
+    from pamctl.log.changed_gains import CHANGES, spell_controller
 
     found = info(path)
     if as_json:
@@ -31,6 +32,8 @@ def show_info(
             found["outcome"] = f"{found['outcome']['code']}: {found['outcome']['reason']}"
         if str(found["start"]).startswith("1970-01-01"):
             found["start"] = "none (simulated without a clock)"
+        changes = found.pop(CHANGES)
+        found["controller"] = spell_controller({**found, CHANGES: changes}) or None
         typer.echo("\n".join(_format_info(found)))
     if not found["complete"]:
         fix = f"save all that is whole with `pamctl log recover {path} DESTINATION`"

@@ -103,6 +103,7 @@ def run(
     port = choose_live_port(live, live_port, live_origins)
     if not settings.fast:
         require_linux()
+    from pamctl.control.experiment import plan_experiment
     from pamctl.live.live_view import require_foxglove, serve_live_view
     from pamctl.processes.run_once import run_once
     from pamctl.report.progress_line import ProgressLine
@@ -110,7 +111,9 @@ def run(
     if live:
         require_foxglove()
     view = partial(serve_live_view, port, live_origins or ())
-    progress = ProgressLine(quiet=quiet or as_json)
+    length_s = plan_experiment(settings.experiment).duration_s
+    length_s = min(length_s, settings.duration_s or length_s)
+    progress = ProgressLine(quiet=quiet or as_json, length_s=length_s)
     done = run_once(settings, names, log, progress, view, quiet=quiet, said=said)
     if done.note:
         print(f"warning: {done.note}", file=sys.stderr)

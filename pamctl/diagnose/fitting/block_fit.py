@@ -7,16 +7,18 @@ deviation of the sensor, so that both blocks weigh the same.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import log
+from operator import is_not
 
 import numpy as np
 from pydantic import ValidationError
-from scipy.optimize import OptimizeResult, least_squares
 
-from pamctl.diagnose.fitting.drives import RUNAWAY, Drive, stack_residuals
+from pamctl.descent import Descent, DescentEnd, descend
+from pamctl.diagnose.fitting.coarse_steps import coarsen
+from pamctl.diagnose.fitting.drives import RUNAWAY, Drive, move_residuals, stack_residuals
 from pamctl.diagnose.fitting.numbers import FreeNumber, value_of, with_values
 from pamctl.diagnose.measured.record import Array
 from pamctl.plant.flat import NEUTRAL
@@ -33,11 +35,13 @@ class Effort:
     """Rank-one updates of the derivatives before they are computed again."""
     most_rounds: int = 1
     """Rounds of `evaluations`; another follows while the last one still gained `PROGRESS`."""
+    ends_fine: bool = True
+    """After half the steps of the simulation, it goes on with all of them."""
 
 
-QUICK = Effort(8, 1e-3, updates=2)
+QUICK = Effort(8, 1e-3, updates=2, ends_fine=False)
 """To compare candidates."""
-FULL = Effort(15, 1e-6, most_rounds=10)
+FULL = Effort(15, 1e-6, updates=1, most_rounds=10)
 """For numbers that are reported."""
 STEP = 3e-3
 """Step of a derivative, in scales of the number. The simulation is exact between events, so a short
@@ -48,9 +52,7 @@ LONG_STEP = 3e-2
 PROGRESS = 0.01
 """A fit goes on while a round reduces its cost by more than this share."""
 NOT_ENDED = 0
-"""The optimiser's status when it has used up its evaluations."""
-STUCK = 3
-"""The optimiser's status for steps that became too small on a slope."""
+"""`scipy.optimize`'s status when it has used up its evaluations."""
 ROBUST = 10.0
 """Residuals above this multiple of the usual one count linearly, not by their square."""
 LOGARITHMIC = 12.0
@@ -76,7 +78,20 @@ class Fit:
     @cached_property
     def jacobian(self) -> Array:
         """Derivatives of the residual by the free numbers in their scales, shape (n, p)."""
-        return sensitivity(self.drives, self.settings, self.free, self.residual)
+        return sensitivity(self.drives, self.settings, self.free)
+
+    def solve(self, residual: Array) -> Array:
+        """Return the step of the numbers, in their scales, that is nearest to a residual's change.
+
+        The normal equations do: the numbers' scales make the columns alike.
+        """
+        change: Array = self._inverse_square @ (self.jacobian.T @ residual)
+        return change
+
+    @cached_property
+    def _inverse_square(self) -> Array:
+        square = self.jacobian.T @ self.jacobian
+        return np.asarray(np.linalg.pinv(square, hermitian=True), dtype=np.float64)
 
     @cached_property
     def mean_square(self) -> float:
@@ -137,17 +152,35 @@ def fit_numbers(
 ) -> Fit:
     """Fit the numbers `free` from the values of `start`; robust to what the model cannot show."""
     drives, free = tuple(drives), limit_to_plant(free, start)
-    if not free:
-        return Fit(start, (), drives, stack_residuals(drives, start))
+    settings = start
+    for steps in _list_steps(drives, start, free, effort) if free else ():
+        settings = _fit_with_steps(steps, settings, free, effort)
+    return Fit(settings, free, drives, stack_residuals(drives, settings))
+
+
+def _list_steps(
+    drives: tuple[Drive, ...], start: PlantSettings, free: Sequence[FreeNumber], effort: Effort
+) -> Iterator[tuple[Drive, ...]]:
+    coarse = coarsen(drives, start, free=free)
+    yield coarse
+    if effort.ends_fine and any(map(is_not, coarse, drives)):
+        yield drives
+
+
+def _fit_with_steps(
+    drives: tuple[Drive, ...],
+    start: PlantSettings,
+    free: Sequence[FreeNumber],
+    effort: Effort,
+) -> PlantSettings:
     start, first_residual = _limit_start(drives, start, free)
     knee = ROBUST * max(float(np.median(np.abs(first_residual))) / 0.6745, 1.0)
     problem = _LeastSquares(drives, start, free, effort, knee)
     result = problem.descend(problem.first, STEP)
-    if result.status == STUCK:
-        over = problem.descend(problem.descend(result.x, LONG_STEP).x, STEP)
-        result = min(result, over, key=lambda r: float(r.cost))
-    settings = problem.settings_at(result.x)
-    return Fit(settings, free, drives, stack_residuals(drives, settings))
+    if result.ending is DescentEnd.STUCK:
+        over = problem.descend(problem.descend(result.vector, LONG_STEP).vector, STEP)
+        result = min(result, over, key=lambda r: r.cost)
+    return problem.settings_at(result.vector)
 
 
 class _LeastSquares:
@@ -186,32 +219,29 @@ class _LeastSquares:
         values: Array = np.where(self.is_log, self.middle * np.exp(exponent), inside)
         return values
 
-    def descend(self, vector: Array, step: float) -> OptimizeResult:
+    def descend(self, vector: Array, step: float) -> Descent:
         """Minimise from a vector, with derivatives by differences of `step` scales."""
         result = self._descend_round(vector, step)
         for _ in range(self.effort.most_rounds - 1):
-            if result.status != NOT_ENDED:
+            if result.ending is not DescentEnd.EVALUATIONS:
                 break
-            before = float(result.cost)
-            result = self._descend_round(result.x, step)
-            if float(result.cost) > (1.0 - PROGRESS) * before:
+            before = result.cost
+            result = self._descend_round(result.vector, step)
+            if result.cost > (1.0 - PROGRESS) * before:
                 break
         return result
 
-    def _descend_round(self, vector: Array, step: float) -> OptimizeResult:
+    def _descend_round(self, vector: Array, step: float) -> Descent:
         self._slope = None
-        return least_squares(
+        return descend(
             self._residual_at,
-            vector,
             lambda v: self._jacobian_at(v, step),
-            bounds=(self.low, self.high),
-            method="dogbox",
-            loss="soft_l1",
-            f_scale=self.knee,
-            ftol=self.effort.tolerance,
-            xtol=1e-6,
-            gtol=1e-10,
-            max_nfev=self.effort.evaluations,
+            vector,
+            self.low,
+            self.high,
+            knee=self.knee,
+            tolerance=self.effort.tolerance,
+            evaluations=self.effort.evaluations,
         )
 
     def settings_at(self, vector: Array) -> PlantSettings:
@@ -240,11 +270,11 @@ class _LeastSquares:
         ):
             self._slope = last.carry_to(vector, residual)
         else:
-            slope = sensitivity(self.drives, settings, self.free, residual, step)
+            slope = sensitivity(self.drives, settings, self.free, step)
             # Along a logarithm the number moves in proportion to itself.
             jacobian = slope * np.where(self.is_log, self._to_values(vector) / self.middle, 1.0)
             self._slope = _Slope(vector.copy(), residual.copy(), jacobian)
-        return self._slope.jacobian.copy()  # the optimiser scales its argument in place
+        return self._slope.jacobian
 
 
 def limit_to_plant(free: Sequence[FreeNumber], settings: PlantSettings) -> tuple[FreeNumber, ...]:
@@ -303,32 +333,32 @@ def sensitivity(
     drives: Sequence[Drive],
     settings: PlantSettings,
     free: Sequence[FreeNumber],
-    residual: Array,
     step: float = STEP,
 ) -> Array:
     """Return derivatives of the stacked residual by each number in its scale, shape (n, p)."""
-    columns = [_derivative(drives, settings, f, residual, step * f.scale) for f in free]
-    return np.column_stack(columns) if columns else np.zeros((len(residual), 0))
+    steps = [_choose_step(settings, f, step * f.scale) for f in free]
+    moved = [
+        with_values(settings, {f.name: value_of(settings, f.name) + own})
+        for f, own in zip(free, steps, strict=True)
+    ]
+    times = np.array([f.scale / own for f, own in zip(free, steps, strict=True)])
+    slopes: Array = move_residuals(coarsen(drives, settings), settings, moved) * times
+    return slopes
 
 
-def _derivative(
-    drives: Sequence[Drive], settings: PlantSettings, free: FreeNumber, residual: Array, step: float
-) -> Array:
+def _choose_step(settings: PlantSettings, free: FreeNumber, step: float) -> float:
+    """Return the step, or its opposite where a range ends, or where another number is the limit."""
     value = value_of(settings, free.name)
     if value + step > free.high:
-        step = -step
-    try:
-        moved = with_values(settings, {free.name: value + step})
-    except ValidationError:  # another number of the plant is the limit
-        step = -step
-        moved = with_values(settings, {free.name: value + step})
-    return (stack_residuals(drives, moved) - residual) * (free.scale / step)
+        return -step
+    return step if _is_valid(settings, {free.name: value + step}) else -step
 
 
-def secant(fitted: Fit, values: dict[str, float]) -> Array:
-    """Return by how much these values move the simulated outputs, in deviations of the sensors."""
-    moved = stack_residuals(fitted.drives, with_values(fitted.settings, values))
-    return fitted.residual - moved
+def find_secants(fitted: Fit, doses: Sequence[dict[str, float]]) -> Array:
+    """Return by how much doses move the simulated outputs, in deviations, shape (n, doses)."""
+    moved = [with_values(fitted.settings, dose) for dose in doses]
+    drives = coarsen(fitted.drives, fitted.settings, *moved)
+    return -move_residuals(drives, fitted.settings, moved)
 
 
 def project_out(basis: Array, vectors: Array) -> Array:

@@ -30,6 +30,8 @@ from pamctl.plant.model import PlantSettings
 
 INERT = 1e-9
 """A dose that moves every output by less, as a share of what it spans, moves nothing."""
+BEGINNING, FEWEST = 16, 1000
+"""Share of a record, and samples, in which an effect shows that it moves something."""
 DOSES = (1.0, 6.0)
 """In units of the smallest size of interest. Two doses, because large and small effects differ."""
 
@@ -92,7 +94,9 @@ def _leave_out_inert(found: Sequence[Candidate], evidence: Evidence) -> Iterator
     stays in every form.
     """
     nominal = evidence.nominal
-    drives = [d for block in evidence.blocks for d in evidence.train[block]]
+    whole = [d for block in evidence.blocks for d in evidence.train[block]]
+    # Most effects show at once; the others are sought in the whole record.
+    begins = [d.cut_beginning(max(len(d.measured) // BEGINNING, FEWEST)) for d in whole]
     doses = {c.name: dict(c.held) | _largest_dose(c, nominal) for c in reversed(found)}
     crowd: dict[str, float] = {}
     for dose in doses.values():
@@ -111,11 +115,12 @@ def _leave_out_inert(found: Sequence[Candidate], evidence: Evidence) -> Iterator
     for candidate in found:
         name = candidate.name
         if name not in moving:
-            reached = [d for d in drives if d.block in candidate.blocks]
             others = {n: v for n, v in crowd.items() if n not in doses[name]}
-            moving[name] = not drives or (
-                any(moves(name, d, {}, "alone") for d in reached)
-                or any(moves(name, d, others, name) for d in reached)
+            moving[name] = not whole or any(
+                moves(name, drive, company, key)
+                for company, key in (({}, "alone"), (others, name))
+                for drive in (*begins, *whole)
+                if drive.block in candidate.blocks
             )
         if moving[name]:
             yield candidate

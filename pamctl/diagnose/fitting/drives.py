@@ -17,6 +17,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from pamctl.bounded_memory import BoundedMemory
 from pamctl.diagnose.judging.judges import FREE_RUN, Judge, JudgeKind
 from pamctl.diagnose.judging.segments import (
     count_samples,
@@ -51,6 +52,8 @@ from pamctl.plant.drive import (
     drive_pressure,
     find_period_s,
     find_pressure_course,
+    select_mechanics_numbers,
+    select_pressure_numbers,
 )
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
@@ -71,6 +74,10 @@ VENTED_PA = 20e3
 """Tolerance of a sensor's zero; a muscle that starts higher does not start vented."""
 SETTLED_MS = 1000
 """Time after which a muscle stands still (ms)."""
+_SIMULATED: BoundedMemory[tuple[Array]] = BoundedMemory(100_000_000)
+"""Fits of both blocks, floors and figures ask for the same simulations."""
+_GRIDS: BoundedMemory[SampleGrid] = BoundedMemory(50_000_000)
+"""Drives that are altered share the steps of the record."""
 RUNAWAY = 1e6
 """Residual of a model that runs away, in deviations of the sensor. A spring with a negative rate
 does so."""
@@ -130,6 +137,8 @@ class Drive:
     bend: tuple[Array, Array] | None = None
     """How the driving pressure leaves the line between two samples where ticks were missed: times
     since the first sample (s), and pressures (Pa). None: nowhere."""
+    is_remembered: bool = True
+    """Simulations are kept, as they may be asked for again; not so for one draw of noise."""
 
     @cached_property
     def rows(self) -> NDArray[np.bool_] | None:
@@ -165,11 +174,43 @@ class Drive:
         """The velocity of the measured position, for regimes and pictures, shape (n,)."""
         return self.differentiate_motion(VELOCITY_S, 1)
 
+    def cut_beginning(self, samples: int) -> Drive:
+        """Return the drive's first samples, for one free run; an equation stays whole."""
+        if self.is_equation or samples >= len(self.measured):
+            return self
+        pressed_pa, late_s = self.pressed_pa, self.acts_after_s
+        return replace(
+            self,
+            step_s=self.step_s[: samples - 1],
+            valve_v=self.valve_v[:samples],
+            driven=self.driven[:samples],
+            measured=self.measured[:samples],
+            usable=None,
+            part=None,
+            windows=(),
+            pressed_pa=None if pressed_pa is None else pressed_pa[:samples],
+            acts_after_s=None if late_s is None else late_s[:samples],
+            bend=None,
+        )
+
+    @cached_property
+    def coarse(self) -> Drive:
+        """The drive with half the steps; itself where it has only one, or simulates nothing."""
+        if self.is_equation or self.steps < 2:
+            return self
+        return replace(self, steps=self.steps // 2)
+
     @cached_property
     def grid(self) -> SampleGrid:
         """The simulation's steps."""
-        return build_grid(
-            self.step_s, len(self.measured), self.steps, self.acts_after_s, self.held_v
+        made_from = (self.step_s, self.acts_after_s)
+        key = (*map(id, made_from), len(self.measured), self.steps, self.held_v)
+        return _GRIDS.recall(
+            key,
+            made_from,
+            lambda: build_grid(
+                self.step_s, len(self.measured), self.steps, self.acts_after_s, self.held_v
+            ),
         )
 
     def simulate(self, settings: PlantSettings) -> Array:
@@ -177,7 +218,31 @@ class Drive:
         return self.simulate_with(plant_parameters(settings))
 
     def simulate_with(self, p: PlantParameters) -> Array:
-        """Simulate the block with the kernels' parameters."""
+        """Simulate the block with the kernels' parameters; the result is read-only."""
+        p = self.select_numbers(p)
+        if not self.is_remembered:
+            return self._simulate_anew(p)
+        made_from = (
+            *(self.step_s, self.valve_v, self.driven, self.pressed_pa, self.acts_after_s),
+            *(self.bend, self._restarts if self.windows else NO_RESTARTS),
+        )
+        key = (
+            p,
+            *map(id, made_from),
+            (self.block, self.is_equation, self.has_position, self.has_known_start),
+            (self.start, self.held_v, self.steps, self.slope_s),
+        )
+        (simulated,) = _SIMULATED.recall(key, made_from, lambda: (self._simulate_anew(p),))
+        simulated.setflags(write=False)
+        return simulated
+
+    def select_numbers(self, p: PlantParameters) -> PlantParameters:
+        """Return the numbers that this block's simulation depends on; the others are neutral."""
+        if self.is_equation or not self.has_position or p.direct:
+            return p
+        return select_pressure_numbers(p) if self.block == PRESSURE else select_mechanics_numbers(p)
+
+    def _simulate_anew(self, p: PlantParameters) -> Array:
         if self.is_equation:
             pressed_pa = self._find_pressed_pa(p)
             return required_force_n(p, self._times_s, self.driven, *self._rates, pressed_pa)
@@ -250,16 +315,26 @@ class Drive:
         resting_pa = driven.true_pressure_pa[samples // 2 : samples]
         return float(np.mean(resting_pa)) - p.atmospheric_pressure_pa
 
+    def show_output(self, true: Array) -> Array:
+        """Return a simulated output as the record's column shows it."""
+        return true
+
+    def without_filter(self) -> Drive:
+        """Return the drive as its sensor showed it: a column may have been filtered since."""
+        return self
+
     def residual(self, settings: PlantSettings) -> Array:
         """Return measurement minus simulation, in deviations of the sensor, shape (samples,)."""
         return self.residual_of(self.simulate(settings))
 
     def residual_of(self, simulated: Array) -> Array:
         """Return measurement minus a simulated output, in deviations of the sensor."""
-        most = RUNAWAY * self.deviation
-        error = np.nan_to_num(self.measured - simulated, nan=most).clip(-most, most)
+        error, most = self.measured - simulated, RUNAWAY * self.deviation
+        largest = float(np.max(np.abs(error)))
+        if not largest <= most:  # not a number, too
+            error = np.nan_to_num(error, nan=most).clip(-most, most)
         # A model that runs away does so in a straight line: that is no error of a start.
-        if not self.has_known_start and np.max(np.abs(error)) < most:
+        if not self.has_known_start and largest < most:
             error = self._start_modes.project_out(error)
         if self.rows is not None:
             error = error[self.rows]
@@ -271,14 +346,15 @@ class Drive:
         """Return a random generator that is fixed by this record and the key."""
         return np.random.default_rng([crc32(self.measured.tobytes()), *key])
 
-    def draw_disturbance(self, noise: Noise, replica: int, stream: int = 0) -> Array:
+    def draw_disturbance(self, signal: Array, noise: Noise, replica: int, stream: int = 0) -> Array:
         """Draw noise of a driving signal, smoothed like the signal itself, shape (n,).
 
-        The draws are kept: the floors of all models use the same noise.
+        A coarse converter's error goes slowly where the signal does: it is that of the signal. The
+        draws are kept: the floors of all models use the same noise.
         """
         if (replica, stream) not in self._disturbances:
             random = self.random_generator(replica, stream)
-            drawn = noise.simulate_sensor(np.zeros(len(self.driven)), random, self.driven)
+            drawn = noise.simulate_sensor(signal, random) - signal
             smooth = smooth_signal(drawn, self.step_s, self.cutoff_hz)
             self._disturbances[replica, stream] = smooth
         return self._disturbances[replica, stream]
@@ -509,3 +585,24 @@ def stack_residuals(drives: Sequence[Drive], settings: PlantSettings) -> Array:
     """Return the residuals of several drives, one after the other."""
     p = plant_parameters(settings)
     return np.concatenate([drive.residual_of(drive.simulate_with(p)) for drive in drives])
+
+
+def move_residuals(
+    drives: Sequence[Drive], settings: PlantSettings, moved: Sequence[PlantSettings]
+) -> Array:
+    """Return by how much the stacked residuals change to other plants, shape (samples, plants).
+
+    Only the blocks that depend on the changed numbers are simulated.
+    """
+    here, others = plant_parameters(settings), [plant_parameters(m) for m in moved]
+    change: Array = np.zeros((len(others), sum(drive.samples for drive in drives)))
+    first = 0
+    for drive in drives:
+        rows, own = slice(first, first + drive.samples), drive.select_numbers(here)
+        first = rows.stop
+        reached = [i for i, p in enumerate(others) if drive.select_numbers(p) != own]
+        if reached:
+            before = drive.residual_of(drive.simulate_with(here))
+        for i in reached:
+            change[i, rows] = drive.residual_of(drive.simulate_with(others[i])) - before
+    return change.T

@@ -29,6 +29,7 @@ from pamctl.diagnose.judging.judges import (
     judge_mechanism,
     judge_muscle,
 )
+from pamctl.diagnose.measured.noise.filtering import find_filtering
 from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_channel_noise
 from pamctl.diagnose.measured.reach import Reach, measure_reach
 from pamctl.diagnose.measured.record import CHANNELS, Array, Record
@@ -63,6 +64,9 @@ class Evidence:
 
     reach: Reach | None = None
     """How far a direct mechanism's records reach; None for a muscle."""
+
+    filtered: frozenset[str] = frozenset()
+    """Channels that look as if somebody had filtered them."""
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -125,7 +129,9 @@ def prepare_evidence(
     if nominal.actuator == "direct" and "position_m" in noises:
         position = noises["position_m"]
         reach = measure_reach(records, nominal, position.deviation, position.resolution)
-    evidence = Evidence(nominal, {}, {}, noises, repeated=find_repeats(different), reach=reach)
+    filtered = frozenset(c for c in noises if find_filtering(records, c) is not None)
+    repeated = find_repeats(different)
+    evidence = Evidence(nominal, {}, {}, noises, repeated=repeated, reach=reach, filtered=filtered)
     preparers: dict[str, Callable[[Record], Drive]] = {}
     judge: dict[str, Judge] = {}
     if nominal.actuator == "direct":
@@ -179,7 +185,8 @@ def with_modelled_pressure(
     cutoff_hz = MODELLED_HZ if trusted else SMOOTH_HZ
 
     def prepare_drive(record: Record, pressure: Drive) -> Drive:
-        modelled_pa = _hold_rest_pressure(pressure.simulate(pressure_model), record.rest_samples)
+        true_pa = pressure.without_filter().simulate(pressure_model)
+        modelled_pa = _hold_rest_pressure(true_pa, record.rest_samples)
         drive = prepare_mechanics_drive(
             record, evidence.noises, modelled_pa, cutoff_hz, evidence.judge[MECHANICS]
         )

@@ -10,21 +10,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import detrend
 
+from pamctl.bounded_memory import BoundedMemory
 from pamctl.diagnose.fitting.block_fit import Fit, rms, sensitivity
 from pamctl.diagnose.fitting.drives import Drive
 from pamctl.diagnose.fitting.repeatability import RepeatSpread
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import Array
-from pamctl.plant.model import PlantSettings
+from pamctl.plant.model import PlantSettings, plant_parameters
 
 REPLICAS = 12
 LIMIT_SIGMAS = 3.0
 """Limit above the mean, in scatters. A short record holds few slow waves, and all may be high; what
 a named effect leaves must not count as unexplained for that."""
+DEAF = 0.03
+"""Where the noise of the inputs moves the output by less, in noises of the output, it is left out:
+the floor is then too low by less than half of this squared, 0.05 %."""
 PRESSED = 2
 """Stream of the draws for a piston's pressure; 0 is the driving signal's, 1 the output's."""
 QUIET = 0.2
@@ -105,8 +110,8 @@ def estimate_floor(
 
     Repeats show it: no model can explain what differs between them. Without repeats, it is what the
     recalibrated model leaves in its quietest stretches, without their trends: noise is in all of
-    them, and what the model lacks is not. `residual` is that model's on `drives`. The result bounds
-    the floor from above.
+    them, and what the model lacks is not. `residual` is that model's on `drives`. It is not below
+    the simulated one, which the noise of the block's input alone may set.
     """
     if repeated.rms:
         limit = float(np.hypot(repeated.rms * (1.0 + 2.0 * repeated.uncertainty), margin))
@@ -115,7 +120,8 @@ def estimate_floor(
     quiet = float(np.quantile(levels, QUIET))
     scatter = float(levels[levels <= np.median(levels)].std())
     limit = float(np.hypot(quiet + LIMIT_SIGMAS * scatter, margin))
-    return simulated.with_level(max(quiet, LEAST_LEVEL), limit, 0.0)
+    level = max(quiet, simulated.mean, LEAST_LEVEL)
+    return simulated.with_level(level, max(limit, simulated.limit), 0.0)
 
 
 def _measure_stretches(residual: Array, drives: Sequence[Drive]) -> Array:
@@ -160,29 +166,30 @@ def simulate_floor(
     deviations of the sensor. The refit is one Gauss-Newton step with the fit's own derivatives:
     noise moves the numbers only a little.
     """
-    replicates = imitate_records(fitted, holdout, noises, replicas=replicas)
-    spread = np.array([rms(imitation.residual) for imitation in replicates])
-    memories = [_estimate_memory(imitation.noise, holdout) for imitation in replicates]
+    imitated = imitate_records(fitted, holdout, noises, replicas=replicas)
+    spread = np.array([rms(residual) for residual in imitated.residuals])
     mean = float(spread.mean())
     scatter = float(spread.std(ddof=1))
     sensor = sensor_noise_of(holdout, noises)
     high = max(float(np.quantile(spread, 0.95)), mean + LIMIT_SIGMAS * scatter)
     high *= 1.0 + 2.0 * sensor.uncertainty
-    limit, memory = float(np.hypot(high, margin)), max(float(np.mean(memories)), 1.0)
-    shifts = np.array([imitation.shift for imitation in replicates])
-    return Floor(mean, scatter, limit, shifts, spread, memory)
+    limit = float(np.hypot(high, margin))
+    return Floor(mean, scatter, limit, imitated.shifts, spread, imitated.memory)
 
 
-@dataclass(frozen=True)
-class Imitation:
-    """One replica of the records: the residual and the shift that noise alone causes."""
+class Imitations(NamedTuple):
+    """Replicas of the records: the residuals and the shifts that noise alone causes."""
 
-    residual: Array
-    """On the held-out drives, after the refit."""
-    shift: Array
-    """Shift of the fitted numbers, in their scales, shape (p,)."""
-    noise: Array
-    """The residual before the refit."""
+    residuals: Array
+    """On the held-out drives, after the refit, shape (replicas, samples)."""
+    shifts: Array
+    """Shifts of the fitted numbers, in their scales, shape (replicas, p)."""
+    memory: float
+    """Number of samples of noise that are worth one independent sample, at least 1."""
+
+
+_IMITATED: BoundedMemory[Imitations] = BoundedMemory(100_000_000)
+"""Floors, regimes and the colour of residuals rest on the same replicas."""
 
 
 def imitate_records(
@@ -191,26 +198,33 @@ def imitate_records(
     noises: dict[str, Noise],
     *,
     replicas: int = REPLICAS,
-) -> list[Imitation]:
+) -> Imitations:
     """Simulate records of the fitted plant with new noise, and refit; the noise is reproducible."""
-    replicates = []
-    ideal_train = [d.simulate(fitted.settings) for d in fitted.drives]
-    ideal_hold = [d.simulate(fitted.settings) for d in holdout]
-    hold_slope = sensitivity(
-        holdout,
-        fitted.settings,
-        fitted.free,
-        np.concatenate(
-            [d.residual_of(ideal) for d, ideal in zip(holdout, ideal_hold, strict=True)]
-        ),
+    made_from = (fitted, noises, *holdout)
+    return _IMITATED.recall(
+        (replicas, *map(id, made_from)),
+        made_from,
+        lambda: _imitate_anew(fitted, holdout, noises, replicas),
     )
-    inverse = np.linalg.pinv(fitted.jacobian) if fitted.free else np.zeros((0, 1))
+
+
+def _imitate_anew(
+    fitted: Fit, holdout: Sequence[Drive], noises: dict[str, Noise], replicas: int
+) -> Imitations:
+    settings = fitted.settings
+    train = [_Imitator(drive, settings, noises) for drive in fitted.drives]
+    held = [_Imitator(drive, settings, noises) for drive in holdout]
+    slope = sensitivity(holdout, settings, fitted.free)
+    residuals, shifts, memories = [], [], []
     for replica in range(replicas):
-        train = _simulate_replica(fitted.drives, ideal_train, fitted.settings, noises, replica)
-        hold = _simulate_replica(holdout, ideal_hold, fitted.settings, noises, replica)
-        shift = -(inverse @ train) if fitted.free else np.zeros(0)
-        replicates.append(Imitation(hold + hold_slope @ shift, shift, hold))
-    return replicates
+        noise = np.concatenate([i.draw_residual(replica) for i in held])
+        shift = np.zeros(0)
+        if fitted.free:
+            shift = -fitted.solve(np.concatenate([i.draw_residual(replica) for i in train]))
+        residuals.append(noise + slope @ shift)
+        shifts.append(shift)
+        memories.append(_estimate_memory(noise, holdout))
+    return Imitations(np.array(residuals), np.array(shifts), max(float(np.mean(memories)), 1.0))
 
 
 def sensor_noise_of(drives: Sequence[Drive], noises: dict[str, Noise]) -> Noise:
@@ -225,40 +239,41 @@ def _estimate_memory(residual: Array, drives: Sequence[Drive]) -> float:
     return float(np.mean(whole.mean(axis=1) ** 2) * length / np.mean(whole**2))
 
 
-def _simulate_replica(
-    drives: Sequence[Drive],
-    ideals: Sequence[Array],
-    settings: PlantSettings,
-    noises: dict[str, Noise],
-    replica: int,
-) -> Array:
-    """Return the residuals that noise alone leaves."""
-    return np.concatenate(
-        [
-            _add_noise(drive, ideal, settings, noises, replica).residual(settings)
-            for drive, ideal in zip(drives, ideals, strict=True)
-        ]
-    )
+class _Imitator:
+    """One drive of a fitted plant, again and again with new noise."""
 
+    def __init__(self, drive: Drive, settings: PlantSettings, noises: dict[str, Noise]) -> None:
+        self.drive, self.noises = drive, noises
+        self.p = plant_parameters(settings)
+        self.ideal = drive.simulate_with(self.p)
+        """Output without noise, shape (n,)."""
+        self._is_deaf: bool | None = None
+        inner, outer = "position_m", drive.channel
+        if outer == "position_m":
+            inner = "force_n" if settings.actuator == "direct" else "pressure_pa"
+        self._inner, self._outer = inner, outer
 
-def _add_noise(
-    drive: Drive,
-    ideal: Array,
-    settings: PlantSettings,
-    noises: dict[str, Noise],
-    replica: int,
-) -> Drive:
-    """Return the drive with new noise on its input and on its ideal output."""
-    inner, outer = "position_m", drive.channel
-    if outer == "position_m":
-        inner = "force_n" if settings.actuator == "direct" else "pressure_pa"
-    driven = drive.driven
-    if inner in noises:
-        driven = driven + drive.draw_disturbance(noises[inner], replica)
-    pressed_pa = drive.pressed_pa
-    if pressed_pa is not None and "pressure_pa" in noises:
-        pressed_pa = pressed_pa + drive.draw_disturbance(noises["pressure_pa"], replica, PRESSED)
-    measured = noises[outer].simulate_sensor(ideal, drive.random_generator(replica, 1))
-    noisy = replace(drive, driven=driven, measured=measured, pressed_pa=pressed_pa)
-    noisy.__dict__["grid"] = drive.grid  # the steps are the same
-    return noisy
+    def draw_residual(self, replica: int) -> Array:
+        """Return the residual that noise on the inputs and on the output leaves."""
+        random = self.drive.random_generator(replica, 1)
+        measured = self.noises[self._outer].simulate_sensor(self.ideal, random)
+        noisy = replace(self._disturb_inputs(replica), measured=measured)
+        if self._is_deaf:
+            return noisy.residual_of(self.ideal)
+        simulated = noisy.simulate_with(self.p)
+        if self._is_deaf is None:
+            answer = rms(np.nan_to_num(simulated - self.ideal))
+            self._is_deaf = answer < DEAF * rms(measured - self.ideal)
+        return noisy.residual_of(simulated)
+
+    def _disturb_inputs(self, replica: int) -> Drive:
+        drive = self.drive
+        if self._is_deaf:
+            return drive
+        driven, pressed_pa = drive.driven, drive.pressed_pa
+        if self._inner in self.noises:
+            driven = driven + drive.draw_disturbance(driven, self.noises[self._inner], replica)
+        if pressed_pa is not None and "pressure_pa" in self.noises:
+            noise = self.noises["pressure_pa"]
+            pressed_pa = pressed_pa + drive.draw_disturbance(pressed_pa, noise, replica, PRESSED)
+        return replace(drive, driven=driven, pressed_pa=pressed_pa, is_remembered=False)

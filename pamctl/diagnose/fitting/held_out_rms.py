@@ -27,13 +27,19 @@ class HeldOutErrors:
     """By channel, one array a record."""
     blocks: Mapping[str, str]
     """The block of each channel."""
+    is_shown: bool = False
+    """Simulated as the record's columns show it, not as it is: they may be scaled or late."""
 
     def select(self, part: Evidence) -> dict[str, Array]:
         """Return the errors at the samples that `part` holds out, by channel, in SI."""
         errors = {}
         for channel, runs in self.simulated.items():
             drives = part.holdout[self.blocks[channel]]
-            parts = [_error_of(d, run) for d, run in zip(drives, runs, strict=True)]
+            shown = (
+                run if self.is_shown else d.show_output(run)
+                for d, run in zip(drives, runs, strict=True)
+            )
+            parts = [_error_of(d, run) for d, run in zip(drives, shown, strict=True)]
             errors[channel] = np.concatenate(parts)
         return errors
 
@@ -52,7 +58,8 @@ def simulate_held_out(evidence: Evidence, plant: PlantSettings) -> HeldOutErrors
         (block,) = evidence.blocks
         drives = evidence.holdout[block]
         channel = drives[0].channel
-        return HeldOutErrors({channel: tuple(d.simulate(plant) for d in drives)}, {channel: block})
+        simulated = {channel: tuple(d.simulate(plant) for d in drives)}
+        return HeldOutErrors(simulated, {channel: block}, is_shown=True)
     p = plant_parameters(plant)
     driven = [drive_coupled(p, drive.valve_v, drive.grid) for drive in evidence.holdout[PRESSURE]]
     return HeldOutErrors(

@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
-from pamctl.diagnose.fitting.block_fit import FULL, QUICK, Effort, Fit, fit_numbers
+import numpy as np
+
+from pamctl.diagnose.fitting.block_fit import FULL, QUICK, Effort, Fit, fit_numbers, rms
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, has_constant_volume
 from pamctl.diagnose.fitting.evidence import Evidence
@@ -22,7 +24,8 @@ from pamctl.diagnose.fitting.numbers import (
     sensor_zero,
     with_values,
 )
-from pamctl.plant.catalogue import CATALOGUE
+from pamctl.diagnose.measured.record import Array
+from pamctl.plant.catalogue import WITH_TERMS
 from pamctl.plant.model import PlantSettings
 
 FOREIGN_ZERO_PA = 5e3
@@ -143,19 +146,36 @@ def fit_model(
         drives = evidence.training_drives(blocks)
         free = list_free_numbers(blocks, effects, evidence)
         settings = _start_from_base(base, blocks, effects)
-        tried = [
-            fit_numbers(drives, _move_to_start(settings, free, effects, s), free, effort)
-            for s in starts
-        ]
+        tried: list[Fit] = []
+        for start in starts:
+            begin = _move_to_start(settings, free, effects, start)
+            tried.append(fit_numbers(drives, begin, free, effort))
+            if base.fits and reaches_limits(tried[-1], base):
+                break  # another start cannot leave less than noise
         fits[blocks] = min(tried, key=lambda f: f.mean_square)
     root = base.root or (base if base.fits else None)
     return Model(evidence, tuple(effects), fits, joint, root, is_final=effort is FULL)
 
 
+def reaches_limits(fitted: Fit, base: Model) -> bool:
+    """Tell whether a fit leaves no more of any block than the floor's limit of the root model."""
+    root, first = base.root or base, 0
+    squares: dict[str, list[Array]] = {}
+    for drive in fitted.drives:
+        part = fitted.residual[first : first + drive.samples] * drive.deviation
+        squares.setdefault(drive.block, []).append(part)
+        first += drive.samples
+    return all(
+        rms(np.concatenate(parts))
+        <= root.floors[block].limit * root.evidence.train[block][0].deviation
+        for block, parts in squares.items()
+    )
+
+
 def _has_shared_effect(evidence: Evidence) -> bool:
     """Tell whether the start model has an effect that both blocks must agree on."""
     return any(
-        len({*CATALOGUE[name].seen_by} & {*evidence.blocks}) > 1
+        len({*WITH_TERMS[name].seen_by} & {*evidence.blocks}) > 1
         for name in active_effects(evidence.nominal)
     )
 
@@ -163,8 +183,11 @@ def _has_shared_effect(evidence: Evidence) -> bool:
 def _start_from_base(
     base: Model, blocks: frozenset[str], effects: Sequence[Candidate]
 ) -> PlantSettings:
-    """Return the base model's numbers, without the effects that were taken out."""
-    kept = {c.name for c in effects}
+    """Return the base model's numbers, without the effects and the forms that were taken out.
+
+    A number that the new form of an effect does not fit is not carried over: nobody would see it.
+    """
+    moved = {f.name for c in effects for f in c.free}
     values = {name: value for c in effects if c.blocks & blocks for name, value in c.held}
     for block in sorted(blocks, reverse=True):  # the mechanics decide the geometry
         if base.fits:
@@ -172,7 +195,7 @@ def _start_from_base(
             values |= {
                 f.name: fitted.values[f.name]
                 for f in fitted.free
-                if f.effect is None or f.effect in kept
+                if f.effect is None or f.name in moved
             }
     return with_values(base.evidence.nominal, values)
 

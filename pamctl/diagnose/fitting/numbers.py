@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 from pamctl.diagnose.measured.reach import Reach, reach_of_muscle
-from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.catalogue import CATALOGUE, WITH_TERMS
 from pamctl.plant.effects.description import EffectParameter
 from pamctl.plant.flat import NEUTRAL, PAPER
 from pamctl.plant.model import AXIS, PlantSettings, settings_of, values_of
@@ -18,6 +18,7 @@ from pamctl.plant.muscle_parameters import (
     LONGEST_M,
     MuscleParameters,
 )
+from pamctl.plant.terms.locations import TERMS
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,8 @@ guesses (gain, damping, stiffness, mass) may be three times off, and is then ins
 """
 _STEPS = {"braid_length_m": 2e-4, "rest_length_m": 2e-4}
 """Share of a number that is a small but visible step; for all others a hundredth."""
+_TERM_FACTOR = 5.0
+"""A term of the plant file may have another size, of either sign, up to this multiple."""
 _AXIS_FACTOR = 30.0
 """Limits of mass, damping, stiffness and area of a direct mechanism: the value times or over it."""
 
@@ -275,7 +278,7 @@ def active_effects(nominal: PlantSettings) -> tuple[str, ...]:
     homed = {SENSOR_ZERO.split(".")[0]} if abs(zero_pa) <= ZERO_PA else set()
     if nominal.actuator == "direct" and LOAD not in nominal.known:
         homed.add(LOAD.split(".")[0])
-    return tuple(n for n in nominal.effects.model_dump(exclude_none=True) if n not in homed)
+    return tuple(n for n in nominal.acting if n not in homed)
 
 
 def numbers_of_start(
@@ -291,9 +294,11 @@ def numbers_of_start(
     return tuple(
         free
         for name in active_effects(nominal)
-        if not CATALOGUE[name].unidentifiable and {*CATALOGUE[name].seen_by} & {*blocks}
-        for p in CATALOGUE[name].parameters
-        if not p.choices and f"{name}.{p.name}" not in fixed
+        if not WITH_TERMS[name].unidentifiable and {*WITH_TERMS[name].seen_by} & {*blocks}
+        for p in WITH_TERMS[name].parameters
+        if not p.choices
+        and f"{name}.{p.name}" not in fixed
+        and (p.name == "size" or name not in TERMS)  # the shape of a term is that of its plant file
         for free in (_number_of_start(name, p, nominal, reach),)
         if free.low < value_of(nominal, free.name) < free.high
         and (p.role == "shape" or value_of(nominal, free.name) != p.neutral)
@@ -325,6 +330,9 @@ def _number_of_start(
     name = f"{effect}.{parameter.name}"
     low, high, scale, _ = _range_on(parameter, nominal, reach)
     value = value_of(nominal, name)
+    if effect in TERMS:
+        most = _TERM_FACTOR * abs(value)
+        return FreeNumber(name, -most, most, 0.01 * abs(value), is_calibrated=True)
     if nominal.actuator == "direct" and parameter.is_scaled and value != 0.0:
         most = _AXIS_FACTOR * abs(value)
         # Where a number may have either sign, the guess may have the wrong one.
@@ -336,7 +344,7 @@ def _number_of_start(
 def look_up_parameter(dotted: str) -> EffectParameter:
     """Return the catalogue's entry of an effect's number, such as `valve_leak.area_m2`."""
     effect, name = dotted.split(".")
-    return next(p for p in CATALOGUE[effect].parameters if p.name == name)
+    return next(p for p in WITH_TERMS[effect].parameters if p.name == name)
 
 
 def unit_of(free: FreeNumber) -> str:

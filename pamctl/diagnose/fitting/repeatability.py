@@ -179,9 +179,9 @@ def measure_repeatability(
     simulated: dict[int, Array] = {}
     for index in {i for r in repeats for i in (r.one, r.other)}:
         drive = replace(drives[index], usable=None, part=None)
-        simulated[index] = drive.simulate(settings)
-        left[index] = drive.residual_of(simulated[index])
-        simulated[index] /= drive.deviation
+        output = drive.simulate(settings)
+        left[index] = drive.residual_of(output)
+        simulated[index] = output / drive.deviation
     differences = np.concatenate([_difference(left, r) for r in repeats])
     # With equal commands, simulated differences come from the rig and are not subtracted.
     simulated_differences = [_difference(simulated, r) for r in repeats if r.demand != "valve_v"]

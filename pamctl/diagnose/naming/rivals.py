@@ -36,6 +36,9 @@ from pamctl.diagnose.naming.stretches import (
 )
 
 MOST_RIVALS = 6
+OFTEN = 0.2
+"""A rival that leaves less in more of the replicas is not refuted by a limit: a limit has an edge.
+"""
 MOST_SERIOUS_RIVALS = 3
 """Rivals that are fitted to the end."""
 
@@ -154,7 +157,8 @@ def _judge_rivals(
             name,
             max(models[name].ratio(b) for b in blocks),
             float(np.mean(margin < 0.0)),
-            float(np.quantile(margin, SURE)) < MUCH and not is_refuted(models[name], chosen),
+            float(np.quantile(margin, SURE)) < MUCH
+            and (float(np.mean(margin < 0.0)) > OFTEN or not is_refuted(models[name], chosen)),
         )
         for name, margin in zip(names, margins, strict=True)
     )

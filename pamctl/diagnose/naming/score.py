@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from pamctl.diagnose.fitting.block_fit import Fit, project_out, secant
+from pamctl.diagnose.fitting.block_fit import Fit, find_secants, project_out
 from pamctl.diagnose.fitting.candidates import Candidate, generate_doses
 from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.measured.record import Array
@@ -71,7 +71,7 @@ def _score_candidate(
 ) -> Score:
     best = Score(candidate, 0.0, {})
     for doses in generate_doses(candidate, fitted.settings):
-        secants = np.column_stack([secant(fitted, dose) for dose in doses])
+        secants = find_secants(fitted, doses)
         secants = project_out(basis, secants)
         amounts = _fit_amounts(secants, left, _dose_range(candidate, fitted.settings, doses))
         rest = (left - secants @ amounts)[rows]

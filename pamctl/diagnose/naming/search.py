@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import TypeVar
 
 from pamctl.diagnose.fitting.block_fit import FULL
@@ -46,6 +47,8 @@ WORTH_ANOTHER_FORM = 0.5
 SEVERAL_STARTS = (2, 1)
 """Candidates of a shortlist that are fitted from several starts: as first effects, and as further
 ones."""
+SILENT_S = 5.0
+"""Longest time without a line of progress, if fits end in it."""
 MOST_EFFECTS = 3
 GROWS_FROM = (0.05, 0.5)
 """Sets grow from one effect, and from two, that go this share of a block's way to its limit. Two
@@ -161,7 +164,8 @@ def search_effects(
     levels: list[tuple[Model, ...]] = []
     if all(base.rms[b] < WORTH_ANOTHER_EFFECT * base.floors[b].limit for b in base.evidence.blocks):
         base = fit_jointly(base)  # a disagreement between the blocks hardly shows in either alone
-    fitter = _Fitter(executor, {} if base.is_joint else {frozenset(m.effects): m for m in known})
+    known_by_effects = {} if base.is_joint else {frozenset(m.effects): m for m in known}
+    fitter = _Fitter(executor, known_by_effects, progress)
     beam = [base]
     while len(levels) < MOST_EFFECTS and beam and not any(m.is_complete for m in beam):
         jobs = _shortlist_jobs(
@@ -300,6 +304,7 @@ class _Fitter:
     executor: Executor | None
     known: Mapping[frozenset[Candidate], Model]
     """Models of some of the blocks, by their effects: these are not fitted again."""
+    progress: Progress = lambda line: None
 
     def fit_jobs(self, jobs: _Jobs, beside: Sequence[Model] = ()) -> tuple[Model, ...]:
         """Fit the models, the most promising ones to the end; return the best first.
@@ -309,10 +314,13 @@ class _Fitter:
         found = [m for effects, job in jobs.items() if (m := self._look_up(effects, job))]
         done = {frozenset(m.effects) for m in found}
         rest = [job for effects, job in jobs.items() if effects not in done]
-        grown = sorted((*found, *run_fit_jobs(_fit_job, rest, self.executor)), key=rank)
+        grown = sorted((*found, *self._fit(rest)), key=rank)
         nearest = {id(m) for m in sorted((*grown, *beside), key=rank)[:MOST_FINISHED]}
         ended = (fit_to_end_if_near(m) if id(m) in nearest else m for m in grown)
         return tuple(sorted(map(confirm_complete, ended), key=rank))
+
+    def _fit(self, jobs: Sequence[_Job]) -> list[Model]:
+        return run_fit_jobs(_fit_job, jobs, self.executor, self.progress)
 
     def _look_up(self, effects: frozenset[Candidate], job: _Job) -> Model | None:
         """Return a known model with these effects, with the other blocks as the job's model."""
@@ -357,12 +365,27 @@ def _fit_job(job: _Job) -> Model:
 
 
 def run_fit_jobs(
-    work: Callable[[Job], Result], jobs: Iterable[Job], executor: Executor | None
+    work: Callable[[Job], Result],
+    jobs: Iterable[Job],
+    executor: Executor | None,
+    progress: Progress = lambda line: None,
 ) -> list[Result]:
-    """Run the jobs, in the executor's workers if there is one."""
+    """Run the jobs, in the executor's workers if there is one; say how long they still take."""
+    waiting = [*jobs]
     if executor is None:
-        return [work(job) for job in jobs]
-    return [future.result() for future in [executor.submit(work, job) for job in jobs]]
+        results = (work(job) for job in waiting)
+    else:
+        results = (f.result() for f in [executor.submit(work, job) for job in waiting])
+    done: list[Result] = []
+    began_s = said_s = perf_counter()
+    for result in results:
+        done.append(result)
+        now_s = perf_counter()
+        if now_s - said_s > SILENT_S and len(done) < len(waiting):
+            left_s = (now_s - began_s) / len(done) * (len(waiting) - len(done))
+            progress(f"{len(done)} of {len(waiting)} sets fitted, about {left_s:.0f} s left")
+            said_s = now_s
+    return done
 
 
 def _describe_level(level: Sequence[Model]) -> str:

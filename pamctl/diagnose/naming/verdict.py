@@ -34,6 +34,7 @@ class Verdict(StrEnum):
     NO_DISCREPANCY = "no_discrepancy"
     MISCALIBRATED = "miscalibrated"
     NAMED = "named"
+    DESCRIBED = "described"
     AMBIGUOUS = "ambiguous"
     PARTIAL = "partial"
     NONE_KNOWN = "none_known"

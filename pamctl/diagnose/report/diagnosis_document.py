@@ -14,6 +14,7 @@ from pamctl.diagnose.report.next_experiment import (
     list_blind_spots,
 )
 from pamctl.diagnose.report.phrases import list_equal_sets, numbers_of
+from pamctl.diagnose.report.term_phrases import list_lead_entries, list_term_entries
 from pamctl.diagnose.report.verdict_words import sentence
 from pamctl.diagnose.setup.symmetries import list_equal_numbers
 from pamctl.plant.catalogue import CATALOGUE
@@ -31,6 +32,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
             "sentence": sentence(diagnosis),
             "setup": [finding.as_dict() for finding in diagnosis.setup],
             "effects": [],
+            "terms": [],
             "ambiguous": [],
             "recalibrated": {},
             "blind_spots": [],
@@ -52,6 +54,8 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
             if {*names} & {n.name for n in diagnosis.recalibrated}
         ],
         "effects": [_effect_entry(diagnosis, s) for s in diagnosis.standings],
+        "terms": list_term_entries(diagnosis),
+        "leads": list_lead_entries(diagnosis),
         "ambiguous": list_equal_sets(diagnosis),
         "recalibrated": {n.name: n.as_dict() for n in diagnosis.recalibrated},
         "blind_spots": list_blind_spots(diagnosis),

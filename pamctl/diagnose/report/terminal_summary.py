@@ -16,6 +16,7 @@ from pamctl.diagnose.report.phrases import (
     mark_bound,
 )
 from pamctl.diagnose.report.setup_part import list_setup_rows
+from pamctl.diagnose.report.term_phrases import describe_questions
 from pamctl.diagnose.report.verdict_words import sentence
 
 
@@ -40,6 +41,7 @@ def _list_parts(diagnosis: Diagnosis) -> Iterator[str]:
     yield describe_substeps(diagnosis.substep_changes)
     if diagnosis.remainder is not None:
         yield describe_remainder(diagnosis.remainder, diagnosis.nominal.actuator)
+    yield describe_questions(diagnosis)
     if diagnosis.correction is not None:
         yield describe_correction(diagnosis.correction)
     for accepted in diagnosis.accepted:

@@ -24,6 +24,12 @@ from pamctl.diagnose.report.phrases import (
 )
 from pamctl.diagnose.report.rig_at_hand import runs_here, words_of_rig
 from pamctl.diagnose.report.setup_part import describe_setup
+from pamctl.diagnose.report.term_phrases import (
+    describe_equals,
+    describe_kin,
+    describe_leads,
+    find_term,
+)
 
 _RECORD = "pamctl run --experiment diagnosis --set experiment.seed=3 --log next.mcap"
 
@@ -170,10 +176,42 @@ def _word_partial(diagnosis: Diagnosis) -> VerdictWords:
     )
 
 
+def _word_described(diagnosis: Diagnosis) -> VerdictWords:
+    term = find_term(diagnosis)
+    if term is None:
+        return _word_none_known(diagnosis)
+    closes = describe_closed_shares(diagnosis)
+    names = spell_effects(diagnosis)
+    beside = f" Beside it, the catalogue explains a part: {names}." if names else ""
+    left = (
+        ""
+        if diagnosis.model and diagnosis.model.is_complete
+        else (f" {describe_largest_remainder(diagnosis)}")
+    )
+    equals = describe_equals(term)
+    numbers = ", ".join(
+        f"{n.name.split('.')[1]} {n.value:.4g} (90 %: {n.low:.4g} to {n.high:.4g})"
+        for n in term.numbers
+    )
+    return VerdictWords(
+        f"Missing from the model, and in no catalogue: {term.text}{describe_kin(term)}",
+        f"It {closes}.{equals}{beside}{left}",
+        f"No effect of the catalogue explains what is left. {term.text[:1].upper()}"
+        f"{term.text[1:]} does: it {closes}, also on records that did not choose it. Its equation: "
+        f"{term.equation}; {numbers}.{equals}{beside}{left} This says where and how something "
+        "acts. What it is, the rig must show.",
+        (
+            "Look at the rig at that place. plant.yaml has the term, under `terms:`: it predicts "
+            "what was measured, and `pamctl run`, `tune`, `compare` and a next `diagnose` take it.",
+        ),
+        "good",
+    )
+
+
 def _word_none_known(diagnosis: Diagnosis) -> VerdictWords:
     if diagnosis.signs:
         return _word_signs(diagnosis)
-    left = describe_largest_remainder(diagnosis)
+    left = f"{describe_largest_remainder(diagnosis)} {describe_leads(diagnosis)}".rstrip()
     advice = [
         f"Look where the maps below are bright, and at the rig: {words_of_rig(diagnosis).suspects}."
         " plant.yaml has the recalibrated numbers, and no effect."
@@ -219,6 +257,7 @@ _WORDS: Mapping[Verdict, Callable[[Diagnosis], VerdictWords]] = {
     Verdict.NO_DISCREPANCY: _word_no_discrepancy,
     Verdict.MISCALIBRATED: _word_miscalibrated,
     Verdict.NAMED: _word_named,
+    Verdict.DESCRIBED: _word_described,
     Verdict.AMBIGUOUS: _word_ambiguous,
     Verdict.PARTIAL: _word_partial,
     Verdict.NONE_KNOWN: _word_none_known,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.diagnose.fitting.drives import MECHANICS, Drive
+from pamctl.diagnose.fitting.drives import MECHANICS, Drive, smooth_signal
 from pamctl.diagnose.measured.record import Array
 from pamctl.plant.drive import Restarts
 from pamctl.plant.parameters import PaperParameters, PlantParameters
@@ -54,6 +54,8 @@ class AlteredDrive(Drive):
     """How much later it becomes in each second."""
     gain: float = 1.0
     """Ratio of shown to true output."""
+    filtered_hz: float = 0.0
+    """Above 0: the column was filtered forwards and backwards, with this cutoff."""
     reads_gauge: bool = False
     """The pressure sensor measures against the true atmosphere; the plant file's was added."""
 
@@ -63,10 +65,21 @@ class AlteredDrive(Drive):
             simulated = self._simulate_pieces(p)
         else:
             simulated = self._simulate_constant(p, 0.0)
+        return self.show_output(simulated)
+
+    def show_output(self, true: Array) -> Array:
+        """Return a simulated output as the record's column shows it: late, filtered and scaled."""
+        shown = true
         if self.late_s or self.late_per_s:
             t_s = self._times_s
-            simulated = np.interp(t_s - self.late_s - self.late_per_s * t_s, t_s, simulated)
-        return simulated if self.gain == 1.0 else self.gain * simulated
+            shown = np.interp(t_s - self.late_s - self.late_per_s * t_s, t_s, shown)
+        if self.filtered_hz:
+            shown = smooth_signal(shown, self.step_s, self.filtered_hz)
+        return shown if self.gain == 1.0 else self.gain * shown
+
+    def without_filter(self) -> Drive:
+        """Return the drive as its sensor showed it."""
+        return replace(self, filtered_hz=0.0) if self.filtered_hz else self
 
     @cached_property
     def _restarts(self) -> Restarts:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import pi
+
 from pamctl.diagnose.fitting.numbers import AREA
 from pamctl.diagnose.setup.suspects import ATMOSPHERE, CONSTANTS, Suspect
 
@@ -39,6 +41,9 @@ def describe(suspect: Suspect, value: float, said: float | None) -> str:
         return f"{column} is logged {1e3 * abs(value):.2f} ms too {word} against the others"
     if suspect.kind == "clock_rate":
         return f"{column} runs away from the others by {1e6 * value:+.0f} us in each second"
+    if suspect.kind == "filtered":
+        hz = 1.0 / (2.0 * pi * value)
+        return f"{column} was filtered forwards and backwards, near {hz:.3g} Hz"
     if suspect.kind == "sign":
         return f"{column} has the wrong sign"
     if suspect.kind == "gauge":
@@ -77,8 +82,8 @@ def advise_mending(suspect: Suspect, value: float) -> str:
         )
     if suspect.kind == "null_offset":
         return (
-            "run `pamctl calibrate valve`, or add the offset to the driver's null; a record is "
-            f"mended by subtracting {value:.4g} V from valve_v"
+            "run `pamctl calibrate valve --out RIG.yaml`, or add the offset to the driver's null; "
+            f"a record is mended by subtracting {value:.4g} V from valve_v"
         )
     if suspect.kind == "skew":
         return (
@@ -87,6 +92,8 @@ def advise_mending(suspect: Suspect, value: float) -> str:
         )
     if suspect.kind == "clock_rate":
         return "log all columns with one clock; two clocks never run alike"
+    if suspect.kind == "filtered":
+        return "give the data as they were measured; here the simulation is filtered alike"
     if suspect.kind == "decimated_command":
         return "log the command at every sample"
     if suspect.kind == "gauge":

@@ -13,12 +13,16 @@ from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from pamctl.diagnose.fitting.block_fit import Fit, rms
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
-from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence
+from pamctl.diagnose.fitting.evidence import SMALLEST_MISFIT, Evidence, prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.held_out_rms import simulate_held_out
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.numbers import AREA, value_of, with_values
+from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_from_residual
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.setup.decimation import fit_decimation
 from pamctl.diagnose.setup.finding_words import advise_mending, describe
@@ -47,9 +51,12 @@ NEAR_PROMISE = 0.7
 """Once a suspect reaches the floor, another must promise this share of what that one promised."""
 LEAST_CLOSED = 0.8
 """Share of the way to the floor that a suspect must go in a block."""
+WORSE = 1.1
+"""A coupled signal is worse if its RMS grows by more than this factor."""
 MUCH = 0.05
 """Logs of mean squares that differ by less count as equal."""
-GEOMETRY = ("rest_length_m", "braid_length_m")
+GEOMETRY = ("rest_length_m", "braid_length_m", "scale of position_m")
+"""Suspects by label that say one thing: lengths of the plant and of the record do not agree."""
 
 HOPELESS = 5.0
 """A suspect that leaves so many times the square that an effect promises to leave is not fitted."""
@@ -118,10 +125,13 @@ def suspect_setup(
         said.add(fitted.suspect.key)
         corrected = not rivals
         finding = _word_finding(fitted, rivals, corrected=corrected)
-        progress(f"set-up: {finding.text}")
         if corrected:
-            setup = _correct(setup, fitted)
-        else:
+            changed = _correct(setup, fitted)
+            if not fitted.suspect.is_timed and _spoils_coupled(setup.base, changed.base):
+                break
+            setup = changed
+        progress(f"set-up: {finding.text}")
+        if not corrected:
             setup = replace(setup, open_fits=(*setup.open_fits, fitted))
         setup = replace(setup, findings=(*setup.findings, finding))
     return setup
@@ -209,7 +219,7 @@ def _fit_promising(base: Model, effects: EffectRivals) -> list[SuspectFit]:
         fits += [
             fit_suspect(base, s, _score(base, s).start)
             for s in asked
-            if s.number in GEOMETRY and s.key not in known
+            if s.label in GEOMETRY and s.key not in known
         ]
     return [*fits, *wholesale]
 
@@ -232,6 +242,8 @@ def _fit_most_promising(
     for promise in sorted((_score(base, s) for s in asked), key=lambda p: -p.explained):
         blocks = promise.suspect.blocks
         enough = max(PROMISING, min(least[b] for b in blocks if b in least))
+        if promise.suspect.kind == "filtered":  # its spectrum has shown it
+            enough = MUCH
         better = max((f.promised for f in fits if f.is_good), default=0.0)
         if promise.explained > max(enough, NEAR_PROMISE * better) and counts[blocks] < MOST_FITTED:
             counts[blocks] += 1
@@ -292,7 +304,8 @@ def _is_worth_saying(fitted: SuspectFit) -> bool:
         return False
     best = max(blocks, key=fitted.closed)
     low, _ = held_out_margins(fitted.residuals, base.residuals, base, [best])
-    return low > MUCH and (fitted.is_explained(best) or fitted.closed(best) >= LEAST_CLOSED)
+    least = 0.0 if fitted.suspect.kind == "filtered" else MUCH  # its spectrum has shown it
+    return low > least and (fitted.is_explained(best) or fitted.closed(best) >= LEAST_CLOSED)
 
 
 def _word_finding(fitted: SuspectFit, effects: tuple[str, ...], *, corrected: bool) -> SetupFinding:
@@ -342,12 +355,42 @@ def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:
             balance=tuple(map(fitted.apply, evidence.balance)),
             together={},
         )
+        if suspect.kind == "filtered" and fitted.is_good:
+            changed = replace(changed, noises=_read_filtered_noise(fitted))
     return replace(
         setup,
         base=weigh_blocks(recalibrate(changed)),
         train=train,
         holdout=holdout,
     )
+
+
+def _read_filtered_noise(fitted: SuspectFit) -> dict[str, Noise]:
+    """Return the noises; a filtered channel's is what is left, where nothing else shows it."""
+    evidence, column = fitted.base.evidence, fitted.suspect.number
+    known = evidence.noises[column]
+    if known.is_known:
+        return evidence.noises
+    (block,) = fitted.suspect.blocks
+    drives = evidence.holdout[block]
+    left = fitted.residuals[block] * drives[0].deviation
+    pieces = np.split(left, np.cumsum([d.samples for d in drives])[:-1])
+    return {**evidence.noises, column: estimate_from_residual(pieces, known)}
+
+
+def _spoils_coupled(before: Model, after: Model) -> bool:
+    """Tell whether a correction makes every coupled signal worse.
+
+    A block alone may take a wrong neighbour for its cause. Driven by the command alone, the whole
+    rig shows that nothing has become better.
+    """
+    old, new = map(_measure_coupled, (before, after))
+    return all(new[c] > WORSE * old[c] + SMALLEST_MISFIT[c] for c in old)
+
+
+def _measure_coupled(model: Model) -> dict[str, float]:
+    plant = with_values(model.evidence.nominal, model.values)
+    return simulate_held_out(model.evidence, plant).measure_rms(model.evidence)
 
 
 def _keep_parts(drives: _Drives, before: _Drives) -> dict[str, tuple[Drive, ...]]:

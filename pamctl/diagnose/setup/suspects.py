@@ -7,7 +7,7 @@ list is made for the plant and the blocks at hand: a suspect that changes nothin
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -34,6 +34,7 @@ Kind = Literal[
     "decimated_command",
     "scale",
     "gauge",
+    "filtered",
     "drift",
     "change_at_instant",
 ]
@@ -61,8 +62,6 @@ class Suspect:
     """A step of this size is small but visible."""
     blocks: frozenset[str]
     variant: str = ""
-    same_as: frozenset[str] = field(default=frozenset())
-    """Effects of the catalogue that say the same with other words."""
     always_equal: tuple[str, ...] = ()
     """Labels of other suspects that the equations make equal to this one."""
     record: str = ""
@@ -81,6 +80,7 @@ class Suspect:
     def label(self) -> str:
         """Name it for a list of what cannot be told apart."""
         kinds = {"plant_constant": "", "skew": "skew of ", "clock_rate": "clock of ",
+                 "filtered": "filter of ",
                  "drift": "drift of ", "change_at_instant": "change of ", "scale": "scale of ",
                  "null_offset": "null offset of ", "sign": "sign of "}  # fmt: skip
         variant = f" ({self.variant} sensor)" if self.number == ATMOSPHERE else ""
@@ -189,6 +189,13 @@ def _scale_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     return replace(drive, **{field_name: getattr(drive, field_name) / gain})
 
 
+def _filter_output(suspect: Suspect, drive: Drive, amount: float) -> Drive:
+    """Filter what the model shows as the column was filtered; an input stays as it is."""
+    if suspect.number != drive.channel:
+        return drive
+    return alter(drive, filtered_hz=1.0 / (2.0 * np.pi * amount))
+
+
 def _restore_command(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     return replace(drive, valve_v=restore_command(drive.valve_v, round(amount)))
 
@@ -236,6 +243,7 @@ _ACTIONS = {
     "sign": _scale_column,
     "decimated_command": _restore_command,
     "gauge": _scale_column,
+    "filtered": _filter_output,
 }
 
 # Turns and temperature are not here: a recalibration imitates them exactly (`symmetries.py`).
@@ -266,7 +274,6 @@ UNITS = {
     ATMOSPHERE: "Pa",
     "chamber_leak.area_m2": "m^2",
 }
-_TWINS = {"rest_length_m": frozenset({"end_cap"}), "mass_kg": frozenset({"moving_mass"})}
 
 
 def list_suspects(evidence: Evidence, at_bound: Collection[str] = ()) -> tuple[Suspect, ...]:
@@ -293,10 +300,7 @@ def _list_constants(nominal: PlantSettings, at_bound: Collection[str]) -> Iterat
         low, high = (-0.15, 0.15) if name.endswith("length_m") else (-0.6, 1.5)
         if name == "mass_kg" or nominal.actuator == "direct":
             low, high = -0.97, 30.0
-        twins = _TWINS.get(name, frozenset()) if nominal.actuator == "muscle" else frozenset()
-        yield Suspect(
-            "plant_constant", name, UNITS[name], low, high, doses, scale, blocks, same_as=twins
-        )
+        yield Suspect("plant_constant", name, UNITS[name], low, high, doses, scale, blocks)
     if nominal.actuator != "direct":
         usual = nominal.parameters.atmospheric_pressure_pa
         low, high = LOWEST_ATMOSPHERE_PA / usual - 1.0, HIGHEST_ATMOSPHERE_PA / usual - 1.0
@@ -318,6 +322,7 @@ def _list_columns(evidence: Evidence) -> Iterator[Suspect]:
     if evidence.nominal.actuator == "direct":
         yield from _list_axis_columns(evidence)
         return
+    yield from _list_filters(evidence)
     both, blocks = frozenset({PRESSURE, MECHANICS}), {*evidence.blocks}
     moves = evidence.nominal.actuator == "muscle"
     period_s = _period_s(evidence)
@@ -331,19 +336,16 @@ def _list_columns(evidence: Evidence) -> Iterator[Suspect]:
             "null_offset", "valve_v", "V", -null, null, doses, 0.02 * null, frozenset({PRESSURE})
         )
         # Where nothing moves, command and pressure are all that there is.
-        delays = frozenset({"command_delay"})
         other = () if moves else ("skew of pressure_pa",)
-        early = _skew("valve_v", frozenset({PRESSURE}), period_s, delays, sign=-1.0)
+        early = _skew("valve_v", frozenset({PRESSURE}), period_s, sign=-1.0)
         yield replace(early, always_equal=other)
         yield _rate("valve_v", frozenset({PRESSURE}))
     if moves and (widest_v or blocks == both):
         yield _skew("pressure_pa", both, period_s)
         yield _rate("pressure_pa", both)
     if blocks == both:
-        yield Suspect(
-            "scale", "position_m", "1", -0.6, 1.5, (0.01, -0.01, 0.05, -0.05), 0.01, both,
-            same_as=frozenset({"encoder_scale"}),
-        )  # fmt: skip
+        doses = (0.01, -0.01, 0.05, -0.05)
+        yield Suspect("scale", "position_m", "1", -0.6, 1.5, doses, 0.01, both)
         yield _skew("position_m", both, period_s)
         yield _rate("position_m", both)
 
@@ -370,6 +372,18 @@ def _list_axis_columns(evidence: Evidence) -> Iterator[Suspect]:
                 yield Suspect("scale", column, "1", -0.97, 30.0, doses, 0.01, own)
 
 
+def _list_filters(evidence: Evidence) -> Iterator[Suspect]:
+    """Yield the channels that look filtered: forwards and backwards, to second order."""
+    for block, drives in evidence.train.items():
+        if drives[0].channel in evidence.filtered:
+            shortest_s = 1.5 * _period_s(evidence) / np.pi
+            doses = tuple(times * shortest_s for times in (2.0, 5.0, 12.0))
+            yield Suspect(
+                "filtered", drives[0].channel, "s", shortest_s, 40.0 * shortest_s, doses,
+                0.2 * shortest_s, frozenset({block}),
+            )  # fmt: skip
+
+
 def _period_s(evidence: Evidence) -> float:
     return float(np.median(next(iter(evidence.train.values()))[0].step_s))
 
@@ -378,14 +392,13 @@ def _skew(
     column: str,
     blocks: frozenset[str],
     period_s: float,
-    twins: frozenset[str] = frozenset(),
     sign: float = 1.0,
 ) -> Suspect:
     """Return the suspect that a column is late: by milliseconds, or by some samples."""
     unit_s = max(period_s, 1e-3)
     doses = tuple(sign * d * unit_s for d in (0.5, -0.5, 2.0, -2.0))
     most_s = 12.0 * unit_s
-    return Suspect("skew", column, "s", -most_s, most_s, doses, 0.2 * unit_s, blocks, same_as=twins)
+    return Suspect("skew", column, "s", -most_s, most_s, doses, 0.2 * unit_s, blocks)
 
 
 def _rate(column: str, blocks: frozenset[str]) -> Suspect:

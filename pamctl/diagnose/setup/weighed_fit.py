@@ -25,7 +25,7 @@ from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.setup.suspects import CONSTANTS, Suspect
 from pamctl.plant.model import PlantSettings
 
-FIRST_EVALUATIONS = 4
+FIRST_EVALUATIONS = 6
 EVALUATIONS = 15
 HOPELESS_SHARE = 0.7
 """A descent that has left more than this share of the base's squares in every fit after its first
@@ -110,13 +110,6 @@ class SuspectFit:
         return float((self.base.rms[block] - rms(self.residuals[block])) / way) if way > 0 else 1.0
 
     @property
-    def twins(self) -> frozenset[str]:
-        """Effects of the catalogue that say the same with other words, with this amount."""
-        late = self.suspect.kind == "skew" and self.amount > 0.0
-        longer = self.suspect.number == "rest_length_m" and self.amount > 0.0
-        return frozenset() if late or longer else self.suspect.same_as
-
-    @property
     def is_at_bound(self) -> bool:
         """Tell whether the amount is at an end of its range."""
         width = self.suspect.high - self.suspect.low
@@ -175,14 +168,14 @@ def fit_suspect(
 ) -> SuspectFit:
     """Fit a suspect's number and the recalibrated numbers together, from a start.
 
-    Where that leaves something, the plant file's own numbers are tried as a start: what the base
+    Where something sticks, the plant file's own numbers are tried as a start as well: what the base
     lacks may have led it into a valley of friction and stiffness that has no way out. With
     `is_near` the base's numbers are the only start.
     """
     near = _descend(base, suspect, None, start, STEP)
     drives = [d for f in near.fits.values() for d in f.drives]
     sticks = any(d.block == MECHANICS or not d.has_position for d in drives)
-    if is_near or near.is_good or not sticks:
+    if is_near or not sticks:
         return near
     found = _descend(base, suspect, base.evidence.nominal, start, LONG_STEP)
     return min((near, found), key=lambda f: sum(_mean_squares(f)))
@@ -204,15 +197,18 @@ def _descend(
     vector = problem.vector_at(start)
     for length in dict.fromkeys((step, STEP)):
         problem.step = length
-        for evaluations in (FIRST_EVALUATIONS, EVALUATIONS):
+        # A start may leave hundreds of times what the end does, and all of it would count as
+        # outliers: their squares lead to the end within a few steps, and their sizes do not.
+        for loss, evaluations in (("linear", FIRST_EVALUATIONS), ("soft_l1", EVALUATIONS)):
+            knee = ROBUST * max(float(np.median(np.abs(problem.residual_at(vector)))) / 0.6745, 1.0)
             result = least_squares(
                 problem.residual_at,
                 vector,
                 problem.jacobian_at,
                 bounds=(problem.low, problem.high),
                 method="dogbox",
-                loss="soft_l1",
-                f_scale=problem.knee,
+                loss=loss,
+                f_scale=knee,
                 ftol=1e-4,
                 xtol=1e-6,
                 gtol=1e-10,
@@ -276,7 +272,6 @@ class _Problem:
             [w * f.residual for w, f in zip(self.weights, self.fits, strict=True)]
         )
         self.before = [float(r @ r) for r in self._split(residual)]
-        self.knee = ROBUST * max(float(np.median(np.abs(residual))) / 0.6745, 1.0)
         self._last: tuple[Array, Array] | None = None
         self._last_slope: tuple[tuple[float, bytes], Array] | None = None
 
@@ -342,7 +337,7 @@ class _Problem:
         ):
             drives = [self.suspect.apply(d, amount) for d in fitted.drives]
             rows = slice(row, row + len(weight))
-            own = sensitivity(drives, settings, fitted.free, residual[rows] / weight, self.step)
+            own = sensitivity(drives, settings, fitted.free, self.step)
             slope[rows, column : column + own.shape[1]] = weight[:, None] * own
             row, column = row + len(weight), column + own.shape[1]
         self._last_slope = (key, slope.copy())

@@ -6,6 +6,10 @@ const PHASES = ["homing", "approach", "track", "rest", "open loop", "stopping"];
 const LONGEST_S = 60;
 const SHORTEST_S = 2;
 const HEIGHT = 180;
+const GAP_S = 0.5; // no line is drawn through a longer time without values
+const NEWS_MS = 100;
+const SILENT_MS = 2000;
+const CONFIRMED_MS = 300;
 const byId = (id) => document.getElementById(id);
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const scaled = (value, factor) => (value === null ? null : value * factor);
@@ -73,11 +77,17 @@ function forgetAll() {
   for (const values of Object.values(series)) values.length = 0;
 }
 
+function breakLines(t) {
+  for (const [name, values] of Object.entries(series)) values.push(name === "t" ? t : null);
+}
+
 function keep(fields, ticks) {
   const at = Object.fromEntries(fields.map((name, index) => [name, index]));
   for (const tick of ticks) {
     const t = tick[at.t_s], x = tick[at.position_m], ref = tick[at.reference_m];
-    if (series.t.length && t < series.t[series.t.length - 1]) forgetAll(); // another session
+    const before = series.t[series.t.length - 1];
+    if (t < before) forgetAll(); // another session
+    else if (t - before > GAP_S) breakLines((t + before) / 2);
     series.t.push(t);
     series.position.push(scaled(x, 1e3));
     series.reference.push(scaled(ref, 1e3));
@@ -118,13 +128,17 @@ function showStatus(status, problem) {
   byId("state").textContent = state;
   byId("state").dataset.state = state;
   byId("what").textContent = status ? status.fault || status.run || "" : problem;
-  byId("where").textContent = status ? `${status.backend} ${status.device}` : "";
+  byId("where").textContent = status ? `${status.backend} ${status.device}, ${spellController(status.names)}` : "";
   document.title = `${state} \u00b7 pamctl`;
   if (!status) return;
   figure("late", scaled(status.worst_late_s, 1e6), 1, "\u00b5s");
   byId("missed").textContent = status.missed_ticks ?? "-";
   byId("log").textContent = status.log ? `log: ${status.log}` : "";
   byId("events").replaceChildren(...[...status.events].reverse().map(eventItem));
+}
+
+function spellController({ controller, controller_changes: changes }) {
+  return changes ? `${controller}*, ${changes}` : controller;
 }
 
 function eventItem(event) {
@@ -139,25 +153,48 @@ function eventItem(event) {
 
 // --- what is new -----------------------------------------------------------------------------
 
-const stream = new EventSource("/stream");
-stream.addEventListener("hello", (message) => {
-  const { control } = JSON.parse(message.data);
+let server = "", look = 0, heardMs = performance.now();
+const pending = new Set();
+
+// Each question is answered at once, and ends. A connection that stayed open would be missing to
+// orders: a browser has six for all tabs.
+async function askForNews() {
+  const answer = await fetch(`/news?server=${server}&after=${look}`, { priority: "low", signal: AbortSignal.timeout(SILENT_MS) });
+  if (!answer.ok) throw new Error(answer.statusText);
+  const news = await answer.json();
+  if (news.server !== server) {
+    forgetAll(); // all of the last minute follows
+    showMode(news.control);
+  }
+  ({ server, look } = news);
+  heardMs = performance.now();
+  showOutcomes(news.orders);
+  keep(news.fields, news.ticks);
+  const { status } = news;
+  if (news.age_s * 1e3 > SILENT_MS) showStatus(null, "the daemon does not answer");
+  else if (look) showStatus(status, news.problem);
+  showNewest(news.fields, news.ticks, status !== null && status.state !== "idle" && status.state !== "fault");
+  if (news.ticks.length) draw();
+}
+
+async function followNews() {
+  const beganMs = performance.now();
+  try {
+    await askForNews();
+  } catch {
+    if (performance.now() - heardMs > SILENT_MS) showStatus(null, "pamctl watch does not answer");
+  }
+  setTimeout(followNews, Math.max(0, NEWS_MS - (performance.now() - beganMs)));
+}
+
+function showMode(control) {
   const may = control && token !== "";
-  byId("estop").disabled = !may;
+  byId("estop").hidden = !may;
   byId("controls").hidden = !may;
   byId("mode").textContent = may ? "" : control
     ? "read-only: open the page by its whole address, with the token behind #"
-    : "read-only: in a terminal, pamctl estop stops; with --allow-control this page does";
-  forgetAll(); // all of the last minute follows
-});
-stream.onmessage = (message) => {
-  const { status, problem, fields, ticks } = JSON.parse(message.data);
-  keep(fields, ticks);
-  showStatus(status, problem);
-  showNewest(fields, ticks, status !== null && status.state !== "idle" && status.state !== "fault");
-  if (ticks.length) draw();
-};
-stream.onerror = () => showStatus(null, "pamctl watch does not answer");
+    : "read-only; to stop, in a terminal: pamctl estop";
+}
 
 byId("window").addEventListener("change", (event) => {
   shownS = Number(event.target.value);
@@ -166,19 +203,42 @@ byId("window").addEventListener("change", (event) => {
 
 // --- orders ----------------------------------------------------------------------------------
 
-async function order(what) {
+function say(text, kind) {
   const notice = byId("notice");
+  notice.hidden = text === "";
+  notice.textContent = text;
+  notice.className = kind ?? "";
+}
+
+function send(what) {
+  return fetch("/do", {
+    method: "POST", body: JSON.stringify(what), priority: "high", signal: AbortSignal.timeout(SILENT_MS),
+    headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
+  });
+}
+
+async function order(what) {
+  const beganMs = performance.now();
+  const sayNotSent = () => say(`NOT SENT: ${what.do} is not confirmed; in a terminal: pamctl ${what.do}`, "notsent");
+  const late = setTimeout(sayNotSent, CONFIRMED_MS);
   try {
-    const answer = await fetch("/do", {
-      method: "POST", body: JSON.stringify(what),
-      headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
-    });
+    const answer = await send(what);
     const told = await answer.json();
-    notice.hidden = answer.ok;
-    notice.textContent = answer.ok ? "" : `${what.do}: ${told.error}`;
-  } catch (error) {
-    notice.hidden = false;
-    notice.textContent = `${what.do} did not get through (${error.message}); in a terminal: pamctl ${what.do}`;
+    clearTimeout(late);
+    if (answer.status === 202) pending.add(told.order);
+    const tookMs = performance.now() - beganMs;
+    if (!answer.ok) say(`NOT DONE: ${what.do}: ${told.error}`, what.do === "estop" ? "notsent" : "");
+    else say(tookMs > CONFIRMED_MS ? `${what.do}: confirmed after ${(tookMs / 1e3).toFixed(1)} s` : "");
+  } catch {
+    clearTimeout(late);
+    sayNotSent();
+    if (what.do === "estop") setTimeout(() => order(what), CONFIRMED_MS); // until it gets through
+  }
+}
+
+function showOutcomes(outcomes) {
+  for (const { order: number, do: what, error } of outcomes) {
+    if (pending.delete(number) && error) say(`NOT DONE: ${what}: ${error}`);
   }
 }
 
@@ -188,3 +248,5 @@ byId("controls").addEventListener("submit", (event) => {
   event.preventDefault();
   order({ do: "goto", position_mm: Number(byId("target").value) });
 });
+
+followNews();

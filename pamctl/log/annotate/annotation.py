@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 
 from pamctl.exit_codes import ExitCode
 from pamctl.log.run_meta import RunMeta
-from pamctl.plain_text import strip_controls
+from pamctl.plain_text import clean_text
 
 ANNOTATION = "annotation"
 """Name of the metadata record."""
@@ -66,8 +66,8 @@ class Annotation:
             tags = json.loads(values.get("tags", "[]"))
         except ValueError:
             tags = []
-        found = [strip_controls(tag) for tag in tags if isinstance(tag, str)]
-        texts = {key: strip_controls(values.get(key, "")) for key in ("note", "operator", "sample")}
+        found = [clean_text(tag) for tag in tags if isinstance(tag, str)]
+        texts = {key: clean_text(values.get(key, "")) for key in ("note", "operator", "sample")}
         return cls(tuple(dict.fromkeys(tag for tag in found if _TAG.fullmatch(tag))), **texts)
 
 
@@ -85,7 +85,7 @@ def make_annotation(
     Control characters, escape sequences and bidirectional marks are taken out.
     """
     said = {"note": note, "operator": operator, "sample": sample}
-    clean = {name: strip_controls(text or "") for name, text in said.items()}
+    clean = {name: clean_text(text or "") for name, text in said.items()}
     for name, text in clean.items():
         longest = LONGEST_NOTE if name == "note" else LONGEST_NAME
         if len(text) > longest:
@@ -98,7 +98,7 @@ def make_annotation(
 
 def check_tag(tag: str) -> str:
     """Return a tag from outside; raise AnnotationError if it is not one word."""
-    clean = strip_controls(tag)
+    clean = clean_text(tag)
     if not _TAG.fullmatch(clean):
         allowed = "a tag is one word of at most 64 letters, digits and . _ - : + @"
         raise AnnotationError(f"{clean!r} is no tag; {allowed}")

@@ -14,6 +14,7 @@ from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from numpy.typing import NDArray
 
 from pamctl.json_text import from_json
+from pamctl.kept_memory import keep_freed_memory
 from pamctl.log.container import PackedChunk
 from pamctl.log.framing import (
     NO_CHECKSUM,
@@ -62,6 +63,7 @@ def recover_file(source: str | Path, destination: str | Path) -> Recovery:
     """
     source, destination = Path(source), Path(destination)
     file = map_log_file(source)
+    keep_freed_memory()
     with create_new_file(destination) as stream:
         writer = LogWriter(stream)
         copy = LogCopy(writer)

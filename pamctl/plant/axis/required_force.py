@@ -21,6 +21,7 @@ from pamctl.plant.effects.friction.presliding import (
 )
 from pamctl.plant.mechanism import follow_motion, mechanism_forces
 from pamctl.plant.parameters import MechanismParameters, PlantParameters, rest_state
+from pamctl.plant.terms.mechanics_terms import follow_motion_term
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -85,8 +86,8 @@ def fill_required_force(
     needed_n: Array,
 ) -> None:
     """Kernel of `required_force_n`; `columns` holds t, x, v, a and the absolute pressure."""
-    bristle_n, memory = mechanics.bristle_n, mechanics.memory
-    plain = MechanismParameters(p.paper, p.effects.mechanics, p.direct, 0.0)
+    bristle_n, memory, term = mechanics.bristle_n, mechanics.memory, mechanics.term
+    plain = MechanismParameters(p.paper, p.effects.mechanics, p.direct, 0.0, p.terms)
     begin_m, begin_s = columns[1, 0], columns[0, 0]
     for k in range(len(needed_n)):
         now_s, x, v, push, pressure_pa = columns[:, k]
@@ -95,7 +96,8 @@ def fill_required_force(
             memory = follow_motion(
                 p.effects.mechanics, memory, begin_m, x, gauge_pa, now_s - begin_s
             )
-        forces = mechanism_forces(plain, memory, x, gauge_pa, 0.0, v, now_s - columns[0, 0])
+            term = follow_motion_term(p.terms, term, begin_m, x, gauge_pa, now_s - begin_s)
+        forces = mechanism_forces(plain, memory, term, x, gauge_pa, 0.0, v, now_s - columns[0, 0])
         bristle_n, held_n = friction_force(
             plain, forces, bristle_n, x - begin_m, v, rest_speed_m_per_s
         )

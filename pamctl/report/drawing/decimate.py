@@ -62,3 +62,20 @@ def thin_cloud(x: Floats, y: Floats, cell: float) -> Indices:
 
 def _find_outermost(x: Floats, y: Floats) -> Indices:
     return np.array([x.argmin(), x.argmax(), y.argmin(), y.argmax()])
+
+
+_GAP_STEPS = 20.0
+"""A step in time that is so many times the usual one is a gap: nothing was measured there."""
+_FEWEST_STEPS = 8
+
+
+def break_at_gaps(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return a line over time, arrays of shape (n,), with a NaN in y where a gap in x begins.
+
+    A line with few points has no usual step, and stays as it is.
+    """
+    steps = np.diff(x)
+    if len(steps) < _FEWEST_STEPS or x.shape != y.shape:
+        return x, y
+    gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
+    return np.insert(x, gaps + 1, x[gaps]), np.insert(y, gaps + 1, np.nan)

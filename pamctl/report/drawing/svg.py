@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pamctl.report.drawing import marks
+from pamctl.report.drawing.decimate import break_at_gaps
 from pamctl.report.drawing.marks import FRAME_WIDTH, HEAT, PIXEL, Frame, HeatRange, PlotMark
 from pamctl.report.drawing.scale import PlotAxis, Scale, fit_scale
 
@@ -65,7 +66,12 @@ class SvgPlot:
         dashed: bool = False,
         thick: bool = False,
     ) -> SvgPlot:
-        """Draw a line; x must not fall. With `step` each value holds until the next."""
+        """Draw a line; x must not fall. With `step` each value holds until the next.
+
+        Over time a line breaks where there are no data.
+        """
+        if self.x.unit == "s":
+            x, y = break_at_gaps(_to_floats(x), _to_floats(y))
         css = f"l {css_of(colour)}{' dash' if dashed else ''}{' thick' if thick else ''}"
         return self._add(x, y, label, css, partial(marks.draw_line, step=step))
 

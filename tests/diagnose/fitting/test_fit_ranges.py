@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import OptimizeResult
 from support.free_mass import axis, pushed_mass
 from support.made_records import pair
 
+from pamctl.descent import Descent, DescentEnd
 from pamctl.diagnose.fitting import block_fit
 from pamctl.diagnose.fitting.block_fit import FULL, QUICK, Fit, fit_numbers, limit_to_plant, rms
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
@@ -15,6 +15,7 @@ from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.far_starts import is_far, search_starts
 from pamctl.diagnose.fitting.model_fit import recalibrate
 from pamctl.diagnose.fitting.numbers import FreeNumber, with_values
+from pamctl.diagnose.measured.record import Array
 from pamctl.plant.model import PlantSettings
 
 PAPER = PlantSettings()
@@ -60,10 +61,13 @@ def test_a_fit_goes_on_while_it_gains_and_stops_where_it_does_not(
     """Rounds of evaluations that halve the cost are repeated; one that gains nothing is the last"""
     costs = iter([1000.0, 500.0, 250.0, 249.5, 0.0])
 
-    def descend_some(*args: object, **options: object) -> OptimizeResult:
-        return OptimizeResult(x=args[1], cost=next(costs), status=block_fit.NOT_ENDED)
+    def descend_some(
+        residual_at: object, jacobian_at: object, start: Array, *bounds: Array, **options: object
+    ) -> Descent:
+        return Descent(start, next(costs), DescentEnd.EVALUATIONS)
 
-    monkeypatch.setattr(block_fit, "least_squares", descend_some)
+    monkeypatch.setattr(block_fit, "descend", descend_some)
+    monkeypatch.setattr(block_fit, "coarsen", lambda drives, *plants, **free: drives)
     drives = prepare_evidence(*pair(), PAPER).train[PRESSURE]
     fit_numbers(drives, PAPER, [widely(GAIN, 1e-6)], FULL)
     assert next(costs) == 0.0

@@ -12,7 +12,7 @@ from pamctl.diagnose.fitting.candidates import list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, RUNAWAY, stack_residuals
 from pamctl.diagnose.fitting.evidence import prepare_evidence, with_modelled_pressure
 from pamctl.diagnose.fitting.model_fit import fit_jointly, fit_model, recalibrate, weigh_blocks
-from pamctl.diagnose.fitting.numbers import with_values
+from pamctl.diagnose.fitting.numbers import value_of, with_values
 from pamctl.diagnose.naming.score import score_candidates
 from pamctl.plant.model import PlantSettings
 
@@ -41,6 +41,19 @@ def test_a_load_is_not_attributed_to_the_zero_of_the_pressure_sensor() -> None:
     values = found.fit_of(MECHANICS).values
     assert values["external_load.force_n"] == pytest.approx(1.3, rel=0.05)
     assert abs(values["pressure_sensor_offset.offset_pa"]) < 50.0
+
+
+def test_a_form_does_not_keep_a_number_of_another_form_that_it_does_not_fit() -> None:
+    widths = {"valve_deadband__fill_width_v": 0.2, "valve_deadband__exhaust_width_v": 0.3}
+    evidence = prepare_evidence(*pair(**widths), PAPER).select_blocks({PRESSURE})
+    forms = [c for c in list_candidates(evidence) if c.name == "valve_deadband"]
+    both = next(c for c in forms if len(c.free) == 2)
+    one = next(c for c in forms if [f.name for f in c.free] == ["valve_deadband.fill_width_v"])
+    base = recalibrate(evidence)
+    wide = fit_model(base, (both,), [{n.replace("__", "."): v for n, v in widths.items()}])
+    assert wide.effect_values["valve_deadband.exhaust_width_v"] > 0.2
+    settings = fit_model(wide, (one,), [wide.effect_values]).fit_of(PRESSURE).settings
+    assert value_of(settings, "valve_deadband.exhaust_width_v") == 0.0
 
 
 def test_a_start_from_which_the_model_runs_away_is_moved_back() -> None:

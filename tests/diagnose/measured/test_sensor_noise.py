@@ -15,8 +15,9 @@ from pamctl.diagnose.fitting.repeatability import find_repeats
 from pamctl.diagnose.measured.from_log import record_of
 from pamctl.diagnose.measured.noise.filtering import find_filtering
 from pamctl.diagnose.measured.noise.moving_noise import measure_growth
-from pamctl.diagnose.measured.noise.sensor_noise import estimate_channel_noise
+from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_channel_noise
 from pamctl.diagnose.measured.noise.stated_noise import parse_noise
+from pamctl.diagnose.measured.noise.wander import measure_walk, remove_walk
 from pamctl.diagnose.measured.record import estimate_resolution
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.log.importing.column_map import ImportMap
@@ -183,3 +184,49 @@ def test_where_noise_is_unknown_the_floor_is_an_estimate_from_quiet_stretches() 
 def test_a_residual_of_a_million_floors_is_a_wrong_floor() -> None:
     assert doubt_floor("pressure", 400.0) == ""
     assert "the floor is wrong" in doubt_floor("mechanics", 5e5)
+
+
+@pytest.mark.parametrize(("walk_pa", "found"), [(0.0, False), (40.0, True)])
+def test_a_zero_that_wanders_at_rest_is_noise_with_a_long_memory(
+    walk_pa: float, found: bool
+) -> None:
+    random = np.random.default_rng(3)
+    rests = [
+        random.normal(0.0, 300.0, 900)
+        + np.cumsum(random.normal(0.0, walk_pa, 900))
+        + 500.0 * np.exp(-np.arange(900) / 300.0)  # the end of a venting is no walk
+        for _ in range(4)
+    ]
+    walk = measure_walk(rests)
+    assert (walk > 0.0) is found
+    if found:
+        assert walk == pytest.approx(walk_pa, rel=0.3)
+        assert np.std(remove_walk(rests[0])) == pytest.approx(300.0, rel=0.1)
+        noise = Noise(300.0, (), 0.0, 0.0, walk=walk)
+        spread = np.std([noise.draw(4000, random)[-1] for _ in range(200)])
+        assert spread == pytest.approx(np.hypot(300.0, walk * np.sqrt(4000.0)), rel=0.15)
+
+
+def test_the_rounding_of_a_slow_signal_is_slow() -> None:
+    """A coarse converter shows a still signal off by one amount, not by noise."""
+    coarse = Noise(0.0, (), 0.0, 100.0)
+    random = np.random.default_rng(5)
+    still = np.full(50, 123.0)
+    errors = np.array([coarse.simulate_sensor(still, random) - still for _ in range(400)])
+    assert np.all(np.ptp(errors, axis=1) == 0.0)
+    assert np.std(errors[:, 0]) == pytest.approx(100.0 / np.sqrt(12.0), rel=0.1)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.45])
+@pytest.mark.parametrize("offset", [0.0, 0.2])
+def test_noise_below_a_converters_step_is_read_from_how_often_each_step_is_shown(
+    share: float, offset: float
+) -> None:
+    random = np.random.default_rng(8)
+    t_s = np.arange(3000) * 1e-3
+    true = 100.0 * (offset + np.where(t_s < 1.0, 0.0, 300.0 * np.sin(t_s - 1.0)))
+    shown = 100.0 * np.round(true / 100.0 + random.normal(0.0, share, 3000))
+    valve_v = np.where(t_s < 1.0, -1.0, 1.0)
+    noise = estimate_channel_noise([Record("rest", t_s, valve_v, shown)], "pressure_pa")
+    assert noise.resolution == pytest.approx(100.0)
+    assert noise.deviation == pytest.approx(100.0 * share, rel=0.15)

@@ -24,7 +24,9 @@ def test_models_of_the_pressure_block_alone_serve_both_blocks(
     both = recalibrate(evidence, alone.fits)
     fitted = []
     monkeypatch.setattr(
-        searching, "run_fit_jobs", lambda work, jobs, executor: fitted.extend(jobs) or []
+        searching,
+        "run_fit_jobs",
+        lambda work, jobs, executor, progress=None: fitted.extend(jobs) or [],
     )
     found = search_effects(both, candidates, known=[m for m in known if len(m.effects) == 1])
     (first, *_) = found.levels

@@ -107,7 +107,7 @@ def mark(case: Case, document: Mapping[str, Any]) -> str:
         return "alarm" if answer.alarm else "silent"
     if not answer.alarm:
         return "silent" if detectable(case) is False else "missed"
-    if answer.verdict == "none_known":
+    if answer.verdict == "none_known" or (answer.verdict == "described" and not answer.names):
         return "honest"
     return _of_names(case, answer)
 

@@ -178,6 +178,8 @@ def false_findings(case: HostileCase, said: Said) -> list[str]:
     found = []
     for finding in said.findings:
         number = str(finding["number"])
+        if finding["kind"] in case.answer.noise:
+            continue
         if any(_matches(cause, finding) for cause in true):
             continue
         others = {str(name) for name in finding.get("cannot_be_told_from") or ()}

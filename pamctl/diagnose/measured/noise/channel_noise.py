@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from pamctl.diagnose.measured.noise.filtering import find_filtering
 from pamctl.diagnose.measured.noise.mend import SensorFault
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
@@ -15,6 +17,7 @@ SOURCES = {
     "stated": "as stated",
     "rest": "from the rests",
     "spectrum": "from the end of the spectrum",
+    "residual": "from what the simulation leaves",
 }
 
 
@@ -37,6 +40,7 @@ class ChannelNoise:
                 "source": noise.source,
                 "is_known": noise.is_known,
                 "growth": noise.growth,
+                "walk": noise.walk,
             }
         return {
             **entry,
@@ -86,9 +90,13 @@ def _find_faults(records: Sequence[Record], channel: str, noise: Noise) -> Itera
         how = how if filtering.is_zero_phase else ""
         says = f"{channel} was filtered{at}{how}; use the data as they were measured"
         yield SensorFault(channel, "filtered", says)
+    period_s, unit = records[0].period_s, CHANNELS[channel]
+    if noise.walk:
+        within_1_s = noise.walk / np.sqrt(period_s)
+        says = f"{channel}: the sensor's zero wanders by {within_1_s:.3g} {unit} within 1 s, and "
+        says += "further over longer times; the floor allows for it"
+        yield SensorFault(channel, "wanders", says)
     if noise.growth:
-        period_s = records[0].period_s
-        unit = CHANNELS[channel]
         says = f"{channel}: the noise grows with speed: {noise.growth * period_s:.3g} {unit} "
         says += f"more at 1 {unit}/s (added in squares)"
         yield SensorFault(channel, "grows_with_motion", says)

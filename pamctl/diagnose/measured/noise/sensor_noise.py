@@ -8,11 +8,13 @@ from typing import Literal
 
 import numpy as np
 from scipy.signal import lfilter
+from scipy.stats import norm
 
-from pamctl.diagnose.measured.noise.filtering import QUIETEST
+from pamctl.diagnose.measured.noise.filtering import QUIETEST, find_filtering
 from pamctl.diagnose.measured.noise.moving_noise import measure_growth
 from pamctl.diagnose.measured.noise.spectrum import falls_steeply, find_tail
 from pamctl.diagnose.measured.noise.time_stamps import cut_even_stretches
+from pamctl.diagnose.measured.noise.wander import measure_walk, remove_walk
 from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
 
 ORDER = 12
@@ -26,9 +28,11 @@ COARSE = 1.3
 """A tail of up to this multiple of the rounding error is the converter's alone."""
 VAGUE = 0.25
 """A tail that is less certain than this, relative, says nothing."""
+TWO_STEPS = 0.1
+"""Relative uncertainty of a noise that reaches two steps of its converter."""
 RIDGE = 1e-6
 """White share that is added to the noise of a rest: a filtered one would predict itself."""
-Source = Literal["stated", "rest", "spectrum", "unknown"]
+Source = Literal["stated", "rest", "spectrum", "residual", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,8 @@ class Noise:
     """Where the deviation comes from."""
     growth: float = 0.0
     """Further noise of a channel that moves, over its change from one sample to the next."""
+    walk: float = 0.0
+    """Standard deviation of the zero's random step from one sample to the next."""
 
     @property
     def is_known(self) -> bool:
@@ -62,11 +68,14 @@ class Noise:
 
     def draw(self, samples: int, random: np.random.Generator) -> Array:
         """Draw a stretch of noise, not yet rounded."""
-        if not self.memory:
-            return random.normal(0.0, self.deviation, samples)
-        settle = 200
-        innovation = random.normal(0.0, self.drive, samples + settle)
-        drawn: Array = lfilter([1.0], [1.0, *(-m for m in self.memory)], innovation)[settle:]
+        if self.memory:
+            settle = 200
+            innovation = random.normal(0.0, self.drive, samples + settle)
+            drawn: Array = lfilter([1.0], [1.0, *(-m for m in self.memory)], innovation)[settle:]
+        else:
+            drawn = random.normal(0.0, self.deviation, samples)
+        if self.walk:
+            drawn = drawn + np.cumsum(random.normal(0.0, self.walk, samples))
         return drawn
 
     def simulate_sensor(
@@ -96,17 +105,29 @@ def estimate_channel_noise(records: Sequence[Record], channel: str) -> Noise:
     """
     step = float(np.median([estimate_resolution(r[channel]) for r in records]))
     stated = [r.stated_noise[channel] for r in records if channel in r.stated_noise]
-    rested = _estimate_from_rests(_collect_rests(records, channel, step), step)
+    rests = _collect_rests(records, channel, step)
+    walk = measure_walk(rests)
+    if walk and find_filtering(records, channel) is not None:
+        walk = 0.0  # what a filter left of the noise is slow by itself
+    rested = _estimate_from_rests([remove_walk(r) for r in rests] if walk else rests, step)
     if stated:
         pooled = float(np.sqrt(np.mean(np.square(stated))))
         noise = Noise(_subtract_rounding(pooled, step), (), 0.0, step, source="stated")
-        return noise if rested is None else _take_colour(noise, rested)
+        noise = noise if rested is None else _take_colour(noise, rested)
+        return replace(noise, walk=walk)
     span = max(float(np.ptp(r[channel])) for r in records)
     if rested is not None and rested.total > QUIETEST * span:
         noise = _refine_white(rested, records, channel)
     else:
         noise = _read_tail(records, channel, step, span)
-    return replace(noise, growth=measure_growth(records, channel, noise.total, step))
+    growth = measure_growth(records, channel, noise.total, step)
+    return replace(noise, growth=growth, walk=walk)
+
+
+def estimate_from_residual(pieces: Sequence[Array], known: Noise) -> Noise:
+    """Return the noise of a channel whose simulation leaves only noise, such as these stretches."""
+    found = _estimate_from_rests([_remove_trend(p) for p in pieces], known.resolution)
+    return known if found is None else replace(found, source="residual")
 
 
 def _collect_rests(records: Sequence[Record], channel: str, step: float) -> list[Array]:
@@ -127,7 +148,8 @@ def _refine_white(rested: Noise, records: Sequence[Record], channel: str) -> Noi
     """Take the size of white noise from the whole run: it shows more than a second of rest."""
     differences = float(np.median([_estimate_from_differences(r[channel]) for r in records]))
     close = abs(differences - rested.total) < 4.0 * rested.uncertainty * rested.total
-    if not rested.deviation or rested.memory or not close:
+    is_fine = rested.deviation > rested.resolution  # else differences are not normal
+    if not (is_fine and close) or rested.memory:
         return rested
     size = _subtract_rounding(differences, rested.resolution)
     return replace(rested, deviation=size, uncertainty=0.005)
@@ -191,8 +213,10 @@ def _estimate_from_rests(pieces: Sequence[Array], step: float) -> Noise | None:
         lags += [float(piece[lag:] @ piece[: len(piece) - lag]) for lag in range(ORDER + 1)]
     lags /= sum(map(len, pieces))
     deviation = float(np.sqrt(lags[0]))
-    if deviation <= 0.6 * step:  # only the converter is visible
+    if not deviation:
         return Noise(0.0, (), 0.0, step)
+    if deviation <= 0.6 * step:
+        return _read_between_steps(pieces, step)
     lags[0] -= step**2 / 12.0
     lags[0] *= 1.0 + RIDGE
     toeplitz = np.array([[lags[abs(i - j)] for j in range(ORDER)] for i in range(ORDER)])
@@ -211,6 +235,26 @@ def _estimate_from_rests(pieces: Sequence[Array], step: float) -> Noise | None:
         step,
         _relative_uncertainty(pieces, worth),
     )
+
+
+def _read_between_steps(pieces: Sequence[Array], step: float) -> Noise:
+    """Return a noise of about a converter's step, from how often each step is shown.
+
+    The two edges of the usual step are one step apart: the shares beyond them say how many
+    deviations that is. On two steps nobody can tell noise from a value between them; on one step
+    there is hardly any.
+    """
+    deviations = []
+    for piece in pieces:
+        shown = np.round((piece - np.median(piece)) / step)
+        below, above = float(np.mean(shown < 0.0)), float(np.mean(shown > 0.0))
+        if below and above:
+            deviations.append(step / -float(norm.ppf(below) + norm.ppf(above)))
+    if deviations:
+        worth = _relative_uncertainty(pieces, 0.2)
+        return Noise(float(np.median(deviations)), (), 0.0, step, worth)
+    shakes = any(np.ptp(piece) > 0.5 * step for piece in pieces)
+    return Noise(0.0, (), 0.0, step, TWO_STEPS if shakes else 0.0)
 
 
 def _relative_uncertainty(pieces: Sequence[Array], worth: float) -> float:

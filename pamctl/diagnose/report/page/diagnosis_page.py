@@ -20,6 +20,7 @@ from pamctl.diagnose.report.page.remains_part import (
     write_measured_runs,
     write_remainder,
 )
+from pamctl.diagnose.report.page.terms_part import write_terms
 from pamctl.diagnose.report.page.traces_part import write_traces
 from pamctl.diagnose.report.setup_part import write_setup
 from pamctl.diagnose.report.verdict_words import choose_words
@@ -39,6 +40,7 @@ def build_diagnosis_page(diagnosis: Diagnosis, records: Sequence[Record]) -> Pag
     write_traces(page, diagnosis)
     write_map(page, diagnosis)
     write_findings(page, diagnosis)
+    write_terms(page, diagnosis)
     write_trials(page, diagnosis)
     write_remainder(page, diagnosis)
     write_blind_spots(page, diagnosis)

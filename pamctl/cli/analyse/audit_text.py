@@ -1,0 +1,70 @@
+"""The audit for people: what is seen, what is not, and a matrix of what looks alike."""
+
+from __future__ import annotations
+
+import string
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pamctl.diagnose.audit import Audit, Inseparable
+
+_WIDTH = 100
+_NONE = "x"
+Advise = Callable[[str], str]
+
+
+def format_audit(found: Audit, advise: Advise, *, verbose: bool) -> list[str]:
+    """Return the lines of an audit, at most 100 columns wide; the reasons with `verbose`."""
+    seen = f"shows {len(found.sees)} effects: {', '.join(found.sees) or 'none'}"
+    lines = [*textwrap.wrap(seen, _WIDTH, subsequent_indent="  "), ""]
+    if found.blind_spots:
+        lines.append("cannot show, at the smallest size of interest:")
+        lines += _format_blind_spots(found, advise, verbose=verbose)
+    else:
+        lines.append("no blind spots")
+    if found.inseparable:
+        lines += [
+            "",
+            "cannot tell apart, at that size:",
+            *_format_matrix(found.inseparable, advise),
+        ]
+    if not verbose and found.blind_spots:
+        lines += ["", "--verbose says why."]
+    return lines
+
+
+def _format_blind_spots(found: Audit, advise: Advise, *, verbose: bool) -> Iterator[str]:
+    width = max(len(spot.name) for spot in found.blind_spots) + 2
+    for spot in found.blind_spots:
+        yield f"  {spot.name:<{width}}{spot.visibility}"
+        add = f"add: {advise(spot.experiment)}" if spot.experiment else ""
+        said = [spot.why] if verbose else []
+        for text in [*said, *([add] if add and verbose else [])]:
+            yield from textwrap.wrap(
+                text, _WIDTH, initial_indent="      ", subsequent_indent="      "
+            )
+    if not verbose:
+        for experiment in sorted({spot.experiment for spot in found.blind_spots} - {""}):
+            shown = ", ".join(s.name for s in found.blind_spots if s.experiment == experiment)
+            text = f"add: {advise(experiment)}  # for {shown}"
+            yield from textwrap.wrap(text, _WIDTH, initial_indent="  ", subsequent_indent="      ")
+
+
+def _format_matrix(pairs: Sequence[Inseparable], advise: Advise) -> Iterator[str]:
+    """Draw a row and a column for each effect; a letter names what tells the two apart."""
+    names = sorted({name for pair in pairs for name in pair.names})
+    experiments = sorted({pair.experiment for pair in pairs} - {""})
+    letter = {"": _NONE, **dict(zip(experiments, string.ascii_lowercase, strict=False))}
+    cells = {frozenset(pair.names): letter.get(pair.experiment, "?") for pair in pairs}
+    width = max(map(len, names)) + 6
+    yield f"  {'':<{width}}" + "".join(f"{number:>3}" for number in range(1, len(names) + 1))
+    for number, row in enumerate(names, 1):
+        marks = "".join(f"{cells.get(frozenset((row, column)), '.'):>3}" for column in names)
+        yield f"  {number:>3} {row:<{width - 4}}{marks}"
+    for experiment in experiments:
+        text = f"{letter[experiment]}: {advise(experiment)}"
+        yield from textwrap.wrap(text, _WIDTH, initial_indent="  ", subsequent_indent="     ")
+    if _NONE in cells.values():
+        yield f"  {_NONE}: no shipped experiment separates them"

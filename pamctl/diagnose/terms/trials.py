@@ -1,0 +1,202 @@
+"""Fit the most promising terms in the plant, and choose the simplest of the best.
+
+The same fits, floors and held-out samples judge them as judge the effects of the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from math import atan2, hypot, pi
+
+from pamctl.diagnose.fitting.block_fit import FULL
+from pamctl.diagnose.fitting.candidates import Candidate
+from pamctl.diagnose.fitting.fitted_model import Model, extract_block_fit
+from pamctl.diagnose.fitting.model_fit import fit_model
+from pamctl.diagnose.fitting.numbers import FreeNumber
+from pamctl.diagnose.naming.search import rank, run_fit_jobs
+from pamctl.diagnose.naming.stretches import gains_in_block
+from pamctl.diagnose.terms.grammar import Question, list_questions
+from pamctl.diagnose.terms.term_score import TermRanking, TermScore, rank_terms
+from pamctl.plant.terms.operators import KNOTS
+
+MOST_FITTED = 8
+"""Groups of terms whose first is fitted in the plant."""
+MOST_FINISHED = 2
+WIDE = 10.0
+"""A size may grow to this multiple of what the score suggests."""
+INNER_FACTOR = 4.0
+"""An inner number may move by this factor: more than the grid of questions is wide."""
+WAVE_SHARE = 0.25
+"""A period may move by this share."""
+MOST_KNOT = 20.0
+NEAR_SCORE = 0.15
+"""A simpler term of a group is fitted too if it explains at most this much less."""
+WORTH_FINISHING = 3.0
+"""A term that leaves more than this multiple of what the best one leaves is not fitted further."""
+NEAR_BEST = 0.1
+"""A term with fewer numbers counts as equally good if it leaves at most this share more."""
+
+
+@dataclass(frozen=True)
+class TermTrial:
+    """A term that was fitted in the plant, beside a model's effects."""
+
+    score: TermScore
+    model: Model
+
+    @property
+    def candidate(self) -> Candidate:
+        """The term as the fit has it: the last of the model's effects."""
+        return self.model.effects[-1]
+
+    @property
+    def question(self) -> Question:
+        """The term."""
+        return self.score.question
+
+
+def find_terms(
+    before: Model, block: str, executor: Executor | None = None
+) -> tuple[TermRanking, tuple[TermTrial, ...]]:
+    """Ask all questions of what a model leaves of a block; fit the best, the nearest first."""
+    fitted = extract_block_fit(before.fit_of(block), block)
+    taken = {c.name for c in before.effects} | {*before.evidence.nominal.acting}
+    questions = list_questions(block, fitted.drives, before.evidence.nominal, taken)
+    ranking = rank_terms(fitted, block, questions)
+    scores = _select_scores(ranking)
+    jobs = [(before, score) for score in scores]
+    models = run_fit_jobs(_fit_size, jobs, executor)
+    trials = sorted(map(TermTrial, scores, models), key=lambda t: rank(t.model))
+    near = [
+        t
+        for t in trials[:MOST_FINISHED]
+        if t.model.rms[block] <= WORTH_FINISHING * trials[0].model.rms[block]
+    ]
+    ended = run_fit_jobs(_finish, [(before, t) for t in near], executor)
+    return ranking, tuple(sorted((*ended, *trials[len(near) :]), key=lambda t: rank(t.model)))
+
+
+def _select_scores(ranking: TermRanking) -> list[TermScore]:
+    """Return the first term of each group, and a simpler one that looks like it.
+
+    Of one term with several inner numbers only the best is fitted.
+    """
+    kept: dict[tuple[str, str, str], TermScore] = {}
+    for group in ranking.group(3 * MOST_FITTED):
+        first = group[0]
+        kept.setdefault(first.question.key, first)
+        simple = [
+            s
+            for s in group
+            if _count_numbers(s) < _count_numbers(first)
+            and s.explained >= first.explained - NEAR_SCORE
+        ]
+        for score in sorted(simple, key=_count_numbers)[:1]:
+            kept.setdefault(score.question.key, score)
+    return [*kept.values()][:MOST_FITTED]
+
+
+def _fit_size(job: tuple[Model, TermScore]) -> Model:
+    """Fit a term's size and inner number; a curve keeps the shape of its score."""
+    before, score = job
+    candidate = make_candidate(score, before, start_of(score), is_bent=False)
+    return fit_model(before, (*before.effects, candidate), [before.effect_values])
+
+
+def _finish(job: tuple[Model, TermTrial]) -> TermTrial:
+    """Fit a term to the end, with all its numbers."""
+    before, trial = job
+    start = {**dict(trial.candidate.held), **trial.model.effect_values}
+    own = {n: v for n, v in start.items() if n.startswith(trial.question.prefix)}
+    candidate = make_candidate(trial.score, before, own, is_bent=True)
+    effects = (*before.effects, candidate)
+    return TermTrial(trial.score, fit_model(before, effects, [start], effort=FULL))
+
+
+def start_of(score: TermScore) -> dict[str, float]:
+    """Return the numbers from which a term's fit starts, by full name."""
+    question, amounts = score.question, score.amounts
+    prefix = question.prefix
+    if question.operator == "wave":
+        values = {"size": hypot(*amounts), "phase": atan2(amounts[1], amounts[0])}
+    elif question.operator == "curve":
+        size = max(amounts, key=abs)
+        values = {"size": size}
+        values |= {f"knot_{k}": a / size for k, a in enumerate(amounts, 1)} if size else {}
+    else:
+        values = {"size": amounts[0]}
+    return {prefix + name: value for name, value in {**question.held, **values}.items()}
+
+
+def make_candidate(
+    score: TermScore, before: Model, start: Mapping[str, float], *, is_bent: bool
+) -> Candidate:
+    """Return a term as a candidate of the search, with ranges around its start.
+
+    `held` has every number's start. Of a curve the largest knot stays 1: the size is then the
+    curve's largest value. The others move only if `is_bent`.
+    """
+    question, prefix = score.question, score.question.prefix
+    size = start[prefix + "size"]
+    ends = sorted((-0.2 * WIDE * size, WIDE * size))
+    free = [FreeNumber(prefix + "size", ends[0], ends[1], 0.05 * abs(size))]
+    if "inner" in question.held:
+        free.append(_free_inner(prefix, question, start[prefix + "inner"]))
+    if question.operator == "wave":
+        free.append(FreeNumber(prefix + "phase", -2.0 * pi, 2.0 * pi, 0.05))
+    if question.operator == "curve" and is_bent:
+        free += [
+            FreeNumber(name, -MOST_KNOT, MOST_KNOT, 0.05)
+            for name in (f"{prefix}knot_{k}" for k in range(1, KNOTS + 1))
+            if start.get(name) != 1.0
+        ]
+    held = {**question.fix(), **start}
+    return Candidate(
+        question.location.term_name,
+        f"{question.operator} of {question.driver}",
+        tuple(free),
+        tuple(held.items()),
+        frozenset(question.location.seen_by) & {*before.evidence.blocks},
+    )
+
+
+def _free_inner(prefix: str, question: Question, inner: float) -> FreeNumber:
+    low, high, scale = inner / INNER_FACTOR, inner * INNER_FACTOR, 0.05 * inner
+    if question.operator == "wave":
+        low, high = inner * (1.0 - WAVE_SHARE), inner * (1.0 + WAVE_SHARE)
+        scale = 0.02 * inner * min(inner / question.span.width, 1.0)
+    if question.operator in ("beyond", "onset"):
+        low = question.span.low + 0.02 * question.span.width
+        high = question.span.high - 0.02 * question.span.width
+        scale = 0.01 * question.span.width
+    return FreeNumber(prefix + "inner", low, high, scale)
+
+
+def choose_simplest(trials: Sequence[TermTrial], block: str) -> TermTrial:
+    """Return the term with the fewest numbers among those that leave hardly more than the best."""
+    best = trials[0]
+    good = [
+        t
+        for t in trials
+        if t.model.rms[block] <= (1.0 + NEAR_BEST) * best.model.rms[block]
+        and (t.model.is_explained(block) or not best.model.is_explained(block))
+    ]
+    return min(good, key=lambda t: (_count_numbers(t.score), rank(t.model)))
+
+
+def _count_numbers(score: TermScore) -> int:
+    return len(score.amounts) + len(score.question.held)
+
+
+def list_equals(
+    chosen: TermTrial, trials: Sequence[TermTrial], block: str
+) -> tuple[TermTrial, ...]:
+    """Return the terms that the held-out data do not tell from the chosen one."""
+    return tuple(
+        t
+        for t in trials
+        if t.question.key != chosen.question.key
+        and not gains_in_block(t.model, chosen.model, block)
+    )

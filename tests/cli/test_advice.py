@@ -1,0 +1,97 @@
+"""Every command that the program prints can be typed: it parses, and names what there is."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+import hal
+import pamctl
+from pamctl.cli.app import app
+from pamctl.diagnose.experiments import (
+    find_separating_experiment,
+    find_showing_experiment,
+    write_command,
+)
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.settings.resolve import SECTIONS, find_config_file
+
+COMMAND = re.compile(r"`pamctl ([^`]*)`|next: pamctl ([^`;#\n]*)")
+SHIPPED = {f"--{section}": section for section in SECTIONS} | {"--start": "controller"}
+
+
+NAMED_ALONE = ("diagnose", "compare", "tune", "plant new")
+"""What a text may name without its arguments: `pamctl compare` works on it."""
+
+
+def texts_of(tree: ast.AST) -> Iterator[str]:
+    """Every text of a module but docstrings; what is filled in is the word FILLED."""
+    inside = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)
+              for part in node.values}  # fmt: skip
+    documents = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            yield "".join(
+                str(part.value) if isinstance(part, ast.Constant) else "FILLED"
+                for part in node.values
+            )
+        elif isinstance(node, ast.Constant) and id(node) not in inside | documents:
+            yield str(node.value)
+
+
+def printed_commands() -> Iterator[tuple[str, str]]:
+    for package in (pamctl, hal):
+        for path in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
+            for text in texts_of(ast.parse(path.read_text())):
+                for found in COMMAND.finditer(text):
+                    command = (found[1] or found[2] or "").strip()
+                    if command and command.split()[0].isalpha():
+                        yield path.stem, command
+    for name, effect in CATALOGUE.items():
+        for experiment in (
+            find_showing_experiment(name),
+            *(find_separating_experiment((name, other)) for other in effect.told_from),
+        ):
+            if experiment["name"]:
+                yield (
+                    f"effect {name}",
+                    write_command(str(experiment["name"])).removeprefix("pamctl "),
+                )
+
+
+COMMANDS = sorted(set(printed_commands()))
+
+
+def find_verb(words: list[str]) -> tuple[Any, list[str]]:
+    """The verb that words call, and the words after it."""
+    command: Any = get_command(app)
+    while hasattr(command, "commands"):
+        assert words, f"{command.name} alone does nothing"
+        assert words[0] in command.commands, f"there is no verb {words[0]}"
+        command, words = command.commands[words[0]], words[1:]
+    return command, words
+
+
+def test_the_commands_are_found() -> None:
+    verbs = {command.split()[0] for _, command in COMMANDS}
+    assert verbs >= {"run", "tune", "diagnose", "log", "doctor", "calibrate", "safe", "ack"}
+    assert len(COMMANDS) > 20
+
+
+@pytest.mark.parametrize(("where", "command"), COMMANDS)
+def test_a_printed_command_can_be_typed(where: str, command: str) -> None:
+    words = shlex.split(command, comments=True)
+    verb, rest = find_verb(words)
+    if rest or " ".join(words) not in NAMED_ALONE:
+        verb.make_context(verb.name, rest)
+    for option, value in pairwise(words):
+        if option in SHIPPED and not value.endswith((".yaml", ".py")) and "FILLED" not in value:
+            assert find_config_file(SHIPPED[option], value).is_file()

@@ -1,0 +1,44 @@
+"""The audit on a terminal: it fits, and its matrix says what tells two effects apart."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import pytest
+
+from pamctl.cli.analyse.audit_text import format_audit
+from pamctl.diagnose.audit import Audit, BlindSpot, Inseparable
+from pamctl.plant.catalogue import CATALOGUE
+
+NAMES = sorted(CATALOGUE)[:20]
+SPOTS = tuple(
+    BlindSpot(name, "the command leaves the null at once, " * 4, "slow-ramps", (0.3, "V"))
+    for name in NAMES
+)
+
+
+@pytest.mark.parametrize("verbose", [False, True])
+def test_an_audit_fits_into_100_columns(verbose: bool) -> None:
+    pairs = tuple(
+        Inseparable(pair, ("chirp", "")[number % 2], "w")
+        for number, pair in enumerate(combinations(NAMES, 2))
+    )
+    found = Audit(tuple(NAMES), SPOTS, pairs)
+    lines = format_audit(found, lambda name: f"pamctl run --experiment {name}", verbose=verbose)
+    assert max(map(len, lines)) <= 100
+    assert ("leaves the null" in "\n".join(lines)) == verbose
+    assert "pamctl run --experiment slow-ramps" in "\n".join(lines)
+
+
+def test_the_matrix_names_the_experiment_of_each_pair() -> None:
+    pairs = (
+        Inseparable(("creep", "drift"), "chirp", ""),
+        Inseparable(("creep", "valve_leak"), "", ""),
+        Inseparable(("drift", "valve_leak"), "square-1", ""),
+    )
+    lines = format_audit(Audit((), (), pairs), str.upper, verbose=False)
+    rows = [line.split()[2:] for line in lines if line.strip()[:2] in ("1 ", "2 ", "3 ")]
+    rows = [row for row in rows if len(row) == 3]
+    assert rows == [[".", "a", "x"], ["a", ".", "b"], ["x", "b", "."]]
+    assert "  a: CHIRP" in lines
+    assert "  b: SQUARE-1" in lines

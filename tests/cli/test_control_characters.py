@@ -1,0 +1,91 @@
+"""Control characters from outside reach no terminal, no page and no log."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import unicodedata
+from pathlib import Path
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from support.processes.daemons import daemon
+from support.small_log import write_small
+
+from pamctl.log import read
+from pamctl.plain_text import PlainStream, clean_document, clean_lines, clean_text
+
+HOSTILE = (
+    "a\x1b[2J\x1b[1;1H\x1b]0;title\x07\x1bc\x9b31m\u202egnol\u2066\u200b\x00\x7f\r\nb\u2028c\ud800"
+)
+
+
+def is_harmless(text: str) -> bool:
+    """No control (Cc) but tab and line feed, no override of direction, no half of a character."""
+    kinds = {unicodedata.category(one) for one in text if one not in "\t\n"}
+    turns = {unicodedata.bidirectional(one) for one in text}
+    overrides = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
+    return not kinds & {"Cc", "Cs", "Zl", "Zp"} and not turns & overrides
+
+
+@given(st.text() | st.text(alphabet="\x1b\x9b\x9d[]0;m\x07\\P\n\r\u202eab", max_size=20))
+@example(HOSTILE)
+@example("\x1b\x1b[[2J")
+def test_a_cleaned_text_steers_nothing_and_stays_as_it_is(text: str) -> None:
+    assert is_harmless(clean_lines(text))
+    assert is_harmless(clean_text(text))
+    assert not set(clean_text(text)) & set("\t\n")
+    assert clean_lines(clean_lines(text)) == clean_lines(text)
+    assert "\x1b" not in json.dumps(clean_document({text: [text]}), ensure_ascii=False)
+
+
+@pytest.mark.parametrize(
+    "text", ["Ä µm 15 °C", "نص عربي", "日本語", "שלום", "👩\u200d🔬 measured", "a\tb\nc"]
+)
+def test_letters_of_any_script_stay(text: str) -> None:
+    assert clean_lines(text) == text
+
+
+def test_sequences_vanish_as_a_whole() -> None:
+    assert clean_text(HOSTILE) == "agnol b c"
+
+
+def test_a_progress_line_may_begin_anew_but_not_in_its_middle() -> None:
+    paper = io.StringIO()
+    stream = PlainStream(paper)
+    stream.write("\rabc\rd\x1b[2K")
+    assert paper.getvalue() == "\rabcd"
+
+
+def test_a_mark_blanks_no_terminal_and_is_logged_without_its_controls(tmp_path: Path) -> None:
+    with daemon(tmp_path, "marks", "rig.homing.enabled=false") as made:
+        log = made.ask("goto", position_m=8e-3, within_s=0.5)["log"]
+        made.wait_until(lambda status: status["log"] is not None)
+        made.ask("mark", text=HOSTILE)
+        seen = _pamctl("watch", "--count", "1", "--json", "--socket", str(made.socket))
+        assert [e["text"] for e in json.loads(seen)["status"]["events"] if "text" in e] == [
+            "agnol b c"
+        ]
+        made.ask("disarm")
+    (mark,) = [event for event in read(log).events if event["event"] == "mark"]
+    assert mark["text"] == "agnol b c"
+
+
+def test_an_old_log_that_holds_them_shows_none(tmp_path: Path) -> None:
+    log = write_small(tmp_path / "old.mcap", remark=HOSTILE.rstrip("\ud800"))
+    assert b"\\u001b[2J" in log.read_bytes() or b"\x1b[2J" in log.read_bytes()
+    page = tmp_path / "page.html"
+    told = [_pamctl("log", "info", str(log)), _pamctl("report", str(log), "--out", str(page))]
+    assert all(is_harmless(text) for text in [*told, page.read_text(encoding="utf-8")])
+    assert "agnol" in page.read_text(encoding="utf-8")
+
+
+def _pamctl(*arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "pamctl", *arguments], capture_output=True, text=True, timeout=120
+    )
+    assert is_harmless(done.stdout + done.stderr)
+    return done.stdout

@@ -1,0 +1,33 @@
+"""A verb that is silent for seconds says on a terminal what it does; elsewhere it says nothing."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+
+SLOW = """
+import time, sys
+from pamctl.cli import failure, waiting
+waiting.SLOW_VERBS["doze"] = "dozing"
+def doze():
+    time.sleep(1.5)
+    print("done")
+failure._with_plain_streams(doze)()
+"""
+
+
+def test_a_silent_verb_says_what_it_does_until_it_prints() -> None:
+    ours, its = pty.openpty()
+    done = subprocess.run([sys.executable, "-c", SLOW], stdout=its, stderr=its, timeout=60)
+    assert done.returncode == 0
+    seen = os.read(ours, 65536).decode()
+    os.close(ours)
+    os.close(its)
+    assert seen == "\r\x1b[Kdoze: dozing, 1 s\r\x1b[Kdone\r\n"
+
+
+def test_without_a_terminal_nothing_is_shown() -> None:
+    done = subprocess.run([sys.executable, "-c", SLOW], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("done\n", "")

@@ -1,0 +1,102 @@
+"""What no catalogue has: described on rigs whose equations are not the grammar's."""
+
+from __future__ import annotations
+
+import pytest
+from hidden.excitations import multisine, null_staircase, square
+from hidden.rig import hidden_rig
+
+from pamctl.diagnose import Record, diagnose
+from pamctl.diagnose.fitting.evidence import prepare_evidence
+from pamctl.diagnose.fitting.model_fit import recalibrate
+from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+from pamctl.diagnose.report.extended_plant_file import format_plant_file
+from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
+from pamctl.diagnose.report.terminal_summary import summary
+from pamctl.diagnose.terms.grammar import list_questions
+from pamctl.diagnose.terms.term_score import rank_terms
+from pamctl.diagnose.terms.trials import choose_simplest, find_terms
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.model import PlantSettings
+from pamctl.settings.yaml12 import parse_yaml_value
+
+
+def measure(effect: str, size: float = 3.0, seed: int = 11) -> tuple[list[Record], list[Record]]:
+    """Measure a hidden rig; 3 s of squares and 4 s of sines fit, 4 s of sines judge."""
+    rig = hidden_rig({effect: size} if effect else {}, seed=seed)
+    train = [square(1.0, 2.0, seed=seed), multisine(2.5, 0.3, 30.0, 4.0, seed)]
+    held = [multisine(2.0, 0.4, 25.0, 4.0, seed + 7), null_staircase(3.0, seed)]
+    parts = ([rig.run(e).record for e in part] for part in (train, held))
+    fit, judge = ([Record(name=r.name, **r.columns()) for r in part] for part in parts)
+    return fit, judge
+
+
+@pytest.fixture(scope="module")
+def described():
+    train, held = measure("hysteretic_spring", 5.0)
+    few = {"cubic_stiffness", "chamber_leak"}
+    return diagnose(train, held, PlantSettings(), without={*CATALOGUE} - few)
+
+
+def test_a_hysteretic_spring_is_described_by_its_place_and_memory(described) -> None:
+    document = build_diagnosis_document(described)
+    assert document["verdict"] == "described"
+    assert document["effects"] == []
+    (term,) = document["terms"]
+    assert (term["location"], term["operator"], term["driver"]) == (
+        "force",
+        "hysteresis",
+        "position",
+    )
+    numbers = term["parameters"]
+    assert abs(numbers["size"]["value"]) == pytest.approx(0.5 * 5.0, rel=0.2)
+    assert numbers["inner"]["value"] == pytest.approx(1.5e-3, rel=0.1)
+    assert "remembers the last reversal of the position over 1." in document["sentence"]
+    assert "presliding" in document["sentence"]
+    assert term["closed"] > 0.9
+    assert (
+        document["gap"]["position_m"]["extended"]
+        < 0.3 * document["gap"]["position_m"]["recalibrated"]
+    )
+
+
+def test_its_plant_file_predicts_and_serves_the_next_diagnosis(described) -> None:
+    plant = PlantSettings.model_validate(parse_yaml_value(format_plant_file(described, ["x.mcap"])))
+    assert plant == described.plant
+    assert plant.terms.force is not None
+    train, held = measure("hysteretic_spring", 5.0)
+    evidence = prepare_evidence(train, held, plant).select_blocks({"mechanics"})
+    again = recalibrate(evidence)
+    without = plant.model_copy(update={"terms": PlantSettings().terms})
+    plain = recalibrate(prepare_evidence(train, held, without).select_blocks({"mechanics"}))
+    assert again.rms["mechanics"] < 0.4 * plain.rms["mechanics"]
+    assert "force_term.size" in again.values
+
+
+def test_page_and_terminal_say_the_term_and_its_leads(described) -> None:
+    page = build_diagnosis_page(described, [*described.train, *described.holdout]).html()
+    assert "What no catalogue has" in page
+    assert "force, hysteresis, position" in page
+    assert "terms were asked" in summary(described)
+
+
+def test_friction_that_grows_with_position_is_found_at_the_braid() -> None:
+    train, held = measure("position_dependent_friction")
+    base = recalibrate(prepare_evidence(train, held, PlantSettings()).select_blocks({"mechanics"}))
+    _, trials = find_terms(base, "mechanics")
+    chosen = choose_simplest(trials, "mechanics")
+    assert (chosen.question.location.name, chosen.question.driver) == ("braid_friction", "position")
+    if chosen.question.operator == "gain":
+        assert chosen.model.effect_values["braid_friction_term.size"] == pytest.approx(
+            0.15, rel=0.2
+        )
+
+
+def test_nothing_is_found_in_noise() -> None:
+    train, held = measure("")
+    base = recalibrate(prepare_evidence(train, held, PlantSettings()).select_blocks({"mechanics"}))
+    fitted = base.fit_of("mechanics")
+    questions = list_questions("mechanics", fitted.drives, base.evidence.nominal)
+    assert len(questions) > 100
+    ranking = rank_terms(fitted, "mechanics", questions)
+    assert ranking.group(3) == []

@@ -1,0 +1,356 @@
+"""Machine code and plain Python are one tick: the same bits, whatever comes in.
+
+The code is built once for all tests, and kept in the user's cache as that of a run.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import sys
+from collections.abc import Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.runs import MS, MemoryJournal, ScriptedSupervisor, parts, run_settings
+
+from hal.calibration import Zero
+from hal.faulty import FaultSettings
+from hal.rig import RawSample
+from pamctl.compiled_ahead.emit import CannotBuild
+from pamctl.compiled_ahead.layout import Block, NotFlat
+from pamctl.exit_codes import Ending
+from pamctl.log.reader import read
+from pamctl.processes.machine_code import builder_main, libraries
+from pamctl.realtime.clock import Wake
+from pamctl.realtime.cued_helm import CuedHelm
+from pamctl.realtime.loop import run_loop
+from pamctl.realtime.tick import TickSetup, first_state
+from pamctl.realtime.tick_path import CompiledTick, PlainTick, TickPath, load_compiled_tick
+from pamctl.realtime.whole_tick import TickTimes
+from pamctl.recording.ring import Ring, tick_struct
+from pamctl.replay.read_source import read_replay_source
+from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
+from pamctl.settings.resolve import RunSettings, resolve
+from pamctl.signals import TICK_FIELDS, Reference, TickOutcome, TickRecord, Truth
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the real-time loop needs Linux")
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+SETUP = build_tick_setup(run_settings())
+NO_OUTCOME, NO_TRUTH = TickOutcome(0.0, 0.0, 0.0, 0.0), Truth(math.nan, math.nan)
+SHORT = (
+    "experiment.approach_s=0.6",
+    "experiment.settle_s=0.2",
+    "experiment.transition_s=0.7",
+    "experiment.cycles=1",
+    "rig.loop.stop_ramp_s=0.1",
+)
+
+
+@pytest.fixture(scope="module")
+def library() -> Path:
+    """The machine code of the paper's law."""
+    path = libraries.find_tick_library(SETUP)
+    if not path.exists():
+        builder_main.build_tick_library(SETUP, path)
+    return path
+
+
+@pytest.fixture
+def compiled(library: Path) -> CompiledTick:
+    return load_compiled_tick(library, SETUP)
+
+
+def pack(record: TickRecord) -> bytes:
+    return tick_struct(TICK_FIELDS).pack(*chain(*record))
+
+
+def run_with(
+    tick: TickPath, settings: RunSettings, *faults: FaultSettings, missed: Any = None
+) -> tuple[Ending, MemoryJournal]:
+    setup, made = build_tick_setup(settings), parts(settings, faults, missed)
+    journal, program = MemoryJournal(), build_program(settings)
+    ending = run_loop(
+        made.whole,
+        made.clock,
+        setup,
+        nominal_zero_of(settings),
+        program,
+        journal,
+        ScriptedSupervisor(),
+        lambda: Truth(0.0, 0.0),
+        CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal),
+        tick=tick,
+    )
+    return ending, journal
+
+
+RUNS: dict[str, tuple[Sequence[str], Sequence[FaultSettings], dict[int, int]]] = {
+    "homing, tracking and stop": (SHORT, (), {}),
+    "missed ticks": ((*SHORT, "rig.homing.enabled=false"), (), {700: 3, 1300: 20}),
+    "a broken wire": (
+        (*SHORT, "rig.homing.enabled=false"),
+        (FaultSettings(kind="broken_wire", from_tick=900, ticks=10**9, size=0.0),),
+        {},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_run_has_the_same_rows_events_and_frozen_states(name: str, library: Path) -> None:
+    overrides, faults, missed = RUNS[name]
+    settings = run_settings(*overrides)
+    setup = build_tick_setup(settings)
+    ended, plain = run_with(PlainTick(), settings, *faults, missed=missed)
+    ended_too, fast = run_with(load_compiled_tick(library, setup), settings, *faults, missed=missed)
+    assert ended == ended_too
+    assert len(plain.ticks) > 500
+    assert [*map(pack, plain.ticks)] == [*map(pack, fast.ticks)]
+    assert repr(plain.events) == repr(fast.events)
+    assert repr(plain.keyframes) == repr(fast.keyframes)
+
+
+def test_gains_that_change_on_a_ramp_are_followed(library: Path) -> None:
+    settings = run_settings(*SHORT, "rig.homing.enabled=false")
+    outcome = []
+    for tick in (PlainTick(), load_compiled_tick(library, build_tick_setup(settings))):
+        setup, made, journal = build_tick_setup(settings), parts(settings), MemoryJournal()
+        program = build_program(settings)
+        helm = Softening(setup, settings, program, journal)
+        run_loop(
+            made.whole,
+            made.clock,
+            setup,
+            nominal_zero_of(settings),
+            program,
+            journal,
+            ScriptedSupervisor(),
+            lambda: Truth(0.0, 0.0),
+            helm,
+            tick=tick,
+        )
+        outcome.append([*map(pack, journal.ticks)])
+    assert outcome[0] == outcome[1]
+
+
+def test_another_law_than_the_one_built_runs_in_plain_python(library: Path) -> None:
+    settings = run_settings(*SHORT)
+    other = run_settings(controller="smc").controller
+    outcome = []
+    for tick in (PlainTick(), load_compiled_tick(library, build_tick_setup(settings))):
+        setup, made, journal = build_tick_setup(settings), parts(settings), MemoryJournal()
+        program = build_program(settings)
+        helm = CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal)
+        supervisor = Replacing(helm, other)
+        run_loop(
+            made.whole,
+            made.clock,
+            setup,
+            nominal_zero_of(settings),
+            program,
+            journal,
+            supervisor,
+            lambda: Truth(0.0, 0.0),
+            helm,
+            tick=tick,
+        )
+        outcome.append([*map(pack, journal.ticks)])
+    assert len(outcome[0]) > 2000
+    assert outcome[0] == outcome[1]
+
+
+class Replacing(ScriptedSupervisor):
+    """Replaces the law at tick 100, during homing: then no law moves the muscle."""
+
+    def __init__(self, helm: CuedHelm, other: Any) -> None:
+        super().__init__()
+        self._helm, self._other = helm, other
+
+    def find_stop(self, tick: int) -> Ending | None:
+        if tick == 100:
+            self._helm._tuning.replace(self._other)
+        return None
+
+
+class Softening(CuedHelm):
+    """Begins a ramp to softer gains at tick 300."""
+
+    def __init__(self, setup: TickSetup, settings: RunSettings, *others: Any) -> None:
+        self.controller = settings.controller
+        super().__init__(setup, settings.controller.model_dump(mode="json"), *others)
+
+    def finish_tick(self, done: TickPath) -> None:
+        if done.timing.tick == 300:
+            softer = self.controller.model_copy(update={"lpf1_hz": 200.0})
+            self._tuning.change(softer, done.timing.t_s, 0.2)
+        super().finish_tick(done)
+
+
+def test_golden_logs_come_out_to_the_bit(library: Path) -> None:
+    seen = 0
+    for path in sorted(GOLDEN.glob("*.mcap")):
+        source = read_replay_source(read(path))
+        if source.gains.law != "qsmc":
+            continue
+        seen += replay_golden(source, library)
+    assert seen > 6000
+
+
+def replay_golden(source: Any, library: Path) -> int:
+    """Run a log's ticks on its raw samples and references; return how many were compared."""
+    log, seen, after = source.log, 0, None
+    inputs = source.inputs(0, len(source))
+    columns = [column.tolist() for column in inputs]
+    for begin, end in source.cut_stretches(source.find_begin()):
+        state = source.state_at(begin, after)
+        if state is None:
+            continue
+        setup = source.setup_at(begin)
+        tick = load_compiled_tick(library, setup)
+        for k in range(begin, end):
+            at, t_s, dt_s, late_s, missed, *raw = (column[k] for column in columns[:9])
+            raw = RawSample(*raw)
+            if k == begin:
+                first_ns = raw.encoder_t_ns - round(t_s * 1e9)
+                times = TickTimes(first_ns, raw.encoder_t_ns - round(dt_s * 1e9))
+                tick.begin(state, times)
+            reference = Reference(*(column[k] for column in columns[9:]))
+            tick.run(setup, Wake(at, 0, round(late_s * 1e9), missed), raw, reference)
+            assert (tick.timing.t_s, tick.timing.dt_s) == (t_s, dt_s)
+            ours = (*tick.state.measurement, *tick.state.estimate, *tick.state.command)
+            ours = (*ours, *tick.decision)
+            logged = tuple(log[name][k].item() for name in COMPARED)
+            assert np.array_equal(ours, logged, equal_nan=True), (log.path, k)
+            seen += 1
+        after = tick.state
+    return seen
+
+
+COMPARED = [
+    field.name
+    for field in TICK_FIELDS
+    if field.stage in ("measurement", "estimate", "command", "decision")
+]
+
+anything = st.floats(allow_nan=True, allow_infinity=True)
+usual = st.floats(-1e3, 1e3)
+numbers = st.one_of(anything, usual, st.just(math.nan), st.sampled_from([math.inf, -math.inf]))
+volts = st.one_of(st.floats(0.0, 5.0), anything)
+counts = st.one_of(st.integers(-10_000, 10_000), st.integers(-(2**40), 2**40))
+lengths_ns = st.one_of(st.just(MS), st.integers(-MS, 60 * MS), st.integers(-(10**12), 10**12))
+
+
+def bits(values: Sequence[float]) -> list[bytes]:
+    """Return the bits of each number; all NaN are one."""
+    return [struct.pack("<d", math.nan if value != value else value) for value in values]
+
+
+@given(
+    samples=st.lists(
+        st.tuples(volts, counts, lengths_ns, st.integers(0, 200)), min_size=1, max_size=12
+    ),
+    reference=st.one_of(
+        st.tuples(st.floats(0, 0.02), usual, usual, usual, st.just(math.nan)),
+        st.tuples(*[numbers] * 5),
+    ),
+    phase=st.integers(0, 5),
+)
+def test_any_input_gives_the_same_bits_or_the_same_error(
+    library: Path, samples: list[tuple[float, int, int, int]], reference: Any, phase: int
+) -> None:
+    compiled, plain = load_compiled_tick(library, SETUP), PlainTick()
+    for tick in (compiled, plain):
+        tick.begin(first_state(SETUP, Zero(0.215, 0.0)), TickTimes(0, -MS))
+    t_ns = 0
+    for at, (pressure_v, encoder, dt_ns, missed) in enumerate(samples):
+        raw = RawSample(pressure_v, encoder, t_ns, t_ns)
+        wake, asked = Wake(at, t_ns, t_ns + 1000, missed), Reference(phase, *reference)
+        plain.time(wake, raw)
+        try:
+            plain.run(SETUP, wake, raw, asked)
+        except (ArithmeticError, ValueError) as error:
+            with pytest.raises(type(error)):
+                compiled.run(SETUP, wake, raw, asked)
+            return
+        compiled.run(SETUP, wake, raw, asked)
+        records = [MemoryJournal(), MemoryJournal()]
+        for tick, journal in zip((plain, compiled), records, strict=True):
+            tick.record(journal, NO_OUTCOME, NO_TRUTH)
+        ours, theirs = (list(chain(*journal.ticks[0])) for journal in records)
+        assert bits(ours) == bits(theirs)
+        states = [Block(plain.state, 0)._flatten(tick.state) for tick in (plain, compiled)]
+        assert bits(states[0]) == bits(states[1])
+        t_ns += dt_ns
+
+
+def test_where_machine_code_fails_plain_python_says_why(compiled: CompiledTick) -> None:
+    limits = SETUP.limits._replace(pressure_model_memory_s=0.0)
+    broken = SETUP._replace(limits=limits)
+    compiled.begin(first_state(SETUP, Zero(0.2, 0.0)), TickTimes(0, -MS))
+    reference = Reference(2, 0.0, 0.0, 0.0, 0.0, math.nan)
+    compiled.run(broken, Wake(0, 0, 0, 0), RawSample(0.3, 0, 0, 0), reference)
+    before = compiled.state
+    with pytest.raises(ZeroDivisionError):
+        compiled.run(broken, Wake(1, MS, MS, 0), RawSample(0.3, 0, MS, MS), reference)
+    assert compiled.state == before, "a tick that failed changes nothing"
+
+
+def test_a_rehearsal_changes_neither_state_nor_ring(compiled: CompiledTick, tmp_path: Path) -> None:
+    from support.made_up import meta
+
+    compiled.begin(first_state(SETUP, Zero(0.2, 0.0)), TickTimes(0, -MS))
+    reference = Reference(2, 0.0, 0.0, 0.0, 0.0, math.nan)
+    with Ring.create(tmp_path / "a.ring", meta(tmp_path / "none"), 256) as ring:
+        compiled.run(SETUP, Wake(0, 0, 0, 0), RawSample(0.3, 0, 0, 0), reference)
+        compiled.record(RingOnly(ring), NO_OUTCOME, NO_TRUTH)
+        before, rows, head = compiled.state, ring.drain(256), ring.head
+        for _ in range(3):
+            compiled.rehearse(lambda t_s: None, RingOnly(ring))
+        assert (compiled.state, ring.drain(256), ring.head) == (before, rows, head)
+
+
+class RingOnly(MemoryJournal):
+    def __init__(self, ring: Ring) -> None:
+        super().__init__()
+        self._ring = ring
+
+    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
+        self._ring.put_row(row)
+
+    def rehearse_row(self, row: bytearray) -> None:
+        self._ring.rehearse_row(row)
+
+
+def test_a_value_that_is_not_made_of_numbers_is_refused() -> None:
+    with pytest.raises(NotFlat, match=r"filters\.displacement_hz: str is not a float"):
+        Block(SETUP._replace(filters=SETUP.filters._replace(displacement_hz="fast")), 0)
+
+
+def test_without_a_linker_nothing_is_built_and_the_reason_is_said(monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("PAMCTL_NO_BUILD")
+    monkeypatch.setattr(libraries, "find_linker", lambda: None)
+    assert "install gcc" in libraries.start_building(resolve())
+    tick, what = libraries.load_tick(SETUP)
+    assert isinstance(tick, PlainTick)
+    assert what == "plain Python"
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(CannotBuild, match="install gcc"):
+        builder_main.build_tick_library(SETUP, tmp_path / "a.so")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_other_sources_laws_and_machines_have_other_code(monkeypatch) -> None:
+    from pamctl.compiled_ahead import library
+
+    here = libraries.find_tick_library(SETUP)
+    smc = libraries.find_tick_library(build_tick_setup(run_settings(controller="smc")))
+    assert here != smc
+    monkeypatch.setattr(library, "_hash_house", lambda: "another processor")
+    assert libraries.find_tick_library(SETUP) != here

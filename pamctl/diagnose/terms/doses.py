@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pamctl.diagnose.fitting.block_fit import Fit, secant
+from pamctl.diagnose.fitting.block_fit import Fit, find_secants
 from pamctl.diagnose.fitting.drives import PRESSURE, Drive
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.terms.grammar import Question
@@ -44,8 +44,8 @@ class Doses:
 
     def simulate(self, question: Question, size: float) -> Array:
         """Return what each shape adds per size, by driving the plant, shape (n, p)."""
-        moved = [secant(self.fitted, named) / size for named in build_doses(question, size)]
-        columns: Array = np.nan_to_num(np.column_stack(moved))
+        doses = [*build_doses(question, size)]
+        columns: Array = np.nan_to_num(find_secants(self.fitted, doses) / size)
         return columns
 
     def answer(self, question: Question, size: float) -> Array:

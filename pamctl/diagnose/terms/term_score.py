@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.diagnose.fitting.block_fit import Fit, project_out, rms, secant
+from pamctl.diagnose.fitting.block_fit import Fit, find_secants, project_out, rms
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.terms.doses import Doses
 from pamctl.diagnose.terms.grammar import Question
@@ -182,7 +182,9 @@ def _choose_sizes(residual: _Residual, questions: Sequence[Question]) -> dict[st
         if question.operator != "constant" or name in sizes:
             continue
         usual = question.location.usual
-        moved = rms(secant(residual.fitted, question.fix() | {question.prefix + "size": usual}))
+        moved = rms(
+            find_secants(residual.fitted, [question.fix() | {question.prefix + "size": usual}])
+        )
         times = wanted / moved if moved > 0.0 else 1.0
         sizes[name] = usual * float(np.clip(times, 1e-3, 1e2))
     return sizes

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pamctl.cluster import connect_to_cluster
+from pamctl.cluster.dask_cluster import connect_to_cluster
 from pamctl.new_file import NewFileError, write_files
 from pamctl.settings.resolve import SECTIONS
 from pamctl.tune.gains_file import Scores, format_gains_file, summarise_verdicts

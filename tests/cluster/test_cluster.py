@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from support.made_records import all_but, pair
 
-from pamctl import cluster
-from pamctl.cluster import ClusterError, connect_to_cluster, describe_versions
+from pamctl.cluster import dask_cluster as cluster
+from pamctl.cluster.dask_cluster import ClusterError, connect_to_cluster, describe_versions
 from pamctl.diagnose import diagnose
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.plant.model import PlantSettings

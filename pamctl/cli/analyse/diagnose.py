@@ -153,7 +153,7 @@ def _parse_noise(texts: Sequence[str]) -> dict[str, float]:
 @contextmanager
 def _start_workers(jobs: int, cluster: str | None) -> Iterator[Executor | None]:
     if cluster is not None:
-        from pamctl.cluster import connect_to_cluster
+        from pamctl.cluster.dask_cluster import connect_to_cluster
 
         with connect_to_cluster(cluster) as executor:
             yield executor

@@ -23,7 +23,7 @@ from hidden.benchmark.benchmark_suite import PROGRAMS, SUITES, Suite
 from hidden.benchmark.methods_table import format_methods, make_scores_document, score_method
 from hidden.benchmark.records_folder import list_ids, read_truth, write_records
 from hidden.benchmark.run_method import MethodCrash, run_method
-from pamctl.cluster import connect_to_cluster
+from pamctl.cluster.dask_cluster import connect_to_cluster
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 from hidden.benchmark.failure import BenchmarkError
 from hidden.benchmark.records_folder import Task, list_ids, read_task
 from hidden.benchmark.verdict_file import VerdictFile
-from pamctl.benchmark import call_in_rigs
+from pamctl.benchmark.rigs_folder import call_in_rigs
 from pamctl.exit_codes import ExitCode
 
 Verdict = dict[str, Any]

@@ -1,4 +1,4 @@
-"""`python -m pamctl.benchmark`: the hidden rigs as a benchmark for any method of diagnosis.
+"""Where the hidden rigs are, and how to call them.
 
 The rigs share no code with pamctl's plant. They are the package `hidden`: the folder `tests` of a
 checkout, `pamctl/_rigs` of an installed pamctl.
@@ -11,9 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pamctl.realtime.scheduling import keep_single_threaded
-
-_HERE = Path(__file__).parent
+_HERE = Path(__file__).parents[1]
 _PLACES = (_HERE.parent / "tests", _HERE / "_rigs")
 
 
@@ -23,8 +21,3 @@ def call_in_rigs(module: str, function: str, *arguments: Any) -> Any:
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
     return getattr(import_module(module), function)(*arguments)
-
-
-if __name__ == "__main__":
-    keep_single_threaded()
-    call_in_rigs("hidden.benchmark.command_line", "main")

@@ -109,6 +109,16 @@ RtOption = Annotated[
         show_default="auto",
     ),
 ]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Scheduler of a Dask cluster whose workers share the work, such as tcp://HOST:8786; "
+        "needs the extra 'cluster'",
+        show_default="this machine",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document as the result")]
 SocketOption = Annotated[
     Path | None,
@@ -178,6 +188,13 @@ def choose_live_port(live: bool, port: int, origins: Sequence[str] | None) -> in
     if origins and not live:
         raise typer.BadParameter("belongs to --live, which is off", param_hint="--live-origin")
     return port if live else None
+
+
+def require_one_place(cluster: str | None, jobs: int | None) -> None:
+    """Leave with 2 if work is asked for here and on a cluster."""
+    if cluster is not None and jobs is not None:
+        message = "are workers on this machine: a cluster has its own"
+        raise typer.BadParameter(message, param_hint="--jobs")
 
 
 # --- times ------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pamctl.cli.options import ControllerFromOption, JsonOption
+from pamctl.cli.options import ClusterOption, ControllerFromOption, JsonOption, require_one_place
 from pamctl.cli.output import print_json, print_result
 from pamctl.exit_codes import ExitCode
 from pamctl.settings.resolve import settings_to_data
@@ -125,6 +125,7 @@ def tune(
             "--jobs", metavar="N", min=1, help="Number of worker processes", show_default="all CPUs"
         ),
     ] = None,
+    cluster: ClusterOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Search gains by simulation, or score given ones; Ctrl-C keeps the best so far."""
@@ -133,6 +134,7 @@ def tune(
     from pamctl.tune.tune_text import format_scores, make_scores_document
     from pamctl.tune.tuning_task import TuningTask
 
+    require_one_place(cluster, jobs)
     if check is not None and out is not None:
         message = "belongs to a search: with --check nothing is written"
         raise typer.BadParameter(message, param_hint="--out")
@@ -143,7 +145,7 @@ def tune(
         law, plants or [], size, seed, quantile, held_out, out, check, start, compensate or []
     )
     if task.checked is not None:
-        scores = check_gains(task, jobs)
+        scores = check_gains(task, jobs, cluster)
         if as_json:
             document = make_scores_document(scores)
             gains = settings_to_data(task.checked)
@@ -158,7 +160,7 @@ def tune(
         start, end = ("\r", "   ") if sys.stderr.isatty() else ("", "\n")
         print(start + line, end=end, file=sys.stderr, flush=True)
 
-    found = search_gains(task, jobs, generations, command, show_progress)
+    found = search_gains(task, jobs, generations, command, show_progress, cluster)
     _print_result(task, found, as_json=as_json)
     raise typer.Exit(ExitCode.SIGINT if found.interrupted else ExitCode.OK)
 

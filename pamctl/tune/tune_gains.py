@@ -8,12 +8,13 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pamctl.cluster.dask_cluster import connect_to_cluster
 from pamctl.new_file import NewFileError, write_files
 from pamctl.settings.resolve import SECTIONS
 from pamctl.tune.gains_file import Scores, format_gains_file, summarise_verdicts
@@ -41,9 +42,11 @@ class FoundGains(NamedTuple):
     """Why the gains file could not be written; None where it was."""
 
 
-def check_gains(task: TuningTask, jobs: int | None) -> dict[str, Scores]:
+def check_gains(
+    task: TuningTask, jobs: int | None, cluster: str | None = None
+) -> dict[str, Scores]:
     """Score the given gains on fresh plants, or on named ones."""
-    with _start_workers(jobs) as executor:
+    with _start_workers(jobs, cluster) as executor:
         return _score_gains(executor, task.checked, task)
 
 
@@ -53,19 +56,21 @@ def search_gains(
     generations: int,
     command: str,
     progress: Callable[[BestGains, float], None],
+    cluster: str | None = None,
 ) -> FoundGains:
     """Search, score the best gains on plants the search has not seen, and write them.
 
     `command` goes into the file as its origin; `progress` is called after each generation with
-    the seconds so far. Raises `SearchError`, and `KeyboardInterrupt` where that comes before
-    the end of the first generation.
+    the seconds so far. The plants run in `jobs` processes of this machine, or on the Dask cluster
+    at the address `cluster`. Raises `SearchError`, `ClusterError`, and `KeyboardInterrupt` where
+    that comes before the end of the first generation.
     """
     assert task.out is not None
     state = task.out.with_suffix(".search.json")
     began_s = time.monotonic()
     interrupted = False
     scores: dict[str, Scores]
-    with _start_workers(jobs) as executor:
+    with _start_workers(jobs, cluster) as executor:
         search = GainsSearch(
             task.law, task.jury, task.seed, task.start, state, task.trial, task.compensate
         )
@@ -95,7 +100,11 @@ def search_gains(
 
 
 @contextmanager
-def _start_workers(jobs: int | None) -> Iterator[ProcessPoolExecutor]:
+def _start_workers(jobs: int | None, cluster: str | None) -> Iterator[Executor]:
+    if cluster is not None:
+        with connect_to_cluster(cluster) as on_cluster:
+            yield on_cluster
+        return
     # Not forked: a fork of a process with numba's and numpy's threads may hang.
     context = multiprocessing.get_context("spawn")
     executor = ProcessPoolExecutor(jobs or os.cpu_count(), context, initializer=_begin_work)
@@ -119,9 +128,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _score_gains(
-    executor: ProcessPoolExecutor, controller: Any, task: TuningTask
-) -> dict[str, Scores]:
+def _score_gains(executor: Executor, controller: Any, task: TuningTask) -> dict[str, Scores]:
     """Return the scores on the fresh plants and on the named ones, where there are any."""
     verdict = partial(_judge_member, controller)
     members = [*task.fresh, *task.named]

@@ -52,7 +52,7 @@ def test_no_two_modules_share_a_name() -> None:
     """A verb of the command line may be called as the room that does its work."""
     places: dict[str, list[str]] = defaultdict(list)
     for path in MODULES:
-        if path.name != "__init__.py" and (ROOT / "pamctl" / "cli") not in path.parents:
+        if not path.name.startswith("__") and (ROOT / "pamctl" / "cli") not in path.parents:
             places[path.stem].append(_name_of(path))
     _require_unique(places)
 

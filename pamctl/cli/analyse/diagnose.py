@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from pamctl.cli.options import JsonOption, PlantOption
+from pamctl.cli.options import ClusterOption, JsonOption, PlantOption, require_one_place
 from pamctl.cli.output import print_result
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_empty_folder
@@ -72,8 +72,12 @@ def diagnose(
         ),
     ] = None,
     jobs: Annotated[
-        int, typer.Option("--jobs", metavar="N", min=1, help="Number of worker processes")
-    ] = 1,
+        int | None,
+        typer.Option(
+            "--jobs", metavar="N", min=1, help="Number of worker processes", show_default="1"
+        ),
+    ] = None,
+    cluster: ClusterOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find where model and measurement disagree, name the missing effect, add it to the model.
@@ -82,6 +86,7 @@ def diagnose(
     plant.yaml is for --plant of run, tune, compare and a next diagnose.
     The exit code is 0 for every verdict, and 65 if the data cannot be used.
     """
+    require_one_place(cluster, jobs)
     require_empty_folder(out)
     start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
     _require_known(without or [])
@@ -100,7 +105,7 @@ def diagnose(
     if not held:
         how = "the runs are split" if len(train) > 1 else "long stretches of it are held out"
         typer.echo(f"no --holdout: {how}", err=True)
-    with _start_workers(jobs) as executor:
+    with _start_workers(jobs or 1, cluster) as executor:
         diagnosis = find_missing_effects(
             train,
             held,
@@ -146,7 +151,13 @@ def _parse_noise(texts: Sequence[str]) -> dict[str, float]:
 
 
 @contextmanager
-def _start_workers(jobs: int) -> Iterator[Executor | None]:
+def _start_workers(jobs: int, cluster: str | None) -> Iterator[Executor | None]:
+    if cluster is not None:
+        from pamctl.cluster.dask_cluster import connect_to_cluster
+
+        with connect_to_cluster(cluster) as executor:
+            yield executor
+        return
     if jobs == 1:
         yield None
         return

@@ -9,7 +9,6 @@ from typing import Any
 from hidden.examination.cases import Case
 from hidden.examination.damage import damaged
 from hidden.excitations import PROGRAMS
-from hidden.own_run import own_run
 from hidden.rig import PULLED, HiddenRig, Record, hidden_rig
 from pamctl.diagnose import Record as Measured
 from pamctl.diagnose import diagnose
@@ -31,6 +30,8 @@ def records_of(case: Case) -> tuple[list[Record], list[Record]]:
     """Return the (training, held-out) records as the case's user has them."""
     rig = rig_of(case)
     if case.program == "own":
+        from hidden.own_run import own_run  # it needs the tests' own helpers
+
         return [own_run(rig, "diagnosis", seed=1)], [own_run(rig, "diagnosis", seed=2)]
     return tuple(  # type: ignore[return-value]
         [_handed_in(rig.run(excitation).record, case) for excitation in runs]

@@ -1,0 +1,4 @@
+"""Work on other machines, through Dask.
+
+Read `dask_cluster.py` first.
+"""

@@ -32,11 +32,11 @@ import numpy as np
 
 from pamctl.bounded_memory import BoundedMemory
 from pamctl.compiled import compile_kernel
+from pamctl.packing import Packing, make_packing
 from pamctl.plant.chains import undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
 from pamctl.plant.correction_tables import Correction
 from pamctl.plant.flat import parameters_of
-from pamctl.plant.packing import Packing, make_packing
 from pamctl.plant.parameters import (
     PlantParameters,
     PlantState,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from hal.calibration import Calibration, Zero, position_m, pressure_pa
 from hal.rig import RawSample
-from pamctl.compensation import (
+from pamctl.compensation.around_the_law import (
     Compensation,
     compensate_command,
     correct_measurement,

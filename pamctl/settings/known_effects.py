@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from itertools import pairwise
 from typing import NamedTuple
 
-from pamctl.compensation import Compensation, limit_slope, list_wanted_v
+from pamctl.compensation.around_the_law import Compensation, limit_slope, list_wanted_v
 from pamctl.control.law import LawSettings
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.chains import Effects, undo_reading, undo_valve_v

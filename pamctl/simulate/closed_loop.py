@@ -18,7 +18,7 @@ from hal.calibration import output_v, valve_v
 from hal.converter import quantise_v
 from hal.rig import RawSample
 from hal.sim.sim_rig import SensorChain, sensed_counts, sensed_pressure_v
-from pamctl.compensation import correct_measurement
+from pamctl.compensation.around_the_law import correct_measurement
 from pamctl.compiled import compile_kernel
 from pamctl.control.course import Course, Segment
 from pamctl.control.law import KERNELS, LawKernel, answer

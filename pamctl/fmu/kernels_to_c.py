@@ -204,7 +204,7 @@ class _FunctionWriter:
         declared = [
             f"    {its.name} {_c_name(local)};"
             for local, its in self._locals.items()
-            if local not in self._arguments
+            if local not in self._arguments and its is not NONE
         ]
         head = f"static {result.name} {name}({given or 'void'}) {{"
         return "\n".join([head, *declared, *self._lines, "}\n"]), result
@@ -233,7 +233,7 @@ class _FunctionWriter:
         self._result = self._join(self._result, its, node)
         if its.is_tuple and its != self._result and isinstance(node.value, ast.Tuple):
             text = self._make_tuple(node.value, self._result)
-        self._lines.append(f"{indent}return {text};")
+        self._lines.append(f"{indent}return;" if its is NONE else f"{indent}return {text};")
         return True
 
     def _write_assign(self, node: ast.Assign, indent: str) -> bool:
@@ -256,7 +256,9 @@ class _FunctionWriter:
         if isinstance(target, ast.Name):
             text, its = self._read(value)
             self._settle(target, its)
-            self._lines.append(f"{indent}{_c_name(target.id)} = {text};")
+            into = "" if its is NONE else f"{_c_name(target.id)} = "
+            if into or isinstance(value, ast.Call):
+                self._lines.append(f"{indent}{into}{text};")
             return
         if not isinstance(target, ast.Tuple):
             raise self._refuse(target)
@@ -503,6 +505,10 @@ class _FunctionWriter:
 
     def _decide(self, test: ast.expr) -> bool | None:
         """Return the outcome of `... is None`, which the types decide; None for another test."""
+        if isinstance(test, ast.BoolOp):
+            ends = isinstance(test.op, ast.Or)  # the value that decides the whole
+            parts = [self._decide(part) for part in test.values]
+            return ends if ends in parts else None if None in parts else not ends
         if (
             isinstance(test, ast.Compare)
             and len(test.ops) == 1

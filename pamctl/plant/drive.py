@@ -32,7 +32,7 @@ import numpy as np
 
 from pamctl.bounded_memory import BoundedMemory
 from pamctl.compiled import compile_kernel
-from pamctl.packing import Packing, make_packing
+from pamctl.compiled_ahead.packing import Packing, make_packing
 from pamctl.plant.chains import undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
 from pamctl.plant.correction_tables import Correction

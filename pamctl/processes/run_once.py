@@ -30,7 +30,6 @@ from pamctl.processes.backends import (
 from pamctl.processes.front import FrontReport, ProcessCommands, conduct_run
 from pamctl.processes.machine_code.libraries import start_building
 from pamctl.processes.mark_desk import MarkDesk, open_mark_desk
-from pamctl.processes.run_here import run_here
 from pamctl.realtime.keyframe import keyframe_fields
 from pamctl.realtime.tick import first_state
 from pamctl.recording.log_path import choose_log_path
@@ -92,6 +91,8 @@ def run_once(
     path = choose_log_path(log, names["controller"], names["experiment"])
     meta = annotate_meta(make_run_meta(settings, names, path), said, records)
     if settings.fast and sys.platform != "linux":
+        from pamctl.processes.run_here import run_here  # numpy, which the daemon does without
+
         ending = run_here(meta, settings, lambda tick: progress(tick, 0.0))
         progress.end_line()
         return _conclude_run(settings, names, path, FrontReport(ending, True, ""))

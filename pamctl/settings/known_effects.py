@@ -75,7 +75,7 @@ def _require_known(names: Sequence[str], plant: PlantSettings) -> None:
         if name not in undoable:
             raise ValueError(
                 f"compensate: {name} cannot be undone within a tick; these can: "
-                f"{', '.join(undoable)}. Retune for it: `pamctl tune --plant FILE`"
+                f"{', '.join(undoable)}. retune for it with `pamctl tune`"
             )
         parameters = CATALOGUE[name].parameters
         if not acts(
@@ -84,7 +84,7 @@ def _require_known(names: Sequence[str], plant: PlantSettings) -> None:
         ):
             raise ValueError(
                 f"compensate: the plant file does not have {name}; give --plant a file with its "
-                "numbers, as `pamctl diagnose --out` writes it"
+                "numbers, as `pamctl diagnose` writes it"
             )
 
 

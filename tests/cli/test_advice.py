@@ -28,7 +28,7 @@ COMMAND = re.compile(r"`pamctl ([^`]*)`|next: pamctl ([^`;#\n]*)")
 SHIPPED = {f"--{section}": section for section in SECTIONS} | {"--start": "controller"}
 
 
-NAMED_ALONE = ("diagnose", "compare", "tune", "plant new")
+NAMED_ALONE = ("diagnose", "compare", "tune", "health", "plant new")
 """What a text may name without its arguments: `pamctl compare` works on it."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple
 
 from hal.backend import Plant
 from hal.faulty import FaultSettings, FaultyRig
@@ -18,7 +18,7 @@ from pamctl.realtime.loop import run_loop
 from pamctl.recording.ring import ROW_HEADER, RowKind, tick_struct
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.signals import TICK_FIELDS, Phase, TickRecord, Truth
+from pamctl.signals import TICK_FIELDS, TICK_STAGES, Phase, TickRecord, Truth
 
 MS = 1_000_000
 COUNT_M = 25.4e-3 / 8000.0
@@ -37,9 +37,9 @@ def unpack_row(row: bytes | bytearray) -> TickRecord:
     kind, size, tick, t_ns = ROW_HEADER.unpack_from(row)
     assert (kind, size) == (RowKind.TICK, tick_struct(TICK_FIELDS).size)
     numbers = iter(tick_struct(TICK_FIELDS).unpack_from(row, ROW_HEADER.size))
-    stages = get_type_hints(TickRecord).values()
-    record = TickRecord._make(
-        stage._make(itertools.islice(numbers, len(stage._fields))) for stage in stages
+    stages: Any = TICK_STAGES.values()
+    record = TickRecord(
+        *(stage._make(itertools.islice(numbers, len(stage._fields))) for stage in stages)
     )
     assert (tick, t_ns) == (record.timing.tick, record.raw.encoder_t_ns)
     return record

@@ -95,7 +95,8 @@ def run_once(
 
         ending = run_here(meta, settings, lambda tick: progress(tick, 0.0))
         progress.end_line()
-        return _conclude_run(settings, names, path, FrontReport(ending, True, ""))
+        done = FrontReport(ending, True, "")
+        return _conclude_run(settings, names, path, done, is_usual_place=log is None)
     with secure_device(settings) as rig:
         finish_orphans(SHARED_MEMORY, quiet=quiet)
         with (

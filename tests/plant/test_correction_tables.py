@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from functools import cache
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 from support.made_records import all_but, pair
 
 import pamctl.diagnose.extend
 from pamctl.compiled import compile_kernel
-from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary
+from pamctl.diagnose import Diagnosis, Record, Verdict, diagnose, summary, workflow
 from pamctl.diagnose.extend import add_correction_tables
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
 from pamctl.diagnose.report.phrases import describe_correction
+from pamctl.diagnose.terms.describe import Description
 from pamctl.plant.correction_tables import CorrectionTable, interpolate_table
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import AirState, PlantState, ValveState, vented_state
@@ -120,9 +122,10 @@ def without_command(**hidden: float) -> tuple[list[Record], list[Record]]:
 
 @cache
 def nameless() -> Diagnosis:
-    """A hardening spring, diagnosed by a catalogue that has no such thing."""
+    """A hardening spring, diagnosed by a catalogue that has no such thing, and without terms."""
     records = without_command(cubic_stiffness__n_per_m3=4e6)
-    return diagnose(*records, PlantSettings(), without=all_but("creep"), correction=True)
+    with patch.object(workflow, "describe_rest", lambda *given: Description(0, 0.0, ())):
+        return diagnose(*records, PlantSettings(), without=all_but("creep"), correction=True)
 
 
 def test_a_correction_table_is_added_on_request_and_shrinks_the_held_out_gap() -> None:

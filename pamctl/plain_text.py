@@ -28,6 +28,8 @@ _UNSEEN = re.compile(
 )
 
 
+LONGEST_REMARK = 2000
+"""Characters of a mark."""
 _BREAKS = re.compile("[\t\n\v\f\r\x1c-\x1f\x85\u2028\u2029]+")
 _CONTROLS = frozenset({"Cc", "Cf", "Cs"})
 """Control and format characters (bidirectional ones are among them), halves of characters."""

@@ -9,7 +9,6 @@ from pydantic import AfterValidator, Field
 
 from pamctl.daemon.protocol import (
     LONGEST_MOTION_S,
-    LONGEST_REMARK,
     Method,
     NoParams,
     Params,
@@ -24,7 +23,7 @@ from pamctl.log.annotate.annotation import (
     AnnotationError,
     make_annotation,
 )
-from pamctl.plain_text import clean_text
+from pamctl.plain_text import LONGEST_REMARK, clean_text
 from pamctl.realtime.gain_ramp import DEFAULT_RAMP_S
 
 Ramp = Annotated[float, Field(ge=0, le=60, description="s")]

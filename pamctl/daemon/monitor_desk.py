@@ -7,9 +7,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from pamctl.daemon.protocol import LONGEST_REMARK, RequestRefusedError
+from pamctl.daemon.protocol import RequestRefusedError
 from pamctl.monitor.monitor_handle import MonitorHandle
 from pamctl.monitor.monitor_words import format_alarm, format_monitor
+from pamctl.plain_text import LONGEST_REMARK
 from pamctl.plant.model import PlantSettings
 
 

@@ -19,11 +19,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import clean_text
+from pamctl.plain_text import LONGEST_REMARK, clean_text
 from pamctl.processes.backends import SHARED_MEMORY
 from pamctl.realtime.orders import Orders
 
-LONGEST_MARK = 2000
 _LARGEST_MESSAGE = 1 << 16
 _MOST_CLIENTS = 8
 _PATIENCE_S = 15.0
@@ -102,8 +101,8 @@ class MarkDesk:
             return
         if text is None:
             self._answer(client, {"log": self._log})
-        elif not 1 <= len(text) <= LONGEST_MARK:
-            self._answer(client, {"refused": f"a mark has 1 to {LONGEST_MARK} characters"})
+        elif not 1 <= len(text) <= LONGEST_REMARK:
+            self._answer(client, {"refused": f"a mark has 1 to {LONGEST_REMARK} characters"})
         elif not self._orders.is_free:
             self._answer(client, {"refused": "the loop has not taken the mark before yet"})
         else:

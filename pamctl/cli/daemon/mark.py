@@ -10,9 +10,8 @@ import typer
 from pamctl.cli.daemon.ask import ask, print_answer
 from pamctl.cli.failure import Failed
 from pamctl.cli.options import JsonOption, SocketOption, require_linux
-from pamctl.daemon.protocol import LONGEST_REMARK
 from pamctl.exit_codes import ExitCode
-from pamctl.plain_text import clean_text
+from pamctl.plain_text import LONGEST_REMARK, clean_text
 
 
 def check_remark(text: str) -> str:

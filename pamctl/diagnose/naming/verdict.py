@@ -64,11 +64,6 @@ def judge_search(search: EffectSearch, nominal: Model) -> Judgement:
     return Judgement(Verdict.PARTIAL, partial) if partial else _nothing(search)
 
 
-def closed_shares(base: Model, model: Model) -> dict[str, float]:
-    """Return the share of the way to its limit that a model goes, by block above its limit."""
-    return {block: closed_share(base, model, block) for block in base.unexplained}
-
-
 def judge_parts(search: EffectSearch, names: Collection[str]) -> Judgement:
     """Judge which part of a set of effects remains, where the whole set is not credible."""
     partial = _find_partial(search, {*names})

@@ -34,6 +34,9 @@ from pamctl.simulate.leap import Leap, LeapWords, may_leap
 FORBIDDEN = "PAMCTL_NO_BUILD"
 """Environment variable: where it is set, nothing is built."""
 
+_IN_WORDS = {"tick": "the tick", "plant": "the simulated plant", "leap": "the run as a whole"}
+"""What runs in plain Python where a library is missing, by the first word of the file's name."""
+
 
 def find_tick_library(setup: TickSetup) -> Path:
     """Return where the machine code of a set-up's tick is, or will be. Raises `NotFlat`."""
@@ -124,12 +127,13 @@ def start_building(settings: RunSettings) -> str:
         return f"the tick runs in plain Python: {error}"
     if not missing:
         return ""
+    what = _IN_WORDS[missing[0].name.partition("-")[0]]
     for path in missing:
         with suppress(OSError):
             reason = path.with_suffix(".failed").read_text()
-            return f"the tick runs in plain Python, its machine code cannot be built: {reason}"
+            return f"{what} runs in plain Python, its machine code cannot be built: {reason}"
     if find_linker() is None:
-        return "the tick runs in plain Python: machine code needs a C compiler, install gcc"
+        return f"{what} runs in plain Python: machine code needs a C compiler, install gcc"
     builder = subprocess.Popen(
         [sys.executable, "-m", "pamctl.processes.machine_code.builder_main"],
         stdin=subprocess.PIPE,
@@ -141,6 +145,6 @@ def start_building(settings: RunSettings) -> str:
     with suppress(BrokenPipeError), builder.stdin as sink:
         sink.write(settings_to_json(settings).encode())
     return (
-        "the tick runs in plain Python this time: its machine code is being built in the "
+        f"{what} runs in plain Python this time: its machine code is being built in the "
         "background, once (a minute or less)"
     )

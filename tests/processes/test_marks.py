@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 from hal.sim.register import peek_v
 from pamctl.cli.app import app
 from pamctl.log import read
+from pamctl.plain_text import LONGEST_REMARK
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 from pamctl.processes.mark_desk import (
-    LONGEST_MARK,
     MarkDesk,
     MarkError,
     list_running_runs,
@@ -51,7 +51,7 @@ def test_a_mark_reaches_the_log_of_a_run_without_a_daemon(tmp_path: Path) -> Non
             assert marked.exit_code == 0, marked.output
             assert CliRunner().invoke(app, ["mark", "x", "--log", "other.mcap"]).exit_code == 3
             with pytest.raises(MarkError, match="1 to 2000"):
-                mark_run(run, "x" * (LONGEST_MARK + 1))
+                mark_run(run, "x" * (LONGEST_REMARK + 1))
             for bad in (b"{", b"[]", b'{"mark": ""}', b"\xff", b"9" * 60_000):
                 with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
                     client.connect(f"\0{run.address}")

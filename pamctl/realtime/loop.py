@@ -149,7 +149,8 @@ def run_loop(
     a simulated plant knows. Without a `helm` the set-up stays as it is. `opened` is called once,
     right after the rig is open, and returns events for the log. `tick` runs the ticks; by default
     plain Python does. `many` runs those that nothing interrupts. `ended` is told the ending as
-    soon as the valve is safe: to release a device may take seconds. `RigError`, a safety trip and a failed homing become the ending. Anything else is an error in pamctl and is raised.
+    soon as the valve is safe: to release a device may take seconds. `RigError`, a safety trip and
+    a failed homing become the ending. Anything else is an error in pamctl and is raised.
     """
     try:
         with open_rig(rig):

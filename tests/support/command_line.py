@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 import os
 import shlex
+import signal
 import subprocess
 import sys
+import tempfile
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 from unittest.mock import patch
 
 from typer.main import get_command
@@ -30,18 +32,20 @@ def parse_command(text: str) -> None:
 
 
 def run_pamctl(
-    *words: object, cwd: Path | None = None, environment: dict[str, str] | None = None
+    *words: object, cwd: Path | None = None, typed: str = ""
 ) -> subprocess.CompletedProcess[str]:
     """Run `pamctl WORDS` to its end, half a second sooner than a process of its own.
 
-    For verbs whose process is not what is tested. They find no terminal, and no input.
+    For verbs whose process is not what is tested. Standard input is `typed`, and no terminal.
     """
     arguments = ["pamctl", *map(str, words)]
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
     with (
-        patch.dict(os.environ, environment or {}),
+        _type_ahead(typed) as keyboard,
+        patch.dict(os.environ),
         patch.object(sys, "argv", arguments),
-        patch.object(sys, "stdin", io.StringIO()),
+        patch.object(sys, "stdin", keyboard),
         chdir(cwd or Path.cwd()),
         redirect_stdout(out),
         redirect_stderr(err),
@@ -51,5 +55,16 @@ def run_pamctl(
             code = 0
         except SystemExit as leaving:
             code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
     said, complained = (stream.buffer.getvalue().decode() for stream in (out, err))  # type: ignore[attr-defined]
     return subprocess.CompletedProcess(arguments, code, said, complained)
+
+
+def _type_ahead(text: str) -> IO[str]:
+    """Return a file with the text; a verb may ask for its number."""
+    file = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
+    file.write(text)
+    file.seek(0)
+    return file

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
+from itertools import chain
 
 import pytest
-from support.runs import ScriptedSupervisor, parts, run_settings
+from support.runs import MemoryJournal, ScriptedSupervisor, parts, run_settings
 
 from pamctl.compensation.around_the_law import CELLS, Compensation, list_wanted_v
 from pamctl.compiled_ahead.layout import LONGEST_TABLE, Block, NotFlat
@@ -14,9 +15,9 @@ from pamctl.processes.machine_code import builder_main, libraries
 from pamctl.realtime.cued_helm import CuedHelm
 from pamctl.realtime.loop import run_loop
 from pamctl.realtime.tick_path import PlainTick, load_compiled_tick
-from pamctl.recording.ring import ROW_HEADER, tick_struct
+from pamctl.recording.ring import tick_struct
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
-from pamctl.signals import TickRecord, Truth, list_tick_fields
+from pamctl.signals import Truth, list_tick_fields
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the real-time loop needs Linux")
 
@@ -39,35 +40,10 @@ SETUP = build_tick_setup(SETTINGS)._replace(
         tuple(-0.2 - 0.9 * v for v in list_wanted_v(REACH_V)),
     )
 )
-PACKED = tick_struct(list_tick_fields(compensates=True))
 
 
-class PackedJournal:
-    """Keeps the bytes of every row."""
-
-    def __init__(self) -> None:
-        self.rows: list[bytes] = []
-        self.keyframes: list[tuple[float, ...]] = []
-
-    def put_tick(self, record: TickRecord) -> None:
-        self.rows.append(PACKED.pack(*(part for stage in record for part in stage)))
-
-    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
-        assert ROW_HEADER.unpack_from(row)[1] == PACKED.size
-        self.rows.append(bytes(row[ROW_HEADER.size :][: PACKED.size]))
-
-    def put_event(self, tick: int, t_ns: int, event: object) -> None:
-        pass
-
-    def put_keyframe(self, tick: int, t_ns: int, state: list[float]) -> None:
-        self.keyframes.append((tick, *state))
-
-    def end_ticks(self) -> None:
-        pass
-
-
-def run_with(tick: object) -> PackedJournal:
-    made, journal, program = parts(SETTINGS), PackedJournal(), build_program(SETTINGS)
+def run_with(tick: object) -> MemoryJournal:
+    made, journal, program = parts(SETTINGS), MemoryJournal(), build_program(SETTINGS)
     run_loop(
         made.whole,
         made.clock,
@@ -89,8 +65,10 @@ def test_a_compensated_run_has_the_same_rows_and_frozen_states() -> None:
         builder_main.build_tick_library(SETUP, path)
     tick = load_compiled_tick(path, SETUP)
     plain, compiled = run_with(PlainTick()), run_with(tick)
-    assert len(plain.rows) > 1000
-    assert plain.rows == compiled.rows
+    assert len(plain.ticks) > 1000
+    packing = tick_struct(list_tick_fields(compensates=True))
+    rows = [[packing.pack(*chain(*record)) for record in run.ticks] for run in (plain, compiled)]
+    assert rows[0] == rows[1]
     assert repr(plain.keyframes) == repr(compiled.keyframes)
     assert math.isfinite(tick.state.compensated.corrected_position_m)
     assert not tick.fits(SETUP._replace(compensation=None))

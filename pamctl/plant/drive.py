@@ -271,6 +271,15 @@ def select_mechanics_numbers(p: PlantParameters) -> PlantParameters:
     return p._replace(paper=paper, effects=effects, valve_acts=False, air_acts=False)
 
 
+@lru_cache(maxsize=64)
+def without_pressure_offset(p: PlantParameters) -> PlantParameters:
+    """Return the plant with a right zero of the pressure sensor; it must have no terms."""
+    neutral = _NEUTRAL.sensors
+    sensors = p.effects.sensors._replace(pressure_sensor_offset=neutral.pressure_sensor_offset)
+    effects = p.effects._replace(sensors=sensors)
+    return p._replace(effects=effects, sensors_act=sensors != neutral)
+
+
 _PLANT = parameters_of({})
 _NEUTRAL = _PLANT.effects
 

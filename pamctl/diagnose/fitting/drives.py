@@ -54,6 +54,7 @@ from pamctl.plant.drive import (
     find_pressure_course,
     select_mechanics_numbers,
     select_pressure_numbers,
+    without_pressure_offset,
 )
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
@@ -220,6 +221,9 @@ class Drive:
     def simulate_with(self, p: PlantParameters) -> Array:
         """Simulate the block with the kernels' parameters; the result is read-only."""
         p = self.select_numbers(p)
+        offset_pa = p.effects.sensors.pressure_sensor_offset.offset_pa
+        if offset_pa and self._only_adds_offset(p):
+            return Drive.simulate_with(self, without_pressure_offset(p)) + offset_pa
         if not self.is_remembered:
             return self._simulate_anew(p)
         made_from = (
@@ -235,6 +239,14 @@ class Drive:
         (simulated,) = _SIMULATED.recall(key, made_from, lambda: (self._simulate_anew(p),))
         simulated.setflags(write=False)
         return simulated
+
+    def _only_adds_offset(self, p: PlantParameters) -> bool:
+        """Tell whether the pressure sensor's zero only moves what the block shows.
+
+        It is the last effect of the reading. Windows start from a reading, which it moves.
+        """
+        alone = self.block == PRESSURE and self.has_position and not self.windows
+        return alone and p.terms is None
 
     def select_numbers(self, p: PlantParameters) -> PlantParameters:
         """Return the numbers that this block's simulation depends on; the others are neutral."""

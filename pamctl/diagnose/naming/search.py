@@ -35,6 +35,9 @@ BEAM = (2, 1)
 """Models with one effect, and with two, from which the next level grows."""
 NEAR_LIMITS = 4.0
 """A quick fit that leaves less than this multiple of the limit is fitted to the end."""
+HOPELESS_LIMITS = 10.0
+"""A fit that leaves more than this multiple of a limit, where another leaves only noise, is not
+tried from other starts."""
 MOST_FINISHED = 3
 """At most this many models of a level are fitted to the end."""
 EQUAL_MARGIN = 0.1
@@ -320,7 +323,21 @@ class _Fitter:
         return tuple(sorted(map(confirm_complete, ended), key=rank))
 
     def _fit(self, jobs: Sequence[_Job]) -> list[Model]:
-        return run_fit_jobs(_fit_job, jobs, self.executor, self.progress)
+        """Fit the jobs from their first starts, then from others where that may lead further.
+
+        Beside a model that leaves no more than noise, only those that are near it may.
+        """
+        grown = run_fit_jobs(_fit_first_start, jobs, self.executor, self.progress)
+        is_done = any(not m.unexplained for m in grown)
+        again = [
+            (place, job, model)
+            for place, (job, model) in enumerate(zip(jobs, grown, strict=True))
+            if job.is_wide and model.unexplained and not (is_done and _is_far(model))
+        ]
+        tried = run_fit_jobs(_fit_other_starts, [(j, m) for _, j, m in again], self.executor)
+        for (place, _, _), better in zip(again, tried, strict=True):
+            grown[place] = better
+        return grown
 
     def _look_up(self, effects: frozenset[Candidate], job: _Job) -> Model | None:
         """Return a known model with these effects, with the other blocks as the job's model."""
@@ -358,10 +375,25 @@ def _fit_other_form(job: tuple[Model, Candidate]) -> Model:
     return fit_model(model, (*model.effects[:-1], form), [start], effort=FULL)
 
 
-def _fit_job(job: _Job) -> Model:
-    model, score = job.model, job.score
-    starts = [score.start, *(list_other_starts(model, score) if job.is_wide else ())]
-    return fit_model(model, (*model.effects, score.candidate), starts)
+def _fit_first_start(job: _Job) -> Model:
+    return fit_model(job.model, (*job.model.effects, job.score.candidate), [job.score.start])
+
+
+def _fit_other_starts(given: tuple[_Job, Model]) -> Model:
+    """Return the model, or the better one from another start."""
+    job, first = given
+    starts = [*list_other_starts(job.model, job.score)]
+    other = fit_model(job.model, first.effects, starts)
+    return min(first, other, key=_sum_squares)
+
+
+def _sum_squares(model: Model) -> float:
+    return sum(float(fitted.residual @ fitted.residual) for fitted in model.fits.values())
+
+
+def _is_far(model: Model) -> bool:
+    """Tell whether a fit has ended far above the limit of a block."""
+    return any(model.rms[b] > HOPELESS_LIMITS * model.floors[b].limit for b in model.unexplained)
 
 
 def run_fit_jobs(

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import detrend
 
 from pamctl.bounded_memory import BoundedMemory
 from pamctl.diagnose.fitting.block_fit import Fit, rms, sensitivity
@@ -130,6 +129,8 @@ def _measure_stretches(residual: Array, drives: Sequence[Drive]) -> Array:
 
     What the model lacks changes slowly in most stretches, however large it is.
     """
+    from scipy.signal import detrend  # most of a second to import
+
     levels = []
     for drive, part in zip(drives, _split_by_drive(residual, drives), strict=True):
         length = max(int(STRETCH_S / float(np.median(drive.step_s))), FEWEST_IN_STRETCH)

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
-from scipy.signal import butter, sosfiltfilt, sosfreqz
 
 from pamctl.diagnose.measured.record import Array
 
@@ -127,6 +126,8 @@ def _measure_line(values: Array, share: float, half_width: float, period_s: floa
 
 def _pass_band(values: Array, share: float) -> tuple[Array, float]:
     """Return what lies around a frequency, and the filter's gain there."""
+    from scipy.signal import butter, sosfiltfilt, sosfreqz  # most of a second to import
+
     pass_band = [BAND[0] * share, min(BAND[1] * share, 0.49)]
     sections = butter(2, pass_band, "bandpass", fs=1.0, output="sos")
     gain = float(np.abs(sosfreqz(sections, [2.0 * np.pi * share])[1][0]) ** 2)

@@ -77,6 +77,8 @@ SETTLED_MS = 1000
 """Time after which a muscle stands still (ms)."""
 _SIMULATED: BoundedMemory[tuple[Array]] = BoundedMemory(100_000_000)
 """Fits of both blocks, floors and figures ask for the same simulations."""
+_DISTURBANCES: BoundedMemory[tuple[Array]] = BoundedMemory(50_000_000)
+"""Noise of driving signals; the drives of a fit, weighed and of other steps, share theirs."""
 _GRIDS: BoundedMemory[SampleGrid] = BoundedMemory(50_000_000)
 """Drives that are altered share the steps of the record."""
 RUNAWAY = 1e6
@@ -364,16 +366,15 @@ class Drive:
         A coarse converter's error goes slowly where the signal does: it is that of the signal. The
         draws are kept: the floors of all models use the same noise.
         """
-        if (replica, stream) not in self._disturbances:
+        made_from = (self.measured, signal, self.step_s, noise)
+
+        def draw() -> tuple[Array]:
             random = self.random_generator(replica, stream)
             drawn = noise.simulate_sensor(signal, random) - signal
-            smooth = smooth_signal(drawn, self.step_s, self.cutoff_hz)
-            self._disturbances[replica, stream] = smooth
-        return self._disturbances[replica, stream]
+            return (smooth_signal(drawn, self.step_s, self.cutoff_hz),)
 
-    @cached_property
-    def _disturbances(self) -> dict[tuple[int, int], Array]:
-        return {}
+        key = (replica, stream, self.cutoff_hz, *map(id, made_from))
+        return _DISTURBANCES.recall(key, made_from, draw)[0]
 
     @cached_property
     def _times_s(self) -> Array:

@@ -1,7 +1,4 @@
-"""Stretches of a record without a gap, and filters whose length is a time.
-
-The filters are a few lines each: `scipy.signal` has them too, but takes most of a second to import.
-"""
+"""Stretches of a record without a gap, and filters whose length is a time."""
 
 from __future__ import annotations
 
@@ -10,16 +7,14 @@ from itertools import pairwise
 from math import factorial
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
+from pamctl.diagnose.measured import zero_phase
 from pamctl.diagnose.measured.missed_ticks import smooth_over_missed
 from pamctl.diagnose.measured.record import Array
 from pamctl.log.cutting.pieces import find_longest_step_s
 
 STROKE_END = 0.1
 """Share of a stroke that is left out at each end."""
-MIRRORED_PERIODS = 4.0
-"""Mirrored periods of a filter's cutoff at each end: its answer has faded by then to 1e-7."""
 CUBIC_S = 0.015
 """Length of the cubic that smooths a position: 15 samples at 1 kHz."""
 
@@ -66,16 +61,7 @@ def smooth_below(values: Array, period_s: float, cutoff_hz: float) -> Array:
     relative = 2.0 * cutoff_hz * period_s
     if relative >= 0.9 or len(values) < 3:  # also without a cutoff, at infinity
         return values
-    # The ends are mirrored. Otherwise the filter starts from a single noisy sample, and the muscle
-    # at rest follows every pascal of it.
-    mirrored = round(MIRRORED_PERIODS * 2.0 / relative)
-    length = next_fast_len(len(values) + 2 * mirrored, real=True)
-    whole = np.pad(values, (mirrored, length - len(values) - mirrored), mode="reflect")
-    # Butterworth's response of second order by the trapezoidal rule, once in each direction.
-    warped = np.tan(np.pi * rfftfreq(length))
-    passed = 1.0 / (1.0 + (warped / np.tan(0.5 * np.pi * relative)) ** 4)
-    smooth: Array = irfft(rfft(whole) * passed, length)[mirrored : mirrored + len(values)]
-    return smooth
+    return zero_phase.smooth_below(values, cutoff_hz * period_s)
 
 
 def differentiate(values: Array, period_s: float, length_s: float, order: int) -> Array:

@@ -176,7 +176,7 @@ def search_effects(
         )
         grown = fitter.fit_jobs(jobs)
         if not levels and not any(m.is_complete for m in grown):
-            others = _list_other_jobs(base, candidates, jobs)
+            others = _list_other_jobs(base, candidates, jobs, grown)
             grown = tuple(sorted((*grown, *fitter.fit_jobs(others, grown)), key=rank))
         if not any(m.is_complete for m in grown):
             most = [m for m in grown[:MOST_REFORMED] if _goes_far(base, m)]
@@ -282,19 +282,25 @@ def _shortlist_jobs(beam: Sequence[Model], candidates: Sequence[Candidate], widt
     return jobs
 
 
-def _list_other_jobs(base: Model, candidates: Sequence[Candidate], jobs: _Jobs) -> _Jobs:
+def _list_other_jobs(
+    base: Model, candidates: Sequence[Candidate], jobs: _Jobs, grown: Sequence[Model]
+) -> _Jobs:
     """Return jobs for the candidates that promised too little for the shortlist.
 
     Friction may hold a recalibrated model in a wrong valley. Derivatives then promise nothing of
-    the effect that leads out of it. A fit costs no more than a few simulations.
+    the effect that leads out of it. Of a block that a model of the shortlist (`grown`) explains,
+    only those are asked that may explain another block too.
     """
     others: _Jobs = {}
+    left = {*base.unexplained}
+    opened = {b for b in left if not any(m.is_explained(b) and m.is_plausible for m in grown)}
     for block in base.unexplained:
         for score in score_candidates(
             base.fit_of(block), select_reaching(candidates, {block}), block
         ):
             key = frozenset({score.candidate})
-            if key not in jobs:
+            reached = score.candidate.blocks & left
+            if key not in jobs and (reached & opened or len(reached) > 1):
                 start = score.start or make_small_dose(base, score.candidate)
                 others.setdefault(key, _Job(base, replace(score, start=start), is_wide=False))
     return others

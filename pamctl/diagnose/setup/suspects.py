@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence
@@ -222,6 +221,8 @@ def restore_command(valve_v: np.ndarray, held: int) -> np.ndarray:
     changes = np.flatnonzero(np.diff(valve_v)) + 1
     if held < 2 or not len(changes):
         return valve_v
+    from scipy.interpolate import CubicSpline  # slow to import
+
     first = int(changes[0]) % held
     knots = np.arange(first, len(valve_v), held)
     restored = CubicSpline(knots, valve_v[knots])(np.arange(len(valve_v)))

@@ -108,7 +108,8 @@ def _fit_size(job: tuple[Model, TermScore]) -> Model:
 def _finish(job: tuple[Model, TermTrial]) -> TermTrial:
     """Fit a term to the end, with all its numbers."""
     before, trial = job
-    start = {**dict(trial.candidate.held), **trial.model.effect_values}
+    # From the base's numbers the way is long: friction and stiffness are those without the term.
+    start = {**dict(trial.candidate.held), **trial.model.values}
     own = {n: v for n, v in start.items() if n.startswith(trial.question.prefix)}
     candidate = make_candidate(trial.score, before, own, is_bent=True)
     effects = (*before.effects, candidate)

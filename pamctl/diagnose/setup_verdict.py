@@ -36,14 +36,26 @@ def conclude_setup(diagnosis: Diagnosis, setup: CheckedSetup) -> Diagnosis:
 
 
 def _find_equals(diagnosis: Diagnosis) -> tuple[EqualFinding, ...]:
-    """Return the set-up findings that are equal to a named effect by the equations."""
+    """Return the set-up findings that are equal to a named effect by the equations.
+
+    An effect that leaves something of its blocks is not known well enough to be another thing: of
+    a sensor's bow it is the slope.
+    """
     model, base = diagnosis.model, diagnosis.base
-    if model is None or base is None or not diagnosis.standings:
+    if model is None or base is None:
         return ()
+    rivals = {
+        s.effect.name: s.equal_rivals
+        for s in diagnosis.standings
+        if all(map(model.is_explained, s.effect.blocks & {*model.evidence.blocks}))
+    }
     block = max(base.evidence.blocks, key=base.ratio)
-    numbers = {number.name: number for number in diagnosis.numbers}
-    return find_equal_setups(
-        numbers, model.evidence.nominal, base.rms[block] / model.rms[block], model.ratio(block)
+    numbers = {n.name: n for n in diagnosis.numbers if n.name.split(".")[0] in rivals}
+    return tuple(
+        replace(equal, finding=equal.finding.beside(rivals[equal.effect]))
+        for equal in find_equal_setups(
+            numbers, model.evidence.nominal, base.rms[block] / model.rms[block], model.ratio(block)
+        )
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from pamctl.diagnose.setup.suspects import Kind
 
@@ -36,6 +36,10 @@ class SetupFinding:
     """The value in each record, where it differs between records."""
     is_corrected: bool = True
     """The figures of the diagnosis rest on the corrected set-up."""
+
+    def beside(self, others: Sequence[str]) -> SetupFinding:
+        """Return the finding with more that it cannot be told from."""
+        return replace(self, cannot_be_told_from=(*self.cannot_be_told_from, *others))
 
     def as_dict(self) -> dict[str, object]:
         """Return what the document holds."""

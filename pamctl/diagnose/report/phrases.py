@@ -118,7 +118,7 @@ def list_equal_sets(diagnosis: Diagnosis) -> list[list[str]]:
     sets = []
     for s in diagnosis.standings:
         name = s.effect.name
-        setup = [f.number for f in diagnosis.setup if name in f.cannot_be_told_from]
+        setup = [f.label for f in diagnosis.setup if name in f.cannot_be_told_from]
         if s.equal_rivals or (setup and diagnosis.verdict is Verdict.AMBIGUOUS):
             sets.append([name, *s.equal_rivals, *setup])
     return sets

@@ -122,9 +122,11 @@ def _find_repetition(model: Model, block: str) -> Iterator[tuple[str, str]]:
     if not pairs:
         return
     one, other = (np.concatenate(side) for side in zip(*pairs, strict=True))
-    again = float(np.mean(one * other))
-    share = again / float(0.5 * np.mean(one**2 + other**2))
-    if share > REPEATED_SHARE and again > (MATTERS * evidence.margin(block)) ** 2:
+    again, whole = float(np.mean(one * other)), float(0.5 * np.mean(one**2 + other**2))
+    share = again / whole
+    # Two slow noises may look alike over a short while.
+    by_chance = whole * np.sqrt(model.floors[block].memory / len(one))
+    if share > REPEATED_SHARE and again - by_chance > (MATTERS * evidence.margin(block)) ** 2:
         yield "repeats", f"{100.0 * share:.0f} % of it comes again where the excitation does"
 
 

@@ -60,10 +60,17 @@ def _find_equals(diagnosis: Diagnosis) -> tuple[EqualFinding, ...]:
 
 
 def _keep_open(diagnosis: Diagnosis, setup: CheckedSetup) -> tuple[SetupFinding, ...]:
-    """Return the findings that were left to the search, and that it has not refuted."""
+    """Return the findings that were left to the search, and that it has not refuted.
+
+    What the search names then explains these data no better.
+    """
+    model = diagnosis.model
     refuted = {
         fitted.suspect.number
         for fitted in setup.open_fits
-        if diagnosis.model is not None and is_refuted_by(fitted, diagnosis.model)
+        if model is not None and is_refuted_by(fitted, model)
     }
-    return tuple(f for f in setup.findings if not f.is_corrected and f.number not in refuted)
+    names = model.names if model is not None else ()
+    return tuple(
+        f.beside(names) for f in setup.findings if not f.is_corrected and f.number not in refuted
+    )

@@ -44,7 +44,8 @@ class SetupFinding:
 
     def beside(self, others: Sequence[str]) -> SetupFinding:
         """Return the finding with more that it cannot be told from."""
-        return replace(self, cannot_be_told_from=(*self.cannot_be_told_from, *others))
+        known = dict.fromkeys((*self.cannot_be_told_from, *others))
+        return replace(self, cannot_be_told_from=tuple(known))
 
     def as_dict(self) -> dict[str, object]:
         """Return what the document holds."""

@@ -199,7 +199,7 @@ def _find_best(base: Model, effects: EffectRivals) -> tuple[SuspectFit, tuple[st
         low, _ = held_out_margins(best.residuals, other.residuals, base, blocks)
         if low < MUCH:
             others.append(other.suspect.label)
-    if not best.is_good and equals:
+    if equals and (best.suspect.is_rare or not best.is_good):
         return None  # both explain a part only: neither is said
     best = replace(best, equal_suspects=tuple(dict.fromkeys(others)))
     return best, tuple(dict.fromkeys(equals))

@@ -82,6 +82,8 @@ class Suspect:
     """Above 0: grows from nothing at the start of a record to the amount after this time."""
     after_s: float = 0.0
     """Above 0: acts from this instant of a record on."""
+    is_rare: bool = False
+    """Said only where no effect explains as much."""
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -354,7 +356,7 @@ def _list_columns(evidence: Evidence) -> Iterator[Suspect]:
         yield _skew("pressure_pa", both, period_s)
         yield _rate("pressure_pa", both)
     if moves and MECHANICS in blocks:  # numbers hide a wrong time, but for the friction's (Eq. 5)
-        yield Suspect("clock_rate", "t_s", "1", -0.1, 0.1, (0.01, -0.01), 5e-3, both)
+        yield Suspect("clock_rate", "t_s", "1", -0.05, 0.05, (0.01, -0.01), 5e-3, both, is_rare=True)
     if blocks == both:
         doses = (0.01, -0.01, 0.05, -0.05)
         yield Suspect("scale", "position_m", "1", -0.6, 1.5, doses, 0.01, both)

@@ -49,6 +49,8 @@ def describe(suspect: Suspect, value: float, said: float | None) -> str:
         return f"{column} was filtered forwards and backwards, near {hz:.3g} Hz"
     if suspect.kind == "sign":
         return f"{column} has the wrong sign"
+    if suspect.kind == "gauge" and value > 0.0:
+        return f"{column} is {value:.5g} Pa above absolute pressure: the atmosphere counts twice"
     if suspect.kind == "gauge":
         return f"{column} is gauge pressure: {-value:.5g} Pa are missing to absolute pressure"
     if suspect.kind == "decimated_command":
@@ -101,6 +103,8 @@ def advise_mending(suspect: Suspect, value: float) -> str:
         return "give the data as they were measured; here the simulation is filtered alike"
     if suspect.kind == "decimated_command":
         return "log the command at every sample"
+    if suspect.kind == "gauge" and value > 0.0:
+        return "add the atmosphere's pressure once: in the calibration, or in the import map"
     if suspect.kind == "gauge":
         return "add the atmosphere's pressure in the calibration, or in the import map"
     if suspect.kind == "sign" and number == AREA:

@@ -23,6 +23,8 @@ def mend_record(record: Record, suspect: Suspect, amount: float, nominal: PlantS
     if column not in record.channels:
         return record
     values, t_s = record[column], record.t_s
+    if kind == "gauge":
+        return replace(record, pressure_pa=values - amount)
     if kind == "null_offset":
         held_v = None if record.held_v is None else record.held_v - amount
         return replace(record, valve_v=values - amount, held_v=held_v)

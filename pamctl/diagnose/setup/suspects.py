@@ -201,6 +201,13 @@ def _scale_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     return replace(drive, **{field_name: getattr(drive, field_name) / gain})
 
 
+def _shift_pressure(suspect: Suspect, drive: Drive, amount: float) -> Drive:
+    """Let the pressure show `amount` more than is true."""
+    if drive.block == PRESSURE:
+        return replace(drive, measured=drive.measured - amount, start=drive.start - amount)
+    return replace(drive, driven=drive.driven - amount)
+
+
 def _filter_output(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     """Filter what the model shows as the column was filtered; an input stays as it is."""
     if suspect.number != drive.channel:
@@ -254,7 +261,7 @@ _ACTIONS = {
     "scale": _scale_column,
     "sign": _scale_column,
     "decimated_command": _restore_command,
-    "gauge": _scale_column,
+    "gauge": _shift_pressure,
     "filtered": _filter_output,
 }
 
@@ -356,7 +363,9 @@ def _list_columns(evidence: Evidence) -> Iterator[Suspect]:
         yield _skew("pressure_pa", both, period_s)
         yield _rate("pressure_pa", both)
     if moves and MECHANICS in blocks:  # numbers hide a wrong time, but for the friction's (Eq. 5)
-        yield Suspect("clock_rate", "t_s", "1", -0.05, 0.05, (0.01, -0.01), 5e-3, both, is_rare=True)
+        yield Suspect(
+            "clock_rate", "t_s", "1", -0.05, 0.05, (0.01, -0.01), 5e-3, both, is_rare=True
+        )
     if blocks == both:
         doses = (0.01, -0.01, 0.05, -0.05)
         yield Suspect("scale", "position_m", "1", -0.6, 1.5, doses, 0.01, both)

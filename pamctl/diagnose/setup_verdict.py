@@ -44,10 +44,9 @@ def _find_equals(diagnosis: Diagnosis) -> tuple[EqualFinding, ...]:
     model, base = diagnosis.model, diagnosis.base
     if model is None or base is None:
         return ()
+    left = {*model.unexplained, *(sign.block for sign in diagnosis.signs)}
     rivals = {
-        s.effect.name: s.equal_rivals
-        for s in diagnosis.standings
-        if all(map(model.is_explained, s.effect.blocks & {*model.evidence.blocks}))
+        s.effect.name: s.equal_rivals for s in diagnosis.standings if not s.effect.blocks & left
     }
     block = max(base.evidence.blocks, key=base.ratio)
     numbers = {n.name: n for n in diagnosis.numbers if n.name.split(".")[0] in rivals}

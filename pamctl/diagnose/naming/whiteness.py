@@ -133,10 +133,13 @@ def _find_repetition(model: Model, block: str) -> Iterator[tuple[str, str]]:
 def _find_excess(confirmed: Model, block: str) -> Iterator[tuple[str, str]]:
     """Find a residual above its limit on the samples that confirm, which are fewer.
 
-    A model without effects gets more room: false alarms must be rare.
+    A model without effects gets more room: false alarms must be rare. Several effects together get
+    none: two wrong neighbours may just reach the limit that chose them.
     """
     limit = confirmed.floors[block].limit * (1.0 if confirmed.effects else WORTH_ANOTHER_EFFECT)
-    is_above = is_clearly_above(average_block_squares(confirmed, block), limit)
+    is_above = len(confirmed.effects) > 1 or is_clearly_above(
+        average_block_squares(confirmed, block), limit
+    )
     if is_above and not confirmed.is_explained(block):
         ratio = confirmed.ratio(block)
         yield "unconfirmed", f"it is {ratio:.1f} times its floor on the data that confirm"

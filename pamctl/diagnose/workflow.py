@@ -175,7 +175,7 @@ def _describe_rest(
     described = describe_rest(found.naming, executor, progress)
     if described.naming is None or described.term is None:
         return found, described
-    again = confirm_naming(described.naming, confirming)
+    again = confirm_naming(described.naming.without_unseen_numbers(), confirming)
     kept = again.naming.verdict is Verdict.DESCRIBED
     if not (kept and is_confirmed(again.explained, described.term)):
         return found, replace(described, term=None, naming=None)

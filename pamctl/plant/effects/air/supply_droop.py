@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import exp
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectForm, shape, size
 
 
 class SupplyDroop(NamedTuple):
@@ -59,4 +59,5 @@ DESCRIPTION = EffectDescription(
             held={"refill_time_s": 0.05},
         ),
     ),
+    as_terms=(AsTerm("supply", "curve", "time"),),
 )

@@ -56,6 +56,17 @@ class TermTrial:
         """The term."""
         return self.score.question
 
+    @property
+    def values(self) -> dict[str, float]:
+        """The term's numbers by full name, held and fitted."""
+        return {**dict(self.candidate.held), **self.model.effect_values}
+
+    @property
+    def own_values(self) -> dict[str, float]:
+        """The term's numbers by their own names."""
+        prefix = self.question.prefix
+        return {n.removeprefix(prefix): v for n, v in self.values.items() if n.startswith(prefix)}
+
 
 def find_terms(
     before: Model, block: str, executor: Executor | None = None

@@ -9,10 +9,13 @@ from hidden.rig import hidden_rig
 from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.model_fit import recalibrate
+from pamctl.diagnose.name import Naming
+from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
 from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.terminal_summary import summary
+from pamctl.diagnose.terms.by_name import name_instead
 from pamctl.diagnose.terms.grammar import list_questions
 from pamctl.diagnose.terms.term_score import rank_terms
 from pamctl.diagnose.terms.trials import choose_simplest, find_terms
@@ -90,6 +93,15 @@ def test_friction_that_grows_with_position_is_found_at_the_braid() -> None:
         assert chosen.model.effect_values["braid_friction_term.size"] == pytest.approx(
             0.15, rel=0.2
         )
+    nothing = Naming(Verdict.NONE_KNOWN, base, base, (), (), ())
+    named = name_instead(nothing, base, chosen, trials, "mechanics")
+    assert named is not None
+    assert (named.verdict, named.model.names) == (Verdict.NAMED, ("position_friction",))
+    assert named.model.effect_values["position_friction.share_per_m"] == pytest.approx(
+        5.0 * 3.0, rel=0.16
+    )
+    assert named.standings[0].confidence > 0.9
+    assert name_instead(nothing, base, chosen, trials, "mechanics", {"position_friction"}) is None
 
 
 def test_nothing_is_found_in_noise() -> None:

@@ -48,7 +48,7 @@ def examine(case: Uncatalogued, program: str, seed: int) -> dict[str, object]:
     }  # fmt: skip
     if not trials or base.is_explained(block):
         return found | {"first": False, "three": False, "closed": 0.0, "silent": True}
-    chosen = choose_simplest(trials, block)
+    chosen = choose_simplest(trials)
     order = [chosen, *(t for t in trials if t is not chosen)]
     places = list(dict.fromkeys((t.question.location.name, t.question.driver) for t in order))
     right = [_is_right(case, place) for place in places[:3]]

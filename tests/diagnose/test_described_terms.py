@@ -87,7 +87,7 @@ def test_friction_that_grows_with_position_is_found_at_the_braid() -> None:
     train, held = measure("position_dependent_friction")
     base = recalibrate(prepare_evidence(train, held, PlantSettings()).select_blocks({"mechanics"}))
     _, trials = find_terms(base, "mechanics")
-    chosen = choose_simplest(trials, "mechanics")
+    chosen = choose_simplest(trials)
     assert (chosen.question.location.name, chosen.question.driver) == ("braid_friction", "position")
     if chosen.question.operator == "gain":
         assert chosen.model.effect_values["braid_friction_term.size"] == pytest.approx(

@@ -54,7 +54,7 @@ def name_instead(
 
     `before` is the model beside which the term was fitted, `trials` are all terms that were.
     """
-    equals = list_equals(chosen, trials, block)
+    equals = list_equals(chosen, trials)
     if any(t.question.location != chosen.question.location for t in equals):
         return None
     found = [

@@ -129,7 +129,7 @@ def _choose(
     """Return the term that may be said; None where none is good enough."""
     if not trials:
         return None
-    chosen = choose_simplest(trials, block)
+    chosen = choose_simplest(trials)
     model = chosen.model
     if not model.is_joint and model.is_complete and len(model.evidence.blocks) > 1:
         joint = fit_jointly(model)
@@ -181,7 +181,7 @@ def _say_term(
     numbers = estimate_intervals(model)
     own = tuple(n for n in numbers if n.name.startswith(question.prefix))
     equals = [
-        *(describe_term(t.question, t.values) for t in list_equals(chosen, trials, block)),
+        *(describe_term(t.question, t.values) for t in list_equals(chosen, trials)),
     ]
     term = DescribedTerm(
         describe_term(question, chosen.values),

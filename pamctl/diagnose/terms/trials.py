@@ -90,9 +90,10 @@ def find_terms(
 
 
 def _select_scores(ranking: TermRanking) -> list[TermScore]:
-    """Return the first term of each group, and a simpler one that looks like it.
+    """Return the first term of each group, and those like it that are simpler or seen elsewhere.
 
-    Of one term with several inner numbers only the best is fitted.
+    What both blocks see can be told from what only one sees, though not in this block. Of one term
+    with several inner numbers only the best is fitted.
     """
     kept: dict[tuple[str, str, str], TermScore] = {}
     for group in ranking.group(3 * MOST_FITTED):
@@ -104,7 +105,8 @@ def _select_scores(ranking: TermRanking) -> list[TermScore]:
             if _count_numbers(s) < _count_numbers(first)
             and s.explained >= first.explained - NEAR_SCORE
         ]
-        for score in sorted(simple, key=_count_numbers)[:1]:
+        wider = [s for s in group if _count_blocks(s) > _count_blocks(first)]
+        for score in (*sorted(simple, key=_count_numbers)[:1], *wider[:1]):
             kept.setdefault(score.question.key, score)
     return [*kept.values()][:MOST_FITTED]
 
@@ -185,29 +187,34 @@ def _free_inner(prefix: str, question: Question, inner: float) -> FreeNumber:
     return FreeNumber(prefix + "inner", low, high, scale)
 
 
-def choose_simplest(trials: Sequence[TermTrial], block: str) -> TermTrial:
+def _count_blocks(score: TermScore) -> int:
+    return len(score.question.location.seen_by)
+
+
+def choose_simplest(trials: Sequence[TermTrial]) -> TermTrial:
     """Return the term with the fewest numbers among those that leave hardly more than the best."""
     best = trials[0]
-    good = [
-        t
-        for t in trials
-        if t.model.rms[block] <= (1.0 + NEAR_BEST) * best.model.rms[block]
-        and (t.model.is_explained(block) or not best.model.is_explained(block))
-    ]
+    blocks = best.model.evidence.blocks
+    good = [t for t in trials if all(_is_as_good(t.model, best.model, b) for b in blocks)]
     return min(good, key=lambda t: (_count_numbers(t.score), rank(t.model)))
+
+
+def _is_as_good(model: Model, best: Model, block: str) -> bool:
+    return model.rms[block] <= (1.0 + NEAR_BEST) * best.rms[block] and (
+        model.is_explained(block) or not best.is_explained(block)
+    )
 
 
 def _count_numbers(score: TermScore) -> int:
     return len(score.amounts) + len(score.question.held)
 
 
-def list_equals(
-    chosen: TermTrial, trials: Sequence[TermTrial], block: str
-) -> tuple[TermTrial, ...]:
-    """Return the terms that the held-out data do not tell from the chosen one."""
+def list_equals(chosen: TermTrial, trials: Sequence[TermTrial]) -> tuple[TermTrial, ...]:
+    """Return the terms that the held-out data of no block tell from the chosen one."""
+    blocks = chosen.model.evidence.blocks
     return tuple(
         t
         for t in trials
         if t.question.key != chosen.question.key
-        and not gains_in_block(t.model, chosen.model, block)
+        and not any(gains_in_block(t.model, chosen.model, b) for b in blocks)
     )

@@ -132,9 +132,11 @@ class AirState(NamedTuple):
     """State of the air upstream of the muscle."""
 
     supply_pa: float = nan
-    """Pressure upstream of the valve."""
+    """Pressure upstream of the valve; of a supply with two branches, of the slow one."""
     line_pa: float = nan
     """Pressure at the line's valve end, where the sensor is; without a line, in the muscle."""
+    branch_pa: float = 0.0
+    """By how much a supply's fast branch lowers the pressure."""
 
 
 class MechanicsState(NamedTuple):

@@ -100,7 +100,7 @@ def describe_rest(
     progress: Callable[[str], None] = lambda line: None,
     without: Collection[str] = (),
 ) -> Description:
-    """Describe what a naming leaves unexplained; effects `without` are not named in a term's place."""
+    """Describe what a naming leaves unexplained; effects in `without` take no term's place."""
     block = max(naming.model.evidence.blocks, key=naming.model.ratio)
     progress(f"asking what no effect of the catalogue explains in the {block} block")
     before = naming.base

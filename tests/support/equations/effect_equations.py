@@ -51,7 +51,7 @@ def arrivals(e: Hidden, command_v: Sequence[float], tick_s: float) -> list[tuple
     slack, played, spool_v = 0.5 * e("valve_hysteresis.width_v"), [], 0.0
     limit = 5.0 - e("valve_saturation.shortfall_v")
     for t, u in changes:
-        u += e("valve_null.offset_v")
+        u += e("null_offset.offset_v")
         if limit < 5.0:
             u = max(-limit, min(limit, u))
         if abs(u - spool_v) > slack:
@@ -166,6 +166,7 @@ def solve_pressure(
     line_m3 = e("line_restriction.volume_m3")
     resistance = e("line_restriction.resistance_pa_s_per_kg")
     lag = e("pressure_sensor_lag.time_constant_s")
+    fast = e("supply_droop.fast_share")
     swings = e("supply_ripple.amplitude_pa") != 0.0
 
     shown_m = position_m.tolist()
@@ -174,7 +175,8 @@ def solve_pressure(
         return straight(t / tick_s, shown_m)
 
     def rates(t: float, y: Array, pushed: float) -> list[float]:
-        air, tank, line_air, spool_v, spool_rate, shown = y.tolist()
+        air, tank, line_air, spool_v, spool_rate, shown, branch = y.tolist()
+        tank -= branch
         spool_acc = 0.0
         if slowness > 0.0:
             pushed = float(np.interp(t, *corners))
@@ -198,11 +200,12 @@ def solve_pressure(
         drop = e("supply_droop.resistance_pa_s_per_kg") * taken
         return [
             RT * (into - lost) * worth,
-            (paper.P_TANK - drop - tank) / refill if refill > 0.0 else 0.0,
+            (paper.P_TANK - (1 - fast) * drop - tank - branch) / refill if refill > 0.0 else 0.0,
             RT * (entering - into) if has_node else 0.0,
             spool_rate,
             spool_acc,
             (node - shown) / lag if lag > 0.0 else 0.0,
+            (fast * drop - branch) / (0.1 * refill) if fast > 0.0 else 0.0,
         ]
 
     x0 = float(position_m[0])
@@ -214,6 +217,7 @@ def solve_pressure(
             0.0,
             0.0,
             paper.P_ATM,
+            0.0,
         ]
     )
     changes = [*arrivals(e, command_v, tick_s), (math.inf, 0.0)]
@@ -223,7 +227,7 @@ def solve_pressure(
     cuts = sorted({*samples_s.tolist(), *[t for t in kinks if 0 < t < samples_s[-1]]})
     shown: list[float] = []
     pushed = changes[0][1]
-    tolerance = np.array([1e-7, 1e-3, 1e-8, 1e-9, 1e-6, 1e-3])
+    tolerance = np.array([1e-7, 1e-3, 1e-8, 1e-9, 1e-6, 1e-3, 1e-3])
     for i, t in enumerate(cuts):
         pushed = next(u for (_, u), (until, _) in pairwise(changes) if until > t + 1e-12)
         if np.isclose(samples_s, t, atol=1e-12).any():

@@ -43,7 +43,7 @@ DESCRIPTION = EffectDescription(
     seen_by=("pressure",),
     entries=(
         # Within its limit the driver passes the command on; more command does no more.
-        EffectEntry("command", saturate_command_v, after=("valve_null",), undo=saturate_command_v),
+        EffectEntry("command", saturate_command_v, after=("null_offset",), undo=saturate_command_v),
     ),
     as_terms=(AsTerm("command", "saturation", "command"),),
 )

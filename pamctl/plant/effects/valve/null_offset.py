@@ -7,25 +7,25 @@ from typing import NamedTuple
 from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 
-class ValveNull(NamedTuple):
+class NullOffset(NamedTuple):
     """What the valve adds to its command."""
 
     offset_v: float = 0.0
 
 
-def add_offset_v(null: ValveNull, command_v: float) -> float:
+def add_offset_v(null: NullOffset, command_v: float) -> float:
     """Return the command that the spool gets."""
     return command_v + null.offset_v
 
 
-def remove_offset_v(null: ValveNull, passed_v: float) -> float:
+def remove_offset_v(null: NullOffset, passed_v: float) -> float:
     """Return the command at which the spool gets `passed_v`."""
     return passed_v - null.offset_v
 
 
 DESCRIPTION = EffectDescription(
-    name="valve_null",
-    kind=ValveNull,
+    name="null_offset",
+    kind=NullOffset,
     block="pressure",
     equation="A_v = K_Av (u + u_0)",
     parameters=(

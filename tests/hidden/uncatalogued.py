@@ -70,21 +70,20 @@ def _limit_rate(volts: np.ndarray, step_v: float) -> np.ndarray:
 
 
 def _over_time(change: Callable[[Truth, float], Truth]) -> Run:
-    """Run a rig whose truth follows the share of the record that has passed."""
+    """Run a rig whose truth follows the time since a record began."""
 
     def run(rig: HiddenRig, excitation: Excitation) -> Record:
-        length_s = excitation.samples * 1e-3
-        return record_of(rig, Lab(), excitation, 0.0, lambda t: change(rig.truth, t / length_s))
+        return record_of(rig, Lab(), excitation, 0.0, lambda t_s: change(rig.truth, t_s))
 
     return run
 
 
-def _times(number: str, per_record: float, begins: float = -1.0) -> Run:
-    """Run a rig one of whose numbers changes by a share: evenly, or at an instant."""
+def _times(number: str, share: float, begins_s: float = 0.0) -> Run:
+    """Run a rig one of whose numbers changes by a share: in each second, or once at an instant."""
 
-    def change(truth: Truth, passed: float) -> Truth:
-        share = passed if begins < 0.0 else float(passed >= begins)
-        return truth._replace(**{number: getattr(truth, number) * (1.0 + per_record * share)})
+    def change(truth: Truth, t_s: float) -> Truth:
+        times = float(t_s >= begins_s) if begins_s else t_s
+        return truth._replace(**{number: getattr(truth, number) * (1.0 + share * times)})
 
     return _over_time(change)
 
@@ -138,33 +137,33 @@ UNCATALOGUED = (
     _in_truth("swelling_hose", "pressure", ("volume", "pressure")),
     # --- numbers that change while it runs
     Uncatalogued("supply_falls", "pressure", (("supply", "time"),),
-                 run=_times("supply_pa", -0.03)),
+                 run=_times("supply_pa", -0.009)),
     Uncatalogued("supply_jumps", "pressure", (("supply", "time"),),
-                 run=_times("supply_pa", -0.03, 0.42)),
+                 run=_times("supply_pa", -0.03, 1.37)),
     Uncatalogued("exhaust_clogs", "pressure", (("exhausting", "time"),),
-                 run=_times("vent_gain", -0.06)),
+                 run=_times("vent_gain", -0.02)),
     Uncatalogued("valve_opens_wider", "pressure", (("opening", "time"),),
-                 run=_times("valve_m2_per_v", 0.06, 0.57)),
+                 run=_times("valve_m2_per_v", 0.06, 1.73)),
     Uncatalogued("spring_softens", "mechanics", (("stiffness", "time"),),
-                 run=_times("stiffness", -0.03)),
+                 run=_times("stiffness", -0.009)),
     Uncatalogued("damping_grows", "mechanics", (("damping", "time"),),
-                 run=_times("damping", 0.25)),
+                 run=_times("damping", 0.08)),
     Uncatalogued("load_is_hung_on", "mechanics", (("force", "time"),),
-                 run=_over_time(lambda p, s: p._replace(load_n=1.7 if s >= 0.38 else 0.0))),
+                 run=_over_time(lambda p, t_s: p._replace(load_n=1.7 if t_s >= 1.31 else 0.0))),
     # --- on what goes in and comes out
     Uncatalogued("null_offset", "pressure", (("command", ""),),
                  run=_with_valve(lambda v: v + 0.07)),
     Uncatalogued("null_jumps", "pressure", (("command", "time"),),
-                 run=_with_valve(lambda v: v + 0.06 * (np.arange(len(v)) >= 0.45 * len(v)))),
+                 run=_with_valve(lambda v: v + 0.06 * (np.arange(len(v)) >= 1610))),
     Uncatalogued("null_creeps", "pressure", (("command", "time"),),
-                 run=_with_valve(lambda v: v + 0.08 * np.arange(len(v)) / len(v))),
+                 run=_with_valve(lambda v: v + 0.025e-3 * np.arange(len(v)))),
     Uncatalogued("slew_limit", "pressure", (("command", "command"),),
                  run=_with_valve(lambda v: _limit_rate(v, 1.3))),
     Uncatalogued("off_centre_encoder", "mechanics", (("encoder", "position"),), run=OFF_CENTRE),
     Uncatalogued("slipping_encoder", "mechanics", (("encoder", "time"),),
-                 run=_on_position(lambda x, t: x + 70e-6 * (t >= 0.37 * t[-1]))),
+                 run=_on_position(lambda x, t: x + 70e-6 * (t >= 1.43))),
     Uncatalogued("bent_sensor", "pressure", (("pressure_sensor", "pressure"),),
                  run=_on_pressure(lambda g, t: _bend(g))),
     Uncatalogued("drifting_sensor", "pressure", (("pressure_sensor", "time"),),
-                 run=_on_pressure(lambda g, t: g + 2.5e3 * t / t[-1])),
+                 run=_on_pressure(lambda g, t: g + 0.8e3 * t)),
 )  # fmt: skip

@@ -20,7 +20,13 @@ from pamctl.diagnose.naming.search import closed_share
 from pamctl.diagnose.naming.stretches import gains_in_block
 from pamctl.diagnose.naming.verdict import Verdict, spoils_block
 from pamctl.diagnose.terms.by_name import name_instead
-from pamctl.diagnose.terms.trials import TermTrial, choose_simplest, find_terms, list_equals
+from pamctl.diagnose.terms.trials import (
+    TermTrial,
+    choose_simplest,
+    doubt_own_floor,
+    find_terms,
+    list_equals,
+)
 from pamctl.diagnose.terms.words import describe_term, find_kin, write_equation
 from pamctl.plant.terms.operators import DRIVER_UNITS, KNOTS
 
@@ -132,7 +138,7 @@ def _choose(
     chosen = choose_simplest(trials)
     model = chosen.model
     if not model.is_joint and model.is_complete and len(model.evidence.blocks) > 1:
-        joint = fit_jointly(model)
+        joint = doubt_own_floor(fit_jointly(model))
         if joint.is_complete:
             chosen = replace(chosen, model=joint)
             model = joint

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import atan2, hypot, pi
 
 from pamctl.diagnose.fitting.block_fit import FULL
@@ -31,6 +31,8 @@ INNER_FACTOR = 4.0
 WAVE_SHARE = 0.25
 """A period may move by this share."""
 MOST_KNOT = 20.0
+FLOOR_GROWS = 1.5
+"""A term's own floor is believed up to this multiple of the recalibrated model's."""
 NEAR_SCORE = 0.15
 """A simpler term of a group is fitted too if it explains at most this much less."""
 WORTH_FINISHING = 3.0
@@ -125,7 +127,21 @@ def _finish(job: tuple[Model, TermTrial]) -> TermTrial:
     own = {n: v for n, v in start.items() if n.startswith(trial.question.prefix)}
     candidate = make_candidate(trial.score, before, own, is_bent=True)
     effects = (*before.effects, candidate)
-    return TermTrial(trial.score, fit_model(before, effects, [start], effort=FULL))
+    return TermTrial(trial.score, doubt_own_floor(fit_model(before, effects, [start], effort=FULL)))
+
+
+def doubt_own_floor(model: Model) -> Model:
+    """Return the model, with the recalibrated model's floor where its own is far higher.
+
+    Of a term with many numbers some may be anything, together with a recalibrated number. Noise
+    then seems to move them far, and the floor that this makes would excuse any residual.
+    """
+    root = model.root
+    if root is None or all(
+        model.floors[b].mean <= FLOOR_GROWS * root.floors[b].mean for b in model.evidence.blocks
+    ):
+        return model
+    return replace(model, is_final=False)
 
 
 def start_of(score: TermScore) -> dict[str, float]:

@@ -35,6 +35,8 @@ class Uncatalogued:
     effect: str = ""
     """Of the rig's own equations, at three times the smallest size of interest."""
     run: Run | None = None
+    called: str = ""
+    """The effect of the catalogue that has its equation, if one does; only a term leads to it."""
 
     def record(self, program: str, seed: int) -> tuple[list[Record], list[Record]]:
         """Return the records for the fit, and those to judge by."""
@@ -116,24 +118,25 @@ def _bend(gauge_pa: np.ndarray) -> np.ndarray:
     return gauge_pa + 4.0 * 3e3 * share * (1.0 - share)
 
 
-def _in_truth(name: str, block: str, *right: Place) -> Uncatalogued:
-    return Uncatalogued(name, block, right, name)
+def _in_truth(name: str, block: str, right: Place, called: str = "") -> Uncatalogued:
+    return Uncatalogued(name, block, (right,), name, called=called)
 
 
 OFF_CENTRE = _on_position(lambda x, t: x + 60e-6 * np.sin(2.0 * np.pi * x / 6.3e-3))
 
 UNCATALOGUED = (
     # --- in the rig's own equations
-    _in_truth("position_dependent_friction", "mechanics", ("braid_friction", "position")),
-    _in_truth("hysteretic_spring", "mechanics", ("force", "position")),
+    _in_truth("position_dependent_friction", "mechanics", ("braid_friction", "position"),
+              "position_friction"),
+    _in_truth("hysteretic_spring", "mechanics", ("force", "position"), "spring_hysteresis"),
     _in_truth("second_spring", "mechanics", ("force", "position")),
     _in_truth("wearing_friction", "mechanics", ("braid_friction", "time")),
     _in_truth("friction_with_pressure", "mechanics", ("braid_friction", "pressure")),
     _in_truth("drag_along_stroke", "mechanics", ("damping", "position")),
     _in_truth("pull_along_stroke", "mechanics", ("pull", "position")),
-    _in_truth("supply_ripple", "pressure", ("supply", "time")),
+    _in_truth("supply_ripple", "pressure", ("supply", "time"), "supply_ripple"),
     _in_truth("valve_gain_wobble", "pressure", ("opening", "time")),
-    _in_truth("slewing_driver", "pressure", ("command", "command")),
+    _in_truth("slewing_driver", "pressure", ("command", "command"), "valve_slew"),
     _in_truth("swelling_hose", "pressure", ("volume", "pressure")),
     # --- numbers that change while it runs
     Uncatalogued("supply_falls", "pressure", (("supply", "time"),),
@@ -152,7 +155,7 @@ UNCATALOGUED = (
                  run=_over_time(lambda p, t_s: p._replace(load_n=1.7 if t_s >= 1.31 else 0.0))),
     # --- on what goes in and comes out
     Uncatalogued("null_offset", "pressure", (("command", ""),),
-                 run=_with_valve(lambda v: v + 0.07)),
+                 run=_with_valve(lambda v: v + 0.07), called="null_offset"),
     Uncatalogued("null_jumps", "pressure", (("command", "time"),),
                  run=_with_valve(lambda v: v + 0.06 * (np.arange(len(v)) >= 1610))),
     Uncatalogued("null_creeps", "pressure", (("command", "time"),),

@@ -58,13 +58,14 @@ def examine(case: Uncatalogued, program: str, seed: int) -> dict[str, object]:
     right = [_is_right(case, place) for place in places[:3]]
     nothing = Naming(Verdict.NONE_KNOWN, base, base, (), (), ())
     named = name_instead(nothing, base, chosen, trials, block)
+    names = named.model.names if named else ()
     values = {n.split(".")[1]: round(v, 6) for n, v in chosen.model.effect_values.items()}
     return found | {
         "first": right[0], "three": any(right),
         "closed": round(closed_share(base, chosen.model, block), 3),
         "said": [*chosen.question.key, values],
         "named": {**named.model.effect_values} if named else {},
-        "named_rightly": (named.model.names if named else ()) == ((case.called,) * bool(case.called)),
+        "named_rightly": names == (case.called,),
         "ratios": [round(t.model.ratio(block), 2) for t in order[:3]],
         "next": [t.question.key for t in order[1:3]],
     }  # fmt: skip

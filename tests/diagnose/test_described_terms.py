@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hidden.excitations import multisine, null_staircase, square
 from hidden.rig import hidden_rig
+from support.free_mass import FRICTION_N, LOAD_N, axis, pushed_mass
 
 from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.fitting.evidence import prepare_evidence
@@ -102,6 +103,17 @@ def test_friction_that_grows_with_position_is_found_at_the_braid() -> None:
     )
     assert named.standings[0].confidence > 0.9
     assert name_instead(nothing, base, chosen, trials, "mechanics", {"position_friction"}) is None
+
+
+def test_a_mass_that_is_judged_in_windows_has_its_term_found() -> None:
+    train, held = ([pushed_mass(seed, duration_s=8.0, damping_per_m=600.0)] for seed in (1, 2))
+    friction = {"coulomb_friction": {"force_n": FRICTION_N}, "external_load": {"force_n": LOAD_N}}
+    base = recalibrate(prepare_evidence(train, held, axis(**friction)))
+    assert all(drive.windows for drive in base.evidence.train["mechanics"])
+    _, trials = find_terms(base, "mechanics")
+    chosen = choose_simplest(trials)
+    assert chosen.question.key == ("damping", "gain", "position")
+    assert chosen.model.effect_values["damping_term.size"] == pytest.approx(6.0, rel=0.1)
 
 
 def test_nothing_is_found_in_noise() -> None:

@@ -62,10 +62,10 @@ class Page:
         self._call("Page.navigate", url=address)
 
     def open_beside(self, address: str, count: int) -> None:
-        """Open `count` more tabs; this one stays the one that is told what to do."""
+        """Open `count` more tabs, each in a window of its own: all are visible. This one stays the one that is told what to do."""
         session, self._session = self._session, ""
         for _ in range(count):
-            self._call("Target.createTarget", url=address)
+            self._call("Target.createTarget", url=address, newWindow=True)
         self._session = session
 
     def value(self, expression: str) -> Any:

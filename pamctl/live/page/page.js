@@ -8,6 +8,7 @@ const SHORTEST_S = 2;
 const HEIGHT = 180;
 const GAP_S = 0.5; // no line is drawn through a longer time without values
 const NEWS_MS = 100;
+const ASIDE = 5; // so many times less often looks a tab that nobody works in
 const SILENT_MS = 2000;
 const CONFIRMED_MS = 300;
 const byId = (id) => document.getElementById(id);
@@ -25,6 +26,22 @@ const PLOTS = [
 ];
 let shownS = 30;
 
+// Drawing is most of the work: what is scrolled out of sight is not drawn.
+const inSight = new WeakSet();
+const sight = new IntersectionObserver((changes) => {
+  for (const { target, isIntersecting } of changes) {
+    if (isIntersecting) inSight.add(target); else inSight.delete(target);
+    target.dispatchEvent(new Event(isIntersecting ? "insight" : "outofsight"));
+  }
+});
+
+// How long to rest (ms) after a round that began at `beganMs`. A busy PC sets a slower pace, and an
+// order from another tab never waits behind this one.
+function restMs(everyMs, beganMs) {
+  const tookMs = performance.now() - beganMs;
+  return Math.max((document.hasFocus() ? 1 : ASIDE) * everyMs - tookMs, 2 * tookMs, 10);
+}
+
 function element(kind, className, text) {
   const made = document.createElement(kind);
   made.className = className;
@@ -38,7 +55,10 @@ function xRange() {
   return [Math.max(end - shownS, Math.min(series.t[0], end - SHORTEST_S)), end];
 }
 
-function yRange(_, low, high) {
+let heldScale = null; // of the displacement, while a position is dragged
+
+function yRange(chart, low, high) {
+  if (heldScale && chart === charts[0]?.chart) return heldScale;
   if (low === null) return [0, 1];
   const room = Math.max((high - low) * 0.08, Math.abs(high) * 1e-6, 1e-3);
   return [low - room, high + room];
@@ -64,13 +84,16 @@ function madePlot(plot) {
     axes: [axis({ size: 26, values: (_, at) => at.map((v) => `${v} s`) }), axis({ size: 56 })],
   }, [[], ...plot.lines.map(() => [])], box);
   new ResizeObserver(() => chart.setSize({ width: box.clientWidth, height: HEIGHT })).observe(box);
-  return { chart, names: plot.lines.map(([name]) => name) };
+  sight.observe(box);
+  box.addEventListener("insight", draw);
+  return { box, chart, names: plot.lines.map(([name]) => name) };
 }
 
 const charts = PLOTS.map(madePlot);
 
 function draw() {
-  for (const { chart, names } of charts) chart.setData([series.t, ...names.map((name) => series[name])]);
+  for (const { box, chart, names } of charts) if (inSight.has(box)) chart.setData([series.t, ...names.map((name) => series[name])]);
+  document.dispatchEvent(new Event("drawn"));
 }
 
 function forgetAll() {
@@ -188,7 +211,7 @@ async function followNews() {
   } catch {
     if (performance.now() - heardMs > SILENT_MS) showStatus(null, "pamctl watch does not answer");
   }
-  setTimeout(followNews, Math.max(0, NEWS_MS - (performance.now() - beganMs)));
+  setTimeout(followNews, restMs(NEWS_MS, beganMs));
 }
 
 function showMode(control) {
@@ -225,7 +248,8 @@ function send(what) {
 async function order(what) {
   const beganMs = performance.now();
   const sayNotSent = () => say(`NOT SENT: ${what.do} is not confirmed; in a terminal: pamctl ${what.do}`, "notsent");
-  const late = setTimeout(sayNotSent, CONFIRMED_MS);
+  // One turn more: where the page itself was busy, the answer may lie there already.
+  let late = setTimeout(() => { late = setTimeout(sayNotSent, 0); }, CONFIRMED_MS);
   try {
     const answer = await send(what);
     const told = await answer.json();

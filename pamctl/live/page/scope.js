@@ -98,8 +98,9 @@ async function searchTrigger(held) {
     sayScope(`triggered; filling ${Math.max(0, Math.round(100 * (held.last_tick - found) / (last - found)))} %`);
     return;
   }
-  await loadCapture({ log: held.log, first: Math.max(0, found - ticksOf(number("tpre"))), last, trigger: found });
-  sayScope(`triggered at tick ${found}. ${tellUnseen(held)}`);
+  const first = Math.max(0, found - ticksOf(number("tpre")));
+  await loadCapture({ log: held.log, first: Math.max(first, held.first_tick), last, trigger: found });
+  sayScope(`triggered at tick ${found}. ${tellUnseen(held)}${held.first_tick > first ? "what came before is not held" : ""}`);
   if (scope.mode === "single") setMode("still");
   Object.assign(scope, { found: null, armed: "", after: Math.max(last, found + ticksOf(number("tholdoff"))), sinceMs: performance.now() });
 }
@@ -119,7 +120,7 @@ async function waitForTrigger(held) {
 async function roll(held, spanS) {
   const count = ticksOf(spanS);
   const every = Math.max(1, Math.ceil(count / ROLL_POINTS));
-  await loadCapture({ log: held.log, first: Math.max(0, held.last_tick - count), last: held.last_tick, trigger: null }, every);
+  await loadCapture({ log: held.log, first: Math.max(held.first_tick, held.last_tick - count), last: held.last_tick, trigger: null }, every);
 }
 
 async function stepScope() {
@@ -133,14 +134,14 @@ async function stepScope() {
       if (held.problem) sayScope(held.problem);
       else if (held.last_tick < held.first_tick) sayScope("no run is logged");
       else if (scope.mode === "roll") {
-        if (isNew) await roll(held, number("tpre") + number("tpost"));
+        if (isNew && inSight.has(byId("panes"))) await roll(held, number("tpre") + number("tpost"));
         sayScope(performance.now() - scope.grewMs > 1500 ? `the run is over: ${held.log}` : tellUnseen(held));
       } else await searchTrigger(held);
     }
   } catch (error) {
     sayScope(error.message);
   }
-  setTimeout(stepScope, Math.max(20, SCOPE_MS - (performance.now() - beganMs)));
+  setTimeout(stepScope, restMs(SCOPE_MS, beganMs));
 }
 
 function sayScope(text) {
@@ -300,19 +301,22 @@ async function changePanes(change) {
 function showCapture(capture) {
   const before = scope.capture;
   scope.capture = capture;
+  capture.drawn = new Map(); // a minute at 10 kHz is converted once, not at each move of a cursor
   scope.cursors = scope.cursors.map((at) => (at === null || !before ? null : nearestIndex(capture.t, before.t[at])));
   refreshScope();
 }
 
-function drawable(values, factor) {
-  return Array.from(values, (value) => (Number.isNaN(value) ? null : value * factor));
+function drawable({ raw, drawn }, name) {
+  const { factor } = shownUnit(name);
+  if (!drawn.has(name)) drawn.set(name, Array.from(raw[name], (value) => (Number.isNaN(value) ? null : value * factor)));
+  return drawn.get(name);
 }
 
 function refreshScope() {
   const { capture } = scope;
   for (const { chart, names } of scope.charts) {
     const there = capture && names.every((name) => capture.raw[name]);
-    chart.setData(there ? [Array.from(capture.t), ...names.map((name) => drawable(capture.raw[name], shownUnit(name).factor))] : [[], ...names.map(() => [])]);
+    chart.setData(there ? [capture.t, ...names.map((name) => drawable(capture, name))] : [[], ...names.map(() => [])]);
   }
   byId("capturename").textContent = capture ? `${capture.log || "file"}, ticks ${capture.ticks[0]} to ${capture.ticks.at(-1)}` : "";
   showMeasures();
@@ -548,6 +552,7 @@ function wireScope() {
   });
   listCaptures();
   listLayouts();
+  sight.observe(byId("panes"));
   buildPanes();
   setMode("roll");
   stepScope();

@@ -25,7 +25,7 @@ function placeHandle() {
   const top = plot.valToPos(mm, "y"), height = plot.over.clientHeight;
   handle.style.top = `${Math.min(Math.max(Number.isFinite(top) ? top : height / 2, 0), height)}px`;
   handle.classList.toggle("moving", dragged.mm !== null);
-  const told = dragged.isOut ? "let go: nothing happens" : dragged.mm === null ? "drag" : `${mm.toFixed(2)} mm${dragged.isHeld ? "" : " \u21b5"}`;
+  const told = dragged.isOut ? "cancel" : dragged.mm === null ? "\u2195 drag" : `${mm.toFixed(2)}${dragged.isHeld ? "" : " \u21b5"}`;
   if (grip.textContent !== told) grip.textContent = told;
   [["valuemin", strokeMm()[0]], ["valuemax", strokeMm()[1]], ["valuenow", mm.toFixed(2)], ["valuetext", `${mm.toFixed(2)} mm`]]
     .forEach(([name, value]) => handle.setAttribute(`aria-${name}`, value));

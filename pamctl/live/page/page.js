@@ -31,9 +31,9 @@ const inSight = new WeakSet();
 const sight = new IntersectionObserver((changes) => {
   for (const { target, isIntersecting } of changes) {
     if (isIntersecting) inSight.add(target); else inSight.delete(target);
-    target.dispatchEvent(new Event(isIntersecting ? "insight" : "outofsight"));
+    if (isIntersecting) target.dispatchEvent(new Event("insight"));
   }
-});
+}, { rootMargin: "200px" });
 
 // How long to rest (ms) after a round that began at `beganMs`. A busy PC sets a slower pace, and an
 // order from another tab never waits behind this one.

@@ -245,7 +245,7 @@ function buildPane(names, at) {
     const key = element("button", `key k${k % 4}`, `${name} ${shownUnit(name).unit}`);
     key.type = "button";
     key.title = "remove this field";
-    key.setAttribute("aria-label", `remove ${name} from pane ${at + 1}`);
+    key.setAttribute("aria-label", `${key.textContent}: remove it from pane ${at + 1}`);
     key.addEventListener("click", () => changePanes((panes) => panes[at].splice(k, 1)));
     title.append(key);
   });

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from importlib.resources import files
 from itertools import pairwise
@@ -12,11 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 from support.chromium import Page, page
-from support.processes.daemons import NOT_HOMED, Daemon, daemon, parked
+from support.processes.daemons import NOT_HOMED, Daemon, as_root, daemon, nobody, parked
 from support.processes.watch_pages import Served, served
 
 from pamctl.daemon.client import DaemonDeclinedError
+from pamctl.live.scope.tick_memory import TickMemory
 from pamctl.log.reader import Log, read
+from pamctl.recording.ring import Ring, RingError
 from pamctl.signals import Phase
 
 OFFSET_MM, AFTER_S, HOLDOFF_S = 8.0, 0.06, 0.7
@@ -229,6 +232,21 @@ def test_page_and_log_say_who_changed_which_gain_and_anyone_can_undo_it(
     assert marks[:3] == texts
     up.ask("goto", position_m=8e-3, within_s=0.5)
     up.wait_for("ready")
+
+
+@as_root
+def test_the_group_that_may_steer_can_read_every_tick_and_write_none(
+    up: Daemon, holding: Path
+) -> None:
+    ring = Path(up.ask("status")["ring"])
+    assert (ring.stat().st_mode & 0o777, ring.stat().st_gid) == (0o640, os.getegid())
+    memory = TickMemory()
+    with nobody():  # another user, still of this group
+        memory.follow(str(ring), str(holding))
+        with pytest.raises(RingError, match="Permission"):
+            Ring.attach(ring)
+    assert memory.state().last_tick > memory.state().first_tick
+    memory.close()
 
 
 # --- for everyone ------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ import pytest
 from pamctl.live.scope.trigger import find_crossing
 
 
-
 @pytest.mark.parametrize("slope", ["rising", "falling", "either"])
 def test_a_search_in_pieces_finds_what_a_walk_over_the_samples_finds(slope: str) -> None:
     generator = np.random.default_rng(7)

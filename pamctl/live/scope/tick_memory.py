@@ -1,8 +1,8 @@
 """The newest ticks of the run that is logged now: every tick, every column.
 
 They are read from the ring in shared memory, as the recorder does. The loop does not notice: a
-viewer copies rows, and writes nothing. The ring belongs to the user of the daemon, and only that
-user can read it.
+viewer copies rows, and its mapping cannot be written. The user of the daemon can read the ring,
+and the group that may steer it; others cannot ask the daemon either.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class TickMemory:
 
     def _attach(self, path: Path, log: str) -> None:
         try:
-            ring = Ring.attach(path, populate=False)
+            ring = Ring.watch(path)
         except RingError as error:
             self._problem = "" if not path.exists() else _explain_problem(error)
             return
@@ -142,7 +142,7 @@ class TickMemory:
 def _explain_problem(error: RingError) -> str:
     if isinstance(error.__cause__, PermissionError):
         return (
-            "only the user of the daemon can see every tick: start `pamctl watch --web` as that "
-            "user, or open the log when the run is over"
+            "only the user of the daemon and its group can see every tick: start the daemon with "
+            "--group, or open the log when the run is over"
         )
     return str(error)

@@ -5,6 +5,8 @@ const SCOPE_MS = 200;
 const ROLL_POINTS = 4000;
 const PANE_HEIGHT = 190;
 const MOST_FIELDS = 12;
+const MOST_MARKS = 20;
+const MARK_S = 1; // so far to each side of a mark is shown
 const COLOURS = ["--c0", "--c1", "--c2", "--c3"];
 const FIRST_LAYOUT = [["reference_m", "position_m"], ["error_m"], ["valve_v"]];
 const INT_MAX = 2 ** 52;
@@ -191,10 +193,10 @@ function drawLines(chart) {
   };
   ctx.save();
   ctx.lineWidth = devicePixelRatio;
-  for (const [k, event] of (capture.events ?? []).entries()) {
+  for (const [k, event] of capture.events.entries()) {
     if (event.tick < capture.ticks[0] || event.tick > capture.ticks.at(-1)) continue;
     const at = nearestIndex(capture.ticks, event.tick);
-    line(capture.t[at], "--dim", [2, 3], event.event === "mark" ? String(event.text).slice(0, 24) : event.event, 1 + k % 4);
+    line(capture.t[at], "--dim", [2, 3], spellEvent(event).slice(0, 24), 1 + k % 4);
   }
   if (capture.trigger !== null) line(0, "--warn", [6, 4], "T");
   scope.cursors.forEach((at, which) => at !== null && line(capture.t[at], "--fg", [], "AB"[which]));
@@ -319,8 +321,27 @@ function refreshScope() {
     chart.setData(there ? [capture.t, ...names.map((name) => drawable(capture, name))] : [[], ...names.map(() => [])]);
   }
   byId("capturename").textContent = capture ? `${capture.log || "file"}, ticks ${capture.ticks[0]} to ${capture.ticks.at(-1)}` : "";
+  showMarks();
   showMeasures();
   showSpectrum();
+}
+
+const spellEvent = ({ event, text }) => (event === "mark" ? String(text) : event);
+
+// The remarks of what is shown; a click zooms in.
+function showMarks() {
+  const { capture } = scope, box = byId("marks");
+  const marks = capture ? capture.events.filter(({ event, tick }) => ["mark", "tripped"].includes(event) && tick >= capture.ticks[0] && tick <= capture.ticks.at(-1)) : [];
+  const key = JSON.stringify([capture?.log, capture?.t0, marks.map(({ tick }) => tick)]);
+  if (box.dataset.key === key) return;
+  box.dataset.key = key;
+  box.replaceChildren(...marks.slice(-MOST_MARKS).map((mark) => {
+    const t = capture.t[nearestIndex(capture.ticks, mark.tick)];
+    const button = element("button", "plain", `${t.toFixed(2)} s: ${spellEvent(mark).slice(0, 60)}`);
+    button.type = "button";
+    button.addEventListener("click", () => setView(t - MARK_S, t + MARK_S));
+    return button;
+  }));
 }
 
 // --- cursors and measures --------------------------------------------------------------------------
@@ -472,7 +493,8 @@ async function openKept(at) {
 async function openLog(log) {
   setMode("still");
   Object.assign(scope, { view: null, cursors: [null, null] });
-  await loadCapture({ log, first: 0, last: INT_MAX, trigger: null, events: [] });
+  const events = await (await ask("/scope/events", { log })).json();
+  await loadCapture({ log, first: 0, last: INT_MAX, trigger: null, events });
   sayScope(log);
 }
 

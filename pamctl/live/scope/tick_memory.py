@@ -22,8 +22,8 @@ from pamctl.plain_text import clean_document
 from pamctl.recording.ring import Ring, RingError, RowKind
 from pamctl.recording.rows import row_dtype
 
-MOST_BYTES = 448 << 20
-"""A tick has some 330 bytes: this holds 23 minutes at 1 kHz, or 140 s at 10 kHz."""
+MOST_BYTES = 352 << 20
+"""A tick has some 275 bytes: this holds 22 minutes at 1 kHz, or 130 s at 10 kHz."""
 _MOST_EVENTS = 500
 
 

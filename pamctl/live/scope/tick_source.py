@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from pamctl.live.scope.trigger import Armed, Crossing, Slope, find_crossing
 from pamctl.log.cutting.cut_log import cut_log
 from pamctl.log.framing import LogError
 from pamctl.log.reader import read
+from pamctl.plain_text import clean_document
 
 MOST_VALUES = 20_000_000
 """In one answer, 160 MB: two minutes of fourteen columns at 10 kHz are 17 million."""
@@ -94,6 +95,16 @@ class TickSource:
             return {name: log[name][part].astype(np.float64) for name in names}
         except (LogError, OSError) as error:
             raise ScopeRefusal(HTTPStatus.CONFLICT, str(error)) from None
+
+    def read_events(self, log: str) -> list[dict[str, Any]]:
+        """Return the events of a log, oldest first, each with its `tick`. Raises `ScopeRefusal`."""
+        if self._memory.state().log == log:
+            return self._memory.events()
+        try:
+            events = read(self._require_log(log), fields=("tick",)).events
+        except (LogError, OSError) as error:
+            raise ScopeRefusal(HTTPStatus.CONFLICT, str(error)) from None
+        return [clean_document(event) for event in events]
 
     def search(
         self,

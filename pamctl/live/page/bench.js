@@ -69,12 +69,12 @@ async function setGain({ name }, value) {
 function showGainChanges() {
   const changes = newestStatus?.gain_changes ?? [], last = changes.find(({ undoable }) => undoable);
   byId("undo").disabled = !last;
-  byId("undo").textContent = last ? `Undo: ${last.what}` : "Undo";
-  byId("gainchanges").replaceChildren(...[...changes].reverse().map(({ time_s: at, by, what }) => {
+  put("undo", last ? `Undo: ${last.what}` : "Undo");
+  putItems("gainchanges", changes, ({ time_s: at, by, what }) => {
     const item = document.createElement("li"), when = element("time", "", new Date(at * 1e3).toLocaleTimeString());
     item.append(when, `${by || "another client"}: ${what}`);
     return item;
-  }));
+  });
 }
 
 const who = () => byId("operator").value.trim() || "page";

@@ -26,6 +26,19 @@ const PLOTS = [
 ];
 let shownS = 30;
 
+// Texts are set when they change only: a screen reader says each change of the state once.
+function put(id, text) {
+  const cell = byId(id);
+  if (cell.textContent !== text) cell.textContent = text;
+}
+
+function putItems(id, about, makeItem) {
+  const list = byId(id), key = JSON.stringify(about);
+  if (list.dataset.key === key) return;
+  list.dataset.key = key;
+  list.replaceChildren(...[...about].reverse().map(makeItem));
+}
+
 // Drawing is most of the work: what is scrolled out of sight is not drawn.
 const inSight = new WeakSet();
 const sight = new IntersectionObserver((changes) => {
@@ -69,6 +82,12 @@ function axis(options) {
     grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { show: false }, ...options };
 }
 
+// The numbers stand beside it as text.
+function describePlot(chart, title) {
+  chart.ctx.canvas.setAttribute("role", "img");
+  chart.ctx.canvas.setAttribute("aria-label", `plot of ${title}`);
+}
+
 function madePlot(plot) {
   const box = element("div", "plot", "");
   const title = element("div", "ptitle", plot.title);
@@ -84,6 +103,7 @@ function madePlot(plot) {
     axes: [axis({ size: 26, values: (_, at) => at.map((v) => `${v} s`) }), axis({ size: 56 })],
   }, [[], ...plot.lines.map(() => [])], box);
   new ResizeObserver(() => chart.setSize({ width: box.clientWidth, height: HEIGHT })).observe(box);
+  describePlot(chart, plot.title);
   sight.observe(box);
   box.addEventListener("insight", draw);
   return { box, chart, names: plot.lines.map(([name]) => name) };
@@ -129,7 +149,7 @@ function keep(fields, ticks) {
 function figure(id, value, digits, unit, signed) {
   const known = value !== null && value !== undefined;
   const text = known ? value.toFixed(digits).replace(/^-/, "\u2212") : "-";
-  byId(id).textContent = known ? `${signed && value >= 0 ? "+" : ""}${text} ${unit}` : "-";
+  put(id, known ? `${signed && value >= 0 ? "+" : ""}${text} ${unit}` : "-");
 }
 
 function showNewest(fields, ticks, isLive) {
@@ -143,24 +163,24 @@ function showNewest(fields, ticks, isLive) {
   figure("error", series.error[last], 1, "\u00b5m", true);
   figure("pressure", series.pressure[last], 1, "kPa");
   figure("command", series.command[last], 3, "V", true);
-  byId("phase").textContent = PHASES[ticks[ticks.length - 1][fields.indexOf("phase")]] ?? "-";
+  put("phase", PHASES[ticks[ticks.length - 1][fields.indexOf("phase")]] ?? "-");
 }
 
 function showStatus(status, problem) {
   newestStatus = status;
   byId("ack").hidden = byId("controls").hidden || status?.state !== "fault";
   const state = status ? status.state : "away";
-  byId("state").textContent = state;
+  put("state", state);
   byId("state").dataset.state = state;
-  byId("what").textContent = status ? status.fault || status.run || "" : problem;
-  byId("where").textContent = status ? `${status.backend} ${status.device}, ${spellController(status.names)}` : "";
+  put("what", status ? status.fault || status.run || "" : problem);
+  put("where", status ? `${status.backend} ${status.device}, ${spellController(status.names)}` : "");
   document.title = `${state} \u00b7 pamctl`;
   if (!status) return;
   figure("late", scaled(status.worst_late_s, 1e6), 1, "\u00b5s");
-  byId("missed").textContent = status.missed_ticks ?? "-";
-  byId("log").textContent = status.log ? `log: ${status.log}` : "";
-  byId("monitor").textContent = status.monitor ? status.monitor.sentence : "";
-  byId("events").replaceChildren(...[...status.events].reverse().map(eventItem));
+  put("missed", String(status.missed_ticks ?? "-"));
+  put("log", status.log ? `log: ${status.log}` : "");
+  put("monitor", status.monitor ? status.monitor.sentence : "");
+  putItems("events", status.events, eventItem);
 }
 
 function spellController({ controller, controller_changes: changes }) {

@@ -50,7 +50,7 @@ function shownNumber(value) {
 // --- what the server is asked ----------------------------------------------------------------------
 
 async function ask(path, query) {
-  const answer = await fetch(`${path}?${new URLSearchParams(query)}`, { priority: "low", signal: AbortSignal.timeout(20000) });
+  const answer = await fetch(`${path}?${new URLSearchParams(query)}`, { priority: "low", signal: AbortSignal.timeout(60000) });
   if (!answer.ok) throw new Error((await answer.json()).error);
   return answer;
 }
@@ -102,7 +102,7 @@ async function searchTrigger(held) {
   }
   const first = Math.max(0, found - ticksOf(number("tpre")));
   await loadCapture({ log: held.log, first: Math.max(first, held.first_tick), last, trigger: found });
-  sayScope(`triggered at tick ${found}. ${tellUnseen(held)}${held.first_tick > first ? "what came before is not held" : ""}`);
+  sayScope(`triggered at tick ${found}. ${tellUnseen(held)}${held.first_tick > first ? "the ticks that are held begin later" : ""}`);
   if (scope.mode === "single") setMode("still");
   Object.assign(scope, { found: null, armed: "", after: Math.max(last, found + ticksOf(number("tholdoff"))), sinceMs: performance.now() });
 }
@@ -187,16 +187,17 @@ function drawLines(chart) {
     ctx.moveTo(x, bbox.top);
     ctx.lineTo(x, bbox.top + bbox.height);
     ctx.stroke();
-    ctx.textAlign = "left";
+    const isRight = x > bbox.left + 0.7 * bbox.width;
+    ctx.textAlign = isRight ? "right" : "left";
     ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
-    ctx.fillText(label, x + 3 * devicePixelRatio, bbox.top + 12 * (row + 1) * devicePixelRatio);
+    ctx.fillText(label, x + (isRight ? -3 : 3) * devicePixelRatio, bbox.top + 12 * (row + 1) * devicePixelRatio);
   };
   ctx.save();
   ctx.lineWidth = devicePixelRatio;
   for (const [k, event] of capture.events.entries()) {
     if (event.tick < capture.ticks[0] || event.tick > capture.ticks.at(-1)) continue;
     const at = nearestIndex(capture.ticks, event.tick);
-    line(capture.t[at], "--dim", [2, 3], spellEvent(event).slice(0, 24), 1 + k % 4);
+    line(capture.t[at], "--dim", [2, 3], spellEvent(event).slice(0, 36), 1 + k % 4);
   }
   if (capture.trigger !== null) line(0, "--warn", [6, 4], "T");
   scope.cursors.forEach((at, which) => at !== null && line(capture.t[at], "--fg", [], "AB"[which]));
@@ -271,6 +272,7 @@ function buildPane(names, at) {
       setView(u.posToVal(left, "x"), u.posToVal(left + width, "x"));
     }] },
   }, [[], ...names.map(() => [])], box);
+  describePlot(chart, names.join(", "));
   let pressedX = 0;
   chart.over.addEventListener("mousedown", (event) => { pressedX = event.clientX; });
   chart.over.addEventListener("click", (event) => {

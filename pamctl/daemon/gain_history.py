@@ -12,7 +12,7 @@ _KEPT_CHANGES = 20
 
 
 @dataclass(frozen=True)
-class GainChange:
+class GainEdit:
     """Gains that were changed together."""
 
     time_s: float
@@ -38,15 +38,15 @@ class GainHistory:
 
     def __init__(self) -> None:
         """Begin without a change."""
-        self._changes: deque[GainChange] = deque(maxlen=_KEPT_CHANGES)
+        self._changes: deque[GainEdit] = deque(maxlen=_KEPT_CHANGES)
 
     def note(
         self,
         before: Mapping[str, Any],
         after: Mapping[str, Any],
         by: str,
-        undoes: GainChange | None = None,
-    ) -> GainChange | None:
+        undoes: GainEdit | None = None,
+    ) -> GainEdit | None:
         """Remember a change, which may take back an earlier one. None if nothing has changed."""
         gains = {
             name: (before.get(name), value)
@@ -58,11 +58,11 @@ class GainHistory:
             self._changes = deque(kept, _KEPT_CHANGES)
         if not gains:
             return None
-        change = GainChange(time.time(), by, gains, is_undo=undoes is not None)
+        change = GainEdit(time.time(), by, gains, is_undo=undoes is not None)
         self._changes.append(change)
         return change
 
-    def find_undoable(self) -> GainChange | None:
+    def find_undoable(self) -> GainEdit | None:
         """Return the newest change that was not taken back, and takes nothing back itself."""
         left = (c for c in reversed(self._changes) if not c.is_undo and not c.is_undone)
         return next(left, None)

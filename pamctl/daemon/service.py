@@ -23,7 +23,7 @@ from typing import Any
 
 from pamctl import __version__
 from pamctl.control.experiment import HoldSettings, plan_experiment
-from pamctl.daemon.gain_history import GainChange, GainHistory
+from pamctl.daemon.gain_history import GainEdit, GainHistory
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.monitor_desk import MonitorDesk
 from pamctl.daemon.protocol import RequestRefusedError
@@ -414,7 +414,7 @@ class Service:
         operator: str = "",
         *,
         file_gains: Mapping[str, Any] | None = None,
-        undoes: GainChange | None = None,
+        undoes: GainEdit | None = None,
     ) -> dict[str, Any]:
         session = self._session
         before = settings_to_data(self._settings.controller)

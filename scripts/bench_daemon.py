@@ -43,7 +43,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from hal.sim.register import peek_v
-from pamctl.daemon.client import Client, DaemonUnreachableError
+from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.log import read
 from pamctl.log.reader import Log
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
@@ -360,7 +360,12 @@ def _spread(each: np.ndarray) -> dict[str, Any]:
 
 def emergency_stops(bench: Bench, count: int) -> dict[str, Any]:
     """From before a client connects to the safe voltage, ms."""
-    times_ms = [_emergency_stop_ms(bench) for _ in range(count)]
+    times_ms: list[float] = []
+    for _ in range(count):
+        with suppress(DaemonDeclinedError):  # a PC too busy to start a loop: nothing was stopped
+            times_ms.append(_emergency_stop_ms(bench))
+    if not times_ms:
+        return {"p50_ms": math.nan, "max_ms": math.nan, "all_ms": []}
     return {"p50_ms": median(times_ms), "max_ms": max(times_ms), "all_ms": times_ms}
 
 
@@ -397,7 +402,10 @@ def table(report: dict[str, Any]) -> str:
     missed = (f"{case} {looked[case]['missed_ticks']}" for case in CASES)
     lines.append(f"missed ticks in each round: {', '.join(missed)}")
     stop = report["emergency_stop"]
-    lines.append(f"emergency stop: {stop['p50_ms']:.1f} ms p50, {stop['max_ms']:.1f} ms max")
+    lines.append(
+        f"emergency stop: {stop['p50_ms']:.1f} ms p50, {stop['max_ms']:.1f} ms max, "
+        f"{len(stop['all_ms'])} times"
+    )
     return "\n".join(lines)
 
 

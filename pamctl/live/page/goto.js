@@ -19,8 +19,11 @@ const strokeMm = () => bench.stroke_mm ?? [0, 1];
 const inStroke = (mm) => Math.min(Math.max(Math.round(mm / STEP_MM) * STEP_MM, strokeMm()[0]), strokeMm()[1]);
 const asked = () => series.reference.at(-1) ?? series.position.at(-1) ?? null;
 
+// The daemon refuses a position while an experiment runs, or after a fault.
+const mayGo = () => newestStatus?.run === "goto" || ["idle", "ready"].includes(newestStatus?.state);
+
 function placeHandle() {
-  handle.hidden = byId("controls").hidden || !bench.stroke_mm;
+  handle.hidden = !dragged.isHeld && (byId("controls").hidden || !bench.stroke_mm || !mayGo());
   const mm = dragged.mm ?? asked() ?? number("target");
   const top = plot.valToPos(mm, "y"), height = plot.over.clientHeight;
   handle.style.top = `${Math.min(Math.max(Number.isFinite(top) ? top : height / 2, 0), height)}px`;

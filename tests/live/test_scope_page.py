@@ -174,6 +174,12 @@ def test_a_saved_capture_opens_again_and_its_cut_is_a_log(
     tab.click("#keep")
     tab.value("openLog(captured.log)")
     assert tab.value("scope.capture.ticks.length") == len(run)
+    tab.wait_for("byId('marks').textContent.includes('a spike')")
+    tab.click("#marks button:last-child")
+    mark = next(event for event in run.events if event.get("text") == "a spike")
+    middle_s = float(run["t_s"][run["tick"] == mark["tick"]][0])
+    low_s, high_s = tab.value("scope.view")
+    assert low_s < middle_s <= high_s, "a click on a mark shows what is around it"
     tab.value("openKept(0)")
     assert np.array_equal(show_values(tab, "scope.capture.raw.position_m"), before)
     assert tab.value("scope.capture.trigger") == tab.value("captured.trigger")

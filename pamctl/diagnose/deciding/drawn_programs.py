@@ -1,0 +1,163 @@
+"""Draw programs of valve commands from the building blocks of an experiment file.
+
+Each program begins vented and at rest, and ends vented. Between, two to four blocks follow one
+another: full strokes, small steps about the valve's null, tones, bursts with the valve closed after
+each, slow ramps. Sizes and frequencies are spread evenly over their octaves.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Iterator
+from itertools import accumulate, takewhile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.control.excitation import ProgramSettings, generate_commands
+
+SHORTEST_S, LONGEST_S = 5.0, 10.0
+"""Length of a program, with the rests at both ends."""
+REST_S = 1.0
+"""Vented rest at the beginning: the noise, and the zeros of the sensors."""
+VENT_S = 1.2
+"""Venting at the end: the next run begins at rest."""
+MOST_BLOCKS = 4
+
+_Part = dict[str, Any]
+
+
+def draw_programs(count: int, command_v: float, seed: int) -> Iterator[ProgramSettings]:
+    """Yield `count` programs whose commands stay within +-`command_v` (V); the seed fixes them."""
+    drawn = random.Random(f"deciding {seed}")
+    largest_v = min(command_v, 5.0)
+    for number in range(count):
+        parts = _draw_parts(drawn, largest_v)
+        yield ProgramSettings.model_validate(
+            {"kind": "program", "seed": seed * count + number + 1, "parts": parts}
+        )
+
+
+def sample_commands(program: ProgramSettings, period_s: float) -> NDArray[np.float64]:
+    """Return the command of each tick (V), shape (n,): a level begins with the tick that is due."""
+    levels = [*generate_commands(program)]
+    due = accumulate(level.duration_s for level in levels)
+    ends = [math.ceil(t / period_s - 1e-6) for t in due]
+    counts = np.diff([0, *ends])
+    return np.repeat([level.valve_v for level in levels], counts)
+
+
+def _draw_parts(drawn: random.Random, largest_v: float) -> list[_Part]:
+    begin = _hold(-largest_v, REST_S)
+    end = _hold(-largest_v, VENT_S)
+    room_s = LONGEST_S - REST_S - VENT_S
+    blocks = [_draw_block(drawn, largest_v) for _ in range(MOST_BLOCKS)]
+    lengths = accumulate(map(_measure_s, blocks))
+    fitting = blocks[: max(1, sum(1 for _ in takewhile(lambda s: s <= room_s, lengths)))]
+    parts = [part for block in fitting[: drawn.randint(1, MOST_BLOCKS)] for part in block]
+    missing_s = SHORTEST_S - REST_S - VENT_S - _measure_s(parts)
+    if missing_s > 0.01:
+        parts += [_hold(0.0, missing_s)]
+    return [begin, *parts, end]
+
+
+def _draw_block(drawn: random.Random, largest_v: float) -> list[_Part]:
+    kinds: tuple[Callable[[random.Random, float], list[_Part]], ...] = (
+        _draw_square,
+        _draw_staircase,
+        _draw_multisine,
+        _draw_chirp,
+        _draw_bursts,
+        _draw_ramps,
+    )
+    return drawn.choice(kinds)(drawn, largest_v)
+
+
+def _draw_square(drawn: random.Random, largest_v: float) -> list[_Part]:
+    hz = _spread(drawn, 0.5, 8.0)
+    size_v = drawn.choice((largest_v, _spread(drawn, 0.3 * largest_v, largest_v)))
+    cycles = max(1, round(drawn.uniform(1.0, 3.0) * hz))
+    return [{"wave": "square", "frequency_hz": hz, "amplitude_v": size_v, "cycles": cycles}]
+
+
+def _draw_staircase(drawn: random.Random, largest_v: float) -> list[_Part]:
+    most_v = min(3.0, largest_v)
+    levels = [_spread(drawn, 0.02 * most_v, most_v) for _ in range(drawn.randint(2, 6))]
+    hold_s = _spread(drawn, 0.08, 0.25)
+    return [_lift(drawn, largest_v), {"wave": "staircase", "levels_v": levels, "hold_s": hold_s}]
+
+
+def _draw_multisine(drawn: random.Random, largest_v: float) -> list[_Part]:
+    part = {
+        "wave": "multisine",
+        "low_hz": _spread(drawn, 0.3, 2.0),
+        "high_hz": _spread(drawn, 8.0, 120.0),
+        "amplitude_v": _spread(drawn, 0.06 * largest_v, largest_v),
+        "duration_s": round(drawn.uniform(2.0, 5.0), 1),
+        "tones": 12,
+        "bias_v": round(drawn.uniform(-0.05, 0.1), 3),
+    }
+    return [_lift(drawn, largest_v), part]
+
+
+def _draw_chirp(drawn: random.Random, largest_v: float) -> list[_Part]:
+    part = {
+        "wave": "chirp",
+        "low_hz": _spread(drawn, 0.5, 10.0),
+        "high_hz": _spread(drawn, 30.0, 200.0),
+        "amplitude_v": _spread(drawn, 0.1 * largest_v, largest_v),
+        "duration_s": round(drawn.uniform(2.0, 5.0), 1),
+    }
+    return [_lift(drawn, largest_v), part]
+
+
+def _draw_bursts(drawn: random.Random, largest_v: float) -> list[_Part]:
+    parts = []
+    for _ in range(drawn.randint(1, 3)):
+        parts.append(_lift(drawn, drawn.choice((largest_v, largest_v, -largest_v))))
+        parts.append(_hold(0.0, drawn.uniform(0.6, 2.5)))
+    return parts
+
+
+def _draw_ramps(drawn: random.Random, largest_v: float) -> list[_Part]:
+    size_v = _spread(drawn, 0.01 * largest_v, 0.12 * largest_v)
+    up_s, down_s = drawn.uniform(0.5, 2.0), drawn.uniform(0.5, 2.0)
+    return [_lift(drawn, largest_v), _hold(size_v, up_s), _hold(-size_v, down_s)]
+
+
+def _lift(drawn: random.Random, valve_v: float) -> _Part:
+    """Return a burst that moves the pressure to another level."""
+    duration_s = round(_spread(drawn, 0.01, 0.1), 3)
+    return {"wave": "hold", "valve_v": valve_v, "duration_s": duration_s}
+
+
+def _hold(valve_v: float, duration_s: float) -> _Part:
+    return {"wave": "hold", "valve_v": _shorten(valve_v), "duration_s": round(duration_s, 2)}
+
+
+def _measure_s(parts: list[_Part]) -> float:
+    """Return how long parts last."""
+    return sum(map(_measure_part_s, parts))
+
+
+def _measure_part_s(part: _Part) -> float:
+    if part["wave"] == "square":
+        return float(part["cycles"] / part["frequency_hz"])
+    if part["wave"] == "staircase":
+        return float(4 * len(part["levels_v"]) * part["hold_s"])
+    return float(part["duration_s"])
+
+
+def _spread(drawn: random.Random, low: float, high: float) -> float:
+    """Draw a number evenly over the octaves, with three digits: people read the file."""
+    number = _shorten(low * (high / low) ** drawn.random())
+    return min(number, high)
+
+
+def _shorten(number: float) -> float:
+    if number == 0.0:
+        return 0.0
+    digits = 2 - math.floor(math.log10(abs(number)))
+    return round(number, digits)

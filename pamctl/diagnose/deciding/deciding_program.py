@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 
 from pamctl.control.excitation import ProgramSettings
-from pamctl.diagnose.deciding.drawn_programs import draw_programs
+from pamctl.diagnose.deciding.drawn_programs import (
+    Part,
+    draw_programs,
+    make_program,
+    make_repeated_part,
+    make_vent,
+)
 from pamctl.diagnose.deciding.explanations import Explanation
 from pamctl.diagnose.deciding.rig_limits import RigLimits, find_rig_limits
 from pamctl.diagnose.deciding.separation import ProgramTrial, Separation
@@ -25,6 +31,9 @@ from pamctl.diagnose.measured.record import Record
 PROGRAMS = 200
 FINALISTS = 12
 """Programs whose separation is computed with the wrong explanation refitted."""
+STROKES = (1.0, 0.6, 0.4, 0.2, 0.1)
+"""Sizes of the strokes that all programs begin with, as shares of the largest command; the largest
+that stays within the limits counts."""
 CLEAR = 1.05
 """A forecast counts as a decision if the residual passes its limit by this factor."""
 
@@ -89,9 +98,10 @@ def choose_deciding_program(
         return None
     limits = find_rig_limits(records)
     period_s = float(np.median(records[0].step_s))
+    begin = choose_repeated_part(explanations, limits, period_s)
     drawn = (
         ProgramTrial(program, explanations, period_s)
-        for program in draw_programs(programs, limits.command_v, seed)
+        for program in draw_programs(programs, limits.command_v, begin, seed)
     )
     inside = [trial for trial in drawn if all(map(limits.allows, trial.runs.values()))]
     finalists = sorted(inside, key=lambda t: t.rough, reverse=True)[:FINALISTS]
@@ -106,6 +116,19 @@ def choose_deciding_program(
             promised = _count_promised(best, explanations, records_s) > 0
             return _describe(best, programs, len(inside), limits.source, promises=promised)
     return None
+
+
+def choose_repeated_part(
+    explanations: Sequence[Explanation], limits: RigLimits, period_s: float
+) -> list[Part]:
+    """Return the part that all programs begin with: the largest strokes that the limits allow."""
+    for share in STROKES:
+        begin = make_repeated_part(share * limits.command_v, limits.command_v)
+        program = make_program([*begin, make_vent(limits.command_v)])
+        runs = ProgramTrial(program, explanations, period_s).runs
+        if all(map(limits.allows, runs.values())):
+            return begin
+    return make_repeated_part(0.0, limits.command_v)
 
 
 def _are_of_muscle(explanations: Sequence[Explanation]) -> bool:

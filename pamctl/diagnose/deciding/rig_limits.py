@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from pamctl.signals import Command, Estimate, Measurement, Phase, Timing
 SPARE_SHARE = 0.03
 """A program keeps this share of what a limit allows to itself: a model is not the rig."""
 ATMOSPHERE_PA = 101.3e3
+MOST_V = 5.0
+"""The largest command of an experiment file."""
 
 
 @dataclass(frozen=True)
@@ -86,11 +89,11 @@ def find_rig_limits(records: Sequence[Record]) -> RigLimits:
     for record in reversed(records):
         if record.settings.get("rig"):
             try:
-                return _read_limits(record)
+                return read_rig_limits(record.settings, record.name)
             except ConfigError:
                 continue  # an older log, whose settings no longer hold
     return RigLimits(
-        max(float(np.max(np.abs(r["valve_v"]))) for r in records),
+        min(max(float(np.max(np.abs(r["valve_v"]))) for r in records), MOST_V),
         max(float(np.max(r["pressure_pa"])) for r in records),
         min(float(np.min(r["position_m"])) for r in records),
         max(float(np.max(r["position_m"])) for r in records),
@@ -99,12 +102,13 @@ def find_rig_limits(records: Sequence[Record]) -> RigLimits:
     )
 
 
-def _read_limits(record: Record) -> RigLimits:
-    settings = from_resolved(json.dumps(dict(record.settings)), record.name)
+def read_rig_limits(resolved: Mapping[str, Any], name: str) -> RigLimits:
+    """Return the limits of a run's resolved settings; raises `ConfigError`, which calls it `name`."""
+    settings = from_resolved(json.dumps(dict(resolved)), name)
     limits = build_tick_setup(settings).limits._replace(pinned=False)
     calibration = settings.rig.calibration
     return RigLimits(
-        limits.command_v,
+        min(limits.command_v, MOST_V),
         limits.pressure_pa,
         limits.stroke_low_m,
         limits.stroke_high_m,

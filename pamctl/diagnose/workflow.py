@@ -140,7 +140,7 @@ def _decide_next(
     chosen = None
     if len(explanations) > 1:
         progress("choosing the program that decides: " + ", ".join(e.name for e in explanations))
-        chosen = choose_deciding_program(explanations, records)
+        chosen = choose_deciding_program(explanations, records, seed=len({*map(id, records)}))
     return replace(found, deciding=chosen, forecasts=judged)
 
 

@@ -1,0 +1,92 @@
+"""One round on the rig: what was run and why, what it showed, how far the rig repeated itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pamctl.diagnose.deciding.drawn_programs import REST_S, STROKES, STROKES_HZ
+from pamctl.diagnose.deciding.explanations import list_explanations
+from pamctl.diagnose.diagnosis import Diagnosis
+from pamctl.diagnose.fitting.block_fit import rms
+from pamctl.diagnose.measured.record import Record
+from pamctl.diagnose.report.verdict_words import sentence
+
+REPEATED_S = REST_S + STROKES / STROKES_HZ
+
+
+@dataclass(frozen=True)
+class RepeatDifference:
+    """How far the part that all programs share differs from the first time, by channel, in SI."""
+
+    channel: str
+    rms: float
+    noise: float
+    """What two readings of an unchanged rig differ by."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the document holds."""
+        return {"rms": self.rms, "noise": self.noise}
+
+
+@dataclass(frozen=True)
+class RigRound:
+    """One program on the rig, and the diagnosis of all records so far."""
+
+    number: int
+    program: str
+    why: str
+    log: str
+    rig_time_s: float
+    """Homing, program and rest."""
+    diagnosis: Diagnosis
+    repeated: tuple[RepeatDifference, ...]
+
+    @property
+    def left(self) -> tuple[str, ...]:
+        """The explanations that the data leave open; one where they are decided."""
+        found = self.diagnosis
+        if found.model is None:
+            return ()
+        open_ones = list_explanations(
+            found.verdict, found.model, found.standings, found.described
+        )
+        return tuple(e.name for e in open_ones)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the document holds."""
+        return {
+            "round": self.number,
+            "program": self.program,
+            "why": self.why,
+            "log": self.log,
+            "rig_time_s": round(self.rig_time_s, 3),
+            "verdict": self.diagnosis.verdict.value,
+            "sentence": sentence(self.diagnosis),
+            "explanations_left": [*self.left],
+            "forecasts": [f.as_dict() for f in self.diagnosis.forecasts if f.record == self.log],
+            "repeated_part": {d.channel: d.as_dict() for d in self.repeated},
+        }
+
+
+def compare_repeated_part(
+    first: Record, again: Record, diagnosis: Diagnosis
+) -> tuple[RepeatDifference, ...]:
+    """Return by how much the shared beginning of two records differs; empty if not shared."""
+    count = round(REPEATED_S / first.period_s)
+    if first is again or min(len(first), len(again)) < count or diagnosis.model is None:
+        return ()
+    if np.any(np.abs(first["valve_v"][:count] - again["valve_v"][:count]) > 1e-3):
+        return ()
+    noises = diagnosis.model.evidence.noises
+    return tuple(
+        RepeatDifference(
+            channel,
+            rms(again[channel][:count] - first[channel][:count]),
+            sqrt(2.0) * noises[channel].total,
+        )
+        for channel in ("pressure_pa", "position_m")
+    )

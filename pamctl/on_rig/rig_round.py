@@ -7,6 +7,7 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pamctl.diagnose.deciding.drawn_programs import REST_S, STROKES, STROKES_HZ
 from pamctl.diagnose.deciding.explanations import list_explanations
@@ -15,6 +16,10 @@ from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.report.verdict_words import sentence
 
+SAME_V = 1e-3
+"""Commands that differ by less are the same."""
+FEWEST_SHARE = 0.9
+"""Share of the ticks that both records must have, with the same command."""
 REPEATED_S = REST_S + STROKES / STROKES_HZ
 
 
@@ -76,17 +81,26 @@ def compare_repeated_part(
     first: Record, again: Record, diagnosis: Diagnosis
 ) -> tuple[RepeatDifference, ...]:
     """Return by how much the shared beginning of two records differs; empty if not shared."""
-    count = round(REPEATED_S / first.period_s)
-    if first is again or min(len(first), len(again)) < count or diagnosis.model is None:
+    if first is again or diagnosis.model is None:
         return ()
-    if np.any(np.abs(first["valve_v"][:count] - again["valve_v"][:count]) > 1e-3):
+    one, other = _match_ticks(first, again)
+    same = np.abs(first["valve_v"][one] - again["valve_v"][other]) <= SAME_V
+    if len(one) < FEWEST_SHARE * REPEATED_S / first.period_s or same.mean() < FEWEST_SHARE:
         return ()
     noises = diagnosis.model.evidence.noises
     return tuple(
         RepeatDifference(
             channel,
-            rms(again[channel][:count] - first[channel][:count]),
+            rms(again[channel][other][same] - first[channel][one][same]),
             sqrt(2.0) * noises[channel].total,
         )
         for channel in ("pressure_pa", "position_m")
     )
+
+
+def _match_ticks(first: Record, again: Record) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the samples of both records that belong to the same ticks of the shared part."""
+    ticks = [np.rint(r.t_s / first.period_s).astype(np.int64) for r in (first, again)]
+    shared, one, other = np.intersect1d(*ticks, return_indices=True)
+    within = shared * first.period_s < REPEATED_S
+    return one[within], other[within]

@@ -128,9 +128,7 @@ def diagnose(
     return _decide_next(found_all, [*train, *holdout], progress)
 
 
-def _decide_next(
-    found: Diagnosis, records: Sequence[Record], progress: Progress
-) -> Diagnosis:
+def _decide_next(found: Diagnosis, records: Sequence[Record], progress: Progress) -> Diagnosis:
     """Add the program that would decide what is left, and what earlier forecasts were worth."""
     model = found.model
     if model is None:

@@ -13,15 +13,15 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any
 
+from pamctl.control.experiment import plan_experiment
 from pamctl.diagnose import Diagnosis, Verdict, diagnose
 from pamctl.diagnose.measured.record import Record
-from pamctl.on_rig.rig_plan import REST_S, RigPlan
+from pamctl.on_rig.rig_plan import FULL_PROGRAM, REST_S, RigPlan, require_inside
 from pamctl.on_rig.rig_round import RigRound, compare_repeated_part
-from pamctl.session.pamctl_error import translate_errors
+from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.steered_rig import SteeredRig
 from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
 
-FULL_PROGRAM = "diagnosis"
 _OPEN = (Verdict.AMBIGUOUS, Verdict.PARTIAL, Verdict.DESCRIBED)
 
 Progress = Callable[[str], None]
@@ -49,6 +49,8 @@ class Investigation:
     """Why no further program was run."""
     is_decided: bool = False
     """One explanation is left, or nothing is missing."""
+    retuning: dict[str, Any] | None = None
+    """What `--then tune` did, as the document holds it; None where it was not asked for."""
 
     @property
     def rig_time_s(self) -> float:
@@ -68,6 +70,7 @@ class Investigation:
             "is_decided": self.is_decided,
             "rig_time_s": round(self.rig_time_s, 3),
             "plan": self.plan.as_dict(),
+            "retuning": self.retuning,
         }
 
 
@@ -170,23 +173,29 @@ def _find_question(investigation: Investigation) -> NextProgram | str:
         return "no program within the limits promises to separate what is left"
     if found.verdict is Verdict.AMBIGUOUS:
         return "no program could be chosen within the rig's limits"
+    full_runs = sum(each.program == FULL_PROGRAM for each in investigation.rounds)
     if found.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
-        return _find_fuller_program(investigation)
-    investigation.is_decided = True
+        if full_runs > 1 or (full_runs and not investigation.plan.is_first_full):
+            return "what is left is none of the known effects, and no program promises more"
+        why = "a full program shows in which regime the remainder lies"
+        return _make_full_program(investigation, why)
     alone = found.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
-    return "nothing is missing" if alone else "one explanation is left"
+    unseen = [s for s in found.audit.blind_spots if s.experiment] if found.audit else []
+    if alone and unseen and not full_runs:
+        names = ", ".join(spot.name for spot in unseen)
+        return _make_full_program(investigation, f"these records cannot show {names}")
+    investigation.is_decided = True
+    return "nothing is missing that these programs show" if alone else "one explanation is left"
 
 
-def _find_fuller_program(investigation: Investigation) -> NextProgram | str:
-    """Return the full program with another seed, once: it shows where the remainder lies."""
-    if any(each.program == FULL_PROGRAM for each in investigation.rounds[1:]):
-        return "what is left is none of the known effects, and no program promises more"
-    from pamctl.control.experiment import plan_experiment
-
-    path = find_config_file("experiment", FULL_PROGRAM)
-    data = read_section_file("experiment", path)
+def _make_full_program(investigation: Investigation, why: str) -> NextProgram | str:
+    """Return the full program with a seed of its own, if the rig's limits allow it."""
+    data = read_section_file("experiment", find_config_file("experiment", FULL_PROGRAM))
     again = data.model_copy(update={"seed": data.seed + 1 + investigation.programs})
-    why = "a full program shows in which regime the remainder lies"
+    try:
+        require_inside(FULL_PROGRAM, again, investigation.plan)
+    except PamctlError as error:
+        return error.reason
     lasts_s = plan_experiment(again).duration_s
     return NextProgram(settings_to_data(again), FULL_PROGRAM, why, lasts_s)
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import isnan
 from typing import Any
 
 import numpy as np
 
-from pamctl.control.experiment import ProgramSettings
-from pamctl.diagnose.deciding.drawn_programs import sample_commands
+from pamctl.control.excitation import HeldCommand
+from pamctl.control.experiment import Experiment, plan_experiment
+from pamctl.diagnose.deciding.drawn_programs import sample_levels
 from pamctl.diagnose.deciding.rig_limits import RigLimits, read_rig_limits
 from pamctl.exit_codes import ExitCode
 from pamctl.log.naming import file_safe_name
@@ -19,6 +21,8 @@ from pamctl.session.pamctl_error import PamctlError
 from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
 from pamctl.settings.table_file import read_tables
 
+FULL_PROGRAM = "diagnosis"
+"""The shipped program that shows nearly every effect."""
 HOMING_S = 12.0
 """Rig time that homing may take before the first program; later ones need none."""
 REST_S = 2.0
@@ -50,6 +54,12 @@ class RigPlan:
     first_s: float
     demand: CoupledResponse | None
     """The start model under the first program."""
+    period_s: float = 1e-3
+
+    @property
+    def is_first_full(self) -> bool:
+        """Tell whether the first program is the shipped one that shows nearly every effect."""
+        return self.first is not None and self.first_name == FULL_PROGRAM
 
     def describe(self) -> str:
         """Say the plan in a few lines, before anything moves."""
@@ -77,7 +87,7 @@ class RigPlan:
 
     def _say_demand(self) -> str:
         if self.demand is None:
-            return "; in closed loop"
+            return "; the daemon checks it against the envelope"
         return (
             f"; by the start model up to {_KPA * float(self.demand.pressure_pa.max()):.0f} kPa "
             f"absolute and {_MM * float(self.demand.position_m.max()):.1f} mm"
@@ -114,21 +124,18 @@ def make_rig_plan(
     if start.actuator != "muscle":
         reason = f"--on-rig moves a muscle; the plant file says actuator: {start.actuator}"
         raise PamctlError(f"{reason}; give --plant of a muscle", ExitCode.USAGE)
+    period_s = 1.0 / float(settings["rig"]["loop"]["rate_hz"])
+    plan = RigPlan(budget, limits, backend, start, None, "", 0.0, None, period_s)
     if experiment is None:
-        return RigPlan(budget, limits, backend, start, None, "", 0.0, None)
+        return plan
     data, keys, lasts_s = _read_experiment(experiment)
     _require_time(experiment, lasts_s, budget)
-    demand = None
-    if isinstance(data, ProgramSettings):
-        period_s = 1.0 / float(settings["rig"]["loop"]["rate_hz"])
-        demand = _require_inside(experiment, data, start, limits, period_s)
+    demand = require_inside(experiment, data, plan)
     name = file_safe_name(experiment)
-    return RigPlan(budget, limits, backend, start, keys, name, lasts_s, demand)
+    return replace(plan, first=keys, first_name=name, first_s=lasts_s, demand=demand)
 
 
 def _read_experiment(name: str) -> tuple[Any, dict[str, Any], float]:
-    from pamctl.control.experiment import plan_experiment
-
     path = find_config_file("experiment", name, "--experiment")
     data = read_section_file("experiment", path, (), read_tables)
     return data, settings_to_data(data), plan_experiment(data).duration_s
@@ -143,12 +150,18 @@ def _require_time(experiment: str, lasts_s: float, budget: Budget) -> None:
         )
 
 
-def _require_inside(
-    experiment: str, program: ProgramSettings, start: PlantSettings, limits: RigLimits, period_s: float
-) -> CoupledResponse:
-    commands_v = sample_commands(program, period_s)
-    steps_s = np.full(len(commands_v) - 1, period_s)
-    run = drive_coupled(plant_parameters(start), commands_v, steps_s)
+def require_inside(experiment: str, data: Experiment, plan: RigPlan) -> CoupledResponse | None:
+    """Return the start model under an experiment; raise `PamctlError` beyond the rig's limits.
+
+    None for motions in closed loop, and for waves: the daemon checks those against the envelope.
+    """
+    limits, segments = plan.limits, plan_experiment(data).segments
+    if any(s.shape is not None or isnan(s.valve_v) for s in segments):
+        return None
+    levels = [HeldCommand(s.valve_v, s.duration_s) for s in segments]
+    commands_v = sample_levels(levels, plan.period_s)
+    steps_s = np.full(len(commands_v) - 1, plan.period_s)
+    run = drive_coupled(plant_parameters(plan.start), commands_v, steps_s)
     if not limits.allows(run):
         raise PamctlError(
             f"the experiment {experiment} needs, by the start model, up to "
@@ -159,5 +172,3 @@ def _require_inside(
             ExitCode.CHECK_FAILED,
         )
     return run
-
-

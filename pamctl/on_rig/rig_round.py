@@ -56,9 +56,7 @@ class RigRound:
         found = self.diagnosis
         if found.model is None:
             return ()
-        open_ones = list_explanations(
-            found.verdict, found.model, found.standings, found.described
-        )
+        open_ones = list_explanations(found.verdict, found.model, found.standings, found.described)
         return tuple(e.name for e in open_ones)
 
     def as_dict(self) -> dict[str, Any]:
@@ -100,7 +98,7 @@ def compare_repeated_part(
 
 def _match_ticks(first: Record, again: Record) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the samples of both records that belong to the same ticks of the shared part."""
-    ticks = [np.rint(r.t_s / first.period_s).astype(np.int64) for r in (first, again)]
-    shared, one, other = np.intersect1d(*ticks, return_indices=True)
+    ticks, others = (np.rint(r.t_s / first.period_s) for r in (first, again))
+    shared, one, other = np.intersect1d(ticks, others, return_indices=True)
     within = shared * first.period_s < REPEATED_S
     return one[within], other[within]

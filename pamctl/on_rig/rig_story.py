@@ -6,9 +6,14 @@ from pathlib import Path
 
 from pamctl.diagnose.report.diagnosis_folder import write_diagnosis
 from pamctl.diagnose.report.phrases import spell_names
+from pamctl.new_file import write_files
 from pamctl.on_rig.decide_on_rig import Investigation, list_logs
 from pamctl.on_rig.rig_round import RigRound
 from pamctl.report.html_page import Page
+from pamctl.settings.yaml12 import dump_yaml
+
+GAINS = "gains.yaml"
+"""The file of the retuned gains."""
 
 
 def write_investigation(investigation: Investigation, out: Path) -> list[str]:
@@ -18,7 +23,7 @@ def write_investigation(investigation: Investigation, out: Path) -> list[str]:
     """
     if investigation.diagnosis is None:
         return []
-    return write_diagnosis(
+    names = write_diagnosis(
         investigation.diagnosis,
         out,
         list_logs(investigation),
@@ -26,6 +31,12 @@ def write_investigation(investigation: Investigation, out: Path) -> list[str]:
         beside={"on_rig": investigation.as_dict()},
         story=lambda page: tell_rounds(page, investigation),
     )
+    gains = (investigation.retuning or {}).get("gains")
+    if not gains:
+        return names
+    head = f"# Gains for the plant that was found.{tell_retuning(investigation)}".replace("\n", " ")
+    write_files({out / GAINS: f"{head}\n{dump_yaml(gains)}"})
+    return [*names, GAINS]
 
 
 def tell_rounds(page: Page, investigation: Investigation) -> None:
@@ -47,6 +58,22 @@ def tell_rounds(page: Page, investigation: Investigation) -> None:
         f"{investigation.stopped}.",
     )
     page.points(*map(_tell_round, investigation.rounds))
+    if told := tell_retuning(investigation).strip():
+        page.text(told)
+
+
+def tell_retuning(investigation: Investigation) -> str:
+    """Say what retuning did, on a line of its own; empty where it was not asked for."""
+    done = investigation.retuning
+    if done is None:
+        return ""
+    kept = "The rig goes on with the new gains" if done["is_kept"] else "The gains are as before"
+    errors = "".join(
+        f" RMS error {name}: {1e6 * done[name]['rms_error_m']:.1f} µm."
+        for name in ("before", "after")
+        if done[name]
+    )
+    return f"\nRetuned: {kept}: {done['why']}.{errors}"
 
 
 def _tell_round(each: RigRound) -> str:

@@ -148,7 +148,7 @@ class SteeredRig(ABC):
 
     @abstractmethod
     def settings(self) -> dict[str, Any]:
-        """Return what the rig is set to, as the settings of its runs hold it: rig, limits, gains."""
+        """Return what the rig is set to, as its logs hold it: rig, limits, plant, gains."""
 
     @property
     def state(self) -> str:

@@ -196,9 +196,7 @@ _FOR_RIG = ("experiment", "runs", "minutes", "then", "dry_run", "yes", "socket")
 _FOR_LOGS = ("holdout", "without", "accept", "correction", "noise")
 
 
-def _require_one_kind(
-    context: typer.Context, logs: Sequence[Path], *, on_rig: bool
-) -> None:
+def _require_one_kind(context: typer.Context, logs: Sequence[Path], *, on_rig: bool) -> None:
     """Refuse options that would have no effect, and a diagnosis of nothing."""
     wrong = _FOR_LOGS if on_rig else _FOR_RIG
     for name in wrong:

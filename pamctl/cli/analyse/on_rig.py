@@ -72,6 +72,10 @@ def _run_rounds(
 
     try:
         decide_on_rig(rig, investigation, executor=executor, progress=progress)
+        if task.then == "tune" and investigation.is_decided:
+            from pamctl.on_rig.retune import retune_on_rig
+
+            investigation.retuning = retune_on_rig(rig, investigation, progress).as_dict()
     except KeyboardInterrupt:
         investigation.stopped = "it was interrupted"
         return ExitCode.SIGINT, "interrupted"
@@ -89,7 +93,7 @@ def _finish(
     from pamctl.diagnose import summary
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
     from pamctl.new_file import NewFileError
-    from pamctl.on_rig.rig_story import write_investigation
+    from pamctl.on_rig.rig_story import tell_retuning, write_investigation
 
     found = investigation.diagnosis
     if found is None:
@@ -105,7 +109,7 @@ def _finish(
     )
     stopped = f"stopped after {investigation.rig_time_s:.0f} s on the rig: {investigation.stopped}"
     document = {**build_diagnosis_document(found), "on_rig": investigation.as_dict()}
-    text = f"{summary(found)}\n\n{told}\n{stopped}{end}"
+    text = f"{summary(found)}\n\n{told}\n{stopped}{tell_retuning(investigation)}{end}"
     print_result(document, lambda: text, failure, as_json=as_json)
     if reason:
         print_error(reason)

@@ -1,8 +1,8 @@
 """Choose the program that decides between the explanations that a diagnosis leaves.
 
-    chosen = choose_deciding_program(explanations, records)
-    chosen.separations       what the wrong one of two explanations would leave of its run
-    chosen.to_experiment()   the keys of the experiment file
+chosen = choose_deciding_program(explanations, records)
+chosen.separations       what the wrong one of two explanations would leave of its run
+chosen.to_experiment()   the keys of the experiment file
 """
 
 from __future__ import annotations

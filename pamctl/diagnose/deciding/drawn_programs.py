@@ -1,8 +1,9 @@
 """Draw programs of valve commands from the building blocks of an experiment file.
 
-Each program begins vented and at rest, with a part that all of them share, and ends vented. Between,
-one to four blocks follow one another: full strokes, small steps about the valve's null, tones, bursts with the valve closed after
-each, slow ramps. Sizes and frequencies are spread evenly over their octaves.
+Each program begins vented and at rest, with a part that all of them share, and ends vented.
+Between, one to four blocks follow one another: full strokes, small steps about the valve's null,
+tones, bursts with the valve closed after each, slow ramps. Sizes and frequencies are spread evenly
+over their octaves.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.control.excitation import ProgramSettings, generate_commands
+from pamctl.control.excitation import HeldCommand, ProgramSettings, generate_commands
 
 SHORTEST_S, LONGEST_S = 5.0, 10.0
 """Length of a program, with the rests at both ends."""
@@ -68,12 +69,15 @@ def draw_programs(
 
 
 def sample_commands(program: ProgramSettings, period_s: float) -> NDArray[np.float64]:
+    """Return the command of each tick (V), shape (n,)."""
+    return sample_levels([*generate_commands(program)], period_s)
+
+
+def sample_levels(levels: Sequence[HeldCommand], period_s: float) -> NDArray[np.float64]:
     """Return the command of each tick (V), shape (n,): a level begins with the tick that is due."""
-    levels = [*generate_commands(program)]
     due = accumulate(level.duration_s for level in levels)
     ends = [math.ceil(t / period_s - 1e-6) for t in due]
-    counts = np.diff([0, *ends])
-    return np.repeat([level.valve_v for level in levels], counts)
+    return np.repeat([level.valve_v for level in levels], np.diff([0, *ends]))
 
 
 def _draw_parts(drawn: random.Random, largest_v: float, begin_s: float) -> list[Part]:

@@ -67,7 +67,5 @@ def _list_rivals(verdict: Verdict, model: Model, standing: Standing) -> dict[str
         name_explanation(models[r.name]): models[r.name]
         for r in standing.rivals
         if r.name in models
-        and (
-            r.is_equal or (verdict is Verdict.PARTIAL and r.residual_over_floor <= NEAR * here)
-        )
+        and (r.is_equal or (verdict is Verdict.PARTIAL and r.residual_over_floor <= NEAR * here))
     }

@@ -43,7 +43,7 @@ class RigLimits:
     source: str = "the rig's limits"
 
     def allows(self, run: CoupledResponse) -> bool:
-        """Tell whether a run stays inside, quickly: highest pressure and both ends of the stroke."""
+        """Tell whether a run's highest pressure and its stroke stay inside, quickly."""
         spare_pa = self.spare_share * (self.pressure_pa - ATMOSPHERE_PA)
         spare_m = self.spare_share * (self.high_m - self.low_m)
         finite = np.isfinite(run.pressure_pa).all() and np.isfinite(run.position_m).all()
@@ -103,9 +103,9 @@ def find_rig_limits(records: Sequence[Record]) -> RigLimits:
 
 
 def read_rig_limits(resolved: Mapping[str, Any], name: str) -> RigLimits:
-    """Return the limits of a run's resolved settings; raises `ConfigError`, which calls it `name`."""
+    """Return the limits of a run's resolved settings; raises `ConfigError`."""
     settings = from_resolved(json.dumps(dict(resolved)), name)
-    limits = build_tick_setup(settings).limits._replace(pinned=False)
+    limits = build_tick_setup(settings).limits
     calibration = settings.rig.calibration
     return RigLimits(
         min(limits.command_v, MOST_V),

@@ -179,4 +179,3 @@ def find_disputed_blocks(one: Model, other: Model) -> list[str]:
 
 def _deviation_of(model: Model, block: str) -> float:
     return model.evidence.train[block][0].deviation
-

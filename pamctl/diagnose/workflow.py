@@ -18,7 +18,7 @@ from pamctl.diagnose.audit import audit_model
 from pamctl.diagnose.confirm import Confirmation, confirm_naming
 from pamctl.diagnose.deciding.deciding_program import choose_deciding_program
 from pamctl.diagnose.deciding.explanations import list_explanations
-from pamctl.diagnose.deciding.forecast import judge_forecasts
+from pamctl.diagnose.deciding.forecast import judge_forecasts, read_forecast
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.extend import add_correction_tables, extend_plant
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
@@ -76,7 +76,8 @@ def diagnose(
 
     The model is fitted on `train`. Two of three stretches of `holdout` choose it, the third
     confirms it. Without `holdout`, `train` is split by run; a single run is split into long
-    stretches, and with `cut` every run is. `without` leaves effects out of the catalogue.
+    stretches, and so is every run with `cut`, or where a program that a diagnosis chose is among
+    them. `without` leaves effects out of the catalogue.
     With `correction`, what no effect explains is added to the plant as a table, where that helps.
     `accept` holds the user's reasons to overrule rules of `quality_rules.RULES`, by rule. `noise`
     states the sensors' standard deviations in SI by channel, before what the plant file or the
@@ -171,6 +172,8 @@ def _check_and_prepare(
     if not records:
         raise BadData("no records; give at least one log")
     accepted = check_measured_runs(records, plant, accept)
+    # A program that was chosen to decide must be fitted on, and chosen by.
+    cut = cut or any(read_forecast(record) for record in train)
     is_cut = not holdout and (cut or len(train) == 1)
     fitted, held = [*train], [*holdout]
     if not holdout:

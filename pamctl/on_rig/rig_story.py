@@ -31,11 +31,11 @@ def write_investigation(investigation: Investigation, out: Path) -> list[str]:
         beside={"on_rig": investigation.as_dict()},
         story=lambda page: tell_rounds(page, investigation),
     )
-    gains = (investigation.retuning or {}).get("gains")
-    if not gains:
+    done = investigation.retuning
+    if not done or not done["is_kept"]:
         return names
     head = f"# Gains for the plant that was found.{tell_retuning(investigation)}".replace("\n", " ")
-    write_files({out / GAINS: f"{head}\n{dump_yaml(gains)}"})
+    write_files({out / GAINS: f"{head}\n{dump_yaml(done['gains'])}"})
     return [*names, GAINS]
 
 

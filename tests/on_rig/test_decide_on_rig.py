@@ -1,4 +1,4 @@
-"""On the simulated rig: two explanations, the program that decides, and what came of its forecast."""
+"""On the simulated rig: two explanations, the program that decides, and its forecast."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ def test_a_first_program_beyond_the_limits_or_the_budget_is_refused(squares: Pat
     with pytest.raises(pamctl.PamctlError, match="300 kPa") as beyond:
         make_rig_plan(settings, PlantSettings(), str(squares), Budget())
     assert beyond.value.exit_code == ExitCode.CHECK_FAILED
-    with pytest.raises(pamctl.PamctlError, match="--minutes 0.3") as long:
+    with pytest.raises(pamctl.PamctlError, match=r"--minutes 0\.3") as long:
         make_rig_plan(_SETTINGS, PlantSettings(), "diagnosis", Budget(1, 0.3))
     assert long.value.exit_code == ExitCode.USAGE
     plan = make_rig_plan(_SETTINGS, PlantSettings(), "diagnosis", Budget())

@@ -155,6 +155,7 @@ def diagnose(
         return
     from pamctl.diagnose import diagnose as find_missing_effects
     from pamctl.diagnose import summary
+    from pamctl.diagnose.deciding.forecast import read_forecast
     from pamctl.diagnose.measured.from_log import record_of, require_held_out
     from pamctl.diagnose.measured.refuse import read_acceptances
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
@@ -167,6 +168,8 @@ def diagnose(
     held = [record_of(path) for path in holdout or []]
     if not held:
         how = "the runs are split" if len(train) > 1 else "long stretches of it are held out"
+        if len(train) > 1 and any(map(read_forecast, train)):
+            how = "long stretches of each run are held out"
         typer.echo(f"no --holdout: {how}", err=True)
     with _start_workers(jobs or 1, cluster) as executor:
         diagnosis = find_missing_effects(

@@ -58,7 +58,8 @@ def test_sampled_commands_are_those_of_the_rigs_course() -> None:
 
 
 def test_the_limits_are_those_of_the_rig_and_trip_where_the_loop_trips() -> None:
-    strokes = "experiment.parts=[{wave: hold, valve_v: -5, duration_s: 0.5}, {wave: square, frequency_hz: 2, cycles: 1}]"
+    parts = "{wave: hold, valve_v: -5, duration_s: 0.5}, {wave: square, frequency_hz: 2, cycles: 1}"
+    strokes = f"experiment.parts=[{parts}]"
     base = ["rig.homing.enabled=false", "rig.sim.sensor_noise_v=0", strokes]
     for limit_pa, trips in ((500e3, False), (300e3, True)):
         changes = [*base, f"rig.limits.pressure_pa={limit_pa}"]

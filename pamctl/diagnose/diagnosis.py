@@ -79,6 +79,8 @@ class Diagnosis:
     """Doubts about the data that the user overruled, each with the reason."""
     noise: Mapping[str, ChannelNoise] = field(default_factory=dict)
     """What is known of each channel's noise, and of the time stamps, `t_s`."""
+    explanations: tuple[str, ...] = ()
+    """What the data leave open, the chosen one first."""
     deciding: DecidingProgram | None = None
     """The program that would decide between what is left; None where nothing can be decided."""
     forecasts: tuple[JudgedForecast, ...] = ()

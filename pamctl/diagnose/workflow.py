@@ -135,12 +135,15 @@ def _decide_next(found: Diagnosis, records: Sequence[Record], progress: Progress
     if model is None:
         return found
     judged = judge_forecasts(model, found.standings, list({id(r): r for r in records}.values()))
-    explanations = list_explanations(found.verdict, model, found.standings, found.described)
+    explanations = list_explanations(
+        found.verdict, model, found.standings, found.described, found.setup
+    )
     chosen = None
     if len(explanations) > 1:
         progress("choosing the program that decides: " + ", ".join(e.name for e in explanations))
         chosen = choose_deciding_program(explanations, records, seed=len({*map(id, records)}))
-    return replace(found, deciding=chosen, forecasts=judged)
+    names = tuple(e.name for e in explanations)
+    return replace(found, explanations=names, deciding=chosen, forecasts=judged)
 
 
 def _mend_records(

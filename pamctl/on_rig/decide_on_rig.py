@@ -172,7 +172,11 @@ def _find_question(investigation: Investigation) -> NextProgram | str:
     if found.verdict in (Verdict.AMBIGUOUS, Verdict.DESCRIBED) and chosen is not None:
         return "no program within the limits promises to separate what is left"
     if found.verdict is Verdict.AMBIGUOUS:
-        return "no program could be chosen within the rig's limits"
+        return (
+            "no program within the rig's limits was found"
+            if len(found.explanations) > 1
+            else "no program can tell an effect from a column that is off: mend the record"
+        )
     full_runs = sum(each.program == FULL_PROGRAM for each in investigation.rounds)
     if found.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
         if full_runs > 1 or (full_runs and not investigation.plan.is_first_full):

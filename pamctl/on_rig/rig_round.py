@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.diagnose.deciding.drawn_programs import REST_S, STROKES, STROKES_HZ
-from pamctl.diagnose.deciding.explanations import list_explanations
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.measured.record import Record
@@ -53,11 +52,7 @@ class RigRound:
     @property
     def left(self) -> tuple[str, ...]:
         """The explanations that the data leave open; one where they are decided."""
-        found = self.diagnosis
-        if found.model is None:
-            return ()
-        open_ones = list_explanations(found.verdict, found.model, found.standings, found.described)
-        return tuple(e.name for e in open_ones)
+        return self.diagnosis.explanations
 
     def as_dict(self) -> dict[str, Any]:
         """Return what the document holds."""

@@ -171,10 +171,11 @@ class ProgramTrial:
 def find_disputed_blocks(one: Model, other: Model) -> list[str]:
     """Return the blocks that an effect reaches which only one of two models has.
 
-    In the others the models differ by numbers only, which the next records may move.
+    In the others the models differ by numbers only, which the next records may move. Models that
+    differ by numbers alone dispute about all blocks.
     """
     reached = {b for c in {*one.effects} ^ {*other.effects} for b in c.blocks}
-    return [b for b in one.evidence.blocks if b in reached]
+    return [b for b in one.evidence.blocks if b in reached] or [*one.evidence.blocks]
 
 
 def _deviation_of(model: Model, block: str) -> float:

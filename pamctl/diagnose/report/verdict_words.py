@@ -32,8 +32,8 @@ from pamctl.diagnose.report.term_phrases import (
 )
 
 _ON_RIG = (
-    "`pamctl diagnose --on-rig` runs such programs, one after the other, on the rig of a running "
-    "daemon."
+    "`pamctl diagnose --on-rig --out decided` runs such programs, one after the other, on the rig "
+    "of a running daemon."
 )
 _RECORD = "pamctl run --experiment diagnosis --set experiment.seed=3 --log next.mcap"
 

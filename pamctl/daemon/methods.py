@@ -101,6 +101,7 @@ def methods_of(service: Service) -> dict[str, Method]:
     """Return every method of a service by its name."""
     return {
         "status": Method(NoParams, lambda _: service.status(), changes=False),
+        "settings": Method(NoParams, lambda _: service.settings(), changes=False),
         "recent": Method(
             RecentParams, lambda p: service.recent(p.after_tick, p.every, p.fields), changes=False
         ),

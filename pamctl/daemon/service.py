@@ -172,6 +172,10 @@ class Service:
             "events": list(self.events)[-10:],
         }
 
+    def settings(self) -> dict[str, Any]:
+        """Return everything that the daemon was set to, as the logs of its runs hold it."""
+        return settings_to_data(self._settings)
+
     def recent(self, after_tick: int, every: int, fields: Sequence[str] | None) -> dict[str, Any]:
         """Return columns of the newest ticks, as `read_recent_columns` does."""
         return read_recent_columns(self._session, after_tick, every, fields)

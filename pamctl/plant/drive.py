@@ -223,7 +223,8 @@ def drive_mechanics(
     true_pa = undo_sensor("pressure_reading", p, pressures, grid.samples_s)
     ends_pa = _interpolate(cut.ends_s, grid.samples_s, true_pa)
     if bend_pa is not None:
-        ends_pa = ends_pa + bend_pa
+        # A delayed command cuts the steps further: a line's pressure depends on it.
+        ends_pa = ends_pa + np.interp(cut.ends_s, grid.ends_s, bend_pa)
     ends_n = _interpolate(cut.ends_s, grid.samples_s, forces)
     restarts = _undo_restarts("position_reading", p, restarts, grid)
     _run(run_mechanics, p, state, cut, ends_pa, ends_n, restarts, rows)

@@ -74,4 +74,5 @@ def record_of(path: str | Path) -> Record:
         experiment=experiment,
         is_imported=log.is_imported,
         stated_noise=json.loads(log.metadata.get("import", {}).get("noise") or "{}"),
+        settings=log.config,
     )

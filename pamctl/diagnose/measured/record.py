@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,6 +66,8 @@ class Record:
     """False where a sample is an outlier or a dropout, shape (n,); None if all samples count."""
     stated_noise: Mapping[str, float] = field(default_factory=dict)
     """Standard deviation of a reading by channel, in SI, where the user states it."""
+    settings: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    """What the run was set to, as its log holds it: rig, experiment; empty if unknown."""
 
     def __post_init__(self) -> None:
         """Accept any sequence of numbers; raise ValueError where lengths differ."""
@@ -139,6 +142,7 @@ class Record:
             is_imported=self.is_imported,
             counts=None if self.counts is None else self.counts[start:stop],
             stated_noise=self.stated_noise,
+            settings=self.settings,
         )
 
     @cached_property

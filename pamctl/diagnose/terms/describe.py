@@ -82,6 +82,8 @@ class DescribedTerm:
     curve: tuple[CurvePoint, ...] = ()
     name: str = ""
     """What stands before the names of its numbers, such as `force_term`."""
+    equal_models: Mapping[str, Model] = field(default_factory=dict, repr=False)
+    """The fitted models of `equals`, by their words."""
 
 
 @dataclass(frozen=True)
@@ -186,9 +188,7 @@ def _say_term(
     model, question = chosen.model, chosen.question
     numbers = estimate_intervals(model)
     own = tuple(n for n in numbers if n.name.startswith(question.prefix))
-    equals = [
-        *(describe_term(t.question, t.values) for t in list_equals(chosen, trials)),
-    ]
+    equals = {describe_term(t.question, t.values): t.model for t in list_equals(chosen, trials)}
     term = DescribedTerm(
         describe_term(question, chosen.values),
         *question.key,
@@ -197,11 +197,12 @@ def _say_term(
         DRIVER_UNITS[question.driver],
         write_equation(question),
         find_kin(question),
-        tuple(dict.fromkeys(equals)),
+        tuple(equals),
         closed_share(naming.base, model, block),
         own,
         _draw_curve(chosen, own),
         question.location.term_name,
+        equals,
     )
     kept = {c.name for c in model.effects}
     standings = tuple(s for s in naming.standings if s.effect.name in kept)

@@ -14,6 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
+from pamctl.bounded_memory import forget_results
 from pamctl.diagnose.audit import audit_model
 from pamctl.diagnose.confirm import Confirmation, confirm_naming
 from pamctl.diagnose.deciding.deciding_program import choose_deciding_program
@@ -85,6 +86,7 @@ def diagnose(
     Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
     library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
+    forget_results()  # of the diagnosis before: no key of it comes again
     progress = progress or (lambda line: None)
     stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
     train, holdout, faults = _mend_records(train, holdout, stated)

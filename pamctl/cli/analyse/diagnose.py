@@ -11,7 +11,13 @@ from typing import Annotated
 
 import typer
 
-from pamctl.cli.options import ClusterOption, JsonOption, PlantOption, require_one_place
+from pamctl.cli.options import (
+    ClusterOption,
+    InteractiveOption,
+    JsonOption,
+    PlantOption,
+    require_one_place,
+)
 from pamctl.cli.output import print_result
 from pamctl.exit_codes import ExitCode
 from pamctl.new_file import NewFileError, require_empty_folder
@@ -78,6 +84,7 @@ def diagnose(
         ),
     ] = None,
     cluster: ClusterOption = None,
+    interactive: InteractiveOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Find where model and measurement disagree, name the missing effect, add it to the model.
@@ -120,7 +127,7 @@ def diagnose(
     names = [path.name for path in (*logs, *(holdout or []))]
     failure, end = None, ""
     try:
-        written = write_diagnosis(diagnosis, out, names, [*train, *held])
+        written = write_diagnosis(diagnosis, out, names, [*train, *held], interactive=interactive)
         end = f"\n\n{out}: {', '.join(written)}"
     except NewFileError as error:
         failure = error

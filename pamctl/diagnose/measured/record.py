@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pamctl.log.annotate.moments import Moment
 from pamctl.log.cutting.pieces import find_longest_step_s, split_at_gaps
 
 Array = NDArray[np.float64]
@@ -65,6 +66,8 @@ class Record:
     """False where a sample is an outlier or a dropout, shape (n,); None if all samples count."""
     stated_noise: Mapping[str, float] = field(default_factory=dict)
     """Standard deviation of a reading by channel, in SI, where the user states it."""
+    moments: tuple[Moment, ...] = field(default=(), compare=False)
+    """Marks, changes of gains and the trip, which plots show; in the time of `t_s`."""
 
     def __post_init__(self) -> None:
         """Accept any sequence of numbers; raise ValueError where lengths differ."""
@@ -139,6 +142,7 @@ class Record:
             is_imported=self.is_imported,
             counts=None if self.counts is None else self.counts[start:stop],
             stated_noise=self.stated_noise,
+            moments=self.moments,
         )
 
     @cached_property

@@ -38,6 +38,8 @@ MUTED = -1
 """The colour of data for comparison: a reference, a limit."""
 
 _FEW_POINTS = 200
+_SWATCHES = {"b": "M1 1h20v8h-20z", "l": "M1 5h20", "p": "M11 5h0"}
+"""What the legend shows of bands and bars, lines, and points."""
 _ROOM_ABOVE, _ROOM_BELOW, _ROOM_BELOW_UNNAMED = 8, 42, 24
 
 
@@ -298,7 +300,7 @@ class SvgPlot:
     def _draw_legend(self) -> str:
         entries = [
             f'<li><svg class="swatch" viewBox="0 0 22 10"><path class="{mark.css}" '
-            f'd="{"M1 1h20v8h-20z" if mark.css.startswith("b") else "M1 5h20"}"/></svg>'
+            f'd="{_SWATCHES[mark.css[0]]}"/></svg>'
             f"{escape(mark.label)}</li>"
             for mark in self._marks
             if mark.label

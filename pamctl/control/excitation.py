@@ -95,12 +95,34 @@ Part = Annotated[
 ]
 
 
+class PairForecast(Configured):
+    """What the wrong one of two explanations should leave of a run."""
+
+    true: Annotated[str, Field(min_length=1, max_length=300)]
+    refuted: Annotated[str, Field(min_length=1, max_length=300)]
+    block: Annotated[str, Field(description="the block that shows it best")]
+    residual_over_floor: Annotated[float, Field(gt=0)]
+
+
+class ForecastSettings(Configured):
+    """What the diagnosis that wrote a program expects of it; a later diagnosis judges it."""
+
+    pairs: Annotated[tuple[PairForecast, ...], Field(min_length=1)]
+    pressure_kpa: Annotated[float, Field(ge=0, description="highest absolute pressure expected")]
+    low_mm: Annotated[float, Field(description="lowest position expected")]
+    high_mm: Annotated[float, Field(description="highest position expected")]
+
+
 class ProgramSettings(Configured):
     """Parts of an excitation, one after the other, in open loop."""
 
     kind: Literal["program"]
     seed: Annotated[int, Field(ge=0, description="seed of the multisines' phases")] = 1
     parts: Annotated[tuple[Part, ...], Field(min_length=1)]
+    forecast: Annotated[
+        ForecastSettings | None,
+        Field(description="written by `pamctl diagnose`; it moves nothing"),
+    ] = None
 
 
 def generate_commands(settings: ProgramSettings) -> Iterator[HeldCommand]:

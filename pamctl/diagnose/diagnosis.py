@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pamctl.diagnose.audit import Audit
+from pamctl.diagnose.deciding.deciding_program import DecidingProgram
+from pamctl.diagnose.deciding.forecast import JudgedForecast
 from pamctl.diagnose.extend import CorrectionResult
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.intervals import FittedNumber
@@ -77,6 +79,12 @@ class Diagnosis:
     """Doubts about the data that the user overruled, each with the reason."""
     noise: Mapping[str, ChannelNoise] = field(default_factory=dict)
     """What is known of each channel's noise, and of the time stamps, `t_s`."""
+    explanations: tuple[str, ...] = ()
+    """What the data leave open, the chosen one first."""
+    deciding: DecidingProgram | None = None
+    """The program that would decide between what is left; None where nothing can be decided."""
+    forecasts: tuple[JudgedForecast, ...] = ()
+    """What earlier diagnoses expected of these records, and what came of it."""
 
     @property
     def recalibrated(self) -> tuple[FittedNumber, ...]:

@@ -16,6 +16,9 @@ from dataclasses import dataclass, replace
 
 from pamctl.diagnose.audit import audit_model
 from pamctl.diagnose.confirm import Confirmation, confirm_naming
+from pamctl.diagnose.deciding.deciding_program import choose_deciding_program
+from pamctl.diagnose.deciding.explanations import list_explanations
+from pamctl.diagnose.deciding.forecast import judge_forecasts, read_forecast
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.extend import add_correction_tables, extend_plant
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
@@ -66,6 +69,7 @@ def diagnose(
     correction: bool = False,
     accept: Mapping[str, str] | None = None,
     noise: Mapping[str, float] | None = None,
+    cut: bool = False,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -73,7 +77,8 @@ def diagnose(
 
     The model is fitted on `train`. Two of three stretches of `holdout` choose it, the third
     confirms it. Without `holdout`, `train` is split by run; a single run is split into long
-    stretches. `without` leaves effects out of the catalogue.
+    stretches, and so is every run with `cut`, or where a program that a diagnosis chose is among
+    them. `without` leaves effects out of the catalogue.
     With `correction`, what no effect explains is added to the plant as a table, where that helps.
     `accept` holds the user's reasons to overrule rules of `quality_rules.RULES`, by rule. `noise`
     states the sensors' standard deviations in SI by channel, before what the plant file or the
@@ -86,7 +91,7 @@ def diagnose(
     train, holdout, faults = _mend_records(train, holdout, stated)
     try:
         evidence, train, holdout, is_cut, accepted = _check_and_prepare(
-            train, holdout, plant, accept
+            train, holdout, plant, accept, cut=cut
         )
     except BadData as error:
         given = (*train, *holdout)
@@ -116,7 +121,7 @@ def diagnose(
     naming, setup = ask_beside(naming, setup, candidates, executor, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)
-    found, described = _describe_rest(found, confirming, executor, progress)
+    found, described = _describe_rest(found, confirming, executor, progress, without)
     on = describe_confirmation(confirming, is_cut=is_cut)
     diagnosis = _conclude(
         found, on, confirming, setup.train, setup.holdout, candidates, correction=correction
@@ -124,7 +129,25 @@ def diagnose(
     diagnosis = replace(conclude_setup(diagnosis, setup), described=described)
     channels = describe_channels([*train, *holdout], evidence.noises, faults)
     extended = diagnosis.plant.model_copy(update={"noise": plant.noise})
-    return replace(diagnosis, plant=extended, noise=channels, accepted=accepted)
+    found_all = replace(diagnosis, plant=extended, noise=channels, accepted=accepted)
+    return _decide_next(found_all, [*train, *holdout], progress)
+
+
+def _decide_next(found: Diagnosis, records: Sequence[Record], progress: Progress) -> Diagnosis:
+    """Add the program that would decide what is left, and what earlier forecasts were worth."""
+    model = found.model
+    if model is None:
+        return found
+    judged = judge_forecasts(model, found.standings, list({id(r): r for r in records}.values()))
+    explanations = list_explanations(
+        found.verdict, model, found.standings, found.described, found.setup
+    )
+    chosen = None
+    if len(explanations) > 1:
+        progress("choosing the program that decides: " + ", ".join(e.name for e in explanations))
+        chosen = choose_deciding_program(explanations, records, seed=len({*map(id, records)}))
+    names = tuple(e.name for e in explanations)
+    return replace(found, explanations=names, deciding=chosen, forecasts=judged)
 
 
 def _mend_records(
@@ -145,8 +168,10 @@ def _check_and_prepare(
     holdout: Sequence[Record],
     plant: PlantSettings,
     accept: Mapping[str, str] | None,
+    *,
+    cut: bool,
 ) -> tuple[Evidence, list[Record], list[Record], bool, tuple[AcceptedDoubt, ...]]:
-    """Return the evidence for fits and choices, its records, and whether a single run was cut.
+    """Return the evidence for fits and choices, its records, and whether the runs were cut.
 
     The last are the doubts about the data that the user accepted.
     """
@@ -154,8 +179,12 @@ def _check_and_prepare(
     if not records:
         raise BadData("no records; give at least one log")
     accepted = check_measured_runs(records, plant, accept)
-    is_cut = not holdout and len(train) == 1
-    fitted, held = ([*train], [*holdout]) if holdout else split_by_run(train)
+    # A program that was chosen to decide must be fitted on, and chosen by.
+    cut = cut or any(read_forecast(record) for record in train)
+    is_cut = not holdout and (cut or len(train) == 1)
+    fitted, held = [*train], [*holdout]
+    if not holdout:
+        fitted, held = ([*train], [*train]) if is_cut else split_by_run(train)
     evidence = prepare_evidence(fitted, held, plant)
     if not evidence.blocks:
         channels = ", ".join(records[0].channels) or "nothing"
@@ -172,16 +201,17 @@ def _describe_rest(
     confirming: Evidence,
     executor: Executor | None,
     progress: Progress,
+    without: Collection[str],
 ) -> tuple[Confirmation, Description | None]:
     """Ask what no effect explains; a term that the confirming samples refute is only a lead."""
     if found.naming.verdict not in (Verdict.PARTIAL, Verdict.NONE_KNOWN) or found.signs:
         return found, None
-    described = describe_rest(found.naming, executor, progress)
-    if described.naming is None or described.term is None:
+    described = describe_rest(found.naming, executor, progress, without)
+    if described.naming is None:
         return found, described
-    again = confirm_naming(described.naming, confirming)
-    kept = again.naming.verdict is Verdict.DESCRIBED
-    if not (kept and is_confirmed(again.explained, described.term)):
+    naming = described.naming.without_unseen_numbers()
+    again = confirm_naming(naming, confirming)
+    if again.naming.model is not naming.model or not is_confirmed(again.explained, described.block):
         return found, replace(described, term=None, naming=None)
     return again, described
 

@@ -78,6 +78,11 @@ class DaemonRig(SteeredRig):
         answer: dict[str, Any] = self._ask("status")
         return answer
 
+    def settings(self) -> dict[str, Any]:
+        """Return the settings that the daemon was started with, and its gains."""
+        answer: dict[str, Any] = self._ask("settings")
+        return answer
+
     def mark(self, text: str) -> None:
         """Put a remark into the log of the current run."""
         self._ask("mark", text=text)

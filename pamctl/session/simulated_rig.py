@@ -103,6 +103,10 @@ class SimulatedRig(SteeredRig):
             "rate_hz": self._settings.rig.loop.rate_hz,
         }
 
+    def settings(self) -> dict[str, Any]:
+        """Return the settings of the session."""
+        return settings_to_data(self._settings)
+
     def _find_state(self) -> DaemonState:
         loop = self._loop
         if self._fault:

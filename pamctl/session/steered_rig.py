@@ -146,6 +146,10 @@ class SteeredRig(ABC):
     def status(self) -> dict[str, Any]:
         """Return state, run, log, newest tick and gains, as `pamctl status --json` prints them."""
 
+    @abstractmethod
+    def settings(self) -> dict[str, Any]:
+        """Return what the rig is set to, as its logs hold it: rig, limits, plant, gains."""
+
     @property
     def state(self) -> str:
         """One of idle, homing, ready, running, stopping, fault."""

@@ -37,6 +37,8 @@ class ExcitationProgram(ExperimentForm):
     seed: int = 1
     """Seed of the multisines' phases."""
     parts: collections.abc.Sequence[Mapping[str, Any]]
+    forecast: Mapping[str, Any] | None = None
+    """What a diagnosis expects of it; it moves nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,12 +44,10 @@ def compare(
         require_place(plot, replaces=PAGE_BEGIN)
     from pamctl.compare.compare_plants import compare_plants
     from pamctl.compare.compare_text import format_comparison, make_comparison_document
-    from pamctl.log import read
+    from pamctl.log.measured_signals import SIGNAL_FIELDS
+    from pamctl.log.reader import read, read_some
 
-    logs = [read(path) for path in paths]
-    found = [
-        (path, compare_plants(log, plants or [])) for path, log in zip(paths, logs, strict=True)
-    ]
+    found = [(path, compare_plants(read_some(path, SIGNAL_FIELDS), plants or [])) for path in paths]
     if len(found) > 1:
         if as_json:
             print_json([{**make_comparison_document(*one), "plot": None} for one in found])
@@ -61,7 +59,7 @@ def compare(
     if plot is not None:
         from pamctl.compare.compare_page import draw_comparison_page
 
-        page = draw_comparison_page(logs[0], models).html(interactive=interactive)
+        page = draw_comparison_page(read(path), models).html(interactive=interactive)
         try:
             write_files({plot: page}, replaces=PAGE_BEGIN)
         except NewFileError as error:

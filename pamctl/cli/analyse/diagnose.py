@@ -16,6 +16,8 @@ from pamctl.cli.options import (
     InteractiveOption,
     JsonOption,
     PlantOption,
+    SocketOption,
+    require_linux,
     require_one_place,
 )
 from pamctl.cli.output import print_result
@@ -25,12 +27,19 @@ from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_sectio
 
 
 def diagnose(
-    logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Logs that the model is fitted to")
-    ],
+    context: typer.Context,
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for the results, new or empty")
     ],
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="LOG...",
+            help="Logs that the model is fitted to; with --on-rig they take the place of the "
+            "first program",
+            show_default="required, except with --on-rig",
+        ),
+    ] = None,
     holdout: Annotated[
         list[Path] | None,
         typer.Option(
@@ -85,20 +94,70 @@ def diagnose(
     ] = None,
     cluster: ClusterOption = None,
     interactive: InteractiveOption = False,
+    on_rig: Annotated[
+        bool,
+        typer.Option(
+            "--on-rig",
+            help="Let a running daemon run programs, each chosen to decide what is left",
+        ),
+    ] = False,
+    experiment: Annotated[
+        str,
+        typer.Option("--experiment", metavar="NAME|FILE", help="First program on the rig"),
+    ] = "diagnosis",
+    runs: Annotated[
+        int,
+        typer.Option("--runs", metavar="N", min=1, max=20, help="Most programs on the rig"),
+    ] = 4,
+    minutes: Annotated[
+        float,
+        typer.Option("--minutes", metavar="M", min=0.3, max=120.0, help="Most time on the rig"),
+    ] = 5.0,
+    then: Annotated[
+        str | None,
+        typer.Option(
+            "--then",
+            metavar="tune",
+            help="After the decision: retune, and track before and after on the rig",
+            show_default="nothing",
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the plan on the rig and stop")
+    ] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Do not ask whether the rig may be pressurised and move")
+    ] = False,
+    socket: SocketOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find where model and measurement disagree, name the missing effect, add it to the model.
 
-    DIR gets diagnosis.json, report.html and plant.yaml.
-    plant.yaml is for --plant of run, tune, compare and a next diagnose.
-    The exit code is 0 for every verdict, and 65 if the data cannot be used.
+    DIR gets diagnosis.json, report.html and plant.yaml, and next-experiment.yaml where a program
+    would decide between explanations. plant.yaml is for --plant of run, tune, compare and a next
+    diagnose. The exit code is 0 for every verdict, and 65 if the data cannot be used.
     """
+    logs = logs or []
     require_one_place(cluster, jobs)
+    _require_one_kind(context, logs, on_rig=on_rig)
+    if then not in (None, "tune"):
+        raise typer.BadParameter(f"'{then}' is not known; give tune", param_hint="--then")
     require_empty_folder(out)
     start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
     _require_known(without or [])
+    if on_rig:
+        require_linux()
+        from pamctl.cli.analyse.on_rig import OnRigTask, diagnose_on_rig
+
+        task = OnRigTask(
+            logs, out, start, experiment, runs, minutes, socket, then=then, dry_run=dry_run, yes=yes
+        )
+        with _start_workers(jobs or 1, cluster) as executor:
+            diagnose_on_rig(task, executor, as_json=as_json)
+        return
     from pamctl.diagnose import diagnose as find_missing_effects
     from pamctl.diagnose import summary
+    from pamctl.diagnose.deciding.forecast import read_forecast
     from pamctl.diagnose.measured.from_log import record_of, require_held_out
     from pamctl.diagnose.measured.refuse import read_acceptances
     from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
@@ -111,6 +170,8 @@ def diagnose(
     held = [record_of(path) for path in holdout or []]
     if not held:
         how = "the runs are split" if len(train) > 1 else "long stretches of it are held out"
+        if len(train) > 1 and any(map(read_forecast, train)):
+            how = "long stretches of each run are held out"
         typer.echo(f"no --holdout: {how}", err=True)
     with _start_workers(jobs or 1, cluster) as executor:
         diagnosis = find_missing_effects(
@@ -134,6 +195,26 @@ def diagnose(
     document = build_diagnosis_document(diagnosis)
     print_result(document, lambda: summary(diagnosis) + end, failure, as_json=as_json)
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
+
+
+_FOR_RIG = ("experiment", "runs", "minutes", "then", "dry_run", "yes", "socket")
+_FOR_LOGS = ("holdout", "without", "accept", "correction", "noise")
+
+
+def _require_one_kind(context: typer.Context, logs: Sequence[Path], *, on_rig: bool) -> None:
+    """Refuse options that would have no effect, and a diagnosis of nothing."""
+    wrong = _FOR_LOGS if on_rig else _FOR_RIG
+    for name in wrong:
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            option = f"--{name.replace('_', '-')}"
+            why = "has no effect with --on-rig" if on_rig else "is for --on-rig; add it"
+            raise typer.BadParameter(why, param_hint=option)
+    if not logs and not on_rig:
+        raise typer.BadParameter(
+            "name at least one log, or give --on-rig and let a daemon make them",
+            param_hint="LOG...",
+        )
 
 
 def _require_known(names: Sequence[str]) -> None:

@@ -86,7 +86,7 @@ def describe_confirmation(evidence: Evidence, *, is_cut: bool) -> ConfirmedOn:
     drives = next(iter(evidence.holdout.values()))
     duration_s = sum(d.samples * float(np.median(d.step_s)) for d in drives)
     how = (
-        "a single run in long stretches: half are fitted, a third choose, a sixth confirm"
+        "each run in long stretches: half are fitted, a third choose, a sixth confirm"
         if is_cut
         else "records that were not fitted, in stretches: two of three choose, the third confirms"
     )

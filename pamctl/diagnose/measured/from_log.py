@@ -77,4 +77,5 @@ def record_of(path: str | Path) -> Record:
         is_imported=log.is_imported,
         stated_noise=json.loads(log.metadata.get("import", {}).get("noise") or "{}"),
         moments=tuple(Moment(at_s - first_s, text) for at_s, text in list_moments(log)),
+        settings=log.config,
     )

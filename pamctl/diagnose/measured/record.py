@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,6 +69,8 @@ class Record:
     """Standard deviation of a reading by channel, in SI, where the user states it."""
     moments: tuple[Moment, ...] = field(default=(), compare=False)
     """Marks, changes of gains and the trip, which plots show; in the time of `t_s`."""
+    settings: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    """What the run was set to, as its log holds it: rig, experiment; empty if unknown."""
 
     def __post_init__(self) -> None:
         """Accept any sequence of numbers; raise ValueError where lengths differ."""
@@ -143,6 +146,7 @@ class Record:
             counts=None if self.counts is None else self.counts[start:stop],
             stated_noise=self.stated_noise,
             moments=self.moments,
+            settings=self.settings,
         )
 
     @cached_property

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
+from pamctl.diagnose.deciding.deciding_program import DecidingProgram
+from pamctl.diagnose.deciding.separation import Separation
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.experiments import find_separating_experiment, find_showing_experiment
 from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.report.rig_at_hand import advise_experiment
+from pamctl.diagnose.report.phrases import spell_names
+from pamctl.diagnose.report.rig_at_hand import advise_experiment, runs_here
+from pamctl.settings.yaml12 import dump_yaml
 
+NEXT_EXPERIMENT = "next-experiment"
+"""The name of the program that was chosen; its file is beside the page."""
 NEARLY_SEEN = 3.0
 """An effect visible from this many smallest sizes on needs no other experiment."""
 
@@ -24,6 +31,8 @@ def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
 
     `do` is the command that runs it, or says what to record on a rig that pamctl does not run.
     """
+    if diagnosis.deciding is not None and runs_here(diagnosis):
+        return _describe_program(diagnosis.deciding)
     experiment = _choose_experiment(diagnosis)
     if experiment is None:
         return None
@@ -43,3 +52,61 @@ def _choose_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
     spots = [s for s in diagnosis.audit.blind_spots if s.experiment] if diagnosis.audit else []
     hidden = max(spots, key=lambda s: s.sizes, default=None)
     return find_showing_experiment(hidden.name) if hidden and hidden.sizes > NEARLY_SEEN else None
+
+
+def _describe_program(chosen: DecidingProgram) -> dict[str, Any]:
+    """Return the entry of a program that was chosen by simulation."""
+    experiment = chosen.to_experiment()
+    forecast = experiment.pop("forecast")
+    return {
+        "name": NEXT_EXPERIMENT,
+        "separates": [*chosen.explanations],
+        "why": explain_choice(chosen),
+        "do": f"pamctl run --experiment {NEXT_EXPERIMENT}.yaml",
+        "promises": chosen.promises,
+        "expected": forecast["pairs"],
+        "needs": {
+            "duration_s": round(chosen.duration_s, 3),
+            "pressure_kpa": forecast["pressure_kpa"],
+            "low_mm": forecast["low_mm"],
+            "high_mm": forecast["high_mm"],
+            "limits_from": chosen.limits_from,
+        },
+        "drawn": chosen.drawn,
+        "inside_limits": chosen.inside,
+        "program": experiment,
+    }
+
+
+def explain_choice(chosen: DecidingProgram) -> str:
+    """Say what the program is expected to show, and against how many others it was chosen."""
+    of = f"the best of {chosen.drawn} programs, of which {chosen.inside} stay within the limits"
+    least = _describe_separation(chosen.nearest)
+    if chosen.promises:
+        return f"{least} ({of})"
+    return f"{of} promises no decision: {least}"
+
+
+def _describe_separation(s: Separation) -> str:
+    return (
+        f"if {spell_names(s.true)} is true, {spell_names(s.refuted)} should leave "
+        f"{s.residual_over_floor:.3g} times the floor of the {s.block} block"
+    )
+
+
+def format_experiment_file(chosen: DecidingProgram, logs: Sequence[str]) -> str:
+    """Write the program as an experiment file, what it needs and what is expected as comments."""
+    head = "".join(f"# {line}\n" for line in _list_head_lines(chosen, logs))
+    return head + dump_yaml(chosen.to_experiment())
+
+
+def _list_head_lines(chosen: DecidingProgram, logs: Sequence[str]) -> Iterator[str]:
+    yield f"Written by `pamctl diagnose` from {', '.join(logs)}."
+    yield f"It decides between: {'; '.join(map(spell_names, chosen.explanations))}."
+    yield (
+        f"{chosen.duration_s:.1f} s, open loop, from the vented muscle at rest. By the fitted "
+        f"models it needs up to {1e-3 * chosen.pressure_pa:.0f} kPa absolute and moves from "
+        f"{1e3 * chosen.low_m:.1f} to {1e3 * chosen.high_m:.1f} mm ({chosen.limits_from} hold)."
+    )
+    why = explain_choice(chosen)
+    yield f"{why[:1].upper()}{why[1:]}."

@@ -31,6 +31,10 @@ from pamctl.diagnose.report.term_phrases import (
     find_term,
 )
 
+_ON_RIG = (
+    "`pamctl diagnose --on-rig --out decided` runs such programs, one after the other, on the rig "
+    "of a running daemon."
+)
 _RECORD = "pamctl run --experiment diagnosis --set experiment.seed=3 --log next.mcap"
 
 
@@ -68,7 +72,9 @@ def advise_next_steps(diagnosis: Diagnosis) -> Iterator[str]:
     if experiment:
         yield _describe_experiment(experiment, is_command=runs_here(diagnosis))
         done = {"diagnosis"} >= {record.experiment for record in diagnosis.train}
-        if runs_here(diagnosis) and not done and experiment["name"] != "diagnosis":
+        if diagnosis.deciding is not None and runs_here(diagnosis):
+            yield f"Its file is in the folder of this page. {_ON_RIG}"
+        elif runs_here(diagnosis) and not done and experiment["name"] != "diagnosis":
             yield f"The experiment `diagnosis` contains them all: `{_RECORD}`."
 
 

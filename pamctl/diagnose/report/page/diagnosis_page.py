@@ -6,7 +6,7 @@ what to do next. The sections below give the evidence.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.measured.record import Record
@@ -27,11 +27,20 @@ from pamctl.diagnose.report.verdict_words import choose_words
 from pamctl.report.html_page import Page
 
 
-def build_diagnosis_page(diagnosis: Diagnosis, records: Sequence[Record]) -> Page:
-    """Return the page of a diagnosis; `records` are all records that were given, good or bad."""
+def build_diagnosis_page(
+    diagnosis: Diagnosis,
+    records: Sequence[Record],
+    story: Callable[[Page], None] | None = None,
+) -> Page:
+    """Return the page of a diagnosis; `records` are all records that were given, good or bad.
+
+    `story` writes below the head how the records came about.
+    """
     names = [record.name for record in records]
     page = Page(choose_words(diagnosis).title, f"Diagnosis of {', '.join(names)}")
     write_head(page, diagnosis)
+    if story is not None:
+        story(page)
     write_setup(page, diagnosis)
     if diagnosis.reason:
         write_compared_runs(page, diagnosis, records)

@@ -1,0 +1,116 @@
+"""`pamctl diagnose --on-rig`: ask before the first motion, run the rounds, keep what was found."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from pamctl.cli.failure import Failed, print_error
+from pamctl.cli.output import print_json, print_result
+from pamctl.exit_codes import ExitCode
+from pamctl.plant.model import PlantSettings
+
+
+@dataclass(frozen=True)
+class OnRigTask:
+    """What was asked for on the command line."""
+
+    logs: Sequence[Path]
+    out: Path
+    start: PlantSettings
+    experiment: str
+    runs: int
+    minutes: float
+    socket: Path | None
+    then: str | None
+    dry_run: bool
+    yes: bool
+
+
+def diagnose_on_rig(task: OnRigTask, executor: Executor | None, *, as_json: bool) -> None:
+    """Run the rounds on the daemon's rig; write and print what was found, however they end."""
+    from pamctl.commissioning.terminal_operator import Terminal
+    from pamctl.diagnose.measured.from_log import record_of
+    from pamctl.on_rig.decide_on_rig import Investigation
+    from pamctl.on_rig.rig_plan import Budget, make_rig_plan
+    from pamctl.session.daemon_rig import connect
+
+    records = [record_of(path) for path in task.logs]
+    with connect(task.socket) as rig:
+        first = None if records else task.experiment
+        budget = Budget(task.runs, task.minutes)
+        plan = make_rig_plan(rig.settings(), task.start, first, budget)
+        if task.dry_run:
+            if as_json:
+                print_json(plan.as_dict())
+            else:
+                typer.echo(plan.describe())
+            return
+        print(plan.describe(), file=sys.stderr)
+        if not task.yes:
+            Terminal().require_yes("May the rig be pressurised and move?")
+        investigation = Investigation(plan, records)
+        code, reason = _run_rounds(rig, investigation, task, executor)
+    _finish(investigation, task, code, reason, as_json=as_json)
+
+
+def _run_rounds(
+    rig: Any, investigation: Any, task: OnRigTask, executor: Executor | None
+) -> tuple[ExitCode, str]:
+    """Return how the rounds ended; the rig is stopped and safe when this returns."""
+    from pamctl.on_rig.decide_on_rig import decide_on_rig
+    from pamctl.session.pamctl_error import PamctlError
+
+    def progress(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    try:
+        decide_on_rig(rig, investigation, executor=executor, progress=progress)
+        if task.then == "tune" and investigation.is_decided:
+            from pamctl.on_rig.retune import retune_on_rig
+
+            investigation.retuning = retune_on_rig(rig, investigation, progress).as_dict()
+    except KeyboardInterrupt:
+        investigation.stopped = "it was interrupted"
+        return ExitCode.SIGINT, "interrupted"
+    except PamctlError as error:
+        investigation.stopped = f"the run failed: {error.reason}"
+        return error.exit_code, error.reason
+    bad = investigation.diagnosis is not None and investigation.diagnosis.reason
+    return (ExitCode.BAD_DATA if bad else ExitCode.OK), ""
+
+
+def _finish(
+    investigation: Any, task: OnRigTask, code: ExitCode, reason: str, *, as_json: bool
+) -> None:
+    """Write the folder and print the result; the document is there as far as it is."""
+    from pamctl.diagnose import summary
+    from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
+    from pamctl.new_file import NewFileError
+    from pamctl.on_rig.rig_story import tell_retuning, write_investigation
+
+    found = investigation.diagnosis
+    if found is None:
+        raise Failed(code, f"{reason}; nothing was diagnosed yet")
+    failure, end = None, ""
+    try:
+        end = f"\n\n{task.out}: {', '.join(write_investigation(investigation, task.out))}"
+    except NewFileError as error:
+        failure = error
+    told = "\n".join(
+        f"round {each.number}: {each.program or 'given logs'}: {each.diagnosis.verdict.value}"
+        for each in investigation.rounds
+    )
+    stopped = f"stopped after {investigation.rig_time_s:.0f} s on the rig: {investigation.stopped}"
+    document = {**build_diagnosis_document(found), "on_rig": investigation.as_dict()}
+    text = f"{summary(found)}\n\n{told}\n{stopped}{tell_retuning(investigation)}{end}"
+    print_result(document, lambda: text, failure, as_json=as_json)
+    if reason:
+        print_error(reason)
+    raise typer.Exit(code)

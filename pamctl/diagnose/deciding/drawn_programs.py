@@ -1,0 +1,190 @@
+"""Draw programs of valve commands from the building blocks of an experiment file.
+
+Each program begins vented and at rest, with a part that all of them share, and ends vented.
+Between, one to four blocks follow one another: full strokes, small steps about the valve's null,
+tones, bursts with the valve closed after each, slow ramps. Sizes and frequencies are spread evenly
+over their octaves.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Iterator, Sequence
+from itertools import accumulate, takewhile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pamctl.control.excitation import HeldCommand, ProgramSettings, generate_commands
+
+SHORTEST_S, LONGEST_S = 5.0, 10.0
+"""Length of a program, with the rests at both ends."""
+REST_S = 1.0
+"""Vented rest at the beginning: the noise, and the zeros of the sensors."""
+STROKES_HZ, STROKES = 1.0, 2
+"""The strokes that every program begins with, as the experiment `diagnosis` does. What differs
+between two of them is drift, or the rig's own repeatability."""
+VENT_S = 1.2
+"""Venting at the end: the next run begins at rest."""
+MOST_BLOCKS = 4
+
+Part = dict[str, Any]
+"""A part of a program, with the keys of an experiment file."""
+
+
+def make_repeated_part(stroke_v: float, command_v: float) -> list[Part]:
+    """Return the part that all programs share: the rest, and full strokes of `stroke_v` (V)."""
+    stroke = {
+        "wave": "square",
+        "frequency_hz": STROKES_HZ,
+        "amplitude_v": stroke_v,
+        "cycles": STROKES,
+    }
+    return [_hold(-command_v, REST_S), *([stroke] if stroke_v else [])]
+
+
+def make_program(parts: Sequence[Part], seed: int = 1) -> ProgramSettings:
+    """Return a program of these parts."""
+    return ProgramSettings.model_validate({"kind": "program", "seed": seed, "parts": [*parts]})
+
+
+def make_vent(command_v: float) -> Part:
+    """Return the last part of a program."""
+    return _hold(-command_v, VENT_S)
+
+
+def draw_programs(
+    count: int, command_v: float, begin: Sequence[Part], seed: int
+) -> Iterator[ProgramSettings]:
+    """Yield `count` programs whose commands stay within +-`command_v` (V); the seed fixes them.
+
+    All begin with the parts `begin`.
+    """
+    drawn = random.Random(f"deciding {seed}")
+    for number in range(count):
+        parts = [*begin, *_draw_parts(drawn, command_v, _measure_s(begin)), make_vent(command_v)]
+        yield make_program(parts, seed * count + number + 1)
+
+
+def sample_commands(program: ProgramSettings, period_s: float) -> NDArray[np.float64]:
+    """Return the command of each tick (V), shape (n,)."""
+    return sample_levels([*generate_commands(program)], period_s)
+
+
+def sample_levels(levels: Sequence[HeldCommand], period_s: float) -> NDArray[np.float64]:
+    """Return the command of each tick (V), shape (n,): a level begins with the tick that is due."""
+    due = accumulate(level.duration_s for level in levels)
+    ends = [math.ceil(t / period_s - 1e-6) for t in due]
+    return np.repeat([level.valve_v for level in levels], np.diff([0, *ends]))
+
+
+def _draw_parts(drawn: random.Random, largest_v: float, begin_s: float) -> list[Part]:
+    blocks = [_draw_block(drawn, largest_v) for _ in range(MOST_BLOCKS)]
+    ends_s = accumulate(map(_measure_s, blocks))
+    room_s = LONGEST_S - begin_s - VENT_S
+    fitting = max(1, sum(1 for _ in takewhile(lambda end_s: end_s <= room_s, ends_s)))
+    parts = [part for block in blocks[: drawn.randint(1, fitting)] for part in block]
+    missing_s = SHORTEST_S - begin_s - VENT_S - _measure_s(parts)
+    return [*parts, _hold(0.0, missing_s)] if missing_s > 0.01 else parts
+
+
+def _draw_block(drawn: random.Random, largest_v: float) -> list[Part]:
+    kinds: tuple[Callable[[random.Random, float], list[Part]], ...] = (
+        _draw_square,
+        _draw_staircase,
+        _draw_multisine,
+        _draw_chirp,
+        _draw_bursts,
+        _draw_ramps,
+    )
+    return drawn.choice(kinds)(drawn, largest_v)
+
+
+def _draw_square(drawn: random.Random, largest_v: float) -> list[Part]:
+    hz = _spread(drawn, 0.5, 8.0)
+    size_v = drawn.choice((largest_v, _spread(drawn, 0.3 * largest_v, largest_v)))
+    cycles = max(1, round(drawn.uniform(1.0, 3.0) * hz))
+    return [{"wave": "square", "frequency_hz": hz, "amplitude_v": size_v, "cycles": cycles}]
+
+
+def _draw_staircase(drawn: random.Random, largest_v: float) -> list[Part]:
+    most_v = min(3.0, largest_v)
+    levels = [_spread(drawn, 0.02 * most_v, most_v) for _ in range(drawn.randint(2, 6))]
+    hold_s = _spread(drawn, 0.08, 0.25)
+    return [_lift(drawn, largest_v), {"wave": "staircase", "levels_v": levels, "hold_s": hold_s}]
+
+
+def _draw_multisine(drawn: random.Random, largest_v: float) -> list[Part]:
+    part = {
+        "wave": "multisine",
+        "low_hz": _spread(drawn, 0.3, 2.0),
+        "high_hz": _spread(drawn, 8.0, 120.0),
+        "amplitude_v": _spread(drawn, 0.06 * largest_v, largest_v),
+        "duration_s": round(drawn.uniform(2.0, 5.0), 1),
+        "tones": 12,
+        "bias_v": round(drawn.uniform(-0.05, 0.1), 3),
+    }
+    return [_lift(drawn, largest_v), part]
+
+
+def _draw_chirp(drawn: random.Random, largest_v: float) -> list[Part]:
+    part = {
+        "wave": "chirp",
+        "low_hz": _spread(drawn, 0.5, 10.0),
+        "high_hz": _spread(drawn, 30.0, 200.0),
+        "amplitude_v": _spread(drawn, 0.1 * largest_v, largest_v),
+        "duration_s": round(drawn.uniform(2.0, 5.0), 1),
+    }
+    return [_lift(drawn, largest_v), part]
+
+
+def _draw_bursts(drawn: random.Random, largest_v: float) -> list[Part]:
+    parts = []
+    for _ in range(drawn.randint(1, 3)):
+        parts.append(_lift(drawn, drawn.choice((largest_v, largest_v, -largest_v))))
+        parts.append(_hold(0.0, drawn.uniform(0.6, 2.5)))
+    return parts
+
+
+def _draw_ramps(drawn: random.Random, largest_v: float) -> list[Part]:
+    size_v = _spread(drawn, 0.01 * largest_v, 0.12 * largest_v)
+    up_s, down_s = drawn.uniform(0.5, 2.0), drawn.uniform(0.5, 2.0)
+    return [_lift(drawn, largest_v), _hold(size_v, up_s), _hold(-size_v, down_s)]
+
+
+def _lift(drawn: random.Random, valve_v: float) -> Part:
+    """Return a burst that moves the pressure to another level."""
+    duration_s = round(_spread(drawn, 0.01, 0.1), 3)
+    return {"wave": "hold", "valve_v": valve_v, "duration_s": duration_s}
+
+
+def _hold(valve_v: float, duration_s: float) -> Part:
+    return {"wave": "hold", "valve_v": _shorten(valve_v), "duration_s": round(duration_s, 2)}
+
+
+def _measure_s(parts: Sequence[Part]) -> float:
+    """Return how long parts last."""
+    return sum(map(_measure_part_s, parts))
+
+
+def _measure_part_s(part: Part) -> float:
+    if part["wave"] == "square":
+        return float(part["cycles"] / part["frequency_hz"])
+    if part["wave"] == "staircase":
+        return float(4 * len(part["levels_v"]) * part["hold_s"])
+    return float(part["duration_s"])
+
+
+def _spread(drawn: random.Random, low: float, high: float) -> float:
+    """Draw a number evenly over the octaves, with three digits: people read the file."""
+    number = _shorten(low * (high / low) ** drawn.random())
+    return min(number, high)
+
+
+def _shorten(number: float) -> float:
+    if number == 0.0:
+        return 0.0
+    digits = 2 - math.floor(math.log10(abs(number)))
+    return round(number, digits)

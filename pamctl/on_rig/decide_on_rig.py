@@ -1,0 +1,209 @@
+"""Decide on the rig: run, diagnose, choose the next program, run it, until one explanation is left.
+
+Nothing moves without the caller's rig: a daemon's, or a simulated one. Each program was simulated
+under every explanation within the rig's limits before it is run; the rig's own safety watches it
+as any run. An exception, such as Ctrl-C or a trip, ends the rounds; the investigation keeps what
+was found so far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from typing import Any
+
+from pamctl.control.experiment import plan_experiment
+from pamctl.diagnose import Diagnosis, Verdict, diagnose
+from pamctl.diagnose.measured.record import Record
+from pamctl.on_rig.rig_plan import FULL_PROGRAM, REST_S, RigPlan, require_inside
+from pamctl.on_rig.rig_round import RigRound, compare_repeated_part
+from pamctl.session.pamctl_error import PamctlError, translate_errors
+from pamctl.session.steered_rig import SteeredRig
+from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
+
+_OPEN = (Verdict.AMBIGUOUS, Verdict.PARTIAL, Verdict.DESCRIBED)
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class NextProgram:
+    """What is run next, and why."""
+
+    experiment: Mapping[str, Any]
+    name: str
+    why: str
+    lasts_s: float
+
+
+@dataclass
+class Investigation:
+    """What was run and found so far; it grows round by round."""
+
+    plan: RigPlan
+    records: list[Record] = field(default_factory=list)
+    rounds: list[RigRound] = field(default_factory=list)
+    diagnosis: Diagnosis | None = None
+    stopped: str = ""
+    """Why no further program was run."""
+    is_decided: bool = False
+    """One explanation is left, or nothing is missing."""
+    retuning: dict[str, Any] | None = None
+    """What `--then tune` did, as the document holds it; None where it was not asked for."""
+
+    @property
+    def rig_time_s(self) -> float:
+        """Time on the rig so far."""
+        return sum(each.rig_time_s for each in self.rounds)
+
+    @property
+    def programs(self) -> int:
+        """Programs that were run."""
+        return sum(bool(each.program) for each in self.rounds)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the document's key `on_rig`."""
+        return {
+            "rounds": [each.as_dict() for each in self.rounds],
+            "stopped": self.stopped,
+            "is_decided": self.is_decided,
+            "rig_time_s": round(self.rig_time_s, 3),
+            "plan": self.plan.as_dict(),
+            "retuning": self.retuning,
+        }
+
+
+def decide_on_rig(
+    rig: SteeredRig,
+    investigation: Investigation,
+    *,
+    executor: Executor | None = None,
+    progress: Progress = lambda line: None,
+) -> None:
+    """Run rounds on the rig until the investigation is decided, or says why it stopped.
+
+    Records that the investigation has already are diagnosed first. Raises `PamctlError` where a
+    run does not end well: its rounds so far remain.
+    """
+    plan = investigation.plan
+    if plan.first is None:
+        _conclude(investigation, None, 0.0, executor, progress)
+    else:
+        first = NextProgram(plan.first, plan.first_name, "the first program", plan.first_s)
+        _run_round(rig, investigation, first, executor, progress)
+    while True:
+        following = _choose_next(investigation)
+        if isinstance(following, str):
+            investigation.stopped = following
+            return
+        rig.sleep(REST_S)
+        _run_round(rig, investigation, following, executor, progress)
+
+
+def _run_round(
+    rig: SteeredRig,
+    investigation: Investigation,
+    program: NextProgram,
+    executor: Executor | None,
+    progress: Progress,
+) -> None:
+    number = investigation.programs + 1
+    progress(f"round {number}: {program.name}, {program.lasts_s:.1f} s; {program.why}")
+    run = rig.run(program.experiment, name=program.name)
+    investigation.records.append(run.to_record())
+    _conclude(investigation, program, run.duration_s + REST_S, executor, progress)
+
+
+def _conclude(
+    investigation: Investigation,
+    program: NextProgram | None,
+    rig_time_s: float,
+    executor: Executor | None,
+    progress: Progress,
+) -> None:
+    """Diagnose all records; each is fitted on, chosen by and confirmed by, in stretches."""
+    records = investigation.records
+    with translate_errors():
+        found = diagnose(
+            records, [], investigation.plan.start, cut=True, executor=executor, progress=progress
+        )
+    investigation.diagnosis = found
+    investigation.rounds.append(
+        RigRound(
+            investigation.programs + bool(program),
+            program.name if program else "",
+            program.why if program else "the given logs",
+            records[-1].name if program else ", ".join(r.name for r in records),
+            rig_time_s,
+            found,
+            compare_repeated_part(records[0], records[-1], found),
+        )
+    )
+    last = investigation.rounds[-1]
+    left = f"; left: {', '.join(last.left)}" if len(last.left) > 1 else ""
+    progress(f"round {last.number}: {found.verdict.value}{left}")
+
+
+def _choose_next(investigation: Investigation) -> NextProgram | str:
+    """Return the next program, or why there is none."""
+    following = _find_question(investigation)
+    if isinstance(following, str):
+        return following
+    budget = investigation.plan.budget
+    if investigation.programs >= budget.runs:
+        return f"the budget of {budget.runs} programs is spent"
+    needed_s = investigation.rig_time_s + following.lasts_s + REST_S
+    if needed_s > 60.0 * budget.minutes:
+        return f"the budget of {budget.minutes:g} min on the rig would be passed"
+    return following
+
+
+def _find_question(investigation: Investigation) -> NextProgram | str:
+    found = investigation.diagnosis
+    assert found is not None
+    if found.verdict is Verdict.BAD_DATA:
+        return f"these data cannot be diagnosed: {found.reason}"
+    chosen = found.deciding if found.verdict in _OPEN else None
+    if chosen is not None and chosen.promises:
+        name = f"decide-{investigation.programs + 1}"
+        why = "to tell apart " + " and ".join(chosen.explanations)
+        return NextProgram(chosen.to_experiment(), name, why, chosen.duration_s)
+    if found.verdict in (Verdict.AMBIGUOUS, Verdict.DESCRIBED) and chosen is not None:
+        return "no program within the limits promises to separate what is left"
+    if found.verdict is Verdict.AMBIGUOUS:
+        return (
+            "no program within the rig's limits was found"
+            if len(found.explanations) > 1
+            else "no program can tell an effect from a column that is off: mend the record"
+        )
+    full_runs = sum(each.program == FULL_PROGRAM for each in investigation.rounds)
+    if found.verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN):
+        if full_runs > 1 or (full_runs and not investigation.plan.is_first_full):
+            return "what is left is none of the known effects, and no program promises more"
+        why = "a full program shows in which regime the remainder lies"
+        return _make_full_program(investigation, why)
+    alone = found.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
+    unseen = [s for s in found.audit.blind_spots if s.experiment] if found.audit else []
+    if alone and unseen and not full_runs:
+        names = ", ".join(spot.name for spot in unseen)
+        return _make_full_program(investigation, f"these records cannot show {names}")
+    investigation.is_decided = True
+    return "nothing is missing that these programs show" if alone else "one explanation is left"
+
+
+def _make_full_program(investigation: Investigation, why: str) -> NextProgram | str:
+    """Return the full program with a seed of its own, if the rig's limits allow it."""
+    data = read_section_file("experiment", find_config_file("experiment", FULL_PROGRAM))
+    again = data.model_copy(update={"seed": data.seed + 1 + investigation.programs})
+    try:
+        require_inside(FULL_PROGRAM, again, investigation.plan)
+    except PamctlError as error:
+        return error.reason
+    lasts_s = plan_experiment(again).duration_s
+    return NextProgram(settings_to_data(again), FULL_PROGRAM, why, lasts_s)
+
+
+def list_logs(investigation: Investigation) -> Sequence[str]:
+    """Return the names of the records, in their order."""
+    return [record.name for record in investigation.records]

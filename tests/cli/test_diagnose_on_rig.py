@@ -1,0 +1,35 @@
+"""What `pamctl diagnose --on-rig` refuses before anything moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from pamctl.cli.app import app
+from pamctl.exit_codes import ExitCode
+
+
+@pytest.mark.parametrize(
+    ("words", "said", "code"),
+    [
+        (["a.mcap", "--runs", "3"], "is for --on-rig", ExitCode.USAGE),
+        ([], "at least one log", ExitCode.USAGE),
+        (["--on-rig", "--holdout", "b.mcap"], "no effect with --on-rig", ExitCode.USAGE),
+        (["--on-rig", "--then", "fly"], "give tune", ExitCode.USAGE),
+        (["--on-rig", "--socket", "none.sock"], "no daemon listens", ExitCode.UNAVAILABLE),
+    ],
+)
+def test_one_clear_error_and_nothing_is_written(
+    words: list[str],
+    said: str,
+    code: ExitCode,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["diagnose", "--out", "out", *words])
+    assert result.exit_code == code
+    assert said in " ".join(result.output.split())
+    assert not any(tmp_path.iterdir())

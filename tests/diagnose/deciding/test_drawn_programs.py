@@ -1,0 +1,84 @@
+"""Programs to choose from: repeatable, inside the command's limit, sampled as the rig runs them."""
+
+from __future__ import annotations
+
+import math
+from itertools import accumulate
+
+import numpy as np
+import pytest
+
+from pamctl.control.course import reference_at
+from pamctl.control.experiment import plan_experiment
+from pamctl.diagnose.deciding.drawn_programs import (
+    LONGEST_S,
+    SHORTEST_S,
+    draw_programs,
+    make_repeated_part,
+    sample_commands,
+)
+from pamctl.diagnose.deciding.rig_limits import find_rig_limits, read_rig_limits
+from pamctl.diagnose.measured.record import Record
+from pamctl.plant.drive import drive_coupled
+from pamctl.plant.model import plant_parameters
+from pamctl.settings.resolve import resolve, settings_to_data
+from pamctl.simulate.batch import simulate_run
+
+COUNT = 30
+
+
+@pytest.mark.parametrize("command_v", [5.0, 2.0])
+def test_programs_stay_within_command_and_length_and_begin_alike(command_v: float) -> None:
+    begin = make_repeated_part(command_v, command_v)
+    drawn = [*draw_programs(COUNT, command_v, begin, seed=3)]
+    again = [*draw_programs(COUNT, command_v, begin, seed=3)]
+    assert drawn == again
+    assert len({p.model_dump_json() for p in drawn}) == COUNT
+    commands = [sample_commands(p, 1e-3) for p in drawn]
+    shared = min(map(len, commands))
+    assert all(np.max(np.abs(c)) <= command_v for c in commands)
+    assert all(SHORTEST_S - 0.1 <= len(c) * 1e-3 <= LONGEST_S + 3.0 for c in commands)
+    assert sum(len(c) * 1e-3 <= LONGEST_S + 0.01 for c in commands) > 0.7 * COUNT
+    assert all(np.array_equal(c[:3000], commands[0][:3000]) for c in commands if shared > 3000)
+    assert all(c[-1] == -command_v for c in commands)
+
+
+def test_sampled_commands_are_those_of_the_rigs_course() -> None:
+    """The course is evaluated as the loop does, tick by tick."""
+    for program in draw_programs(6, 5.0, make_repeated_part(5.0, 5.0), seed=1):
+        segments = plan_experiment(program).segments
+        ends = [*accumulate(s.duration_s for s in segments)]
+        commands = sample_commands(program, 1e-3)
+        at, begin = 0, 0.0
+        for tick, command in enumerate(commands):
+            t_s = tick * 1e-3
+            while t_s >= ends[at] - 1e-9:
+                begin, at = ends[at], at + 1
+            assert reference_at(segments[at], t_s - begin).reference_valve_v == command
+
+
+def test_the_limits_are_those_of_the_rig_and_trip_where_the_loop_trips() -> None:
+    parts = "{wave: hold, valve_v: -5, duration_s: 0.5}, {wave: square, frequency_hz: 2, cycles: 1}"
+    strokes = f"experiment.parts=[{parts}]"
+    base = ["rig.homing.enabled=false", "rig.sim.sensor_noise_v=0", strokes]
+    for limit_pa, trips in ((500e3, False), (300e3, True)):
+        changes = [*base, f"rig.limits.pressure_pa={limit_pa}"]
+        settings = resolve(experiment="diagnosis", overrides=changes, fast=True)
+        limits = read_rig_limits(settings_to_data(settings), "here")
+        assert limits.pressure_pa == limit_pa
+        commands = sample_commands(settings.experiment, 1e-3)  # type: ignore[arg-type]
+        run = drive_coupled(plant_parameters(settings.plant), commands, 1e-3)
+        assert limits.allows(run) is not trips
+        assert limits.admits(commands, run, 1e-3) is not trips
+        assert (simulate_run(settings).tripped_s is not None) is trips
+
+
+def test_without_settings_the_limits_are_what_the_records_reached() -> None:
+    t_s = np.arange(10) * 1e-3
+    record = Record(
+        "r", t_s, np.full(10, -2.0), np.linspace(1e5, 2e5, 10), np.linspace(0, 5e-3, 10)
+    )
+    limits = find_rig_limits([record])
+    assert (limits.command_v, limits.pressure_pa, limits.high_m) == (2.0, 2e5, 5e-3)
+    assert limits.safety is None
+    assert math.isclose(limits.low_m, 0.0)

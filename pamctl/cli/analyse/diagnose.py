@@ -198,7 +198,7 @@ def diagnose(
 
 
 _FOR_RIG = ("experiment", "runs", "minutes", "then", "dry_run", "yes", "socket")
-_FOR_LOGS = ("holdout", "without", "accept", "correction", "noise")
+_FOR_LOGS = ("holdout", "without", "accept", "correction", "noise", "interactive")
 
 
 def _require_one_kind(context: typer.Context, logs: Sequence[Path], *, on_rig: bool) -> None:

@@ -18,7 +18,10 @@ def main() -> None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
     out = _never_raise_in_print()
     try:
-        _import_all()
+        from pamctl.cli.waiting import STARTING, tell_while_silent
+
+        with tell_while_silent(STARTING):
+            _import_all()
         from pamctl.cli.app import app
         from pamctl.realtime.scheduling import keep_single_threaded
 

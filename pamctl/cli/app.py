@@ -47,8 +47,9 @@ from pamctl.cli.tune import tune
 from pamctl.settings.resolve import SECTIONS, list_shipped
 
 _EPILOG = (
-    "First: `pamctl run --fast`, then `pamctl report LOG`. Every verb has `--help`, and "
-    "`pamctl manual` lists the pages.",
+    "First: `pamctl run --fast`, then `pamctl report LOG`. Every verb has `--help` with examples, "
+    "and `pamctl manual` lists the pages. `pamctl --install-completion` lets the shell complete "
+    "verbs and options.",
     "Exit codes: 0 ok, 1 unexpected, 2 wrong usage, 3 a check failed or data were lost, 4 safety "
     "trip, 5 too many missed ticks, 65 bad data, 69 device or daemon unavailable, 78 bad "
     "configuration, 130 and 143 ended by a signal.",

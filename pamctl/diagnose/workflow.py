@@ -50,6 +50,7 @@ from pamctl.diagnose.name import name_effects
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.search import Progress, search_effects
+from pamctl.diagnose.naming.time_left import guess_time_left
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.refused_columns import explain_refusal
 from pamctl.diagnose.setup.setup_finding import SetupFinding
@@ -101,7 +102,10 @@ def diagnose(
         return Diagnosis(Verdict.BAD_DATA, plant, plant, reasons, train=given, setup=refused)
     candidates = list_candidates(evidence, without)
     count = len({candidate.name for candidate in candidates})  # some have several forms
-    progress(f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates")
+    progress(
+        f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates; "
+        f"{guess_time_left(evidence)}"
+    )
     recalibrated = _recalibrate(evidence, candidates, train, holdout, executor, progress)
     train, holdout = [*recalibrated.train], [*recalibrated.holdout]
     base = weigh_blocks(recalibrated.base)

@@ -53,6 +53,7 @@ _PAGE = {
     "/scope.js": ("scope.js", "text/javascript; charset=utf-8"),
     "/signal.js": ("signal.js", "text/javascript; charset=utf-8"),
     "/bench.js": ("bench.js", "text/javascript; charset=utf-8"),
+    "/goto.js": ("goto.js", "text/javascript; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/uplot.js": ("uplot/uplot.js", "text/javascript; charset=utf-8"),
     "/uplot.css": ("uplot/uplot.css", "text/css; charset=utf-8"),

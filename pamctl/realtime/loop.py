@@ -18,7 +18,6 @@ from hal.rig import RawSample, Rig, RigError, open_rig
 from pamctl.control.homing import HomingError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
-from pamctl.realtime.keyframe import freeze_state
 from pamctl.realtime.tick import TickSetup, first_state, rezero_state
 from pamctl.realtime.tick_path import PlainTick, RunningCourse, TickJournal, TickPath
 from pamctl.realtime.whole_tick import TickTimes
@@ -236,7 +235,7 @@ class _Loop:
         tick, decision = self.tick, self.tick.decision
         # The last tick of each thousand, or the first one after it if that was missed.
         if (at + 1) % KEYFRAME_TICKS <= missed:
-            self.journal.put_keyframe(at, raw.encoder_t_ns, freeze_state(tick.state))
+            self.journal.put_keyframe(at, raw.encoder_t_ns, tick.frozen)
         if decision.tripped:
             return self._end_tripped(at, raw, decision)
         # The abort is read first. Two signals between the two reads are then a stop in this

@@ -112,7 +112,7 @@ def diagnose(
     naming, setup = ask_beside(naming, setup, candidates, executor, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)
-    found, described = _describe_rest(found, confirming, executor, progress)
+    found, described = _describe_rest(found, confirming, executor, progress, without)
     on = describe_confirmation(confirming, is_cut=is_cut)
     diagnosis = _conclude(
         found, on, confirming, setup.train, setup.holdout, candidates, correction=correction
@@ -168,16 +168,17 @@ def _describe_rest(
     confirming: Evidence,
     executor: Executor | None,
     progress: Progress,
+    without: Collection[str],
 ) -> tuple[Confirmation, Description | None]:
     """Ask what no effect explains; a term that the confirming samples refute is only a lead."""
     if found.naming.verdict not in (Verdict.PARTIAL, Verdict.NONE_KNOWN) or found.signs:
         return found, None
-    described = describe_rest(found.naming, executor, progress)
-    if described.naming is None or described.term is None:
+    described = describe_rest(found.naming, executor, progress, without)
+    if described.naming is None:
         return found, described
-    again = confirm_naming(described.naming, confirming)
-    kept = again.naming.verdict is Verdict.DESCRIBED
-    if not (kept and is_confirmed(again.explained, described.term)):
+    naming = described.naming.without_unseen_numbers()
+    again = confirm_naming(naming, confirming)
+    if again.naming.model is not naming.model or not is_confirmed(again.explained, described.block):
         return found, replace(described, term=None, naming=None)
     return again, described
 

@@ -41,9 +41,10 @@ def compare(
         require_place(plot, replaces=PAGE_BEGIN)
     from pamctl.compare.compare_plants import compare_plants
     from pamctl.compare.compare_text import format_comparison, make_comparison_document
-    from pamctl.log import read
+    from pamctl.log.measured_signals import SIGNAL_FIELDS
+    from pamctl.log.reader import read_some
 
-    found = [(path, compare_plants(read(path), plants or [])) for path in paths]
+    found = [(path, compare_plants(read_some(path, SIGNAL_FIELDS), plants or [])) for path in paths]
     if len(found) > 1:
         if as_json:
             print_json([{**make_comparison_document(*one), "plot": None} for one in found])

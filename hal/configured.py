@@ -8,4 +8,5 @@ from pydantic import BaseModel, ConfigDict
 class Configured(BaseModel):
     """Immutable; an unknown key, NaN or infinity is an error, never a silent default."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # Built at first use: most models are only parts of one that is used.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)

@@ -6,6 +6,7 @@ import io
 import os
 import signal
 import sys
+from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
@@ -18,8 +19,10 @@ def main() -> None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
     out = _never_raise_in_print()
     try:
-        _import_all()
-        from pamctl.cli.app import app
+        from pamctl.cli.waiting import STARTING, tell_while_silent
+
+        with tell_while_silent(STARTING):
+            app = _import_verb()
         from pamctl.realtime.scheduling import keep_single_threaded
 
         # The algebra here is small: threads of numpy would mostly wait for each other, and take
@@ -88,18 +91,20 @@ def _end_output(out: _Stream | None) -> None:
             leaving.code = 1
 
 
-def _import_all() -> None:
-    """Import the command line: half of the start-up, so an early Ctrl-C is likely to come here.
+def _import_verb() -> Callable[[], None]:
+    """Import what the verb needs: half of the start-up, so an early Ctrl-C is likely to come here.
 
     A `KeyboardInterrupt` while a class is built would become another error.
     """
     may_interrupt = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if may_interrupt:
         signal.signal(signal.SIGINT, _leave_at_once)
-    import pamctl.cli.app  # noqa: F401
+    from pamctl.cli.app import build_app, find_verb
 
+    app = build_app(find_verb(sys.argv[1:]))
     if may_interrupt:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    return app
 
 
 def _leave_at_once(number: int, frame: FrameType | None) -> None:

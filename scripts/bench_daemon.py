@@ -1,12 +1,20 @@
 """What watching costs the loop, and how long an emergency stop takes.
 
-    python scripts/bench_daemon.py --rounds 6 > daemon.json
+    python scripts/bench_daemon.py --rounds 30 --browser > daemon.json
 
 JSON on stdout, a table on stderr. One daemon holds a position, in turn unwatched and watched: five
 clients ask for the status at 10 Hz, beside a viewer of the web page and a Foxglove client, each
-served by its own process. Wake-up lateness and tick duration come from the log. Then a client
-demands the emergency stop many times; measured from before it connects until the output is at
-the safe voltage. Needs `pamctl[live]`.
+served by its own process; `--browser` opens the page in a headless Chromium as well. The onlookers
+live from the first round to the last, and are stopped (SIGSTOP) while the loop is alone.
+
+Wake-up lateness and tick duration come from the log. A cyclictest (apt-get install rt-tests) runs
+beside both halves of a round, with a thread on each CPU and the lowest real-time priority, so it
+never delays the loop. Where it wakes up later than 0.4 ms, the machine stood still: a slice of
+0.2 s in which that happened is left out, with its neighbours, of both halves. Compare medians of
+the ratios; a round with too few ticks left is not counted.
+
+Then a client demands the emergency stop many times; measured from before it connects until the
+output is at the safe voltage. Needs `pamctl[live]`.
 """
 
 from __future__ import annotations
@@ -14,7 +22,10 @@ from __future__ import annotations
 import argparse
 import http.client
 import json
+import math
 import os
+import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -24,7 +35,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed
@@ -32,12 +43,14 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from hal.sim.register import peek_v
-from pamctl.daemon.client import Client, DaemonUnreachableError
+from pamctl.daemon.client import Client, DaemonDeclinedError, DaemonUnreachableError
 from pamctl.log import read
+from pamctl.log.reader import Log
 from pamctl.processes.backends import SHARED_MEMORY, ao_path
 
 CLIENTS, CLIENT_HZ, PAGE_HZ = 5, 10.0, 10.0
 SETTLE_S, WINDOW_S = 2.0, 4.0
+SLICE_S, STALL_US, FEWEST_TICKS = 0.2, 400, 1000
 AO_STEP_V = 20.0 / 65536.0
 PATIENCE_S = 60.0
 CASES = ("alone", "watched")
@@ -94,38 +107,72 @@ class Bench:
             left.unlink()
 
 
-@contextmanager
-def onlookers(bench: Bench, seen: dict[str, int]) -> Iterator[None]:
+class Onlookers:
     """Five clients, a web viewer, a Foxglove client; `seen` counts what each kind received."""
-    ended = threading.Event()
-    with ExitStack() as stack:
-        start = [sys.executable, "-m"]
-        web = [*start, "pamctl", "watch", "--web", "--port", "0", "--socket", str(bench.socket)]
-        page = stack.enter_context(_process(web, stdout=subprocess.PIPE))
+
+    def __init__(self, bench: Bench, folder: Path, *, with_browser: bool) -> None:
+        self.seen = {"answers": 0, "pictures": 0, "messages": 0}
+        self._looks, self._ended = threading.Event(), threading.Event()
+        self._looks.set()
+        self._stack = ExitStack()
+        start = [sys.executable, "-m", "pamctl"]
+        web = [*start, "watch", "--web", "--port", "0", "--socket", str(bench.socket)]
+        page = self._stack.enter_context(_process(web, stdout=subprocess.PIPE))
         assert page.stdout
-        web_port = int(page.stdout.readline().decode().rsplit(":", 1)[1].strip().rstrip("/"))
-        live = [*start, "pamctl.live.live_main", "0", "--socket", str(bench.socket)]
-        viewer = stack.enter_context(_process(live, stdin=subprocess.PIPE, stderr=subprocess.PIPE))
+        address = page.stdout.readline().decode().strip()
+        web_port = int(address.rsplit(":", 1)[1].rstrip("/"))
+        live = [sys.executable, "-m", "pamctl.live.live_main", "0", "--socket", str(bench.socket)]
+        pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.PIPE}
+        viewer = self._stack.enter_context(_process(live, **pipes))
         assert viewer.stderr
         live_port = int(viewer.stderr.readline().decode().split()[1].rsplit(":", 1)[1])
-        threads = [
-            threading.Thread(target=_poll, args=(bench, ended, seen)) for _ in range(CLIENTS)
+        self._processes = [page, viewer]
+        if with_browser:
+            command = [find_browser(), "--headless", "--no-sandbox", "--disable-gpu"]
+            command += ["--remote-debugging-port=0", "--window-size=1280,1400"]
+            command += [f"--user-data-dir={folder / 'browser'}", address]
+            self._processes.append(self._stack.enter_context(_process(command)))
+        each = [(_poll, bench)] * CLIENTS + [(_view_page, web_port), (_view_live, live_port)]
+        self._threads = [
+            threading.Thread(target=look, args=(at, self._look_again, self.seen), daemon=True)
+            for look, at in each
         ]
-        threads.append(threading.Thread(target=_view_page, args=(web_port, ended, seen)))
-        threads.append(threading.Thread(target=_view_live, args=(live_port, ended, seen)))
-        for thread in threads:
+        for thread in self._threads:
             thread.start()
-        try:
-            yield
-        finally:
-            ended.set()
-            for thread in threads:
-                thread.join()
+
+    def _look_again(self, seconds: float) -> bool:
+        """Wait, and as long as the onlookers are stopped; return False at the end."""
+        over = self._ended.wait(seconds)
+        self._looks.wait()
+        return not (over or self._ended.is_set())
+
+    def look(self, looks: bool) -> None:
+        """Go on, or stand still."""
+        (self._looks.set if looks else self._looks.clear)()
+        for process in self._processes:
+            os.killpg(process.pid, signal.SIGCONT if looks else signal.SIGSTOP)
+
+    def end(self) -> None:
+        """End all."""
+        self.look(True)
+        self._ended.set()
+        for thread in self._threads:
+            thread.join(PATIENCE_S)
+        self._stack.close()
+
+
+def find_browser() -> str:
+    """Return the path of Chromium."""
+    for name in ("chromium", "chromium-browser", "google-chrome"):
+        if (path := shutil.which(name)) is not None:
+            return path
+    raise SystemExit("no Chromium for --browser: apt-get install chromium")
 
 
 @contextmanager
 def _process(command: list[str], **pipes: Any) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen(command, **{"stderr": subprocess.DEVNULL, **pipes})
+    quiet = {"stderr": subprocess.DEVNULL, "start_new_session": True}
+    process = subprocess.Popen(command, **{**quiet, **pipes})
     try:
         yield process
     finally:
@@ -133,17 +180,20 @@ def _process(command: list[str], **pipes: Any) -> Iterator[subprocess.Popen[byte
         process.communicate()
 
 
-def _poll(bench: Bench, ended: threading.Event, seen: dict[str, int]) -> None:
+LookAgain = Callable[[float], bool]
+
+
+def _poll(bench: Bench, look_again: LookAgain, seen: dict[str, int]) -> None:
     with Client(bench.socket) as client:
-        while not ended.wait(1.0 / CLIENT_HZ):
+        while look_again(1.0 / CLIENT_HZ):
             client.call("status")
             seen["answers"] += 1
 
 
-def _view_page(port: int, ended: threading.Event, seen: dict[str, int]) -> None:
+def _view_page(port: int, look_again: LookAgain, seen: dict[str, int]) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
     server, look = "", 0
-    while not ended.wait(1.0 / PAGE_HZ):
+    while look_again(1.0 / PAGE_HZ):
         connection.request("GET", f"/news?server={server}&after={look}")
         news = json.loads(connection.getresponse().read())
         seen["pictures"] += news["look"] > look
@@ -163,10 +213,10 @@ def _view_scope(connection: http.client.HTTPConnection) -> None:
         connection.getresponse().read()
 
 
-def _view_live(port: int, ended: threading.Event, seen: dict[str, int]) -> None:
+def _view_live(port: int, look_again: LookAgain, seen: dict[str, int]) -> None:
     protocol = Subprotocol("foxglove.sdk.v1")
     with connect(f"ws://127.0.0.1:{port}", subprotocols=[protocol]) as connection:
-        while not ended.is_set():
+        while look_again(0.0):
             try:
                 frame = connection.recv(0.5)
             except TimeoutError:
@@ -181,35 +231,105 @@ def _view_live(port: int, ended: threading.Event, seen: dict[str, int]) -> None:
                 connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
 
-def window(bench: Bench) -> tuple[int, int]:
-    """Return the numbers of the first and the last tick of a measured interval."""
+class Window(NamedTuple):
+    """A measured interval."""
+
+    first: int
+    last: int
+    """Ticks, both included."""
+    stalled: frozenset[int]
+    """Slices in or beside which the machine stood still."""
+    machine_p99_us: float
+    """Of cyclictest; NaN without it."""
+
+
+def measure_window(bench: Bench) -> Window:
+    """Let the loop run beside a cyclictest."""
     time.sleep(SETTLE_S)
-    first = bench.ask("status")["tick"]["tick"]
-    time.sleep(WINDOW_S)
-    return int(first), int(bench.ask("status")["tick"]["tick"])
+    first = int(bench.ask("status")["tick"]["tick"])
+    late_us = run_cyclictest()
+    return Window(
+        first,
+        int(bench.ask("status")["tick"]["tick"]),
+        find_stalled_slices(late_us),
+        float(np.percentile(late_us[:, 1], 99)) if len(late_us) else math.nan,
+    )
 
 
-def looking_on(bench: Bench, rounds: int) -> dict[str, Any]:
+def run_cyclictest() -> np.ndarray:
+    """Return time since the start (s) and lateness (us) of each of its wake-ups, shape (n, 2)."""
+    program = shutil.which("cyclictest")
+    if program is None:
+        time.sleep(WINDOW_S)
+        return np.empty((0, 2))
+    options = f"-S -m -p 1 -i 1000 -d 0 -v -l {round(WINDOW_S * 1e3)}"
+    done = subprocess.run([program, *options.split()], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"cyclictest failed (it needs root): {done.stderr.strip()}")
+    samples = [line.split(":") for line in done.stdout.splitlines() if line.count(":") == 2]
+    return np.array([(int(count) * 1e-3, float(late)) for _, count, late in samples])
+
+
+def find_stalled_slices(late_us: np.ndarray) -> frozenset[int]:
+    """Return the slices of a stall, and those beside it: the two clocks began at other times.
+
+    A wake-up that is late by many periods is counted as one period: the slices up to its end
+    follow from its lateness.
+    """
+    stalled: set[int] = set()
+    for at_s, late in late_us[late_us[:, 1] > STALL_US] if len(late_us) else ():
+        first, last = int(at_s / SLICE_S) - 1, int((at_s + late * 1e-6) / SLICE_S) + 1
+        stalled.update(range(first, last + 1))
+    return frozenset(stalled)
+
+
+def looking_on(bench: Bench, rounds: int, folder: Path, *, with_browser: bool) -> dict[str, Any]:
     """Wake-up and tick, unwatched and watched, in turn within one log."""
     log_path = bench.hold(8e-3)
-    windows: dict[str, list[tuple[int, int]]] = {case: [] for case in CASES}
-    seen = {"answers": 0, "pictures": 0, "messages": 0}
-    for index in range(rounds):
-        for case in CASES if index % 2 == 0 else CASES[::-1]:
-            with ExitStack() as stack:
-                if case == "watched":
-                    stack.enter_context(onlookers(bench, seen))
-                windows[case].append(window(bench))
+    windows: dict[str, list[Window]] = {case: [] for case in CASES}
+    onlookers = Onlookers(bench, folder, with_browser=with_browser)
+    try:
+        time.sleep(SETTLE_S * 3)  # the browser starts
+        for index in range(rounds):
+            for case in CASES if index % 2 == 0 else CASES[::-1]:
+                onlookers.look(case == "watched")
+                windows[case].append(measure_window(bench))
+            print(f"round {index + 1} of {rounds}", file=sys.stderr, flush=True)
+    finally:
+        onlookers.end()
     bench.ask("stop")
     bench.wait_for(lambda status: not status["log"])
-    log = read(log_path)
-    report: dict[str, Any] = {"rounds": rounds, "seconds_each": WINDOW_S, "received": seen}
-    chosen = {
-        case: [(log["tick"] >= a) & (log["tick"] <= b) for a, b in windows[case]] for case in CASES
+    report: dict[str, Any] = {"rounds": rounds, "seconds_each": WINDOW_S}
+    return report | {"received": onlookers.seen} | compare_windows(read(log_path), windows)
+
+
+def compare_windows(log: Log, windows: dict[str, list[Window]]) -> dict[str, Any]:
+    """Compare the quiet slices of both halves of each round."""
+    rate_hz = 1.0 / float(np.median(np.diff(log["t_s"])))
+    pairs = list(zip(windows["alone"], windows["watched"], strict=True))
+    chosen: dict[str, list[np.ndarray]] = {case: [] for case in CASES}
+    for pair in pairs:
+        stalled = list(pair[0].stalled | pair[1].stalled)
+        rows = [_choose_ticks(log["tick"], window, stalled, rate_hz) for window in pair]
+        if min(int(each.sum()) for each in rows) >= FEWEST_TICKS:
+            for case, each in zip(CASES, rows, strict=True):
+                chosen[case].append(each)
+    if not chosen["alone"]:
+        raise SystemExit("the machine stood still in every round: measure when it is less busy")
+    slices = WINDOW_S / SLICE_S
+    report: dict[str, Any] = {
+        "rounds_counted": len(chosen["alone"]),
+        "stalled_share": {
+            case: float(np.mean([len(one.stalled) / slices for one in windows[case]]))
+            for case in CASES
+        },
+        "machine_p99_us": {
+            case: float(np.median([one.machine_p99_us for one in windows[case]])) for case in CASES
+        },
+        "ratio": {},
     }
     for case in CASES:
         report[case] = {"missed_ticks": [int(log["missed"][rows].sum()) for rows in chosen[case]]}
-    report["ratio"] = {}
     for name, column in (("wake_up_us", "late_s"), ("tick_us", "compute_s")):
         each = {case: _percentiles([log[column][rows] for rows in chosen[case]]) for case in CASES}
         for case in CASES:
@@ -217,6 +337,13 @@ def looking_on(bench: Bench, rounds: int) -> dict[str, Any]:
         # By round: a disturbance of the machine affects both halves of a round.
         report["ratio"][name] = _spread(each["watched"] / each["alone"])
     return report
+
+
+def _choose_ticks(
+    ticks: np.ndarray, window: Window, stalled: list[int], rate_hz: float
+) -> np.ndarray:
+    slices = np.floor((ticks - window.first) / rate_hz / SLICE_S)
+    return (ticks >= window.first) & (ticks <= window.last) & ~np.isin(slices, stalled)
 
 
 def _percentiles(rounds: list[np.ndarray]) -> np.ndarray:
@@ -233,7 +360,12 @@ def _spread(each: np.ndarray) -> dict[str, Any]:
 
 def emergency_stops(bench: Bench, count: int) -> dict[str, Any]:
     """From before a client connects to the safe voltage, ms."""
-    times_ms = [_emergency_stop_ms(bench) for _ in range(count)]
+    times_ms: list[float] = []
+    for _ in range(count):
+        with suppress(DaemonDeclinedError):  # a PC too busy to start a loop: nothing was stopped
+            times_ms.append(_emergency_stop_ms(bench))
+    if not times_ms:
+        return {"p50_ms": math.nan, "max_ms": math.nan, "all_ms": []}
     return {"p50_ms": median(times_ms), "max_ms": max(times_ms), "all_ms": times_ms}
 
 
@@ -263,10 +395,17 @@ def table(report: dict[str, Any]) -> str:
             cells = f"{alone['median']:>8.2f}{watched['median']:>9.2f}{ratio['median']:>8.2f}x"
             spread = f"({ratio['least']:.2f} to {ratio['most']:.2f})"
             lines.append(f"{name[:-3]:<8} {p:<4}{cells} {spread}")
+    thrown = (f"{case} {looked['stalled_share'][case]:.0%}" for case in CASES)
+    lines.append(
+        f"{looked['rounds_counted']} of {looked['rounds']} rounds; left out: {', '.join(thrown)}"
+    )
     missed = (f"{case} {looked[case]['missed_ticks']}" for case in CASES)
     lines.append(f"missed ticks in each round: {', '.join(missed)}")
     stop = report["emergency_stop"]
-    lines.append(f"emergency stop: {stop['p50_ms']:.1f} ms p50, {stop['max_ms']:.1f} ms max")
+    lines.append(
+        f"emergency stop: {stop['p50_ms']:.1f} ms p50, {stop['max_ms']:.1f} ms max, "
+        f"{len(stop['all_ms'])} times"
+    )
     return "\n".join(lines)
 
 
@@ -274,13 +413,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--stops", type=int, default=20)
+    parser.add_argument("--browser", action="store_true", help="open the page in a Chromium too")
     options = parser.parse_args()
     # The last run may still be on its way into the index of the folder.
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
         bench = Bench(Path(temporary))
         try:
             report = {
-                "looking_on": looking_on(bench, options.rounds),
+                "looking_on": looking_on(
+                    bench, options.rounds, Path(temporary), with_browser=options.browser
+                ),
                 "emergency_stop": emergency_stops(bench, options.stops),
             }
         finally:

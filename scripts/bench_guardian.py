@@ -1,13 +1,15 @@
 """How long a valve stays open after a process dies, and what the card costs a tick.
 
     python scripts/bench_guardian.py --rounds 10 > guardian.json
+    python scripts/bench_guardian.py --rounds 10 --against ../other-checkout > pair.json
 
 JSON on stdout, a table on stderr. First, runs in real time over the simulation and over the tests'
 stand-in card; a signal ends one process of each at a random moment, see `fault_rounds.py`. The
 stand-in starts four threads of its own, as a driver library may; a third bench has none. Then
 undisturbed runs of both in turn: wake-up lateness, and the time of reading and writing in a tick.
 The stand-in's registers are memory: its times are those of the nidaqmx package and of our code
-around it, not those of a card.
+around it, not those of a card. With `--against` every round of this checkout has a neighbour of
+the other one, in turn first and second.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from fault_rounds import Amiss, Bench, Run, benches, round_of, summary
 
 from pamctl.log.reader import read
 
+ROOT = Path(__file__).resolve().parents[1]
 CASES = {
     ("loop", "killed"): 20.0,
     ("loop", "frozen"): 100.0,
@@ -37,22 +40,25 @@ CASES = {
 """Process and signal, and the limit for the time to the safe voltage in ms."""
 
 
-def deaths(both: list[Bench], folder: Path, rounds: int) -> dict[str, Any]:
-    """Time from a signal to the safe voltage, and ticks lost, for every process."""
+def deaths(both: list[Bench], folder: Path, rounds: int, roots: list[Path]) -> dict[str, Any]:
+    """Time from a signal to the safe voltage, and ticks lost, for every process and checkout."""
     found: dict[str, list[dict[str, Any]]] = {}
     card = both[1]
     bare = card._replace(environment={**card.environment, "STANDIN_THREADS": "0"})
     named = {"sim": both[0], "nidaq": card, "nidaq without foreign threads": bare}
+    wanted = [(name, *case, root) for name in named for case in CASES for root in roots]
+    targets_ms: dict[str, float] = {}
     for index in range(rounds):  # in turn, so that all see the same PC
-        for name, bench in named.items():
-            for process, how in CASES:
-                log = folder / f"{name}-{process}-{how}-{index}.mcap".replace(" ", "-")
-                case = f"{name}, {process} {how}"
-                found.setdefault(case, []).append(one_death(bench, process, how, log))
-    targets_ms = [*CASES.values()] * len(named)
+        for name, process, how, root in wanted if index % 2 == 0 else wanted[::-1]:
+            log = folder / f"{name}-{process}-{how}-{roots.index(root)}-{index}.mcap"
+            log = log.with_name(log.name.replace(" ", "-"))
+            case = f"{name}, {process} {how}" + (f", {root}" if len(roots) > 1 else "")
+            bench = use_checkout(named[name], root)
+            found.setdefault(case, []).append(one_death(bench, process, how, log))
+            targets_ms[case] = CASES[process, how]
     report = {
-        case: {**summary(ones), "target_ms": target_ms}
-        for (case, ones), target_ms in zip(found.items(), targets_ms, strict=True)
+        case: {**summary(found[case]), "target_ms": target_ms}
+        for case, target_ms in sorted(targets_ms.items())
     }
     for case, row in report.items():
         times_ms = row["safe_after_ms"]
@@ -63,6 +69,12 @@ def deaths(both: list[Bench], folder: Path, rounds: int) -> dict[str, Any]:
             file=sys.stderr,
         )
     return report
+
+
+def use_checkout(bench: Bench, root: Path) -> Bench:
+    """Return a bench whose runs take pamctl from this folder."""
+    path = os.pathsep.join(filter(None, (str(root), bench.environment.get("PYTHONPATH"))))
+    return bench._replace(environment={**bench.environment, "PYTHONPATH": path})
 
 
 def one_death(bench: Bench, process: str, how: str, log: Path) -> dict[str, Any]:
@@ -119,14 +131,18 @@ def spread_us(seconds: np.ndarray) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rounds", type=int, default=10)
-    rounds = parser.parse_args().rounds
+    parser.add_argument("--against", type=Path, help="root of another checkout, run beside this")
+    parser.add_argument("--deaths-only", action="store_true", help="no undisturbed runs")
+    given = parser.parse_args()
+    rounds = given.rounds
+    roots = [ROOT, *([given.against.resolve()] if given.against else [])]
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         with benches(folder) as rigs:
             both, timed = rigs[:2], rigs[2]
             report = {
-                "ticks": ticks(both, timed, folder, rounds),
-                "deaths": deaths(both, folder, rounds),
+                "ticks": {} if given.deaths_only else ticks(both, timed, folder, rounds),
+                "deaths": deaths(both, folder, rounds, roots),
                 "load": os.getloadavg(),
             }
     print(json.dumps(report, indent=1))

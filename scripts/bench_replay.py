@@ -24,6 +24,7 @@ VERBS: Mapping[str, Sequence[str]] = {
     "info": ("log", "info"),
     "check": ("log", "check"),
     "replay": ("replay",),
+    "compare": ("compare",),
 }
 _CYCLE_S = 10.0
 

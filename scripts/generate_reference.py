@@ -135,8 +135,9 @@ def write_verbs() -> str:
     parts = [
         "# Verbs and options\n",
         _HEAD,
-        "\n`pamctl VERB --help` says the same at the terminal. `--set` takes any key of "
-        "[Settings](settings.md). [Exit codes](exit-codes.md) are the same for every verb.\n",
+        "\n`pamctl VERB --help` says the same at the terminal, with examples. `--set` takes any "
+        "key of [Settings](settings.md). [Exit codes](exit-codes.md) are the same for every "
+        "verb.\n",
         format_table(
             ["verb", "does"],
             [

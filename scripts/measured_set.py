@@ -177,7 +177,7 @@ def names_said(document: Mapping[str, Any]) -> set[str]:
         said.add(effect["name"])
         said |= {f"{effect['name']}.{name}" for name in effect.get("parameters", {})}
     for term in document.get("terms") or ():
-        said.add(term["name"] if isinstance(term, dict) else str(term))
+        said.add(f"{term['location']} {term['operator']} {term['driver']}")
     for finding in document.get("setup") or ():
         said.add(f"{finding['kind']}.{finding['number']}")
     return said

@@ -31,7 +31,7 @@ from measured_table import format_table, write_measured
 from pamctl.control.smc import linearise_model
 from pamctl.plant.model import plant_parameters
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.simulate.batch import simulate_merit, simulate_run
+from pamctl.simulate.batch import simulate_run
 from pamctl.simulate.merit import TABLE_IV, Merit
 from pamctl.tune import Member, draw_ensemble, make_fixed_members
 from pamctl.tune.gains_trial import GainsTrial
@@ -88,7 +88,8 @@ def run_of(law: str, experiment: str, sensors: Sequence[str], member: Member | N
 
 
 def both(law: str, sensors: Sequence[str], member: Member | None) -> list[Merit | None]:
-    return [simulate_merit(run_of(law, experiment, sensors, member)) for experiment in EXPERIMENTS]
+    runs = (run_of(law, experiment, sensors, member) for experiment in EXPERIMENTS)
+    return [simulate_run(settings).merit() for settings in runs]
 
 
 def is_inside(found: Sequence[Merit | None]) -> bool:

@@ -3,8 +3,9 @@
     PYTHONPATH=tests python scripts/term_reach.py --seeds 3,4 --program short [--only NAME,NAME]
 
 Each case recalibrates, asks all questions of the block that has most left, fits the best in the
-plant, and says which place and driver come first. The catalogue is not searched: this measures the
-terms alone. One line of JSON a case, then the table.
+plant, and says which place and driver come first, and which name of the catalogue takes the term's
+place. The catalogue is not searched: this measures the terms alone. One line of JSON a case, then
+the table.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ from hidden.uncatalogued import UNCATALOGUED, Uncatalogued
 from pamctl.diagnose import Record
 from pamctl.diagnose.fitting.evidence import prepare_evidence, with_modelled_pressure
 from pamctl.diagnose.fitting.model_fit import recalibrate
+from pamctl.diagnose.name import Naming
 from pamctl.diagnose.naming.search import closed_share
+from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.terms.by_name import name_instead
 from pamctl.diagnose.terms.trials import choose_simplest, find_terms
 from pamctl.plant.model import PlantSettings
 
@@ -48,15 +52,20 @@ def examine(case: Uncatalogued, program: str, seed: int) -> dict[str, object]:
     }  # fmt: skip
     if not trials or base.is_explained(block):
         return found | {"first": False, "three": False, "closed": 0.0, "silent": True}
-    chosen = choose_simplest(trials, block)
+    chosen = choose_simplest(trials)
     order = [chosen, *(t for t in trials if t is not chosen)]
     places = list(dict.fromkeys((t.question.location.name, t.question.driver) for t in order))
     right = [_is_right(case, place) for place in places[:3]]
+    nothing = Naming(Verdict.NONE_KNOWN, base, base, (), (), ())
+    named = name_instead(nothing, base, chosen, trials, block)
+    names = named.model.names if named else ()
     values = {n.split(".")[1]: round(v, 6) for n, v in chosen.model.effect_values.items()}
     return found | {
         "first": right[0], "three": any(right),
         "closed": round(closed_share(base, chosen.model, block), 3),
         "said": [*chosen.question.key, values],
+        "named": {**named.model.effect_values} if named else {},
+        "named_rightly": names == (case.called,),
         "ratios": [round(t.model.ratio(block), 2) for t in order[:3]],
         "next": [t.question.key for t in order[1:3]],
     }  # fmt: skip
@@ -81,6 +90,8 @@ def main() -> None:
                 results.append(examine(case, given.program, seed))
                 print(json.dumps(results[-1]), flush=True)
     count = len(results)
+    named = [r for r in results if r.get("named")]
+    print(f"named {len(named)}, rightly {sum(bool(r['named_rightly']) for r in named)}")
     print(f"place and driver first {sum(bool(r['first']) for r in results)} of {count}, among "
           f"three {sum(bool(r['three']) for r in results)} of {count}")  # fmt: skip
 

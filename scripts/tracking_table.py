@@ -16,7 +16,7 @@ import math
 from measured_table import format_table, write_measured
 
 from pamctl.settings.resolve import list_shipped, resolve
-from pamctl.simulate.batch import simulate_merit
+from pamctl.simulate.batch import simulate_run
 from pamctl.simulate.merit import TABLE_IV, Merit
 
 PLANTS = {
@@ -34,9 +34,8 @@ Found = dict[str, dict[str, dict[str, Merit | None]]]
 def simulate_cell(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
     """Simulate one cell of a table; None if safety ended the run."""
     delay = f"rig.sim.output_delay_ticks={delay_ticks}"
-    return simulate_merit(
-        resolve(controller=controller, experiment=experiment, plant=plant, overrides=[delay])
-    )
+    settings = resolve(controller=controller, experiment=experiment, plant=plant, overrides=[delay])
+    return simulate_run(settings).merit()
 
 
 def simulate_all() -> Found:

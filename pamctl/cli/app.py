@@ -2,99 +2,111 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from pamctl import __version__
-from pamctl.cli.analyse.audit import audit
-from pamctl.cli.analyse.compare import compare
-from pamctl.cli.analyse.diagnose import diagnose
-from pamctl.cli.analyse.health import health
-from pamctl.cli.analyse.replay import replay
-from pamctl.cli.analyse.report import report
-from pamctl.cli.config import config_app
-from pamctl.cli.daemon.ack import ack
-from pamctl.cli.daemon.daemon import daemon
-from pamctl.cli.daemon.disarm import disarm
-from pamctl.cli.daemon.estop import estop
-from pamctl.cli.daemon.gains import gains_app
-from pamctl.cli.daemon.goto import goto
-from pamctl.cli.daemon.mark import mark
-from pamctl.cli.daemon.set_keys import set_keys
-from pamctl.cli.daemon.start import start
-from pamctl.cli.daemon.status import status
-from pamctl.cli.daemon.stop import stop
-from pamctl.cli.daemon.watch import watch
 from pamctl.cli.failure import Verbs
-from pamctl.cli.logs.check import check_logs
-from pamctl.cli.logs.cut import cut_file
-from pamctl.cli.logs.export import export_log
-from pamctl.cli.logs.import_file import import_file
-from pamctl.cli.logs.info import show_info
-from pamctl.cli.logs.recover import recover_log
-from pamctl.cli.manual import manual
-from pamctl.cli.plant import plant_app
-from pamctl.cli.reproduce import reproduce
-from pamctl.cli.rig.calibrate import calibrate_app
-from pamctl.cli.rig.doctor import doctor
-from pamctl.cli.rig.run import run
-from pamctl.cli.rig.safe import safe
-from pamctl.cli.runs.runs import runs_app
-from pamctl.cli.runs.sweep import sweep
-from pamctl.cli.tune import tune
 from pamctl.settings.resolve import SECTIONS, list_shipped
 
-_EPILOG = (
-    "First: `pamctl run --fast`, then `pamctl report LOG`. Every verb has `--help`, and "
-    "`pamctl manual` lists the pages.",
-    "Exit codes: 0 ok, 1 unexpected, 2 wrong usage, 3 a check failed or data were lost, 4 safety "
-    "trip, 5 too many missed ticks, 65 bad data, 69 device or daemon unavailable, 78 bad "
-    "configuration, 130 and 143 ended by a signal.",
-    *(f"{section.capitalize()}s: {', '.join(list_shipped(section))}" for section in SECTIONS),
-)
 
-app = typer.Typer(
-    name="pamctl",
-    cls=Verbs,
-    no_args_is_help=True,
-    epilog="\n\n".join(_EPILOG),
-    pretty_exceptions_show_locals=False,
-    help="Real-time controller daemon of a pneumatic artificial muscle (PAM) rig.",
-)
-log_app = typer.Typer(
-    no_args_is_help=True, help="Look into logs, mend, cut, export and import them."
-)
+class _Verb(NamedTuple):
+    """Where a verb is, and its group in the help."""
 
-_GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
-    "Run": (run,),
-    "Daemon": (daemon, status, start, stop, estop, ack, disarm, mark, watch),
-    "Analyse": (report, replay, compare, audit, diagnose, health),
-    "Tune": (tune, sweep),
-    "Rig": (safe, doctor),
-    "Logs": (),
-    "Other": (reproduce, manual),
+    panel: str
+    place: str
+    """`module:attribute` below `pamctl.cli`: a function, or a `Typer` with verbs of its own."""
+    context: Mapping[str, Any] = {}
+
+
+_VERBS: Mapping[str, _Verb] = {
+    "run": _Verb("Run", "rig.run:run"),
+    "daemon": _Verb("Daemon", "daemon.daemon:daemon"),
+    "status": _Verb("Daemon", "daemon.status:status"),
+    "start": _Verb("Daemon", "daemon.start:start"),
+    "stop": _Verb("Daemon", "daemon.stop:stop"),
+    "estop": _Verb("Daemon", "daemon.estop:estop"),
+    "ack": _Verb("Daemon", "daemon.ack:ack"),
+    "disarm": _Verb("Daemon", "daemon.disarm:disarm"),
+    "mark": _Verb("Daemon", "daemon.mark:mark"),
+    "watch": _Verb("Daemon", "daemon.watch:watch"),
+    "report": _Verb("Analyse", "analyse.report:report"),
+    "replay": _Verb("Analyse", "analyse.replay:replay"),
+    "compare": _Verb("Analyse", "analyse.compare:compare"),
+    "audit": _Verb("Analyse", "analyse.audit:audit"),
+    "diagnose": _Verb("Analyse", "analyse.diagnose:diagnose"),
+    "health": _Verb("Analyse", "analyse.health:health"),
+    "tune": _Verb("Tune", "tune:tune"),
+    "sweep": _Verb("Tune", "runs.sweep:sweep"),
+    "safe": _Verb("Rig", "rig.safe:safe"),
+    "doctor": _Verb("Rig", "rig.doctor:doctor"),
+    "reproduce": _Verb("Other", "reproduce:reproduce"),
+    "manual": _Verb("Other", "manual:manual"),
+    # A negative position is an argument, not an option: goto -1mm.
+    "goto": _Verb("Daemon", "daemon.goto:goto", {"ignore_unknown_options": True}),
+    "set": _Verb("Daemon", "daemon.set_keys:set_keys"),
+    "gains": _Verb("Daemon", "daemon.gains:gains_app"),
+    "calibrate": _Verb("Rig", "rig.calibrate:calibrate_app"),
+    "log": _Verb("Logs", "logs.log_verbs:log_app"),
+    "runs": _Verb("Logs", "runs.runs:runs_app"),
+    "plant": _Verb("Analyse", "plant:plant_app"),
+    "config": _Verb("Other", "config:config_app"),
 }
-Verbs.panels = tuple(_GROUPS)
-for panel, verbs in _GROUPS.items():
-    for verb in verbs:
-        app.command(rich_help_panel=panel)(verb)
-# A negative position is an argument, not an option: goto -1mm.
-app.command(rich_help_panel="Daemon", context_settings={"ignore_unknown_options": True})(goto)
-app.command("set", rich_help_panel="Daemon")(set_keys)
-app.add_typer(gains_app, name="gains", rich_help_panel="Daemon")
-app.add_typer(calibrate_app, name="calibrate", rich_help_panel="Rig")
-app.add_typer(log_app, name="log", rich_help_panel="Logs")
-app.add_typer(runs_app, name="runs", rich_help_panel="Logs")
-app.add_typer(plant_app, name="plant", rich_help_panel="Analyse")
-app.add_typer(config_app, name="config", rich_help_panel="Other")
-log_app.command("info")(show_info)
-log_app.command("check")(check_logs)
-log_app.command("recover")(recover_log)
-log_app.command("export")(export_log)
-log_app.command("cut")(cut_file)
-log_app.command("import")(import_file)
+Verbs.panels = ("Run", "Daemon", "Analyse", "Tune", "Rig", "Logs", "Other")
+
+
+def find_verb(arguments: Sequence[str]) -> str | None:
+    """Return the verb that the arguments begin with; None where help or advice is due."""
+    return arguments[0] if arguments and arguments[0] in _VERBS else None
+
+
+@cache
+def build_app(only: str | None = None) -> typer.Typer:
+    """Build the command line; with `only` that verb alone, which starts in two thirds of the time.
+
+    The help, the completion and the advice about an unknown verb need all of them.
+    """
+    app = typer.Typer(
+        name="pamctl",
+        cls=Verbs,
+        no_args_is_help=True,
+        epilog="\n\n".join(_list_epilog()) if only is None else None,
+        pretty_exceptions_show_locals=False,
+        help="Real-time controller daemon of a pneumatic artificial muscle (PAM) rig.",
+    )
+    app.callback()(_take_options)
+    for name in _VERBS if only is None else (only,):
+        panel, place, context = _VERBS[name]
+        module, _, attribute = place.partition(":")
+        found = getattr(import_module(f"pamctl.cli.{module}"), attribute)
+        if isinstance(found, typer.Typer):
+            app.add_typer(found, name=name, rich_help_panel=panel)
+        else:
+            app.command(name, rich_help_panel=panel, context_settings=dict(context))(found)
+    return app
+
+
+def __getattr__(name: str) -> typer.Typer:
+    """Give `app` with all verbs, built at its first use."""
+    if name == "app":
+        return build_app()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def _list_epilog() -> list[str]:
+    return [
+        "First: `pamctl run --fast`, then `pamctl report LOG`. Every verb has `--help` with "
+        "examples, and `pamctl manual` lists the pages. `pamctl --install-completion` lets the "
+        "shell complete verbs and options.",
+        "Exit codes: 0 ok, 1 unexpected, 2 wrong usage, 3 a check failed or data were lost, "
+        "4 safety trip, 5 too many missed ticks, 65 bad data, 69 device or daemon unavailable, "
+        "78 bad configuration, 130 and 143 ended by a signal.",
+        *(f"{section.capitalize()}s: {', '.join(list_shipped(section))}" for section in SECTIONS),
+    ]
 
 
 def _show_version(wanted: bool) -> None:
@@ -103,8 +115,7 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
-def _options(
+def _take_options(
     version: Annotated[
         bool,
         typer.Option(

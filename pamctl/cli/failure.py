@@ -16,7 +16,8 @@ from typing import Any, Protocol, runtime_checkable
 import typer
 from typer.core import TyperGroup
 
-from pamctl.cli.waiting import tell_while_silent
+from pamctl.cli.examples import EXAMPLES, write_epilog
+from pamctl.cli.waiting import SLOW_VERBS, tell_while_silent
 from pamctl.exit_codes import ExitCode
 from pamctl.plain_text import PlainStream, clean_lines
 from pamctl.session.pamctl_error import explain_error
@@ -50,6 +51,7 @@ class Verbs(TyperGroup):
         """Take the verbs; the help shows no type beside a flag, which takes no value."""
         super().__init__(*arguments, **options)
         _hide_flag_types(self)
+        _add_epilogs(self, ())
         _print_plainly(self)
 
     def main(self, args: Sequence[str] | None = None, *rest: Any, **extra: Any) -> Any:
@@ -113,6 +115,13 @@ def _hide_flag_types(command: Any) -> None:
         _hide_flag_types(inner)
 
 
+def _add_epilogs(command: Any, words: tuple[str, ...]) -> None:
+    for name, inner in getattr(command, "commands", {}).items():
+        _add_epilogs(inner, (*words, name))
+    if " ".join(words) in EXAMPLES:
+        command.epilog = write_epilog(" ".join(words))
+
+
 def _print_plainly(command: Any) -> None:
     """Let no verb print control characters: what it shows may be somebody else's log."""
     inner = getattr(command, "commands", {}).values()
@@ -125,7 +134,7 @@ def _print_plainly(command: Any) -> None:
 def _with_plain_streams(verb: Callable[..., None]) -> Callable[..., None]:
     @wraps(verb)
     def carry_out(*arguments: Any, **options: Any) -> None:
-        with tell_while_silent(verb.__name__) as end:
+        with tell_while_silent(SLOW_VERBS.get(verb.__name__)) as end:
             out, err = PlainStream(sys.stdout, end), PlainStream(sys.stderr, end)
             with redirect_stdout(out), redirect_stderr(err):
                 verb(*arguments, **options)

@@ -119,6 +119,13 @@ ClusterOption = Annotated[
         show_default="this machine",
     ),
 ]
+InteractiveOption = Annotated[
+    bool,
+    typer.Option(
+        "--interactive",
+        help="Let a script in the page zoom its plots and read values; it needs no network",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document as the result")]
 SocketOption = Annotated[
     Path | None,

@@ -5,49 +5,65 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-_FIRST_S = 1.0
+_FIRST_S = 0.7
 """A verb that answers sooner needs no word (s)."""
+_BEGAN_S = time.monotonic()
+"""The program's start: this is imported first."""
 _CLEAR = "\r\x1b[K"
 
+STARTING = "pamctl: starting"
 SLOW_VERBS = {
-    "start": "homing, if the muscle is not homed",
-    "goto": "homing, if the muscle is not homed",
-    "audit": "simulating and judging",
-    "compare": "simulating",
-    "replay": "reading and computing every tick",
-    "report": "reading and drawing",
-    "tune": "compiling and drawing plants",
+    "start": "start: homing, if the muscle is not homed",
+    "goto": "goto: homing, if the muscle is not homed",
+    "audit": "audit: simulating and judging",
+    "compare": "compare: simulating",
+    "diagnose": "diagnose: reading",
+    "replay": "replay: reading and computing every tick",
+    "report": "report: reading and drawing",
+    "tune": "tune: compiling and drawing plants",
+    "health": "health: reading and fitting",
+    "reproduce": "reproduce: simulating",
+    "show_info": "log info: reading",
+    "check_logs": "log check: reading every record",
+    "recover_log": "log recover: reading and writing",
+    "export_log": "log export: reading and writing",
+    "cut_file": "log cut: reading and writing",
+    "import_file": "log import: reading and writing",
 }
-"""Verbs that may be silent for seconds, and what they do then."""
+"""Verbs that may be silent for seconds, by their function, and what they do then."""
 
 
 @contextmanager
-def tell_while_silent(verb: str) -> Iterator[Callable[[], None]]:
-    """Show on standard error what a slow verb does, until it prints or ends.
+def tell_while_silent(doing: str | None) -> Iterator[Callable[[], None]]:
+    """Show on standard error what is being done, until something is printed or it ends.
 
-    Gives the function to call before the verb prints anything. Without a terminal nothing is shown.
+    Gives the function to call before anything is printed. Without a terminal, or with None,
+    nothing is shown.
     """
-    if verb not in SLOW_VERBS or sys.stderr is None or not sys.stderr.isatty():
+    if doing is None or sys.stderr is None or not sys.stderr.isatty():
         yield lambda: None
         return
-    ended, shown = threading.Event(), threading.Lock()
+    ended, shown, told = threading.Event(), threading.Lock(), threading.Event()
 
     def show_seconds() -> None:
-        seconds = _FIRST_S
-        while not ended.wait(1.0):
+        next_s = max(_FIRST_S, time.monotonic() - _BEGAN_S)
+        while not ended.wait(max(0.0, _BEGAN_S + next_s - time.monotonic())):
             with shown:
                 if not ended.is_set():
-                    _write(f"{_CLEAR}{verb}: {SLOW_VERBS[verb]}, {seconds:.0f} s")
-            seconds += 1.0
+                    told.set()
+                    _write(f"{_CLEAR}{doing}, {next_s:.0f} s")
+            next_s = round(next_s) + 1.0
 
     def end() -> None:
         if not ended.is_set():
             with shown:
                 ended.set()
-                _write(_CLEAR)
+                if told.is_set():
+                    _write(_CLEAR)
 
     teller = threading.Thread(target=show_seconds, name="waiting", daemon=True)
     teller.start()
@@ -55,6 +71,7 @@ def tell_while_silent(verb: str) -> Iterator[Callable[[], None]]:
         yield end
     finally:
         end()
+        teller.join()
 
 
 def _write(text: str) -> None:

@@ -19,35 +19,63 @@ def format_comparison(path: Path, found: Mapping[str, Comparison]) -> str:
     measured = first.measured
     width = max(len(name) for name in found) + 2
     head = f"{'RMS':>12}{'max':>9}"
+    gaps = (
+        f"{name:<{width}}{driven:<16}{a:>12}{b:>9}{c:>12}{d:>9}"
+        for name, driven, a, b, c, d in list_gaps(found)[1]
+    )
     lines = [
         f"{path}: {len(measured)} ticks from {measured.t_s[0]:.3f} s on, model minus measurement",
         "",
         f"{'':<{width + 16}}{'position um':>21}{'pressure kPa':>21}",
         f"{'model':<{width}}{'driven':<16}{head}{head}",
+        *gaps,
+        "",
+        "each block alone, driven by the other's measured signal, RMS",
+        "",
     ]
-    for name, comparison in found.items():
-        for way in comparison.ways:
-            position = comparison.gap(way, "position_m")
-            pressure = comparison.gap(way, "pressure_pa")
-            lines.append(
-                f"{name:<{width}}{way.way:<16}"
-                f"{_format_cells(position, _UM)}{_format_cells(pressure, _KPA)}"
-            )
-    lines += ["", "each block alone, driven by the other's measured signal, RMS", ""]
-    tables = [comparison.regimes() for comparison in found.values()]
     cell = max(21, *(len(name) + 2 for name in found)) if len(found) > 1 else 21
     names = "".join(f"{name:>{cell}}" for name in found) if len(found) > 1 else ""
     if names:
         lines.append(f"{'':<26}{names}")
     lines.append(f"{'':<18}{'ticks':>8}" + f"{'um':>{cell - 9}}{'kPa':>9}" * len(found))
-    for regimes in zip(*tables, strict=True):
-        cells = "".join(
-            _format_cell(r.position_m.rms * _UM, cell - 9)
-            + _format_cell(r.pressure_pa.rms * _KPA, 9)
-            for r in regimes
-        )
-        lines.append(f"{regimes[0].name:<18}{regimes[0].ticks:>8}{cells}")
+    for name, ticks, *rms in list_regimes(found)[1]:
+        pairs = zip(rms[::2], rms[1::2], strict=True)
+        cells = "".join(f"{um:>{cell - 9}}{kpa:>9}" for um, kpa in pairs)
+        lines.append(f"{name:<18}{ticks:>8}{cells}")
     return "\n".join([*lines, "", f"next: {_suggest_next(path, found)}"])
+
+
+def list_gaps(found: Mapping[str, Comparison]) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows: the gaps of every model, however it is driven."""
+    header = ["model", "driven", "position RMS, µm", "max, µm", "pressure RMS, kPa", "max, kPa"]
+    rows = [
+        [
+            name,
+            way.way,
+            *(_format_cell(value * _UM) for value in comparison.gap(way, "position_m")),
+            *(_format_cell(value * _KPA) for value in comparison.gap(way, "pressure_pa")),
+        ]
+        for name, comparison in found.items()
+        for way in comparison.ways
+    ]
+    return header, rows
+
+
+def list_regimes(found: Mapping[str, Comparison]) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows: the gaps of each block alone in each part of the run, RMS."""
+    header = ["regime", "ticks"]
+    for name in found:
+        of = f"{name}: " if len(found) > 1 else ""
+        header += [f"{of}position, µm", f"{of}pressure, kPa"]
+    rows = []
+    for regimes in zip(*(comparison.regimes() for comparison in found.values()), strict=True):
+        cells = [
+            _format_cell(value)
+            for regime in regimes
+            for value in (regime.position_m.rms * _UM, regime.pressure_pa.rms * _KPA)
+        ]
+        rows.append([regimes[0].name, str(regimes[0].ticks), *cells])
+    return header, rows
 
 
 def _suggest_next(path: Path, found: Mapping[str, Comparison]) -> str:
@@ -56,12 +84,8 @@ def _suggest_next(path: Path, found: Mapping[str, Comparison]) -> str:
     return f"pamctl diagnose {log}{plant} --out diagnosis  # names what the model lacks"
 
 
-def _format_cells(gap: ComparisonGap, scale: float) -> str:
-    return _format_cell(gap.rms * scale, 12) + _format_cell(gap.max * scale, 9)
-
-
-def _format_cell(value: float, width: int) -> str:
-    return f"{'-':>{width}}" if value != value else f"{value:>{width}.{1 if value >= 10 else 3}f}"
+def _format_cell(value: float) -> str:
+    return "-" if value != value else f"{value:.{1 if value >= 10 else 3}f}"
 
 
 def make_comparison_document(path: Path, found: Mapping[str, Comparison]) -> dict[str, Any]:

@@ -12,11 +12,13 @@ from typing import Any, Generic, NamedTuple, TypeVar
 T = TypeVar("T")
 
 WORD_BYTES = 8
+LONGEST_TABLE = 64
+"""Numbers of a plain tuple; machine code would copy a longer one in every call."""
 _CODES = {float: "d", int: "q", bool: "q"}
 
 
 class NotFlat(TypeError):
-    """A value that is not made of NamedTuples of float, int and bool."""
+    """A value that is not made of NamedTuples and short tuples of float, int and bool."""
 
 
 class Leaf(NamedTuple):
@@ -35,6 +37,10 @@ def list_leaves(template: object, path: str = "") -> Iterator[Leaf]:
     if isinstance(template, tuple) and hasattr(template, "_fields"):
         for name, part in zip(template._fields, template, strict=True):
             yield from list_leaves(part, f"{path}.{name}" if path else name)
+        return
+    if isinstance(template, tuple) and 0 < len(template) <= LONGEST_TABLE:
+        for at, part in enumerate(template):
+            yield from list_leaves(part, f"{path}[{at}]")
         return
     kind = next((kind for kind in (bool, int, float) if isinstance(template, kind)), None)
     if kind is None:
@@ -57,6 +63,8 @@ def write_constructor(
             return "None"
         if not isinstance(part, tuple):
             return write_leaf(next(counted), next(list_leaves(part)).kind)
+        if type(part) is tuple:
+            return f"({', '.join(map(write, part))},)"
         name = types.setdefault(type(part), f"{type(part).__name__}_{len(types)}")
         return f"{name}({', '.join(map(write, part))})"
 
@@ -81,12 +89,17 @@ class Block(Generic[T]):
         )
         names = {name: kind for kind, name in types.items()}
         self._build: Callable[[tuple[Any, ...]], T] = eval(f"lambda w: {built}", names)
-        parts = ", ".join(f"v.{leaf.path}" if leaf.path else "v" for leaf in self.leaves)
+        # `v.path`, or `v` and `v[0]` of a value that is no NamedTuple
+        parts = ", ".join(f"v.{leaf.path}".replace(".[", "[").rstrip(".") for leaf in self.leaves)
         self._flatten: Callable[[T], tuple[Any, ...]] = eval(f"lambda v: ({parts},)")
 
     def write(self, buffer: Any, value: T) -> None:
         """Put a value of the same shape into the buffer."""
         self._struct.pack_into(buffer, self._offset, *self._flatten(value))
+
+    def read_numbers(self, buffer: Any) -> tuple[float, ...]:
+        """Return the numbers of the value in the buffer, in their order."""
+        return self._struct.unpack_from(buffer, self._offset)
 
     def read(self, buffer: Any) -> T:
         """Return the value in the buffer."""

@@ -6,6 +6,7 @@ import ctypes
 import hashlib
 import os
 import sys
+import weakref
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,6 +19,7 @@ _SOURCES = (
     "hal/*.py",
     "hal/sim/*.py",
     "pamctl/*.py",
+    "pamctl/compensation/*.py",
     "pamctl/compiled_ahead/*.py",
     "pamctl/control/**/*.py",
     "pamctl/plant/**/*.py",
@@ -33,6 +35,7 @@ class KernelLibrary:
 
     def __init__(self, path: Path) -> None:
         """Load it; raise OSError where it cannot be."""
+        weakref.finalize(self, os.close, hold_library(path))
         # ctypes calls it without the arguments' conversion: they are pointers already.
         self._function = getattr(ctypes.CDLL(str(path)), SYMBOL)
         self._function.restype = ctypes.c_int
@@ -48,6 +51,15 @@ class KernelLibrary:
         """
         held = [(ctypes.c_char * len(buffer)).from_buffer(buffer) for buffer in buffers]
         return self._function, [*map(ctypes.pointer, (self._result, self._exception, *held))]
+
+
+def hold_library(path: Path) -> int:
+    """Open a library, so that nobody removes it before this descriptor is closed."""
+    import fcntl  # machine code is built on Linux only
+
+    held = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    fcntl.flock(held, fcntl.LOCK_SH)
+    return held
 
 
 def find_linker() -> str | None:

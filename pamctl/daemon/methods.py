@@ -27,6 +27,7 @@ from pamctl.plain_text import LONGEST_REMARK, clean_text
 from pamctl.realtime.gain_ramp import DEFAULT_RAMP_S
 
 Ramp = Annotated[float, Field(ge=0, le=60, description="s")]
+Operator = Annotated[str, AfterValidator(clean_text), Field(max_length=LONGEST_NAME)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,60}$")]
 
 
@@ -55,6 +56,14 @@ class ChangeParams(Params):
 
     changes: Annotated[list[str], Field(min_length=1, max_length=32)]
     ramp_s: Ramp = DEFAULT_RAMP_S
+    operator: Operator = ""
+
+
+class UndoParams(Params):
+    """How the last change of gains is taken back, and by whom."""
+
+    ramp_s: Ramp = DEFAULT_RAMP_S
+    operator: Operator = ""
 
 
 class LoadParams(Params):
@@ -101,7 +110,8 @@ def methods_of(service: Service) -> dict[str, Method]:
         "stop": Method(NoParams, lambda _: service.stop()),
         "disarm": Method(NoParams, lambda _: service.disarm()),
         "ack": Method(NoParams, lambda _: {"fault": service.ack()}),
-        "set": Method(ChangeParams, lambda p: service.set_gains(p.changes, p.ramp_s)),
+        "set": Method(ChangeParams, lambda p: service.set_gains(p.changes, p.ramp_s, p.operator)),
+        "undo": Method(UndoParams, lambda p: service.undo_gains(p.ramp_s, p.operator)),
         "load": Method(LoadParams, lambda p: service.load_gains(p.controller, p.name, p.ramp_s)),
         "goto": Method(GotoParams, lambda p: {"log": str(service.goto(p.position_m, p.within_s))}),
         "mark": Method(MarkParams, lambda p: service.mark(p.text)),

@@ -196,12 +196,17 @@ async def _drain_writer(writer: asyncio.StreamWriter) -> None:
         await writer.drain()
 
 
-def _bind_socket(path: Path, group: str | None) -> socket.socket:
-    """Make the socket; replace an old one that nobody answers any more."""
+def find_group(group: str | None) -> int:
+    """Return the number of the group that may steer; raise `SocketError` if there is no such."""
     try:
-        owners = -1 if group is None else grp.getgrnam(group).gr_gid
+        return os.getegid() if group is None else grp.getgrnam(group).gr_gid
     except KeyError:
         raise SocketError(f"--group {group}: there is no such group") from None
+
+
+def _bind_socket(path: Path, group: str | None) -> socket.socket:
+    """Make the socket; replace an old one that nobody answers any more."""
+    owners = find_group(group)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():

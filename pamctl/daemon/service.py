@@ -16,12 +16,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from pamctl import __version__
 from pamctl.control.experiment import HoldSettings, plan_experiment
+from pamctl.daemon.gain_history import GainEdit, GainHistory
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.monitor_desk import MonitorDesk
 from pamctl.daemon.protocol import RequestRefusedError
@@ -103,6 +105,7 @@ class Service:
         self._is_leaving = False
         self._tell = tell
         self.events: deque[dict[str, Any]] = deque(maxlen=_RECENT_EVENTS)
+        self._gain_history = GainHistory()
         self._monitor = MonitorDesk(
             watched, self._announce_event, self.mark, self._trip if monitor_trips else None
         )
@@ -155,6 +158,7 @@ class Service:
             "missed_ticks": None if session is None else session.missed_ticks,
             "controller": settings_to_data(self._settings.controller),
             "names": self._names,
+            "gain_changes": self._gain_history.tell(),
             "device": self._workshop.device,
             "backend": self._settings.rig.backend,
             "limits": {"stroke_mm": self._stroke_mm()},
@@ -251,17 +255,31 @@ class Service:
             self._announce_event("acknowledged", fault=fault)
             return fault
 
-    def set_gains(self, changes: Sequence[str], ramp_s: float) -> dict[str, Any]:
+    def set_gains(
+        self, changes: Sequence[str], ramp_s: float, operator: str = ""
+    ) -> dict[str, Any]:
         """Change keys of the controller, `controller.lambda_per_s=12`; return all its keys."""
         with self._busy:
-            return self._tune(change_gains(self._settings, changes), ramp_s)
+            return self._tune(change_gains(self._settings, changes), ramp_s, operator)
+
+    def undo_gains(self, ramp_s: float, operator: str = "") -> dict[str, Any]:
+        """Take back the last change of single gains, whoever made it; return all keys."""
+        with self._busy:
+            last = self._gain_history.find_undoable()
+            if last is None:
+                raise RequestRefusedError("no change of the gains is left to undo")
+            back = [f"controller.{name}={before!r}" for name, (before, _) in last.gains.items()]
+            changed = change_gains(self._settings, back)
+            return self._tune(changed, ramp_s, operator, undoes=last)
 
     def load_gains(self, controller: Mapping[str, Any], name: str, ramp_s: float) -> dict[str, Any]:
         """Take the gains of a whole controller file; return all its keys."""
         with self._busy:
             changed = load_controller(self._settings, controller, name)
-            gains = self._tune(changed, ramp_s, settings_to_data(changed.controller))
+            file_gains = settings_to_data(changed.controller)
+            gains = self._tune(changed, ramp_s, file_gains=file_gains)
             self._names["controller"] = name
+            self._gain_history.clear()
             return gains
 
     def mark(self, text: str) -> None:
@@ -394,9 +412,16 @@ class Service:
     # --- small questions -------------------------------------------------------------------------
 
     def _tune(
-        self, changed: RunSettings, ramp_s: float, file_gains: Mapping[str, Any] | None = None
+        self,
+        changed: RunSettings,
+        ramp_s: float,
+        operator: str = "",
+        *,
+        file_gains: Mapping[str, Any] | None = None,
+        undoes: GainEdit | None = None,
     ) -> dict[str, Any]:
         session = self._session
+        before = settings_to_data(self._settings.controller)
         controller = settings_to_data(changed.controller)
         if session is not None:
             if session.run is not None:
@@ -408,7 +433,11 @@ class Service:
         self._names.pop(CHANGES, None)
         if changes:
             self._names[CHANGES] = changes
-        self._announce_event("gains", ramp_s=ramp_s, changes=changes)
+        change = self._gain_history.note(before, controller, operator, undoes)
+        self._announce_event("gains", ramp_s=ramp_s, changes=changes, by=operator)
+        if operator and change is not None and session is not None and session.run is not None:
+            with suppress(RequestRefusedError):  # the gains hold, whatever became of the run
+                session.order({"do": "mark", "text": f"{operator}: {change.describe()}"})
         return controller
 
     def _require(self, *allowed: DaemonState) -> None:

@@ -20,7 +20,7 @@ from pamctl.daemon.announcements import Announcements
 from pamctl.daemon.latch import Latch
 from pamctl.daemon.methods import methods_of
 from pamctl.daemon.notify import notify, watchdog_period_s
-from pamctl.daemon.server import Server, require_no_daemon
+from pamctl.daemon.server import Server, find_group, require_no_daemon
 from pamctl.daemon.service import DaemonState, Service
 from pamctl.daemon.session import Workshop
 from pamctl.daemon.shelf import Shelf
@@ -83,7 +83,7 @@ def serve_daemon(
             service = Service(
                 settings,
                 names,
-                _make_workshop(settings, device),
+                _make_workshop(settings, device, readers=find_group(options.group)),
                 shelf,
                 Latch(SHARED_MEMORY / f"pamctl-{device_of(settings)}.fault"),
                 file_gains=options.file_gains,
@@ -110,7 +110,7 @@ def _make_event(event: str, **details: object) -> dict[str, object]:
     return {"event": event, "time_s": time.time(), **details}
 
 
-def _make_workshop(settings: RunSettings, rig: Rig) -> Workshop:
+def _make_workshop(settings: RunSettings, rig: Rig, readers: int) -> Workshop:
     start = [sys.executable, "-m"]
     return Workshop(
         loop=[*start, "pamctl.processes.session_main"],
@@ -119,6 +119,7 @@ def _make_workshop(settings: RunSettings, rig: Rig) -> Workshop:
         meta=make_run_meta,
         device=device_of(settings),
         ring_path=new_ring_path,
+        readers=readers,
     )
 
 

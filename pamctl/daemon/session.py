@@ -53,6 +53,8 @@ class Workshop:
     """The name of the device."""
     ring_path: Callable[[], Path]
     """Returns a new name in shared memory; the next start recovers a ring that is left behind."""
+    readers: int | None = None
+    """Group, by number, that may read the ring of a run: those who may steer; None is nobody."""
 
 
 @dataclass(frozen=True)
@@ -193,6 +195,8 @@ class Session:
         Raises `RequestRefusedError` if the log cannot be written.
         """
         ring = Ring.create(self._workshop.ring_path(), meta, rows)
+        if self._workshop.readers is not None:
+            ring.admit_readers(self._workshop.readers)
         self._open_rings.append(ring)
         run = DaemonRun(name, Path(meta.log_path), ring, spawn_recorder(ring.path))
         ring.loop_stage = LoopStage.SETTING_UP

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d
-from scipy.stats import false_discovery_control
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive
@@ -187,7 +186,10 @@ def flag_discoveries(p_values: ArrayLike, rate: float = RATE) -> NDArray[np.bool
     It also holds for regimes that share samples, since their levels are positively correlated.
     """
     p = np.asarray(p_values, dtype=np.float64)
-    flags: NDArray[np.bool_] = false_discovery_control(p) <= rate if len(p) else p > 0.0
+    order = np.argsort(p)
+    below = np.flatnonzero(p[order] <= rate * np.arange(1, len(p) + 1) / max(len(p), 1))
+    flags = np.zeros(len(p), dtype=np.bool_)
+    flags[order[: below[-1] + 1 if len(below) else 0]] = True
     return flags
 
 
@@ -201,4 +203,4 @@ def exceedance(level: float, replicas: Array, uncertainty: float = 0.0) -> float
     scatter = float(np.hypot(logs.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(logs)), uncertainty))
     if level <= 0.0 or scatter == 0.0:
         return float(level <= np.exp(logs.mean()))
-    return float(student.sf((np.log(level) - logs.mean()) / scatter, len(logs) - 1))
+    return float(stdtr(len(logs) - 1, -(np.log(level) - logs.mean()) / scatter))

@@ -18,6 +18,7 @@ from pamctl.diagnose.naming.doubt import has_doubtful_effect
 from pamctl.diagnose.naming.rivals import Standing, find_rivals
 from pamctl.diagnose.naming.search import EffectSearch, EffectsTrial, Progress, search_effects
 from pamctl.diagnose.naming.stretches import gains_in_block
+from pamctl.diagnose.naming.unseen import hold_unseen_numbers
 from pamctl.diagnose.naming.verdict import (
     Judgement,
     Verdict,
@@ -41,13 +42,21 @@ class Naming:
     trials: tuple[EffectsTrial, ...]
     """Every set of effects that was fitted, the best first."""
 
+    def without_unseen_numbers(self) -> Naming:
+        """Return the naming with numbers that no record shows as the plant file has them."""
+        model = hold_unseen_numbers(self.model)
+        if model is self.model:
+            return self
+        return replace(self, model=model, numbers=estimate_intervals(model))
+
     def withdraw_effects(self, names: Collection[str]) -> Naming:
         """Return the naming without these effects. What remains explains a part, or nothing."""
         kept = tuple(c for c in self.model.effects if c.name not in names)
         standings = tuple(s for s in self.standings if s.effect in kept)
         model, verdict = self.base, Verdict.NONE_KNOWN
         if kept:
-            model = fit_model(self.base, kept, [self.model.effect_values])
+            fitted = fit_model(self.base, kept, [self.model.effect_values])
+            model = hold_unseen_numbers(fitted)
             verdict = revise_verdict(Judgement(Verdict.PARTIAL, model), standings)
         numbers = estimate_intervals(model)
         return replace(self, verdict=verdict, model=model, standings=standings, numbers=numbers)
@@ -79,13 +88,16 @@ def name_effects(
         names = judgement.model.names
         search, judgement, standings = compare(search, lambda s: judge_parts(s, names))
         numbers = estimate_intervals(judgement.model)
-    model = judgement.model
+    base = hold_unseen_numbers(search.base)
+    model = hold_unseen_numbers(judgement.model) if judgement.model.effects else base
+    if model is not judgement.model:
+        numbers = estimate_intervals(model)
     return Naming(
         revise_verdict(judgement, standings),
-        search.base,
+        base,
         model,
         standings,
-        widen_by_forms(numbers, _list_equals(model, standings, search)),
+        widen_by_forms(numbers, _list_equals(judgement.model, standings, search)),
         search.list_trials(),
     )
 

@@ -36,22 +36,40 @@ def conclude_setup(diagnosis: Diagnosis, setup: CheckedSetup) -> Diagnosis:
 
 
 def _find_equals(diagnosis: Diagnosis) -> tuple[EqualFinding, ...]:
-    """Return the set-up findings that are equal to a named effect by the equations."""
+    """Return the set-up findings that are equal to a named effect by the equations.
+
+    An effect that leaves something of its blocks is not known well enough to be another thing: of
+    a sensor's bow it is the slope.
+    """
     model, base = diagnosis.model, diagnosis.base
-    if model is None or base is None or not diagnosis.standings:
+    if model is None or base is None:
         return ()
+    left = {*model.unexplained, *(sign.block for sign in diagnosis.signs)}
+    rivals = {
+        s.effect.name: s.equal_rivals for s in diagnosis.standings if not s.effect.blocks & left
+    }
     block = max(base.evidence.blocks, key=base.ratio)
-    numbers = {number.name: number for number in diagnosis.numbers}
-    return find_equal_setups(
-        numbers, model.evidence.nominal, base.rms[block] / model.rms[block], model.ratio(block)
+    numbers = {n.name: n for n in diagnosis.numbers if n.name.split(".")[0] in rivals}
+    return tuple(
+        replace(equal, finding=equal.finding.beside(rivals[equal.effect]))
+        for equal in find_equal_setups(
+            numbers, model.evidence.nominal, base.rms[block] / model.rms[block], model.ratio(block)
+        )
     )
 
 
 def _keep_open(diagnosis: Diagnosis, setup: CheckedSetup) -> tuple[SetupFinding, ...]:
-    """Return the findings that were left to the search, and that it has not refuted."""
+    """Return the findings that were left to the search, and that it has not refuted.
+
+    What the search names then explains these data no better.
+    """
+    model = diagnosis.model
     refuted = {
         fitted.suspect.number
         for fitted in setup.open_fits
-        if diagnosis.model is not None and is_refuted_by(fitted, diagnosis.model)
+        if model is not None and is_refuted_by(fitted, model)
     }
-    return tuple(f for f in setup.findings if not f.is_corrected and f.number not in refuted)
+    names = model.names if model is not None else ()
+    return tuple(
+        f.beside(names) for f in setup.findings if not f.is_corrected and f.number not in refuted
+    )

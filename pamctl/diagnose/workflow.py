@@ -14,6 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
+from pamctl.bounded_memory import forget_results
 from pamctl.diagnose.audit import audit_model
 from pamctl.diagnose.confirm import Confirmation, confirm_naming
 from pamctl.diagnose.deciding.deciding_program import choose_deciding_program
@@ -49,6 +50,7 @@ from pamctl.diagnose.name import name_effects
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.search import Progress, search_effects
+from pamctl.diagnose.naming.time_left import guess_time_left
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.refused_columns import explain_refusal
 from pamctl.diagnose.setup.setup_finding import SetupFinding
@@ -85,6 +87,7 @@ def diagnose(
     Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
     library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
+    forget_results()  # of the diagnosis before: no key of it comes again
     progress = progress or (lambda line: None)
     stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
     train, holdout, faults = _mend_records(train, holdout, stated)
@@ -99,7 +102,10 @@ def diagnose(
         return Diagnosis(Verdict.BAD_DATA, plant, plant, reasons, train=given, setup=refused)
     candidates = list_candidates(evidence, without)
     count = len({candidate.name for candidate in candidates})  # some have several forms
-    progress(f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates")
+    progress(
+        f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates; "
+        f"{guess_time_left(evidence)}"
+    )
     recalibrated = _recalibrate(evidence, candidates, train, holdout, executor, progress)
     train, holdout = [*recalibrated.train], [*recalibrated.holdout]
     base = weigh_blocks(recalibrated.base)
@@ -117,7 +123,7 @@ def diagnose(
     naming, setup = ask_beside(naming, setup, candidates, executor, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)
-    found, described = _describe_rest(found, confirming, executor, progress)
+    found, described = _describe_rest(found, confirming, executor, progress, without)
     on = describe_confirmation(confirming, is_cut=is_cut)
     diagnosis = _conclude(
         found, on, confirming, setup.train, setup.holdout, candidates, correction=correction
@@ -197,16 +203,17 @@ def _describe_rest(
     confirming: Evidence,
     executor: Executor | None,
     progress: Progress,
+    without: Collection[str],
 ) -> tuple[Confirmation, Description | None]:
     """Ask what no effect explains; a term that the confirming samples refute is only a lead."""
     if found.naming.verdict not in (Verdict.PARTIAL, Verdict.NONE_KNOWN) or found.signs:
         return found, None
-    described = describe_rest(found.naming, executor, progress)
-    if described.naming is None or described.term is None:
+    described = describe_rest(found.naming, executor, progress, without)
+    if described.naming is None:
         return found, described
-    again = confirm_naming(described.naming, confirming)
-    kept = again.naming.verdict is Verdict.DESCRIBED
-    if not (kept and is_confirmed(again.explained, described.term)):
+    naming = described.naming.without_unseen_numbers()
+    again = confirm_naming(naming, confirming)
+    if again.naming.model is not naming.model or not is_confirmed(again.explained, described.block):
         return found, replace(described, term=None, naming=None)
     return again, described
 

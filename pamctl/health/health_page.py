@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from pamctl.health.fit_run import FittedRun
 from pamctl.health.follow_health import RigHealth
 from pamctl.health.health_words import describe_health, format_day
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
@@ -23,26 +26,36 @@ def write_health_page(health: RigHealth, folder: str) -> Page:
     for sentence in describe_health(health):
         page.note(sentence, kind=kind)
     page.section("Numbers")
-    for name in dict.fromkeys(name for run in health.runs for name in run.numbers):
-        page.figure(_draw_number(health, name))
-    page.text("A dot is a run; the band is its 90 % interval. Steps are marked.")
+    names = dict.fromkeys(name for run in health.runs for name in run.numbers)
+    page.figure(
+        *(_draw_number(health, name) for name in names),
+        caption="A dot is a run; the band is its 90 % interval. Steps are marked.",
+    )
     if health.refused:
         page.section("Logs left out")
         page.table(["log", "why"], [[run.name, run.refused] for run in health.refused])
     return page
 
 
-def _draw_number(health: RigHealth, name: str) -> SvgPlot:
-    having = [run for run in health.runs if name in run.numbers]
-    since_s = np.array([run.when_s - health.runs[0].when_s for run in having])
-    in_days = float(np.ptp(since_s)) > _LONG_S
+def _place_runs(runs: Sequence[FittedRun]) -> tuple[list[float], PlotAxis]:
+    """Return the place of each run on the axis of all figures."""
+    since_s = np.array([run.when_s - runs[0].when_s for run in runs])
+    span_s = float(np.ptp(since_s))
     # Runs of one moment, as those without a clock have, stand side by side.
-    if np.ptp(since_s) <= 0.0:
-        x, axis = np.arange(len(having), dtype=float), PlotAxis("run", "")
+    if span_s <= 0.0:
+        places, axis = np.arange(len(runs), dtype=np.float64), PlotAxis("run", "")
+    elif span_s > _LONG_S:
+        places, axis = since_s / DAY_S, PlotAxis("since the first run", "d")
     else:
-        x = since_s / (DAY_S if in_days else 3600.0)
-        axis = PlotAxis("since the first run", "d" if in_days else "h")
-    numbers = [run.numbers[name] for run in having]
+        places, axis = since_s / 3600.0, PlotAxis("since the first run", "h")
+    return places.tolist(), axis
+
+
+def _draw_number(health: RigHealth, name: str) -> SvgPlot:
+    places, axis = _place_runs(health.runs)
+    having = [k for k, run in enumerate(health.runs) if name in run.numbers]
+    x = [places[k] for k in having]
+    numbers = [health.runs[k].numbers[name] for k in having]
     plot = SvgPlot(name, axis, PlotAxis(name, numbers[0].unit))
     plot.band(x, [n.low for n in numbers], [n.high for n in numbers])
     plot.line(x, [n.value for n in numbers])
@@ -50,7 +63,5 @@ def _draw_number(health: RigHealth, name: str) -> SvgPlot:
     for drift in health.drifts:
         change = drift.change
         if change.name == name and change.kind == "step":
-            at = [k for k, run in enumerate(having) if run is health.runs[change.second]]
-            if at:
-                plot.place(float(x[at[0]]), "step")
+            plot.place(places[change.second], "step")
     return plot

@@ -16,6 +16,7 @@ from pamctl.live.scope.tick_memory import TickMemory
 from pamctl.live.scope.tick_source import TickSource
 
 _KEPT_LOOKS = round(60 * LOOKS_PER_S)
+_FOLLOW_EVERY_S = 0.05
 
 
 class Broadcast:
@@ -31,26 +32,32 @@ class Broadcast:
         self._count = 0
         self._looked_s = time.monotonic()
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._poll_feed, name="broadcast", daemon=True)
-        self._thread.start()
+        # A daemon that is slow to answer must not cost ticks: the ring goes on without it.
+        self._threads = [
+            threading.Thread(target=work, daemon=True)
+            for work in (self._poll_feed, self._follow_run)
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def _poll_feed(self) -> None:
         while not self._ended.wait(1.0 / LOOKS_PER_S):
             glimpse = self._feed.look()
-            self._follow_run(glimpse.status)
             with self._news:
                 self._kept.append(glimpse)
                 self._count += 1
                 self._looked_s = time.monotonic()
         self._feed.close()
-        self.memory.close()
 
-    def _follow_run(self, status: Mapping[str, Any] | None) -> None:
-        if status is None:
-            self.memory.follow(None, None)
-            return
-        self.source.folder = Path(status["logs"])
-        self.memory.follow(status.get("ring"), status["log"])
+    def _follow_run(self) -> None:
+        while not self._ended.wait(_FOLLOW_EVERY_S):
+            status = self.newest_status()
+            if status is None:
+                self.memory.follow(None, None)
+                continue
+            self.source.folder = Path(status["logs"])
+            self.memory.follow(status.get("ring"), status["log"])
+        self.memory.close()
 
     def newest_status(self) -> dict[str, Any] | None:
         """Return the daemon's status; None while it does not answer."""
@@ -77,4 +84,5 @@ class Broadcast:
     def end(self) -> None:
         """Stop looking."""
         self._ended.set()
-        self._thread.join()
+        for thread in self._threads:
+            thread.join()

@@ -15,7 +15,8 @@ EVERY = 20
 COLUMNS = ("tick", "t_s", "phase", "position_m", "reference_m", "pressure_pa", "valve_v")
 _STATUS_FIELDS = (
     "state", "fault", "run", "log", "worst_late_s", "missed_ticks", "backend", "device",
-    "limits", "controller", "names", "disk_free_bytes", "version", "events", "monitor",
+    "limits", "controller", "names", "gain_changes", "disk_free_bytes", "version", "events",
+    "monitor",
 )  # fmt: skip
 
 

@@ -28,9 +28,7 @@ def main() -> NoReturn:
         from pamctl.live.foxglove import EVERY, serve_foxglove
 
         feed: Feed = (
-            DaemonFeed(source, EVERY)
-            if kind == "--socket"
-            else RingFeed(Ring.attach(source), EVERY)
+            DaemonFeed(source, EVERY) if kind == "--socket" else RingFeed(Ring.watch(source), EVERY)
         )
         serve_foxglove(feed, port, origins, _sleep_while_open)
     except Exception as error:

@@ -41,6 +41,7 @@ from pamctl.live.page_control.page_orders import OrderFailure, PageOrders
 from pamctl.live.page_control.translate_order import OrderNotUnderstood, translate_order
 from pamctl.live.scope.questions import ScopeQuestions
 from pamctl.live.scope.tick_source import ScopeRefusal
+from pamctl.report.style import COLOURS
 
 LARGEST_BODY = 4096
 MOST_CONNECTIONS = 32
@@ -53,9 +54,10 @@ _PAGE = {
     "/scope.js": ("scope.js", "text/javascript; charset=utf-8"),
     "/signal.js": ("signal.js", "text/javascript; charset=utf-8"),
     "/bench.js": ("bench.js", "text/javascript; charset=utf-8"),
+    "/goto.js": ("goto.js", "text/javascript; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
-    "/uplot.js": ("uplot/uplot.js", "text/javascript; charset=utf-8"),
-    "/uplot.css": ("uplot/uplot.css", "text/css; charset=utf-8"),
+    "/uplot.js": ("uplot.js", "text/javascript; charset=utf-8"),
+    "/uplot.css": ("uplot.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
 _HEADERS = {
@@ -309,7 +311,10 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _read_part(name: str) -> bytes:
-    return (files("pamctl.live") / "page").joinpath(name).read_bytes()
+    if name.startswith("uplot"):
+        return (files("pamctl.report.interactive") / "uplot").joinpath(name).read_bytes()
+    own = (files("pamctl.live") / "page").joinpath(name).read_bytes()
+    return COLOURS.encode() + own if name == "page.css" else own
 
 
 def _parse_order(body: bytes) -> dict[str, Any]:

@@ -52,6 +52,8 @@ DESCRIBED_EVERY = 16
 """Every 16th chunk repeats all schemas and channels; so does the second chunk."""
 
 _FOOTER_BODY_BYTES = 20
+_LEVEL = 1
+"""Of zstd: half the time of its default, for files that are 4 % larger."""
 
 
 def make_message_records(
@@ -97,6 +99,7 @@ class Container:
         self._channels: dict[int, tuple[int, bytes]] = {}
         """Schema number and channel record, by channel number."""
         self._chunk = _Chunk()
+        self._compressor = zstandard.ZstdCompressor(_LEVEL)
         self._chunk_indexes: list[ChunkIndex] = []
         self._attachment_indexes: list[AttachmentIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
@@ -168,7 +171,7 @@ class Container:
         compression is most of the cost of copying a log.
         """
         if self._chunk.has_messages:
-            self._put_chunk(self._chunk.record(packed))
+            self._put_chunk(self._chunk.record(self._compressor, packed))
             self._chunk = _Chunk()
             chunks = len(self._chunk_indexes)
             if chunks == 1 or chunks % DESCRIBED_EVERY == 0:
@@ -266,14 +269,14 @@ class _Chunk:
         entries["time"] = records["log_time"]
         entries["offset"] = len(self._inside) + records.itemsize * np.arange(len(records))
         self._entries[channel].append(entries)
-        self._inside += records.tobytes()
+        self._inside += records.view(np.uint8).data
 
-    def record(self, packed: PackedChunk | None) -> Chunk:
+    def record(self, compressor: zstandard.ZstdCompressor, packed: PackedChunk | None) -> Chunk:
         times = [part["time"] for parts in self._entries.values() for part in parts]
         if packed is not None and packed.content == self._inside:
             _, compression, data, crc = packed
         else:
-            compression, data, crc = "zstd", zstandard.compress(self._inside), 0
+            compression, data, crc = "zstd", compressor.compress(self._inside), 0
         # The other fields of the chunk's head have no checksum: compute them again.
         return Chunk(
             compression=compression,

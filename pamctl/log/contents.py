@@ -33,7 +33,10 @@ class Contents:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.ticks: TickDecoder | None = None
-        self._tick_channel = -1
+        self.tick_channel = -1
+        """The number of the channel of the ticks."""
+        self.chunk_at = -1
+        """Where in the file the chunk begins that is being taken; -1 outside of chunks."""
         self.values: dict[str, list[dict[str, Any]]] = {
             topic: [] for topic in (EVENT_TOPIC, GAINS_TOPIC, KEYFRAME_TOPIC)
         }
@@ -80,24 +83,25 @@ class Contents:
                 self.metadata[metadata.name] = clean_document(metadata.metadata)
         return record.end
 
-    def inside(self, chunk: memoryview) -> None:
-        """Take the records of a chunk."""
-        at = 0
+    def inside(self, chunk: memoryview, chunk_at: int = -1) -> None:
+        """Take the records of a chunk, which begins at this place of the file."""
+        self.chunk_at, at = chunk_at, 0
         while at < len(chunk):
             at = self.take(chunk, record_at(chunk, at))
+        self.chunk_at = -1
 
     def _channel(self, channel: Channel) -> None:
         self.channels.setdefault(channel.id, channel)
-        if channel.topic != TICK_TOPIC or channel.id == self._tick_channel:
+        if channel.topic != TICK_TOPIC or channel.id == self.tick_channel:
             return
         if self.ticks is not None or channel.message_encoding != "protobuf":
             raise UnknownLayout(f"{TICK_TOPIC} is not one channel of protobuf messages")
         self.ticks = TickDecoder(self.schemas[channel.schema_id], self._take_ticks, self._fields)
-        self._tick_channel = channel.id
+        self.tick_channel = channel.id
 
     def _message(self, data: memoryview, record: FileRecord) -> int:
         channel = self.channels[int.from_bytes(record.body[:2], "little")]
-        if self.ticks is not None and channel.id == self._tick_channel:
+        if self.ticks is not None and channel.id == self.tick_channel:
             ticks, end = self.ticks.run(data, record)
             self.counts[channel.topic] += ticks
             return end

@@ -71,15 +71,33 @@ def map_log_file(path: Path) -> memoryview:
         raise LogError(f"{path} is empty: no log was written there") from error
 
 
+_HELD_BYTES = 1 << 24
+"""Of a file that is read in order, at most so much stays mapped in memory."""
+
+
+def release_pages(file: memoryview, begin: int, end: int) -> None:
+    """Take a part of a mapped file out of this process's memory; it may be read again.
+
+    The kernel keeps what it has of the file. Without this a long log counts as memory in use.
+    """
+    mapped = file.obj
+    if isinstance(mapped, mmap.mmap) and hasattr(mapped, "madvise"):  # Windows has none
+        begin -= begin % mmap.PAGESIZE
+        mapped.madvise(mmap.MADV_DONTNEED, begin, end - begin)
+
+
 def walk_records(file: memoryview) -> Iterator[FileRecord]:
     """Yield a file's records, the footer last; raise Damage if no next record can be found."""
     if file[: len(MAGIC)] != MAGIC:
         raise Damage(0, "it does not begin as an MCAP file does")
-    at, opcode, has_data_end = len(MAGIC), 0, False
+    at, opcode, has_data_end, held_at = len(MAGIC), 0, False, 0
     while opcode != Opcode.FOOTER:
         record = record_at(file, at)
         yield record
         at, opcode = record.end, record.opcode
+        if at - held_at > _HELD_BYTES:
+            release_pages(file, held_at, at)
+            held_at = at
         has_data_end |= opcode == Opcode.DATA_END
     if not has_data_end:
         raise Damage(at, "the record at the end of the data, with their checksum, is missing")
@@ -150,5 +168,16 @@ def records_in(data: memoryview, at: int = 0) -> Iterator[FileRecord]:
 
 
 def _compare_checksum(record: FileRecord, what: str, stored: int, data: memoryview) -> None:
-    if stored not in (int.from_bytes(NO_CHECKSUM), zlib.crc32(data)):
+    if stored not in (int.from_bytes(NO_CHECKSUM), _compute_checksum(data)):
         raise Damage(record.start, f"the checksum of {what} is wrong")
+
+
+def _compute_checksum(data: memoryview) -> int:
+    """Return the CRC of a part of a file; only that of all the data is long."""
+    crc, is_long = 0, len(data) > _HELD_BYTES
+    for begin in range(0, len(data), _HELD_BYTES):
+        part = data[begin : begin + _HELD_BYTES]
+        crc = zlib.crc32(part, crc)
+        if is_long:  # then it begins where the file does
+            release_pages(data, begin, begin + len(part))
+    return crc

@@ -22,6 +22,13 @@ NO_PHASE = -1
 
 Floats = NDArray[np.float64]
 
+SIGNAL_FIELDS = (
+    *("tick", "t_s", "dt_s", "missed", "phase"),
+    *("late_s", "read_s", "compute_s", "write_s", "true_pressure_pa"),
+    *("applied_v", "valve_v", "pressure_pa", "position_m", "force_n"),
+)
+"""The columns of a log that `signals` needs, of those that it has."""
+
 
 @dataclass(frozen=True)
 class Signals:

@@ -87,7 +87,7 @@ class TickLayout:
 
     def encode(self, columns: NDArray[Any]) -> NDArray[Any]:
         """Turn a structured array of shape (n,) into n messages."""
-        messages = np.full(columns.shape, self.blank)
+        messages = np.frombuffer(bytearray(self.blank.tobytes() * len(columns)), self.dtype)
         for name in self.names:
             messages[name] = columns[name]
         return messages

@@ -75,11 +75,6 @@ class RunWatch:
         """The newest report of each block."""
         self.windows = 0
 
-    @property
-    def is_learning(self) -> bool:
-        """Whether the noise of the sensors is not known yet."""
-        return self._noises is None
-
     def begin_run(self) -> None:
         """Forget the measurement of the run before; the sums and the noise are kept."""
         self._kept.clear()

@@ -14,7 +14,11 @@ from pamctl.plant.chains import pass_volume
 from pamctl.plant.effects.air.discharge_ratio import nozzle_ratio
 from pamctl.plant.effects.air.line_restriction import lag_weights, line_time_s
 from pamctl.plant.effects.air.polytropic import polytropic_slope, polytropic_volume
-from pamctl.plant.effects.air.supply_droop import kept_share
+from pamctl.plant.effects.air.supply_droop import (
+    droop_resistance,
+    kept_of_branch,
+    kept_share,
+)
 from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
 from pamctl.plant.effects.valve.valve_leak import leak_area_m2
 from pamctl.plant.paper.muscle import volume_m3
@@ -93,22 +97,31 @@ def keep_bracket_end(
     return other, miss_other
 
 
-def solve_supply_pa(
-    p: AirParameters, before_pa: float, open_to: Ports, node_pa: float, step_s: float
-) -> float:
-    """Return the supply's pressure after `step_s`, with the flow at that pressure.
-
-    s + (1 - kept) R m(s) = kept s_0 + (1 - kept) P_tank: m grows with s and is 0 at the node's
-    pressure, so the root lies between that and the right-hand side.
-    """
+def rest_supply_pa(p: AirParameters, air: AirState, step_s: float) -> float:
+    """Return the pressure upstream of the valve after `step_s` without flow."""
     droop = p.effects.supply_droop
     if droop.resistance_pa_s_per_kg <= 0.0:
         return p.tank_pa
     kept = kept_share(droop, step_s)
-    idle_pa = kept * before_pa + (1.0 - kept) * p.tank_pa
-    if open_to.tank_m2 <= 0.0:
+    idle_pa: float = kept * air.supply_pa + (1.0 - kept) * p.tank_pa
+    if droop.fast_share > 0.0:
+        idle_pa -= kept_of_branch(droop, step_s) * air.branch_pa
+    return idle_pa
+
+
+def solve_supply_pa(
+    p: AirParameters, air: AirState, open_to: Ports, node_pa: float, step_s: float
+) -> float:
+    """Return the pressure upstream of the valve after `step_s`, with the flow at that pressure.
+
+    s + (1 - kept) R m(s) = kept s_0 + (1 - kept) P_tank, for each tank: m grows with s and is 0 at
+    the node's pressure, so the root lies between that and the right-hand side.
+    """
+    droop = p.effects.supply_droop
+    idle_pa = rest_supply_pa(p, air, step_s)
+    if droop.resistance_pa_s_per_kg <= 0.0 or open_to.tank_m2 <= 0.0:
         return idle_pa
-    drop = (1.0 - kept) * droop.resistance_pa_s_per_kg * open_to.tank_m2
+    drop = droop_resistance(droop, step_s) * open_to.tank_m2
     one, other = node_pa, idle_pa
     miss_one, miss_other = node_pa - idle_pa, drop * port_flow(p, idle_pa, node_pa)
     for _ in range(60):
@@ -137,7 +150,7 @@ def solve_feed(
     """
     line = p.effects.line_restriction
     if line.resistance_pa_s_per_kg <= 0.0:
-        supply_pa = solve_supply_pa(p, air.supply_pa, open_to, later_pa, step_s)
+        supply_pa = solve_supply_pa(p, air, open_to, later_pa, step_s)
         return MuscleFeed(supply_pa, later_pa, flow_through_ports(p, open_to, supply_pa, later_pa))
     kept, weight = lag_weights(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
     idle_pa = kept * air.line_pa + (1.0 - kept) * pressure_pa + weight * (later_pa - pressure_pa)
@@ -159,7 +172,7 @@ def solve_feed(
         other, miss_other = new, miss
         if abs(miss) < SOLVED_PA:
             break
-    supply_pa = solve_supply_pa(p, air.supply_pa, open_to, other, step_s)
+    supply_pa = solve_supply_pa(p, air, open_to, other, step_s)
     return MuscleFeed(supply_pa, other, flow_through_ports(p, open_to, supply_pa, other))
 
 
@@ -168,7 +181,7 @@ def flow_into(
 ) -> float:
     """Return the mass flow into the node at a pressure, after the supply's response to `step_s`."""
     return flow_through_ports(
-        p, open_to, solve_supply_pa(p, air.supply_pa, open_to, node_pa, step_s), node_pa
+        p, open_to, solve_supply_pa(p, air, open_to, node_pa, step_s), node_pa
     )
 
 
@@ -301,10 +314,7 @@ def stop_at_balance(
         return next_pa, False
     source_pa = p.paper.atmospheric_pressure_pa
     if open_to.tank_m2 > 0.0:
-        kept = kept_share(p.effects.supply_droop, step_s)
-        source_pa = p.tank_pa
-        if p.effects.supply_droop.resistance_pa_s_per_kg > 0.0:
-            source_pa = kept * air.supply_pa + (1.0 - kept) * p.tank_pa
+        source_pa = rest_supply_pa(p, air, step_s)
     if (pressure_pa - source_pa) * (next_pa - source_pa) < 0.0:
         return source_pa, True
     return next_pa, next_pa == source_pa
@@ -346,10 +356,10 @@ def chamber_step(
     """Advance the muscle's absolute pressure, the supply and the line by one midpoint step."""
     open_to, half_s = port_areas(p, opening_v), 0.5 * step_s
     fed_by = solve_feed(p, air, open_to, pressure_pa, middle_pa, half_s)
-    supply_pa = advance_supply_pa(p, air, open_to, fed_by, step_s)
+    supply_pa, branch_pa = advance_supply(p, air, open_to, fed_by, step_s)
     if balanced:
         # See `pressure_step`: the flow ends within this step.
-        return middle_pa, AirState(supply_pa, middle_pa)
+        return middle_pa, AirState(supply_pa, middle_pa, branch_pa)
     leak = leak_flow(p, middle_pa)
     worth = polytropic_slope(p.effects.polytropic, air_volume_m3(p, middle_m, middle_pa))
     end_pa, line_pa = fill_chamber(
@@ -362,23 +372,31 @@ def chamber_step(
     elif p.effects.line_restriction.volume_m3 <= 0.0:
         # Without a volume the line's end follows the flow at the end of the step, not the middle's.
         line_pa = solve_feed(
-            p, AirState(supply_pa, line_pa), open_to, end_pa, end_pa, half_s
+            p, AirState(supply_pa, line_pa, branch_pa), open_to, end_pa, end_pa, half_s
         ).node_pa
-    return end_pa, AirState(supply_pa, line_pa)
+    return end_pa, AirState(supply_pa, line_pa, branch_pa)
 
 
-def advance_supply_pa(
+def advance_supply(
     p: AirParameters, air: AirState, open_to: Ports, fed_by: MuscleFeed, step_s: float
-) -> float:
-    """Return the supply's pressure after a step with the flow of the step's middle."""
+) -> tuple[float, float]:
+    """Return the supply's pressure after a step with the flow of the step's middle.
+
+    The second is by how much the fast branch lowers it.
+    """
     droop = p.effects.supply_droop
     if droop.resistance_pa_s_per_kg <= 0.0:
-        return p.tank_pa
+        return p.tank_pa, 0.0
     kept, given = kept_share(droop, step_s), 0.0
     if open_to.tank_m2 > 0.0:
         given = open_to.tank_m2 * port_flow(p, fed_by.supply_pa, fed_by.node_pa)
-    refilled_pa: float = p.tank_pa - droop.resistance_pa_s_per_kg * given
-    return kept * air.supply_pa + (1.0 - kept) * refilled_pa
+    dropped_pa = droop.resistance_pa_s_per_kg * given
+    refilled_pa: float = p.tank_pa - (1.0 - droop.fast_share) * dropped_pa
+    supply_pa = kept * air.supply_pa + (1.0 - kept) * refilled_pa
+    if droop.fast_share <= 0.0:
+        return supply_pa, 0.0
+    kept = kept_of_branch(droop, step_s)
+    return supply_pa, kept * air.branch_pa + (1.0 - kept) * droop.fast_share * dropped_pa
 
 
 def pressure_behind_line_pa(

@@ -233,6 +233,8 @@ def drive_mechanics(
 
 def _interpolate(ends_s: Array, samples_s: Array, values: Array) -> Array:
     """Return a signal at the ends of the steps; a fit drives one record hundreds of times."""
+    if ends_s is samples_s:
+        return values
     made_from = (ends_s, samples_s, values)
     made = lambda: (np.interp(ends_s, samples_s, values),)  # noqa: E731
     return _INTERPOLATED.recall(tuple(map(id, made_from)), made_from, made)[0]
@@ -270,6 +272,15 @@ def select_mechanics_numbers(p: PlantParameters) -> PlantParameters:
     )
     effects = p.effects._replace(timing=_NEUTRAL.timing, valve=_NEUTRAL.valve, air=_NEUTRAL.air)
     return p._replace(paper=paper, effects=effects, valve_acts=False, air_acts=False)
+
+
+@lru_cache(maxsize=64)
+def without_pressure_offset(p: PlantParameters) -> PlantParameters:
+    """Return the plant with a right zero of the pressure sensor; it must have no terms."""
+    neutral = _NEUTRAL.sensors
+    sensors = p.effects.sensors._replace(pressure_sensor_offset=neutral.pressure_sensor_offset)
+    effects = p.effects._replace(sensors=sensors)
+    return p._replace(effects=effects, sensors_act=sensors != neutral)
 
 
 _PLANT = parameters_of({})
@@ -520,7 +531,9 @@ def build_grid(
     step_s = np.repeat(parts_s / counts, counts)
     first = np.concatenate([[0], np.cumsum(counts)])[begins]
     acting = np.repeat(acting, counts)
-    return SampleGrid(samples_s, acts_s, held_v, acting, first, step_s, _accumulate_times(step_s))
+    is_whole = len(step_s) == len(intervals)  # one step from each sample to the next
+    ends_s = samples_s if is_whole else _accumulate_times(step_s)
+    return SampleGrid(samples_s, acts_s, held_v, acting, first, step_s, ends_s)
 
 
 def find_period_s(intervals_s: Array) -> float:

@@ -22,6 +22,7 @@ from pamctl.plant.chains import (
     pass_friction,
     pass_pulling_pressure,
 )
+from pamctl.plant.effects.friction.position_friction import position_factor
 from pamctl.plant.effects.friction.presliding import (
     SlipEnd,
     bristle_damping,
@@ -123,6 +124,7 @@ def mechanism_forces(
         pull_n = pulling_pa * pull_area_m2(p, position_m, gauge_pa)
         lever_m = braid_lever_m(p.paper, position_m)
         grip = p.paper.friction_area_m * pressing_pa * drift_factor(e.drift.friction_per_s, age_s)
+        grip *= position_factor(e.position_friction, position_m)
         grip = pass_grip_term(p.terms, grip, position_m, velocity_m_per_s, gauge_pa, age_s)
     stiffness = p.paper.stiffness_n_per_m * drift_factor(e.drift.stiffness_per_s, age_s)
     drive_n = pull_n + p.extra_n - stiffness * position_m

@@ -14,7 +14,8 @@ from pamctl.plant.chains import (
     make_rest_memories,
 )
 from pamctl.plant.correction_tables import Correction
-from pamctl.plant.terms.air_terms import pass_supply_term
+from pamctl.plant.effects.air.supply_ripple import ripple_pa
+from pamctl.plant.terms.air_terms import LOWEST_SUPPLY_PA, pass_supply_term
 from pamctl.plant.terms.mechanics_terms import add_force_term
 from pamctl.plant.terms.operators import TermMemory, Terms
 
@@ -100,7 +101,8 @@ def take_air_parameters(
     p: PlantParameters, extra_kg_per_s: float, age_s: float = 0.0
 ) -> AirParameters:
     """Return the parameters of the air's part of a step."""
-    tank_pa = pass_supply_term(p.terms, p.paper.tank_pressure_pa, age_s)
+    tank_pa = p.paper.tank_pressure_pa + ripple_pa(p.effects.air.supply_ripple, age_s)
+    tank_pa = pass_supply_term(p.terms, max(tank_pa, LOWEST_SUPPLY_PA), age_s)
     return AirParameters(p.paper, p.effects.air, extra_kg_per_s, tank_pa, p.terms)
 
 
@@ -130,9 +132,11 @@ class AirState(NamedTuple):
     """State of the air upstream of the muscle."""
 
     supply_pa: float = nan
-    """Pressure upstream of the valve."""
+    """Pressure upstream of the valve; of a supply with two branches, of the slow one."""
     line_pa: float = nan
     """Pressure at the line's valve end, where the sensor is; without a line, in the muscle."""
+    branch_pa: float = 0.0
+    """By how much a supply's fast branch lowers the pressure."""
 
 
 class MechanicsState(NamedTuple):

@@ -181,12 +181,12 @@ class _Deaths:
 
 
 def read_ending(loop: subprocess.Popen[bytes]) -> Ending:
-    """Return what an ended loop process reports, or how it died."""
+    """Return what a dead loop process said last, or how it died."""
     said, _ = loop.communicate()
     try:
-        report = json.loads(said)
+        report = json.loads(said.splitlines()[-1])
         return Ending(ExitCode(report["code"]), report["reason"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, IndexError):
         code = loop.returncode
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"left with {code}"
         return Ending(ExitCode.UNEXPECTED, f"the loop process {how}")

@@ -75,11 +75,14 @@ class Guardianship:
         return None if self._process is None else self._process.pid
 
     def judge_ending(self, ending: Ending) -> Ending:
-        """Return how the run of a dead loop ended, the valve included."""
+        """Return how the run of a dead loop ended, the valve included.
+
+        A loop that had to be killed while it released its device has told its ending before.
+        """
         if not self._process:
             return ending
         if self._reason:
-            ending = ending._replace(reason=self._reason)
+            ending = ending._replace(reason=_join_reasons(ending, self._reason))
         noticed_ns = time.monotonic_ns()
         report = self._await_report(self._process)
         if not report:
@@ -141,16 +144,20 @@ def _spawn(command: Sequence[str]) -> subprocess.Popen[bytes]:
 
 
 def _ending_of_takeover(takeover: Takeover, ending: Ending, who: str = "the guardian") -> Ending:
-    reason = takeover.reason or ending.reason
+    # The front's own reason is in the ending already.
+    fault = "" if takeover.reason in ending.reason else takeover.reason
+    reason = _join_reasons(ending, fault)
+    code = ending.code or ExitCode.UNEXPECTED  # a loop that leaves its valve is no success
     if takeover.failure:
-        return Ending(_worse_code(ending), _alarm_text(reason, takeover.failure))
+        return Ending(code, _alarm_text(reason, takeover.failure))
     done = f"{who} drove the safe voltage {takeover.latency_ms:.1f} ms later"
-    return Ending(ExitCode.UNEXPECTED, f"{reason}; {done}")
+    return Ending(code, f"{reason}; {done}")
 
 
-def _worse_code(ending: Ending) -> ExitCode:
-    """An output that is not safe is never a success."""
-    return ending.code or ExitCode.UNEXPECTED
+def _join_reasons(ending: Ending, fault: str) -> str:
+    """Return why a run ended: what the loop told of itself, then the fault it was killed for."""
+    has_told = ending.code not in (ExitCode.OK, ExitCode.UNEXPECTED)
+    return "; ".join(filter(None, (ending.reason, fault))) if has_told else fault or ending.reason
 
 
 def _alarm_text(reason: str, failure: str) -> str:

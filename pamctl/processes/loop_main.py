@@ -1,7 +1,8 @@
 """The loop process: `python -m pamctl.processes.loop_main RING [FD]`, started by the front.
 
 All it needs is in the ring's meta; marks come from the slot for orders in `FD`. The end of its
-standard input is the front's death. Its standard output is one JSON line: how the run ended.
+standard input is the front's death. It says in JSON lines on standard output how the run ends:
+once when the valve is safe, and once when all is done. The last line counts.
 """
 
 from __future__ import annotations
@@ -50,11 +51,16 @@ def main() -> NoReturn:
 
 
 def report_and_exit(ending: Ending) -> NoReturn:
-    """Tell the parent in one JSON line how the run ended, and exit."""
+    """Tell the parent how the run ended, and exit."""
+    tell_parent(ending)
+    sys.exit(int(ending.code))
+
+
+def tell_parent(ending: Ending) -> None:
+    """Tell the parent in one JSON line how the run ends."""
     # The parent may be dead.
     with suppress(BrokenPipeError):
         print(json.dumps({"code": int(ending.code), "reason": ending.reason}), flush=True)
-    sys.exit(int(ending.code))
 
 
 def run_to_ending(work: Callable[[], Ending]) -> Ending:
@@ -120,6 +126,7 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
             opened=partial(free_foreign_threads, preparation),
             tick=tick,
             many=many,
+            ended=tell_parent,
         )
 
 

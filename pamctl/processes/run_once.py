@@ -221,11 +221,12 @@ def _compute_figures(
     settings: RunSettings, names: dict[str, str], path: Path, ending: Ending
 ) -> tuple[dict[str, Any], str]:
     # Slow imports: a run does not wait for them before its first tick.
-    from pamctl.log.reader import LogError, read
-    from pamctl.report.run_figures import format_run_summary, summarise_run
+    from pamctl.log.reader import LogError, read_some
+    from pamctl.log.schema import TICK_TOPIC
+    from pamctl.report.run_figures import FIGURE_FIELDS, format_run_summary, summarise_run
 
     try:
-        log = read(path)
+        log = read_some(path, FIGURE_FIELDS, TICK_TOPIC)
     except LogError as error:
         return {"log_error": str(error)}, f"error: {error}"
     if not len(log):
@@ -234,10 +235,11 @@ def _compute_figures(
     text = format_run_summary(figures, settings.controller.law)
     if ending.code in (ExitCode.SAFETY_TRIP, ExitCode.OVERRUNS):
         from pamctl.log.flight import dump_last_seconds
+        from pamctl.log.paging.read_paged import read_paged
         from pamctl.new_file import NewFileError
 
         try:
-            figures["flight_record"] = str(dump_last_seconds(log))
+            figures["flight_record"] = str(dump_last_seconds(read_paged(path)))
             text += f"\nlast two seconds: {figures['flight_record']}"
         except NewFileError as error:
             text += f"\nno table of the last two seconds: {error}"

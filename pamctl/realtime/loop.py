@@ -18,7 +18,6 @@ from hal.rig import RawSample, Rig, RigError, open_rig
 from pamctl.control.homing import HomingError
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime.clock import Clock, Wake
-from pamctl.realtime.keyframe import freeze_state
 from pamctl.realtime.tick import TickSetup, first_state, rezero_state
 from pamctl.realtime.tick_path import PlainTick, RunningCourse, TickJournal, TickPath
 from pamctl.realtime.whole_tick import TickTimes
@@ -141,14 +140,16 @@ def run_loop(
     opened: Callable[[], Sequence[Mapping[str, object]]] = tuple,
     tick: TickPath | None = None,
     many: ManyTicks | None = None,
+    ended: Callable[[Ending], None] = lambda ending: None,
 ) -> Ending:
     """Run the program to its end; leave the rig safe and closed on every path.
 
     `nominal_zero` gives the sensors' zeros until homing finds better ones; `truth` is what
     a simulated plant knows. Without a `helm` the set-up stays as it is. `opened` is called once,
     right after the rig is open, and returns events for the log. `tick` runs the ticks; by default
-    plain Python does. `many` runs those that nothing interrupts. `RigError`, a safety
-    trip and a failed homing become the ending. Anything else is an error in pamctl and is raised.
+    plain Python does. `many` runs those that nothing interrupts. `ended` is told the ending as
+    soon as the valve is safe: to release a device may take seconds. `RigError`, a safety trip and
+    a failed homing become the ending. Anything else is an error in pamctl and is raised.
     """
     try:
         with open_rig(rig):
@@ -172,15 +173,19 @@ def run_loop(
                 many,
             )
             try:
-                return loop.run()
+                ending = loop.run()
+            except HomingError as error:
+                ending = Ending(ExitCode.SAFETY_TRIP, str(error))
+            except RigError as error:
+                ending = Ending(ExitCode.UNAVAILABLE, str(error))
             finally:
                 # In this order: until the valve is safe, the guardian counts milliseconds.
                 rig.make_safe()
                 journal.end_ticks()
+            ended(ending)
+            return ending
     except RigError as error:
         return Ending(ExitCode.UNAVAILABLE, str(error))
-    except HomingError as error:
-        return Ending(ExitCode.SAFETY_TRIP, str(error))
 
 
 _ENDED = Ending(ExitCode.OK, "the program ended")
@@ -230,7 +235,7 @@ class _Loop:
         tick, decision = self.tick, self.tick.decision
         # The last tick of each thousand, or the first one after it if that was missed.
         if (at + 1) % KEYFRAME_TICKS <= missed:
-            self.journal.put_keyframe(at, raw.encoder_t_ns, freeze_state(tick.state))
+            self.journal.put_keyframe(at, raw.encoder_t_ns, tick.frozen)
         if decision.tripped:
             return self._end_tripped(at, raw, decision)
         # The abort is read first. Two signals between the two reads are then a stop in this

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Protocol
@@ -20,17 +20,17 @@ from pamctl.compiled_ahead.library import KernelLibrary
 from pamctl.control.course import Course
 from pamctl.control.course_table import NO_COURSE, CoursePlace
 from pamctl.realtime.clock import Wake
+from pamctl.realtime.keyframe import freeze_state
 from pamctl.realtime.tick import TickSetup, TickState, first_state, step
 from pamctl.realtime.tick_words import (
     OUTCOME_AT,
-    RECORDED,
     TABLE_BYTES,
     Answered,
     Sensed,
     TickWords,
 )
 from pamctl.realtime.whole_tick import TickTimes, make_timing
-from pamctl.recording.ring import ROW_BYTES, ROW_HEADER, tick_struct
+from pamctl.recording.ring import ROW_BYTES, ROW_HEADER, RowKind, tick_struct
 from pamctl.signals import Decision, Reference, TickOutcome, TickRecord, Timing, Truth
 
 RunningCourse = tuple[Course, float]
@@ -84,6 +84,10 @@ class TickPath(Protocol):
         """The state after the last tick."""
 
     @property
+    def frozen(self) -> Sequence[float]:
+        """The numbers of the state, as `freeze_state` gives them."""
+
+    @property
     def times(self) -> TickTimes:
         """Where in time the loop is."""
 
@@ -131,6 +135,11 @@ class PlainTick:
     state: TickState
     output_v = math.nan
     follows = False
+
+    @property
+    def frozen(self) -> Sequence[float]:
+        """The numbers of the state."""
+        return freeze_state(self.state)
 
     def begin(self, state: TickState, times: TickTimes) -> None:
         """Begin before the first tick, or afresh with another state."""
@@ -205,6 +214,9 @@ class CompiledTick:
         self._put_sensed = struct.Struct("<qqqqdqqq").pack_into
         self._sensed_at = words.sensed.begin * WORD_BYTES
         self._get_answer = struct.Struct("<qd").unpack_from
+        # Other numbers of the answer are read without the whole of it: every tick needs them.
+        self._get_timing = struct.Struct("<qdddq").unpack_from
+        self._timing_at = (words.answered.begin + 2) * WORD_BYTES
         self._get_decision = struct.Struct("<dqq").unpack_from
         self._answer_at = words.answered.begin * WORD_BYTES
         self._decision_at = (words.answered.end - len(Decision._fields)) * WORD_BYTES
@@ -215,6 +227,7 @@ class CompiledTick:
         self._course: Course | None = None
         self.follows = False
         """The next tick follows the course that the table has."""
+        self._wake = Wake(0, 0, 0, 0)
         self._understudy: CompiledTick | None = None
         self.output_v = math.nan
 
@@ -232,7 +245,7 @@ class CompiledTick:
     @property
     def timing(self) -> Timing:
         """The time of the last tick."""
-        return self._layout.answered.read(self.words).timing
+        return Timing(*self._get_timing(self.words, self._timing_at))
 
     @property
     def reference(self) -> Reference:
@@ -249,6 +262,11 @@ class CompiledTick:
     def state(self) -> TickState:
         """The state after the last tick."""
         return self._layout.state.read(self.words)
+
+    @property
+    def frozen(self) -> Sequence[float]:
+        """The numbers of the state."""
+        return [*map(float, self._layout.state.read_numbers(self.words))]
 
     # --- the next tick -----------------------------------------------------------------
 
@@ -279,8 +297,11 @@ class CompiledTick:
         self.follows = True
 
     def fits(self, setup: TickSetup) -> bool:
-        """Tell whether the law is the one that the machine code was built for."""
-        return type(setup.gains) is type(self._setup.gains)
+        """Tell whether law and compensation are those that the machine code was built for."""
+        built = self._setup
+        return type(setup.gains) is type(built.gains) and (
+            (setup.compensation is None) == (built.compensation is None)
+        )
 
     def _use(self, setup: TickSetup) -> None:
         if setup is not self._setup:
@@ -293,6 +314,7 @@ class CompiledTick:
 
     def _run_native(self, wake: Wake, raw: RawSample) -> bool:
         words = self.words
+        self._wake = wake
         self._put_sensed(words, self._sensed_at, *wake, *raw)
         if self._native(*self._arguments):
             return False
@@ -322,12 +344,10 @@ class CompiledTick:
         self.output_v = plain.output_v
         answered = Answered(True, plain.output_v, timing, reference, plain.decision)
         self._layout.answered.write(words, answered)
+        packed = tick_struct(self._layout.fields)
+        ROW_HEADER.pack_into(self._row, 0, RowKind.TICK, packed.size, timing.tick, raw.encoder_t_ns)
         columns = chain(*plain.make_record(_NO_OUTCOME, _UNKNOWN))
-        packed = tick_struct(RECORDED)
-        packed.pack_into(
-            self._row, ROW_HEADER.size, *(part for part, _ in zip(columns, RECORDED, strict=False))
-        )
-        struct.pack_into("<qq", self._row, 8, timing.tick, raw.encoder_t_ns)
+        packed.pack_into(self._row, ROW_HEADER.size, *columns)
 
     def rehearse(self, ask: AskAgain, journal: TickJournal) -> None:
         """Run the last tick once more and forget it: another of this kind runs it."""
@@ -349,7 +369,7 @@ class CompiledTick:
     def record(self, journal: TickJournal, outcome: TickOutcome, truth: Truth) -> None:
         """Put the last tick into the journal."""
         self._put_outcome(self._row, OUTCOME_AT, *outcome, *truth)
-        wake = self._sensed.wake
+        wake = self._wake
         journal.put_row(self._row, (wake.now_ns - wake.deadline_ns) * 1e-9, wake.missed)
 
 

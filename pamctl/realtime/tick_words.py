@@ -19,7 +19,7 @@ from pamctl.realtime.clock import Wake
 from pamctl.realtime.tick import TickSetup, TickState, first_state
 from pamctl.realtime.whole_tick import TickTimes
 from pamctl.recording.ring import ROW_HEADER, RowKind, tick_struct
-from pamctl.signals import TICK_FIELDS, Decision, Field, Reference, Timing
+from pamctl.signals import TICK_FIELDS, Decision, Field, Reference, Timing, list_tick_fields
 
 
 class Sensed(NamedTuple):
@@ -42,12 +42,11 @@ class Answered(NamedTuple):
 _REFERENCE = Reference(0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _SENSED = Sensed(Wake(0, 0, 0, 0), RawSample(0.0, 0, 0, 0))
 _ANSWERED = Answered(False, 0.0, Timing(0, 0.0, 0.0, 0.0, 0), _REFERENCE, Decision(0.0, 0, False))
-RECORDED: tuple[Field, ...] = tuple(
-    field for field in TICK_FIELDS if field.stage not in ("outcome", "truth")
+_KNOWN_LATER = ("outcome", "truth")
+OUTCOME_AT = (
+    ROW_HEADER.size + tick_struct([f for f in TICK_FIELDS if f.stage not in _KNOWN_LATER]).size
 )
-"""The columns of a row that the tick's machine code writes; the others follow them."""
-OUTCOME_AT = ROW_HEADER.size + tick_struct(RECORDED).size
-"""Where in a row the outcome begins."""
+"""Where in a row the outcome begins, with the truth after it."""
 
 
 TABLE_BYTES = 1024 * 8 * SEGMENT_WORDS
@@ -59,6 +58,8 @@ class TickWords:
 
     def __init__(self, setup: TickSetup) -> None:
         """Lay out for set-ups like this one. Raises `NotFlat`."""
+        self.fields = list_tick_fields(setup.compensation is not None)
+        """The columns of a row."""
         self.setup: Block[TickSetup] = Block(setup, 0)
         self.state: Block[TickState] = Block(first_state(setup, Zero(0.0, 0.0)), self.setup.end)
         self.times: Block[TickTimes] = Block(TickTimes(0, 0), self.state.end)
@@ -80,7 +81,7 @@ class TickWords:
             "if not done.is_done:",
             "    return",
             *self.write_results(),
-            *write_row(RECORDED, {"raw": "raw"}),
+            *write_row(self.fields, {"raw": "raw"}),
         ]
         source = "def glue(ints, floats, row, table):\n" + indent("\n".join(lines), "    ") + "\n"
         return source, {name: kind for kind, name in types.items()}
@@ -106,16 +107,18 @@ _STAGES = {
     "estimate": "done.state.estimate",
     "command": "done.state.command",
     "decision": "done.decision",
+    "compensation": "done.state.compensated",
 }
 
 
 def write_row(fields: Sequence[Field], others: Mapping[str, str], base: str = "") -> list[str]:
     """Write the lines that fill a row of the ring, byte for byte as `Ring.put_tick` does.
 
-    `others` names the stages that are not in `done`; the row begins at the byte `base`.
+    `others` names stages that are not in `done`; the others of `fields` are left as they are. The
+    row begins at the byte `base`.
     """
     stages = {**_STAGES, **others}
-    kind_and_size = RowKind.TICK | tick_struct(TICK_FIELDS).size << 32
+    kind_and_size = RowKind.TICK | tick_struct(fields).size << 32
     lines = [
         f"put_int(row, {base}0, {kind_and_size})",
         f"put_int(row, {base}8, done.timing.tick)",
@@ -124,6 +127,7 @@ def write_row(fields: Sequence[Field], others: Mapping[str, str], base: str = ""
     at = ROW_HEADER.size
     for field in fields:
         put, size = _PUT[field.kind]
-        lines.append(f"{put}(row, {base}{at}, {stages[field.stage]}.{field.name})")
+        if field.stage in stages:
+            lines.append(f"{put}(row, {base}{at}, {stages[field.stage]}.{field.name})")
         at += size
     return lines

@@ -221,7 +221,9 @@ class Ring:
     guardian_lost = _Word(49)
     """Not zero once the guardian is dead or frozen. Written by the front."""
 
-    def __init__(self, path: Path, fd: int, *, populate: bool = True) -> None:
+    def __init__(
+        self, path: Path, fd: int, *, populate: bool = True, writable: bool = True
+    ) -> None:
         """Map the ring behind `fd`, which this object owns from now on.
 
         Without `populate` the caller goes through `populate_in_steps` before it puts rows.
@@ -229,7 +231,12 @@ class Ring:
         self.path = path
         self._fd = fd
         self._barrier = barrier_of_this_machine()
-        self._map = mmap.mmap(fd, 0, flags=mmap.MAP_SHARED | (mmap.MAP_POPULATE if populate else 0))
+        self._map = mmap.mmap(
+            fd,
+            0,
+            flags=mmap.MAP_SHARED | (mmap.MAP_POPULATE if populate else 0),
+            prot=mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0),
+        )
         self._buffer = memoryview(self._map)
         self._check_header()
         self._words = self._buffer[:HEADER_BYTES].cast("Q")
@@ -274,6 +281,19 @@ class Ring:
             fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
             with _close_on_error(fd):
                 return cls(Path(path), fd, populate=populate)
+
+    @classmethod
+    def watch(cls, path: str | Path) -> Ring:
+        """Map an existing ring for reading only; raise RingError as `attach` does."""
+        with _explain_errors(f"cannot look into the ring {path}"):
+            fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+            with _close_on_error(fd):
+                return cls(Path(path), fd, populate=False, writable=False)
+
+    def admit_readers(self, group: int) -> None:
+        """Let the members of a group, by its number, read this ring; nobody else may write."""
+        os.fchown(self._fd, -1, group)
+        os.fchmod(self._fd, 0o640)
 
     def populate_in_steps(self, step_bytes: int = _POPULATE_BYTES) -> Iterator[None]:
         """Touch every page: the first write to a mapped page would fault within a tick."""

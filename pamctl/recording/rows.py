@@ -57,7 +57,8 @@ class RowLogger:
         self._writer.end_chunk()
 
     def _write_ticks(self, rows: NDArray[Any]) -> None:
-        rows = rows[rows["tick"] > self.last_tick]
+        is_new = rows["tick"] > self.last_tick
+        rows = rows if is_new.all() else rows[is_new]
         messages = make_message_records(
             self._layout.encode(rows["columns"]),
             np.maximum(rows["t_ns"] + self._wall_less_mono, 0),

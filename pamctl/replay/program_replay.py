@@ -19,7 +19,7 @@ from pamctl.control.homing import HomingError
 from pamctl.realtime.program import Program
 from pamctl.replay.course_kernel import trace_course
 from pamctl.replay.differences import find_differing
-from pamctl.replay.replay_source import ReplaySource
+from pamctl.replay.replay_source import LONGEST_STRETCH, ReplaySource
 from pamctl.settings.build import build_ordered_program, build_program, nominal_zero_of
 from pamctl.signals import Phase, Reference
 
@@ -125,8 +125,8 @@ class ProgramReplay:
         program = build_ordered_program(
             self._recording.settings, self._recording.orders[ordered_at]
         )
-        if ordered_at < begin:
-            self._ask_tick_by_tick(program, ordered_at, begin)
+        for start in range(ordered_at, begin, LONGEST_STRETCH):
+            self._ask_tick_by_tick(program, start, min(start + LONGEST_STRETCH, begin))
         return program
 
     def _ask_tick_by_tick(self, program: Program, begin: int, end: int) -> ProgramAnswer:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
-
 from hal.backend import find_backends
 from hal.calibration import Zero
 from pamctl.control.law import LawSettings
@@ -35,8 +33,7 @@ def read_replay_source(log: Log) -> ReplaySource:
     if not len(log):
         raise NotReplayable(f"{log.path} holds no ticks")
     _require_columns(log)
-    ticks = log["tick"]
-    if np.any(np.diff(ticks) <= 0):
+    if not log.grid.is_rising:
         raise NotReplayable(
             f"the ticks of {log.path} are not in order; see `pamctl log check {log.path}`"
         )
@@ -147,16 +144,9 @@ def _index_by_tick(log: Log, messages: Iterable[dict[str, Any]]) -> dict[int, di
 
     The frozen state at the start of an ordered run belongs to the tick before the log: place -1.
     """
-    ticks = log["tick"]
-    before = int(ticks[0]) - 1 - int(log["missed"][0])
-    found = {
-        -1 if m["tick"] == before else int(np.searchsorted(ticks, m["tick"])): m for m in messages
-    }
-    return {
-        at: message
-        for at, message in found.items()
-        if at < 0 or (at < len(ticks) and ticks[at] == message["tick"])
-    }
+    before = log.grid.first_tick - 1 - log.grid.missed_first
+    found = {-1 if m["tick"] == before else log.grid.find(m["tick"]): m for m in messages}
+    return {at: message for at, message in found.items() if at is not None}
 
 
 def _read_gain_changes(log: Log) -> tuple[GainChange, ...]:
@@ -179,7 +169,7 @@ def _read_orders(log: Log) -> dict[int, Mapping[str, Any]]:
 
 def _find_tick_after(log: Log, message: Mapping[str, Any]) -> int:
     """Return the first tick after the tick of a message."""
-    return int(np.searchsorted(log["tick"], message["tick"], side="right"))
+    return log.grid.find_from(message["tick"] + 1)
 
 
 def _read_controller(log: Log, message: Mapping[str, Any]) -> LawSettings:
@@ -209,9 +199,8 @@ def _read_keyframes(log: Log, settings: RunSettings) -> dict[int, TickState]:
 
 
 def _find_losses(log: Log, *, begins_known: bool) -> frozenset[int]:
-    gaps = np.diff(log["tick"]) - 1 != log["missed"][1:]
-    lost = set((np.flatnonzero(gaps) + 1).tolist())
-    return frozenset(lost | ({0} if log["tick"][0] != 0 and not begins_known else set()))
+    lost_first = log.grid.first_tick != 0 and not begins_known
+    return frozenset(log.grid.losses | ({0} if lost_first else set()))
 
 
 def find_absent_fields(log: Log) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +21,9 @@ from pamctl.realtime.tick import TickSetup, TickState, first_state, rezero_state
 from pamctl.replay.tick_kernel import TickInputs, slice_inputs
 from pamctl.settings.build import build_tick_setup, output_of
 from pamctl.settings.resolve import RunSettings
+
+LONGEST_STRETCH = 1 << 13
+"""Ticks that are replayed at once: as many as memory holds easily, in a log of any length."""
 
 
 class NotReplayable(Exception):
@@ -84,6 +88,7 @@ class ReplaySource:
         after_keyframes = {tick + 1 for tick in self.keyframes}
         cuts = {*self.zeros, *self.losses, *after_keyframes, *self.orders, begin, len(self)}
         cuts.update(*(self._find_ramp(change) for change in self.changes))
+        cuts.update(range(begin, len(self), LONGEST_STRETCH))
         return list(pairwise(sorted(cut for cut in cuts if begin <= cut <= len(self))))
 
     def state_at(self, tick: int, after_last: TickState | None) -> TickState | None:
@@ -104,9 +109,16 @@ class ReplaySource:
 
         Rounding may end the ramp a tick later than the sum of its times says.
         """
-        times_s = self.log.t
-        end = int(np.searchsorted(times_s, change.from_t_s + change.ramp_s))
+        end = self._find_time(change.from_t_s + change.ramp_s, change.tick)
         return range(change.tick, min(end + 2, len(self)))
+
+    def _find_time(self, t_s: float, begin: int) -> int:
+        """Return the first tick from `begin` on that is not before `t_s`."""
+        for start in range(begin, len(self), LONGEST_STRETCH):
+            times_s = self.log.t[start : start + LONGEST_STRETCH]
+            if times_s[-1] >= t_s:
+                return start + int(np.searchsorted(times_s, t_s))
+        return len(self)
 
     def setup_at(self, tick: int) -> TickSetup:
         """Return the setup of a tick; on a ramp it applies to this tick only."""
@@ -148,4 +160,6 @@ class ReplaySource:
                 f"{self.log.path} has no frozen state that this version can read; "
                 "replay it from the beginning"
             )
-        return max((tick for tick in self.keyframes if times_s[tick] <= t_s), default=-1)
+        known = sorted(tick for tick in self.keyframes if tick >= 0)
+        after = bisect_right(known, t_s, key=lambda tick: float(times_s[tick]))
+        return known[after - 1] if after else -1

@@ -7,12 +7,11 @@ not how well it would have tracked: for that, run it.
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +36,7 @@ from pamctl.signals import Phase
 Floats = NDArray[np.float64]
 
 _COMMAND = [field.name for field in REPLAYED_FIELDS].index("command_v")
+_LOGGED = ("t_s", "phase", "command_v", "saturated")
 _SATURATED = [field.name for field in REPLAYED_FIELDS].index("saturated")
 
 
@@ -102,7 +102,7 @@ def run_what_if(log: Log, settings: RunSettings, *, from_s: float | None = None)
     recording = read_replay_source(log)
     begin = 0 if from_s is None else recording.find_tick_before(from_s) + 1
     setup = build_tick_setup(settings)
-    rows = np.full((2, len(recording)), math.nan)
+    parts: list[tuple[NDArray[Any], ...]] = []
     after: TickState | None = recording.keyframes.get(begin - 1)
     for start, end in recording.cut_stretches(begin):
         state = recording.state_at(start, after)
@@ -114,23 +114,29 @@ def run_what_if(log: Log, settings: RunSettings, *, from_s: float | None = None)
         after, stretch = replay_stretch(
             setup, recording.output, state, recording.inputs(start, end)
         )
-        rows[:, start:end] = stretch[[_COMMAND, _SATURATED]]
-    by_law = np.flatnonzero(np.isfinite(rows[0]) & np.isnan(log["reference_valve_v"]))
-    if not len(by_law):
+        others = stretch[[_COMMAND, _SATURATED]]
+        by_law = np.isfinite(others[0]) & np.isnan(log["reference_valve_v"][start:end])
+        logged = (log[name][start:end][by_law] for name in _LOGGED)
+        parts.append((start + np.flatnonzero(by_law), *logged, *others[:, by_law]))
+    if not any(len(part[0]) for part in parts):
         raise NotReplayable(
             f"{log.path} has no tick in which a law ran: there is nothing to compare"
         )
-    return _build_what_if(log, by_law, *rows[:, by_law])
+    return _build_what_if(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _build_what_if(
-    log: Log, ticks: NDArray[np.int64], other_v: Floats, saturated: Floats
+    ticks: NDArray[np.int64],
+    t_s: Floats,
+    phase: NDArray[np.int64],
+    logged_v: Floats,
+    logged_saturated: NDArray[np.bool_],
+    other_v: Floats,
+    saturated: Floats,
 ) -> WhatIf:
-    phase, logged_v = log["phase"][ticks], log["command_v"][ticks]
-    logged_saturated = log["saturated"][ticks]
     return WhatIf(
         ticks=ticks,
-        t_s=log.t[ticks],
+        t_s=t_s,
         phase=phase,
         logged_v=logged_v,
         other_v=other_v,

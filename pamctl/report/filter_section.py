@@ -8,7 +8,7 @@ import numpy as np
 
 from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.motion_section import MM, make_time_axis, mark_moments
+from pamctl.report.motion_section import MM, group_by_experiment, make_time_axis, plot_runs
 from pamctl.report.reported_run import ReportedRun
 from pamctl.report.summary_section import MICRO
 
@@ -22,23 +22,24 @@ def write_filtering(page: Page, runs: Sequence[ReportedRun]) -> None:
     if not filtering:
         return
     page.section("Filters")
-    plot = SvgPlot(
-        "Filtered minus raw displacement",
-        make_time_axis(filtering),
-        PlotAxis("LPF_1", "µm"),
-        height_px=120,
-    )
-    for colour, run in enumerate(filtering):
-        moved = _compute_shift_um(run)
-        label = run.name if len(filtering) > 1 else ""
-        plot.line(run.t_s[run.shown], moved[run.shown], label, colour=colour)  # type: ignore[index]
-    mark_moments([plot], filtering)
-    page.figure(
-        plot, caption="The difference that the filter makes to the displacement, lag included."
-    )
+    for group in group_by_experiment(filtering):
+        page.figure(
+            *plot_runs(group, _plot_shift),
+            caption="The difference that the filter makes to the displacement, lag included.",
+        )
     for run in filtering:
         if (close := _plot_close_look(run)) is not None:
             page.grid(*close, caption=_make_caption(run, alone=len(filtering) == 1))
+
+
+def _plot_shift(group: Sequence[ReportedRun]) -> SvgPlot:
+    axis = PlotAxis("LPF_1", "µm")
+    plot = SvgPlot("Filtered minus raw displacement", make_time_axis(group), axis, height_px=120)
+    for run in group:
+        moved = _compute_shift_um(run)
+        label = run.name if len(group) > 1 else ""
+        plot.line(run.t_s[run.shown], moved[run.shown], label, colour=run.colour)  # type: ignore[index]
+    return plot
 
 
 def _compute_shift_um(run: ReportedRun) -> np.ndarray | None:
@@ -66,10 +67,10 @@ def _plot_close_look(run: ReportedRun) -> list[SvgPlot] | None:
         return None
     middle_s = run.t_s[np.nanargmax(moved)]
     near = (np.abs(run.t_s - middle_s) <= CLOSE_S) & run.shown
-    t_s, axis = run.t_s[near], PlotAxis("time", "s", tight=True)
+    t_s, axis = run.t_s[near], PlotAxis(make_time_axis([run]).label, "s", tight=True)
     # Without the reference: the motion would hide a difference of micrometres.
     error_um = error_m[near] * MICRO
-    close = SvgPlot("Error, close", axis, PlotAxis("x \N{MINUS SIGN} x_D", "µm"))
+    close = SvgPlot("Error, close-up", axis, PlotAxis("x \N{MINUS SIGN} x_D", "µm"))
     close.line(t_s, error_um, "raw", colour=MUTED, step=True)
     close.line(t_s, error_um + moved_um[near], "after LPF_1")
     plots = [close]

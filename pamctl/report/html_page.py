@@ -1,4 +1,4 @@
-"""One HTML file that holds everything: no network, no script; light, dark and in print.
+"""One HTML file that holds everything: no network; light, dark and in print.
 
     page = Page("Run of qsmc", "tracking-2, 20 November")
     page.section("Tracking")
@@ -8,7 +8,8 @@
     page.fold("Configuration", text)
     Path("run.html").write_text(page.html(), encoding="utf-8")
 
-Every text is escaped, and loses its control characters.
+Every text is escaped, and loses its control characters. There is no script, unless the page is
+asked to be interactive: then its plots over time and frequency zoom, and have a cursor.
 """
 
 from __future__ import annotations
@@ -16,16 +17,19 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from pamctl.plain_text import clean_lines
 from pamctl.report.drawing.svg import SvgPlot, share_x_axis
 from pamctl.report.style import STYLE
 
-_NUMBER = re.compile(r"^[\s<>\N{MINUS SIGN}+-]*[\d.][\d\s.,e/:%x\N{MULTIPLICATION SIGN}+-]*$")
+_NUMBER = re.compile(
+    r"^[\s<>\N{MINUS SIGN}+-]*[\d.][\d\s.,e/:%x\N{MULTIPLICATION SIGN}+-]*( [µmk]?[mNVsPa/]+)?$"
+)
+_SHORT = 16
 _NO_NUMBER = ("", "-", "nan", "trips")
 _CODE = re.compile("`([^`]+)`")
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+_POLICY = ("default-src 'none'", "style-src 'unsafe-inline'")
 """The browser itself refuses to load or send anything."""
 
 
@@ -37,13 +41,19 @@ class Drawable(Protocol):
         ...
 
 
+class _Figure(NamedTuple):
+    plots: Sequence[Drawable]
+    under: str
+    is_grid: bool
+
+
 class Page:
     """A page, written from top to bottom."""
 
     def __init__(self, title: str, subtitle: str = "", *, numbered: bool = True) -> None:
         """`numbered` counts the figures; switch it off if they have numbers of their own."""
         self.title, self.subtitle = title, subtitle
-        self._body: list[str] = []
+        self._body: list[str | _Figure] = []
         self._sections: list[str] = []
         self._numbered, self._figures = numbered, 0
 
@@ -83,9 +93,10 @@ class Page:
     ) -> None:
         """Write a table; every row is as long as the header."""
         titled = f'<p class="caption">{escape(caption)}</p>' if caption else ""
-        # A column of numbers is right-aligned, with its heading and its dashes.
+        # A column of numbers is right-aligned, with its heading and its dashes; short texts do not
+        # break.
         columns = zip(*rows, strict=True) if rows else ([] for _ in header)
-        classes = [' class="num"' if _are_numbers(column) else "" for column in columns]
+        classes = [_classify_column(column) for column in columns]
         head = "".join(
             f'<th scope="col"{css}>{escape(cell)}</th>'
             for css, cell in zip(classes, header, strict=True)
@@ -107,12 +118,11 @@ class Page:
         """Write a figure of plots in a column, with one x axis unless `one_x` is false."""
         if one_x:
             share_x_axis(plots)
-        self._add_figure("".join(plot.html() for plot in plots), caption, "")
+        self._add_figure(plots, caption, is_grid=False)
 
     def grid(self, *plots: Drawable, caption: str = "") -> None:
         """Write a figure of plots in a row; on a narrow screen in a column."""
-        inside = "".join(plot.html() for plot in plots)
-        self._add_figure(f'<div class="grid2">{inside}</div>', caption, "")
+        self._add_figure(plots, caption, is_grid=True)
 
     def fold(self, heading: str, text: str) -> None:
         """Write a folded text, which opens on demand and in print."""
@@ -120,8 +130,8 @@ class Page:
             f"<details><summary>{escape(heading)}</summary><pre>{escape(text)}</pre></details>"
         )
 
-    def html(self) -> str:
-        """Return the whole file."""
+    def html(self, *, interactive: bool = False) -> str:
+        """Return the whole file. If `interactive`, its plots can be zoomed and have a cursor."""
         title = escape(self.title)
         links = "".join(
             f'<a href="#s{number}">{escape(heading)}</a>'
@@ -129,27 +139,54 @@ class Page:
         )
         contents = f"<nav>{links}</nav>" if len(self._sections) > 1 else ""
         under = f'<p class="subtitle">{escape(self.subtitle)}</p>' if self.subtitle else ""
-        return clean_lines(
+        zoomed: list[SvgPlot] = []
+        body = "\n".join(
+            part if isinstance(part, str) else _draw_figure(part, zoomed if interactive else None)
+            for part in self._body
+        )
+        policy, style, script = list(_POLICY), STYLE, ""
+        if zoomed:
+            from pamctl.report.interactive.embed_plots import embed_plots
+
+            embedded = embed_plots(zoomed)
+            policy.append(embedded.policy)
+            style, script = style + embedded.style, embedded.body
+        whole = clean_lines(
             '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+            f'<meta http-equiv="Content-Security-Policy" content="{"; ".join(policy)}">'
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
             '<meta name="color-scheme" content="light dark">'
-            f"<title>{title}</title><style>{STYLE}</style></head>\n<body><main>"
-            f"<header><h1>{title}</h1>{under}{contents}</header>\n"
-            + "\n".join(self._body)
-            + "\n</main></body></html>\n"
+            f"<title>{title}</title><style>{style}</style></head>\n<body><main>"
+            f"<header><h1>{title}</h1>{under}{contents}</header>\n{body}\n</main>"
         )
+        return f"{whole}{script}</body></html>\n"
 
-    def _add_figure(self, inside: str, caption: str, css: str) -> None:
+    def _add_figure(self, plots: Sequence[Drawable], caption: str, *, is_grid: bool) -> None:
         self._figures += 1
         number = f"<b>Figure {self._figures}.</b> " if self._numbered else ""
         under = f"<figcaption>{number}{escape(caption)}</figcaption>" if caption else ""
-        self._body.append(f'<figure class="{css}">{inside}{under}</figure>')
+        self._body.append(_Figure(plots, under, is_grid))
+
+
+def _draw_figure(figure: _Figure, zoomed: list[SvgPlot] | None) -> str:
+    """Return a figure as HTML; put its plots that a script may draw into `zoomed`, if given."""
+    parts = []
+    for plot in figure.plots:
+        drawn = plot.html()
+        if zoomed is not None and isinstance(plot, SvgPlot) and plot.can_be_zoomed:
+            drawn = f'<div data-plot="{len(zoomed)}">{drawn}</div>'
+            zoomed.append(plot)
+        parts.append(drawn)
+    inside = "".join(parts)
+    grid = f'<div class="grid2">{inside}</div>' if figure.is_grid else inside
+    return f"<figure>{grid}{figure.under}</figure>"
 
 
 def _format_inline(text: str) -> str:
     return _CODE.sub(r"<code>\1</code>", escape(text))
 
 
-def _are_numbers(column: Sequence[str]) -> bool:
-    return any(column) and all(cell in _NO_NUMBER or _NUMBER.match(cell) for cell in column)
+def _classify_column(column: Sequence[str]) -> str:
+    if any(column) and all(cell in _NO_NUMBER or _NUMBER.match(cell) for cell in column):
+        return ' class="num"'
+    return ' class="short"' if all(len(cell) <= _SHORT for cell in column) else ""

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from pamctl.control.law import Term
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.motion_section import MM, make_time_axis, mark_moments
+from pamctl.report.motion_section import (
+    MM,
+    group_by_experiment,
+    make_time_axis,
+    mark_moments,
+)
 from pamctl.report.reported_run import ReportedRun
 from pamctl.report.summary_section import MICRO
 
@@ -24,13 +31,16 @@ def write_law(page: Page, runs: Sequence[ReportedRun]) -> None:
     page.section("Law")
     _write_equations(page, lawful)
     surfaces = _plot_surfaces(lawful)
-    caption = "While tracking and resting; a run that came to neither is shown in its approach."
+    caption = (
+        "While tracking and resting; a run that came to neither is shown in its approach. The "
+        "stronger the colour, the more often the error was there, on a logarithmic scale."
+    )
     if surfaces:
         caption += (
             " On the sliding surface, where its value is 0, the error dies out as the law's poles "
             "say. The robust term works on the distance from the surface."
         )
-    page.grid(*surfaces, _plot_phase_plane(lawful), caption=caption)
+    page.grid(*surfaces, *_plot_phase_planes(lawful), caption=caption)
     _write_terms(page, lawful)
 
 
@@ -41,51 +51,56 @@ def _write_equations(page: Page, runs: Sequence[ReportedRun]) -> None:
 
 
 def _plot_surfaces(runs: Sequence[ReportedRun]) -> list[SvgPlot]:
-    """Draw one plot for each kind of surface that the laws of the runs have."""
-    plots: dict[Term, SvgPlot] = {}
-    for colour, run in enumerate(runs):
+    """Return a plot for each run whose law has a sliding surface."""
+    plots = []
+    for run in runs:
         term, s = run.law.terms.surface, run.column("surface_m_per_s2")
-        if term is None or s is None:
-            continue
-        if term not in plots:
+        if term is not None and s is not None:
             axis = PlotAxis(term.symbol, term.unit)
-            plots[term] = SvgPlot("Sliding surface", _ERROR, axis, height_px=260)
-        error_um = run.error_m[run.law_at_work] * MICRO  # type: ignore[index]
-        plots[term].curve(error_um, s[run.law_at_work], _label_run(runs, run), colour=colour)
-    for term, plot in plots.items():
-        plot.level(0.0, f"{term.symbol} = 0")
-    return list(plots.values())
+            plot = _plot_density("Sliding surface", runs, run, axis, s)
+            plots.append(plot.level(0.0, f"{term.symbol} = 0"))
+    return plots
 
 
-def _plot_phase_plane(runs: Sequence[ReportedRun]) -> SvgPlot:
-    plane = SvgPlot("Phase plane", _ERROR, PlotAxis("e'", "mm/s"), height_px=260)
-    for colour, run in enumerate(runs):
-        rate = run.column("error_rate_m_per_s", MM)
-        if rate is not None:
-            error_um = run.error_m[run.law_at_work] * MICRO  # type: ignore[index]
-            plane.curve(error_um, rate[run.law_at_work], _label_run(runs, run), colour=colour)
-    return plane
+def _plot_phase_planes(runs: Sequence[ReportedRun]) -> list[SvgPlot]:
+    axis, rates = PlotAxis("e'", "mm/s"), [run.column("error_rate_m_per_s", MM) for run in runs]
+    return [
+        _plot_density("Phase plane", runs, run, axis, rate)
+        for run, rate in zip(runs, rates, strict=True)
+        if rate is not None
+    ]
 
 
-def _label_run(runs: Sequence[ReportedRun], run: ReportedRun) -> str:
-    return run.name if len(runs) > 1 else ""
+def _plot_density(
+    title: str, runs: Sequence[ReportedRun], run: ReportedRun, axis: PlotAxis, values: np.ndarray
+) -> SvgPlot:
+    """Return how often the error and `values`, shape (n,), went together while the law worked."""
+    assert run.error_m is not None
+    plot = SvgPlot(f"{title}{_name_run(runs, run)}", _ERROR, axis, height_px=240)
+    error_um = run.error_m[run.law_at_work] * MICRO
+    return plot.density(error_um, values[run.law_at_work], colour=run.colour)
+
+
+def _name_run(runs: Sequence[ReportedRun], run: ReportedRun) -> str:
+    return f", {run.name}" if len(runs) > 1 else ""
 
 
 def _write_terms(page: Page, runs: Sequence[ReportedRun]) -> None:
-    plots = []
-    for run in runs:
-        equivalent, robust = run.column("equivalent_v"), run.column("robust_v")
-        if equivalent is None or robust is None:
-            continue
-        title = "Terms of the command" + (f", {run.name}" if len(runs) > 1 else "")
-        plot = SvgPlot(title, make_time_axis(runs), PlotAxis("u", "V"), height_px=150)
-        over, terms = run.t_s[run.law_at_work], run.law.terms
-        plot.line(over, equivalent[run.law_at_work], _name_term(terms.equivalent))
-        plot.line(over, robust[run.law_at_work], _name_term(terms.robust), colour=1)
-        mark_moments([plot], [run])
-        plots.append(plot)
-    if plots:
-        page.figure(*plots, caption="What the command is made of.")
+    for group in group_by_experiment(runs):
+        plots = []
+        for run in group:
+            equivalent, robust = run.column("equivalent_v"), run.column("robust_v")
+            if equivalent is None or robust is None:
+                continue
+            title = f"Terms of the command{_name_run(runs, run)}"
+            plot = SvgPlot(title, make_time_axis(group), PlotAxis("u", "V"), height_px=150)
+            over, terms = run.t_s[run.law_at_work], run.law.terms
+            plot.line(over, equivalent[run.law_at_work], _name_term(terms.equivalent))
+            plot.line(over, robust[run.law_at_work], _name_term(terms.robust), colour=1)
+            mark_moments([plot], run.moments)
+            plots.append(plot)
+        if plots:
+            page.figure(*plots, caption="What the command is made of.")
 
 
 def _name_term(term: Term) -> str:

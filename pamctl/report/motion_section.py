@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
+from pamctl.log.annotate.moments import Moment
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
 from pamctl.report.html_page import Page
 from pamctl.report.reported_run import ReportedRun, law_name, paper_rows
 from pamctl.report.summary_section import MICRO, rms_of_finite
@@ -16,9 +17,10 @@ KPA, MM = 1e-3, 1e3
 
 
 def make_time_axis(runs: Sequence[ReportedRun]) -> PlotAxis:
-    """Return the time axis of these runs."""
+    """Return the time axis of these runs: the same in every figure that shows them."""
     since = "time since homing" if any(run.has_homing for run in runs) else "time"
-    return PlotAxis(since, "s", tight=True)
+    ends_s = [float(run.t_s[run.shown][-1]) for run in runs if len(run)]
+    return PlotAxis(since, "s", low=0.0, high=max(ends_s, default=0.0) or None, tight=True)
 
 
 def write_motion(page: Page, runs: Sequence[ReportedRun]) -> None:
@@ -28,27 +30,43 @@ def write_motion(page: Page, runs: Sequence[ReportedRun]) -> None:
         if len(group) < len(runs):
             page.heading(", ".join(run.name for run in group))
         makers = (_plot_displacement, _plot_error, _plot_pressure, _plot_force, _plot_command)
-        plots = [plot for make in makers if (plot := make(group)) is not None]
+        plots = [plot for make in makers for plot in plot_runs(group, make)]
         if not plots:
             page.text("The log has no displacement, no pressure and no command to show.")
             continue
-        mark_moments(plots, group)
         page.figure(*plots, caption=_make_caption(group))
 
 
+def plot_runs(
+    group: Sequence[ReportedRun], make: Callable[[Sequence[ReportedRun]], SvgPlot | None]
+) -> list[SvgPlot]:
+    """Return one plot of these runs, or one for each run; with their moments."""
+
+    def draw(runs: Sequence[ReportedRun]) -> SvgPlot | None:
+        plot = make(runs)
+        if plot is not None and len(runs) < len(group):
+            plot.title = f"{plot.title}, {runs[0].name}"
+            plot.height_px = min(plot.height_px, _SMALL_PX)
+        for run in runs:
+            shown = [plot] if plot is not None else []
+            mark_moments(shown, run.moments, MUTED if len(runs) == 1 else run.colour)
+        return plot
+
+    return plot_apart(draw, group)
+
+
 MOST_MOMENTS = 30
+_SMALL_PX = 110
 
 
-def mark_moments(plots: Sequence[SvgPlot], runs: Sequence[ReportedRun]) -> None:
-    """Draw a line through all plots at each mark, change of gains and trip; name it in the first.
+def mark_moments(plots: Iterable[SvgPlot], moments: Sequence[Moment], colour: int = MUTED) -> None:
+    """Draw a line through the plots at each mark, change of gains and trip, with its name.
 
-    A run with more of them than `MOST_MOMENTS` has its first ones drawn: its table has all.
+    Of more than `MOST_MOMENTS` the first ones are drawn: the table of a run has all.
     """
-    for colour, run in enumerate(runs):
-        for at_s, said in run.moments[:MOST_MOMENTS]:
-            for plot in plots:
-                label = textwrap.shorten(said, 24, placeholder="...") if plot is plots[0] else ""
-                plot.place(at_s, label, colour=MUTED if len(runs) == 1 else colour)
+    for plot in plots:
+        for at_s, said in moments[:MOST_MOMENTS]:
+            plot.place(at_s, textwrap.shorten(said, 24, placeholder="..."), colour=colour)
 
 
 def group_by_experiment(runs: Sequence[ReportedRun]) -> list[list[ReportedRun]]:
@@ -100,7 +118,7 @@ def _plot_error(group: Sequence[ReportedRun]) -> SvgPlot | None:
     error_axis = PlotAxis("x \N{MINUS SIGN} x_D", "µm", low=low, high=high)
     plot = SvgPlot("Tracking error", make_time_axis(group), error_axis)
     drawn = False
-    for colour, run in enumerate(group):
+    for run in group:
         if run.error_m is None:
             continue
         drawn = True
@@ -109,10 +127,10 @@ def _plot_error(group: Sequence[ReportedRun]) -> SvgPlot | None:
             band = rms_of_finite(error_um[run.tracked])
             over = run.t_s[run.tracked][[0, -1]]
             said = _label_run(group, run, "error") + f", band ± RMS {band:.1f} µm"
-            plot.band(over, -band, band, colour=colour)
+            plot.band(over, -band, band, colour=run.colour)
         else:
             said = _label_run(group, run, "error")
-        plot.line(run.t_s[run.shown], error_um[run.shown], said, colour=colour)
+        plot.line(run.t_s[run.shown], error_um[run.shown], said, colour=run.colour)
     for row in paper_rows(group[0].paper_experiment):
         for side in (-1.0, 1.0):
             label = f"paper's {law_name(row.law)}, max" if side > 0 else ""
@@ -177,10 +195,10 @@ def _draw_column(
     step: bool = False,
 ) -> bool:
     drawn = False
-    for colour, run in enumerate(group):
+    for run in group:
         values = run.column(column, scale)
         if values is not None:
             drawn = True
             label = _label_run(group, run, alone)
-            plot.line(run.t_s[run.shown], values[run.shown], label, colour=colour, step=step)
+            plot.line(run.t_s[run.shown], values[run.shown], label, colour=run.colour, step=step)
     return drawn

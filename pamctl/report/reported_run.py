@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pamctl.control.law_registry import LawWords, find_law, read_law_words
 from pamctl.log import Log
-from pamctl.log.changed_gains import list_gain_changes
+from pamctl.log.annotate.moments import Moment, list_moments
 from pamctl.settings.resolve import resolve as shipped
 from pamctl.settings.resolve import settings_to_data
 from pamctl.signals import Phase
@@ -31,6 +31,8 @@ class ReportedRun:
 
     log: Log
     name: str
+    colour: int = 0
+    """Its colour beside other runs, in every plot of a page."""
 
     def __len__(self) -> int:
         """Return the number of ticks."""
@@ -63,9 +65,13 @@ class ReportedRun:
     @cached_property
     def t_s(self) -> Floats:
         """Seconds since the first tick that is shown."""
-        t_s = np.asarray(self.log.columns.get("t_s", np.zeros(0)), np.float64)
-        first = int(self.shown.argmax()) if len(self) else 0
-        return t_s - t_s[first] if len(t_s) else t_s
+        return np.asarray(self.log.columns.get("t_s", np.zeros(0)), np.float64) - self.begin_s
+
+    @cached_property
+    def begin_s(self) -> float:
+        """The time of the first tick that is shown, on the log's own axis."""
+        t_s = self.log.columns.get("t_s", np.zeros(0))
+        return float(t_s[int(self.shown.argmax())]) if len(t_s) else 0.0
 
     @cached_property
     def tracked(self) -> NDArray[np.bool_]:
@@ -119,18 +125,9 @@ class ReportedRun:
         return float(self.t_s[min(int(np.searchsorted(ticks, event["tick"])), len(ticks) - 1)])
 
     @cached_property
-    def moments(self) -> list[tuple[float, str]]:
-        """Marks, changes of gains and the trip, each with its time, in order."""
-        words = {"mark": "mark", "tripped": "trip"}
-        marked = [
-            (event, str(event.get("text", words[event["event"]])))
-            for event in self.log.events
-            if event.get("event") in words
-        ]
-        changed = {id(after): after for _, after, _ in list_gain_changes(self.log.gains)}
-        named = [*marked, *((after, "gains") for after in changed.values())]
-        found = [(at, said) for e, said in named if (at := self.time_of(e)) is not None]
-        return sorted(found)
+    def moments(self) -> list[Moment]:
+        """Marks, changes of gains and the trip, on the axis of `t_s`."""
+        return [Moment(at_s - self.begin_s, text) for at_s, text in list_moments(self.log)]
 
     @property
     def paper_experiment(self) -> str | None:
@@ -145,13 +142,13 @@ def name_runs(logs: Sequence[Log]) -> list[ReportedRun]:
     """Return the logs under names that are as short as possible."""
     paths = [log.path for log in logs]
     if len({path.stem for path in paths}) == len(paths):
-        return [ReportedRun(log, path.stem) for log, path in zip(logs, paths, strict=True)]
+        return [ReportedRun(log, log.path.stem, colour) for colour, log in enumerate(logs)]
     whole = [path.absolute() for path in paths]
     above = Path(commonpath([path.parent for path in whole]))
     names = [str(path.relative_to(above).with_suffix("")) for path in whole]
     numbered = len(set(names)) < len(names)
     return [
-        ReportedRun(log, f"{name} ({number})" if numbered else name)
+        ReportedRun(log, f"{name} ({number})" if numbered else name, number - 1)
         for number, (log, name) in enumerate(zip(logs, names, strict=True), 1)
     ]
 

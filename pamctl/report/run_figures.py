@@ -8,6 +8,13 @@ from typing import Any
 from pamctl.log.reader import Log
 from pamctl.simulate.merit import TABLE_IV, Merit, compute_log_merits, summarise_timing
 
+FIGURE_FIELDS = (
+    *("t_s", "phase", "missed", "reference_m"),
+    *("position_m", "corrected_position_m", "true_position_m"),
+    *("late_s", "read_s", "compute_s", "write_s"),
+)
+"""The columns of a log that `summarise_run` needs."""
+
 
 def summarise_run(log: Log, experiment: str | None) -> dict[str, Any]:
     """Return the figures of a run as one JSON document: SI, None for what is not known.

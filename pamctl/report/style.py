@@ -4,18 +4,22 @@ The data colours are those of Okabe and Ito, which colour-blind readers can tell
 screen lighter colours replace the darker ones.
 """
 
-STYLE = """
+COLOURS = """
 :root{color-scheme:light dark;--bg:#fff;--fg:#1c2024;--dim:#5c6670;--rule:#dfe3e8;--panel:#f6f7f9;
 --plot:#fff;--c0:#0072b2;--c1:#d55e00;--c2:#009e73;--c3:#cc79a7;--c4:#e69f00;--c5:#56b4e9;
---c6:#1c2024;--cm:#8a939c;--good:#00785a;--bad:#c02d12}
+--c6:#1c2024;--cm:#8a939c;--good:#00785a;--warn:#8a5a00;--bad:#c02d12}
 @media(prefers-color-scheme:dark){:root{--bg:#14171a;--fg:#e4e7ea;--dim:#9aa4ae;--rule:#2e343a;
 --panel:#1d2125;--plot:#191c20;--c0:#56b4e9;--c1:#f0803c;--c2:#1fc294;--c3:#dd93bb;--c4:#e6b84a;
---c5:#3f8fd0;--c6:#e4e7ea;--cm:#87919b;--good:#3fcf9f;--bad:#ff8a6a}}
+--c5:#3f8fd0;--c6:#e4e7ea;--cm:#87919b;--good:#3fcf9f;--warn:#e6b84a;--bad:#ff8a6a}}
 *{box-sizing:border-box}
 body{margin:0;background:var(--bg);color:var(--fg);
 font:15px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif;
 -webkit-text-size-adjust:100%}
-main{max-width:960px;margin:0 auto;padding:24px 20px 64px}
+"""
+"""The colours and letters of every page; the live page has them too."""
+
+_PAGE = """main{max-width:960px;margin:0 auto;padding:24px 20px 64px}
+header{margin-bottom:14px}
 h1{font-size:26px;line-height:1.2;margin:0 0 4px;overflow-wrap:anywhere}
 h2{font-size:20px;margin:40px 0 10px;padding-top:10px;border-top:1px solid var(--rule)}
 h3{font-size:16px;margin:24px 0 6px}
@@ -34,6 +38,7 @@ table{border-collapse:collapse;font-size:14px;font-variant-numeric:tabular-nums}
 .caption{color:var(--dim);font-size:14px;margin:14px 0 0}.caption+.wide{margin-top:4px}
 th,td{padding:4px 14px 4px 0;text-align:left;vertical-align:top;border-bottom:1px solid var(--rule)}
 th{color:var(--dim);font-weight:600}.num{text-align:right;white-space:nowrap}
+.short{white-space:nowrap}
 figure{margin:16px 0 24px}
 figcaption{color:var(--dim);font-size:14px;margin-top:6px;max-width:85ch}
 .plot{break-inside:avoid;margin-bottom:6px;min-width:0}
@@ -49,19 +54,18 @@ svg text{font-size:12px;fill:var(--dim)}
 .paper{fill:var(--plot);stroke:var(--rule)}
 .grid{stroke:var(--rule);stroke-width:1}
 .yt{text-anchor:end}.xt{text-anchor:middle}.xl{text-anchor:end}
-.note{fill:var(--fg)}.note.end{text-anchor:end}.note.mid{text-anchor:middle}
+.note{fill:var(--fg);paint-order:stroke;stroke:var(--plot);stroke-width:3px}.note.end{text-anchor:end}.note.mid{text-anchor:middle}
 .l,.p{fill:none;stroke:currentColor;stroke-width:1.3;stroke-linejoin:round;stroke-linecap:round;
 vector-effect:non-scaling-stroke}
-.l.thin{stroke-width:.8}.l.thick{stroke-width:3}.l.mark{stroke-width:1.2;stroke-dasharray:6 4}
-.l.dash{stroke-dasharray:5 3}
-.p{stroke-width:3.2;opacity:.7}
-.b{fill:currentColor;opacity:.22;stroke:none}.b.solid{opacity:.75}
+.l.thick{stroke-width:3}.l.mark{stroke-width:1.2;stroke-dasharray:6 4}
+.p{stroke-width:3.2;opacity:.7}.p.few{stroke-width:6}
+.b{fill:currentColor;opacity:.22;stroke:none}.b.solid{opacity:.75}.d{fill:currentColor}
 .c0{color:var(--c0)}.c1{color:var(--c1)}.c2{color:var(--c2)}.c3{color:var(--c3)}
 .c4{color:var(--c4)}.c5{color:var(--c5)}.c6{color:var(--c6)}.cm{color:var(--cm)}
 .legend{list-style:none;display:flex;flex-wrap:wrap;gap:2px 16px;margin:0 0 2px;padding:0;
 font-size:13px;color:var(--dim);max-width:none}
 .legend li{display:flex;align-items:center;gap:6px;overflow-wrap:anywhere}
-.swatch{width:22px;height:10px;flex:none}
+.swatch{width:22px;height:10px;flex:none}.shades{width:110px;height:10px}
 .heat{display:inline-block;width:120px;height:10px}
 details{margin:10px 0}summary{cursor:pointer;font-weight:600}
 code{background:var(--panel);padding:1px 4px;font-size:13px;white-space:nowrap}
@@ -69,7 +73,7 @@ pre{overflow-x:auto;background:var(--panel);padding:10px 12px;font-size:12.5px;l
 @media(max-width:600px){main{padding:16px 12px 48px}h1{font-size:22px}.frame{padding-left:50px}
 .spare{display:none}code{white-space:normal}
 nav{flex-wrap:nowrap;overflow-x:auto;white-space:nowrap;padding-bottom:6px}
-td,th{padding-right:10px}td:first-child{overflow-wrap:anywhere;min-width:6em}.facts{grid-template-columns:repeat(2,minmax(0,1fr))}}
+td,th{padding-right:10px}td:first-child{overflow-wrap:anywhere;min-width:7em}td:not(.num):not(.short){min-width:10em}.facts{grid-template-columns:repeat(2,minmax(0,1fr))}}
 @media print{:root{color-scheme:light;--bg:#fff;--fg:#000;--dim:#444;--rule:#ccc;--panel:#f6f6f6;
 --plot:#fff;--c0:#0072b2;--c1:#d55e00;--c2:#009e73;--c3:#cc79a7;--c4:#e69f00;--c5:#56b4e9;
 --c6:#000;--cm:#777;--good:#00785a;--bad:#c02d12}
@@ -78,4 +82,5 @@ h2,h3{break-after:avoid}.callout,tr{break-inside:avoid}
 details::details-content{content-visibility:visible;display:block;height:auto}
 pre{white-space:pre-wrap}.wide{overflow:visible}@page{margin:14mm}}
 """
-"""The style sheet of all pages."""
+STYLE = COLOURS + _PAGE
+"""The style sheet of all written pages."""

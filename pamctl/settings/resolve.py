@@ -15,7 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from hal.configured import Configured
 from pamctl.control.experiment import ExperimentSettings
@@ -97,11 +97,12 @@ class RunSettings(Configured):
         return self
 
 
+_AT_FIRST_USE = ConfigDict(defer_build=True)
 RUN: TypeAdapter[RunSettings] = TypeAdapter(RunSettings)
 SECTIONS: Mapping[str, TypeAdapter[Any]] = {
     "controller": TypeAdapter(ControllerSettings),
-    "experiment": TypeAdapter(ExperimentSettings),
-    "rig": TypeAdapter(RigSettings),
+    "experiment": TypeAdapter(ExperimentSettings, config=_AT_FIRST_USE),
+    "rig": TypeAdapter(RigSettings, config=_AT_FIRST_USE),
     "plant": TypeAdapter(PlantSettings),
 }
 """One folder of `config/` each."""

@@ -69,11 +69,6 @@ def simulate_run(settings: RunSettings) -> SimulatedRun:
     return SimulatedRun(settings, run, np.arange(len(run.rows), dtype=np.float64) * period_s)
 
 
-def simulate_merit(settings: RunSettings) -> Merit | None:
-    """Simulate a run from the vented muscle; return its figures, None if safety ended it."""
-    return simulate_run(settings).merit()
-
-
 # Both are computed in plain Python, which takes longer than a run, so runs share them.
 @lru_cache(maxsize=8)
 def _tabulate(course: tuple[Segment, ...], period_s: float, duration_s: float | None) -> Floats:

@@ -35,7 +35,7 @@ from pamctl.realtime.tick_path import CompiledTick
 from pamctl.realtime.tick_words import Sensed, TickWords, write_row
 from pamctl.realtime.whole_tick import TickTimes, WholeTick, run_whole_tick
 from pamctl.recording.ring import ROW_BYTES
-from pamctl.signals import TICK_FIELDS, Reference, TickOutcome, Truth
+from pamctl.signals import Reference, TickOutcome, Truth
 
 if TYPE_CHECKING:
     from pamctl.realtime.loop import RowsJournal
@@ -176,7 +176,7 @@ class LeapWords(TickWords):
             "muscle, moment, noise = ticked.muscle, ticked.moment, ticked.noise",
             "base = at * 512",
             *write_row(
-                TICK_FIELDS,
+                self.fields,
                 {"raw": "ticked.sensed.raw", "outcome": "ticked.outcome", "truth": "ticked.truth"},
                 "base + ",
             ),

@@ -16,6 +16,7 @@ from typer.main import get_command
 import hal
 import pamctl
 from pamctl.cli.app import app
+from pamctl.cli.examples import EXAMPLES
 from pamctl.diagnose.experiments import (
     find_separating_experiment,
     find_showing_experiment,
@@ -74,10 +75,25 @@ def find_verb(words: list[str]) -> tuple[Any, list[str]]:
     """The verb that words call, and the words after it."""
     command: Any = get_command(app)
     while hasattr(command, "commands"):
+        if command.invoke_without_command and (not words or words[0] not in command.commands):
+            break
         assert words, f"{command.name} alone does nothing"
         assert words[0] in command.commands, f"there is no verb {words[0]}"
         command, words = command.commands[words[0]], words[1:]
     return command, words
+
+
+@pytest.mark.parametrize("verb", sorted(EXAMPLES))
+def test_an_example_in_the_help_can_be_typed(verb: str) -> None:
+    for example in EXAMPLES[verb]:
+        words = shlex.split(example)
+        assert words[0] == "pamctl"
+        found, rest = find_verb(words[1:])
+        assert " ".join(words[1 : len(words) - len(rest)]) == verb
+        found.make_context(found.name, rest)
+        for option, value in pairwise(words):
+            if option in SHIPPED and not value.endswith(".yaml"):
+                assert find_config_file(SHIPPED[option], value).is_file()
 
 
 def test_the_commands_are_found() -> None:

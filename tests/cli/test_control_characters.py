@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import json
-import subprocess
-import sys
 import unicodedata
 from pathlib import Path
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from support.command_line import run_pamctl
 from support.processes.daemons import daemon
 from support.small_log import write_small
 
@@ -84,8 +83,6 @@ def test_an_old_log_that_holds_them_shows_none(tmp_path: Path) -> None:
 
 
 def _pamctl(*arguments: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "pamctl", *arguments], capture_output=True, text=True, timeout=120
-    )
+    done = run_pamctl(*arguments)
     assert is_harmless(done.stdout + done.stderr)
     return done.stdout

@@ -76,6 +76,10 @@ def test_every_verb_says_what_it_does_in_a_sentence(words: str) -> None:
     done = CliRunner().invoke(app, [*words.split(), "--help"])
     assert done.exit_code == 0
     assert told.split()[0] in done.output
+    if words and not hasattr(COMMANDS[words], "commands"):
+        assert "Examples:" in done.output
+        assert f"pamctl {words}" in done.output
+        assert "Exit codes: 0 ok" in done.output
 
 
 def test_a_flag_shows_no_type() -> None:

@@ -10,9 +10,11 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -38,25 +40,28 @@ VERBS = {
 }  # fmt: skip
 
 
-def pamctl(
-    *words: str, cwd: Path, largest_bytes: int | None = None, stdout: int | None = None
-) -> subprocess.CompletedProcess[str]:
-    """Run a verb; it may be forbidden to write files beyond a size."""
-
-    def limit() -> None:
-        if largest_bytes is not None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (largest_bytes, largest_bytes))
-
+def pamctl(*words: str, cwd: Path, stdout: int) -> subprocess.CompletedProcess[str]:
+    """Run a verb that writes into a file."""
     return subprocess.run(
         [*PAMCTL, *words],
         cwd=cwd,
         text=True,
-        stdout=subprocess.PIPE if stdout is None else stdout,
+        stdout=stdout,
         stderr=subprocess.PIPE,
         timeout=PATIENCE_S,
-        preexec_fn=limit,
         check=False,
     )
+
+
+@contextmanager
+def files_end_at(largest_bytes: int) -> Iterator[None]:
+    """Forbid this process to write files beyond a size."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def assert_said(done: subprocess.CompletedProcess[str], code: int, reason: str) -> None:
@@ -102,7 +107,7 @@ def test_a_disk_that_takes_nothing_is_noticed_before_the_work(
 ) -> None:
     folder, code, reason = disk
     before = sorted(folder.iterdir())
-    done = pamctl(*(word.format(folder) for word in VERBS[verb]), cwd=place)
+    done = run_pamctl(*(word.format(folder) for word in VERBS[verb]), cwd=place)
     assert_said(done, code, reason)
     assert not done.stdout
     assert sorted(folder.iterdir()) == before
@@ -112,7 +117,7 @@ def test_a_disk_that_takes_nothing_is_noticed_before_the_work(
 def test_a_link_to_itself_is_no_place_for_a_file(verb: str, place: Path, tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to("loop")
     words = [word.replace("{}/new", "{}/loop/new").format(tmp_path) for word in VERBS[verb]]
-    done = pamctl(*words, cwd=place)
+    done = run_pamctl(*words, cwd=place)
     assert done.returncode == 2, done.stderr
     assert "error: cannot write" in done.stderr
     assert "Traceback" not in done.stderr
@@ -140,7 +145,7 @@ def test_a_link_to_itself_is_an_error_and_no_traceback(
     names = ["loop", "loop.csv", "loop.mcap", "loop.yaml"]
     for name in names:
         (tmp_path / name).symlink_to(name)
-    done = pamctl(*words.format(LOG).split(), cwd=tmp_path)
+    done = run_pamctl(*words.format(LOG).split(), cwd=tmp_path)
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
     assert (done.stderr or done.stdout).strip()
@@ -160,14 +165,15 @@ def test_a_disk_that_fills_while_a_file_is_written_leaves_nothing(
         rows = (f"{n * 1e-3},{0.01 + 1e-4 * noise.random()}\n" for n in range(20_000))
         (place / "large.csv").write_text("t_s,position_m\n" + "".join(rows))
         words[2] = "large.csv"
-    done = pamctl(*words, cwd=place, largest_bytes=66_000)
+    with files_end_at(66_000):
+        done = run_pamctl(*words, cwd=place)
     assert_said(done, 1, "File too large")
     assert not [*tmp_path.iterdir()]
 
 
 def test_a_comparison_whose_page_finds_no_room_is_printed(place: Path, tmp_path: Path) -> None:
-    # The disk fills between the trial and the page. Machine code is not kept: the cache would
-    # be the first to find no room.
+    # The disk fills between the trial and the page. Nothing is compiled: the cache of machine
+    # code would be the first to find no room.
     start = "import pamctl.new_file as n; n._TRIAL_BYTES = 9; from pamctl.__main__ import main"
     words = [word.format(tmp_path) for word in VERBS["compare"]]
     done = subprocess.run(
@@ -176,7 +182,7 @@ def test_a_comparison_whose_page_finds_no_room_is_printed(place: Path, tmp_path:
         text=True,
         capture_output=True,
         timeout=PATIENCE_S,
-        env={**os.environ, "XDG_CACHE_HOME": "/proc/none"},
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000)),
         check=False,
     )
@@ -204,7 +210,7 @@ def test_standard_output_on_a_full_disk_is_an_error_after_the_work(
     os.close(full)
     assert_said(done, 1, "the output: No space left on device")
     if words.startswith("run"):
-        whole = pamctl("log", "check", "new.mcap", cwd=tmp_path)
+        whole = run_pamctl("log", "check", "new.mcap", cwd=tmp_path)
         assert whole.returncode == 0, whole.stdout
 
 
@@ -229,7 +235,7 @@ def test_a_log_that_is_fitted_cannot_be_the_held_out_one(same: str, tmp_path: Pa
         case "a copy":
             shutil.copy(LOG, other)
     out = tmp_path / "out"
-    done = pamctl("diagnose", LOG, "--holdout", str(other), "--out", str(out), cwd=tmp_path)
+    done = run_pamctl("diagnose", LOG, "--holdout", str(other), "--out", str(out), cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert f"--holdout {other} holds the same run as {LOG}" in done.stderr
     assert not out.exists()

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command_line import run_pamctl
 from support.patience import BUSY_PC, PATIENCE_S
 from support.processes.killing import kill_as_one
 from support.processes.rings import await_phase, await_tick, ring_left
@@ -43,9 +44,7 @@ def _device() -> Iterator[None]:
 
 
 def pamctl(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [PAMCTL, *arguments], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
-    )
+    return run_pamctl(*arguments, cwd=cwd)
 
 
 def fast_run(cwd: Path, *arguments: str, log: str = "run.mcap") -> tuple[dict[str, object], Log]:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from typing import Any
+
+from typer.main import get_command
+
+from pamctl.cli import waiting
+from pamctl.cli.app import app
 
 SLOW = """
 import time, sys
 from pamctl.cli import failure, waiting
-waiting.SLOW_VERBS["doze"] = "dozing"
+waiting.SLOW_VERBS["doze"] = "doze: dozing"
 def doze():
     time.sleep(1.5)
     print("done")
@@ -25,7 +33,17 @@ def test_a_silent_verb_says_what_it_does_until_it_prints() -> None:
     seen = os.read(ours, 65536).decode()
     os.close(ours)
     os.close(its)
-    assert seen == "\r\x1b[Kdoze: dozing, 1 s\r\x1b[Kdone\r\n"
+    assert re.fullmatch(r"(\r\x1b\[Kdoze: dozing, \d+ s)+\r\x1b\[Kdone\r\n", seen)
+
+
+def test_every_slow_verb_is_one_of_the_program() -> None:
+    def walk(command: Any) -> Iterator[str]:
+        for inner in getattr(command, "commands", {}).values():
+            yield from walk(inner)
+        if command.callback is not None:
+            yield command.callback.__name__
+
+    assert {*waiting.SLOW_VERBS} <= {*walk(get_command(app))}
 
 
 def test_without_a_terminal_nothing_is_shown() -> None:

@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from standin.standin import PERMIT, Card, here
+from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
 from support.runs import MS
 from typer.testing import CliRunner
@@ -455,15 +456,7 @@ def command(what: str, *arguments: str, out: str = "mine.yaml") -> list[str]:
 def calibrate(
     cwd: Path, what: str, *arguments: str, out: str = "mine.yaml", typed: str = ""
 ) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command(what, *arguments, out=out),
-        cwd=cwd,
-        input=typed,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    return run_pamctl(*command(what, *arguments, out=out)[1:], cwd=cwd, typed=typed)
 
 
 def test_a_person_at_the_terminal_is_asked_and_gets_a_file_that_passes_the_check(
@@ -474,10 +467,7 @@ def test_a_person_at_the_terminal_is_asked_and_gets_a_file_that_passes_the_check
     assert "is everything clear of it?" in done.stderr
     assert "'what?' is not a number" in done.stderr
     assert "calibration.sensor_pa_per_v" in done.stdout
-    checked = subprocess.run(
-        [PAMCTL, "config", "check", "mine.yaml"], cwd=tmp_path, capture_output=True, check=False
-    )
-    assert checked.returncode == 0
+    assert run_pamctl("config", "check", "mine.yaml", cwd=tmp_path).returncode == 0
     assert peek_v(ao_path(device())) == 0.0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -223,7 +224,13 @@ def test_two_models_appear_side_by_side_with_the_next_step(tmp_path: Path) -> No
     assert advised.startswith(f"pamctl diagnose {log} --plant paper --out diagnosis")
     parse_command(advised)
     html = page.read_text()
-    assert html.count("<figure") == 3
+    assert html.count("<figure") == 2
+    assert ">Displacement, model \N{MINUS SIGN} measurement <" in html
+    numbers = re.findall(r'<td class="num">([^<]*)</td>', html)
+    for row in done.stdout.splitlines():
+        if row.startswith(("paper", "track", "valve near null")):
+            shown = re.findall(r"(?<= )(?:[\d.]+|-)(?= |$)", row)
+            assert set(shown) <= set(numbers), row
     assert "paper-valve109" in html
     document = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
     gaps = {p["plant"]: p["gap"]["pressure_block"]["pressure_pa"] for p in document["plants"]}

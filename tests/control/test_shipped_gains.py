@@ -9,9 +9,11 @@ from functools import cache
 import pytest
 
 from pamctl.settings.resolve import find_config_file, resolve
-from pamctl.simulate.batch import simulate_merit
+from pamctl.simulate.batch import simulate_run
 from pamctl.simulate.merit import TABLE_IV, Merit
 from pamctl.tune import GainsTrial, make_fixed_members
+
+pytestmark = pytest.mark.usefixtures("closed_loops")
 
 EXPERIMENTS = ("tracking-1", "tracking-2")
 DEFAULTS = ("qsmc", "smc", "pid")
@@ -23,11 +25,10 @@ PLANTS = [(plant, delay) for plant in ("paper", "paper-valve109") for delay in (
 def figures(controller: str, experiment: str, plant: str, delay_ticks: int) -> Merit | None:
     """Figures of one simulated run; None where safety ended it."""
     delay = f"rig.sim.output_delay_ticks={delay_ticks}"
-    return simulate_merit(
-        resolve(
-            controller=controller, experiment=experiment, plant=plant, overrides=[delay], seed=1
-        )
+    settings = resolve(
+        controller=controller, experiment=experiment, plant=plant, overrides=[delay], seed=1
     )
+    return simulate_run(settings).merit()
 
 
 def table_iv(experiment: str, law: str) -> Merit:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
 from support.processes.daemons import (
     SQUARE,
@@ -300,8 +301,7 @@ def test_an_experiment_may_stand_in_a_file_of_any_name(up: Daemon, tmp_path: Pat
     parked(up)
     path = tmp_path / "_mein Versuch äöü 1.yaml"
     path.write_text("kind: square\nfrequency_hz: 4.0\ncycles: 1\n")
-    command = [sys.executable, "-m", "pamctl", "start", str(path), "--socket", str(up.socket)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    done = run_pamctl("start", path, "--socket", up.socket)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip().endswith("-mein-Versuch-1.mcap")
     parked(up)
@@ -309,8 +309,7 @@ def test_an_experiment_may_stand_in_a_file_of_any_name(up: Daemon, tmp_path: Pat
 
 def test_a_negative_position_is_not_taken_for_an_option(up: Daemon) -> None:
     parked(up)
-    command = [sys.executable, "-m", "pamctl", "goto", "-300mm", "--socket", str(up.socket)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    done = run_pamctl("goto", "-300mm", "--socket", up.socket)
     assert done.returncode == 3
     assert "-300 mm lies outside the stroke" in done.stderr
 

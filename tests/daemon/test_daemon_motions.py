@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.patience import PATIENCE_S
+from support.command_line import run_pamctl
 from support.processes.daemons import Daemon, daemon, parked, run_to_its_end
 
 from pamctl.daemon.client import DaemonDeclinedError
@@ -25,8 +24,7 @@ def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 
 
 def start(up: Daemon, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pamctl", "start", "--socket", str(up.socket), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    return run_pamctl("start", "--socket", up.socket, *arguments)
 
 
 def test_a_sine_starts_with_keys_from_the_command_line_and_replays(up: Daemon) -> None:
@@ -76,7 +74,7 @@ def test_the_largest_table_fits_into_a_request(up: Daemon, tmp_path: Path) -> No
     rows = "\n".join(f"{t:.9f},{x:.9f}" for t, x in zip(t_s, values, strict=True))
     (tmp_path / "points.csv").write_text(f"time_s,position_mm\n{rows}\n")
     (tmp_path / "mine.yaml").write_text("kind: table\nfile: points.csv\n")
-    done = start(up, str(tmp_path / "mine.yaml"), "--duration", "6")
+    done = start(up, str(tmp_path / "mine.yaml"), "--duration", "1")
     assert done.returncode == 0, done.stderr
     parked(up)
 

@@ -5,14 +5,18 @@ from __future__ import annotations
 import pytest
 from hidden.excitations import multisine, null_staircase, square
 from hidden.rig import hidden_rig
+from support.free_mass import FRICTION_N, LOAD_N, axis, pushed_mass
 
 from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.model_fit import recalibrate
+from pamctl.diagnose.name import Naming
+from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.extended_plant_file import format_plant_file
 from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
 from pamctl.diagnose.report.terminal_summary import summary
+from pamctl.diagnose.terms.by_name import name_instead
 from pamctl.diagnose.terms.grammar import list_questions
 from pamctl.diagnose.terms.term_score import rank_terms
 from pamctl.diagnose.terms.trials import choose_simplest, find_terms
@@ -84,12 +88,32 @@ def test_friction_that_grows_with_position_is_found_at_the_braid() -> None:
     train, held = measure("position_dependent_friction")
     base = recalibrate(prepare_evidence(train, held, PlantSettings()).select_blocks({"mechanics"}))
     _, trials = find_terms(base, "mechanics")
-    chosen = choose_simplest(trials, "mechanics")
+    chosen = choose_simplest(trials)
     assert (chosen.question.location.name, chosen.question.driver) == ("braid_friction", "position")
     if chosen.question.operator == "gain":
         assert chosen.model.effect_values["braid_friction_term.size"] == pytest.approx(
             0.15, rel=0.2
         )
+    nothing = Naming(Verdict.NONE_KNOWN, base, base, (), (), ())
+    named = name_instead(nothing, base, chosen, trials, "mechanics")
+    assert named is not None
+    assert (named.verdict, named.model.names) == (Verdict.NAMED, ("position_friction",))
+    assert named.model.effect_values["position_friction.share_per_m"] == pytest.approx(
+        5.0 * 3.0, rel=0.16
+    )
+    assert named.standings[0].confidence > 0.9
+    assert name_instead(nothing, base, chosen, trials, "mechanics", {"position_friction"}) is None
+
+
+def test_a_mass_that_is_judged_in_windows_has_its_term_found() -> None:
+    train, held = ([pushed_mass(seed, duration_s=8.0, damping_per_m=600.0)] for seed in (1, 2))
+    friction = {"coulomb_friction": {"force_n": FRICTION_N}, "external_load": {"force_n": LOAD_N}}
+    base = recalibrate(prepare_evidence(train, held, axis(**friction)))
+    assert all(drive.windows for drive in base.evidence.train["mechanics"])
+    _, trials = find_terms(base, "mechanics")
+    chosen = choose_simplest(trials)
+    assert chosen.question.key == ("damping", "gain", "position")
+    assert chosen.model.effect_values["damping_term.size"] == pytest.approx(6.0, rel=0.1)
 
 
 def test_nothing_is_found_in_noise() -> None:

@@ -160,6 +160,31 @@ def test_a_late_pressure_column_is_told_from_the_physics(late_ticks: int) -> Non
     assert finding.value == pytest.approx(1e-3 * late_ticks, abs=1e-4)
 
 
+def test_times_that_are_all_too_long_are_told_from_a_damping_that_grows_with_pressure() -> None:
+    def stretch(record: Record) -> Record:
+        return replace(record, t_s=1.03 * record.t_s)
+
+    setup = _ask(_record(hidden_rig(seed=4), stretch))
+    (finding,) = setup.findings
+    assert (finding.kind, finding.number) == ("clock_rate", "t_s")
+    assert finding.value == pytest.approx(0.03, rel=0.15)
+    assert finding.text.endswith("% too long")
+    assert not setup.base.unexplained
+    assert setup.train[0].period_s == pytest.approx(PERIOD_S, rel=0.005)
+
+
+def test_an_atmosphere_that_was_added_twice_is_said_and_taken_off() -> None:
+    def lift(record: Record) -> Record:
+        return replace(record, pressure_pa=record["pressure_pa"] + 101.3e3)
+
+    setup = _ask(_record(hidden_rig(seed=4), lift))
+    (finding,) = setup.findings
+    assert (finding.kind, finding.number, finding.value) == ("gauge", "pressure_pa", 101.3e3)
+    assert "twice" in finding.text
+    assert not setup.base.unexplained
+    assert np.median(setup.train[0]["pressure_pa"][:200]) == pytest.approx(101.3e3, abs=600.0)
+
+
 def test_a_command_of_the_wrong_sign_is_said() -> None:
     def invert(record: Record) -> Record:
         return replace(record, valve_v=-record["valve_v"])

@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
+from support.command_line import run_pamctl
 from support.patience import BUSY_PC, PATIENCE_S
 from support.runs import run_settings
 
@@ -213,7 +214,7 @@ def test_its_log_replays_to_the_bit_and_without_the_package_the_package_is_named
 ) -> None:
     done = pamctl_with(outside.environment, "replay", str(driven), cwd=driven.parent)
     assert done.returncode == 0, done.stdout + done.stderr
-    done = pamctl_with(dict(os.environ), "replay", str(driven), cwd=driven.parent)
+    done = run_pamctl("replay", driven)
     assert done.returncode == 65
     assert "backend 'toy' of the package toy-rig 0.1" in done.stderr
 
@@ -268,7 +269,7 @@ def test_the_help_lists_it_and_a_package_that_does_not_load_harms_no_other(
 
 def test_a_rig_file_for_a_missing_backend_asks_for_its_package(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text("backend: toy\n")
-    done = pamctl_with(dict(os.environ), "config", "show", "--rig", "rig.yaml", cwd=tmp_path)
+    done = run_pamctl("config", "show", "--rig", "rig.yaml", cwd=tmp_path)
     assert done.returncode == 78
     assert "must be 'sim', 'nidaq' or 'comedi' (got 'toy'); " in done.stderr
     assert "if a package provides 'toy'" in done.stderr

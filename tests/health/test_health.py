@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command_line import run_pamctl
 
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.health.find_drift import SIGMAS_OF_CI90, find_drift
 from pamctl.settings.resolve import read_section_file
-
-
-def pamctl(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pamctl", *arguments]
-    return subprocess.run(command, capture_output=True, text=True)
 
 
 def make_numbers(values: np.ndarray, sigma: float) -> list[FittedNumber]:
@@ -69,13 +63,13 @@ def test_a_folder_of_logs_names_the_number_that_moved(tmp_path: Path) -> None:
     for k, friction in enumerate([55.3, 55.3, 50.0]):
         changed = f"plant.parameters.kinetic_friction_per_m={friction}"
         path = logs / f"2026110{k + 1}-120000-r.mcap"
-        done = pamctl(
+        done = run_pamctl(
             "run", "--fast", "--quiet", "--experiment", "tracking-2", "--duration", "12",
             "--seed", str(k), "--set", changed, "--log", str(path),
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
     (logs / "broken.mcap").write_bytes(b"nothing")
-    done = pamctl("health", str(logs), "--out", str(out), "--json")
+    done = run_pamctl("health", str(logs), "--out", str(out), "--json")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     (drift,) = document["drifts"]
@@ -89,7 +83,7 @@ def test_a_folder_of_logs_names_the_number_that_moved(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
-    done = pamctl("health", str(tmp_path), "--out", str(tmp_path / "out"))
+    done = run_pamctl("health", str(tmp_path), "--out", str(tmp_path / "out"))
     assert done.returncode == 65
     assert "two are needed" in done.stderr
     assert not (tmp_path / "out").exists()

@@ -102,6 +102,11 @@ IN_TRUTH: dict[str, Change] = {
     "valve_gain_wobble": lambda s, _: {"gain_wobble": 0.01 * s, "gain_wobble_hz": 0.13},
     "second_spring": lambda s, _: {"stop_m": 14e-3, "stop_n_per_m": 300.0 * s},
     "wearing_friction": lambda s, _: {"mu_decay_per_s": 0.01 * s},
+    "slewing_driver": lambda s, _: {"slew_v_per_s": 4e3 / s},
+    "swelling_hose": lambda s, _: {"hose_m3_per_pa": 4e-12 * s},
+    "friction_with_pressure": lambda s, _: {"mu_per_pa": 3e-7 * s},
+    "drag_along_stroke": lambda s, _: {"drag_per_m": 3e3 * s},
+    "pull_along_stroke": lambda s, _: {"pull_per_m": 0.7 * s},
 }
 
 ON_SENSORS: dict[str, Change] = {

@@ -1,8 +1,9 @@
-"""Truths that no catalogue has, and where each acts: for the reach of described terms.
+"""Truths beyond the searched catalogue, and where each acts: for the reach of described terms.
 
-Six are in the rig's own equations. The others are done to what goes into the rig and comes out of
-it: a valve whose null is off, one that moves at a limited rate, an encoder that is not concentric,
-a pressure sensor that is not straight.
+Some are in the rig's own equations. Others change its numbers while it runs: at an instant, or
+evenly. The rest are done to what goes into the rig and comes out of it: a valve whose null is off,
+an encoder that is not concentric, a pressure sensor that is not straight. A few have a name in the
+catalogue that only a term leads to: the study of the terms leaves the names out.
 """
 
 from __future__ import annotations
@@ -12,7 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hidden.equations.truth import Truth
 from hidden.excitations import PROGRAMS, Excitation
+from hidden.hostile.file_of_lab import record_of
+from hidden.hostile.lab import Lab
 from hidden.rig import HiddenRig, Record, hidden_rig
 from hidden.sensors import ENCODER_STEP_M
 
@@ -31,6 +35,8 @@ class Uncatalogued:
     effect: str = ""
     """Of the rig's own equations, at three times the smallest size of interest."""
     run: Run | None = None
+    called: str = ""
+    """The effect of the catalogue that has its equation, if one does; only a term leads to it."""
 
     def record(self, program: str, seed: int) -> tuple[list[Record], list[Record]]:
         """Return the records for the fit, and those to judge by."""
@@ -65,35 +71,102 @@ def _limit_rate(volts: np.ndarray, step_v: float) -> np.ndarray:
     return moved
 
 
-def _turn_off_centre(rig: HiddenRig, excitation: Excitation) -> Record:
-    record = rig.run(excitation).record
-    assert record.position_m is not None
-    shown = record.position_m + 60e-6 * np.sin(2.0 * np.pi * record.position_m / 6.3e-3)
-    return replace(record, position_m=np.floor(shown / ENCODER_STEP_M + 0.5) * ENCODER_STEP_M)
+def _over_time(change: Callable[[Truth, float], Truth]) -> Run:
+    """Run a rig whose truth follows the time since a record began."""
+
+    def run(rig: HiddenRig, excitation: Excitation) -> Record:
+        return record_of(rig, Lab(), excitation, 0.0, lambda t_s: change(rig.truth, t_s))
+
+    return run
 
 
-def _bend_sensor(rig: HiddenRig, excitation: Excitation) -> Record:
-    record = rig.run(excitation).record
-    assert record.pressure_pa is not None
-    share = (record.pressure_pa - 101.3e3) / 340e3
-    return replace(record, pressure_pa=record.pressure_pa + 4.0 * 3e3 * share * (1.0 - share))
+def _times(number: str, share: float, begins_s: float = 0.0) -> Run:
+    """Run a rig one of whose numbers changes by a share: in each second, or once at an instant."""
 
+    def change(truth: Truth, t_s: float) -> Truth:
+        times = float(t_s >= begins_s) if begins_s else t_s
+        return truth._replace(**{number: getattr(truth, number) * (1.0 + share * times)})
+
+    return _over_time(change)
+
+
+def _on_position(show: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Run:
+    """Run a rig whose encoder shows a function of position and time."""
+
+    def run(rig: HiddenRig, excitation: Excitation) -> Record:
+        record = rig.run(excitation).record
+        assert record.position_m is not None
+        shown = show(record.position_m, record.t_s)
+        return replace(record, position_m=np.floor(shown / ENCODER_STEP_M + 0.5) * ENCODER_STEP_M)
+
+    return run
+
+
+def _on_pressure(show: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Run:
+    """Run a rig whose pressure sensor shows a function of gauge pressure and time."""
+
+    def run(rig: HiddenRig, excitation: Excitation) -> Record:
+        record = rig.run(excitation).record
+        assert record.pressure_pa is not None
+        return replace(record, pressure_pa=101.3e3 + show(record.pressure_pa - 101.3e3, record.t_s))
+
+    return run
+
+
+def _bend(gauge_pa: np.ndarray) -> np.ndarray:
+    share = gauge_pa / 340e3
+    return gauge_pa + 4.0 * 3e3 * share * (1.0 - share)
+
+
+def _in_truth(name: str, block: str, right: Place, called: str = "") -> Uncatalogued:
+    return Uncatalogued(name, block, (right,), name, called=called)
+
+
+OFF_CENTRE = _on_position(lambda x, t: x + 60e-6 * np.sin(2.0 * np.pi * x / 6.3e-3))
 
 UNCATALOGUED = (
-    Uncatalogued("position_dependent_friction", "mechanics", (("braid_friction", "position"),),
-                 "position_dependent_friction"),
-    Uncatalogued("hysteretic_spring", "mechanics", (("force", "position"),), "hysteretic_spring"),
-    Uncatalogued("second_spring", "mechanics", (("force", "position"),), "second_spring"),
-    Uncatalogued("wearing_friction", "mechanics", (("braid_friction", "time"),),
-                 "wearing_friction"),
-    Uncatalogued("supply_ripple", "pressure", (("supply", "time"),), "supply_ripple"),
-    Uncatalogued("valve_gain_wobble", "pressure",
-                 (("opening", "time"),), "valve_gain_wobble"),
+    # --- in the rig's own equations
+    _in_truth("position_dependent_friction", "mechanics", ("braid_friction", "position"),
+              "position_friction"),
+    _in_truth("hysteretic_spring", "mechanics", ("force", "position"), "spring_hysteresis"),
+    _in_truth("second_spring", "mechanics", ("force", "position")),
+    _in_truth("wearing_friction", "mechanics", ("braid_friction", "time")),
+    _in_truth("friction_with_pressure", "mechanics", ("braid_friction", "pressure")),
+    _in_truth("drag_along_stroke", "mechanics", ("damping", "position")),
+    _in_truth("pull_along_stroke", "mechanics", ("pull", "position")),
+    _in_truth("supply_ripple", "pressure", ("supply", "time"), "supply_ripple"),
+    _in_truth("valve_gain_wobble", "pressure", ("opening", "time")),
+    _in_truth("slewing_driver", "pressure", ("command", "command"), "valve_slew"),
+    _in_truth("swelling_hose", "pressure", ("volume", "pressure")),
+    # --- numbers that change while it runs
+    Uncatalogued("supply_falls", "pressure", (("supply", "time"),),
+                 run=_times("supply_pa", -0.009)),
+    Uncatalogued("supply_jumps", "pressure", (("supply", "time"),),
+                 run=_times("supply_pa", -0.03, 1.37)),
+    Uncatalogued("exhaust_clogs", "pressure", (("exhausting", "time"),),
+                 run=_times("vent_gain", -0.02)),
+    Uncatalogued("valve_opens_wider", "pressure", (("opening", "time"),),
+                 run=_times("valve_m2_per_v", 0.06, 1.73)),
+    Uncatalogued("spring_softens", "mechanics", (("stiffness", "time"),),
+                 run=_times("stiffness", -0.009)),
+    Uncatalogued("damping_grows", "mechanics", (("damping", "time"),),
+                 run=_times("damping", 0.08)),
+    Uncatalogued("load_is_hung_on", "mechanics", (("force", "time"),),
+                 run=_over_time(lambda p, t_s: p._replace(load_n=1.7 if t_s >= 1.31 else 0.0))),
+    # --- on what goes in and comes out
     Uncatalogued("null_offset", "pressure", (("command", ""),),
-                 run=_with_valve(lambda v: v + 0.07)),
+                 run=_with_valve(lambda v: v + 0.07), called="null_offset"),
+    Uncatalogued("null_jumps", "pressure", (("command", "time"),),
+                 run=_with_valve(lambda v: v + 0.06 * (np.arange(len(v)) >= 1610))),
+    Uncatalogued("null_creeps", "pressure", (("command", "time"),),
+                 run=_with_valve(lambda v: v + 0.025e-3 * np.arange(len(v)))),
     Uncatalogued("slew_limit", "pressure", (("command", "command"),),
                  run=_with_valve(lambda v: _limit_rate(v, 1.3))),
-    Uncatalogued("off_centre_encoder", "mechanics", (("encoder", "position"),),
-                 run=_turn_off_centre),
-    Uncatalogued("bent_sensor", "pressure", (("pressure_sensor", "pressure"),), run=_bend_sensor),
+    Uncatalogued("off_centre_encoder", "mechanics", (("encoder", "position"),), run=OFF_CENTRE),
+    Uncatalogued("slipping_encoder", "mechanics", (("encoder", "time"),),
+                 run=_on_position(lambda x, t: x + 70e-6 * (t >= 1.43))),
+    Uncatalogued("bent_sensor", "pressure", (("pressure_sensor", "pressure"),),
+                 run=_on_pressure(lambda g, t: _bend(g))),
+    Uncatalogued("drifting_sensor", "pressure", (("pressure_sensor", "time"),),
+                 run=_on_pressure(lambda g, t: g + 0.8e3 * t)),
 )  # fmt: skip

@@ -15,11 +15,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.command_line import run_pamctl
 from support.patience import BUSY_PC, PATIENCE_S
 from support.processes.daemons import QUICK, daemon
 from typer.testing import CliRunner
@@ -212,8 +214,7 @@ def test_a_taken_port_is_reported_and_the_run_goes_on(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("verb", ["run", "daemon"])
 def test_live_origin_without_live_is_refused(verb: str) -> None:
-    command = [sys.executable, "-m", "pamctl", verb, "--live-origin", SITE]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    done = run_pamctl(verb, "--live-origin", SITE)
     assert done.returncode == 2
     assert "for --live-origin: belongs to --live" in done.stderr
 
@@ -225,12 +226,10 @@ def test_the_help_says_which_extra_is_needed(verb: str) -> None:
 
 
 def test_live_needs_a_clock_and_the_extra() -> None:
-    command = [sys.executable, "-m", "pamctl", "run", "--fast", "--live"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    done = run_pamctl("run", "--fast", "--live")
     assert done.returncode == 2
     assert "without a clock" in done.stderr
-    hidden = "import sys; sys.modules['foxglove'] = None; import pamctl.cli.app as a; a.app()"
-    command = [sys.executable, "-c", hidden, "run", "--live"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    with patch.dict(sys.modules, {"foxglove": None}):
+        done = run_pamctl("run", "--live")
     assert done.returncode == 69
     assert re.search(r"foxglove-sdk.*pip install '.\[live\]'", done.stderr)

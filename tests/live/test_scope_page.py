@@ -13,7 +13,6 @@ from support.chromium import Page, page
 from support.processes.daemons import NOT_HOMED, Daemon, daemon, parked
 from support.processes.watch_pages import Served, served
 
-from pamctl.live.scope.trigger import find_crossing
 from pamctl.log.reader import Log, read
 
 
@@ -175,6 +174,12 @@ def test_a_saved_capture_opens_again_and_its_cut_is_a_log(
     tab.click("#keep")
     tab.value("openLog(captured.log)")
     assert tab.value("scope.capture.ticks.length") == len(run)
+    tab.wait_for("byId('marks').textContent.includes('a spike')")
+    tab.click("#marks button:last-child")
+    mark = next(event for event in run.events if event.get("text") == "a spike")
+    middle_s = float(run["t_s"][run["tick"] == mark["tick"]][0])
+    low_s, high_s = tab.value("scope.view")
+    assert low_s < middle_s <= high_s, "a click on a mark shows what is around it"
     tab.value("openKept(0)")
     assert np.array_equal(show_values(tab, "scope.capture.raw.position_m"), before)
     assert tab.value("scope.capture.trigger") == tab.value("captured.trigger")
@@ -237,37 +242,3 @@ def test_nothing_complains_on_a_phone_and_escape_is_the_emergency_stop(
     tab.click("#ack")
     up.wait_for("idle")
     assert tab.complaints == []
-
-
-# --- the trigger by itself ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("slope", ["rising", "falling", "either"])
-def test_a_search_in_pieces_finds_what_a_walk_over_the_samples_finds(slope: str) -> None:
-    generator = np.random.default_rng(7)
-    for _ in range(200):
-        values = np.cumsum(generator.normal(size=60))
-        values[generator.random(60) < 0.1] = np.nan
-        level, hysteresis = generator.normal(), abs(generator.normal()) * 0.5
-        wanted = walk(values, level, slope, hysteresis)
-        armed, found, start = None, None, 0
-        for piece in np.array_split(values, generator.integers(1, 8)):
-            crossing = find_crossing(piece, level, slope, hysteresis, armed)
-            armed = crossing.armed
-            if crossing.at is not None:
-                found = start + crossing.at
-                break
-            start += len(piece)
-        assert found == wanted
-
-
-def walk(values: np.ndarray, level: float, slope: str, hysteresis: float) -> int | None:
-    was_below = was_above = False
-    for index, value in enumerate(values):
-        if was_below and value >= level and slope != "falling":
-            return index
-        if was_above and value <= level and slope != "rising":
-            return index
-        was_below = was_below or value < level - hysteresis
-        was_above = was_above or value > level + hysteresis
-    return None

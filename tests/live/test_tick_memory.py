@@ -11,6 +11,7 @@ from support.made_up import columns, meta, put, tick
 
 from pamctl.live.scope.questions import ScopeQuestions
 from pamctl.live.scope.tick_memory import TickMemory
+from pamctl.live.scope.tick_shelf import TickShelf
 from pamctl.live.scope.tick_source import ScopeRefusal, TickSource
 from pamctl.recording.ring import Ring
 
@@ -73,6 +74,28 @@ def test_the_oldest_ticks_are_dropped_and_a_run_that_has_ended_is_kept(ring):
     assert state.last_tick == 1009
     assert 700 <= state.first_tick <= 900
     assert not state.is_complete
+
+
+def test_any_stretch_of_a_shelf_that_went_round_is_what_a_growing_array_gives():
+    generator = np.random.default_rng(7)
+    row = np.dtype([("tick", "<i8"), ("x", "<f8"), ("on", "?")])
+    for _ in range(100):
+        room = int(generator.integers(1, 60))
+        shelf, everything, last = TickShelf(row, room * row.itemsize), np.empty(0, row), 0
+        for count in generator.integers(0, 90, size=5):
+            ticks = np.zeros(count, row)
+            ticks["tick"] = last + np.cumsum(generator.integers(1, 4, count))  # some are missing
+            ticks["x"] = generator.normal(size=count)
+            last = max(last, int(ticks["tick"].max(initial=0)))
+            everything = np.concatenate([everything, ticks])
+            assert shelf.put(ticks) == (len(everything) <= room)
+            kept = everything[-room:]
+            first, end = sorted(map(int, generator.integers(-5, last + 9, 2)))
+            every = int(generator.integers(1, 6))
+            wanted = kept[(kept["tick"] >= first) & (kept["tick"] <= end)][::every]
+            given = shelf.read_columns(["tick", "x", "on"], first, end, every)
+            for name, values in given.items():
+                assert np.array_equal(values, wanted[name])
 
 
 def test_a_ring_that_another_user_holds_is_a_reason_and_no_error(ring, monkeypatch):

@@ -23,6 +23,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
+from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
 from support.processes.daemons import daemon
 
@@ -187,9 +188,7 @@ def test_lines_of_json_are_what_the_page_is_sent(tmp_path: Path) -> None:
 
 
 def _json_lines(socket: Path, code: int = 0) -> list[dict[str, Any]]:
-    command = [sys.executable, "-m", "pamctl", "watch", "--json", "--count", "3"]
-    command += ["--socket", str(socket)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    done = run_pamctl("watch", "--json", "--count", "3", "--socket", socket)
     assert done.returncode == code, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()]
 

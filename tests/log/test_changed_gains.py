@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
+from support.command_line import run_pamctl
 from support.processes.daemons import daemon
 
 from pamctl.live.status_text import format_status
@@ -68,8 +67,6 @@ def test_the_daemon_says_what_was_set_until_a_file_is_loaded(tmp_path: Path) -> 
 
 
 def pamctl(*arguments: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "pamctl", *arguments], capture_output=True, text=True, timeout=120
-    )
+    done = run_pamctl(*arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout

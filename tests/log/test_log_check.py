@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 import random
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from mcap.opcode import Opcode
+from support.command_line import run_pamctl
 from support.made_up import columns, tick
-from support.patience import PATIENCE_S
 from support.small_log import CHUNK_TICKS, rewritten, write_small
 from typer.testing import CliRunner
 
@@ -44,8 +42,7 @@ def run(tmp_path_factory) -> Path:
     """Return the log of a real run."""
     path = tmp_path_factory.mktemp("run") / "run.mcap"
     experiment = ("--experiment", "square-1", "--duration", "1")
-    command = [sys.executable, "-m", "pamctl", "run", "--fast", *experiment, "--log", str(path)]
-    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_S)
+    run_pamctl("run", "--fast", *experiment, "--log", path).check_returncode()
     return path
 
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support.patience import PATIENCE_S
+from support.command_line import run_pamctl
 from typer.testing import CliRunner
 
 import pamctl.log
@@ -28,11 +26,7 @@ def pamctl_(*arguments: str | Path) -> Any:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the log of a closed-loop run of 6 s after homing."""
     path = tmp_path_factory.mktemp("run") / "run.mcap"
-    command = [sys.executable, "-m", "pamctl", "run", "--fast", "--duration", "3"]
-    subprocess.run(
-        [*command, "--quiet", "--log", str(path)],
-        check=True, capture_output=True, timeout=PATIENCE_S,
-    )  # fmt: skip
+    run_pamctl("run", "--fast", "--duration", "3", "--quiet", "--log", path).check_returncode()
     return path
 
 

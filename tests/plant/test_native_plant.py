@@ -42,7 +42,7 @@ def test_every_step_shows_and_leaves_the_same(name: str) -> None:
 
 def test_a_plant_with_tables_is_refused() -> None:
     p = parameters_of({})
-    table = type(p.correction)(pull=((0.0, 1.0), (0.0, 1.0), (0.0,) * 4))
+    table = type(p.correction)(pull=((0.0, 1.0), (0.0, 1.0), (0.0,) * 100))
     with pytest.raises(NotFlat, match=r"correction\.pull"):
         PlantWords(p._replace(correction=table))
 

@@ -116,7 +116,7 @@ def test_a_card_that_fails_in_the_middle_of_a_run_ends_it_with_69_and_safe(
     own.fail(function, -201003, after=700, times=1)
     process = start(own, *AT_ONCE)
     _, complaints = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 69
+    assert process.returncode == 69, complaints
     assert "device error -201003" in complaints
     assert "nilsdev" in complaints
     assert "Traceback" not in complaints

@@ -90,8 +90,7 @@ def test_the_table_has_a_row_for_each_choice_of_processes(script) -> None:
 # --- real processes -------------------------------------------------------------------------
 
 HARDEST = [
-    # Nobody but the front is left to see it.
-    ("sim", ("loop", "frozen"), ("guardian", "killed")),
+    # Nobody but the front is left to see it; `test_process_deaths` has the same in simulation.
     ("nidaq", ("guardian", "frozen"), ("loop", "frozen")),
     # Nobody but the guardian, or the loop.
     ("nidaq_hardware_timed", ("loop", "frozen"), ("front", "killed")),

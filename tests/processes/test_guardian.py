@@ -210,8 +210,8 @@ def test_a_guardian_that_dies_is_lost_when_the_front_looks(ring: Ring) -> None:
     front.dismiss()
 
 
-def test_a_silent_loop_that_its_guardian_leaves_alone_is_killed_by_the_front(ring: Ring) -> None:
-    rig = StubRig()
+def kill_silent_loop(ring: Ring, rig: StubRig, told: Ending) -> Ending:
+    """Let the front kill a silent loop whose guardian is frozen; return its judgement."""
     front = Guardianship(ring, ["sh", "-c", "read line", "guardian"], rig, LoopSettings())  # type: ignore[arg-type]
     ring.loop_stage = LoopStage.TICKING
     with sleeper() as loop:
@@ -222,9 +222,24 @@ def test_a_silent_loop_that_its_guardian_leaves_alone_is_killed_by_the_front(rin
             time.sleep(1e-3)
     assert front.pid
     os.kill(front.pid, signal.SIGSTOP)
-    ending = front.judge_ending(Ending(ExitCode.UNEXPECTED, "the loop process was killed"))
+    ending = front.judge_ending(told)
+    front.dismiss()
+    return ending
+
+
+def test_a_silent_loop_that_its_guardian_leaves_alone_is_killed_by_the_front(ring: Ring) -> None:
+    rig = StubRig()
+    ending = kill_silent_loop(ring, rig, Ending(ExitCode.UNEXPECTED, "the loop process was killed"))
     assert ending.code == ExitCode.UNEXPECTED
+    assert "the loop process was killed" not in ending.reason
     assert "its guardian did nothing" in ending.reason
     assert "the front drove the safe voltage" in ending.reason
     assert rig.tries == 1
-    front.dismiss()
+
+
+def test_a_device_error_that_the_loop_has_told_stays_the_reason_of_its_end(ring: Ring) -> None:
+    told = Ending(ExitCode.UNAVAILABLE, "device error -201003")
+    ending = kill_silent_loop(ring, StubRig(), told)
+    assert ending.code == ExitCode.UNAVAILABLE
+    assert ending.reason.startswith("device error -201003; the loop was silent")
+    assert ending.reason.count("its guardian did nothing") == 1

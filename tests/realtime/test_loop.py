@@ -247,6 +247,24 @@ def test_a_device_that_fails_in_the_first_tick_ends_safe_too(kind: str) -> None:
     assert_left_safe(ran)
 
 
+def test_the_ending_is_told_once_the_valve_is_safe_and_before_the_device_is_released() -> None:
+    settings = short()
+    made, told = parts(settings, [fault("read_error", from_tick=5)]), []
+    ending = loop.run_loop(
+        made.whole,
+        made.clock,
+        build_tick_setup(settings),
+        nominal_zero_of(settings),
+        build_program(settings),
+        MemoryJournal(),
+        ScriptedSupervisor(),
+        lambda: loop.Truth(0.0, 0.0),
+        ended=lambda ending: told.append((ending, made.rig.output_v, made.rig._is_open)),
+    )
+    assert ending.code == ExitCode.UNAVAILABLE
+    assert told == [(ending, pytest.approx(SAFE_OUTPUT_V, abs=AO_STEP_V), True)]
+
+
 class Shut:
     """A device that cannot be opened."""
 

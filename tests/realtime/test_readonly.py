@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command_line import run_pamctl
 from support.runs import AO_STEP_V, Run, run, run_settings
 
 from hal.faulty import FaultSettings
@@ -86,31 +85,21 @@ def test_an_open_loop_experiment_is_looked_on_too() -> None:
 
 
 def test_a_replay_of_a_readonly_run_comes_to_the_same_decisions(tmp_path: Path) -> None:
-    pamctl = [sys.executable, "-m", "pamctl"]
     options = ["--readonly", "--fast", "--duration", "1", "--quiet", "--log", "run.mcap"]
-    subprocess.run([*pamctl, "run", *options], cwd=tmp_path, timeout=60, check=True)
-    done = subprocess.run(
-        [*pamctl, "replay", "run.mcap"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+    run_pamctl("run", *options, cwd=tmp_path).check_returncode()
+    done = run_pamctl("replay", "run.mcap", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "equal" in done.stdout
 
 
 def test_pamctl_run_readonly_says_so_and_its_log_does(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "pamctl", "run", "--readonly", "--fast", "--duration", "1"]
-    done = subprocess.run(
-        [*command, "--json", "--log", "run.mcap"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True,
-    )  # fmt: skip
+    command = ["run", "--readonly", "--fast", "--duration", "1"]
+    done = run_pamctl(*command, "--json", "--log", "run.mcap", cwd=tmp_path)
     assert json.loads(done.stdout)["readonly"] is True
     log = read(tmp_path / "run.mcap")
     assert log.config["readonly"] is True
     assert np.unique(log["applied_v"]).tolist() == [0.0]
     assert np.unique(log["verdicts"]).tolist() == [PINNED]
-    text = subprocess.run(
-        [*command, "--log", "again.mcap"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True,
-    ).stdout  # fmt: skip
+    text = run_pamctl(*command, "--log", "again.mcap", cwd=tmp_path).stdout
     assert "nothing was tracked" in text
     assert "paper" not in text

@@ -586,7 +586,7 @@ def test_a_difference_is_code_3_with_tick_stage_field_and_both_values(
     golden: Callable[[str], Log], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = with_config(golden("qsmc"), "controller.eta", 0.5)
-    monkeypatch.setattr("pamctl.log.reader.read", lambda path: changed)
+    monkeypatch.setattr("pamctl.log.paging.read_paged.read_paged", lambda path: changed)
     arguments = ("replay", "x.mcap", "--tolerance", "default-for-other-cpu")
     code, said = pamctl(*arguments, "--json")
     document = json.loads(said)

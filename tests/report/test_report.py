@@ -205,3 +205,37 @@ def test_the_page_prints_with_its_folded_texts(minute, tmp_path):
     assert document.startswith(b"%PDF")
     pages = len(re.findall(rb"/Type\s*/Page\b", document))
     assert 4 <= pages <= 20
+
+
+def find_plots(html: str) -> dict[str, str]:
+    """The plots of a page by their titles."""
+    parts = html.split('<div class="ptitle">')[1:]
+    return {part.split(" <span", 1)[0]: part for part in parts}
+
+
+def test_every_plot_over_time_has_the_same_axis_and_marks_each_moment(minute):
+    log = read(minute)
+    mark = {"event": "mark", "tick": int(log["tick"][20_000]), "text": "touched the hose"}
+    later = {**log.gains[0], "lambda_per_s": 12.5, "tick": int(log["tick"][30_000])}
+    marked = {"events": [*log.events, mark], "gains": [log.gains[0], later]}
+    plots = find_plots(compose_report([type(log)(**{**vars(log), **marked})]).html())
+    over_time = ("Displacement", "Tracking error", "Pressure", "Command", "Terms of the command",
+                 "Filtered minus raw displacement")  # fmt: skip
+    ticks = {
+        title: re.findall(r'<text class="xt[^"]*" x="([^"]+)" y="\d+">([^<]+)<', plots[title])
+        for title in over_time
+    }
+    assert len({tuple(found) for found in ticks.values()}) == 1
+    for title in over_time:
+        assert ">touched the hose</text>" in plots[title]
+        assert ">gains</text>" in plots[title]
+
+
+def test_runs_that_hide_each_other_are_drawn_apart_on_one_scale(minute, folder):
+    twin = folder / "twin.mcap"
+    twin.write_bytes(minute.read_bytes())
+    plots = find_plots(page_of(minute, twin))
+    assert {"Displacement, minute", "Displacement, twin", "Phase plane, twin"} <= {*plots}
+    numbers = [re.findall(r'<text class="yt"[^>]*>([^<]+)<', plots[f"Displacement, {name}"])
+               for name in ("minute", "twin")]  # fmt: skip
+    assert numbers[0] == numbers[1]

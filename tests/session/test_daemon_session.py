@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command_line import run_pamctl
 from support.patience import PATIENCE_S
 from support.processes.daemons import TRACKING, Daemon, daemon, parked
 
@@ -106,10 +107,7 @@ def test_refusals_are_the_shells(up: Daemon, tmp_path: Path) -> None:
     assert absent.value.fix.startswith("start one with `pamctl daemon`")
     with connect(up.socket) as rig:
         before = rig.gains
-        shell = [sys.executable, "-m", "pamctl", "set", "controller.lambda_per_s=-3"]
-        done = subprocess.run(
-            [*shell, "--socket", str(up.socket)], capture_output=True, text=True, check=False
-        )
+        done = run_pamctl("set", "controller.lambda_per_s=-3", "--socket", up.socket)
         with pytest.raises(pamctl.PamctlError) as refused:
             rig.set(lambda_per_s=-3)
         assert done.stderr.strip() == f"error: {refused.value}"

@@ -31,6 +31,8 @@ from pamctl.simulate.closed_loop import (
     tabulate_references,
 )
 
+pytestmark = pytest.mark.usefixtures("closed_loops")
+
 LAWS = ("qsmc", "smc", "pid")  # the shipped gains
 TRACKING = """
     kind: tracking

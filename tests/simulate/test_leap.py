@@ -26,7 +26,7 @@ from pamctl.realtime.whole_tick import run_whole_tick
 from pamctl.recording.ring import ROW_BYTES, tick_struct
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings
-from pamctl.signals import TICK_FIELDS, Truth
+from pamctl.signals import Truth, list_tick_fields
 from pamctl.simulate.leap import (
     GaussState,
     Leap,
@@ -88,7 +88,9 @@ def run_both(settings: RunSettings, *faults: FaultSettings, compiled: bool = Fal
 
 
 def pack(journal: MemoryJournal) -> list[bytes]:
-    return [tick_struct(TICK_FIELDS).pack(*chain(*record)) for record in journal.ticks]
+    compensates = bool(journal.ticks[0].compensation)
+    packing = tick_struct(list_tick_fields(compensates))
+    return [packing.pack(*chain(*record)) for record in journal.ticks]
 
 
 CASES = {
@@ -100,6 +102,13 @@ CASES = {
         "plant.effects.valve_spool.time_constant_s=0.002",
         "plant.effects.pressure_sensor_lag.time_constant_s=0.003",
         "plant.effects.stribeck.rise=0.3",
+    ),
+    "a compensated valve": (
+        *SHORT,
+        "rig.homing.enabled=false",
+        "plant.effects.valve_deadband.fill_width_v=0.2",
+        "plant.effects.valve_deadband.exhaust_width_v=0.1",
+        "rig.compensate=[valve_deadband]",
     ),
     "a trip": (*SHORT, "rig.homing.enabled=false", "rig.limits.pressure_pa=200000"),
 }

@@ -62,10 +62,13 @@ class Page:
         self._call("Page.navigate", url=address)
 
     def open_beside(self, address: str, count: int) -> None:
-        """Open `count` more tabs; this one stays the one that is told what to do."""
+        """Open `count` more tabs, each in a window of its own: all are visible.
+
+        This one stays the one that is told what to do.
+        """
         session, self._session = self._session, ""
         for _ in range(count):
-            self._call("Target.createTarget", url=address)
+            self._call("Target.createTarget", url=address, newWindow=True)
         self._session = session
 
     def value(self, expression: str) -> Any:
@@ -94,6 +97,25 @@ class Page:
         x, y = self.value(f"(b => [b.x + b.width / 2, b.y + b.height / 2])({where})")
         for kind in ("mousePressed", "mouseReleased"):
             self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def drag(self, selector: str, dx: float, dy: float) -> None:
+        """Press the left button on an element, move by some pixels, and release."""
+        element = f"document.querySelector({json.dumps(selector)})"
+        self.value(f"{element}.scrollIntoView({{ block: 'center', behavior: 'instant' }})")
+        where = f"{element}.getBoundingClientRect()"
+        x, y = self.value(f"(b => [b.x + b.width / 2, b.y + b.height / 2])({where})")
+        steps = [("mousePressed", 0.0), ("mouseMoved", 0.5), ("mouseMoved", 1.0)]
+        for kind, share in [*steps, ("mouseReleased", 1.0)]:
+            at = {"x": x + share * dx, "y": y + share * dy}
+            self._call("Input.dispatchMouseEvent", type=kind, **at, button="left", clickCount=1)
+
+    def press(self, *keys: str) -> None:
+        """Press and release keys: `Tab`, `Enter`, `ArrowUp`, or a letter."""
+        codes = {"Tab": 9, "Enter": 13, "ArrowUp": 38}
+        for key in keys:
+            named = {"key": key, "code": key, "windowsVirtualKeyCode": codes.get(key, ord(key[0]))}
+            self._call("Input.dispatchKeyEvent", type="keyDown", **named)
+            self._call("Input.dispatchKeyEvent", type="keyUp", **named)
 
     def screenshot(self, path: Path) -> None:
         path.write_bytes(base64.b64decode(self._call("Page.captureScreenshot")["data"]))

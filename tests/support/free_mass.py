@@ -39,10 +39,11 @@ def pushed_mass(
     force_noise_n: float = 0.5,
     position_noise_m: float = 1e-6,
     stiffness: float = 0.0,
+    damping_per_m: float = 0.0,
 ) -> Record:
     """Push a mass to and fro so that its motion is a sum of sines; the force balances it exactly.
 
-    M x'' + c x' + k x + f sgn x' + load = F, without any simulation.
+    M x'' + (c + c_1 x) x' + k x + f sgn x' + load = F, without any simulation.
     """
     t_s = np.arange(round(duration_s / period_s)) * period_s
     random = np.random.default_rng(seed)
@@ -52,7 +53,13 @@ def pushed_mass(
         x += amplitude_m * np.sin(w * t_s + phase)
         v += amplitude_m * w * np.cos(w * t_s + phase)
         a -= amplitude_m * w**2 * np.sin(w * t_s + phase)
-    force_n = MASS_KG * a + DAMPING * v + stiffness * x + FRICTION_N * np.sign(v) + LOAD_N
+    force_n = (
+        MASS_KG * a
+        + (DAMPING + damping_per_m * x) * v
+        + stiffness * x
+        + FRICTION_N * np.sign(v)
+        + LOAD_N
+    )
     return Record(
         f"pushed-{seed}",
         t_s,

@@ -18,7 +18,15 @@ from pamctl.realtime.loop import run_loop
 from pamctl.recording.ring import ROW_HEADER, RowKind, tick_struct
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
-from pamctl.signals import TICK_FIELDS, TICK_STAGES, Phase, TickRecord, Truth
+from pamctl.signals import (
+    TICK_FIELDS,
+    TICK_STAGES,
+    Compensated,
+    Phase,
+    TickRecord,
+    Truth,
+    list_tick_fields,
+)
 
 MS = 1_000_000
 COUNT_M = 25.4e-3 / 8000.0
@@ -35,9 +43,11 @@ def run_settings(*overrides: str, **choices: Any) -> RunSettings:
 def unpack_row(row: bytes | bytearray) -> TickRecord:
     """Return the record in a row of the ring."""
     kind, size, tick, t_ns = ROW_HEADER.unpack_from(row)
-    assert (kind, size) == (RowKind.TICK, tick_struct(TICK_FIELDS).size)
-    numbers = iter(tick_struct(TICK_FIELDS).unpack_from(row, ROW_HEADER.size))
-    stages: Any = TICK_STAGES.values()
+    compensates = size != tick_struct(TICK_FIELDS).size
+    packing = tick_struct(list_tick_fields(compensates))
+    assert (kind, size) == (RowKind.TICK, packing.size)
+    numbers = iter(packing.unpack_from(row, ROW_HEADER.size))
+    stages: Any = [*TICK_STAGES.values(), *([Compensated] if compensates else [])]
     record = TickRecord(
         *(stage._make(itertools.islice(numbers, len(stage._fields))) for stage in stages)
     )

@@ -17,6 +17,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from support.command_line import run_pamctl
 
 from pamctl.control.experiment import build_segments
 from pamctl.control.law import respond
@@ -25,7 +26,7 @@ from pamctl.control.surface import Absement
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import check_config_file, resolve, settings_to_data
 from pamctl.signals import Estimate, Phase, Reference
-from pamctl.simulate.batch import simulate_merit
+from pamctl.simulate.batch import simulate_run
 from pamctl.tune import (
     GainsSearch,
     GainsTrial,
@@ -43,6 +44,8 @@ from pamctl.tune.plant_ensemble import (
     holds_the_farthest_point,
 )
 from pamctl.tune.search_space import find_space
+
+pytestmark = pytest.mark.usefixtures("closed_loops")
 
 PID = resolve(controller="pid").controller
 PAPER = make_fixed_members([("paper", resolve().plant)])
@@ -85,7 +88,7 @@ def test_a_muscle_too_weak_for_the_upper_set_point_is_recognised() -> None:
 def test_the_full_trial_agrees_with_the_experiments_of_the_paper() -> None:
     verdict = GainsTrial("whole").verdict(PID, PAPER[0])
     for number, experiment in (("1", "tracking-1"), ("2", "tracking-2")):
-        found = simulate_merit(resolve(controller="pid", experiment=experiment))
+        found = simulate_run(resolve(controller="pid", experiment=experiment)).merit()
         assert found is not None
         assert verdict.figures_um[f"max {number}"] == found.max_m * 1e6
         assert verdict.figures_um[f"RMS {number}"] == found.rms_m * 1e6
@@ -272,8 +275,7 @@ def test_another_search_s_state_is_refused(tmp_path: Path) -> None:
 
 
 def tune(*options: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pamctl", "tune", *options]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd)
+    return run_pamctl("tune", *options, cwd=cwd)
 
 
 def test_the_gains_file_says_how_it_was_made_and_can_be_run(tmp_path: Path) -> None:

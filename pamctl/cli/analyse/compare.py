@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pamctl.cli.options import JsonOption
+from pamctl.cli.options import InteractiveOption, JsonOption
 from pamctl.cli.output import PAGE_BEGIN, print_json, print_result
 from pamctl.new_file import NewFileError, require_place, write_files
 
@@ -32,18 +32,22 @@ def compare(
             "--plot", metavar="FILE", help="HTML page with plots to write", show_default="no page"
         ),
     ] = None,
+    interactive: InteractiveOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Drive models by the logged command, and compare them with the measurement."""
     if plot is not None and len(paths) > 1:
         raise typer.BadParameter("a page is of one log; leave out the others", param_hint="--plot")
+    if interactive and plot is None:
+        raise typer.BadParameter("there is no page; give --plot too", param_hint="--interactive")
     if plot is not None:
         require_place(plot, replaces=PAGE_BEGIN)
     from pamctl.compare.compare_plants import compare_plants
     from pamctl.compare.compare_text import format_comparison, make_comparison_document
-    from pamctl.log import read
+    from pamctl.log.measured_signals import SIGNAL_FIELDS
+    from pamctl.log.reader import read, read_some
 
-    found = [(path, compare_plants(read(path), plants or [])) for path in paths]
+    found = [(path, compare_plants(read_some(path, SIGNAL_FIELDS), plants or [])) for path in paths]
     if len(found) > 1:
         if as_json:
             print_json([{**make_comparison_document(*one), "plot": None} for one in found])
@@ -55,7 +59,7 @@ def compare(
     if plot is not None:
         from pamctl.compare.compare_page import draw_comparison_page
 
-        page = draw_comparison_page(path.name, models).html()
+        page = draw_comparison_page(read(path), models).html(interactive=interactive)
         try:
             write_files({plot: page}, replaces=PAGE_BEGIN)
         except NewFileError as error:

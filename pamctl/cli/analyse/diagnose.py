@@ -13,6 +13,7 @@ import typer
 
 from pamctl.cli.options import (
     ClusterOption,
+    InteractiveOption,
     JsonOption,
     PlantOption,
     SocketOption,
@@ -92,6 +93,7 @@ def diagnose(
         ),
     ] = None,
     cluster: ClusterOption = None,
+    interactive: InteractiveOption = False,
     on_rig: Annotated[
         bool,
         typer.Option(
@@ -186,7 +188,7 @@ def diagnose(
     names = [path.name for path in (*logs, *(holdout or []))]
     failure, end = None, ""
     try:
-        written = write_diagnosis(diagnosis, out, names, [*train, *held])
+        written = write_diagnosis(diagnosis, out, names, [*train, *held], interactive=interactive)
         end = f"\n\n{out}: {', '.join(written)}"
     except NewFileError as error:
         failure = error
@@ -196,7 +198,7 @@ def diagnose(
 
 
 _FOR_RIG = ("experiment", "runs", "minutes", "then", "dry_run", "yes", "socket")
-_FOR_LOGS = ("holdout", "without", "accept", "correction", "noise")
+_FOR_LOGS = ("holdout", "without", "accept", "correction", "noise", "interactive")
 
 
 def _require_one_kind(context: typer.Context, logs: Sequence[Path], *, on_rig: bool) -> None:

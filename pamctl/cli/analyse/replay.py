@@ -89,12 +89,12 @@ def replay(
         require_place(csv)
     if from_s is not None and not 0.0 <= from_s < math.inf:
         raise typer.BadParameter("must be seconds, 0 or more", param_hint="--from")
-    from pamctl.log import read
+    from pamctl.log.paging.read_paged import read_paged
     from pamctl.settings.resolve import use_law_file
 
     if controller_from is not None:
         use_law_file(controller_from)
-    log = read(path)
+    log = read_paged(path)
     if is_what_if:
         code = _run_what_if(log, controller, overrides or [], from_s, csv, as_json=as_json)
     else:

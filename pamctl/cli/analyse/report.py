@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pamctl.cli.options import JsonOption
+from pamctl.cli.options import InteractiveOption, JsonOption
 from pamctl.cli.output import PAGE_BEGIN, print_json
 from pamctl.new_file import require_place, write_files
 
@@ -23,6 +23,7 @@ def report(
             show_default="beside the first log",
         ),
     ] = None,
+    interactive: InteractiveOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write one self-contained HTML page with figures and plots of these logs."""
@@ -32,7 +33,7 @@ def report(
 
     logs = [read(path) for path in paths]
     require_place(target, replaces=PAGE_BEGIN)
-    html = compose_report(logs).html()
+    html = compose_report(logs).html(interactive=interactive)
     write_files({target: html}, replaces=PAGE_BEGIN)
     if as_json:
         print_json({"page": str(target), "bytes": len(html.encode()), "logs": paths})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import getpass
+from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -23,5 +25,13 @@ def set_keys(
     as_json: JsonOption = False,
 ) -> None:
     """Change gains while the loop runs, on a ramp."""
-    gains = ask(socket, "set", {"changes": changes, "ramp_s": ramp_s})
+    who = _find_user()
+    gains = ask(socket, "set", {"changes": changes, "ramp_s": ramp_s, "operator": who})
     print_gains(gains, as_json=as_json)
+
+
+def _find_user() -> str:
+    """Return the user's name, for the log; empty where this PC does not know one."""
+    with suppress(KeyError, OSError):
+        return getpass.getuser()
+    return ""

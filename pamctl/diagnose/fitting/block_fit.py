@@ -7,7 +7,7 @@ deviation of the sensor, so that both blocks weigh the same.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import log
@@ -51,8 +51,6 @@ LONG_STEP = 3e-2
 """Step that reaches beyond a kink, where the muscle begins to stick in another place."""
 PROGRESS = 0.01
 """A fit goes on while a round reduces its cost by more than this share."""
-NOT_ENDED = 0
-"""`scipy.optimize`'s status when it has used up its evaluations."""
 ROBUST = 10.0
 """Residuals above this multiple of the usual one count linearly, not by their square."""
 LOGARITHMIC = 12.0
@@ -133,15 +131,19 @@ class _Slope:
     vector: Array
     residual: Array
     jacobian: Array
+    step: float
+    """Step of the derivatives, in scales."""
     age: int = 0
     """Updates since the derivatives were computed."""
 
     def carry_to(self, vector: Array, residual: Array) -> _Slope:
         """Return the nearest derivatives that agree with the last step (Broyden's update)."""
         step = vector - self.vector
+        if not step.any():
+            return self
         missed = residual - self.residual - self.jacobian @ step
         jacobian = self.jacobian + np.outer(missed, step / (step @ step))
-        return _Slope(vector.copy(), residual.copy(), jacobian, self.age + 1)
+        return _Slope(vector.copy(), residual.copy(), jacobian, self.step, self.age + 1)
 
 
 def fit_numbers(
@@ -152,35 +154,30 @@ def fit_numbers(
 ) -> Fit:
     """Fit the numbers `free` from the values of `start`; robust to what the model cannot show."""
     drives, free = tuple(drives), limit_to_plant(free, start)
-    settings = start
-    for steps in _list_steps(drives, start, free, effort) if free else ():
-        settings = _fit_with_steps(steps, settings, free, effort)
+    settings = _fit_settings(drives, start, free, effort) if free else start
     return Fit(settings, free, drives, stack_residuals(drives, settings))
 
 
-def _list_steps(
+def _fit_settings(
     drives: tuple[Drive, ...], start: PlantSettings, free: Sequence[FreeNumber], effort: Effort
-) -> Iterator[tuple[Drive, ...]]:
-    coarse = coarsen(drives, start, free=free)
-    yield coarse
-    if effort.ends_fine and any(map(is_not, coarse, drives)):
-        yield drives
-
-
-def _fit_with_steps(
-    drives: tuple[Drive, ...],
-    start: PlantSettings,
-    free: Sequence[FreeNumber],
-    effort: Effort,
 ) -> PlantSettings:
-    start, first_residual = _limit_start(drives, start, free)
-    knee = ROBUST * max(float(np.median(np.abs(first_residual))) / 0.6745, 1.0)
-    problem = _LeastSquares(drives, start, free, effort, knee)
+    """Descend with half the steps of the simulation, then with all of them."""
+    coarse = coarsen(drives, start, free=free)
+    start, residual = _limit_start(coarse, start, free)
+    problem = _LeastSquares(coarse, start, free, effort, find_knee(residual))
     result = problem.descend(problem.first, STEP)
     if result.ending is DescentEnd.STUCK:
         over = problem.descend(problem.descend(result.vector, LONG_STEP).vector, STEP)
         result = min(result, over, key=lambda r: r.cost)
+    if effort.ends_fine and any(map(is_not, coarse, drives)):
+        problem.refine(drives, result.vector)
+        result = problem.descend(result.vector, STEP)
     return problem.settings_at(result.vector)
+
+
+def find_knee(residual: Array) -> float:
+    """Return the size above which a residual counts linearly, where these are left at the start."""
+    return ROBUST * max(float(np.median(np.abs(residual))) / 0.6745, 1.0)
 
 
 class _LeastSquares:
@@ -225,14 +222,25 @@ class _LeastSquares:
         for _ in range(self.effort.most_rounds - 1):
             if result.ending is not DescentEnd.EVALUATIONS:
                 break
-            before = result.cost
+            before, self._slope = result.cost, None
             result = self._descend_round(result.vector, step)
             if result.cost > (1.0 - PROGRESS) * before:
                 break
         return result
 
-    def _descend_round(self, vector: Array, step: float) -> Descent:
+    def refine(self, drives: Sequence[Drive], vector: Array) -> None:
+        """Go on with other steps of the simulation, on which the derivatives hardly depend."""
+        slope, known = self._slope, self._recall_residual(vector)
+        if slope is not None and known is not None and not np.array_equal(slope.vector, vector):
+            slope = slope.carry_to(vector, known)
+        self.drives, self._last_residuals = drives, []
+        residual = self._residual_at(vector)
+        self.knee = find_knee(residual)
         self._slope = None
+        if slope is not None and known is not None:
+            self._slope = replace(slope, residual=residual, age=0)
+
+    def _descend_round(self, vector: Array, step: float) -> Descent:
         return descend(
             self._residual_at,
             lambda v: self._jacobian_at(v, step),
@@ -257,23 +265,21 @@ class _LeastSquares:
         self._last_residuals = [*self._last_residuals[-1:], (vector.copy(), residual)]
         return residual
 
+    def _recall_residual(self, vector: Array) -> Array | None:
+        return next((r for v, r in self._last_residuals if np.array_equal(v, vector)), None)
+
     def _jacobian_at(self, vector: Array, step: float) -> Array:
-        known = (r for v, r in self._last_residuals if np.array_equal(v, vector))
         settings, last = self.settings_at(vector), self._slope
-        residual = next(known, None)
+        residual = self._recall_residual(vector)
         if residual is None:
             residual = stack_residuals(self.drives, settings)
-        if (
-            last is not None
-            and last.age < self.effort.updates
-            and not np.array_equal(last.vector, vector)
-        ):
+        if last is not None and last.step == step and last.age < self.effort.updates:
             self._slope = last.carry_to(vector, residual)
         else:
             slope = sensitivity(self.drives, settings, self.free, step)
             # Along a logarithm the number moves in proportion to itself.
             jacobian = slope * np.where(self.is_log, self._to_values(vector) / self.middle, 1.0)
-            self._slope = _Slope(vector.copy(), residual.copy(), jacobian)
+            self._slope = _Slope(vector.copy(), residual.copy(), jacobian, step)
         return self._slope.jacobian
 
 
@@ -359,6 +365,15 @@ def find_secants(fitted: Fit, doses: Sequence[dict[str, float]]) -> Array:
     moved = [with_values(fitted.settings, dose) for dose in doses]
     drives = coarsen(fitted.drives, fitted.settings, *moved)
     return -move_residuals(drives, fitted.settings, moved)
+
+
+def find_change(fitted: Fit, altered: Sequence[Drive]) -> Array:
+    """Return by how much the residual of a fit changes on altered drives, in deviations, (n,)."""
+    as_fitted, changed = (coarsen(d, fitted.settings) for d in (fitted.drives, altered))
+    if [d.steps for d in as_fitted] != [d.steps for d in changed]:
+        return stack_residuals(altered, fitted.settings) - fitted.residual
+    here = stack_residuals(as_fitted, fitted.settings)
+    return stack_residuals(changed, fitted.settings) - here
 
 
 def project_out(basis: Array, vectors: Array) -> Array:

@@ -37,6 +37,8 @@ def coarsen(
     if any(unit == "m/s" for _, unit in acting):
         return tuple(drives)
     shortest_s = min((value for value, unit in acting if unit == "s"), default=math.inf)
+    if math.isinf(shortest_s):
+        return tuple(d.coarse for d in drives)
     return tuple(d if _is_too_coarse(d, shortest_s) else d.coarse for d in drives)
 
 

@@ -54,6 +54,7 @@ from pamctl.plant.drive import (
     find_pressure_course,
     select_mechanics_numbers,
     select_pressure_numbers,
+    without_pressure_offset,
 )
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
@@ -76,6 +77,8 @@ SETTLED_MS = 1000
 """Time after which a muscle stands still (ms)."""
 _SIMULATED: BoundedMemory[tuple[Array]] = BoundedMemory(100_000_000)
 """Fits of both blocks, floors and figures ask for the same simulations."""
+_DISTURBANCES: BoundedMemory[tuple[Array]] = BoundedMemory(50_000_000)
+"""Noise of driving signals; the drives of a fit, weighed and of other steps, share theirs."""
 _GRIDS: BoundedMemory[SampleGrid] = BoundedMemory(50_000_000)
 """Drives that are altered share the steps of the record."""
 RUNAWAY = 1e6
@@ -220,6 +223,10 @@ class Drive:
     def simulate_with(self, p: PlantParameters) -> Array:
         """Simulate the block with the kernels' parameters; the result is read-only."""
         p = self.select_numbers(p)
+        offset_pa = p.effects.sensors.pressure_sensor_offset.offset_pa
+        if offset_pa and self._only_adds_offset(p):
+            shifted: Array = Drive.simulate_with(self, without_pressure_offset(p)) + offset_pa
+            return shifted
         if not self.is_remembered:
             return self._simulate_anew(p)
         made_from = (
@@ -235,6 +242,14 @@ class Drive:
         (simulated,) = _SIMULATED.recall(key, made_from, lambda: (self._simulate_anew(p),))
         simulated.setflags(write=False)
         return simulated
+
+    def _only_adds_offset(self, p: PlantParameters) -> bool:
+        """Tell whether the pressure sensor's zero only moves what the block shows.
+
+        It is the last effect of the reading. Windows start from a reading, which it moves.
+        """
+        alone = self.block == PRESSURE and self.has_position and not self.windows
+        return alone and p.terms is None
 
     def select_numbers(self, p: PlantParameters) -> PlantParameters:
         """Return the numbers that this block's simulation depends on; the others are neutral."""
@@ -352,16 +367,15 @@ class Drive:
         A coarse converter's error goes slowly where the signal does: it is that of the signal. The
         draws are kept: the floors of all models use the same noise.
         """
-        if (replica, stream) not in self._disturbances:
+        made_from = (self.measured, signal, self.step_s, noise)
+
+        def draw() -> tuple[Array]:
             random = self.random_generator(replica, stream)
             drawn = noise.simulate_sensor(signal, random) - signal
-            smooth = smooth_signal(drawn, self.step_s, self.cutoff_hz)
-            self._disturbances[replica, stream] = smooth
-        return self._disturbances[replica, stream]
+            return (smooth_signal(drawn, self.step_s, self.cutoff_hz),)
 
-    @cached_property
-    def _disturbances(self) -> dict[tuple[int, int], Array]:
-        return {}
+        key = (replica, stream, self.cutoff_hz, *map(id, made_from))
+        return _DISTURBANCES.recall(key, made_from, draw)[0]
 
     @cached_property
     def _times_s(self) -> Array:

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 from pydantic import ValidationError
-from scipy.stats import qmc
 
 from pamctl.diagnose.fitting.block_fit import (
     FULL,
@@ -41,6 +40,8 @@ def search_starts(fitted: Fit) -> Fit:
     spread = [f for f in fitted.free if 0.0 < f.low * SPREAD < f.high]
     if not spread or not is_far(fitted):
         return fitted
+    from scipy.stats import qmc  # most of a second to import, and few fits need it
+
     low, high = (np.log([getattr(f, end) for f in spread]) for end in ("low", "high"))
     points = qmc.Sobol(len(spread), seed=3).random_base2(POWER)
     starts = [_name_values(spread, np.exp(low + p * (high - low))) for p in points]

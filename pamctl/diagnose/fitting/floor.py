@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import detrend
 
 from pamctl.bounded_memory import BoundedMemory
 from pamctl.diagnose.fitting.block_fit import Fit, rms, sensitivity
+from pamctl.diagnose.fitting.coarse_steps import coarsen
 from pamctl.diagnose.fitting.drives import Drive
 from pamctl.diagnose.fitting.repeatability import RepeatSpread
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
@@ -129,6 +129,8 @@ def _measure_stretches(residual: Array, drives: Sequence[Drive]) -> Array:
 
     What the model lacks changes slowly in most stretches, however large it is.
     """
+    from scipy.signal import detrend  # most of a second to import
+
     levels = []
     for drive, part in zip(drives, _split_by_drive(residual, drives), strict=True):
         length = max(int(STRETCH_S / float(np.median(drive.step_s))), FEWEST_IN_STRETCH)
@@ -212,8 +214,9 @@ def _imitate_anew(
     fitted: Fit, holdout: Sequence[Drive], noises: dict[str, Noise], replicas: int
 ) -> Imitations:
     settings = fitted.settings
-    train = [_Imitator(drive, settings, noises) for drive in fitted.drives]
-    held = [_Imitator(drive, settings, noises) for drive in holdout]
+    # Both of two simulations have the integrator's error: half the steps do.
+    train = [_Imitator(drive, settings, noises) for drive in coarsen(fitted.drives, settings)]
+    held = [_Imitator(drive, settings, noises) for drive in coarsen(holdout, settings)]
     slope = sensitivity(holdout, settings, fitted.free)
     residuals, shifts, memories = [], [], []
     for replica in range(replicas):

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from pamctl.diagnose.fitting.block_fit import Fit
 from pamctl.diagnose.fitting.fitted_model import Model
@@ -111,7 +111,7 @@ def _squared_width_of_step(fitted: Fit) -> Array:
 
 def _quantile(freedom: float) -> float:
     """Return the 95 % quantile of Student's t: 90 % lie within it on both sides."""
-    return float(student.ppf(0.95, freedom))
+    return float(stdtrit(freedom, 0.95) if np.isfinite(freedom) else ndtri(0.95))
 
 
 def _squared_width_of_residual(fitted: Fit) -> Array:

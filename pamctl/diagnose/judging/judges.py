@@ -15,7 +15,6 @@ from math import inf
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from pamctl.diagnose.judging.segments import (
     count_samples,
@@ -275,6 +274,8 @@ def _simulate_drift_m(noise: Noise, balance: Balance, period_s: float, samples: 
         gain = lost / max(abs(balance.damping_n_s_per_m), 1e-300)
     else:
         gain = period_s / balance.mass_kg
+    from scipy.signal import lfilter  # most of a second to import, and few records need it
+
     velocity: Array = lfilter([gain], [1.0, lost - 1.0], force_n - force_n.mean())
     drift: Array = np.cumsum(velocity) * period_s
     return drift

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from math import factorial
 
 import numpy as np
-from scipy.signal import butter, savgol_filter, sosfiltfilt
 
+from pamctl.diagnose.measured import zero_phase
 from pamctl.diagnose.measured.missed_ticks import smooth_over_missed
 from pamctl.diagnose.measured.record import Array
 from pamctl.log.cutting.pieces import find_longest_step_s
@@ -52,8 +53,7 @@ def smooth_by_cubic(values: Array, period_s: float, length_s: float = CUBIC_S) -
     samples = min(count_samples(length_s, period_s), 2 * ((len(values) - 1) // 2) + 1)
     if samples < 5:
         return values
-    smooth: Array = savgol_filter(values, samples, 3)
-    return smooth
+    return _fit_polynomials(values, samples, 3)
 
 
 def smooth_below(values: Array, period_s: float, cutoff_hz: float) -> Array:
@@ -61,13 +61,7 @@ def smooth_below(values: Array, period_s: float, cutoff_hz: float) -> Array:
     relative = 2.0 * cutoff_hz * period_s
     if relative >= 0.9 or len(values) < 3:  # also without a cutoff, at infinity
         return values
-    # The ends are mirrored for a whole period. Otherwise the filter starts from a single noisy
-    # sample, and the muscle at rest follows every pascal of it.
-    mirrored = min(round(2.0 / relative), len(values) - 1)
-    smooth: Array = sosfiltfilt(
-        butter(2, relative, output="sos"), values, padtype="even", padlen=mirrored
-    )
-    return smooth
+    return zero_phase.smooth_below(values, cutoff_hz * period_s)
 
 
 def differentiate(values: Array, period_s: float, length_s: float, order: int) -> Array:
@@ -75,8 +69,30 @@ def differentiate(values: Array, period_s: float, length_s: float, order: int) -
     samples = min(max(count_samples(length_s, period_s), 5), 2 * ((len(values) - 1) // 2) + 1)
     if samples < 3:
         return np.zeros(len(values))
-    slope: Array = savgol_filter(values, samples, 2, deriv=order, delta=period_s)
-    return slope
+    return _fit_polynomials(values, samples, 2, order) / period_s**order
+
+
+def _fit_polynomials(values: Array, samples: int, degree: int, order: int = 0) -> Array:
+    """Return the values of polynomials through `samples` neighbours, or derivatives by the sample.
+
+    At the ends it is the polynomial of the first or last samples (Savitzky and Golay, 1964).
+    """
+    half = samples // 2
+    powers = np.vander(np.arange(-half, half + 1.0), degree + 1, increasing=True)
+    fits = np.linalg.pinv(powers)  # of the polynomial, from the samples
+    result = np.empty(len(values))
+    # `convolve` turns the weights round.
+    result[half : len(values) - half] = np.convolve(
+        values, factorial(order) * fits[order, ::-1], mode="valid"
+    )
+    for inside, ends, middle in (
+        (slice(0, samples), slice(0, half), half),
+        (slice(-samples, None), slice(len(values) - half, None), len(values) - 1 - half),
+    ):
+        polynomial = np.polynomial.Polynomial(fits @ values[inside])
+        at = np.arange(len(values))[ends] - middle
+        result[ends] = polynomial.deriv(order)(at) if order else polynomial(at)
+    return result
 
 
 def slope_gain(length_s: float, period_s: float, order: int = 1) -> float:

@@ -16,6 +16,8 @@ from pamctl.diagnose.measured.record import Array, Record
 
 STEP_SHARE = 0.3
 """Share of the command's span that counts as a step."""
+LEFT_SHARE = 0.25
+"""A command that moves on by this share of a step has left its level."""
 QUIET_S, BEFORE_S, AFTER_S = 0.3, 0.15, 0.3
 """The command rests `QUIET_S` before a step. The search for answers begins `BEFORE_S` before the
 step and ends `AFTER_S` after it."""
@@ -55,6 +57,7 @@ def check_time_shifts(record: Record) -> Iterator[str]:
     if round((QUIET_S - BEFORE_S) / record.period_s) < FEWEST_AT_REST:
         return
     steps = _find_steps(record)
+    held_s = [_find_end_s(record, step) for step in steps]
     causes = [_Response(float(record.t_s[step])) for step in steps]
     for channel in ("pressure_pa", "position_m"):
         if channel not in record.channels:
@@ -62,8 +65,8 @@ def check_time_shifts(record: Record) -> Iterator[str]:
         answers = [_find_response(record, channel, step) for step in steps]
         pairs = [
             (answer.begins_s - cause.begins_s, _latest_s(channel, cause, answer))
-            for cause, answer in zip(causes, answers, strict=True)
-            if np.isfinite(answer.begins_s - cause.begins_s)
+            for cause, answer, end_s in zip(causes, answers, held_s, strict=True)
+            if np.isfinite(answer.begins_s - cause.begins_s) and answer.begins_s <= end_s
         ]
         causes = answers
         if not pairs:
@@ -101,6 +104,14 @@ def _find_steps(record: Record) -> list[int]:
             and np.ptp(command[jump - quiet : jump]) == 0.0
         ]
     return found
+
+
+def _find_end_s(record: Record, step: int) -> float:
+    """Return when the command leaves the level of a step; what follows may answer that instead."""
+    command = record["valve_v"]
+    size = abs(command[step] - command[step - 1])
+    left = np.flatnonzero(np.abs(command[step:] - command[step]) > LEFT_SHARE * size)
+    return float(record.t_s[step + left[0]]) if len(left) else float(record.t_s[-1])
 
 
 def _find_response(record: Record, channel: str, step: int) -> _Response:

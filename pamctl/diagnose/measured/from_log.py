@@ -12,6 +12,7 @@ import numpy as np
 import pamctl.log
 from pamctl.diagnose.measured.record import Record
 from pamctl.exit_codes import ExitCode
+from pamctl.log.annotate.moments import Moment, list_moments
 from pamctl.log.framing import map_log_file
 from pamctl.signals import Phase
 
@@ -63,6 +64,7 @@ def record_of(path: str | Path) -> Record:
     }
     column = log.columns.get("reference_m")  # an imported log may not have it
     reference_m = None if column is None or not np.isfinite(column).any() else column[whole]
+    first_s = float(log["t_s"][whole][0])
     experiment = str(log.metadata.get("run", {}).get("experiment") or "")
     return Record(
         Path(path).stem,
@@ -74,5 +76,6 @@ def record_of(path: str | Path) -> Record:
         experiment=experiment,
         is_imported=log.is_imported,
         stated_noise=json.loads(log.metadata.get("import", {}).get("noise") or "{}"),
+        moments=tuple(Moment(at_s - first_s, text) for at_s, text in list_moments(log)),
         settings=log.config,
     )

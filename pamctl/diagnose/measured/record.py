@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pamctl.log.annotate.moments import Moment
 from pamctl.log.cutting.pieces import find_longest_step_s, split_at_gaps
 
 Array = NDArray[np.float64]
@@ -66,6 +67,8 @@ class Record:
     """False where a sample is an outlier or a dropout, shape (n,); None if all samples count."""
     stated_noise: Mapping[str, float] = field(default_factory=dict)
     """Standard deviation of a reading by channel, in SI, where the user states it."""
+    moments: tuple[Moment, ...] = field(default=(), compare=False)
+    """Marks, changes of gains and the trip, which plots show; in the time of `t_s`."""
     settings: Mapping[str, Any] = field(default_factory=dict, compare=False)
     """What the run was set to, as its log holds it: rig, experiment; empty if unknown."""
 
@@ -142,6 +145,7 @@ class Record:
             is_imported=self.is_imported,
             counts=None if self.counts is None else self.counts[start:stop],
             stated_noise=self.stated_noise,
+            moments=self.moments,
             settings=self.settings,
         )
 

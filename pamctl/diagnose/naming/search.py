@@ -35,6 +35,9 @@ BEAM = (2, 1)
 """Models with one effect, and with two, from which the next level grows."""
 NEAR_LIMITS = 4.0
 """A quick fit that leaves less than this multiple of the limit is fitted to the end."""
+HOPELESS_LIMITS = 10.0
+"""A fit that leaves more than this multiple of a limit, where another leaves only noise, is not
+tried from other starts."""
 MOST_FINISHED = 3
 """At most this many models of a level are fitted to the end."""
 EQUAL_MARGIN = 0.1
@@ -173,7 +176,7 @@ def search_effects(
         )
         grown = fitter.fit_jobs(jobs)
         if not levels and not any(m.is_complete for m in grown):
-            others = _list_other_jobs(base, candidates, jobs)
+            others = _list_other_jobs(base, candidates, jobs, grown)
             grown = tuple(sorted((*grown, *fitter.fit_jobs(others, grown)), key=rank))
         if not any(m.is_complete for m in grown):
             most = [m for m in grown[:MOST_REFORMED] if _goes_far(base, m)]
@@ -279,19 +282,25 @@ def _shortlist_jobs(beam: Sequence[Model], candidates: Sequence[Candidate], widt
     return jobs
 
 
-def _list_other_jobs(base: Model, candidates: Sequence[Candidate], jobs: _Jobs) -> _Jobs:
+def _list_other_jobs(
+    base: Model, candidates: Sequence[Candidate], jobs: _Jobs, grown: Sequence[Model]
+) -> _Jobs:
     """Return jobs for the candidates that promised too little for the shortlist.
 
     Friction may hold a recalibrated model in a wrong valley. Derivatives then promise nothing of
-    the effect that leads out of it. A fit costs no more than a few simulations.
+    the effect that leads out of it. Of a block that a model of the shortlist (`grown`) explains,
+    only those are asked that may explain another block too.
     """
     others: _Jobs = {}
+    left = {*base.unexplained}
+    opened = {b for b in left if not any(m.is_explained(b) and m.is_plausible for m in grown)}
     for block in base.unexplained:
         for score in score_candidates(
             base.fit_of(block), select_reaching(candidates, {block}), block
         ):
             key = frozenset({score.candidate})
-            if key not in jobs:
+            reached = score.candidate.blocks & left
+            if key not in jobs and (reached & opened or len(reached) > 1):
                 start = score.start or make_small_dose(base, score.candidate)
                 others.setdefault(key, _Job(base, replace(score, start=start), is_wide=False))
     return others
@@ -320,7 +329,21 @@ class _Fitter:
         return tuple(sorted(map(confirm_complete, ended), key=rank))
 
     def _fit(self, jobs: Sequence[_Job]) -> list[Model]:
-        return run_fit_jobs(_fit_job, jobs, self.executor, self.progress)
+        """Fit the jobs from their first starts, then from others where that may lead further.
+
+        Beside a model that leaves no more than noise, only those that are near it may.
+        """
+        grown = run_fit_jobs(_fit_first_start, jobs, self.executor, self.progress)
+        is_done = any(not m.unexplained for m in grown)
+        again = [
+            (place, job, model)
+            for place, (job, model) in enumerate(zip(jobs, grown, strict=True))
+            if job.is_wide and model.unexplained and not (is_done and _is_far(model))
+        ]
+        tried = run_fit_jobs(_fit_other_starts, [(j, m) for _, j, m in again], self.executor)
+        for (place, _, _), better in zip(again, tried, strict=True):
+            grown[place] = better
+        return grown
 
     def _look_up(self, effects: frozenset[Candidate], job: _Job) -> Model | None:
         """Return a known model with these effects, with the other blocks as the job's model."""
@@ -358,10 +381,25 @@ def _fit_other_form(job: tuple[Model, Candidate]) -> Model:
     return fit_model(model, (*model.effects[:-1], form), [start], effort=FULL)
 
 
-def _fit_job(job: _Job) -> Model:
-    model, score = job.model, job.score
-    starts = [score.start, *(list_other_starts(model, score) if job.is_wide else ())]
-    return fit_model(model, (*model.effects, score.candidate), starts)
+def _fit_first_start(job: _Job) -> Model:
+    return fit_model(job.model, (*job.model.effects, job.score.candidate), [job.score.start])
+
+
+def _fit_other_starts(given: tuple[_Job, Model]) -> Model:
+    """Return the model, or the better one from another start."""
+    job, first = given
+    starts = [*list_other_starts(job.model, job.score)]
+    other = fit_model(job.model, first.effects, starts)
+    return min(first, other, key=_sum_squares)
+
+
+def _sum_squares(model: Model) -> float:
+    return sum(float(fitted.residual @ fitted.residual) for fitted in model.fits.values())
+
+
+def _is_far(model: Model) -> bool:
+    """Tell whether a fit has ended far above the limit of a block."""
+    return any(model.rms[b] > HOPELESS_LIMITS * model.floors[b].limit for b in model.unexplained)
 
 
 def run_fit_jobs(

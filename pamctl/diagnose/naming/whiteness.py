@@ -122,19 +122,24 @@ def _find_repetition(model: Model, block: str) -> Iterator[tuple[str, str]]:
     if not pairs:
         return
     one, other = (np.concatenate(side) for side in zip(*pairs, strict=True))
-    again = float(np.mean(one * other))
-    share = again / float(0.5 * np.mean(one**2 + other**2))
-    if share > REPEATED_SHARE and again > (MATTERS * evidence.margin(block)) ** 2:
+    again, whole = float(np.mean(one * other)), float(0.5 * np.mean(one**2 + other**2))
+    share = again / whole
+    # Two slow noises may look alike over a short while.
+    by_chance = whole * np.sqrt(model.floors[block].memory / len(one))
+    if share > REPEATED_SHARE and again - by_chance > (MATTERS * evidence.margin(block)) ** 2:
         yield "repeats", f"{100.0 * share:.0f} % of it comes again where the excitation does"
 
 
 def _find_excess(confirmed: Model, block: str) -> Iterator[tuple[str, str]]:
     """Find a residual above its limit on the samples that confirm, which are fewer.
 
-    A model without effects gets more room: false alarms must be rare.
+    A model without effects gets more room: false alarms must be rare. Several effects together get
+    none: two wrong neighbours may just reach the limit that chose them.
     """
     limit = confirmed.floors[block].limit * (1.0 if confirmed.effects else WORTH_ANOTHER_EFFECT)
-    is_above = is_clearly_above(average_block_squares(confirmed, block), limit)
+    is_above = len(confirmed.effects) > 1 or is_clearly_above(
+        average_block_squares(confirmed, block), limit
+    )
     if is_above and not confirmed.is_explained(block):
         ratio = confirmed.ratio(block)
         yield "unconfirmed", f"it is {ratio:.1f} times its floor on the data that confirm"

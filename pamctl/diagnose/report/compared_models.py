@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from pamctl.diagnose.fitting.held_out_rms import simulate_held_out
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.phrases import spell_names
+from pamctl.log.annotate.moments import Moment
 from pamctl.plant.model import PlantSettings
 
 
@@ -99,6 +100,7 @@ class HeldOutRun:
     counted: NDArray[np.bool_]
     """The samples that were held out: all, unless a single run was cut into stretches."""
     signals: tuple[HeldOutSignal, ...]
+    moments: tuple[Moment, ...] = ()
 
 
 def simulate_stages(diagnosis: Diagnosis) -> list[HeldOutRun]:
@@ -113,13 +115,15 @@ def simulate_stages(diagnosis: Diagnosis) -> list[HeldOutRun]:
     evidence = model.evidence
     stages = {stage.key: simulate_held_out(evidence, stage.plant) for stage in listed}
     blocks = next(iter(stages.values())).blocks
-    return [
+    moments = {record.name: record.moments for record in diagnosis.holdout}
+    runs = [
         _collect_run(
             {channel: evidence.holdout[block][k] for channel, block in blocks.items()},
             {key: {c: runs[k] for c, runs in s.simulated.items()} for key, s in stages.items()},
         )
         for k in range(len(evidence.holdout[evidence.blocks[0]]))
     ]
+    return [replace(run, moments=moments.get(run.name, ())) for run in runs]
 
 
 def _collect_run(

@@ -8,6 +8,7 @@ from pamctl.diagnose.diagnosis import Diagnosis, find_largest_remainder
 from pamctl.diagnose.fitting.floor import doubt_floor
 from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.naming.rivals import Standing
+from pamctl.diagnose.naming.unseen import list_unseen
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.next_experiment import (
     choose_next_experiment,
@@ -68,6 +69,7 @@ def build_diagnosis_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "confirmed_on": diagnosis.confirmed_on.as_dict() if diagnosis.confirmed_on else None,
         "residual_signs": [sign.as_dict() for sign in diagnosis.signs],
         "at_bound": [*diagnosis.at_bound],
+        "not_shown": [*list_unseen(diagnosis.model)] if diagnosis.model else [],
         "unexplained": {"block": block, "residual_over_floor": ratio, "where": regimes},
         "limits": _list_limits(diagnosis),
         "judge": _list_judges(diagnosis),

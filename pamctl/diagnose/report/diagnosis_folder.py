@@ -26,13 +26,15 @@ def write_diagnosis(
     *,
     beside: Mapping[str, Any] | None = None,
     story: Callable[[Page], None] | None = None,
+    interactive: bool = False,
 ) -> list[str]:
     """Write the folder, return the names in it; no plant.yaml where the data were refused.
 
     next-experiment.yaml is there where a program would decide between explanations.
 
     `logs` are the names of the files behind `records`. The document gets the keys of `beside` too,
-    and the page what `story` writes below its head. Raise NewFileError: then nothing is left.
+    and the page what `story` writes below its head; `interactive` lets its plots be zoomed. Raise
+    NewFileError: then nothing is left.
     """
     keys = {**build_diagnosis_document(diagnosis), **(beside or {})}
     document = json.dumps(keys, indent=2, allow_nan=False)
@@ -42,6 +44,8 @@ def write_diagnosis(
     if diagnosis.deciding is not None and runs_here(diagnosis):
         text = format_experiment_file(diagnosis.deciding, logs)
         texts[out / f"{NEXT_EXPERIMENT}.yaml"] = text
-    texts[out / "report.html"] = build_diagnosis_page(diagnosis, records, story).html()
+    texts[out / "report.html"] = build_diagnosis_page(diagnosis, records, story).html(
+        interactive=interactive
+    )
     write_files(texts)
     return sorted(path.name for path in texts)

@@ -11,9 +11,9 @@ from pamctl.diagnose.fitting.floor import doubt_floor
 from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import look_up_parameter
-from pamctl.diagnose.judging.judges import JudgeKind
 from pamctl.diagnose.locate import EVENLY
 from pamctl.diagnose.naming.remainder import Remainder
+from pamctl.diagnose.naming.unseen import list_unseen
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.plant.catalogue import CATALOGUE
 
@@ -95,16 +95,15 @@ def spell_share(share: float) -> str:
 
 
 def describe_bounds(diagnosis: Diagnosis) -> str:
-    """Name the fitted numbers that ended at an end of their range; empty if none did.
-
-    A mass ends there where inertia does not show, and means nothing then.
-    """
-    judges = diagnosis.model.evidence.judge.values() if diagnosis.model else ()
-    unseen = {"mass_kg"} if any(j.kind is JudgeKind.EQUATION for j in judges) else set()
-    ended = [name for name in diagnosis.at_bound if name not in unseen]
-    words = f" At an end of its range: {', '.join(ended)}." if ended else ""
-    if unseen & {*diagnosis.at_bound}:
-        words += " These records do not show mass_kg: the motion is too even."
+    """Name the fitted numbers that ended at an end of their range, and those not shown at all."""
+    ended = ", ".join(diagnosis.at_bound)
+    words = f" At an end of its range: {ended}." if ended else ""
+    unseen = list_unseen(diagnosis.model) if diagnosis.model else ()
+    if unseen:
+        words += (
+            f" These records do not show {' and '.join(unseen)}: the plant file's "
+            f"{'number stays' if len(unseen) == 1 else 'numbers stay'}."
+        )
     return words
 
 
@@ -119,7 +118,7 @@ def list_equal_sets(diagnosis: Diagnosis) -> list[list[str]]:
     sets = []
     for s in diagnosis.standings:
         name = s.effect.name
-        setup = [f.number for f in diagnosis.setup if name in f.cannot_be_told_from]
+        setup = [f.label for f in diagnosis.setup if name in f.cannot_be_told_from]
         if s.equal_rivals or (setup and diagnosis.verdict is Verdict.AMBIGUOUS):
             sets.append([name, *s.equal_rivals, *setup])
     return sets

@@ -33,12 +33,15 @@ def describe(suspect: Suspect, value: float, said: float | None) -> str:
         return _describe_change(suspect, value)
     if suspect.kind == "plant_constant":
         return f"{number} is {value:.5g} {unit}".rstrip() + f", the plant file says {said:.5g}"
-    column = _COLUMNS[number]
+    column = _COLUMNS.get(number, number)
     if suspect.kind == "null_offset":
         return f"the valve is closed at a command of {1e3 * value:+.1f} mV, not at 0"
     if suspect.kind == "skew":
         word = "late" if value > 0.0 else "early"
         return f"{column} is logged {1e3 * abs(value):.2f} ms too {word} against the others"
+    if suspect.kind == "clock_rate" and number == "t_s":
+        word = "long" if value > 0.0 else "short"
+        return f"all times are {100.0 * abs(value):.2g} % too {word}"
     if suspect.kind == "clock_rate":
         return f"{column} runs away from the others by {1e6 * value:+.0f} us in each second"
     if suspect.kind == "filtered":
@@ -46,6 +49,8 @@ def describe(suspect: Suspect, value: float, said: float | None) -> str:
         return f"{column} was filtered forwards and backwards, near {hz:.3g} Hz"
     if suspect.kind == "sign":
         return f"{column} has the wrong sign"
+    if suspect.kind == "gauge" and value > 0.0:
+        return f"{column} is {value:.5g} Pa above absolute pressure: the atmosphere counts twice"
     if suspect.kind == "gauge":
         return f"{column} is gauge pressure: {-value:.5g} Pa are missing to absolute pressure"
     if suspect.kind == "decimated_command":
@@ -90,12 +95,16 @@ def advise_mending(suspect: Suspect, value: float) -> str:
             f"log all columns with one clock; this record is mended by moving {number} "
             f"{1e3 * abs(value):.2f} ms {'earlier' if value > 0.0 else 'later'}"
         )
+    if suspect.kind == "clock_rate" and number == "t_s":
+        return "compare the length of a long record with a watch: is the sample rate as stated?"
     if suspect.kind == "clock_rate":
         return "log all columns with one clock; two clocks never run alike"
     if suspect.kind == "filtered":
         return "give the data as they were measured; here the simulation is filtered alike"
     if suspect.kind == "decimated_command":
         return "log the command at every sample"
+    if suspect.kind == "gauge" and value > 0.0:
+        return "add the atmosphere's pressure once: in the calibration, or in the import map"
     if suspect.kind == "gauge":
         return "add the atmosphere's pressure in the calibration, or in the import map"
     if suspect.kind == "sign" and number == AREA:

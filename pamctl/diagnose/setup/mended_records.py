@@ -18,9 +18,13 @@ def mend_record(record: Record, suspect: Suspect, amount: float, nominal: PlantS
     if column == ATMOSPHERE and suspect.variant == "gauge" and record.pressure_pa is not None:
         shift_pa = amount * nominal.parameters.atmospheric_pressure_pa
         return replace(record, pressure_pa=record.pressure_pa + shift_pa)
+    if column == "t_s":
+        return replace(record, t_s=record.t_s / (1.0 + amount))
     if column not in record.channels:
         return record
     values, t_s = record[column], record.t_s
+    if kind == "gauge":
+        return replace(record, pressure_pa=values - amount)
     if kind == "null_offset":
         held_v = None if record.held_v is None else record.held_v - amount
         return replace(record, valve_v=values - amount, held_v=held_v)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
-from pamctl.diagnose.setup.suspects import Kind
+from pamctl.diagnose.setup.suspects import Kind, label_number
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,16 @@ class SetupFinding:
     """The value in each record, where it differs between records."""
     is_corrected: bool = True
     """The figures of the diagnosis rest on the corrected set-up."""
+
+    @property
+    def label(self) -> str:
+        """What is wrong, in a few words."""
+        return label_number(self.kind, self.number)
+
+    def beside(self, others: Sequence[str]) -> SetupFinding:
+        """Return the finding with more that it cannot be told from."""
+        known = dict.fromkeys((*self.cannot_be_told_from, *others))
+        return replace(self, cannot_be_told_from=tuple(known))
 
     def as_dict(self) -> dict[str, object]:
         """Return what the document holds."""

@@ -199,7 +199,7 @@ def _find_best(base: Model, effects: EffectRivals) -> tuple[SuspectFit, tuple[st
         low, _ = held_out_margins(best.residuals, other.residuals, base, blocks)
         if low < MUCH:
             others.append(other.suspect.label)
-    if not best.is_good and equals:
+    if equals and (best.suspect.is_rare or not best.is_good):
         return None  # both explain a part only: neither is said
     best = replace(best, equal_suspects=tuple(dict.fromkeys(others)))
     return best, tuple(dict.fromkeys(equals))
@@ -341,8 +341,10 @@ def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:
     if suspect.number == AREA:
         turned = with_values(nominal, {AREA: -value_of(nominal, AREA)})
         changed = replace(evidence, nominal=turned, together={})
-    elif suspect.kind == "sign" and {id(r) for r in setup.train}.isdisjoint(map(id, setup.holdout)):
-        # Where the records rest depends on the command's sign, and with it what is known of noise.
+    elif suspect.kind in ("sign", "gauge") and {id(r) for r in setup.train}.isdisjoint(
+        map(id, setup.holdout)
+    ):
+        # Where the records rest depends on the column, and with it what is known of noise.
         changed = prepare_evidence(train, holdout, nominal)
         changed = replace(changed, holdout=_keep_parts(changed.holdout, evidence.holdout))
     elif suspect.kind == "plant_constant":

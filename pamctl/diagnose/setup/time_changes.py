@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pamctl.diagnose.fitting.block_fit import Fit, fit_numbers, project_out
+from pamctl.diagnose.fitting.block_fit import Fit, find_change, fit_numbers, project_out
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.numbers import (
@@ -122,7 +122,7 @@ def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
 
     for suspect, dose in _list_numbers(base, block):
         altered = [suspect.apply(d, dose) for d in fitted.drives]
-        moved = weight * (stack_residuals(altered, fitted.settings) - fitted.residual)
+        moved = weight * find_change(fitted, altered)
         clock = np.concatenate(times)
         explained, amount = promise(moved * clock / longest_s)
         yield _Profile(replace(suspect, over_s=longest_s), explained, amount * dose)

@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.optimize import least_squares
 
+from pamctl.descent import DescentEnd, descend
 from pamctl.diagnose.fitting.block_fit import (
     LONG_STEP,
-    NOT_ENDED,
     STEP,
     Fit,
+    find_change,
+    find_knee,
     project_out,
     rms,
     sensitivity,
 )
+from pamctl.diagnose.fitting.coarse_steps import coarsen
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import FORM_SHARE, Model
 from pamctl.diagnose.fitting.numbers import value_of, with_values
@@ -30,8 +33,10 @@ EVALUATIONS = 15
 HOPELESS_SHARE = 0.7
 """A descent that has left more than this share of the base's squares in every fit after its first
 evaluations ends there."""
-ROBUST = 10.0
-"""Residuals above this multiple of the usual one count linearly, as in every fit."""
+TOLERANCE = 1e-4
+"""A descent ends when a step reduces the cost by less than this share."""
+NEVER = 1e3
+"""A knee at this multiple of the largest residual bends nothing."""
 STRETCH_S = 1.0
 """Scores are summed over stretches of this length for the interval."""
 
@@ -130,26 +135,37 @@ def weights_of(base: Model, fitted: Fit) -> Array:
     return np.concatenate([np.full(d.samples, d.deviation / units[d.block]) for d in fitted.drives])
 
 
-def score_suspect(base: Model, suspect: Suspect) -> Promise:
-    """Return what a suspect promises, by one simulation a dose."""
-    touched = reached_fits(base, suspect)
-    left, bases, weights = [], [], []
-    for fitted in touched.values():
-        weight = weights_of(base, fitted)
+_BASES: WeakKeyDictionary[Fit, tuple[Array, Array, Array]] = WeakKeyDictionary()
+"""By fit, for the weights it was asked with: every suspect is scored upon the same basis."""
+
+
+def find_movable_basis(base: Model, fitted: Fit) -> tuple[Array, Array, Array]:
+    """Return the weights of a fit's rows, an orthonormal basis of what its numbers can change, and
+    what is left of the residual beside it. A number at its bound is left out.
+    """
+    weight = weights_of(base, fitted)
+    known = _BASES.get(fitted)
+    if known is None or not np.array_equal(known[0], weight):
         bound = fitted.at_bound
         movable = [i for i, f in enumerate(fitted.free) if f.name not in bound]
         basis = np.linalg.qr(weight[:, None] * fitted.jacobian[:, movable])[0]
-        bases.append(basis)
-        weights.append(weight)
-        left.append(project_out(basis, weight * fitted.residual))
+        _BASES[fitted] = known = weight, basis, project_out(basis, weight * fitted.residual)
+    return known
+
+
+def score_suspect(base: Model, suspect: Suspect) -> Promise:
+    """Return what a suspect promises, by one simulation a dose."""
+    touched = reached_fits(base, suspect)
+    weights, bases, left = zip(
+        *(find_movable_basis(base, fitted) for fitted in touched.values()), strict=True
+    )
     before = sum(float(r @ r) for r in left)
     best = Promise(suspect, 0.0, 0.0)
     for dose in (d for d in suspect.doses if suspect.low <= d <= suspect.high):
         parts = []
         for fitted, basis, weight in zip(touched.values(), bases, weights, strict=True):
             altered = [suspect.apply(d, dose) for d in fitted.drives]
-            moved = weight * (stack_residuals(altered, fitted.settings) - fitted.residual)
-            parts.append(project_out(basis, moved))
+            parts.append(project_out(basis, weight * find_change(fitted, altered)))
         size = sum(float(m @ m) for m in parts)
         if not size > 1e-6 * before:
             continue
@@ -199,35 +215,38 @@ def _descend(
         problem.step = length
         # A start may leave hundreds of times what the end does, and all of it would count as
         # outliers: their squares lead to the end within a few steps, and their sizes do not.
-        for loss, evaluations in (("linear", FIRST_EVALUATIONS), ("soft_l1", EVALUATIONS)):
-            knee = ROBUST * max(float(np.median(np.abs(problem.residual_at(vector)))) / 0.6745, 1.0)
-            result = least_squares(
+        for is_robust, evaluations in ((False, FIRST_EVALUATIONS), (True, EVALUATIONS)):
+            residual = problem.residual_at(vector)
+            knee = find_knee(residual) if is_robust else _find_no_knee(residual)
+            ended = descend(
                 problem.residual_at,
-                vector,
                 problem.jacobian_at,
-                bounds=(problem.low, problem.high),
-                method="dogbox",
-                loss=loss,
-                f_scale=knee,
-                ftol=1e-4,
-                xtol=1e-6,
-                gtol=1e-10,
-                max_nfev=evaluations,
+                vector,
+                problem.low,
+                problem.high,
+                knee=knee,
+                tolerance=TOLERANCE,
+                evaluations=evaluations,
             )
-            vector = result.x
-            if result.status != NOT_ENDED or problem.is_hopeless(result.fun):
+            vector = ended.vector
+            hopeless = problem.is_hopeless(problem.residual_at(vector))
+            if hopeless or ended.ending is not DescentEnd.EVALUATIONS:
                 break
-        if problem.is_hopeless(result.fun):
+        if hopeless:
             break
     amount = float(vector[-1]) * suspect.scale
     fits = {}
-    for blocks, fitted, plant in zip(
-        touched, problem.fits, problem.settings_at(vector), strict=True
+    for (blocks, whole), fitted, plant in zip(
+        touched.items(), problem.fits, problem.settings_at(vector), strict=True
     ):
-        drives = tuple(suspect.apply(d, amount) for d in fitted.drives)
+        drives = tuple(suspect.apply(d, amount) for d in whole.drives)
         fits[blocks] = Fit(plant, fitted.free, drives, stack_residuals(drives, plant))
     half = problem.half_interval(vector) * suspect.scale
     return SuspectFit(base, suspect, amount, half, fits)
+
+
+def _find_no_knee(residual: Array) -> float:
+    return NEVER * (float(np.max(np.abs(residual))) or 1.0)
 
 
 class _Problem:
@@ -251,6 +270,7 @@ class _Problem:
                 f,
                 settings=_hold(f.settings, nominal, held),
                 free=tuple(n for n in f.free if n.name not in held),
+                drives=coarsen(f.drives, f.settings, free=f.free),
             )
             for f in touched.values()
         ]
@@ -272,7 +292,7 @@ class _Problem:
             [w * f.residual for w, f in zip(self.weights, self.fits, strict=True)]
         )
         self.before = [float(r @ r) for r in self._split(residual)]
-        self._last: tuple[Array, Array] | None = None
+        self._last: list[tuple[Array, Array]] = []
         self._last_slope: tuple[tuple[float, bytes], Array] | None = None
 
     def _split(self, residual: Array) -> list[Array]:
@@ -302,7 +322,10 @@ class _Problem:
         return settings
 
     def residual_at(self, vector: Array) -> Array:
-        """Return the weighted residuals of all fits."""
+        """Return the weighted residuals of all fits, with half the steps where that does."""
+        known = next((r for v, r in self._last if np.array_equal(v, vector)), None)
+        if known is not None:
+            return known
         amount = float(vector[-1]) * self.suspect.scale
         parts = []
         for fitted, weight, settings in zip(
@@ -311,20 +334,15 @@ class _Problem:
             drives = [self.suspect.apply(d, amount) for d in fitted.drives]
             parts.append(weight * stack_residuals(drives, settings))
         residual: Array = np.concatenate(parts)
-        self._last = (vector.copy(), residual)
+        self._last = [*self._last[-1:], (vector.copy(), residual)]
         return residual
 
     def jacobian_at(self, vector: Array) -> Array:
         """Return derivatives by all numbers in their scales; each fit answers its own only."""
-        known = self._last
-        residual = (
-            known[1]
-            if known is not None and np.array_equal(known[0], vector)
-            else self.residual_at(vector)
-        )
+        residual = self.residual_at(vector)
         key = (self.step, vector.tobytes())
         if self._last_slope is not None and self._last_slope[0] == key:
-            return self._last_slope[1].copy()  # the optimiser scales its argument in place
+            return self._last_slope[1]
         step = 0.3 if vector[-1] + 0.3 < self.high[-1] else -0.3
         moved = vector.copy()
         moved[-1] += step
@@ -340,7 +358,7 @@ class _Problem:
             own = sensitivity(drives, settings, fitted.free, self.step)
             slope[rows, column : column + own.shape[1]] = weight[:, None] * own
             row, column = row + len(weight), column + own.shape[1]
-        self._last_slope = (key, slope.copy())
+        self._last_slope = (key, slope)
         return slope
 
     def half_interval(self, vector: Array) -> float:

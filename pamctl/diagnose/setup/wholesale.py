@@ -1,4 +1,5 @@
-"""Faults that no small step leads to: a wrong sign, an encoder counted four times.
+"""Faults that no small step leads to: a wrong sign, an encoder counted four times, an atmosphere
+that was added twice.
 
 Each is one simulation with the plant file's numbers. What leaves less than the recalibrated model
 is fitted from there. A direct mechanism's guesses may be far off: its balance of forces is fitted,
@@ -11,7 +12,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from pamctl.diagnose.fitting.block_fit import fit_numbers, rms
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, stack_residuals
+from pamctl.diagnose.fitting.drives import (
+    MECHANICS,
+    PRESSURE,
+    has_constant_volume,
+    stack_residuals,
+)
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.numbers import AREA, value_of, with_values
 from pamctl.diagnose.setup.suspects import Kind, Suspect
@@ -77,6 +83,8 @@ def _list_wholesale(base: Model) -> Iterator[tuple[Suspect, float]]:
         return
     if PRESSURE in blocks:
         yield _make("sign", "valve_v", frozenset({PRESSURE})), -2.0
+    if not has_constant_volume(nominal):  # a sealed chamber may start at any pressure
+        yield _make("gauge", "pressure_pa", blocks), nominal.parameters.atmospheric_pressure_pa
     if MECHANICS in blocks:
         yield _make("sign", "position_m", blocks), -2.0
         for factor in ENCODER_FACTORS:

@@ -8,7 +8,7 @@ explained a part, that part and a term beside it are tried too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 
@@ -19,7 +19,14 @@ from pamctl.diagnose.name import Naming
 from pamctl.diagnose.naming.search import closed_share
 from pamctl.diagnose.naming.stretches import gains_in_block
 from pamctl.diagnose.naming.verdict import Verdict, spoils_block
-from pamctl.diagnose.terms.trials import TermTrial, choose_simplest, find_terms, list_equals
+from pamctl.diagnose.terms.by_name import name_instead
+from pamctl.diagnose.terms.trials import (
+    TermTrial,
+    choose_simplest,
+    doubt_own_floor,
+    find_terms,
+    list_equals,
+)
 from pamctl.diagnose.terms.words import describe_term, find_kin, write_equation
 from pamctl.plant.terms.operators import DRIVER_UNITS, KNOTS
 
@@ -88,30 +95,38 @@ class Description:
     """Share of the residual's square that the best of all questions finds in nothing."""
     leads: tuple[Lead, ...]
     term: DescribedTerm | None = None
+    block: str = ""
+    """The block of which most was left."""
     naming: Naming | None = field(default=None, repr=False)
-    """The naming with the term in its model; None where no term is said."""
+    """The naming with the term, or with the effect that says it, in its model; None where neither
+    is said."""
 
 
 def describe_rest(
     naming: Naming,
     executor: Executor | None = None,
     progress: Callable[[str], None] = lambda line: None,
+    without: Collection[str] = (),
 ) -> Description:
-    """Describe what a naming leaves unexplained."""
+    """Describe what a naming leaves unexplained; effects in `without` take no term's place."""
     block = max(naming.model.evidence.blocks, key=naming.model.ratio)
     progress(f"asking what no effect of the catalogue explains in the {block} block")
-    ranking, trials = find_terms(naming.base, block, executor)
-    chosen = _choose(naming, naming.base, trials, block)
+    before = naming.base
+    ranking, trials = find_terms(before, block, executor)
+    chosen = _choose(naming, before, trials, block)
     if chosen is None and naming.model.effects:
         beside_block = max(naming.model.unexplained or (block,), key=naming.model.ratio)
         beside, more = find_terms(naming.model, beside_block, executor)
         chosen = _choose(naming, naming.model, more, beside_block)
         if chosen is not None:
-            ranking, trials, block = beside, more, beside_block
+            before, ranking, trials, block = naming.model, beside, more, beside_block
     leads = tuple(_make_lead(t, block) for t in trials[:MOST_LEADS])
-    plain = Description(ranking.asked, ranking.by_chance, leads)
+    plain = Description(ranking.asked, ranking.by_chance, leads, block=block)
     if chosen is None:
         return plain
+    named = name_instead(naming, before, chosen, trials, block, without)
+    if named is not None:
+        return replace(plain, leads=(), naming=named)
     term, said = _say_term(naming, chosen, trials, block)
     return replace(plain, term=term, naming=said)
 
@@ -122,10 +137,10 @@ def _choose(
     """Return the term that may be said; None where none is good enough."""
     if not trials:
         return None
-    chosen = choose_simplest(trials, block)
+    chosen = choose_simplest(trials)
     model = chosen.model
     if not model.is_joint and model.is_complete and len(model.evidence.blocks) > 1:
-        joint = fit_jointly(model)
+        joint = doubt_own_floor(fit_jointly(model))
         if joint.is_complete:
             chosen = replace(chosen, model=joint)
             model = joint
@@ -157,16 +172,11 @@ def _is_matched_by_catalogue(naming: Naming, model: Model, block: str) -> bool:
 def _make_lead(trial: TermTrial, block: str) -> Lead:
     question = trial.question
     return Lead(
-        describe_term(question, _values_of(trial)),
+        describe_term(question, trial.values),
         *question.key,
         trial.model.ratio(block),
         trial.score.explained,
     )
-
-
-def _values_of(trial: TermTrial) -> dict[str, float]:
-    fitted = trial.model.effect_values
-    return {**dict(trial.candidate.held), **fitted}
 
 
 def _say_term(
@@ -178,12 +188,9 @@ def _say_term(
     model, question = chosen.model, chosen.question
     numbers = estimate_intervals(model)
     own = tuple(n for n in numbers if n.name.startswith(question.prefix))
-    equals = {
-        describe_term(t.question, _values_of(t)): t.model
-        for t in list_equals(chosen, trials, block)
-    }
+    equals = {describe_term(t.question, t.values): t.model for t in list_equals(chosen, trials)}
     term = DescribedTerm(
-        describe_term(question, _values_of(chosen)),
+        describe_term(question, chosen.values),
         *question.key,
         block,
         question.location.unit,
@@ -210,7 +217,7 @@ def _draw_curve(trial: TermTrial, numbers: Sequence[FittedNumber]) -> tuple[Curv
     question = trial.question
     if question.operator != "curve":
         return ()
-    values, bands = _values_of(trial), {n.name: n for n in numbers}
+    values, bands = trial.values, {n.name: n for n in numbers}
     size = values[question.prefix + "size"]
     low, high = question.held["low"], question.held["high"]
     points = []
@@ -224,6 +231,6 @@ def _draw_curve(trial: TermTrial, numbers: Sequence[FittedNumber]) -> tuple[Curv
     return tuple(points)
 
 
-def is_confirmed(explained: Mapping[str, float], term: DescribedTerm) -> bool:
-    """Tell whether the samples that confirm show the term's share as well."""
-    return explained.get(term.block, 0.0) >= LEAST_CLOSED
+def is_confirmed(explained: Mapping[str, float], block: str) -> bool:
+    """Tell whether the samples that confirm show the share of a block that was closed as well."""
+    return explained.get(block, 0.0) >= LEAST_CLOSED

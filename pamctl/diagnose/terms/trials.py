@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import atan2, hypot, pi
 
 from pamctl.diagnose.fitting.block_fit import FULL
@@ -31,6 +31,8 @@ INNER_FACTOR = 4.0
 WAVE_SHARE = 0.25
 """A period may move by this share."""
 MOST_KNOT = 20.0
+FLOOR_GROWS = 1.5
+"""A term's own floor is believed up to this multiple of the recalibrated model's."""
 NEAR_SCORE = 0.15
 """A simpler term of a group is fitted too if it explains at most this much less."""
 WORTH_FINISHING = 3.0
@@ -56,6 +58,17 @@ class TermTrial:
         """The term."""
         return self.score.question
 
+    @property
+    def values(self) -> dict[str, float]:
+        """The term's numbers by full name, held and fitted."""
+        return {**dict(self.candidate.held), **self.model.effect_values}
+
+    @property
+    def own_values(self) -> dict[str, float]:
+        """The term's numbers by their own names."""
+        prefix = self.question.prefix
+        return {n.removeprefix(prefix): v for n, v in self.values.items() if n.startswith(prefix)}
+
 
 def find_terms(
     before: Model, block: str, executor: Executor | None = None
@@ -79,9 +92,10 @@ def find_terms(
 
 
 def _select_scores(ranking: TermRanking) -> list[TermScore]:
-    """Return the first term of each group, and a simpler one that looks like it.
+    """Return the first term of each group, and those like it that are simpler or seen elsewhere.
 
-    Of one term with several inner numbers only the best is fitted.
+    What both blocks see can be told from what only one sees, though not in this block. Of one term
+    with several inner numbers only the best is fitted.
     """
     kept: dict[tuple[str, str, str], TermScore] = {}
     for group in ranking.group(3 * MOST_FITTED):
@@ -93,7 +107,8 @@ def _select_scores(ranking: TermRanking) -> list[TermScore]:
             if _count_numbers(s) < _count_numbers(first)
             and s.explained >= first.explained - NEAR_SCORE
         ]
-        for score in sorted(simple, key=_count_numbers)[:1]:
+        wider = [s for s in group if _count_blocks(s) > _count_blocks(first)]
+        for score in (*sorted(simple, key=_count_numbers)[:1], *wider[:1]):
             kept.setdefault(score.question.key, score)
     return [*kept.values()][:MOST_FITTED]
 
@@ -108,11 +123,26 @@ def _fit_size(job: tuple[Model, TermScore]) -> Model:
 def _finish(job: tuple[Model, TermTrial]) -> TermTrial:
     """Fit a term to the end, with all its numbers."""
     before, trial = job
-    start = {**dict(trial.candidate.held), **trial.model.effect_values}
+    # From the base's numbers the way is long: friction and stiffness are those without the term.
+    start = {**dict(trial.candidate.held), **trial.model.values}
     own = {n: v for n, v in start.items() if n.startswith(trial.question.prefix)}
     candidate = make_candidate(trial.score, before, own, is_bent=True)
     effects = (*before.effects, candidate)
-    return TermTrial(trial.score, fit_model(before, effects, [start], effort=FULL))
+    return TermTrial(trial.score, doubt_own_floor(fit_model(before, effects, [start], effort=FULL)))
+
+
+def doubt_own_floor(model: Model) -> Model:
+    """Return the model, with the recalibrated model's floor where its own is far higher.
+
+    Of a term with many numbers some may be anything, together with a recalibrated number. Noise
+    then seems to move them far, and the floor that this makes would excuse any residual.
+    """
+    root = model.root
+    if root is None or all(
+        model.floors[b].mean <= FLOOR_GROWS * root.floors[b].mean for b in model.evidence.blocks
+    ):
+        return model
+    return replace(model, is_final=False)
 
 
 def start_of(score: TermScore) -> dict[str, float]:
@@ -174,29 +204,34 @@ def _free_inner(prefix: str, question: Question, inner: float) -> FreeNumber:
     return FreeNumber(prefix + "inner", low, high, scale)
 
 
-def choose_simplest(trials: Sequence[TermTrial], block: str) -> TermTrial:
+def _count_blocks(score: TermScore) -> int:
+    return len(score.question.location.seen_by)
+
+
+def choose_simplest(trials: Sequence[TermTrial]) -> TermTrial:
     """Return the term with the fewest numbers among those that leave hardly more than the best."""
     best = trials[0]
-    good = [
-        t
-        for t in trials
-        if t.model.rms[block] <= (1.0 + NEAR_BEST) * best.model.rms[block]
-        and (t.model.is_explained(block) or not best.model.is_explained(block))
-    ]
+    blocks = best.model.evidence.blocks
+    good = [t for t in trials if all(_is_as_good(t.model, best.model, b) for b in blocks)]
     return min(good, key=lambda t: (_count_numbers(t.score), rank(t.model)))
+
+
+def _is_as_good(model: Model, best: Model, block: str) -> bool:
+    return model.rms[block] <= (1.0 + NEAR_BEST) * best.rms[block] and (
+        model.is_explained(block) or not best.is_explained(block)
+    )
 
 
 def _count_numbers(score: TermScore) -> int:
     return len(score.amounts) + len(score.question.held)
 
 
-def list_equals(
-    chosen: TermTrial, trials: Sequence[TermTrial], block: str
-) -> tuple[TermTrial, ...]:
-    """Return the terms that the held-out data do not tell from the chosen one."""
+def list_equals(chosen: TermTrial, trials: Sequence[TermTrial]) -> tuple[TermTrial, ...]:
+    """Return the terms that the held-out data of no block tell from the chosen one."""
+    blocks = chosen.model.evidence.blocks
     return tuple(
         t
         for t in trials
         if t.question.key != chosen.question.key
-        and not gains_in_block(t.model, chosen.model, block)
+        and not any(gains_in_block(t.model, chosen.model, b) for b in blocks)
     )

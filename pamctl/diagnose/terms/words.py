@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pamctl.diagnose.terms.grammar import Question
+from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.effects.description import AsTerm, EffectDescription
 from pamctl.plant.terms.operators import DRIVER_UNITS, KNOTS, REFERENCES
 
 _SHOWN: Mapping[str, tuple[float, str]] = {
@@ -15,47 +17,22 @@ _SHOWN: Mapping[str, tuple[float, str]] = {
 _SIGNALS = {"command": "the command", "position": "the position", "pressure": "the pressure",
             "velocity": "the velocity", "time": "time"}  # fmt: skip
 
-KIN: Mapping[tuple[str, str, str], tuple[str, ...]] = {
-    ("command", "dead_zone", "command"): ("valve_deadband",),
-    ("command", "saturation", "command"): ("valve_saturation",),
-    ("command", "lag", "command"): ("valve_spool", "command_delay"),
-    ("command", "play", "command"): ("valve_hysteresis",),
-    ("command", "curve", "command"): ("valve_curve", "valve_deadband"),
-    ("filling", "constant", ""): ("valve_asymmetry",),
-    ("exhausting", "constant", ""): ("valve_asymmetry",),
-    ("filling", "gain", "time"): ("drift",),
-    ("exhausting", "gain", "time"): ("drift",),
-    ("opening", "gain", "time"): ("drift",),
-    ("opening", "curve", "command"): ("valve_curve",),
-    ("supply", "curve", "time"): ("supply_droop",),
-    ("flow", "gain", "pressure"): ("chamber_leak",),
-    ("flow", "curve", "pressure"): ("chamber_leak", "valve_leak"),
-    ("volume", "constant", ""): ("dead_volume",),
-    ("force", "constant", ""): ("external_load",),
-    ("force", "curve", "position"): ("cubic_stiffness", "end_cap"),
-    ("force", "beyond", "position"): ("cubic_stiffness",),
-    ("force", "lag", "position"): ("creep",),
-    ("force", "hysteresis", "position"): ("presliding", "coulomb_friction"),
-    ("stiffness", "gain", "time"): ("drift",),
-    ("damping", "gain", "pressure"): ("pressure_damping",),
-    ("damping", "curve", "pressure"): ("pressure_damping",),
-    ("braid_friction", "gain", "time"): ("drift",),
-    ("braid_friction", "curve", "velocity"): ("stribeck",),
-    ("pressing", "constant", ""): ("bladder_threshold",),
-    ("pressing", "curve", "pressure"): ("bladder_threshold",),
-    ("pull", "curve", "position"): ("end_cap",),
-    ("pull", "gain", "pressure"): ("braid_stretch",),
-    ("pressure_sensor", "constant", ""): ("pressure_sensor_offset",),
-    ("pressure_sensor", "gain", "pressure"): ("pressure_sensor_gain",),
-    ("encoder", "gain", "position"): ("encoder_scale",),
-}
-"""Effects of the catalogue that act at the same place in the same way. A constant has no driver."""
-
 
 def find_kin(question: Question) -> tuple[str, ...]:
     """Return the names of effects that this term resembles; they were tried and did not fit."""
+    return tuple(effect.name for effect, _ in list_kin(question))
+
+
+def list_kin(question: Question) -> list[tuple[EffectDescription, AsTerm]]:
+    """Return the effects of the catalogue that act at the same place in the same way."""
     driver = "" if question.operator == "constant" else question.driver
-    return KIN.get((question.location.name, question.operator, driver), ())
+    key = (question.location.name, question.operator, driver)
+    return [
+        (effect, term)
+        for effect in CATALOGUE.values()
+        for term in effect.as_terms
+        if (term.location, term.operator, term.driver) == key
+    ]
 
 
 def spell_quantity(value: float, unit: str) -> str:

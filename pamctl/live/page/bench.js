@@ -2,7 +2,6 @@
 // Gains, experiments, marks, keys, and the runs of the daemon's folder.
 
 const bench = { fields: [], phases: [], gains: [], experiments: [], rate_hz: null, stroke_mm: null };
-const undoable = []; // earlier values of gains, newest last
 
 async function loadBench() {
   const answer = await fetch("/bench", { signal: AbortSignal.timeout(20000) });
@@ -31,7 +30,6 @@ const isWithin = (value, { low, above, high, below }) => Number.isFinite(value) 
 
 function buildGains() {
   byId("gains").replaceChildren(...bench.gains.map(gainRow));
-  showUndo();
 }
 
 function gainRow(gain) {
@@ -63,34 +61,20 @@ async function setGain({ name }, value) {
     return buildGains();
   }
   if (value === gain.value) return;
-  const before = gain.value;
-  if (await changeGain(gain.name, value, before)) undoable.push({ name: gain.name, value: before });
-  showUndo();
-}
-
-async function changeGain(name, value, before) {
-  const isDone = await order({ do: "set", gains: { [name]: value }, ramp_s: number("ramp") });
-  const gain = bench.gains.find((one) => one.name === name);
-  if (isDone && gain) {
-    gain.value = value;
-    if (newestStatus?.log) order({ do: "mark", text: `${who()}: ${name} ${before} to ${value}` });
-  }
+  if (await order({ do: "set", gains: { [gain.name]: value }, ramp_s: number("ramp"), operator: who() })) gain.value = value;
   buildGains();
-  return isDone;
 }
 
-async function undoGain() {
-  const last = undoable.at(-1);
-  if (!last) return;
-  const now = bench.gains.find((one) => one.name === last.name)?.value;
-  if (await changeGain(last.name, last.value, now)) undoable.pop();
-  showUndo();
-}
-
-function showUndo() {
-  const last = undoable.at(-1);
+// Who changed which gain when; the daemon keeps it for all clients, and takes back what any of them did.
+function showGainChanges() {
+  const changes = newestStatus?.gain_changes ?? [], last = changes.find(({ undoable }) => undoable);
   byId("undo").disabled = !last;
-  byId("undo").textContent = last ? `Undo: ${last.name} back to ${last.value}` : "Undo";
+  put("undo", last ? `Undo: ${last.what}` : "Undo");
+  putItems("gainchanges", changes, ({ time_s: at, by, what }) => {
+    const item = document.createElement("li"), when = element("time", "", new Date(at * 1e3).toLocaleTimeString());
+    item.append(when, `${by || "another client"}: ${what}`);
+    return item;
+  });
 }
 
 const who = () => byId("operator").value.trim() || "page";
@@ -240,13 +224,11 @@ function wireBench() {
   byId("experiment").value = "tracking-2";
   byId("experiment").addEventListener("change", chooseExperiment);
   byId("start").addEventListener("click", startExperiment);
-  byId("undo").addEventListener("click", undoGain);
+  byId("undo").addEventListener("click", () => order({ do: "undo", ramp_s: number("ramp"), operator: who() }));
   byId("ack").addEventListener("click", () => order({ do: "ack" }));
   byId("markform").addEventListener("submit", (event) => { event.preventDefault(); mark(); });
   byId("operator").value = store.read("operator", "");
   byId("operator").addEventListener("change", () => store.write("operator", byId("operator").value.trim()));
-  byId("drag").addEventListener("input", () => { byId("target").value = byId("drag").value; });
-  byId("drag").addEventListener("change", () => order({ do: "goto", position_mm: Number(byId("drag").value) }));
   byId("loadruns").addEventListener("click", () => loadRuns().catch((error) => say(error.message)));
   byId("lay").addEventListener("click", overlayRuns);
   document.addEventListener("keydown", onKey);
@@ -255,15 +237,13 @@ function wireBench() {
 
 // The gains of another client, or of a daemon that came back.
 async function followController() {
+  showGainChanges();
   const now = JSON.stringify(newestStatus?.controller ?? null);
   if (now !== followController.known && newestStatus) {
     followController.known = now;
     await loadBench();
     if (!byId("gains").contains(document.activeElement)) buildGains();
-    if (bench.stroke_mm) {
-      [byId("drag").min, byId("drag").max] = bench.stroke_mm;
-      byId("drag").step = 0.1;
-    }
+    [byId("target").min, byId("target").max] = bench.stroke_mm ?? ["", ""];
   }
 }
 

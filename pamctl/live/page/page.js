@@ -8,6 +8,7 @@ const SHORTEST_S = 2;
 const HEIGHT = 180;
 const GAP_S = 0.5; // no line is drawn through a longer time without values
 const NEWS_MS = 100;
+const ASIDE = 5; // so many times less often looks a tab that nobody works in
 const SILENT_MS = 2000;
 const CONFIRMED_MS = 300;
 const byId = (id) => document.getElementById(id);
@@ -25,6 +26,35 @@ const PLOTS = [
 ];
 let shownS = 30;
 
+// Texts are set when they change only: a screen reader says each change of the state once.
+function put(id, text) {
+  const cell = byId(id);
+  if (cell.textContent !== text) cell.textContent = text;
+}
+
+function putItems(id, about, makeItem) {
+  const list = byId(id), key = JSON.stringify(about);
+  if (list.dataset.key === key) return;
+  list.dataset.key = key;
+  list.replaceChildren(...[...about].reverse().map(makeItem));
+}
+
+// Drawing is most of the work: what is scrolled out of sight is not drawn.
+const inSight = new WeakSet();
+const sight = new IntersectionObserver((changes) => {
+  for (const { target, isIntersecting } of changes) {
+    if (isIntersecting) inSight.add(target); else inSight.delete(target);
+    if (isIntersecting) target.dispatchEvent(new Event("insight"));
+  }
+}, { rootMargin: "200px" });
+
+// How long to rest (ms) after a round that began at `beganMs`. A busy PC sets a slower pace, and an
+// order from another tab never waits behind this one.
+function restMs(everyMs, beganMs) {
+  const tookMs = performance.now() - beganMs;
+  return Math.max((document.hasFocus() ? 1 : ASIDE) * everyMs - tookMs, 2 * tookMs, 10);
+}
+
 function element(kind, className, text) {
   const made = document.createElement(kind);
   made.className = className;
@@ -38,7 +68,10 @@ function xRange() {
   return [Math.max(end - shownS, Math.min(series.t[0], end - SHORTEST_S)), end];
 }
 
-function yRange(_, low, high) {
+let heldScale = null; // of the displacement, while a position is dragged
+
+function yRange(chart, low, high) {
+  if (heldScale && chart === charts[0]?.chart) return heldScale;
   if (low === null) return [0, 1];
   const room = Math.max((high - low) * 0.08, Math.abs(high) * 1e-6, 1e-3);
   return [low - room, high + room];
@@ -47,6 +80,12 @@ function yRange(_, low, high) {
 function axis(options) {
   return { stroke: () => colour("--dim"), font: "12px system-ui, sans-serif",
     grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { show: false }, ...options };
+}
+
+// The numbers stand beside it as text.
+function describePlot(chart, title) {
+  chart.ctx.canvas.setAttribute("role", "img");
+  chart.ctx.canvas.setAttribute("aria-label", `plot of ${title}`);
 }
 
 function madePlot(plot) {
@@ -64,13 +103,17 @@ function madePlot(plot) {
     axes: [axis({ size: 26, values: (_, at) => at.map((v) => `${v} s`) }), axis({ size: 56 })],
   }, [[], ...plot.lines.map(() => [])], box);
   new ResizeObserver(() => chart.setSize({ width: box.clientWidth, height: HEIGHT })).observe(box);
-  return { chart, names: plot.lines.map(([name]) => name) };
+  describePlot(chart, plot.title);
+  sight.observe(box);
+  box.addEventListener("insight", draw);
+  return { box, chart, names: plot.lines.map(([name]) => name) };
 }
 
 const charts = PLOTS.map(madePlot);
 
 function draw() {
-  for (const { chart, names } of charts) chart.setData([series.t, ...names.map((name) => series[name])]);
+  for (const { box, chart, names } of charts) if (inSight.has(box)) chart.setData([series.t, ...names.map((name) => series[name])]);
+  document.dispatchEvent(new Event("drawn"));
 }
 
 function forgetAll() {
@@ -106,7 +149,7 @@ function keep(fields, ticks) {
 function figure(id, value, digits, unit, signed) {
   const known = value !== null && value !== undefined;
   const text = known ? value.toFixed(digits).replace(/^-/, "\u2212") : "-";
-  byId(id).textContent = known ? `${signed && value >= 0 ? "+" : ""}${text} ${unit}` : "-";
+  put(id, known ? `${signed && value >= 0 ? "+" : ""}${text} ${unit}` : "-");
 }
 
 function showNewest(fields, ticks, isLive) {
@@ -120,24 +163,24 @@ function showNewest(fields, ticks, isLive) {
   figure("error", series.error[last], 1, "\u00b5m", true);
   figure("pressure", series.pressure[last], 1, "kPa");
   figure("command", series.command[last], 3, "V", true);
-  byId("phase").textContent = PHASES[ticks[ticks.length - 1][fields.indexOf("phase")]] ?? "-";
+  put("phase", PHASES[ticks[ticks.length - 1][fields.indexOf("phase")]] ?? "-");
 }
 
 function showStatus(status, problem) {
   newestStatus = status;
   byId("ack").hidden = byId("controls").hidden || status?.state !== "fault";
   const state = status ? status.state : "away";
-  byId("state").textContent = state;
+  put("state", state);
   byId("state").dataset.state = state;
-  byId("what").textContent = status ? status.fault || status.run || "" : problem;
-  byId("where").textContent = status ? `${status.backend} ${status.device}, ${spellController(status.names)}` : "";
+  put("what", status ? status.fault || status.run || "" : problem);
+  put("where", status ? `${status.backend} ${status.device}, ${spellController(status.names)}` : "");
   document.title = `${state} \u00b7 pamctl`;
   if (!status) return;
   figure("late", scaled(status.worst_late_s, 1e6), 1, "\u00b5s");
-  byId("missed").textContent = status.missed_ticks ?? "-";
-  byId("log").textContent = status.log ? `log: ${status.log}` : "";
-  byId("monitor").textContent = status.monitor ? status.monitor.sentence : "";
-  byId("events").replaceChildren(...[...status.events].reverse().map(eventItem));
+  put("missed", String(status.missed_ticks ?? "-"));
+  put("log", status.log ? `log: ${status.log}` : "");
+  put("monitor", status.monitor ? status.monitor.sentence : "");
+  putItems("events", status.events, eventItem);
 }
 
 function spellController({ controller, controller_changes: changes }) {
@@ -188,7 +231,7 @@ async function followNews() {
   } catch {
     if (performance.now() - heardMs > SILENT_MS) showStatus(null, "pamctl watch does not answer");
   }
-  setTimeout(followNews, Math.max(0, NEWS_MS - (performance.now() - beganMs)));
+  setTimeout(followNews, restMs(NEWS_MS, beganMs));
 }
 
 function showMode(control) {
@@ -225,7 +268,8 @@ function send(what) {
 async function order(what) {
   const beganMs = performance.now();
   const sayNotSent = () => say(`NOT SENT: ${what.do} is not confirmed; in a terminal: pamctl ${what.do}`, "notsent");
-  const late = setTimeout(sayNotSent, CONFIRMED_MS);
+  // One turn more: where the page itself was busy, the answer may lie there already.
+  let late = setTimeout(() => { late = setTimeout(sayNotSent, 0); }, CONFIRMED_MS);
   try {
     const answer = await send(what);
     const told = await answer.json();

@@ -5,6 +5,8 @@ const SCOPE_MS = 200;
 const ROLL_POINTS = 4000;
 const PANE_HEIGHT = 190;
 const MOST_FIELDS = 12;
+const MOST_MARKS = 20;
+const MARK_S = 1; // so far to each side of a mark is shown
 const COLOURS = ["--c0", "--c1", "--c2", "--c3"];
 const FIRST_LAYOUT = [["reference_m", "position_m"], ["error_m"], ["valve_v"]];
 const INT_MAX = 2 ** 52;
@@ -48,7 +50,7 @@ function shownNumber(value) {
 // --- what the server is asked ----------------------------------------------------------------------
 
 async function ask(path, query) {
-  const answer = await fetch(`${path}?${new URLSearchParams(query)}`, { priority: "low", signal: AbortSignal.timeout(20000) });
+  const answer = await fetch(`${path}?${new URLSearchParams(query)}`, { priority: "low", signal: AbortSignal.timeout(60000) });
   if (!answer.ok) throw new Error((await answer.json()).error);
   return answer;
 }
@@ -98,8 +100,9 @@ async function searchTrigger(held) {
     sayScope(`triggered; filling ${Math.max(0, Math.round(100 * (held.last_tick - found) / (last - found)))} %`);
     return;
   }
-  await loadCapture({ log: held.log, first: Math.max(0, found - ticksOf(number("tpre"))), last, trigger: found });
-  sayScope(`triggered at tick ${found}. ${tellUnseen(held)}`);
+  const first = Math.max(0, found - ticksOf(number("tpre")));
+  await loadCapture({ log: held.log, first: Math.max(first, held.first_tick), last, trigger: found });
+  sayScope(`triggered at tick ${found}. ${tellUnseen(held)}${held.first_tick > first ? "the ticks that are held begin later" : ""}`);
   if (scope.mode === "single") setMode("still");
   Object.assign(scope, { found: null, armed: "", after: Math.max(last, found + ticksOf(number("tholdoff"))), sinceMs: performance.now() });
 }
@@ -119,7 +122,7 @@ async function waitForTrigger(held) {
 async function roll(held, spanS) {
   const count = ticksOf(spanS);
   const every = Math.max(1, Math.ceil(count / ROLL_POINTS));
-  await loadCapture({ log: held.log, first: Math.max(0, held.last_tick - count), last: held.last_tick, trigger: null }, every);
+  await loadCapture({ log: held.log, first: Math.max(held.first_tick, held.last_tick - count), last: held.last_tick, trigger: null }, every);
 }
 
 async function stepScope() {
@@ -133,14 +136,14 @@ async function stepScope() {
       if (held.problem) sayScope(held.problem);
       else if (held.last_tick < held.first_tick) sayScope("no run is logged");
       else if (scope.mode === "roll") {
-        if (isNew) await roll(held, number("tpre") + number("tpost"));
+        if (isNew && inSight.has(byId("panes"))) await roll(held, number("tpre") + number("tpost"));
         sayScope(performance.now() - scope.grewMs > 1500 ? `the run is over: ${held.log}` : tellUnseen(held));
       } else await searchTrigger(held);
     }
   } catch (error) {
     sayScope(error.message);
   }
-  setTimeout(stepScope, Math.max(20, SCOPE_MS - (performance.now() - beganMs)));
+  setTimeout(stepScope, restMs(SCOPE_MS, beganMs));
 }
 
 function sayScope(text) {
@@ -184,16 +187,17 @@ function drawLines(chart) {
     ctx.moveTo(x, bbox.top);
     ctx.lineTo(x, bbox.top + bbox.height);
     ctx.stroke();
-    ctx.textAlign = "left";
+    const isRight = x > bbox.left + 0.7 * bbox.width;
+    ctx.textAlign = isRight ? "right" : "left";
     ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
-    ctx.fillText(label, x + 3 * devicePixelRatio, bbox.top + 12 * (row + 1) * devicePixelRatio);
+    ctx.fillText(label, x + (isRight ? -3 : 3) * devicePixelRatio, bbox.top + 12 * (row + 1) * devicePixelRatio);
   };
   ctx.save();
   ctx.lineWidth = devicePixelRatio;
-  for (const [k, event] of (capture.events ?? []).entries()) {
+  for (const [k, event] of capture.events.entries()) {
     if (event.tick < capture.ticks[0] || event.tick > capture.ticks.at(-1)) continue;
     const at = nearestIndex(capture.ticks, event.tick);
-    line(capture.t[at], "--dim", [2, 3], event.event === "mark" ? String(event.text).slice(0, 24) : event.event, 1 + k % 4);
+    line(capture.t[at], "--dim", [2, 3], spellEvent(event).slice(0, 36), 1 + k % 4);
   }
   if (capture.trigger !== null) line(0, "--warn", [6, 4], "T");
   scope.cursors.forEach((at, which) => at !== null && line(capture.t[at], "--fg", [], "AB"[which]));
@@ -244,7 +248,7 @@ function buildPane(names, at) {
     const key = element("button", `key k${k % 4}`, `${name} ${shownUnit(name).unit}`);
     key.type = "button";
     key.title = "remove this field";
-    key.setAttribute("aria-label", `remove ${name} from pane ${at + 1}`);
+    key.setAttribute("aria-label", `${key.textContent}: remove it from pane ${at + 1}`);
     key.addEventListener("click", () => changePanes((panes) => panes[at].splice(k, 1)));
     title.append(key);
   });
@@ -268,6 +272,7 @@ function buildPane(names, at) {
       setView(u.posToVal(left, "x"), u.posToVal(left + width, "x"));
     }] },
   }, [[], ...names.map(() => [])], box);
+  describePlot(chart, names.join(", "));
   let pressedX = 0;
   chart.over.addEventListener("mousedown", (event) => { pressedX = event.clientX; });
   chart.over.addEventListener("click", (event) => {
@@ -300,23 +305,45 @@ async function changePanes(change) {
 function showCapture(capture) {
   const before = scope.capture;
   scope.capture = capture;
+  capture.drawn = new Map(); // a minute at 10 kHz is converted once, not at each move of a cursor
   scope.cursors = scope.cursors.map((at) => (at === null || !before ? null : nearestIndex(capture.t, before.t[at])));
   refreshScope();
 }
 
-function drawable(values, factor) {
-  return Array.from(values, (value) => (Number.isNaN(value) ? null : value * factor));
+function drawable({ raw, drawn }, name) {
+  const { factor } = shownUnit(name);
+  if (!drawn.has(name)) drawn.set(name, Array.from(raw[name], (value) => (Number.isNaN(value) ? null : value * factor)));
+  return drawn.get(name);
 }
 
 function refreshScope() {
   const { capture } = scope;
   for (const { chart, names } of scope.charts) {
     const there = capture && names.every((name) => capture.raw[name]);
-    chart.setData(there ? [Array.from(capture.t), ...names.map((name) => drawable(capture.raw[name], shownUnit(name).factor))] : [[], ...names.map(() => [])]);
+    chart.setData(there ? [capture.t, ...names.map((name) => drawable(capture, name))] : [[], ...names.map(() => [])]);
   }
   byId("capturename").textContent = capture ? `${capture.log || "file"}, ticks ${capture.ticks[0]} to ${capture.ticks.at(-1)}` : "";
+  showMarks();
   showMeasures();
   showSpectrum();
+}
+
+const spellEvent = ({ event, text }) => (event === "mark" ? String(text) : event);
+
+// The remarks of what is shown; a click zooms in.
+function showMarks() {
+  const { capture } = scope, box = byId("marks");
+  const marks = capture ? capture.events.filter(({ event, tick }) => ["mark", "tripped"].includes(event) && tick >= capture.ticks[0] && tick <= capture.ticks.at(-1)) : [];
+  const key = JSON.stringify([capture?.log, capture?.t0, marks.map(({ tick }) => tick)]);
+  if (box.dataset.key === key) return;
+  box.dataset.key = key;
+  box.replaceChildren(...marks.slice(-MOST_MARKS).map((mark) => {
+    const t = capture.t[nearestIndex(capture.ticks, mark.tick)];
+    const button = element("button", "plain", `${t.toFixed(2)} s: ${spellEvent(mark).slice(0, 60)}`);
+    button.type = "button";
+    button.addEventListener("click", () => setView(t - MARK_S, t + MARK_S));
+    return button;
+  }));
 }
 
 // --- cursors and measures --------------------------------------------------------------------------
@@ -468,7 +495,8 @@ async function openKept(at) {
 async function openLog(log) {
   setMode("still");
   Object.assign(scope, { view: null, cursors: [null, null] });
-  await loadCapture({ log, first: 0, last: INT_MAX, trigger: null, events: [] });
+  const events = await (await ask("/scope/events", { log })).json();
+  await loadCapture({ log, first: 0, last: INT_MAX, trigger: null, events });
   sayScope(log);
 }
 
@@ -548,6 +576,7 @@ function wireScope() {
   });
   listCaptures();
   listLayouts();
+  sight.observe(byId("panes"));
   buildPanes();
   setMode("roll");
   stepScope();

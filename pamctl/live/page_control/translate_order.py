@@ -13,6 +13,9 @@ from pamctl.settings.problems import ConfigError
 _Key = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,60}$")]
 _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
+_Ramp = Annotated[float, Field(strict=True, ge=0, le=60)]
+_Operator = Annotated[str, Field(max_length=100)]
+
 
 class OrderNotUnderstood(ValueError):
     """The order is not one of the page's. The message says what is."""
@@ -26,6 +29,12 @@ class _Plain(_Order):
     do: Literal["estop", "stop", "ack", "disarm"]
 
 
+class _Undo(_Order):
+    do: Literal["undo"]
+    ramp_s: _Ramp = DEFAULT_RAMP_S
+    operator: _Operator = ""
+
+
 class _Goto(_Order):
     do: Literal["goto"]
     position_mm: _Number
@@ -34,7 +43,8 @@ class _Goto(_Order):
 class _Set(_Order):
     do: Literal["set"]
     gains: Annotated[dict[_Key, _Number], Field(min_length=1, max_length=32)]
-    ramp_s: Annotated[float, Field(strict=True, ge=0, le=60)] = DEFAULT_RAMP_S
+    ramp_s: _Ramp = DEFAULT_RAMP_S
+    operator: _Operator = ""
 
 
 class _Mark(_Order):
@@ -46,11 +56,11 @@ class _Start(_Order):
     do: Literal["start"]
     experiment: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,60}$")]
     numbers: Annotated[dict[_Key, _Number], Field(max_length=32)] = {}
-    operator: Annotated[str, Field(max_length=100)] = ""
+    operator: _Operator = ""
 
 
-_ORDERS: TypeAdapter[_Plain | _Goto | _Set | _Mark | _Start] = TypeAdapter(
-    Annotated[_Plain | _Goto | _Set | _Mark | _Start, Field(discriminator="do")]
+_ORDERS: TypeAdapter[_Plain | _Undo | _Goto | _Set | _Mark | _Start] = TypeAdapter(
+    Annotated[_Plain | _Undo | _Goto | _Set | _Mark | _Start, Field(discriminator="do")]
 )
 
 
@@ -67,7 +77,9 @@ def translate_order(order: dict[str, Any]) -> tuple[str, dict[str, Any]]:
             return "goto", {"position_m": asked.position_mm * 1e-3}
         case _Set():
             changes = [f"controller.{name}={value!r}" for name, value in asked.gains.items()]
-            return "set", {"changes": changes, "ramp_s": asked.ramp_s}
+            return "set", {"changes": changes, "ramp_s": asked.ramp_s, "operator": asked.operator}
+        case _Undo():
+            return "undo", {"ramp_s": asked.ramp_s, "operator": asked.operator}
         case _Mark():
             return "mark", {"text": asked.text}
         case _Start():

@@ -4,6 +4,7 @@
 /scope/trigger?log=&field=&level=&slope=&hysteresis=&after=&armed=
 /scope/ticks?log=&first=&last=&every=&fields=a,b     columns of little-endian doubles
 /scope/cut?log=&first=&last=              a log of its own
+/scope/events?log=                        marks, trips and other events, each with its tick
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ _LAST_TICK = (1 << 53) - 1
 """The largest number that a browser holds exactly."""
 
 Tick = Annotated[int, Field(ge=-1, le=_LAST_TICK)]
+LogName = Annotated[str, Field(min_length=1, max_length=255)]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,60}$")]
 
 
@@ -40,12 +42,16 @@ class _Question(BaseModel):
 
 
 class _StretchQuestion(_Question):
-    log: Annotated[str, Field(min_length=1, max_length=255)]
+    log: LogName
     first: Tick
     last: Tick
 
     def stretch(self) -> TickRange:
         return TickRange(self.log, self.first, self.last)
+
+
+class _EventsQuestion(_Question):
+    log: LogName
 
 
 class _TicksQuestion(_StretchQuestion):
@@ -54,7 +60,7 @@ class _TicksQuestion(_StretchQuestion):
 
 
 class _TriggerQuestion(_Question):
-    log: Annotated[str, Field(min_length=1, max_length=255)]
+    log: LogName
     field: Name
     level: float
     slope: Slope
@@ -81,6 +87,9 @@ class ScopeQuestions:
                     return self._search(_TriggerQuestion.model_validate(query))
                 case "/scope/ticks":
                     return self._send_ticks(_TicksQuestion.model_validate(query))
+                case "/scope/events":
+                    log = _EventsQuestion.model_validate(query).log
+                    return _encode(self._source.read_events(log))
                 case "/scope/cut":
                     cut = self._source.cut(_StretchQuestion.model_validate(query).stretch())
                     return ScopeAnswer(cut, _BINARY)
@@ -105,11 +114,11 @@ class ScopeQuestions:
     def _send_ticks(self, asked: _TicksQuestion) -> ScopeAnswer:
         names = asked.fields.split(",")
         columns = self._source.read_columns(asked.stretch(), names, asked.every)
-        body = np.concatenate([columns[name] for name in names]).astype("<f8").tobytes()
+        body = b"".join(np.ascontiguousarray(columns[name], "<f8").data for name in names)
         return ScopeAnswer(body, _BINARY)
 
 
-def _encode(document: dict[str, Any]) -> ScopeAnswer:
+def _encode(document: Any) -> ScopeAnswer:
     text = json.dumps(_replace_nan(document), separators=(",", ":"), allow_nan=False)
     return ScopeAnswer(text.encode(), _JSON)
 

@@ -1,8 +1,8 @@
 """The newest ticks of the run that is logged now: every tick, every column.
 
 They are read from the ring in shared memory, as the recorder does. The loop does not notice: a
-viewer copies rows, and writes nothing. The ring belongs to the user of the daemon, and only that
-user can read it.
+viewer copies rows, and its mapping cannot be written. The user of the daemon can read the ring,
+and the group that may steer it; others cannot ask the daemon either.
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.json_text import from_json
+from pamctl.live.scope.tick_shelf import TickShelf
 from pamctl.plain_text import clean_document
 from pamctl.recording.ring import Ring, RingError, RowKind
 from pamctl.recording.rows import row_dtype
 
-MOST_BYTES = 256 << 20
-"""A tick has some 330 bytes: this holds 13 minutes at 1 kHz, or 80 s at 10 kHz."""
+MOST_BYTES = 352 << 20
+"""A tick has some 275 bytes: this holds 22 minutes at 1 kHz, or 130 s at 10 kHz."""
 _MOST_EVENTS = 500
 
 
@@ -53,8 +54,7 @@ class TickMemory:
         self._row = 0
         self._log = ""
         self._problem = ""
-        self._pieces: deque[NDArray[Any]] = deque()
-        self._bytes = 0
+        self._ticks = TickShelf(np.dtype([("tick", "<i8")]), most_bytes)
         self._is_whole = True
         self._unseen = 0
         self._events: deque[dict[str, Any]] = deque(maxlen=_MOST_EVENTS)
@@ -74,17 +74,17 @@ class TickMemory:
 
     def _attach(self, path: Path, log: str) -> None:
         try:
-            ring = Ring.attach(path, populate=False)
+            ring = Ring.watch(path)
         except RingError as error:
             self._problem = "" if not path.exists() else _explain_problem(error)
             return
         with self._lock:
             self._ring, self._row = ring, 0
-            self._log, self._problem, self._bytes = log, "", 0
+            self._log, self._problem = log, ""
             self._is_whole, self._unseen = True, 0
-            self._pieces.clear()
             self._events.clear()
             self._dtype = row_dtype(ring.meta.tick_fields)
+            self._ticks = TickShelf(self._dtype["columns"], self._most_bytes)
         self._take_new_rows(ring)
 
     def _take_new_rows(self, ring: Ring) -> None:
@@ -103,12 +103,7 @@ class TickMemory:
             self._is_whole = self._is_whole and not missed
             self._unseen += 0 if is_first else missed
             self._events.extend(events)
-            if len(ticks):
-                self._pieces.append(ticks)
-                self._bytes += ticks.nbytes
-            while self._bytes > self._most_bytes and len(self._pieces) > 1:
-                self._bytes -= self._pieces.popleft().nbytes
-                self._is_whole = False
+            self._is_whole = self._ticks.put(ticks) and self._is_whole
 
     def close(self) -> None:
         """Leave the ring; what was taken stays."""
@@ -125,9 +120,7 @@ class TickMemory:
         """Return what is held."""
         with self._lock:
             is_complete = self._ring is not None or self._is_whole
-            first, last = 0, -1
-            if self._pieces:
-                first, last = int(self._pieces[0]["tick"][0]), int(self._pieces[-1]["tick"][-1])
+            first, last = self._ticks.limits()
             return MemoryState(self._log, first, last, is_complete, self._unseen, self._problem)
 
     def events(self) -> list[dict[str, Any]]:
@@ -136,36 +129,20 @@ class TickMemory:
             return list(self._events)
 
     def read_columns(
-        self, names: Sequence[str], first_tick: int, last_tick: int
+        self, names: Sequence[str], first_tick: int, last_tick: int, every: int = 1
     ) -> Mapping[str, NDArray[np.float64]]:
-        """Return columns of the ticks from `first_tick` to `last_tick`, both included.
+        """Return columns of every `every`th tick from `first_tick` to `last_tick`, both included.
 
         Raises KeyError for a column that the run does not have.
         """
         with self._lock:
-            pieces = [
-                piece
-                for piece in self._pieces
-                if piece["tick"][-1] >= first_tick and piece["tick"][0] <= last_tick
-            ]
-        unknown = [name for name in names if pieces and name not in (pieces[0].dtype.names or ())]
-        if unknown:
-            raise KeyError(unknown[0])
-        kept = [_cut_ticks(piece, first_tick, last_tick) for piece in pieces]
-        return {
-            name: np.concatenate([np.empty(0), *(piece[name] for piece in kept)]) for name in names
-        }
-
-
-def _cut_ticks(piece: NDArray[Any], first_tick: int, last_tick: int) -> NDArray[Any]:
-    start = np.searchsorted(piece["tick"], first_tick, "left")
-    return piece[start : np.searchsorted(piece["tick"], last_tick, "right")]
+            return self._ticks.read_columns(names, first_tick, last_tick, every)
 
 
 def _explain_problem(error: RingError) -> str:
     if isinstance(error.__cause__, PermissionError):
         return (
-            "only the user of the daemon can see every tick: start `pamctl watch --web` as that "
-            "user, or open the log when the run is over"
+            "only the user of the daemon and its group can see every tick: start the daemon with "
+            "--group, or open the log when the run is over"
         )
     return str(error)

@@ -140,6 +140,18 @@ class EffectEntry:
 
 
 @dataclass(frozen=True)
+class AsTerm:
+    """A term that an effect is, or is akin to; `pamctl.plant.terms` has its words."""
+
+    location: str
+    operator: str
+    driver: str = ""
+    """A constant has none."""
+    numbers: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None
+    """Makes the effect's numbers from the term's, for a fit to start from; None: only akin."""
+
+
+@dataclass(frozen=True)
 class Distinction:
     """How to distinguish two effects."""
 
@@ -176,7 +188,10 @@ class EffectDescription:
     unidentifiable: str = ""
     """Why no experiment on this rig can identify its size; empty if one can."""
     is_searched: bool = True
-    """False where `diagnose` must not name it: it would explain too much."""
+    """False where the search of `diagnose` leaves it out: it would explain too much, or a fit
+    needs the start that a term gives."""
+    as_terms: tuple[AsTerm, ...] = ()
+    """The terms that say it without its name."""
     actuators: tuple[Actuator, ...] = ACTUATORS
     """The actuators in whose plants `diagnose` looks for it; a plant file may always hold it."""
 

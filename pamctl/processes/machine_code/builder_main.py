@@ -27,6 +27,7 @@ from pamctl.processes.machine_code.libraries import (
     find_tick_library,
     may_be_native,
 )
+from pamctl.processes.machine_code.old_libraries import remove_old_libraries
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_words import TickWords
 from pamctl.realtime.whole_tick import run_whole_tick
@@ -49,6 +50,7 @@ def main() -> None:
     rig = build_rig(settings, build_clock(settings, may_spin=False)).rig if settings.fast else None
     if isinstance(rig, SimRig) and may_leap(rig):
         _build_once(find_leap_library(setup, rig), partial(build_leap_library, setup, rig))
+    remove_old_libraries(find_tick_library(setup).parent)
 
 
 def _build_once(path: Path, build: Callable[[Path], None]) -> None:

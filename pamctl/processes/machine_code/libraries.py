@@ -23,6 +23,7 @@ from pamctl.plant.native_plant import NativePlant, PlantWords
 from pamctl.plant.parameters import PlantParameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.processes.backends import build_clock, build_rig
+from pamctl.processes.machine_code.old_libraries import touch_library
 from pamctl.realtime.clock import Clock, VirtualClock
 from pamctl.realtime.tick import TickSetup
 from pamctl.realtime.tick_path import PlainTick, TickPath, load_compiled_tick
@@ -122,9 +123,12 @@ def start_building(settings: RunSettings) -> str:
     if os.environ.get(FORBIDDEN) or sys.platform != "linux":
         return ""
     try:
-        missing = [path for path in list_libraries(settings) if not path.exists()]
+        libraries = list_libraries(settings)
     except NotFlat as error:
         return f"the tick runs in plain Python: {error}"
+    for path in libraries:
+        touch_library(path)
+    missing = [path for path in libraries if not path.exists()]
     if not missing:
         return ""
     what = _IN_WORDS[missing[0].name.partition("-")[0]]

@@ -1,8 +1,7 @@
 """Fewer points for the same picture: extremes stay, and gaps stay gaps.
 
-A line keeps the lowest and the highest point of every column of pixels. A cloud of points or a
-curve through a plane keeps one point of every cell that it visits. All lengths are in the units
-of the drawing.
+A line keeps the lowest and the highest point of every column of pixels. A cloud of points keeps
+one point of every cell that it visits. All lengths are in the units of the drawing.
 """
 
 from __future__ import annotations
@@ -39,29 +38,14 @@ def keep_extremes(x: Floats, y: Floats, column: float) -> Indices:
     return np.unique(np.concatenate(([0], order[starts], order[ends], [count - 1])))
 
 
-def drop_repeats(x: Floats, y: Floats, cell: float) -> Indices:
-    """Return the points of a curve through a plane, without those that stay in a cell.
-
-    Input: finite numbers of shape (n,). The extremes of x and y and the last point stay.
-    """
-    if not len(x):
-        return np.zeros(0, np.intp)
-    across, up = np.floor(x / cell), np.floor(y / cell)
-    moved = np.concatenate(([True], (np.diff(across) != 0) | (np.diff(up) != 0)))
-    return np.unique(np.concatenate((np.flatnonzero(moved), _find_outermost(x, y), [len(x) - 1])))
-
-
 def thin_cloud(x: Floats, y: Floats, cell: float) -> Indices:
     """Return one point of every cell that a cloud of points visits, and the extremes of x and y."""
     if not len(x):
         return np.zeros(0, np.intp)
     cells = np.floor(x / cell) + 1j * np.floor(y / cell)
     _, first = np.unique(cells, return_index=True)
-    return np.unique(np.concatenate((first, _find_outermost(x, y))))
-
-
-def _find_outermost(x: Floats, y: Floats) -> Indices:
-    return np.array([x.argmin(), x.argmax(), y.argmin(), y.argmax()])
+    outermost = (x.argmin(), x.argmax(), y.argmin(), y.argmax())
+    return np.unique(np.concatenate((first, outermost)))
 
 
 _GAP_STEPS = 20.0
@@ -78,4 +62,5 @@ def break_at_gaps(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     if len(steps) < _FEWEST_STEPS or x.shape != y.shape:
         return x, y
     gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
-    return np.insert(x, gaps + 1, x[gaps]), np.insert(y, gaps + 1, np.nan)
+    between = 0.5 * (x[gaps] + x[gaps + 1])
+    return np.insert(x, gaps + 1, between), np.insert(y, gaps + 1, np.nan)

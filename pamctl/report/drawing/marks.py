@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.report.drawing.decimate import drop_repeats, find_unbroken, keep_extremes, thin_cloud
+from pamctl.report.drawing.decimate import find_unbroken, keep_extremes, thin_cloud
 from pamctl.report.drawing.scale import Scale
 
 Floats = NDArray[np.float64]
@@ -22,7 +22,6 @@ Floats = NDArray[np.float64]
 FRAME_WIDTH = 7200
 PIXEL = 10.0
 """Tenths of a pixel per pixel."""
-CURVE_CELL = 2.0 * PIXEL
 CLOUD_CELL = 3.0 * PIXEL
 
 
@@ -51,6 +50,8 @@ class PlotMark:
     label: str
     css: str
     draw: Callable[[Frame], str]
+    kind: str = ""
+    """`line`, `step`, `points` or `band`, which a script can draw from `xs` and `ys`."""
 
 
 def draw_line(frame: Frame, x: Floats, y: Floats, css: str, *, step: bool = False) -> str:
@@ -65,14 +66,63 @@ def draw_line(frame: Frame, x: Floats, y: Floats, css: str, *, step: bool = Fals
     return f'<path class="{css}" d="{"".join(parts)}"/>'
 
 
-def draw_curve(frame: Frame, x: Floats, y: Floats, css: str) -> str:
-    """Draw a curve through a plane, in the order of its points."""
+DENSITY_CELL = 6.0 * PIXEL
+DENSITIES = 5
+"""Shades of a density, from one point in a cell to the most."""
+
+
+def draw_density(frame: Frame, x: Floats, y: Floats, css: str) -> str:
+    """Shade a plane by how many points lie in each cell, on a logarithmic scale."""
     across, down = frame.across(x), frame.down(y)
-    parts = []
-    for part in find_unbroken(across, down):
-        kept = drop_repeats(across[part], down[part], CURVE_CELL)
-        parts.append(draw_polyline(across[part][kept], down[part][kept]))
-    return f'<path class="{css}" d="{"".join(parts)}"/>'
+    inside = np.isfinite(across) & np.isfinite(down)
+    edges = (_edge_cells(FRAME_WIDTH), _edge_cells(frame.height))
+    counts, _, _ = np.histogram2d(across[inside], down[inside], edges)
+    most = max(float(counts.max()), 2.0)
+    shades = np.where(counts > 0, 1 + np.floor(np.log(counts.clip(1)) / np.log(most) * 4.999), 0)
+    width, height = (edge[1] for edge in edges)
+    return "".join(
+        f'<path class="{css}" fill-opacity="{shade / DENSITIES:.1f}" d="'
+        + "".join(
+            f"M{left * width:.0f} {top * height:.0f}h{width:.0f}v{height:.0f}h-{width:.0f}z"
+            for left, top in np.argwhere(shades == shade).tolist()
+        )
+        + '"/>'
+        for shade in range(1, DENSITIES + 1)
+    )
+
+
+def _edge_cells(length: float) -> Floats:
+    return np.linspace(0.0, length, round(length / DENSITY_CELL) + 1)
+
+
+def hides_line(frame: Frame, lines: Sequence[PlotMark]) -> bool:
+    """Return whether half of a line, which must not fall in x, lies below a later one."""
+    drawn = [_find_ink(frame, line.xs[0], line.ys[0]) for line in lines]
+    for place, (low, high) in enumerate(drawn):
+        ink = np.nansum(high - low)
+        for above, below in drawn[place + 1 :]:
+            covered = np.minimum(high, below) - np.maximum(low, above)
+            if ink and np.nansum(covered.clip(min=0.0)) > 0.5 * ink:
+                return True
+    return False
+
+
+def _find_ink(frame: Frame, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Return the highest and the lowest place of a line in each column; NaN where it has none."""
+    columns = FRAME_WIDTH // round(PIXEL)
+    across, down = frame.across(x), frame.down(y)
+    shown = np.isfinite(across) & np.isfinite(down)
+    across, down = across[shown], down[shown]
+    if 0 < len(across) < 2 * columns:
+        finer = np.linspace(across[0], across[-1], 2 * columns)
+        across, down = finer, np.interp(finer, across, down)
+    at = (across / PIXEL).astype(int).clip(0, columns - 1)
+    low, high = np.full(columns, np.inf), np.full(columns, -np.inf)
+    np.minimum.at(low, at, down)
+    np.maximum.at(high, at, down)
+    known = high >= low
+    stroke = 0.65 * PIXEL
+    return np.where(known, low - stroke, np.nan), np.where(known, high + stroke, np.nan)
 
 
 def draw_band(frame: Frame, x: Floats, low: Floats, high: Floats, css: str) -> str:

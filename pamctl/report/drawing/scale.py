@@ -74,6 +74,8 @@ class Scale:
                 for index, value in enumerate(decades)
             ]
         step = choose_step((self.high - self.low) / about)
+        if math.floor(self.high / step) == math.ceil(self.low / step):
+            step = choose_step(step / 2.5)  # one number alone does not say the scale
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         largest = step * max(abs(first), abs(last), 1)
         return [

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from html import escape
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,9 +26,10 @@ from pamctl.report.drawing.decimate import break_at_gaps
 from pamctl.report.drawing.marks import FRAME_WIDTH, HEAT, PIXEL, Frame, HeatRange, PlotMark
 from pamctl.report.drawing.scale import PlotAxis, Scale, fit_scale
 
-__all__ = ["MUTED", "PlotAxis", "SvgPlot", "css_of", "share_x_axis"]
+__all__ = ["MUTED", "PlotAxis", "SvgPlot", "css_of", "plot_apart", "share_x_axis", "share_y_axis"]
 
 Floats = NDArray[np.float64]
+Item = TypeVar("Item")
 Draw = Callable[[Frame, Floats, Floats, str], str]
 
 COLOURS = 7
@@ -35,7 +37,19 @@ COLOURS = 7
 MUTED = -1
 """The colour of data for comparison: a reference, a limit."""
 
+_FEW_POINTS = 200
+_SWATCHES = {"b": "M1 1h20v8h-20z", "l": "M1 5h20", "p": "M11 5h0"}
+"""What the legend shows of bands and bars, lines, and points."""
 _ROOM_ABOVE, _ROOM_BELOW, _ROOM_BELOW_UNNAMED = 8, 42, 24
+
+
+class StraightLine(NamedTuple):
+    """A line across the whole plot: at a place of the x axis, or at a height of the y axis."""
+
+    axis: str
+    value: float
+    label: str
+    css: str
 
 
 class SvgPlot:
@@ -50,9 +64,11 @@ class SvgPlot:
         self.x, self.y = x, y
         self.height_px = height_px
         self._marks: list[PlotMark] = []
-        self._lines: list[tuple[str, float, str, int]] = []
+        self._lines: list[StraightLine] = []
         self._x_scale: Scale | None = None
-        self._names_x = True
+        self._y_scale: Scale | None = None
+        self._shaded: int | None = None
+        self.names_x = True
         self._heat: tuple[str, HeatRange] | None = None
 
     def line(
@@ -63,7 +79,6 @@ class SvgPlot:
         *,
         colour: int = 0,
         step: bool = False,
-        dashed: bool = False,
         thick: bool = False,
     ) -> SvgPlot:
         """Draw a line; x must not fall. With `step` each value holds until the next.
@@ -72,16 +87,19 @@ class SvgPlot:
         """
         if self.x.unit == "s":
             x, y = break_at_gaps(_to_floats(x), _to_floats(y))
-        css = f"l {css_of(colour)}{' dash' if dashed else ''}{' thick' if thick else ''}"
-        return self._add(x, y, label, css, partial(marks.draw_line, step=step))
+        css = f"l {css_of(colour)}{' thick' if thick else ''}"
+        kind = "step" if step else "line"
+        return self._add(x, y, label, css, partial(marks.draw_line, step=step), kind)
 
-    def curve(self, x: ArrayLike, y: ArrayLike, label: str = "", *, colour: int = 0) -> SvgPlot:
-        """Draw a curve through the plane, in the order of its points: a phase portrait."""
-        return self._add(x, y, label, f"l thin {css_of(colour)}", marks.draw_curve)
+    def density(self, x: ArrayLike, y: ArrayLike, *, colour: int = 0) -> SvgPlot:
+        """Shade the plane by how often (x, y) was there: a phase portrait of any length."""
+        self._shaded = colour
+        return self._add(x, y, "", f"d {css_of(colour)}", marks.draw_density)
 
     def points(self, x: ArrayLike, y: ArrayLike, label: str = "", *, colour: int = 0) -> SvgPlot:
-        """Draw a cloud of points."""
-        return self._add(x, y, label, f"p {css_of(colour)}", marks.draw_points)
+        """Draw points: few ones large, a cloud small."""
+        few = " few" if len(_to_floats(x)) <= _FEW_POINTS else ""
+        return self._add(x, y, label, f"p{few} {css_of(colour)}", marks.draw_points, "points")
 
     def band(
         self, x: ArrayLike, low: ArrayLike, high: ArrayLike, label: str = "", *, colour: int = 0
@@ -95,7 +113,7 @@ class SvgPlot:
         def draw(frame: Frame) -> str:
             return marks.draw_band(frame, across, lower, upper, css)
 
-        return self._put(PlotMark([across], [lower, upper], label, css, draw))
+        return self._put(PlotMark([across], [lower, upper], label, css, draw, "band"))
 
     def bars(
         self, edges: ArrayLike, counts: ArrayLike, label: str = "", *, colour: int = 0
@@ -140,35 +158,66 @@ class SvgPlot:
 
     def level(self, y: float, label: str = "", *, colour: int = MUTED) -> SvgPlot:
         """Mark a height with a horizontal line; the axis does not grow for it."""
-        self._lines.append(("y", y, label, colour))
+        self._lines.append(StraightLine("y", y, label, css_of(colour)))
         return self
 
     def place(self, x: float, label: str = "", *, colour: int = MUTED) -> SvgPlot:
         """Mark a place with a vertical line; the axis does not grow for it."""
-        self._lines.append(("x", x, label, colour))
+        self._lines.append(StraightLine("x", x, label, css_of(colour)))
         return self
+
+    @property
+    def marks(self) -> Sequence[PlotMark]:
+        """The data, in the order in which they are drawn."""
+        return self._marks
+
+    @property
+    def straight_lines(self) -> Sequence[StraightLine]:
+        """The marked places and heights."""
+        return self._lines
+
+    @property
+    def can_be_zoomed(self) -> bool:
+        """Whether a script can draw it from its data: it has lines, points and bands only."""
+        return any(len(values) for values in self.x_data) and all(m.kind for m in self._marks)
 
     @property
     def x_data(self) -> list[Floats]:
         """All data that the x axis must show."""
         return [values for mark in self._marks for values in mark.xs]
 
+    @property
+    def y_data(self) -> list[Floats]:
+        """All data that the y axis must show."""
+        return [values for mark in self._marks for values in mark.ys]
+
     def share_x(self, scale: Scale, *, names_x: bool = True) -> None:
         """Use a common x scale, and leave its name to the plot below."""
-        self._x_scale, self._names_x = scale, names_x
+        self._x_scale, self.names_x = scale, names_x
+
+    def share_y(self, scale: Scale) -> None:
+        """Use a common y scale."""
+        self._y_scale = scale
+
+    def hides_lines(self) -> bool:
+        """Return whether one of its coloured lines can hardly be seen below the others."""
+        coloured = [m for m in self._marks if m.css.startswith("l") and " cm" not in m.css]
+        return len(coloured) > 1 and marks.hides_line(self.make_frame(), coloured)
+
+    def make_frame(self) -> Frame:
+        """Return the frame with both scales."""
+        whole = self._heat is not None  # a map ends at the edges of its cells
+        x = self._x_scale or fit_scale(replace(self.x, tight=self.x.tight or whole), self.x_data)
+        y = self._y_scale or fit_scale(replace(self.y, tight=self.y.tight or whole), self.y_data)
+        return Frame(x, y, self.height_px * PIXEL)
 
     def html(self) -> str:
         """Return the plot with its legend as escaped HTML, without its own style."""
-        whole = self._heat is not None  # a map ends at the edges of its cells
-        x = self._x_scale or fit_scale(replace(self.x, tight=self.x.tight or whole), self.x_data)
-        y = fit_scale(
-            replace(self.y, tight=self.y.tight or whole),
-            [values for mark in self._marks for values in mark.ys],
-        )
-        frame = Frame(x, y, self.height_px * PIXEL)
+        frame = self.make_frame()
+        x, y, _ = frame
         name = escape(f"{self.title}: {self.y.title} over {self.x.title}")
         drawn = "".join(mark.draw(frame) for mark in self._marks)
-        below = _ROOM_BELOW if self._names_x else _ROOM_BELOW_UNNAMED
+        below = _ROOM_BELOW if self.names_x else _ROOM_BELOW_UNNAMED
         return (
             f'<div class="plot"><div class="ptitle">{escape(self.title)} '
             f'<span class="unit">{escape(self._y_name())}</span></div>{self._draw_legend()}'
@@ -185,7 +234,8 @@ class SvgPlot:
 
     def _y_name(self) -> str:
         """Return the parts of the axis label that the title does not state."""
-        same = self.title.casefold() == self.y.label.casefold()
+        title, label = self.title.casefold(), self.y.label.casefold()
+        same = title == label or title.startswith(f"{label},")
         return self.y.unit if same else self.y.title
 
     def _grid(self, x: Scale, y: Scale) -> str:
@@ -201,21 +251,22 @@ class SvgPlot:
             parts.append(f'<line class="grid" x1="{at_share}" x2="{at_share}" y2="{bottom}"/>')
             css = "xt spare" if spare else "xt"
             parts.append(f'<text class="{css}" x="{at_share}" y="{bottom + 16}">{text}</text>')
-        if self._names_x:
+        if self.names_x:
             title = escape(self.x.title)
             parts.append(f'<text class="xl" x="100%" y="{bottom + 34}">{title}</text>')
         return "".join(parts)
 
     def _draw_levels(self, frame: Frame) -> str:
         return "".join(
-            f'<path class="l mark {css_of(colour)}" d="{_draw_straight(frame, axis, value)}"/>'
-            for axis, value, _, colour in self._lines
+            f'<path class="l mark {css}" d="{_draw_straight(frame, axis, value)}"/>'
+            for axis, value, _, css in self._lines
             if _is_visible(frame, axis, value)
         )
 
     def _draw_level_texts(self, frame: Frame) -> str:
         texts = []
-        for axis, value, label, _ in self._lines:
+        rows: list[float] = []
+        for axis, value, label, _ in sorted(self._lines):
             if not label or not _is_visible(frame, axis, value):
                 continue
             if axis == "y":
@@ -225,9 +276,12 @@ class SvgPlot:
             else:
                 place = frame.x.place(value)
                 side = " end" if place > 0.7 else ""
+                row = _find_free_row(rows, place, len(label), at_end=bool(side))
                 nudge = -4 if side else 4
+                # On a narrow screen the texts of the first row alone have room.
+                css = f"note{side}{' spare' if row else ''}"
                 texts.append(
-                    f'<text class="note{side}" x="{place * 100:.2f}%" dx="{nudge}" y="12">'
+                    f'<text class="{css}" x="{place * 100:.2f}%" dx="{nudge}" y="{12 + 13 * row}">'
                 )
             texts.append(f"{escape(label)}</text>")
         return "".join(texts)
@@ -246,11 +300,21 @@ class SvgPlot:
     def _draw_legend(self) -> str:
         entries = [
             f'<li><svg class="swatch" viewBox="0 0 22 10"><path class="{mark.css}" '
-            f'd="{"M1 1h20v8h-20z" if mark.css.startswith("b") else "M1 5h20"}"/></svg>'
+            f'd="{_SWATCHES[mark.css[0]]}"/></svg>'
             f"{escape(mark.label)}</li>"
             for mark in self._marks
             if mark.label
         ]
+        if self._shaded is not None:
+            css = css_of(self._shaded)
+            shades = "".join(
+                f'<path class="d {css}" fill-opacity="{k / marks.DENSITIES}" '
+                f'd="M{22 * k - 22} 0h22v10h-22z"/>'
+                for k in range(1, marks.DENSITIES + 1)
+            )
+            entries.append(
+                f'<li>seldom <svg class="shades" viewBox="0 0 110 10">{shades}</svg> often</li>'
+            )
         if self._heat is not None:
             label, (low, high) = self._heat
             stops = ", ".join(f"rgb{stop}" for stop in HEAT)
@@ -261,11 +325,15 @@ class SvgPlot:
             )
         return f'<ul class="legend">{"".join(entries)}</ul>' if entries else ""
 
-    def _add(self, x: ArrayLike, y: ArrayLike, label: str, css: str, draw: Draw) -> SvgPlot:
+    def _add(
+        self, x: ArrayLike, y: ArrayLike, label: str, css: str, draw: Draw, kind: str = ""
+    ) -> SvgPlot:
         across, up = _to_floats(x), _to_floats(y)
         if across.shape != up.shape or across.ndim != 1:
             raise ValueError(f"{self.title}: x has shape {across.shape}, y {up.shape}")
-        return self._put(PlotMark([across], [up], label, css, lambda f: draw(f, across, up, css)))
+        return self._put(
+            PlotMark([across], [up], label, css, lambda f: draw(f, across, up, css), kind)
+        )
 
     def _put(self, mark: PlotMark) -> SvgPlot:
         self._marks.append(mark)
@@ -281,6 +349,31 @@ def share_x_axis(plots: Sequence[SvgPlot]) -> Sequence[SvgPlot]:
     return plots
 
 
+def share_y_axis(plots: Sequence[SvgPlot]) -> Sequence[SvgPlot]:
+    """Give plots one y axis for the data of all, with the settings of the first one's axis."""
+    if plots:
+        scale = fit_scale(plots[0].y, [values for plot in plots for values in plot.y_data])
+        for plot in plots:
+            plot.share_y(scale)
+    return plots
+
+
+def plot_apart(
+    draw: Callable[[Sequence[Item]], SvgPlot | None], of: Sequence[Item]
+) -> list[SvgPlot]:
+    """Return one plot of all items, or one for each where their lines would hide each other.
+
+    Plots of single items have the same y axis. `draw` returns None if it has nothing to show.
+    """
+    together = draw(of)
+    if together is None:
+        return []
+    if len(of) == 1 or not together.hides_lines():
+        return [together]
+    alone = (draw([one]) for one in of)
+    return [*share_y_axis([plot for plot in alone if plot is not None])]
+
+
 def css_of(colour: int) -> str:
     """Return the style class of a colour."""
     return "cm" if colour == MUTED else f"c{colour % COLOURS}"
@@ -293,6 +386,22 @@ def _to_floats(values: ArrayLike) -> Floats:
 def _is_visible(frame: Frame, axis: str, value: float) -> bool:
     place = (frame.x if axis == "x" else frame.y).place(value)
     return 0.0 <= place <= 1.0
+
+
+_USUAL_PX, _LETTER_PX = 700.0, 6.5
+_MOST_ROWS = 4
+
+
+def _find_free_row(rows: list[float], place: float, letters: int, *, at_end: bool) -> int:
+    """Return the first row of texts with room at a place from 0 to 1, and take it.
+
+    `rows` holds the end of the last text of each row; texts come from left to right.
+    """
+    width = (letters * _LETTER_PX + 12.0) / _USUAL_PX
+    begin = place - width if at_end else place
+    row = next((k for k, end in enumerate(rows) if end <= begin), len(rows) % _MOST_ROWS)
+    rows[row : row + 1] = [begin + width]
+    return row
 
 
 def _draw_straight(frame: Frame, axis: str, value: float) -> str:

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.made_records import pair
 
 from pamctl.bounded_memory import BoundedMemory
+from pamctl.diagnose.fitting import block_fit as of_fits
 from pamctl.diagnose.fitting import drives as of_drives
 from pamctl.diagnose.fitting import floor as of_floor
-from pamctl.diagnose.fitting.block_fit import QUICK, Fit, find_secants, fit_numbers, sensitivity
+from pamctl.diagnose.fitting.block_fit import (
+    QUICK,
+    Fit,
+    find_change,
+    find_secants,
+    fit_numbers,
+    sensitivity,
+)
 from pamctl.diagnose.fitting.coarse_steps import coarsen
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive, stack_residuals
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence
 from pamctl.diagnose.fitting.floor import imitate_records
 from pamctl.diagnose.fitting.numbers import calibrated_number, with_values
+from pamctl.diagnose.setup.altered_drive import PlantChange, add_change
 from pamctl.plant.drive import drive_mechanics, drive_pressure
 from pamctl.plant.model import PlantSettings, plant_parameters
 
@@ -97,6 +108,52 @@ def test_half_the_steps_show_a_dose_as_well(
     fitted = Fit(PAPER, (), drives, before)
     coarse = find_secants(fitted, [{name: dose}])[:, 0]
     assert np.linalg.norm(coarse + fine) < 0.03 * np.linalg.norm(fine)
+
+
+def test_the_zero_of_the_pressure_sensor_is_added_to_a_known_simulation(
+    evidence: Evidence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    air = evidence.train[PRESSURE][0]
+    zeros = {"pressure_sensor_offset.offset_pa": 130.0, "pressure_sensor_gain.gain": 1.02}
+    p = plant_parameters(with_values(PAPER, zeros))
+    whole = drive_pressure(p, air.valve_v, air.driven, air.grid).pressure_pa
+    simulated = count_simulations(monkeypatch)
+    air.simulate_with(plant_parameters(with_values(PAPER, {"pressure_sensor_gain.gain": 1.02})))
+    np.testing.assert_allclose(air.simulate_with(p), whole, rtol=1e-15)
+    assert simulated == [PRESSURE]
+
+
+def test_windows_start_from_a_reading_that_the_zero_moves(evidence: Evidence) -> None:
+    air = replace(evidence.train[PRESSURE][0], windows=(slice(0, 900), slice(900, 2000)))
+    p = plant_parameters(with_values(PAPER, {"pressure_sensor_offset.offset_pa": 900.0}))
+    whole = drive_pressure(p, air.valve_v, air.driven, air.grid, restarts=air._restarts)
+    np.testing.assert_array_equal(air.simulate_with(p), whole.pressure_pa)
+
+
+def test_half_the_steps_show_what_an_altered_drive_changes(evidence: Evidence) -> None:
+    drives = evidence.train[PRESSURE]
+    fitted = Fit(PAPER, (), drives, stack_residuals(drives, PAPER))
+    altered = [add_change(d, PlantChange("temperature_k", 0.02)) for d in drives]
+    fine = stack_residuals(altered, PAPER) - fitted.residual
+    assert np.linalg.norm(find_change(fitted, altered) - fine) < 0.03 * np.linalg.norm(fine)
+
+
+def test_the_fine_steps_go_on_with_the_derivatives_of_the_coarse_ones(
+    evidence: Evidence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end is that of a descent with all steps alone, for fewer derivatives."""
+    free = [calibrated_number(n, PAPER) for n in ("valve_gain_m2_per_v", "tank_pressure_pa")]
+    start = with_values(PAPER, {"valve_gain_m2_per_v": 1.2e-6, "tank_pressure_pa": 4.3e5})
+    drives, asked = evidence.train[PRESSURE], []
+    monkeypatch.setattr(of_fits, "sensitivity", lambda *g: asked.append(1) or sensitivity(*g))
+    found = fit_numbers(drives, start, free)
+    count = len(asked)
+    monkeypatch.setattr(of_fits, "coarsen", lambda drives, *plants, free=(): tuple(drives))
+    alone = fit_numbers(drives, start, free)
+    assert count <= len(asked) - count + 1
+    for number in free:
+        apart = abs(found.values[number.name] - alone.values[number.name])
+        assert apart < 1e-3 * number.scale
 
 
 def test_a_short_time_constant_needs_all_the_steps(evidence: Evidence) -> None:

@@ -168,6 +168,15 @@ def test_a_slow_chamber_may_answer_later_than_a_fast_one() -> None:
         assert len([*check_time_shifts(record)]) == refused
 
 
+def test_a_later_command_is_not_taken_for_a_late_answer() -> None:
+    t_s = np.arange(0.0, 8.0, 1e-3)
+    filling = 101e3 + 3e5 * np.maximum(np.tanh((t_s - 1.12) / 0.05), 0.0)
+    for first_v, refused in ((5.0, 1), (-5.0, 0)):  # the second opens further, or opens first
+        command = np.select([t_s > 1.12, t_s > 1.0], [5.0, first_v], -1.0)
+        record = Record("filling", t_s, valve_v=command, pressure_pa=filling)
+        assert len([*check_time_shifts(record)]) == refused
+
+
 def test_a_doubt_is_overruled_with_a_reason_that_is_kept() -> None:
     good = measured("fit", 1)
     spoilt_record = replace(good, valve_v=good["valve_v"] + 5.0)

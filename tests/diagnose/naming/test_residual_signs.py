@@ -7,8 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from support.made_records import PERIOD_S, measured, pair
+from support.made_records import PERIOD_S, find_candidate, measured, pair
 
+from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.floor import Floor
@@ -94,3 +95,26 @@ def test_samples_that_confirm_may_refute() -> None:
     confirmed.__dict__["residuals"] = {b: 2.0 * r for b, r in model.residuals.items()}
     (kind,) = {sign.kind for sign in find_residual_signs(model, confirmed)}
     assert kind == "unconfirmed"
+
+
+@pytest.mark.parametrize(("count", "is_seen"), [(0, False), (1, False), (2, True)])
+def test_several_effects_must_reach_the_limit_on_the_samples_that_confirm(
+    count: int, is_seen: bool
+) -> None:
+    """A few stretches are above, so nothing is sure; two effects may be chosen by that."""
+    model = recalibrated()
+    names = ("encoder_scale", "pressure_damping")[:count]
+    effects = tuple(find_candidate(name, model.evidence) for name in names)
+    confirmed = replace(model, root=model, effects=effects)
+    floor = Floor(1.0, 0.05, 1.2, np.zeros((12, 0)), np.ones(12))
+    left = {b: r / rms(r) for b, r in model.residuals.items()}
+    left["mechanics"] = left["mechanics"].copy()
+    left["mechanics"][:250] *= 5.0
+    left["mechanics"] *= 1.21 / rms(left["mechanics"])
+    confirmed.__dict__.update(
+        floors=dict.fromkeys(model.floors, floor),
+        residuals=left,
+        rms={b: rms(r) for b, r in left.items()},
+    )
+    signs = find_residual_signs(model, confirmed)
+    assert bool(signs) is is_seen

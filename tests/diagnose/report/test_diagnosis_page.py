@@ -145,7 +145,7 @@ def test_a_named_effect_has_its_equation_and_intervals_and_rivals(named, records
 
 def test_the_map_of_regimes_begins_with_the_block_that_hides_the_effect(named, records):
     shares = r"(?:<td[^>]*>\d+ %</td>){2}"
-    row = rf"<tr><td>(pressure|mechanics)</td><td>[^<]*</td>{shares}<td[^>]*>([\d.]+)"
+    row = rf"<tr><td[^>]*>(pressure|mechanics)</td><td[^>]*>[^<]*</td>{shares}<td[^>]*>([\d.]+)"
     found = re.findall(row, page(named, records))
     left = [float(value) for block, value in found if block == "pressure"]
     assert [block for block, _ in found[: len(left)]] == ["pressure"] * len(left)

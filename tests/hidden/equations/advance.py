@@ -27,7 +27,7 @@ from hidden.equations.mechanism import (
 )
 from hidden.equations.physics import volume
 from hidden.equations.truth import State
-from hidden.equations.valve import opening, play, spool
+from hidden.equations.valve import opening, play, slewed, spool
 
 
 @kernel
@@ -114,7 +114,7 @@ def followed(z, target, time, h):
 def small_step(p, s, command_v, force_n, h):
     """Advance by h: midpoint rule for the air, trapezoidal rule for the mechanism."""
     drive = min(max(command_v, -p.drive_limit_v), p.drive_limit_v)
-    play_v = play(s.play_v, drive, p.play_v)
+    play_v = slewed(p, s.play_v, play(s.play_v, drive, p.play_v), h)
     spool_v, spool_rate = spool(p, s.spool_v, s.spool_rate, play_v, h)
     middle_v = 0.5 * (s.spool_v + spool_v) if p.spool_rad_per_s > 0.0 else spool_v
     area = opening(p, middle_v, s.t_s + 0.5 * h)

@@ -37,7 +37,7 @@ def tank_after(p, tank_pa, taken, t_s, h):
 def pressure_of(p, air, gas_k, x, guess_pa):
     """Return the pressure of the air in the muscle; `guess_pa` starts a braid that stretches."""
     pressure = guess_pa
-    for _ in range(1 if p.stretch_per_pa == 0.0 else 4):
+    for _ in range(1 if p.stretch_per_pa == 0.0 and p.hose_m3_per_pa == 0.0 else 6):
         room = volume(p, x, pressure - p.atmosphere_pa)
         if p.wall_heat_w_per_k > 0.0:
             pressure = air * gas_k / room

@@ -47,13 +47,13 @@ def pull(p, x, gauge_pa, force_n):
     effective = gauge_pa
     if p.threshold_pa > 0.0:
         effective = max(gauge_pa - p.threshold_pa, 0.0)
-    return effective * pull_area(p, x, gauge_pa) - p.load_n
+    return effective * pull_area(p, x, gauge_pa) * (1.0 + p.pull_per_m * x) - p.load_n
 
 
 @part
 def drag(p, x, gauge_pa, forward, t_s):
     """Return the viscous coefficient of one direction: Eq. 5's grip only where x grows."""
-    viscous = p.damping + p.pressure_damping * max(gauge_pa, 0.0)
+    viscous = p.damping + p.pressure_damping * max(gauge_pa, 0.0) + p.drag_per_m * x
     if forward and p.direct == 0.0:
         viscous += braid_grip(p, x, gauge_pa, t_s)
     return viscous

@@ -12,7 +12,8 @@ def volume(p, x, gauge_pa):
     """Eq. 2, with a braid that may stretch and a volume that never empties."""
     length = p.rest_length_m - p.cap_m - x
     braid = p.braid_m * (1.0 + p.stretch_per_pa * gauge_pa)
-    return length * (braid**2 - length**2) / (4.0 * math.pi * p.turns**2) + p.dead_m3
+    room = length * (braid**2 - length**2) / (4.0 * math.pi * p.turns**2)
+    return room + p.dead_m3 + p.hose_m3_per_pa * max(gauge_pa, 0.0)
 
 
 @part
@@ -27,6 +28,7 @@ def pull_area(p, x, gauge_pa):
 def braid_grip(p, x, gauge_pa, t_s):
     """mu_k N P A_b of Eq. 5, in N per metre of braid lever (and per m/s)."""
     mu = p.mu_k * (1.0 + p.mu_slope_per_m * x) * math.exp(-p.mu_decay_per_s * t_s)
+    mu *= 1.0 + p.mu_per_pa * max(gauge_pa, 0.0)
     return mu * p.braids * p.contact_m2 * max(gauge_pa, 0.0)
 
 

@@ -38,6 +38,8 @@ class Truth(NamedTuple):
     """0: the spool follows at once."""
     spool_damping: float = 0.7
     play_v: float = 0.0
+    slew_v_per_s: float = 0.0
+    """0: the driver follows at any rate."""
     delay_s: float = 0.0
     null_leak_m2: float = 0.0
     null_leak_zone_v: float = 0.0
@@ -55,6 +57,8 @@ class Truth(NamedTuple):
     line_pa_s_per_kg: float = 0.0
     line_m3: float = 4e-6
     dead_m3: float = 0.0
+    hose_m3_per_pa: float = 0.0
+    """A hose that swells under pressure."""
     polytropic: float = 1.0
     wall_heat_w_per_k: float = 0.0
     """Above 0 the gas has a temperature of its own, warmed through the wall."""
@@ -84,6 +88,11 @@ class Truth(NamedTuple):
     load_n: float = 0.0
     mu_slope_per_m: float = 0.0
     mu_decay_per_s: float = 0.0
+    mu_per_pa: float = 0.0
+    drag_per_m: float = 0.0
+    """Viscous damping that grows along the stroke, N s/m for each m."""
+    pull_per_m: float = 0.0
+    """The pull changes along the stroke by this share."""
     stop_m: float = 0.0
     """Beyond it a second spring engages; 0: there is none."""
     stop_n_per_m: float = 0.0

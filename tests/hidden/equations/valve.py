@@ -14,6 +14,14 @@ def play(output, entered, width):
 
 
 @part
+def slewed(p, before, wanted, h):
+    """Return how far the driver gets in h."""
+    if p.slew_v_per_s == 0.0:
+        return wanted
+    return before + min(max(wanted - before, -p.slew_v_per_s * h), p.slew_v_per_s * h)
+
+
+@part
 def spool(p, position, rate, drive, h):
     """One trapezoidal step of a mass on a spring that is driven to `drive` (all in volts)."""
     if p.spool_rad_per_s == 0.0:

@@ -22,14 +22,23 @@ PRESSURE_SPAN_PA = 700e3
 POSITION_SPAN_M = 25.6e-3
 
 
-def record_of(rig: HiddenRig, lab: Lab, excitation: Excitation, order: float) -> Record:
-    """Excite the rig, and return the file; `order` is 0 for the first record and 1 for the last."""
+def record_of(
+    rig: HiddenRig,
+    lab: Lab,
+    excitation: Excitation,
+    order: float,
+    truth_at: Callable[[float], Truth] | None = None,
+) -> Record:
+    """Excite the rig, and return the file; `order` is 0 for the first record and 1 for the last.
+
+    `truth_at` is the truth over time in place of what the laboratory says.
+    """
     rng = np.random.default_rng([rig.seed, excitation.seed, len(excitation.name), 37])
     ticks = _ticks_of(rig.sensors, lab, excitation.samples, rng)
     pressure_s = _instants(lab, "pressure_pa", ticks)
     position_s = _instants(lab, "position_m", ticks)
     white = draw_noise(rig.sensors, len(ticks), rng)
-    truth_at = truth_over_time(rig.truth, lab, order, excitation.samples * 1e-3)
+    truth_at = truth_at or truth_over_time(rig.truth, lab, order, excitation.samples * 1e-3)
     passed = run_varying(truth_at, excitation, ticks, pressure_s, position_s,
                          _reader(rig.sensors, white),
                          rig.step_s or needed_step_s(rig.truth))  # fmt: skip

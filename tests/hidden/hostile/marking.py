@@ -215,7 +215,7 @@ def false_names(case: HostileCase, said: Said, covered: bool) -> set[str]:
 
 
 def _holds_truth(case: HostileCase, group: frozenset[str]) -> bool:
-    causes = {w for c in case.answer.setup for w in (c.number, c.kind)}
+    causes = {w for c in (*case.answer.setup, *case.answer.also) for w in (c.number, c.kind)}
     return any(_touches(entry, causes) for entry in group)
 
 

@@ -25,12 +25,13 @@ Records = tuple[list[Excitation], list[Excitation]]
 def open_program(seed: int) -> Records:
     """Return an open-loop program: in each record squares, small steps, many sines, holds."""
     return (
-        [_composed(seed, 3.2, 3.8, 2.6), _composed(seed + 101, 2.2, 3.0, 3.4)],
-        [_composed(seed + 202, 2.0, 3.0, 2.4), _composed(seed + 303, 1.6, 2.6, 2.6)],
+        [compose_open(seed, 3.2, 3.8, 2.6), compose_open(seed + 101, 2.2, 3.0, 3.4)],
+        [compose_open(seed + 202, 2.0, 3.0, 2.4), compose_open(seed + 303, 1.6, 2.6, 2.6)],
     )
 
 
-def _composed(seed: int, small_s: float, sines_s: float, large_s: float) -> Excitation:
+def compose_open(seed: int, small_s: float, sines_s: float, large_s: float) -> Excitation:
+    """Return one record of the open program; the lengths are those of its parts."""
     rng = np.random.default_rng([29, seed])
     parts = [
         square(float(rng.choice([0.7, 1.0, 1.4])), 1.6),
@@ -54,11 +55,14 @@ def closed_loop(seed: int) -> Records:
 
 def random_levels(seed: int) -> Records:
     """Return random openings for random times, with a shaken command on them."""
-    made = [_shaken(seed + 101 * k, seconds) for k, seconds in enumerate((11.0, 10.0, 9.0, 8.0))]
+    made = [
+        shake_levels(seed + 101 * k, seconds) for k, seconds in enumerate((11.0, 10.0, 9.0, 8.0))
+    ]
     return made[:2], made[2:]
 
 
-def _shaken(seed: int, seconds: float) -> Excitation:
+def shake_levels(seed: int, seconds: float) -> Excitation:
+    """Return one record of random levels."""
     rng = np.random.default_rng([31, seed])
     count = round(seconds / TICK_S)
     levels: list[Array] = []

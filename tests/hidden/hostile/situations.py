@@ -111,7 +111,7 @@ def null_situations() -> Iterator[Situation]:
         "clock_of_all",
         "null",
         (Lab(time_rate=0.005), Lab(time_rate=0.03)),
-        _same(Answer(silent=True, also=(SetupCause("clock_rate"),))),
+        _same(Answer(silent=True, also=(SetupCause("clock_rate", "t_s"),))),
     )
 
 

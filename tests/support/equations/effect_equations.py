@@ -51,11 +51,28 @@ def arrivals(e: Hidden, command_v: Sequence[float], tick_s: float) -> list[tuple
     slack, played, spool_v = 0.5 * e("valve_hysteresis.width_v"), [], 0.0
     limit = 5.0 - e("valve_saturation.shortfall_v")
     for t, u in changes:
-        u = max(-limit, min(limit, u))
+        u += e("null_offset.offset_v")
+        if limit < 5.0:
+            u = max(-limit, min(limit, u))
         if abs(u - spool_v) > slack:
             spool_v = u - math.copysign(slack, u - spool_v)
         played.append((t, spool_v))
     return played
+
+
+def slewed(
+    changes: Sequence[tuple[float, float]], slowness: float
+) -> tuple[list[float], list[float]]:
+    """Corners (times, volts) of a spool that needs `slowness` for each volt."""
+    times, volts, now = [0.0], [0.0], 0.0
+    for (t, goal), until in zip(changes, [*(t for t, _ in changes[1:]), math.inf], strict=True):
+        reached = min(t + slowness * abs(goal - now), until)
+        times.append(t)
+        volts.append(now)
+        now += math.copysign((reached - t) / slowness, goal - now)
+        times.append(reached)
+        volts.append(now)
+    return times, volts
 
 
 def area_m2(e: Hidden, spool_v: float, t: float) -> float:
@@ -107,6 +124,12 @@ def valve_flows(e: Hidden, area: float, spool_v: float, supply: float, node: flo
     return taken, taken - (max(-area, 0.0) + leak) * jet(e, node, paper.P_ATM)
 
 
+def regulated(e: Hidden, t: float) -> float:
+    """What the regulator holds."""
+    swing = 2 * math.pi * e("supply_ripple.frequency_hz", 1.0) * t + e("supply_ripple.phase_rad")
+    return paper.P_TANK + e("supply_ripple.amplitude_pa") * math.sin(swing)
+
+
 def supply_at(e: Hidden, area: float, spool_v: float, node: float, tank: float) -> float:
     """The tank's pressure; without a tank what a regulator leaves at this flow."""
     resistance = e("supply_droop.resistance_pa_s_per_kg")
@@ -143,6 +166,8 @@ def solve_pressure(
     line_m3 = e("line_restriction.volume_m3")
     resistance = e("line_restriction.resistance_pa_s_per_kg")
     lag = e("pressure_sensor_lag.time_constant_s")
+    fast = e("supply_droop.fast_share")
+    swings = e("supply_ripple.amplitude_pa") != 0.0
 
     shown_m = position_m.tolist()
 
@@ -150,8 +175,13 @@ def solve_pressure(
         return straight(t / tick_s, shown_m)
 
     def rates(t: float, y: Array, pushed: float) -> list[float]:
-        air, tank, line_air, spool_v, spool_rate, shown = y.tolist()
+        air, tank, line_air, spool_v, spool_rate, shown, branch = y.tolist()
+        tank -= branch
         spool_acc = 0.0
+        if slowness > 0.0:
+            pushed = float(np.interp(t, *corners))
+        if swings:
+            tank = regulated(e, t)
         if tau > 0.0:
             spool_acc = (pushed - spool_v) / tau**2
             spool_acc -= 2 * e("valve_spool.damping_ratio", 0.7) / tau * spool_rate
@@ -170,11 +200,12 @@ def solve_pressure(
         drop = e("supply_droop.resistance_pa_s_per_kg") * taken
         return [
             RT * (into - lost) * worth,
-            (paper.P_TANK - drop - tank) / refill if refill > 0.0 else 0.0,
+            (paper.P_TANK - (1 - fast) * drop - tank - branch) / refill if refill > 0.0 else 0.0,
             RT * (entering - into) if has_node else 0.0,
             spool_rate,
             spool_acc,
             (node - shown) / lag if lag > 0.0 else 0.0,
+            (fast * drop - branch) / (0.1 * refill) if fast > 0.0 else 0.0,
         ]
 
     x0 = float(position_m[0])
@@ -186,13 +217,17 @@ def solve_pressure(
             0.0,
             0.0,
             paper.P_ATM,
+            0.0,
         ]
     )
     changes = [*arrivals(e, command_v, tick_s), (math.inf, 0.0)]
-    cuts = sorted({*samples_s.tolist(), *[t for t, _ in changes if 0 < t < samples_s[-1]]})
+    slowness = e("valve_slew.slowness_s_per_v")
+    corners = slewed(changes[:-1], slowness) if slowness > 0.0 else ([], [])
+    kinks = [*(t for t, _ in changes), *(round(t, 9) for t in corners[0])]
+    cuts = sorted({*samples_s.tolist(), *[t for t in kinks if 0 < t < samples_s[-1]]})
     shown: list[float] = []
     pushed = changes[0][1]
-    tolerance = np.array([1e-7, 1e-3, 1e-8, 1e-9, 1e-6, 1e-3])
+    tolerance = np.array([1e-7, 1e-3, 1e-8, 1e-9, 1e-6, 1e-3, 1e-3])
     for i, t in enumerate(cuts):
         pushed = next(u for (_, u), (until, _) in pairwise(changes) if until > t + 1e-12)
         if np.isclose(samples_s, t, atol=1e-12).any():
@@ -254,16 +289,18 @@ class Mechanics:
         force -= e("cubic_stiffness.n_per_m3") * x**3 + e("external_load.force_n")
         force += e("piston.area_m2") * p
         fast = e("creep.fast_share")
+        force -= e("spring_hysteresis.force_n") * float(y[5])
         return force - self.stiff * ((1 - fast) * (x - float(y[2])) + fast * (x - float(y[3])))
 
-    def grip(self, t: float) -> float:
+    def grip(self, t: float, x: float) -> float:
         slower = 1 + self.e("drift.friction_per_s") * t
+        slower *= 1 + self.e("position_friction.share_per_m") * x
         return slower * paper.MU_K * paper.BRAIDS * paper.A_B * max(0.0, self.gauge(t))
 
     def band(self, t: float, x: float, v: float) -> tuple[float, float]:
         e = self.e
         length = paper.L_0 - e("end_cap.length_m") - x
-        kinetic = self.grip(t) * length * math.acos(length / paper.B)
+        kinetic = self.grip(t, x) * length * math.acos(length / paper.B)
         rise = 1.0
         if e("stribeck.rise"):
             speed = abs(v) / e("stribeck.speed_m_per_s", 5e-3)
@@ -275,20 +312,20 @@ class Mechanics:
         lower = e("return_friction.share") * kinetic + dry
         return -(rise - tilt) * lower, (rise + tilt) * (kinetic + dry)
 
-    def damping(self, t: float, up: bool) -> float:
+    def damping(self, t: float, x: float, up: bool) -> float:
         c = paper.C + self.e("pressure_damping.per_pa") * max(0.0, self.gauge(t))
         tilt = self.e("viscous_asymmetry.share")
-        return c * (1 + tilt) + self.grip(t) if up else c * (1 - tilt)
+        return c * (1 + tilt) + self.grip(t, x) if up else c * (1 - tilt)
 
     def rates(self, t: float, y: Array, mode: str) -> list[float]:
-        x, v, slow, fast, bristle = y.tolist()
+        x, v, slow, fast, bristle, loop = y.tolist()
         tau = self.e("creep.time_constant_s", 1.0)
         lags = [(x - slow) / tau, (x - fast) / (0.1 * tau)]
         if mode == "stick":
-            return [0.0, 0.0, *lags, 0.0]
+            return [0.0, 0.0, *lags, 0.0, 0.0]
         up = v > 0 if mode == "bristles" else mode == "up"
         low, high = self.band(t, x, v)
-        damping, bends = self.damping(t, up), 0.0
+        damping, bends = self.damping(t, x, up), 0.0
         friction = high if up else low
         if mode == "bristles":
             sigma, form = 1 / self.e("presliding.compliance_m_per_n"), self.e("presliding.form")
@@ -299,7 +336,8 @@ class Mechanics:
                 sigma_1 = self.e("presliding.bristle_damping_n_s_per_m")
                 damping += sigma_1 * abs(limit - friction) / width
             bends += 1e5 * (friction - bristle)  # the band has moved past it
-        return [v, (self.net(t, y) - friction - damping * v) / self.mass, *lags, bends]
+        loops = (math.copysign(1.0, v) - loop) * abs(v) / self.e("spring_hysteresis.way_m", 1e-3)
+        return [v, (self.net(t, y) - friction - damping * v) / self.mass, *lags, bends, loops]
 
     def solve(self) -> Array:
         """The displacement at the samples, from the muscle at rest."""
@@ -307,7 +345,7 @@ class Mechanics:
             return self.solve_by_small_steps()
         mode = "bristles" if self.bristles else "stick"
         x0 = -self.e("external_load.force_n") / paper.K
-        y = np.array([x0, 0.0, x0, x0, 0.0])
+        y = np.array([x0, 0.0, x0, x0, 0.0, 0.0])
         seen = [x0]
         for begin, end in pairwise(self.samples_s):
             t = float(begin)
@@ -321,7 +359,7 @@ class Mechanics:
     def solve_by_small_steps(self, step_s: float = 4e-6) -> Array:
         """A spring on a slider: backward Euler with its three cases, each linear in the speed."""
         sigma = 1 / self.e("presliding.compliance_m_per_n")
-        y, bristle, seen = np.zeros(4), 0.0, [0.0]
+        y, bristle, seen = np.zeros(6), 0.0, [0.0]
         tick_s = float(self.samples_s[1])
         for k in range(1, len(self.samples_s)):
             for i in range(round(tick_s / step_s)):
@@ -330,7 +368,7 @@ class Mechanics:
                 pushed = self.mass / step_s * y[1] + self.net(t, y)
 
                 up = pushed > min(max(bristle, low), high)
-                sliding = self.mass / step_s + paper.C + (self.grip(t) if up else 0.0)
+                sliding = self.mass / step_s + paper.C + (self.grip(t, float(y[0])) if up else 0.0)
                 v = (pushed - bristle) / (sliding + sigma * step_s)
                 held = bristle + sigma * step_s * v
                 if held > high or held < low:
@@ -364,7 +402,7 @@ class Mechanics:
             "LSODA",
             args=(mode,),
             rtol=1e-9,
-            atol=[1e-12, 1e-10, 1e-12, 1e-12, 1e-7],
+            atol=[1e-12, 1e-10, 1e-12, 1e-12, 1e-7, 1e-9],
             events=events or None,
             first_step=min(1e-7, end - begin),
         )

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
-from scipy.signal import butter, sosfiltfilt, sosfreqz
 
 from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.measured.zero_phase import pass_band, respond_band_pass
 
 MAINS_HZ = (50.0, 60.0)
 OFF_HZ = 0.5
@@ -127,10 +127,9 @@ def _measure_line(values: Array, share: float, half_width: float, period_s: floa
 
 def _pass_band(values: Array, share: float) -> tuple[Array, float]:
     """Return what lies around a frequency, and the filter's gain there."""
-    pass_band = [BAND[0] * share, min(BAND[1] * share, 0.49)]
-    sections = butter(2, pass_band, "bandpass", fs=1.0, output="sos")
-    gain = float(np.abs(sosfreqz(sections, [2.0 * np.pi * share])[1][0]) ** 2)
-    return np.asarray(sosfiltfilt(sections, values)), gain
+    low, high = BAND[0] * share, min(BAND[1] * share, 0.49)
+    gain = float(respond_band_pass(np.array([share]), low, high)[0])
+    return pass_band(values, low, high), gain
 
 
 def _weigh_quiet(band: Array, share: float) -> Array:

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.signal import lfilter
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from pamctl.diagnose.measured.noise.filtering import QUIETEST, find_filtering
 from pamctl.diagnose.measured.noise.moving_noise import measure_growth
@@ -69,6 +68,8 @@ class Noise:
     def draw(self, samples: int, random: np.random.Generator) -> Array:
         """Draw a stretch of noise, not yet rounded."""
         if self.memory:
+            from scipy.signal import lfilter  # most of a second to import
+
             settle = 200
             innovation = random.normal(0.0, self.drive, samples + settle)
             drawn: Array = lfilter([1.0], [1.0, *(-m for m in self.memory)], innovation)[settle:]
@@ -249,7 +250,7 @@ def _read_between_steps(pieces: Sequence[Array], step: float) -> Noise:
         shown = np.round((piece - np.median(piece)) / step)
         below, above = float(np.mean(shown < 0.0)), float(np.mean(shown > 0.0))
         if below and above:
-            deviations.append(step / -float(norm.ppf(below) + norm.ppf(above)))
+            deviations.append(step / -float(ndtri(below) + ndtri(above)))
     if deviations:
         worth = _relative_uncertainty(pieces, 0.2)
         return Noise(float(np.median(deviations)), (), 0.0, step, worth)

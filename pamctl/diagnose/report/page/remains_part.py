@@ -22,6 +22,7 @@ from pamctl.diagnose.report.phrases import (
 from pamctl.diagnose.report.rig_at_hand import advise_experiment, words_of_rig
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
+from pamctl.report.motion_section import mark_moments
 
 
 def write_remainder(page: Page, diagnosis: Diagnosis) -> None:
@@ -126,6 +127,7 @@ def write_measured_runs(page: Page, records: Sequence[Record]) -> None:
             axis = PlotAxis(channel.split("_")[0], unit)
             plot = SvgPlot(channel, PlotAxis("time", "s", tight=True), axis, height_px=110)
             plots.append(plot.line(record.t_s, factor * record[channel]))
+        mark_moments(plots, record.moments)
         page.figure(*plots, caption=f"{record.name} as given.")
 
 

@@ -17,8 +17,9 @@ from pamctl.diagnose.report.compared_models import (
     list_model_stages,
     simulate_stages,
 )
-from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot
+from pamctl.report.drawing.svg import MUTED, PlotAxis, SvgPlot, plot_apart
 from pamctl.report.html_page import Page
+from pamctl.report.motion_section import mark_moments
 
 STRETCH_S = 3.0
 _TIME = PlotAxis("time", "s", tight=True)
@@ -39,15 +40,19 @@ def write_traces(page: Page, diagnosis: Diagnosis) -> None:
     if not records:
         return
     stretch = find_telling_stretch(records, stages)
+    close_up = [*_draw_close_up(stretch, stages)]
+    same_scale = [*_draw_same_scale(stretch, stages[-1])]
+    whole = [*_draw_whole(stretch, stages)]
+    mark_moments([*close_up, *same_scale, *whole], stretch.record.moments)
     page.section("Measured and simulated")
-    page.figure(*_draw_close_up(stretch, stages), caption=_write_caption(stretch, stages))
+    page.figure(*close_up, caption=_write_caption(stretch, stages))
     page.figure(
-        *_draw_same_scale(stretch, stages[-1]),
+        *same_scale,
         caption="The measured signal without its mean, and the residual, at the same scale: what "
         f'the model "{stages[-1].label}" leaves of what there was to explain.',
     )
     page.figure(
-        *_draw_whole(stretch, stages),
+        *whole,
         caption=f"The residual over the whole record {stretch.record.name}. The stretch above lies "
         "between the dashed lines.",
     )
@@ -110,7 +115,7 @@ def _draw_close_up(stretch: Stretch, stages: Sequence[ModelStage]) -> Iterator[S
             simulated = display.factor * signal.simulated[stage.key][part]
             plot.line(t_s, simulated, stage.label, colour=stage.colour)
         yield plot
-        yield _draw_residual(t_s, signal, stages, part)
+        yield from _draw_residual(t_s, signal, stages, part)
     if record.command_v is not None:
         command = SvgPlot("Valve command", _TIME, PlotAxis("command", "V"), height_px=90)
         yield command.line(t_s, record.command_v[part], step=True, colour=MUTED)
@@ -118,15 +123,19 @@ def _draw_close_up(stretch: Stretch, stages: Sequence[ModelStage]) -> Iterator[S
 
 def _draw_residual(
     t_s: Array, signal: HeldOutSignal, stages: Sequence[ModelStage], part: slice
-) -> SvgPlot:
+) -> list[SvgPlot]:
     display = SIGNAL_DISPLAYS[signal.name]
     title = f"{display.title.split(',')[0]}, measurement \N{MINUS SIGN} simulation"
-    residuals = [signal.residual(stage.key)[part] for stage in stages]
-    factor, unit = display.choose_unit(max(float(np.abs(r).max()) for r in residuals))
-    plot = SvgPlot(title, _TIME, PlotAxis("residual", unit), height_px=110)
-    for stage, residual in zip(stages, residuals, strict=True):
-        plot.line(t_s, factor * residual, stage.label, colour=stage.colour)
-    return plot
+    residuals = {stage.key: signal.residual(stage.key)[part] for stage in stages}
+    factor, unit = display.choose_unit(max(float(np.abs(r).max()) for r in residuals.values()))
+
+    def draw(shown: Sequence[ModelStage]) -> SvgPlot:
+        plot = SvgPlot(title, _TIME, PlotAxis("residual", unit), height_px=110)
+        for stage in shown:
+            plot.line(t_s, factor * residuals[stage.key], stage.label, colour=stage.colour)
+        return plot
+
+    return plot_apart(draw, stages)
 
 
 def _draw_same_scale(stretch: Stretch, stage: ModelStage) -> Iterator[SvgPlot]:
@@ -147,9 +156,9 @@ def _draw_same_scale(stretch: Stretch, stage: ModelStage) -> Iterator[SvgPlot]:
 def _draw_whole(stretch: Stretch, stages: Sequence[ModelStage]) -> Iterator[SvgPlot]:
     t_s = stretch.record.t_s
     for signal in stretch.record.signals:
-        plot = _draw_residual(t_s, signal, stages, slice(None))
-        plot.place(float(t_s[stretch.start]), "")
-        yield plot.place(float(t_s[stretch.stop - 1]), "")
+        for plot in _draw_residual(t_s, signal, stages, slice(None)):
+            plot.place(float(t_s[stretch.start]), "")
+            yield plot.place(float(t_s[stretch.stop - 1]), "")
 
 
 def _write_caption(stretch: Stretch, stages: Sequence[ModelStage]) -> str:

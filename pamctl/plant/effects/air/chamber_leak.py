@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import Distinction, EffectDescription, size
+from pamctl.plant.effects.description import AsTerm, Distinction, EffectDescription, size
 
 
 class ChamberLeak(NamedTuple):
@@ -33,4 +33,5 @@ DESCRIPTION = EffectDescription(
             "at atmospheric pressure",
         ),
     },
+    as_terms=(AsTerm("flow", "gain", "pressure"), AsTerm("flow", "curve", "pressure")),
 )

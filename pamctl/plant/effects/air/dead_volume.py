@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 
 class DeadVolume(NamedTuple):
@@ -30,4 +30,5 @@ DESCRIPTION = EffectDescription(
     best_experiment="slow-ramps",
     seen_by=("pressure",),
     entries=(EffectEntry("volume", add_dead_volume_m3),),
+    as_terms=(AsTerm("volume", "constant"),),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 from pamctl.plant.effects.places import FrictionBand
 
 
@@ -29,4 +29,5 @@ DESCRIPTION = EffectDescription(
     best_experiment="slow-ramps",
     seen_by=("mechanics",),
     entries=(EffectEntry("friction", add_dry_friction, after=("return_friction",)),),
+    as_terms=(AsTerm("force", "hysteresis", "position"),),
 )

@@ -11,7 +11,7 @@ from math import exp, isinf, sqrt
 from typing import NamedTuple
 
 from pamctl.plant.axis.glide import travel_weights
-from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectForm, shape, size
 
 ELASTO_PLASTIC, DAHL, LUGRE = 0.0, 1.0, 2.0
 
@@ -184,4 +184,5 @@ DESCRIPTION = EffectDescription(
             {"form": LUGRE, "bristle_damping_n_s_per_m": 20.0},
         ),
     ),
+    as_terms=(AsTerm("force", "hysteresis", "position"),),
 )

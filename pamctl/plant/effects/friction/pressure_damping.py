@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 
 class PressureDamping(NamedTuple):
@@ -28,4 +28,5 @@ DESCRIPTION = EffectDescription(
     best_experiment="square-1",
     seen_by=("mechanics",),
     entries=(EffectEntry("damping", pressure_damping_n_s_per_m),),
+    as_terms=(AsTerm("damping", "gain", "pressure"), AsTerm("damping", "curve", "pressure")),
 )

@@ -6,6 +6,7 @@ from math import exp, pow
 from typing import NamedTuple
 
 from pamctl.plant.effects.description import (
+    AsTerm,
     Distinction,
     EffectDescription,
     EffectEntry,
@@ -86,4 +87,5 @@ DESCRIPTION = EffectDescription(
             "at low speed, in both directions",
         ),
     },
+    as_terms=(AsTerm("braid_friction", "curve", "velocity"),),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 
 class BladderThreshold(NamedTuple):
@@ -31,4 +31,5 @@ DESCRIPTION = EffectDescription(
     seen_by=("mechanics",),
     entries=(EffectEntry("pulling_pressure", reduce_pulling_pa),),
     actuators=("muscle",),
+    as_terms=(AsTerm("pressing", "constant"), AsTerm("pressing", "curve", "pressure")),
 )

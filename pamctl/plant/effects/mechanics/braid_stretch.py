@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, size
 
 
 class BraidStretch(NamedTuple):
@@ -41,4 +41,5 @@ DESCRIPTION = EffectDescription(
         "mechanics",
     ),
     actuators=("muscle",),
+    as_terms=(AsTerm("pull", "gain", "pressure"),),
 )

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from pamctl.plant.effects.air.line_restriction import lag_weights
 from pamctl.plant.effects.description import (
+    AsTerm,
     EffectDescription,
     EffectEntry,
     EffectForm,
@@ -106,4 +107,5 @@ DESCRIPTION = EffectDescription(
             {"fast_share": 0.4},
         ),
     ),
+    as_terms=(AsTerm("force", "lag", "position"),),
 )

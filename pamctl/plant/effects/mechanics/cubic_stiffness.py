@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 
 class CubicStiffness(NamedTuple):
@@ -28,4 +28,5 @@ DESCRIPTION = EffectDescription(
     best_experiment="fill-and-hold",
     seen_by=("mechanics",),
     entries=(EffectEntry("force", cubic_force_n),),
+    as_terms=(AsTerm("force", "curve", "position"), AsTerm("force", "beyond", "position")),
 )

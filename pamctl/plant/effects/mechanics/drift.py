@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectForm, size
+from pamctl.plant.effects.description import (
+    AsTerm,
+    EffectDescription,
+    EffectEntry,
+    EffectForm,
+    size,
+)
 
 LEAST_FACTOR = 0.1
 """A drifting number keeps at least this share of its first value."""
@@ -72,5 +78,12 @@ DESCRIPTION = EffectDescription(
         EffectForm("valve gain", free=("valve_gain_per_s",)),
         EffectForm("stiffness", free=("stiffness_per_s",)),
         EffectForm("friction", free=("friction_per_s",)),
+    ),
+    as_terms=(
+        AsTerm("filling", "gain", "time"),
+        AsTerm("exhausting", "gain", "time"),
+        AsTerm("opening", "gain", "time"),
+        AsTerm("stiffness", "gain", "time"),
+        AsTerm("braid_friction", "gain", "time"),
     ),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 if TYPE_CHECKING:
     from pamctl.plant.parameters import PaperParameters
@@ -34,4 +34,5 @@ DESCRIPTION = EffectDescription(
     seen_by=("mechanics", "pressure"),
     entries=(EffectEntry("numbers", shorten_muscle),),
     actuators=("muscle",),
+    as_terms=(AsTerm("force", "curve", "position"), AsTerm("pull", "curve", "position")),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 
 class ExternalLoad(NamedTuple):
@@ -39,4 +39,5 @@ DESCRIPTION = EffectDescription(
     seen_by=("mechanics",),
     entries=(EffectEntry("force", load_force_n),),
     actuators=("muscle",),
+    as_terms=(AsTerm("force", "constant"),),
 )

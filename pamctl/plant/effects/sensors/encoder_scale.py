@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,4 +56,5 @@ DESCRIPTION = EffectDescription(
             "position_reading", scale_position_m, after=("encoder_backlash",), undo=undo_scale_m
         ),
     ),
+    as_terms=(AsTerm("encoder", "gain", "position"),),
 )

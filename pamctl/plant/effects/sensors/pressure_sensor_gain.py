@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 if TYPE_CHECKING:
     import numpy as np
@@ -63,4 +63,5 @@ DESCRIPTION = EffectDescription(
             undo=undo_gain_pa,
         ),
     ),
+    as_terms=(AsTerm("pressure_sensor", "gain", "pressure"),),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,4 +59,5 @@ DESCRIPTION = EffectDescription(
         ),
     ),
     actuators=("muscle", "chamber"),
+    as_terms=(AsTerm("pressure_sensor", "constant"),),
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import Distinction, EffectDescription, size
+from pamctl.plant.effects.description import AsTerm, Distinction, EffectDescription, size
 
 
 class CommandDelay(NamedTuple):
@@ -38,4 +38,5 @@ DESCRIPTION = EffectDescription(
             "chirp", "a lag of second order and a pure delay differ at high frequency only"
         ),
     },
+    as_terms=(AsTerm("command", "lag", "command"),),
 )

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import Distinction, EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import (
+    AsTerm,
+    Distinction,
+    EffectDescription,
+    EffectEntry,
+    size,
+)
 
 
 class ValveAsymmetry(NamedTuple):
@@ -52,4 +58,5 @@ DESCRIPTION = EffectDescription(
             "square-1", "a droop grows with the flow, an asymmetry does not"
         ),
     },
+    as_terms=(AsTerm("filling", "constant"), AsTerm("exhausting", "constant")),
 )

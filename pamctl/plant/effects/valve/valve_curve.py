@@ -5,7 +5,13 @@ from __future__ import annotations
 from math import copysign, pow
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectForm, size
+from pamctl.plant.effects.description import (
+    AsTerm,
+    EffectDescription,
+    EffectEntry,
+    EffectForm,
+    size,
+)
 from pamctl.plant.effects.valve.valve_saturation import FULL_COMMAND_V
 
 
@@ -79,4 +85,5 @@ DESCRIPTION = EffectDescription(
         EffectForm("quadratic", free=("curvature_per_v",)),
         EffectForm("power", free=("exponent",)),
     ),
+    as_terms=(AsTerm("command", "curve", "command"), AsTerm("opening", "curve", "command")),
 )

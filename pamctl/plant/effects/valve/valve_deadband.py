@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectForm, size
+from pamctl.plant.effects.description import (
+    AsTerm,
+    EffectDescription,
+    EffectEntry,
+    EffectForm,
+    size,
+)
 
 
 class ValveDeadband(NamedTuple):
@@ -49,4 +55,5 @@ DESCRIPTION = EffectDescription(
         EffectForm("filling only", free=("fill_width_v",)),
         EffectForm("exhausting only", free=("exhaust_width_v",)),
     ),
+    as_terms=(AsTerm("command", "dead_zone", "command"), AsTerm("command", "curve", "command")),
 )

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectMemory, size
+from pamctl.plant.effects.description import (
+    AsTerm,
+    EffectDescription,
+    EffectEntry,
+    EffectMemory,
+    size,
+)
 from pamctl.plant.effects.play import follow_with_play
 
 
@@ -56,4 +62,5 @@ DESCRIPTION = EffectDescription(
             after=("valve_saturation",),
         ),
     ),
+    as_terms=(AsTerm("command", "play", "command"),),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectForm, shape, size
 
 
 class ValveLeak(NamedTuple):
@@ -45,4 +45,5 @@ DESCRIPTION = EffectDescription(
         EffectForm("everywhere", free=("area_m2",)),
         EffectForm("at null", free=("area_m2", "fade_per_v"), held={"fade_per_v": 0.5}),
     ),
+    as_terms=(AsTerm("flow", "curve", "pressure"),),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 
 FULL_COMMAND_V = 5.0
 
@@ -43,6 +43,7 @@ DESCRIPTION = EffectDescription(
     seen_by=("pressure",),
     entries=(
         # Within its limit the driver passes the command on; more command does no more.
-        EffectEntry("command", saturate_command_v, undo=saturate_command_v),
+        EffectEntry("command", saturate_command_v, after=("null_offset",), undo=saturate_command_v),
     ),
+    as_terms=(AsTerm("command", "saturation", "command"),),
 )

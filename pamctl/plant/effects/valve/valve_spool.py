@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectParameter
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectParameter
 
 
 class ValveSpool(NamedTuple):
@@ -84,4 +84,5 @@ DESCRIPTION = EffectDescription(
     best_experiment="chirp",
     seen_by=("pressure",),
     woven=("valve",),
+    as_terms=(AsTerm("command", "lag", "command"),),
 )

@@ -103,9 +103,10 @@ _EXITS: Mapping[str, Sequence[int]] = {
         _ASKS_DAEMON,
     ),
     "gains": _ASKS_DAEMON,
-    **dict.fromkeys(("report", "log", "runs", "health"), _READS_LOGS),
+    **dict.fromkeys(("report", "runs", "health"), _READS_LOGS),
+    "log": (0, 2, 3, 65),
     **dict.fromkeys(("compare", "audit", "diagnose", "plant"), (*_READS_LOGS, 78)),
-    **dict.fromkeys(("replay", "log check"), (0, 2, 3, 65, 78)),
+    **dict.fromkeys(("replay",), (0, 2, 3, 65, 78)),
     **dict.fromkeys(("safe", "doctor"), (0, 2, 3, 69, 78)),
     **dict.fromkeys(("config", "tune"), (0, 2, 78)),
 }

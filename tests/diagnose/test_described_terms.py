@@ -116,6 +116,15 @@ def test_a_mass_that_is_judged_in_windows_has_its_term_found() -> None:
     assert chosen.model.effect_values["damping_term.size"] == pytest.approx(6.0, rel=0.1)
 
 
+def test_a_wave_that_is_asked_comes_back_within_the_longest_record() -> None:
+    """A supply that falls evenly is the beginning of a slow wave too, and no ripple."""
+    drives = prepare_evidence(*measure(""), PlantSettings()).train["pressure"]
+    asked = list_questions("pressure", drives, PlantSettings())
+    periods_s = [q.held["inner"] for q in asked if q.operator == "wave" and q.driver == "time"]
+    assert len(periods_s) > 40
+    assert max(periods_s) <= max(d.grid.samples_s[-1] for d in drives) / 1.5
+
+
 def test_nothing_is_found_in_noise() -> None:
     train, held = measure("")
     base = recalibrate(prepare_evidence(train, held, PlantSettings()).select_blocks({"mechanics"}))

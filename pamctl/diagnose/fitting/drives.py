@@ -225,8 +225,8 @@ class Drive:
         p = self.select_numbers(p)
         offset_pa = p.effects.sensors.pressure_sensor_offset.offset_pa
         if offset_pa and self._only_adds_offset(p):
-            shifted: Array = Drive.simulate_with(self, without_pressure_offset(p)) + offset_pa
-            return shifted
+            shown: Array = Drive.simulate_with(self, without_pressure_offset(p)) + offset_pa
+            return shown
         if not self.is_remembered:
             return self._simulate_anew(p)
         made_from = (

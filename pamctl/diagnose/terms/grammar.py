@@ -22,6 +22,8 @@ SPAN = (0.01, 0.99)
 """Quantiles of a driver that bound its span."""
 WAVES_HZ = (0.06, 12.0, 56)
 """Least and greatest frequency of a wave in time that is asked, and how many."""
+LEAST_WAVES = 1.5
+"""A wave in time comes back within a record. What does not is a trend, or a bend of it."""
 
 _SHARES: Mapping[str, tuple[float, ...]] = {
     "dead_zone": (0.006, 0.02, 0.06),
@@ -180,7 +182,8 @@ def _list_inner_numbers(location: Location, driver: str, span: Span) -> Iterator
             yield "onset", share * span.high
         if location.name in ("supply", "opening"):
             for hz in np.geomspace(*WAVES_HZ):
-                yield "wave", float(1.0 / hz)
+                if hz * span.high >= LEAST_WAVES:
+                    yield "wave", float(1.0 / hz)
         return
     if location.name == "encoder" and driver == "position":
         for waves in _PLACE_WAVES:

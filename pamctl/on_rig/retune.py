@@ -90,8 +90,8 @@ def retune_on_rig(
     progress("retune: tracking with the gains in use")
     before = rig.run(TRACKING, name="before").metrics
     rig.sleep(REST_S)
-    rig.load(gains)
     try:
+        rig.load(gains)
         progress("retune: tracking with the new gains")
         after = rig.run(TRACKING, name="after").metrics
     except BaseException:

@@ -97,10 +97,10 @@ def retune_on_rig(
     except BaseException:
         _restore(rig, old)
         raise
-    if after.rms_error_m > BETTER * before.rms_error_m:
-        _restore(rig, old)
-        return Retuning("the rig tracks no better with them", False, gains, before, after)
-    return Retuning("the rig tracks better with them", True, gains, before, after)
+    if after.rms_error_m <= BETTER * before.rms_error_m:
+        return Retuning("the rig tracks better with them", True, gains, before, after)
+    _restore(rig, old)
+    return Retuning("the rig tracks no better with them", False, gains, before, after)
 
 
 def _restore(rig: SteeredRig, gains: dict[str, Any]) -> None:

@@ -14,7 +14,6 @@ import hashlib
 import os
 import re
 import sys
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -154,8 +153,10 @@ def _find_cache(key: str) -> Path:
 
 
 def _remove_unused(home: Path) -> None:
+    os.utime(home)  # its time is now: kernels may import no clock
+    now_s = home.stat().st_mtime
     for folder in home.glob("kernels-*"):
-        if time.time() - folder.stat().st_mtime > _UNUSED_S:
+        if now_s - folder.stat().st_mtime > _UNUSED_S:
             rmtree(folder, ignore_errors=True)
 
 

@@ -15,10 +15,11 @@ import os
 import re
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from importlib.util import resolve_name
 from pathlib import Path
-from shutil import disk_usage
+from shutil import disk_usage, rmtree
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
@@ -27,6 +28,8 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 _HOUSE = ("pamctl", "hal")
 _CACHE_BYTES = 50_000_000
 """Free space that machine code may need."""
+_UNUSED_S = 30 * 86_400.0
+"""Machine code of sources that nobody ran for so long is removed."""
 
 
 Substitution = tuple[Callable[..., Any], Callable[..., Any]]
@@ -133,8 +136,28 @@ def _import_numba(*modules: str) -> ModuleType:
     # numba checks only a kernel's own file for changes;
     # our kernels use kernels and types of other files.
     settings: Any = numba.config
-    settings.CACHE_DIR = str(_cache_home() / "pamctl" / f"kernels-{_hash_sources(*modules)}")
+    settings.CACHE_DIR = str(_find_cache(_hash_sources(*modules)))
     return numba
+
+
+@cache
+def _find_cache(key: str) -> Path:
+    """Return the folder of a key, marked as used; a new key removes what is long unused."""
+    folder = _cache_home() / "pamctl" / f"kernels-{key}"
+    with suppress(OSError):  # without a cache everything is compiled anew
+        if folder.is_dir():
+            os.utime(folder)
+        else:
+            _remove_unused(folder.parent)
+    return folder
+
+
+def _remove_unused(home: Path) -> None:
+    os.utime(home)  # its time is now: kernels may import no clock
+    now_s = home.stat().st_mtime
+    for folder in home.glob("kernels-*"):
+        if now_s - folder.stat().st_mtime > _UNUSED_S:
+            rmtree(folder, ignore_errors=True)
 
 
 def _cache_home() -> Path:

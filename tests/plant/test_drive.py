@@ -9,7 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from pamctl.plant import drive
-from pamctl.plant.drive import Restarts, drive_coupled, drive_mechanics, drive_pressure
+from pamctl.plant.drive import (
+    Restarts,
+    build_grid,
+    drive_coupled,
+    drive_mechanics,
+    drive_pressure,
+)
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, values_of
 from pamctl.plant.paper.mechanics import mechanics_step
@@ -192,3 +198,18 @@ def test_a_flat_mapping_and_a_plant_file_are_equivalent() -> None:
 def test_an_unknown_name_is_refused_with_the_nearest() -> None:
     with pytest.raises(KeyError, match=r"did you mean valve_spool\.time_constant_s"):
         parameters_of({"valve_spool.time_constant": 1e-3})
+
+
+def test_a_bent_pressure_may_drive_a_line_behind_a_delayed_command() -> None:
+    """The delay cuts the steps once more; the bend is given at the ends of the uncut ones."""
+    p = parameters_of(
+        {"line_restriction.resistance_pa_s_per_kg": 2e6, "command_delay.delay_s": 0.7e-3}
+    )
+    pressure_pa = np.linspace(101.3e3, 300e3, 200)
+    grid = build_grid(np.full(199, 1e-3), 200)
+    straight = drive_mechanics(p, pressure_pa, grid).position_m
+    bent = drive_mechanics(p, pressure_pa, grid, bend_pa=np.zeros(len(grid.ends_s))).position_m
+    raised = drive_mechanics(p, pressure_pa, grid, bend_pa=np.full(len(grid.ends_s), 5e3))
+    assert np.array_equal(bent, straight)
+    expected = drive_mechanics(p, pressure_pa + 5e3, grid).position_m
+    assert np.allclose(raised.position_m, expected, atol=1e-9)

@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -193,3 +194,24 @@ def test_the_loop_process_imports_nothing_heavy() -> None:
     code = f"import sys, pamctl.processes.loop_main; print(sorted({heavy} & sys.modules.keys()))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
+
+
+def test_a_new_version_removes_the_machine_code_that_nobody_ran_for_a_month(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    old, recent, other = (
+        tmp_path / "pamctl" / name for name in ("kernels-a", "kernels-b", "ahead")
+    )
+    for folder, age_days in ((old, 31), (recent, 29), (other, 400)):
+        folder.mkdir(parents=True)
+        (folder / "kernel.nbc").write_bytes(b"code")
+        used_s = time.time() - age_days * 86_400
+        os.utime(folder, (used_s, used_s))
+    find_cache = pamctl.compiled._find_cache.__wrapped__
+    assert find_cache("b") == recent  # known: marked as used, nothing is removed
+    assert old.is_dir()
+    find_cache("c")
+    assert not old.exists()
+    assert recent.is_dir()
+    assert other.is_dir()

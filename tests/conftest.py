@@ -7,7 +7,6 @@ import importlib
 import os
 import shutil
 import signal
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -71,18 +70,16 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 @pytest.fixture(scope="session")
-def closed_loops() -> None:
-    """Compile the closed loop of each shipped law once, in one process.
+def closed_loops(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Compile the closed loop of each law once a run of the tests, whichever worker asks first."""
+    from support.outside_law import compile_closed_loops
 
-    The second law costs a third of the first. Another worker waits, and finds all in the cache.
-    """
-    from pamctl.settings.resolve import resolve
-    from pamctl.simulate.batch import simulate_run
-
-    with Path(tempfile.gettempdir(), f"pamctl-closed-loops-{os.getuid()}.lock").open("w") as lock:
+    folder = tmp_path_factory.getbasetemp()
+    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+    with (folder / "closed-loops.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        for law in ("qsmc", "smc", "pid"):
-            simulate_run(resolve(controller=law, duration_s=0.01))
+        if not (folder / "closed-loops").exists():
+            compile_closed_loops(folder / "closed-loops")
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -6,6 +6,7 @@ import atexit
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from pamctl.control.experiment import HoldSettings
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
 
 AskedSection = str | Path | Mapping[str, Any]
 """A shipped name, a file, or the keys of one."""
+_RESOLVING = Lock()
+"""The first use of settings loads the laws and builds the models: in one thread, not in two."""
 
 
 def simulate(
@@ -60,9 +63,9 @@ def simulate(
     Raises `PamctlError` for settings that cannot be used.
     """
     with translate_errors():
-        return SimulatedRig(
-            *resolve_session(plant, controller, str(rig), seed, overrides), Path(logs)
-        )
+        with _RESOLVING:
+            resolved = resolve_session(plant, controller, str(rig), seed, overrides)
+        return SimulatedRig(*resolved, Path(logs))
 
 
 class SimulatedRig(SteeredRig):

@@ -17,30 +17,14 @@ from typing import Any
 import pytest
 from support import super_twisting
 from support.command_line import run_pamctl
+from support.outside_law import HOUSE, SOURCE, install_law, path_with
 from support.processes.daemons import TRACKING, Daemon, daemon, parked
 
 from pamctl.control.law import Law
 from pamctl.daemon.client import DaemonDeclinedError
 from pamctl.log import read
 
-SOURCE = Path(super_twisting.__file__)
-HOUSE = Path(__file__).parents[2]
 SHORT = ("--fast", "--duration", "3", "--set", "rig.homing.enabled=false")
-
-
-def install(site: Path, entry_point: str = "super_twisting = super_twisting:LAW") -> None:
-    """Install the package as pip would leave it behind."""
-    info = site / "super_twisting_law-1.2.dist-info"
-    info.mkdir(parents=True)
-    shutil.copy(SOURCE, site)
-    (info / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: super-twisting-law\nVersion: 1.2\n"
-    )
-    (info / "entry_points.txt").write_text(f"[pamctl.laws]\n{entry_point}\n")
-
-
-def path_with(*sites: Path) -> str:
-    return os.pathsep.join(map(str, [*sites, HOUSE]))
 
 
 def pamctl(*words: object, sites: tuple[Path, ...] = ()) -> subprocess.CompletedProcess[str]:
@@ -55,7 +39,7 @@ def pamctl(*words: object, sites: tuple[Path, ...] = ()) -> subprocess.Completed
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
-    install(folder)
+    install_law(folder)
     return folder
 
 
@@ -103,7 +87,7 @@ def test_a_replay_without_the_package_names_it(log: Path) -> None:
 
 
 def test_a_replay_warns_where_the_source_has_changed(log: Path, tmp_path: Path) -> None:
-    install(tmp_path)
+    install_law(tmp_path)
     with (tmp_path / SOURCE.name).open("a") as file:
         file.write("# another version\n")
     done = pamctl("replay", log, "--plain", sites=(tmp_path,))
@@ -123,6 +107,7 @@ def test_the_report_names_its_terms_with_and_without_the_package(
         assert "u_eq" not in text
 
 
+@pytest.mark.usefixtures("closed_loops")
 def test_tune_finds_gains_of_an_outside_law_and_writes_its_equation(
     site: Path, tmp_path: Path
 ) -> None:
@@ -194,7 +179,7 @@ def test_without_its_package_a_gains_file_is_refused_with_the_laws_there_are(gai
 
 
 def test_a_broken_package_removes_only_its_own_law(gains: Path, tmp_path: Path) -> None:
-    install(tmp_path, "super_twisting = super_twisting:MISSING")
+    install_law(tmp_path, "super_twisting = super_twisting:MISSING")
     assert pamctl("config", "check", sites=(tmp_path,)).returncode == 0
     done = pamctl("run", "--controller", gains, sites=(tmp_path,))
     assert done.returncode == 78

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.patience import PATIENCE_S
 from support.processes.daemons import QUICK
 from support.runs import COUNT_M
 
@@ -229,3 +230,22 @@ def test_importing_pamctl_loads_nothing_and_the_room_stays_a_room() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+TWO_AT_ONCE = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pamctl import simulate
+sys.setswitchinterval(1e-5)
+with ThreadPoolExecutor(2) as threads:
+    for rig in threads.map(lambda seed: simulate(seed=seed), (1, 2)):
+        rig.close()
+"""
+
+
+def test_two_threads_may_begin_the_first_simulations_of_a_process(tmp_path: Path) -> None:
+    """The first use loads the laws and builds the models of the settings."""
+    subprocess.run(
+        [sys.executable, "-c", TWO_AT_ONCE],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True, timeout=PATIENCE_S,
+    )  # fmt: skip

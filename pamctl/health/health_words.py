@@ -44,7 +44,7 @@ def describe_drift(drift: FollowedDrift, runs: Sequence[FittedRun]) -> str:
     if change.name.endswith(MISFIT) and change.after > change.before:
         text += "; no number of the plant file explains it: `pamctl diagnose` the later run"
     elif drift.is_doubtful:
-        text += "; doubtful, because a misfit changed too"
+        text += "; doubtful: it alone does not explain the later run, `pamctl diagnose` it"
     return text + "."
 
 

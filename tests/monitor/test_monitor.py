@@ -143,7 +143,7 @@ def test_an_alarm_is_explained_with_the_constants_of_the_rig_before() -> None:
     assert before is not None
     held = hold_constants(before, guessed)
     true = resolve(plant=PLANT).plant.parameters
-    assert held.parameters.stiffness_n_per_m == pytest.approx(true.stiffness_n_per_m, rel=2e-3)
+    assert held.parameters.stiffness_n_per_m == pytest.approx(true.stiffness_n_per_m, rel=5e-3)
     assert {"stiffness_n_per_m", "valve_gain_m2_per_v"} <= {*held.known}
 
 

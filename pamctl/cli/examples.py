@@ -105,7 +105,8 @@ _EXITS: Mapping[str, Sequence[int]] = {
     "gains": _ASKS_DAEMON,
     **dict.fromkeys(("report", "runs", "health"), _READS_LOGS),
     "log": (0, 2, 3, 65),
-    **dict.fromkeys(("compare", "audit", "diagnose", "plant"), (*_READS_LOGS, 78)),
+    **dict.fromkeys(("compare", "audit", "plant"), (*_READS_LOGS, 78)),
+    "diagnose": (0, 2, 3, 4, 5, 65, 69, 78),  # with --on-rig it runs programs
     "replay": (0, 2, 3, 65, 78),
     **dict.fromkeys(("safe", "doctor"), (0, 2, 3, 69, 78)),
     **dict.fromkeys(("config", "tune"), (0, 2, 78)),

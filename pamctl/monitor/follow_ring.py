@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +9,9 @@ from numpy.typing import NDArray
 
 from pamctl.log.measured_signals import Signals, signals
 from pamctl.log.reader import Log
-from pamctl.recording.ring import ROW_BYTES, ROW_HEADER, Ring, RowKind
-from pamctl.signals import Field
+from pamctl.recording.ring import Ring, RowKind
+from pamctl.recording.rows import row_dtype
 
-_TYPES = {int: "<i8", float: "<f8", bool: "?"}
 _BEFORE = 4
 """Ticks before the new ones that are read again: a delayed output is that of an earlier tick."""
 
@@ -23,10 +21,10 @@ class RingFollower:
 
     def __init__(self, path: Path) -> None:
         """Attach; raise `RingError` if there is no such ring."""
-        self._ring = Ring.attach(path, populate=False)
-        self._dtype = _make_row_type(self._ring.meta.tick_fields)
+        self._ring = Ring.watch(path)
+        self._row = row_dtype(self._ring.meta.tick_fields)
         self._next_row = self._ring.head
-        self._before: NDArray[np.void] = np.zeros(0, self._dtype)
+        self._before: NDArray[np.void] = np.zeros(0, self._row)
 
     @property
     def is_over(self) -> bool:
@@ -53,21 +51,21 @@ class RingFollower:
         if batch.first_row != self._next_row:
             self._before = self._before[:0]  # rows were lost
         self._next_row = batch.end_row
-        rows = np.frombuffer(batch.data, self._dtype)
-        rows = rows[rows["row_kind"] == RowKind.TICK]
+        rows = np.frombuffer(batch.data, self._row)
+        rows = rows[rows["kind"] == RowKind.TICK]
         if not len(rows):
             return None
         together = np.concatenate([self._before, rows])
         fresh = slice(len(self._before), None)
         self._before = together[-_BEFORE:]
-        return signals(self._make_log(together))[fresh], float(rows["row_t_ns"][0]) * 1e-9
+        return signals(self._make_log(together))[fresh], float(rows["t_ns"][0]) * 1e-9
 
     def _make_log(self, rows: NDArray[np.void]) -> Log:
         meta = self._ring.meta
         return Log(
             path=Path(meta.log_path),
-            columns={field.name: rows[field.name].copy() for field in meta.tick_fields},
-            time_ns=rows["row_t_ns"].astype(np.uint64),
+            columns={f.name: rows["columns"][f.name].copy() for f in meta.tick_fields},
+            time_ns=rows["t_ns"].astype(np.uint64),
             units={},
             events=[],
             gains=[],
@@ -82,13 +80,3 @@ class RingFollower:
     def close(self) -> None:
         """Detach."""
         self._ring.close()
-
-
-def _make_row_type(fields: Sequence[Field]) -> np.dtype[np.void]:
-    columns = [("row_kind", "<u4"), ("row_size", "<u4"), ("row_tick", "<i8"), ("row_t_ns", "<i8")]
-    columns += [(field.name, _TYPES[field.kind]) for field in fields]
-    used = sum(np.dtype(kind).itemsize for _, kind in columns)
-    row: np.dtype[np.void] = np.dtype([*columns, ("row_rest", f"V{ROW_BYTES - used}")])
-    assert row.fields is not None
-    assert row.fields[columns[4][0]][1] == ROW_HEADER.size
-    return row

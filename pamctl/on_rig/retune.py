@@ -90,17 +90,17 @@ def retune_on_rig(
     progress("retune: tracking with the gains in use")
     before = rig.run(TRACKING, name="before").metrics
     rig.sleep(REST_S)
-    rig.load(gains)
     try:
+        rig.load(gains)
         progress("retune: tracking with the new gains")
         after = rig.run(TRACKING, name="after").metrics
     except BaseException:
         _restore(rig, old)
         raise
-    if after.rms_error_m > BETTER * before.rms_error_m:
-        _restore(rig, old)
-        return Retuning("the rig tracks no better with them", False, gains, before, after)
-    return Retuning("the rig tracks better with them", True, gains, before, after)
+    if after.rms_error_m <= BETTER * before.rms_error_m:
+        return Retuning("the rig tracks better with them", True, gains, before, after)
+    _restore(rig, old)
+    return Retuning("the rig tracks no better with them", False, gains, before, after)
 
 
 def _restore(rig: SteeredRig, gains: dict[str, Any]) -> None:

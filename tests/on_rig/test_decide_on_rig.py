@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
+import signal
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 import yaml
+from support.patience import PATIENCE_S
+from support.processes.daemons import daemon
 
 import pamctl
+from pamctl.cli.analyse.on_rig import OnRigTask, diagnose_on_rig
 from pamctl.diagnose import Verdict
 from pamctl.diagnose.deciding.explanations import list_explanations
 from pamctl.diagnose.deciding.separation import ProgramTrial
@@ -46,9 +52,14 @@ def squares(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimulatedRig]:
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("logs")
+
+
+@pytest.fixture(scope="module")
+def rig(logs: Path) -> Iterator[SimulatedRig]:
     delayed = {"base": "paper", "effects": {"command_delay": {"delay_s": DELAY_S}}}
-    with simulate(delayed, logs=tmp_path_factory.mktemp("logs")) as made:
+    with simulate(delayed, logs=logs) as made:
         yield made
 
 
@@ -184,6 +195,34 @@ def test_an_interruption_keeps_the_rounds_so_far_and_leaves_the_rig_idle(
     assert [r.diagnosis.verdict for r in investigation.rounds] == [Verdict.AMBIGUOUS]
     assert investigation.diagnosis is not None
     assert rig.state in ("idle", "ready")
+
+
+def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(
+    done: Investigation, logs: Path, tmp_path: Path
+) -> None:
+    """The given log is diagnosed; the daemon is ended as it moves for the program that decides."""
+    (given,) = logs.glob(f"{done.records[0].name}*")
+    with daemon(tmp_path, "on-rig") as up:
+
+        def end_in_motion() -> None:
+            up.wait_for("homing", "running")
+            up.process.send_signal(signal.SIGTERM)
+
+        ending = threading.Thread(target=end_in_motion)
+        ending.start()
+        task = OnRigTask(
+            [given], tmp_path / "out", PlantSettings(), "diagnosis", 3, 2.0, up.socket,
+            then=None, dry_run=False, yes=True,
+        )  # fmt: skip
+        with pytest.raises(typer.Exit) as left:
+            diagnose_on_rig(task, None, as_json=False)
+        ending.join()
+        up.process.wait(PATIENCE_S)
+        assert up.is_safe()
+    assert left.value.exit_code == ExitCode.UNAVAILABLE
+    document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert [each["verdict"] for each in document["on_rig"]["rounds"]] == ["ambiguous"]
+    assert document["on_rig"]["stopped"].startswith("the run failed")
 
 
 def test_a_first_program_beyond_the_limits_or_the_budget_is_refused(squares: Path) -> None:

@@ -63,7 +63,7 @@ def diagnose_on_rig(task: OnRigTask, executor: Executor | None, *, as_json: bool
 def _run_rounds(
     rig: Any, investigation: Any, task: OnRigTask, executor: Executor | None
 ) -> tuple[ExitCode, str]:
-    """Return how the rounds ended; the rig is stopped and safe when this returns."""
+    """Return how the rounds ended; the rig is left, stopped and safe, when this returns."""
     from pamctl.on_rig.decide_on_rig import decide_on_rig
     from pamctl.session.pamctl_error import PamctlError
 
@@ -71,11 +71,12 @@ def _run_rounds(
         print(line, file=sys.stderr, flush=True)
 
     try:
-        decide_on_rig(rig, investigation, executor=executor, progress=progress)
-        if task.then == "tune" and investigation.is_decided:
-            from pamctl.on_rig.retune import retune_on_rig
+        with rig:  # a daemon that cannot be left well ends the rounds, and loses none of them
+            decide_on_rig(rig, investigation, executor=executor, progress=progress)
+            if task.then == "tune" and investigation.is_decided:
+                from pamctl.on_rig.retune import retune_on_rig
 
-            investigation.retuning = retune_on_rig(rig, investigation, progress).as_dict()
+                investigation.retuning = retune_on_rig(rig, investigation, progress).as_dict()
     except KeyboardInterrupt:
         investigation.stopped = "it was interrupted"
         return ExitCode.SIGINT, "interrupted"

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from hal.calibration import Calibration, CalibrationSettings, Zero, calibration, sensor_v
 from hal.rig import RawSample
 from pamctl.control.course import make_valve_reference
 from pamctl.diagnose.measured.record import Array, Record
@@ -22,7 +23,7 @@ from pamctl.signals import Command, Estimate, Measurement, Phase, Timing
 
 SPARE_SHARE = 0.03
 """A program keeps this share of what a limit allows to itself: a model is not the rig."""
-ATMOSPHERE_PA = 101.3e3
+DATA_SHEETS = calibration(CalibrationSettings())
 MOST_V = 5.0
 """The largest command of an experiment file."""
 
@@ -37,14 +38,15 @@ class RigLimits:
     high_m: float
     safety: Limits | None = None
     """All rules of the rig's safety; None where no log says them."""
-    sensor: tuple[float, float] = (0.0, 1.0)
-    """Zero (V) and slope (Pa/V) of the pressure sensor, for its electrical range."""
+    calibration: Calibration = DATA_SHEETS
+    sensor_zero_v: float = 0.0
+    """What the pressure sensor shows at atmospheric pressure."""
     spare_share: float = SPARE_SHARE
     source: str = "the rig's limits"
 
     def allows(self, run: CoupledResponse) -> bool:
         """Tell whether a run's highest pressure and its stroke stay inside, quickly."""
-        spare_pa = self.spare_share * (self.pressure_pa - ATMOSPHERE_PA)
+        spare_pa = self.spare_share * (self.pressure_pa - self.calibration.atmospheric_pressure_pa)
         spare_m = self.spare_share * (self.high_m - self.low_m)
         finite = np.isfinite(run.pressure_pa).all() and np.isfinite(run.position_m).all()
         return bool(
@@ -58,7 +60,7 @@ class RigLimits:
         """Tell whether the rig's safety, tick by tick, would let a whole run pass."""
         if self.safety is None:
             return True
-        zero_v, pa_per_v = self.sensor
+        zero = Zero(self.sensor_zero_v, 0.0)
         state = INITIAL_SAFETY_STATE._replace(
             valve_v=float(commands_v[0]),
             position_m=float(run.position_m[0]),
@@ -67,8 +69,7 @@ class RigLimits:
         none = Estimate(0.0, 0.0, 0.0, 0.0, 0.0)
         signals = zip(commands_v, run.position_m, run.pressure_pa, strict=True)
         for tick, (command_v, position_m, pressure_pa) in enumerate(signals):
-            volts = zero_v + (pressure_pa - ATMOSPHERE_PA) / pa_per_v
-            raw = RawSample(volts, 0, 0, 0)
+            raw = RawSample(sensor_v(self.calibration, zero, pressure_pa), 0, 0, 0)
             decision, state = admit(
                 self.safety,
                 state,
@@ -105,13 +106,14 @@ def find_rig_limits(records: Sequence[Record]) -> RigLimits:
 def read_rig_limits(resolved: Mapping[str, Any], name: str) -> RigLimits:
     """Return the limits of a run's resolved settings; raises `ConfigError`."""
     settings = from_resolved(json.dumps(dict(resolved)), name)
-    limits = build_tick_setup(settings).limits
-    calibration = settings.rig.calibration
+    setup = build_tick_setup(settings)
+    limits = setup.limits
     return RigLimits(
         min(limits.command_v, MOST_V),
         limits.pressure_pa,
         limits.stroke_low_m,
         limits.stroke_high_m,
         limits,
-        (calibration.sensor_zero_v, calibration.sensor_pa_per_v),
+        setup.calibration,
+        settings.rig.calibration.sensor_zero_v,
     )

@@ -55,13 +55,14 @@ class Doses:
         parts = []
         for index, drive in enumerate(self.fitted.drives):
             kept, push = self._find_tangent(question, index, size)
-            shapes = np.array([self._trace(question, shape, index) for shape in _shapes(question)])
-            answers = answer_pushes(kept, push / size, shapes)
+            shapes = [self._trace(question, shape, index) for shape in question.list_shapes()]
+            answers = answer_pushes(kept, push, np.array(shapes))
             rows = answers if drive.rows is None else answers[:, drive.rows]
             parts.append(rows / drive.deviation)
         return np.concatenate(parts, axis=1).T
 
     def _find_tangent(self, question: Question, index: int, size: float) -> tuple[Array, Array]:
+        """Return what is kept and pushed per size; `size` is that of the push that shows it."""
         key = question.location.name, index
         if key not in self._tangents:
             drive, terms = self.fitted.drives[index], _push(question, size)
@@ -72,8 +73,7 @@ class Doses:
                 self.p, terms, drive.valve_v, drive.driven, drive.grid, start
             )
             self._tangents[key] = (found[0], found[1] / size)
-        kept, push = self._tangents[key]
-        return kept, push * size
+        return self._tangents[key]
 
     def _trace(self, question: Question, shape: Mapping[str, float], index: int) -> Array:
         drive = self.fitted.drives[index]
@@ -108,10 +108,6 @@ def _runs_freely(drive: Drive) -> bool:
         and not drive.is_equation
         and not drive.windows
     )
-
-
-def _shapes(question: Question) -> list[dict[str, float]]:
-    return question.list_shapes()
 
 
 def build_doses(question: Question, size: float) -> list[dict[str, float]]:

@@ -82,3 +82,16 @@ def test_without_settings_the_limits_are_what_the_records_reached() -> None:
     assert (limits.command_v, limits.pressure_pa, limits.high_m) == (2.0, 2e5, 5e-3)
     assert limits.safety is None
     assert math.isclose(limits.low_m, 0.0)
+
+
+@pytest.mark.parametrize("atmosphere_pa", [101.3e3, 78e3])
+def test_a_gentle_program_is_admitted_at_any_altitude(atmosphere_pa: float) -> None:
+    places = ("rig.calibration", "plant.parameters")
+    settings = resolve(overrides=[f"{p}.atmospheric_pressure_pa={atmosphere_pa}" for p in places])
+    limits = read_rig_limits(settings_to_data(settings), "these settings")
+    commands_v = np.repeat([-5.0, 1.0, 0.0], [200, 100, 200])
+    steps_s = np.full(len(commands_v) - 1, 1e-3)
+    run = drive_coupled(plant_parameters(settings.plant), commands_v, steps_s)
+    assert run.pressure_pa[0] == pytest.approx(atmosphere_pa)
+    assert limits.allows(run)
+    assert limits.admits(commands_v, run, 1e-3)

@@ -74,9 +74,13 @@ def fit_record(record: Record, plant: PlantSettings) -> FittedRun:
 def _widen_by_misfit(
     number: FittedNumber, ratios: Mapping[str, float], plant: PlantSettings
 ) -> FittedNumber:
-    """Widen an interval by what its block leaves over the floor: what is left moves numbers too."""
+    """Widen an interval by what its block leaves beyond the scatter of a floor.
+
+    What is left moves numbers too.
+    """
     own = [ratio for block, ratio in ratios.items() if number.name in calibration_of(block, plant)]
-    factor, value = max(own or ratios.values()), number.value
+    factor = max(max(own or ratios.values()) / (1.0 + MISFIT_SCATTER), 1.0)
+    value = number.value
     low, high = (value + factor * (end - value) for end in (number.low, number.high))
     return replace(number, low=low, high=high)
 

@@ -20,8 +20,6 @@ from pamctl.plant.model import PlantSettings
 GOOD_MISFIT = 1.5
 """A run whose blocks all stay below this multiple of their floors is good."""
 LATEST_FOR_HALVES = 3
-MUCH_MORE = 1.25
-"""Numbers held that leave this multiple of what free numbers leave do not explain a run."""
 SURE_WITHIN = 3.0
 """A change within runs counts from this multiple of its uncertainty on."""
 
@@ -42,8 +40,7 @@ class FollowedDrift:
     within: bool | None
     """True: it changes within runs; False: from run to run only; None: the runs do not tell."""
     is_doubtful: bool
-    """A misfit changed too, or what moved does not explain the later run with the other numbers
-    as they were: an effect may have moved them."""
+    """The block's misfit grew too: an effect may have moved the number."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +81,9 @@ def follow_health(
     paths = {path.name: path for path, _ in ordered}
     halves = _fit_latest_halves(runs, paths, plant) if changes else []
     grown = {c.name.removesuffix(MISFIT) for c in changes if c.name.endswith(MISFIT)}
-    alone = _explain_alone(runs, changes, paths, plant)
     drifts = tuple(
         FollowedDrift(
-            change,
-            _changes_within(change, halves),
-            MISFIT not in change.name and (bool(grown) or not alone),
+            change, _changes_within(change, halves), bool(grown) and MISFIT not in change.name
         )
         for change in changes
     )
@@ -121,36 +115,6 @@ def _fit_latest_halves(
 ) -> list[tuple[FittedRun, FittedRun]]:
     latest = [fit_halves(paths[run.name], plant) for run in runs[-LATEST_FOR_HALVES:]]
     return [pair for pair in latest if pair is not None]
-
-
-def _explain_alone(
-    runs: Sequence[FittedRun],
-    changes: Sequence[NumberDrift],
-    paths: dict[str, Path],
-    plant: PlantSettings,
-) -> bool:
-    """Tell whether what moved explains the run after it, with all other numbers as before.
-
-    An effect that is no number of the plant file moves several of them a little.
-    """
-    moved = {c.name for c in changes if MISFIT not in c.name}
-    if not moved:
-        return True
-    first, second = changes[0].first, changes[0].second
-    before = _pool_plant(runs[: first + 1], plant)
-    names = {n for n in runs[second].numbers if MISFIT not in n} - moved
-    held = before.model_copy(update={"known": tuple(sorted({*plant.known, *names}))})
-    again = fit_log(paths[runs[second].name], runs[second].when_s, held)
-    return not again.refused and is_explained(again, runs[second])
-
-
-def is_explained(held: FittedRun, free: FittedRun) -> bool:
-    """Tell whether a fit with held numbers leaves no more than one with free numbers."""
-    return all(
-        n.value <= MUCH_MORE * free.numbers[name].value
-        for name, n in held.numbers.items()
-        if name.endswith(MISFIT)
-    )
 
 
 def _changes_within(

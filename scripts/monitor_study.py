@@ -144,8 +144,11 @@ def list_changes() -> dict[str, list[str]]:
 
 def find_delay_s(
     watch: RunWatch, healthy: Signals, changed: Signals, now_s: float = 0.0
-) -> tuple[float | None, Record | None]:
-    """Return the time from the changed rig's start to its alarm; None where none came."""
+) -> tuple[float | None, Record | None, Record | None]:
+    """Return the time from the changed rig's start to its alarm; None where none came.
+
+    With it the record since the start, and the one before it.
+    """
     watch.take(healthy, now_s)
     begin_s = now_s + len(healthy) * 1e-3 + 5.0
     watch.begin_run()
@@ -154,7 +157,7 @@ def find_delay_s(
         reports = watch.take(changed[first : first + 1000], begin_s + first * 1e-3)
         if delay_s is None and any(r.alarm for r in reports.values()):
             delay_s = (first + 1000) * 1e-3
-    return delay_s, watch.recall(begin_s)
+    return delay_s, watch.recall(begin_s), watch.recall_before(begin_s)
 
 
 def measure_delays(seconds: float, explain: int) -> dict[str, Any]:
@@ -224,10 +227,10 @@ def watch_hidden(rigs: int, explain: int) -> dict[str, Any]:
         for excitation in (tracking(18.0, 53), multisine(2.0, 0.3, 50.0, 18.0, 53)):
             changed = run_hidden(faulty, excitation)
             healthy = run_hidden(rig, tracking(18.0, 3))
-            delay_s, record = find_delay_s(RunWatch(plant), healthy, changed)
+            delay_s, record, before = find_delay_s(RunWatch(plant), healthy, changed)
             delays[name][excitation.name] = delay_s
             if delay_s is not None and number < explain and record is not None:
-                names.setdefault(name, explain_record(record, plant))
+                names.setdefault(name, explain_record(record, plant, before))
         print(name, delays[name], names.get(name, {}).get("sentence", ""), flush=True)
     return {"windows": windows, "false_alarms": false, "delays_s": delays, "explained": names}
 

@@ -87,6 +87,7 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
+    shutil.rmtree(_OURS, ignore_errors=True)  # of a killed run, whose number came again
     _OURS.mkdir()
     # A shell makes its background jobs ignore Ctrl-C, and our child processes would inherit that.
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:

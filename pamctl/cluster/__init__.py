@@ -1,4 +1,4 @@
-"""Work on other machines, through Dask.
+"""Work in other processes, here or on other machines through Dask.
 
-Read `dask_cluster.py` first.
+Read `worker_processes.py` first.
 """

@@ -54,8 +54,14 @@ class KernelLibrary:
 
 
 def hold_library(path: Path) -> int:
-    """Open a library, so that nobody removes it before this descriptor is closed."""
-    import fcntl  # machine code is built on Linux only
+    """Open a library, so that nobody removes it before this descriptor is closed.
+
+    Raise OSError where it cannot be opened, or files cannot be locked, as on Windows.
+    """
+    try:
+        import fcntl
+    except ImportError as error:
+        raise OSError("this system has no file locks; machine code is for Linux") from error
 
     held = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     fcntl.flock(held, fcntl.LOCK_SH)

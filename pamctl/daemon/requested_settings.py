@@ -31,7 +31,11 @@ def change_gains(settings: RunSettings, changes: Sequence[str]) -> RunSettings:
     for change in changes:
         if not change.strip().startswith("controller."):
             key = change.partition("=")[0].strip()
-            meant = f"; did you mean 'controller.{key}'?" if key in raw.data["controller"] else ""
+            meant = (
+                f"; did you mean 'controller.{key}'?"
+                if key in raw.data["controller"]
+                else "; write controller.KEY=VALUE; `pamctl gains show` lists the keys"
+            )
             message = f"{change}: only keys of the controller change while it runs{meant}"
             raise RequestRefusedError(message)
         try:

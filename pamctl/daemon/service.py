@@ -286,7 +286,9 @@ class Service:
         """Put a remark into the log of the current run."""
         with self._busy:
             if self._session is None or self._session.run is None:
-                raise RequestRefusedError("nothing is being logged")
+                raise RequestRefusedError(
+                    "nothing is being logged; start a run, or go to a position"
+                )
             text = clean_text(text)
             if not text:
                 raise RequestRefusedError("the remark is empty")

@@ -9,6 +9,7 @@ from pathlib import Path
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.intervals import FittedNumber, estimate_intervals
 from pamctl.diagnose.fitting.model_fit import recalibrate
+from pamctl.diagnose.fitting.numbers import calibration_of
 from pamctl.diagnose.measured.from_log import record_of
 from pamctl.diagnose.measured.noise.mend import mend_records
 from pamctl.diagnose.measured.record import Record
@@ -31,7 +32,11 @@ class FittedRun:
     when_s: float
     experiment: str = ""
     numbers: Mapping[str, FittedNumber] = field(default_factory=dict)
-    """Fitted numbers by name, and the misfit of each block, over its floor."""
+    """Fitted numbers by name, and the misfit of each block, over its floor.
+
+    Less than the floor says only that this run's noise was taken for larger than it is: it counts
+    as the floor.
+    """
     refused: str = ""
 
 
@@ -57,13 +62,27 @@ def fit_record(record: Record, plant: PlantSettings) -> FittedRun:
         raise BadData("it holds no pressure with the valve's command or the position")
     check_sensors([record], evidence.noises, plant, None)
     model = recalibrate(evidence)
-    numbers = {number.name: number for number in estimate_intervals(model)}
-    for block in evidence.blocks:
-        ratio = model.ratio(block)
+    ratios = {block: max(model.ratio(block), 1.0) for block in evidence.blocks}
+    numbers = {n.name: _widen_by_misfit(n, ratios, plant) for n in estimate_intervals(model)}
+    for block, ratio in ratios.items():
         half = MISFIT_SCATTER * ratio
         name = block + MISFIT
         numbers[name] = FittedNumber(name, ratio, ratio - half, ratio + half, "x floor")
     return FittedRun(record.name, 0.0, record.experiment, numbers)
+
+
+def _widen_by_misfit(
+    number: FittedNumber, ratios: Mapping[str, float], plant: PlantSettings
+) -> FittedNumber:
+    """Widen an interval by what its block leaves beyond the scatter of a floor.
+
+    What is left moves numbers too.
+    """
+    own = [ratio for block, ratio in ratios.items() if number.name in calibration_of(block, plant)]
+    factor = max(max(own or ratios.values()) / (1.0 + MISFIT_SCATTER), 1.0)
+    value = number.value
+    low, high = (value + factor * (end - value) for end in (number.low, number.high))
+    return replace(number, low=low, high=high)
 
 
 def fit_halves(path: Path, plant: PlantSettings) -> tuple[FittedRun, FittedRun] | None:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
+from pamctl.diagnose.fitting.drives import PRESSURE
+from pamctl.diagnose.fitting.numbers import CALIBRATED
 from pamctl.health.fit_run import MISFIT, FittedRun
 from pamctl.health.follow_health import FollowedDrift, RigHealth
 from pamctl.settings.yaml12 import dump_yaml
@@ -45,6 +47,8 @@ def describe_drift(drift: FollowedDrift, runs: Sequence[FittedRun]) -> str:
         text += "; no number of the plant file explains it: `pamctl diagnose` the later run"
     elif drift.is_doubtful:
         text += "; doubtful, because a misfit changed too"
+    elif change.name in CALIBRATED[PRESSURE]:
+        text += "; a leak or a moved valve null may look the same: `pamctl diagnose` the later run"
     return text + "."
 
 

@@ -20,6 +20,7 @@ KINDS = {
 }
 """The folders of the manual in reading order, and what a page in each is called."""
 
+_READ_FIRST = ("first-run", "first-diagnosis")
 _FOLDER = Path(__file__).parent
 _COMMENT = re.compile(r"^[ ]*<!--.*?-->\n\n?", re.DOTALL | re.MULTILINE)
 
@@ -41,11 +42,11 @@ class UnknownPageError(KeyError):
 
 
 def list_pages() -> list[ManualPage]:
-    """Return every page, by kind in reading order, then by title."""
+    """Return every page, by kind in reading order, then by title; who starts finds two first."""
     return [
         page
         for folder, kind in KINDS.items()
-        for page in sorted(_read_pages_of(folder, kind), key=lambda page: page.title.lower())
+        for page in sorted(_read_pages_of(folder, kind), key=_order_page)
     ]
 
 
@@ -61,6 +62,11 @@ def read_page(name: str) -> str:
         raise UnknownPageError(f"the manual has no page '{name}'{hint}")
     text = pages[name].path.read_text(encoding="utf-8")
     return _COMMENT.sub("", text)
+
+
+def _order_page(page: ManualPage) -> tuple[bool, int, str]:
+    is_first = page.name in _READ_FIRST
+    return not is_first, _READ_FIRST.index(page.name) if is_first else 0, page.title.lower()
 
 
 def _read_pages_of(folder: str, kind: str) -> list[ManualPage]:

@@ -100,8 +100,9 @@ class Monitor:
             return
         record = self._watch.recall(self._unexplained_s)
         if record is not None and record.duration_s >= least_s:
+            before = self._watch.recall_before(self._unexplained_s)
             self._unexplained_s = None
-            self._explainer.start(record, self._plant)
+            self._explainer.start(record, self._plant, before)
 
     def _as_dict(self, report: BlockReport) -> dict[str, Any]:
         told = asdict(report)

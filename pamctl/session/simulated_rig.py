@@ -125,7 +125,7 @@ class SimulatedRig(SteeredRig):
     def mark(self, text: str) -> None:
         """Put a remark into the log of the current run."""
         with translate_errors():
-            self._require_run("nothing is being logged").advance(
+            self._require_run("nothing is being logged; start a run, or go to a position").advance(
                 lambda loop: True, {"do": "mark", "text": str(text)}
             )
 

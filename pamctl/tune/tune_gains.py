@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pamctl.cluster.dask_cluster import connect_to_cluster
+from pamctl.cluster.worker_processes import start_workers
 from pamctl.new_file import NewFileError, write_files
 from pamctl.settings.resolve import SECTIONS
 from pamctl.tune.gains_file import Scores, format_gains_file, summarise_verdicts
@@ -46,7 +41,7 @@ def check_gains(
     task: TuningTask, jobs: int | None, cluster: str | None = None
 ) -> dict[str, Scores]:
     """Score the given gains on fresh plants, or on named ones."""
-    with _start_workers(jobs, cluster) as executor:
+    with start_workers(jobs, cluster) as executor:
         return _score_gains(executor, task.checked, task)
 
 
@@ -70,7 +65,7 @@ def search_gains(
     began_s = time.monotonic()
     interrupted = False
     scores: dict[str, Scores]
-    with _start_workers(jobs, cluster) as executor:
+    with start_workers(jobs, cluster) as executor:
         search = GainsSearch(
             task.law, task.jury, task.seed, task.start, state, task.trial, task.compensate
         )
@@ -97,35 +92,6 @@ def search_gains(
     if not interrupted and failure is None:
         state.unlink(missing_ok=True)
     return FoundGains(best, scores, time.monotonic() - began_s, interrupted, state, text, failure)
-
-
-@contextmanager
-def _start_workers(jobs: int | None, cluster: str | None) -> Iterator[Executor]:
-    if cluster is not None:
-        with connect_to_cluster(cluster) as on_cluster:
-            yield on_cluster
-        return
-    # Not forked: a fork of a process with numba's and numpy's threads may hang.
-    context = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(jobs or os.cpu_count(), context, initializer=_begin_work)
-    try:
-        yield executor
-    finally:
-        executor.shutdown(cancel_futures=True)
-
-
-def _begin_work() -> None:
-    """Leave Ctrl-C to the parent process, and end when the parent is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # A worker holds both ends of the pipe that it waits on: it would wait there without end.
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _score_gains(executor: Executor, controller: Any, task: TuningTask) -> dict[str, Scores]:

@@ -39,6 +39,12 @@ def refused(*arguments):
     return " ".join(done.stderr.replace("│", " ").split())
 
 
+def test_a_folder_in_the_place_of_a_log_is_refused_as_no_log():
+    done = CliRunner().invoke(app, ["report", "."])
+    assert done.exit_code == 65
+    assert "it is a directory, not a file" in done.stderr
+
+
 @pytest.mark.parametrize("verb", [("report",), ("compare", "--plant", "paper")])
 def test_a_page_replaces_an_older_page_and_nothing_else(verb, log):
     option = "--out" if verb[0] == "report" else "--plot"

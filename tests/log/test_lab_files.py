@@ -312,6 +312,18 @@ def test_the_map_that_a_refusal_shows_is_one_that_works(tmp_path):
     np.testing.assert_allclose(measured_pa, (GAUGE_BAR + 0.5) * 1e5 + ATMOSPHERE_PA, atol=1.0)
 
 
+@pytest.mark.parametrize("named", [{}, {"P1 [bar]": GAUGE_BAR, "P2 [bar]": GAUGE_BAR}])
+def test_a_time_column_of_a_strange_name_stands_in_the_map_to_write(tmp_path, named):
+    shown = import_columns(tmp_path, x=POSITION_MM, zeit=T_S, **named).stderr.splitlines()
+    kept = [line for line in shown if line.startswith("  ") and "P1" not in line]
+    assert kept[0] == "  time: {column: 'zeit', unit: s or ms}"
+    text = "\n".join([*kept, "  position: {column: x, unit: mm}"])
+    text = text.replace("true or false", "true").replace("s or ms", "s")
+    (tmp_path / "map.yaml").write_text(text)
+    done = Outcome(tmp_path / "a.csv", "--map", str(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(done.signals.position_m, POSITION_MM * 1e-3, atol=1e-9)
+
+
 def test_a_column_for_something_else_is_left_out(tmp_path):
     others = {
         "Supply pressure [bar]": GAUGE_BAR + 5, "Position setpoint [mm]": POSITION_MM,

@@ -17,6 +17,7 @@ from support.processes.daemons import TRACKING, daemon
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.log import read
 from pamctl.log.measured_signals import Signals
+from pamctl.monitor.explain_alarm import hold_constants
 from pamctl.monitor.judge_window import WindowMisfit
 from pamctl.monitor.misfit_sums import ALARM, ALLOWANCE, MOST_OF_ONE, MisfitSums
 from pamctl.monitor.monitor_words import format_alarm, format_monitor
@@ -26,6 +27,7 @@ from pamctl.signals import Phase
 from pamctl.simulate.batch import simulate_run
 
 PLANT = "paper"
+LESS_FRICTION = "plant.parameters.kinetic_friction_per_m=50"
 
 
 @cache
@@ -74,7 +76,7 @@ def test_a_faultless_rig_fits_and_raises_no_alarm(watch: RunWatch) -> None:
     ("change", "block", "other"),
     [
         ("plant.parameters.valve_gain_m2_per_v=0.93e-6", PRESSURE, MECHANICS),
-        ("plant.parameters.kinetic_friction_per_m=50", MECHANICS, PRESSURE),
+        (LESS_FRICTION, MECHANICS, PRESSURE),
     ],
 )
 def test_a_change_is_noticed_in_its_block_and_not_in_the_other(
@@ -117,6 +119,32 @@ def test_homing_and_gaps_are_left_out() -> None:
     assert first > 0
     feed(watch, measured[:1400], 50.0 + LEARN_S + 10.0)  # too short for a window by itself
     assert watch.windows == first
+
+
+def test_the_rig_before_an_alarm_is_kept_over_a_restart(watch: RunWatch) -> None:
+    in_this_run = watch.recall_before(10.0)
+    assert in_this_run is not None
+    assert in_this_run.duration_s == pytest.approx(10.0, abs=0.01)
+    watch.begin_run()
+    feed(watch, simulate_signals("tracking-2", 8.0, LESS_FRICTION), 100.0)
+    before = watch.recall_before(100.0)
+    assert before is not None
+    assert before.duration_s == pytest.approx(12.0, abs=0.01)
+    assert watch.blocks[MECHANICS].alarm is not None
+    watch.begin_run()  # what was off is not what the rig was before
+    assert watch.recall_before(200.0) is before
+
+
+def test_an_alarm_is_explained_with_the_constants_of_the_rig_before() -> None:
+    guessed = resolve(plant=PLANT, overrides=("plant.parameters.stiffness_n_per_m=9500",)).plant
+    watch = RunWatch(guessed)
+    feed(watch, simulate_signals("tracking-2", 12.0), 0.0)
+    before = watch.recall_before(12.0)
+    assert before is not None
+    held = hold_constants(before, guessed)
+    true = resolve(plant=PLANT).plant.parameters
+    assert held.parameters.stiffness_n_per_m == pytest.approx(true.stiffness_n_per_m, rel=5e-3)
+    assert {"stiffness_n_per_m", "valve_gain_m2_per_v"} <= {*held.known}
 
 
 def test_one_window_is_no_alarm_and_an_alarm_ends() -> None:

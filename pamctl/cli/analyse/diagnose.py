@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated
@@ -152,7 +152,7 @@ def diagnose(
         task = OnRigTask(
             logs, out, start, experiment, runs, minutes, socket, then=then, dry_run=dry_run, yes=yes
         )
-        with _start_workers(jobs or 1, cluster) as executor:
+        with _start_workers(jobs, cluster) as executor:
             diagnose_on_rig(task, executor, as_json=as_json)
         return
     from pamctl.diagnose import diagnose as find_missing_effects
@@ -173,7 +173,7 @@ def diagnose(
         if len(train) > 1 and any(map(read_forecast, train)):
             how = "long stretches of each run are held out"
         typer.echo(f"no --holdout: {how}", err=True)
-    with _start_workers(jobs or 1, cluster) as executor:
+    with _start_workers(jobs, cluster) as executor:
         diagnosis = find_missing_effects(
             train,
             held,
@@ -238,16 +238,11 @@ def _parse_noise(texts: Sequence[str]) -> dict[str, float]:
         raise typer.BadParameter(str(error), param_hint="--noise") from error
 
 
-@contextmanager
-def _start_workers(jobs: int, cluster: str | None) -> Iterator[Executor | None]:
-    if cluster is not None:
-        from pamctl.cluster.dask_cluster import connect_to_cluster
+def _start_workers(
+    jobs: int | None, cluster: str | None
+) -> AbstractContextManager[Executor | None]:
+    if cluster is None and (jobs or 1) == 1:
+        return nullcontext()
+    from pamctl.cluster.worker_processes import start_workers
 
-        with connect_to_cluster(cluster) as executor:
-            yield executor
-        return
-    if jobs == 1:
-        yield None
-        return
-    with ProcessPoolExecutor(jobs) as executor:
-        yield executor
+    return start_workers(jobs, cluster)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
@@ -37,6 +36,7 @@ def health(
     """
     require_empty_folder(out)
     start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
+    from pamctl.cluster.worker_processes import start_workers
     from pamctl.health.follow_health import follow_health
     from pamctl.health.health_page import write_health_page
     from pamctl.health.health_words import (
@@ -52,7 +52,7 @@ def health(
         index.refresh()
         rows = [row for row in index.select(with_gains=False) if row.ending != UNREADABLE]
     logs = [(folder / row.path, row.when_s) for row in rows][-last if last else 0 :]
-    with ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext() as executor:
+    with start_workers(jobs) if jobs > 1 else nullcontext() as executor:
         found = follow_health(logs, start, executor, lambda line: typer.echo(line, err=True))
     document = build_health_document(found)
     files = {

@@ -27,11 +27,11 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Write one self-contained HTML page with figures and plots of these logs."""
-    target = out or paths[0].with_suffix(".html")
     from pamctl.log import read
     from pamctl.report.compose import compose_report
 
     logs = [read(path) for path in paths]
+    target = out or paths[0].with_suffix(".html")
     require_place(target, replaces=PAGE_BEGIN)
     html = compose_report(logs).html(interactive=interactive)
     write_files({target: html}, replaces=PAGE_BEGIN)

@@ -57,11 +57,20 @@ def _format_number(number: FittedNumber) -> str:
     return f"{name} {number.value:.4g} +- {half:.2g} {number.unit}".rstrip()
 
 
+def format_interval(low: float, high: float) -> str:
+    """Return both ends with four digits, or with as many more as show that they differ."""
+    for digits in range(4, 10):
+        ends = [f"{end:.{digits}g}" for end in (low, high)]
+        if ends[0] != ends[1]:
+            return " to ".join(ends)
+    return f"{low:.4g} to {high:.4g}"
+
+
 def list_sizes(diagnosis: Diagnosis) -> str:
     """Return the numbers of the named effects by their meaning, with 90 % intervals."""
     return ", ".join(
         f"{look_up_parameter(n.name).meaning}: {n.value:.4g} {n.unit}".rstrip()
-        + f" (90 %: {n.low:.4g} to {n.high:.4g})"
+        + f" (90 %: {format_interval(n.low, n.high)})"
         for standing in diagnosis.standings
         for n in numbers_of(diagnosis, standing.effect.name)
     )

@@ -15,6 +15,7 @@ from pamctl.diagnose.report.phrases import (
     describe_effects,
     describe_largest_remainder,
     describe_signs,
+    format_interval,
     list_sets,
     list_shifts,
     list_sizes,
@@ -196,7 +197,7 @@ def _word_described(diagnosis: Diagnosis) -> VerdictWords:
     )
     equals = describe_equals(term)
     numbers = ", ".join(
-        f"{n.name.split('.')[1]} {n.value:.4g} (90 %: {n.low:.4g} to {n.high:.4g})"
+        f"{n.name.split('.')[1]} {n.value:.4g} (90 %: {format_interval(n.low, n.high)})"
         for n in term.numbers
     )
     return VerdictWords(

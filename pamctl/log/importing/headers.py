@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -61,9 +61,9 @@ def match_headers(table: MeasuredTable, findings: LogFindings) -> list[ColumnRea
             listed = " and ".join(name for name, _ in columns)
             doubts.append(f"{listed} may be {quantity}, or something else")
     if doubts:
-        raise ImportRefused(_ask_for_map("; ".join(doubts), found.values(), choice))
+        raise ImportRefused(_ask_for_map("; ".join(doubts), table, found, choice))
     if TIME not in found:
-        raise ImportRefused(_explain_no_time(table))
+        raise ImportRefused(_explain_no_time(table, found, choice))
     if choice.ignored:
         findings.note(
             "ignored",
@@ -132,9 +132,14 @@ def _settle_reading(
     return ColumnReading("pressure_pa", column, meaning.unit, gauge=is_gauge)
 
 
-def _ask_for_map(doubt: str, found: Iterable[ColumnReading], choice: _Choice) -> str:
+def _ask_for_map(
+    doubt: str, table: MeasuredTable, found: Mapping[str, ColumnReading], choice: _Choice
+) -> str:
     """Return the refusal, with a map that holds every candidate."""
-    lines = [_write_map_line(r.quantity, r.column, r.unit, r.gauge) for r in found]
+    readings = found.values()
+    lines = [_write_map_line(r.quantity, r.column, r.unit, r.gauge) for r in readings]
+    if not any(TIME in quantities for quantities in (found, choice.sure, choice.doubtful)):
+        lines.insert(0, _write_map_line(TIME, _guess_time_column(table), "s or ms", None))
     for columns in (choice.sure, choice.doubtful):
         for quantity, candidates in columns.items():
             if not any(line.startswith(_MAP_LINES[quantity].split(":")[0]) for line in lines):
@@ -142,8 +147,15 @@ def _ask_for_map(doubt: str, found: Iterable[ColumnReading], choice: _Choice) ->
                     _write_map_line(quantity, name, meaning.unit, meaning.is_gauge)
                     for name, meaning in candidates
                 ]
-    head = f"{doubt}; say which with --map FILE, one line a quantity:"
+    known = ", ".join(line.partition(":")[0] for line in _MAP_LINES.values())
+    head = f"{doubt}; say which with --map FILE, one line a quantity ({known}):"
     return "\n".join([head, *(f"  {line}" for line in lines)])
+
+
+def _guess_time_column(table: MeasuredTable) -> str:
+    """Return the first column that always rises; no map is taken before a person has read it."""
+    rises = (name for name in table.columns if bool((np.diff(table[name]) > 0.0).all()))
+    return next(rises, "NAME")
 
 
 def _write_map_line(quantity: str, column: str, unit: str, is_gauge: bool | None) -> str:
@@ -152,14 +164,17 @@ def _write_map_line(quantity: str, column: str, unit: str, is_gauge: bool | None
     return _MAP_LINES[quantity].format(column=quoted, unit=unit, gauge=gauge)
 
 
-def _explain_no_time(table: MeasuredTable) -> str:
+def _explain_no_time(
+    table: MeasuredTable, found: Mapping[str, ColumnReading], choice: _Choice
+) -> str:
     listed = ", ".join(list(table.columns)[:20])
     if all(name.isdigit() for name in table.columns):
         return (
             f"there is no line of names above the numbers: the columns are called {listed}; "
             "say what they hold with --map, such as `time: {column: 1, unit: ms}`"
         )
-    return (
+    doubt = (
         "no column is called t_s, time_s, time_ms, `Time [s]` or the like, with the unit in its "
-        f"name; there are {listed}; name the time column with --map"
+        f"name; there are {listed}"
     )
+    return _ask_for_map(doubt, table, found, choice)

@@ -133,9 +133,12 @@ def start_building(settings: RunSettings) -> str:
         return ""
     what = _IN_WORDS[missing[0].name.partition("-")[0]]
     for path in missing:
+        failed = path.with_suffix(".failed")
         with suppress(OSError):
-            reason = path.with_suffix(".failed").read_text()
-            return f"{what} runs in plain Python, its machine code cannot be built: {reason}"
+            return (
+                f"{what} runs in plain Python, its machine code cannot be built: "
+                f"{failed.read_text()}; remove {failed} to try again"
+            )
     if find_linker() is None:
         return f"{what} runs in plain Python: machine code needs a C compiler, install gcc"
     builder = subprocess.Popen(

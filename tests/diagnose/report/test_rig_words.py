@@ -15,7 +15,7 @@ from pamctl.diagnose.experiments import MOTIONS, write_advice
 from pamctl.diagnose.report.compared_models import SIGNAL_DISPLAYS
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
 from pamctl.diagnose.report.page.diagnosis_page import build_diagnosis_page
-from pamctl.diagnose.report.phrases import mark_bound
+from pamctl.diagnose.report.phrases import format_interval, mark_bound
 from pamctl.diagnose.report.rig_at_hand import runs_here
 from pamctl.diagnose.report.sensor_units import write_ratio
 from pamctl.diagnose.report.verdict_words import advise_next_steps, sentence
@@ -192,3 +192,9 @@ def chamber_record(seed: int, truth: PlantSettings) -> Record:
         pressure_pa=driven.pressure_pa + noise_pa,
         is_imported=True,
     )
+
+
+def test_an_interval_has_the_digits_that_its_ends_need_to_differ() -> None:
+    assert format_interval(0.249962, 0.250031) == "0.24996 to 0.25003"
+    assert format_interval(1.0, 2.5) == "1 to 2.5"
+    assert format_interval(0.25, 0.25) == "0.25 to 0.25"

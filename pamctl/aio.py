@@ -59,6 +59,7 @@ class AsyncRig:
     load = _await_method(SteeredRig.load)
     mark = _await_method(SteeredRig.mark)
     status = _await_method(SteeredRig.status)
+    settings = _await_method(SteeredRig.settings)
     stop = _await_method(SteeredRig.stop)
     disarm = _await_method(SteeredRig.disarm)
     ack = _await_method(SteeredRig.ack)

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 AskedSection = str | Path | Mapping[str, Any]
 """A shipped name, a file, or the keys of one."""
 _RESOLVING = Lock()
-"""The first use of settings loads the laws and builds the models: in one thread, not in two."""
+"""One thread at a time loads the laws, builds the models, and tries the folder of the logs."""
 
 
 def simulate(
@@ -62,9 +62,8 @@ def simulate(
     `seed` is of the sensors' noise; the folder `logs` gets a log of each run.
     Raises `PamctlError` for settings that cannot be used.
     """
-    with translate_errors():
-        with _RESOLVING:
-            resolved = resolve_session(plant, controller, str(rig), seed, overrides)
+    with translate_errors(), _RESOLVING:
+        resolved = resolve_session(plant, controller, str(rig), seed, overrides)
         return SimulatedRig(*resolved, Path(logs))
 
 

@@ -118,7 +118,7 @@ def test_a_card_that_fails_in_the_middle_of_a_run_ends_it_with_69_and_safe(own: 
     own.fail("comedi_do_insnlist", -errno.ENODEV, after=700, times=1)
     process = start(own, *RUN)
     _, complaints = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 69
+    assert process.returncode == 69, complaints
     assert f"device error {errno.ENODEV}" in complaints
     assert "Traceback" not in complaints
     assert own.output_v == safe
@@ -148,7 +148,7 @@ def test_an_uncalibrated_card_ends_a_run_before_it_begins(own: Card) -> None:
     own.calibration_path.unlink()
     process = start(own, *RUN)
     _, complaints = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 69
+    assert process.returncode == 69, complaints
     assert f"sudo comedi_soft_calibrate -f /dev/{own.name}" in complaints
     assert own.output_v == pytest.approx(SAFE_V, abs=5 * AO_STEP_V)
 

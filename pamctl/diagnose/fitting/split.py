@@ -85,8 +85,9 @@ def describe_confirmation(evidence: Evidence, *, is_cut: bool) -> ConfirmedOn:
     """Say what the figures of `keep_for_confirmation` rest on."""
     drives = next(iter(evidence.holdout.values()))
     duration_s = sum(d.samples * float(np.median(d.step_s)) for d in drives)
+    runs = "a single run" if len(drives) == 1 else "each run"
     how = (
-        "each run in long stretches: half are fitted, a third choose, a sixth confirm"
+        f"{runs} in long stretches: half are fitted, a third choose, a sixth confirm"
         if is_cut
         else "records that were not fitted, in stretches: two of three choose, the third confirms"
     )

@@ -185,7 +185,9 @@ def run_loop(
             ended(ending)
             return ending
     except RigError as error:
-        return Ending(ExitCode.UNAVAILABLE, str(error))
+        ending = Ending(ExitCode.UNAVAILABLE, str(error))
+        ended(ending)
+        return ending
 
 
 _ENDED = Ending(ExitCode.OK, "the program ended")

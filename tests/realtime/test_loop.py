@@ -286,6 +286,24 @@ def test_a_device_that_does_not_open_ends_with_code_69_and_its_own_words() -> No
     assert ran.journal.ticks == []
 
 
+def test_the_ending_is_told_where_a_device_does_not_open() -> None:
+    settings = short()
+    made, told = parts(settings, []), []
+    ending = loop.run_loop(
+        Shut(made.whole),  # type: ignore[arg-type]
+        made.clock,
+        build_tick_setup(settings),
+        nominal_zero_of(settings),
+        build_program(settings),
+        MemoryJournal(),
+        ScriptedSupervisor(),
+        lambda: loop.Truth(0.0, 0.0),
+        ended=told.append,
+    )
+    assert ending.code == ExitCode.UNAVAILABLE
+    assert told == [ending]
+
+
 TRIPS = {
     "pressure_nan": (MEASUREMENT_NOT_FINITE, 1),
     "broken_wire": (SENSOR_RANGE, 21),

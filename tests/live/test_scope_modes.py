@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from support.chromium import Page, page
 from support.processes.daemons import NOT_HOMED, Daemon, as_root, daemon, nobody, parked
-from support.processes.watch_pages import Served, served
+from support.processes.watch_pages import Served, served, set_input
 
 from pamctl.daemon.client import DaemonDeclinedError
 from pamctl.live.scope.tick_memory import TickMemory
@@ -46,13 +46,6 @@ def tab(shown: Served, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pag
         made.open(shown.address, width=1280, height=1000)
         made.wait_for("scope.charts.length && bench.gains.length")
         yield made
-
-
-def set_input(tab: Page, name: str, value: object) -> None:
-    tab.value(
-        f"(() => {{ const one = byId({json.dumps(name)}); one.value = {json.dumps(str(value))};"
-        " one.dispatchEvent(new Event('change', { bubbles: true })); })()"
-    )
 
 
 def find_rises(log: Log) -> list[int]:

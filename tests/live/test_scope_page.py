@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.chromium import Page, page
 from support.processes.daemons import NOT_HOMED, Daemon, daemon, parked
-from support.processes.watch_pages import Served, served
+from support.processes.watch_pages import Served, served, set_input
 
 from pamctl.log.reader import Log, read
 
@@ -34,13 +34,6 @@ def tab(shown: Served, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pag
         made.open(shown.address, width=1280, height=1000)
         made.wait_for("bench.fields.length && scope.charts.length && bench.gains.length")
         yield made
-
-
-def set_input(tab: Page, name: str, value: object) -> None:
-    tab.value(
-        f"(() => {{ const one = byId({json.dumps(name)}); one.value = {json.dumps(str(value))};"
-        " one.dispatchEvent(new Event('change', { bubbles: true })); })()"
-    )
 
 
 def show_values(tab: Page, expression: str) -> np.ndarray:

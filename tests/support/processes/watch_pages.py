@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+from support.chromium import Page
 from support.patience import PATIENCE_S
 from support.processes.daemons import Daemon
 
@@ -62,3 +63,11 @@ def served(made: Daemon, *options: str) -> Iterator[Served]:
                 assert process.wait(PATIENCE_S) == 0
             finally:
                 process.kill()
+
+
+def set_input(tab: Page, name: str, value: object) -> None:
+    """Change an input of the page, as a user does."""
+    tab.value(
+        f"(() => {{ const one = byId({json.dumps(name)}); one.value = {json.dumps(str(value))};"
+        " one.dispatchEvent(new Event('change', { bubbles: true })); })()"
+    )

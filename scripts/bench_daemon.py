@@ -59,7 +59,7 @@ CASES = ("alone", "watched")
 class Bench:
     """A daemon on a simulated rig, and its client."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, spin_us: float) -> None:
         self.device, self.socket = f"bench{os.getpid()}", folder / "control.sock"
         command = [sys.executable, "-m", "pamctl", "daemon", "--socket", str(self.socket)]
         command += ["--logs", str(folder / "logs"), "--set", "rig.homing.enabled=false"]
@@ -68,6 +68,7 @@ class Bench:
         busy += ["limits.pressure_model_pa=300000.0", "loop.heartbeat_ms=1000"]
         command += [part for key in busy for part in ("--set", f"rig.{key}")]
         command += ["--set", f"rig.sim.device={self.device}"]
+        command += ["--set", f"rig.loop.spin_us={spin_us}"]
         self.process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         self.wait_for(lambda status: status["state"] == "idle")
 
@@ -194,10 +195,14 @@ def _view_page(port: int, look_again: LookAgain, seen: dict[str, int]) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
     server, look = "", 0
     while look_again(1.0 / PAGE_HZ):
-        connection.request("GET", f"/news?server={server}&after={look}")
-        news = json.loads(connection.getresponse().read())
-        seen["pictures"] += news["look"] > look
-        _view_scope(connection)
+        try:
+            connection.request("GET", f"/news?server={server}&after={look}")
+            news = json.loads(connection.getresponse().read())
+            seen["pictures"] += news["look"] > look
+            _view_scope(connection)
+        except http.client.RemoteDisconnected:  # at the end, or idle while it stood still
+            connection.close()
+            continue
         server, look = news["server"], news["look"]
     connection.close()
 
@@ -414,10 +419,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--stops", type=int, default=20)
     parser.add_argument("--browser", action="store_true", help="open the page in a Chromium too")
+    parser.add_argument("--spin-us", type=float, default=100.0, help="rig.loop.spin_us")
     options = parser.parse_args()
     # The last run may still be on its way into the index of the folder.
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
-        bench = Bench(Path(temporary))
+        bench = Bench(Path(temporary), options.spin_us)
         try:
             report = {
                 "looking_on": looking_on(

@@ -29,8 +29,14 @@ from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_sectio
 def diagnose(
     context: typer.Context,
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for the results, new or empty")
-    ],
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Folder for the results, new or empty",
+            show_default="required, except with --dry-run",
+        ),
+    ] = None,
     logs: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -142,7 +148,10 @@ def diagnose(
     _require_one_kind(context, logs, on_rig=on_rig)
     if then not in (None, "tune"):
         raise typer.BadParameter(f"'{then}' is not known; give tune", param_hint="--then")
-    require_empty_folder(out)
+    if out is not None:
+        require_empty_folder(out)
+    elif not dry_run:
+        raise typer.BadParameter("name a folder for the results", param_hint="--out")
     start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
     _require_known(without or [])
     if on_rig:
@@ -155,6 +164,7 @@ def diagnose(
         with _start_workers(jobs, cluster) as executor:
             diagnose_on_rig(task, executor, as_json=as_json)
         return
+    assert out is not None  # only --dry-run, which is for --on-rig, goes without
     from pamctl.diagnose import diagnose as find_missing_effects
     from pamctl.diagnose import summary
     from pamctl.diagnose.deciding.forecast import read_forecast

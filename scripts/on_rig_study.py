@@ -97,7 +97,7 @@ def hold_daemon(folder: Path, environment: dict[str, str], device: str) -> Itera
     """Run a daemon on the hidden rig within the block; yield its control socket."""
     socket = folder / "control.sock"
     command = [sys.executable, "-m", "pamctl", "daemon", "--rig", str(folder / "hidden.yaml")]
-    command += ["--socket", str(socket), "--logs", str(folder / "logs"), "--rt", "off"]
+    command += ["--socket", str(socket), "--logs", str(folder / "logs")]
     for setting in (f"rig.hidden.device={device}", *PATIENT):
         command += ["--set", setting]
     with (folder / "daemon.txt").open("w") as told:
@@ -120,12 +120,11 @@ def hold_daemon(folder: Path, environment: dict[str, str], device: str) -> Itera
 
 def examine(rig: str, runs: int, tries: int, then: str) -> Outcome:
     """Let the daemon decide what one rig hides; try again where the PC gave no time."""
-    for starved in range(tries):
-        found = _examine_once(rig, runs, then)
-        if not found["is_starved"]:
-            break
+    starved = 0
+    while (found := _examine_once(rig, runs, then))["is_starved"] and starved + 1 < tries:
+        starved += 1
     again = {"error": "starved"} if found["is_starved"] else {}  # the next study tries it again
-    return {**found, **again, "key": rig, "starved_tries": starved + bool(found["is_starved"])}
+    return {**found, **again, "key": rig, "starved_tries": starved + bool(again)}
 
 
 def _examine_once(rig: str, runs: int, then: str) -> Outcome:

@@ -128,6 +128,15 @@ def diagnose(
             show_default="nothing",
         ),
     ] = None,
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            "--motion",
+            metavar="NAME|FILE",
+            help="With --then tune: the experiment in closed loop that should track better",
+            show_default="one cycle of tracking-2",
+        ),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the plan on the rig and stop")
     ] = False,
@@ -159,7 +168,17 @@ def diagnose(
         from pamctl.cli.analyse.on_rig import OnRigTask, diagnose_on_rig
 
         task = OnRigTask(
-            logs, out, start, experiment, runs, minutes, socket, then=then, dry_run=dry_run, yes=yes
+            logs,
+            out,
+            start,
+            experiment,
+            runs,
+            minutes,
+            socket,
+            then=then,
+            motion=motion,
+            dry_run=dry_run,
+            yes=yes,
         )
         with _start_workers(jobs, cluster) as executor:
             diagnose_on_rig(task, executor, as_json=as_json)
@@ -207,7 +226,7 @@ def diagnose(
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
 
 
-_FOR_RIG = ("experiment", "runs", "minutes", "then", "dry_run", "yes", "socket")
+_FOR_RIG = ("experiment", "runs", "minutes", "then", "motion", "dry_run", "yes", "socket")
 _FOR_LOGS = ("holdout", "without", "accept", "correction", "noise", "interactive")
 
 

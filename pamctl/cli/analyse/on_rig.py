@@ -32,6 +32,7 @@ class OnRigTask:
     minutes: float
     socket: Path | None
     then: str | None
+    motion: str | None
     dry_run: bool
     yes: bool
 
@@ -49,7 +50,7 @@ def diagnose_on_rig(task: OnRigTask, executor: Executor | None, *, as_json: bool
     with connect(task.socket) as rig:
         first = None if records else task.experiment
         budget = Budget(task.runs, task.minutes)
-        plan = make_rig_plan(rig.settings(), task.start, first, budget)
+        plan = make_rig_plan(rig.settings(), task.start, first, budget, task.motion)
         if task.dry_run:
             if as_json:
                 print_json(plan.as_dict())

@@ -16,21 +16,19 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from zlib import crc32
 
 import yaml
+from daemon_of_rig import PATIENCE_S, ROOT, hold_daemon, install_backend
 from resumable_study import Outcome, run_resumable
 
-ROOT = Path(__file__).resolve().parents[1]
 RIGS = (
     "command_delay:3", "command_delay:1", "valve_spool:1", "valve_asymmetry:3", "dead_volume:3",
     "polytropic:3", "discharge_ratio:3", "chamber_leak:10", "creep:3", "stribeck:3",
@@ -38,46 +36,55 @@ RIGS = (
 )  # fmt: skip
 FAST_STROKES = ("command_delay", "valve_spool")
 """Effects whose strokes come twice a second, as they act within milliseconds."""
-BACKEND = '''
+CODE = '''
 """A rig of tests/hidden behind the wires of the simulated one."""
 import json, os
 from dataclasses import replace
 from hal.sim.sim_backend import SIM
 
 
+class LatePlant:
+    """Built as the loop opens the rig: the guardian opens none, and must start at once."""
+
+    plant = None
+
+    def wake(self):
+        from hidden.plant import HiddenPlant
+        from hidden.rig import hidden_rig
+
+        effects, seed = json.loads(os.environ["HIDDEN_EFFECTS"]), os.environ["HIDDEN_SEED"]
+        rig = hidden_rig(effects, seed=int(seed))
+        HiddenPlant(rig, 10.0).advance(0.0, 1e-3)  # compiled before the first tick
+        self.plant = HiddenPlant(rig, 3600.0)
+        return self.plant
+
+    def advance(self, command_v, duration_s):
+        if self.plant is not None:
+            self.plant.advance(command_v, duration_s)
+
+    def __getattr__(self, name):
+        return getattr(self.plant, name)
+
+
 def build(request):
-    from hidden.plant import HiddenPlant
-    from hidden.rig import hidden_rig
+    plant = LatePlant()
+    built = SIM.build(replace(request, plant=plant))
+    opened = built.rig.open
 
-    rig = hidden_rig(json.loads(os.environ["HIDDEN_EFFECTS"]), seed=int(os.environ["HIDDEN_SEED"]))
-    HiddenPlant(rig, 10.0).advance(0.0, 1e-3)  # compiled before the first tick
-    return SIM.build(replace(request, plant=HiddenPlant(rig, 3600.0)))
+    def open_rig():
+        plant.wake()
+        opened()
+
+    built.rig.open = open_rig
+    return built
 
 
-HIDDEN = replace(SIM, name="hidden", description="A rig of the tests.", build=build)
+BACKEND = replace(SIM, name="hidden", description="A rig of the tests.", build=build)
 '''
-PATIENT = (
-    "rig.limits.pressure_model_pa=1e9", "rig.limits.sample_age_s=60",
-    "rig.limits.missed_ticks=1e6", "rig.loop.heartbeat_ms=5000", "rig.loop.starved_ms=20000",
-    "rig.homing.timeout_s=60",
-)  # fmt: skip
-"""What only a busy PC needs: a real valve would not wait so long."""
+WARM_UP = "from hidden_backend import LatePlant; LatePlant().wake()"
+"""Compiles the rig's equations into the cache, from which the loop loads them."""
 STARVED = ("starved", "did not start", "no CPU", "sample at least", "overrun", "missed")
 """Words of an ending that speak of the PC, not of the rig."""
-PATIENCE_S = 900.0
-
-
-def install_backend(folder: Path) -> None:
-    """Write the backend as an installed package of its own: pamctl finds it by its entry point."""
-    entry = folder / "hidden_rigs-0.dist-info"
-    entry.mkdir()
-    (folder / "hidden_backend.py").write_text(BACKEND)
-    (entry / "METADATA").write_text("Metadata-Version: 2.1\nName: hidden-rigs\nVersion: 0\n")
-    (entry / "entry_points.txt").write_text("[pamctl.rigs]\nhidden = hidden_backend:HIDDEN\n")
-    rig = yaml.safe_load((ROOT / "config" / "rig" / "sim.yaml").read_text())
-    rig["backend"] = "hidden"
-    rig["hidden"] = rig.pop("sim")
-    (folder / "hidden.yaml").write_text(yaml.safe_dump(rig))
 
 
 def write_strokes(path: Path, frequency_hz: int) -> Path:
@@ -90,32 +97,6 @@ def write_strokes(path: Path, frequency_hz: int) -> Path:
     ]
     path.write_text(yaml.safe_dump({"kind": "program", "parts": parts}))
     return path
-
-
-@contextmanager
-def hold_daemon(folder: Path, environment: dict[str, str], device: str) -> Iterator[Path]:
-    """Run a daemon on the hidden rig within the block; yield its control socket."""
-    socket = folder / "control.sock"
-    command = [sys.executable, "-m", "pamctl", "daemon", "--rig", str(folder / "hidden.yaml")]
-    command += ["--socket", str(socket), "--logs", str(folder / "logs")]
-    for setting in (f"rig.hidden.device={device}", *PATIENT):
-        command += ["--set", setting]
-    with (folder / "daemon.txt").open("w") as told:
-        process = subprocess.Popen(command, env=environment, stdout=told, stderr=told)
-    try:
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not socket.exists() and process.poll() is None and time.monotonic() < deadline_s:
-            time.sleep(0.2)
-        yield socket
-    finally:
-        process.send_signal(signal.SIGTERM)
-        try:
-            process.wait(60.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        for left in Path("/dev/shm").glob(f"pamctl-{device}.*"):
-            left.unlink()
 
 
 def examine(rig: str, runs: int, tries: int, then: str) -> Outcome:
@@ -132,16 +113,17 @@ def _examine_once(rig: str, runs: int, then: str) -> Outcome:
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="on-rig-") as made:
         folder = Path(made)
-        install_backend(folder)
+        install_backend(folder, "hidden", CODE)
         first = write_strokes(folder / "strokes.yaml", 2 if name in FAST_STROKES else 1)
         environment = {
             **os.environ,
             "PYTHONPATH": os.pathsep.join(map(str, (ROOT, folder, ROOT / "tests"))),
+            "NUMBA_CACHE_DIR": str(Path(tempfile.gettempdir()) / "on-rig-study-numba"),
             "HIDDEN_EFFECTS": json.dumps({name: float(size)}),
             "HIDDEN_SEED": str(crc32(rig.encode()) % 1000),
         }
-        device = f"on-rig-{os.getpid()}"
-        with hold_daemon(folder, environment, device) as socket:
+        subprocess.run([sys.executable, "-c", WARM_UP], env=environment, check=True)
+        with hold_daemon(folder, "hidden", environment) as socket:
             command = [sys.executable, "-m", "pamctl", "diagnose", "--on-rig", "--yes", "--json"]
             command += ["--runs", str(runs), "--experiment", str(first), "--socket", str(socket)]
             command += ["--out", str(folder / "found"), *(["--then", then] if then else [])]

@@ -85,7 +85,7 @@ def test_the_second_program_decides_between_delay_and_spool(done: Investigation)
 
 
 def test_the_forecast_is_what_a_whole_refit_leaves(done: Investigation) -> None:
-    """The forecast rests on one linear step; here the wrong one is fitted to the end."""
+    """Also the one straight step that sorts the programs is near it, where both are near."""
     found = done.rounds[0].diagnosis
     chosen = found.deciding
     assert found.model is not None
@@ -100,7 +100,10 @@ def test_the_forecast_is_what_a_whole_refit_leaves(done: Investigation) -> None:
     (drive,) = (d for d in new if d.block == PRESSURE)
     left = rms(drive.residual(again.settings)) / wrong.model.floors[PRESSURE].mean
     left *= drive.deviation / wrong.model.evidence.train[PRESSURE][0].deviation
-    assert np.hypot(1.0, left) == pytest.approx(forecast.residual_over_floor, rel=0.2)
+    assert np.hypot(1.0, left) == pytest.approx(forecast.residual_over_floor, rel=0.05)
+    (step,) = (s for s in trial.separations if s.refuted == wrong.name)
+    assert step.residual_over_floor == pytest.approx(forecast.residual_over_floor, rel=0.2)
+    assert forecast.is_decided
 
 
 def test_the_forecast_is_judged_by_what_the_run_showed(done: Investigation) -> None:
@@ -212,7 +215,7 @@ def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(
         ending.start()
         task = OnRigTask(
             [given], tmp_path / "out", PlantSettings(), "diagnosis", 3, 2.0, up.socket,
-            then=None, dry_run=False, yes=True,
+            then=None, motion=None, dry_run=False, yes=True,
         )  # fmt: skip
         with pytest.raises(typer.Exit) as left:
             diagnose_on_rig(task, None, as_json=False)

@@ -1,4 +1,4 @@
-"""A real daemon on a rig that a script makes up: a simulated backend of its own, found as installed.
+"""A real daemon on a rig that a script makes up: a simulated backend, found as if installed.
 
 Limits that only a busy PC would pass are wide: a real valve would not wait so long.
 """

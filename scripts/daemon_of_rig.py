@@ -21,7 +21,7 @@ PATIENT = (
     "rig.limits.missed_ticks=1e6", "rig.loop.heartbeat_ms=5000", "rig.loop.starved_ms=20000",
     "rig.homing.timeout_s=60",
 )  # fmt: skip
-PATIENCE_S = 900.0
+PATIENCE_S = 600.0
 
 
 def install_backend(folder: Path, name: str, code: str) -> None:

@@ -17,11 +17,12 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import yaml
-from daemon_of_rig import ROOT, hold_daemon, install_backend
+from daemon_of_rig import PATIENCE_S, ROOT, hold_daemon, install_backend
 from readme_figures import take_picture
 
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
@@ -32,7 +33,7 @@ from pamctl.signals import Phase
 SINE = {
     "kind": "sine", "offset_mm": 11.8, "amplitude_mm": 3, "frequency_hz": 2, "cycles": 60,
 }  # fmt: skip
-MOTION = {**SINE, "cycles": 16}
+MOTION = {**SINE, "cycles": 24}
 HEALTHY: dict[str, Any] = {"effects": {"supply_droop": {"resistance_pa_s_per_kg": 1.0}}}
 STARVING: dict[str, Any] = {
     "parameters": {"tank_pressure_pa": 330e3},
@@ -89,12 +90,16 @@ def record(folder: Path) -> dict[str, Any]:
         def pamctl(*words: str) -> str:
             command = [sys.executable, "-m", "pamctl", *words, "--socket", str(socket)]
             done = subprocess.run(command, env=environment, capture_output=True, text=True)
-            tell(f"$ pamctl {' '.join(words)}\n{done.stdout[-1500:]}{done.stderr[-1500:]}")
+            if words[0] != "status":
+                tell(f"$ pamctl {' '.join(words)}\n{done.stdout[-1500:]}{done.stderr[-1500:]}")
             return done.stdout
 
         def status() -> dict[str, Any]:
             return dict(json.loads(pamctl("status", "--json")))
 
+        pamctl("start", str(folder / "motion.yaml"))  # a healthy run: the monitor learns the noise
+        fits = _await(lambda: (at := status()["monitor"])["blocks"] and at)
+        _await(lambda: status()["state"] == "ready")
         pamctl("start", str(folder / "sine.yaml"))
         watched = _watch(status, pamctl, folder / "starved")
         told = pamctl("status")
@@ -102,24 +107,28 @@ def record(folder: Path) -> dict[str, Any]:
             "diagnose", "--on-rig", "--yes", "--json", "--then", "tune", "--minutes", "6",
             "--motion", str(folder / "motion.yaml"), "--out", str(folder / "found"),
         )  # fmt: skip
-        return {**watched, "status": told, "found": json.loads(found)}
+        return {**watched, "fits": fits["sentence"], "status": told, "found": json.loads(found)}
+
+
+def _await(find: Callable[[], Any]) -> Any:
+    """Return what is found, as soon as it is."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not (found := find()) and time.monotonic() < deadline_s:
+        time.sleep(1.0)
+    return found
 
 
 def _watch(status: Any, pamctl: Any, flag: Path) -> dict[str, Any]:
-    """Let the supply starve in the run; return the first alarm, and the last explanation."""
-    while (at := status())["state"] != "running":
-        time.sleep(0.5)
-    log, began_s, alarm = at["log"], time.time(), None
+    """Let the supply starve in the run; return the first alarm, and the explanation."""
+    _await(lambda: status()["state"] == "running")
+    log, began_s, alarm = status()["log"], time.time(), None
     while (at := status())["log"] == log:
         if not flag.exists() and time.time() - began_s > STARVES_AFTER_S:
             flag.touch()
             pamctl("mark", MARK)
-        blocks = at["monitor"]["blocks"] if at.get("monitor") else ()
-        alarm = alarm or next((b["alarm"] for b in blocks if b["alarm"]), None)
+        alarm = alarm or next((b["alarm"] for b in at["monitor"]["blocks"] if b["alarm"]), None)
         time.sleep(0.5)
-    deadline_s = time.monotonic() + 240.0
-    while not status()["monitor"]["explanation"] and time.monotonic() < deadline_s:
-        time.sleep(2.0)
+    _await(lambda: status()["monitor"]["explanation"])
     return {"log": log, "alarm": alarm, "monitor": status()["monitor"]}
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,42 +32,6 @@ from pamctl.plant.model import PlantSettings
 from pamctl.session.simulated_rig import SimulatedRig, simulate
 
 DELAY_S = 1e-3
-SQUARES = """
-kind: program
-parts:
-  - {wave: hold, valve_v: -5, duration_s: 1}
-  - {wave: square, frequency_hz: 1, amplitude_v: 5, cycles: 2}
-  - {wave: square, frequency_hz: 2, amplitude_v: 5, cycles: 6}
-  - {wave: hold, valve_v: -5, duration_s: 1.2}
-"""
-"""Full strokes alone do not tell a delay from a spool."""
-
-
-@pytest.fixture(scope="module")
-def squares(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("experiment") / "squares.yaml"
-    path.write_text(SQUARES)
-    return path
-
-
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("logs")
-
-
-@pytest.fixture(scope="module")
-def rig(logs: Path) -> Iterator[SimulatedRig]:
-    delayed = {"base": "paper", "effects": {"command_delay": {"delay_s": DELAY_S}}}
-    with simulate(delayed, logs=logs) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def done(rig: SimulatedRig, squares: Path) -> Investigation:
-    plan = make_rig_plan(rig.settings(), PlantSettings(), str(squares), Budget(3, 2.0))
-    investigation = Investigation(plan)
-    decide_on_rig(rig, investigation)
-    return investigation
 
 
 def test_the_second_program_decides_between_delay_and_spool(done: Investigation) -> None:

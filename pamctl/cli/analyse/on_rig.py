@@ -83,7 +83,7 @@ def _run_rounds(
 
     try:
         with (
-            _obey_ending(),
+            end_on_signals(),
             rig,
         ):  # a daemon that cannot be left well ends the rounds, and loses none of them
             decide_on_rig(rig, investigation, executor=executor, progress=progress)
@@ -107,7 +107,7 @@ class _Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _obey_ending() -> Iterator[None]:
+def end_on_signals() -> Iterator[None]:
     """End the block by an exception on SIGTERM and SIGHUP, so that the rig is left as it should."""
 
     def end(number: int, frame: object) -> None:

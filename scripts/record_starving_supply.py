@@ -21,13 +21,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from daemon_of_rig import PATIENCE_S, ROOT, hold_daemon, install_backend
 from readme_figures import take_picture
 
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
+from pamctl.session.daemon_rig import connect
 from pamctl.session.run import Run
+from pamctl.session.steered_rig import SteeredRig
 from pamctl.signals import Phase
 
 SINE = {
@@ -36,12 +39,13 @@ SINE = {
 MOTION = {**SINE, "cycles": 24}
 HEALTHY: dict[str, Any] = {"effects": {"supply_droop": {"resistance_pa_s_per_kg": 1.0}}}
 STARVING: dict[str, Any] = {
-    "parameters": {"tank_pressure_pa": 330e3},
-    "effects": {"supply_droop": {"resistance_pa_s_per_kg": 5e7, "refill_time_s": 0.3}},
+    "parameters": {"tank_pressure_pa": 390e3},
+    "effects": {"supply_droop": {"resistance_pa_s_per_kg": 2.5e7, "refill_time_s": 0.3}},
 }
-"""The regulator holds 330 kPa in place of 441, and gives way to each kg/s by 50 MPa."""
+"""The regulator holds 390 kPa in place of 441, and gives way by 25 kPa to each g/s."""
 STARVES_AFTER_S = 14.0
-MARK = "the supply starves"
+EXPLAINED_WITHIN_S = 180.0
+"""The explanation runs at idle priority: on a busy PC it may come later."""
 CODE = '''
 """A simulated rig whose supply starves as soon as a file is there."""
 import json, os
@@ -76,7 +80,7 @@ BACKEND = replace(SIM, name="starving", description="Its supply starves.", build
 def record(folder: Path) -> dict[str, Any]:
     """Run the whole story; return what the programs said, and where the logs are."""
     install_backend(folder, "starving", CODE)
-    for name, data in (("sine", SINE), ("motion", MOTION), ("healthy", HEALTHY)):
+    for name, data in (("motion", MOTION), ("healthy", HEALTHY)):
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(data))
     environment = {
         **os.environ,
@@ -90,55 +94,50 @@ def record(folder: Path) -> dict[str, Any]:
         def pamctl(*words: str) -> str:
             command = [sys.executable, "-m", "pamctl", *words, "--socket", str(socket)]
             done = subprocess.run(command, env=environment, capture_output=True, text=True)
-            if words[0] != "status":
-                tell(f"$ pamctl {' '.join(words)}\n{done.stdout[-1500:]}{done.stderr[-1500:]}")
+            tell(f"$ pamctl {' '.join(words)}\n{done.stdout[-1500:]}{done.stderr[-1500:]}")
             return done.stdout
 
-        def status() -> dict[str, Any]:
-            return dict(json.loads(pamctl("status", "--json")))
-
-        pamctl("start", str(folder / "motion.yaml"))  # a healthy run: the monitor learns the noise
-        fits = _await(lambda: (at := status()["monitor"])["blocks"] and at)
-        _await(lambda: status()["state"] == "ready")
-        pamctl("start", str(folder / "sine.yaml"))
-        watched = _watch(status, pamctl, folder / "starved")
+        with connect(socket) as rig:
+            rig.run(MOTION, name="motion")  # a healthy run: the monitor learns the noise
+            fits = _await(lambda: (at := rig.status()["monitor"])["blocks"] and at["sentence"])
+            tell(str(fits))
+            watched = _watch(rig, folder / "starved")
         told = pamctl("status")
         found = pamctl(
             "diagnose", "--on-rig", "--yes", "--json", "--then", "tune", "--minutes", "6",
             "--motion", str(folder / "motion.yaml"), "--out", str(folder / "found"),
         )  # fmt: skip
-        return {**watched, "fits": fits["sentence"], "status": told, "found": json.loads(found)}
+        return {**watched, "fits": fits, "status": told, "found": json.loads(found)}
 
 
-def _await(find: Callable[[], Any]) -> Any:
-    """Return what is found, as soon as it is."""
-    deadline_s = time.monotonic() + PATIENCE_S
+def _await(find: Callable[[], Any], patience_s: float = PATIENCE_S) -> Any:
+    """Return what is found, as soon as it is; what is there then, if the patience ends."""
+    deadline_s = time.monotonic() + patience_s
     while not (found := find()) and time.monotonic() < deadline_s:
         time.sleep(1.0)
     return found
 
 
-def _watch(status: Any, pamctl: Any, flag: Path) -> dict[str, Any]:
+def _watch(rig: SteeredRig, flag: Path) -> dict[str, Any]:
     """Let the supply starve in the run; return the first alarm, and the explanation."""
-    _await(lambda: status()["state"] == "running")
-    log, began_s, alarm = status()["log"], time.time(), None
-    while (at := status())["log"] == log:
+    log, began_s, alarm = str(rig.start(SINE, name="sine")), time.time(), None
+    while (at := rig.status())["log"] == log:
         if not flag.exists() and time.time() - began_s > STARVES_AFTER_S:
             flag.touch()
-            pamctl("mark", MARK)
         alarm = alarm or next((b["alarm"] for b in at["monitor"]["blocks"] if b["alarm"]), None)
-        time.sleep(0.5)
-    _await(lambda: status()["monitor"]["explanation"])
-    return {"log": log, "alarm": alarm, "monitor": status()["monitor"]}
+        time.sleep(0.2)
+    _await(lambda: rig.status()["monitor"]["explanation"], EXPLAINED_WITHIN_S)
+    monitor = rig.status()["monitor"]
+    return {"log": log, "alarm": alarm, "monitor": monitor}
 
 
-def draw_run(story: dict[str, Any]) -> Page:
+def draw_run(folder: Path, story: dict[str, Any]) -> Page:
     """Draw the run in which the supply starved: what the log holds, and the two moments."""
     run = Run.open(story["log"])
     shown = run["phase"] == Phase.TRACK
     zero_s = run.t_s[shown][0]
     t_s = run.t_s[shown] - zero_s
-    moments = _find_moments(run)
+    moments = _find_moments(run, folder / "starved")
     time_axis = PlotAxis("time", "s", tight=True)
     plots = [
         SvgPlot("Pressure", time_axis, PlotAxis("absolute", "kPa"), height_px=120).line(
@@ -159,10 +158,11 @@ def draw_run(story: dict[str, Any]) -> Page:
     return page
 
 
-def _find_moments(run: Run) -> list[tuple[float, str]]:
+def _find_moments(run: Run, flag: Path) -> list[tuple[float, str]]:
     """Return when the supply starved and when the monitor first said so, on the axis of `t_s`."""
-    alarms = [(at, "alarm") for at, text in run.marks if "x its floor" in text]
-    return [*((at, text) for at, text in run.marks if text == MARK), *alarms[:1]]
+    starved = int(np.searchsorted(run.log.time_ns, flag.stat().st_mtime_ns))
+    alarms = [(at, "the alarm") for at, text in run.marks if "x its floor" in text]
+    return [(float(run.t_s[starved]), "the supply starves"), *alarms[:1]]
 
 
 def draw_tracking(folder: Path, story: dict[str, Any]) -> Page:
@@ -200,7 +200,10 @@ def main() -> None:
         kept.write_text(json.dumps(record(folder), indent=1))
     story = json.loads(kept.read_text())
     if options.pictures:
-        for name, page in (("run", draw_run(story)), ("tracking", draw_tracking(folder, story))):
+        for name, page in (
+            ("run", draw_run(folder, story)),
+            ("tracking", draw_tracking(folder, story)),
+        ):
             file = folder / f"{name}.html"
             file.write_text(page.html(), encoding="utf-8")
             take_picture(file, f"starving-{name}", 920, 700)

@@ -117,13 +117,17 @@ def test_the_experiment_file_runs_as_it_stands(done: Investigation, tmp_path: Pa
     assert np.array_equal(ran, asked)
     entry = choose_next_experiment(found)
     assert entry is not None
-    assert entry["do"] == "pamctl run --experiment next-experiment.yaml"
+    assert entry["do"] == "pamctl start next-experiment.yaml"  # a daemon holds the rig
+    alone = choose_next_experiment(replace(found, is_of_daemon=False))
+    assert alone is not None
+    assert alone["do"] == "pamctl run --experiment next-experiment.yaml"
     assert entry["promises"]
     assert entry["needs"]["pressure_kpa"] < 500.0
 
 
 def test_imported_records_get_words_instead_of_a_program(done: Investigation) -> None:
     found = done.rounds[0].diagnosis
+    found = replace(found, is_of_daemon=False)
     imported = tuple(replace(r, is_imported=True) for r in found.train)
     entry = choose_next_experiment(replace(found, train=imported, holdout=imported))
     assert entry is not None

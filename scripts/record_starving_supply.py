@@ -200,13 +200,13 @@ def main() -> None:
         kept.write_text(json.dumps(record(folder), indent=1))
     story = json.loads(kept.read_text())
     if options.pictures:
-        for name, page in (
-            ("run", draw_run(folder, story)),
-            ("tracking", draw_tracking(folder, story)),
-        ):
+        pages = {"run": draw_run(folder, story)}
+        if story["found"]["on_rig"]["retuning"]["before"]:
+            pages["tracking"] = draw_tracking(folder, story)
+        for name, page in pages.items():
             file = folder / f"{name}.html"
             file.write_text(page.html(), encoding="utf-8")
-            take_picture(file, f"starving-{name}", 920, 700)
+            take_picture(file, f"starving-{name}", 920, 760)
         take_picture(folder / "found" / "report.html", "starving-diagnosis", 920, 1300)
 
 

@@ -206,7 +206,7 @@ def main() -> None:
         for name, page in pages.items():
             file = folder / f"{name}.html"
             file.write_text(page.html(), encoding="utf-8")
-            take_picture(file, f"starving-{name}", 920, 760)
+            take_picture(file, f"starving-{name}", 920, 700 if name == "run" else 500)
         take_picture(folder / "found" / "report.html", "starving-diagnosis", 920, 1300)
 
 

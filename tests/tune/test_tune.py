@@ -302,7 +302,7 @@ def test_given_gains_are_scored_and_nothing_is_written(tmp_path: Path) -> None:
 
 
 def test_drawn_plants_reach_other_processes(tmp_path: Path) -> None:
-    which = ["--ensemble", "16", "--held-out", "2", "--plant", "paper"]
+    which = ["--ensemble", "2", "--held-out", "2", "--plant", "paper"]
     made = tune("--check", "pid", *which, "--jobs", "2", "--json", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     found = json.loads(made.stdout)["scores"]
@@ -342,7 +342,7 @@ def test_invalid_options_are_refused(tmp_path: Path, options: list[str], said: s
 def test_ctrl_c_keeps_the_best_gains_so_far_and_the_state_of_the_search(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pamctl", "tune", "--law", "pid", "--plant", "paper"]
     process = subprocess.Popen(
-        [*command, "--generations", "1000", "--out", "mine.yaml"],
+        [*command, "--generations", "1000", "--jobs", "2", "--out", "mine.yaml"],
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
         cwd=tmp_path,

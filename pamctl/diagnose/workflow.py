@@ -26,7 +26,7 @@ from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.integrator import compare_substeps
+from pamctl.diagnose.fitting.integrator import compare_substeps, refine_substeps
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.split import (
     ConfirmedOn,
@@ -244,7 +244,9 @@ def _recalibrate(
     """
     given = (tuple(train), tuple(holdout))
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        return _Recalibrated(recalibrate(evidence), *given)
+        base = recalibrate(evidence)
+        finer = refine_substeps(base)
+        return _Recalibrated(base if finer is evidence else recalibrate(finer), *given)
     alone = recalibrate(evidence.select_blocks({PRESSURE}))
     effects = FirstLevel(candidates)
     setup = suspect_air_first(alone, evidence, train, holdout, effects, progress)

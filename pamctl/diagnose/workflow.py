@@ -213,7 +213,8 @@ def _describe_rest(
         return found, described
     naming = described.naming.without_unseen_numbers()
     again = confirm_naming(naming, confirming)
-    if again.naming.model is not naming.model or not is_confirmed(again.explained, described.block):
+    before, after = (c.explained.get(described.block, 0.0) for c in (found, again))
+    if again.naming.model is not naming.model or not is_confirmed(described, before, after):
         return found, replace(described, term=None, naming=None)
     return again, described
 

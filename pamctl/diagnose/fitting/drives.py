@@ -48,6 +48,7 @@ from pamctl.plant.drive import (
     Restarts,
     SampleGrid,
     build_grid,
+    count_steps,
     drive_coupled,
     drive_mechanics,
     drive_pressure,
@@ -68,8 +69,6 @@ CLEAR_OF_SIGNAL = 4.0
 """A cutoff so many times above a signal's highest frequency takes 0.4 % of its amplitude there."""
 MODELLED_HZ = 1.0
 """Cutoff for measured minus modelled pressure where the pressure block is at its floor."""
-LONGEST_STEP_S = 5e-4
-"""Step of the simulation at 1 kHz; slower records get more steps in a period."""
 VELOCITY_S = 0.031
 """Length of the parabolas that show the velocity."""
 SURE = 3.0
@@ -571,11 +570,6 @@ def _drive_by_load(
         count_steps(record.period_s),
         usable=record.counts,
     )
-
-
-def count_steps(period_s: float) -> int:
-    """Return the steps of the simulation in a period: none much longer than half a millisecond."""
-    return max(STEPS_A_TICK, round(period_s / LONGEST_STEP_S))
 
 
 def contraction_m(settings: PlantSettings, gauge_pa: float) -> float:

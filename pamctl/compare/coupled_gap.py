@@ -120,10 +120,10 @@ def compare_model(log: Log, plant: PlantParameters) -> Comparison:
         # The mechanics have no command, and need no step where one acts.
         steps = count_steps(find_period_s(part.dt_s[1:]))
         grid = build_grid(part.dt_s[1:], len(part), steps, part.acts_after_s, part.held_v)
-        if commanded:
+        if commanded and part.valve_v is not None:
             driven = drive_coupled(plant, part.valve_v, grid, start=start)
             rows["x"][stretch], rows["p"][stretch] = driven.position_m, driven.pressure_pa
-        if commanded and part.position_m is not None:
+        if commanded and part.valve_v is not None and part.position_m is not None:
             rows["block_p"][stretch] = drive_pressure(
                 plant, part.valve_v, part.position_m, grid, start=start
             ).pressure_pa
@@ -131,7 +131,7 @@ def compare_model(log: Log, plant: PlantParameters) -> Comparison:
             vented_pa = np.full(len(part), plant.atmospheric_pressure_pa)
             rows["block_x"][stretch] = drive_mechanics(
                 plant,
-                part.pressure_pa if pressed else vented_pa,
+                vented_pa if part.pressure_pa is None else part.pressure_pa,
                 part.dt_s[1:],
                 force_n=part.force_n if pulled else None,
                 start=start,

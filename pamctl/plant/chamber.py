@@ -14,6 +14,8 @@ from pamctl.plant.chains import pass_volume
 from pamctl.plant.effects.air.discharge_ratio import nozzle_ratio
 from pamctl.plant.effects.air.line_restriction import lag_weights, line_time_s
 from pamctl.plant.effects.air.polytropic import (
+    COLDEST,
+    HOTTEST,
     HeatShares,
     heat_shares,
     outflow_energy,
@@ -273,8 +275,11 @@ def exchange_heat(
     came = (after - before) / polytropic_slope(exponent, middle_m3)
     held = pressure_pa * air_volume_m3(p, position_m, pressure_pa) / warmth
     held += came if came > 0.0 else came / warmth
-    reached = end_pa * air_volume_m3(p, end_m, end_pa) / held
-    left = reached - (1.0 - heat.kept) * (warmth - 1.0)
+    energy = end_pa * air_volume_m3(p, end_m, end_pa)
+    if held <= 0.0 or energy <= 0.0:
+        return end_pa, 1.0
+    reached = energy / held
+    left = min(max(reached - (1.0 - heat.kept) * (warmth - 1.0), COLDEST), HOTTEST)
     return end_pa * left / reached, left
 
 

@@ -11,6 +11,11 @@ from typing import NamedTuple
 
 from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
 
+THINNEST = 1e-3
+"""Air of less density, over that of the atmosphere, has the walls' temperature at once."""
+COLDEST, HOTTEST = 0.3, 3.0
+"""Limits of T / T_0."""
+
 
 class Polytropic(NamedTuple):
     """Exponent of the change of state: 1 is isothermal, as in Eq. 7, 1.4 adiabatic."""
@@ -33,6 +38,8 @@ def heat_shares(polytropic: Polytropic, density: float, step_s: float) -> HeatSh
     """Return the shares for air of this density over that of the atmosphere."""
     if polytropic.wall_time_s <= 0.0:
         return HeatShares(1.0, 1.0)
+    if density < THINNEST:  # a search may ask for what no rig does
+        return HeatShares(0.0, 0.0)
     times = polytropic.wall_time_s * density / step_s
     kept = exp(-1.0 / times)
     return HeatShares(kept, times * (1.0 - kept))

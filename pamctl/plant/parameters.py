@@ -137,6 +137,8 @@ class AirState(NamedTuple):
     """Pressure at the line's valve end, where the sensor is; without a line, in the muscle."""
     branch_pa: float = 0.0
     """By how much a supply's fast branch lowers the pressure."""
+    warmth: float = 1.0
+    """Temperature of the muscle's air over that of the walls, T / T_0."""
 
 
 class MechanicsState(NamedTuple):

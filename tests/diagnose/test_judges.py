@@ -21,7 +21,7 @@ from support.made_records import measured, pair
 
 from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.fitting.block_fit import fit_numbers, rms
-from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, count_steps
+from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import list_free_numbers, recalibrate
@@ -39,6 +39,7 @@ from pamctl.diagnose.naming.unseen import hold_unseen_numbers, list_unseen
 from pamctl.diagnose.report.phrases import describe_bounds
 from pamctl.plant.drive import Restarts, drive_mechanics, drive_pressure
 from pamctl.plant.flat import parameters_of
+from pamctl.plant.drive import count_steps
 from pamctl.plant.model import PlantSettings
 from pamctl.plant.parameters import rest_state
 

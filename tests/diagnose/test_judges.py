@@ -37,9 +37,8 @@ from pamctl.diagnose.judging.windows import build_start_modes, cut_windows, esti
 from pamctl.diagnose.locate import draw_noise, locate_misfits
 from pamctl.diagnose.naming.unseen import hold_unseen_numbers, list_unseen
 from pamctl.diagnose.report.phrases import describe_bounds
-from pamctl.plant.drive import Restarts, drive_mechanics, drive_pressure
+from pamctl.plant.drive import Restarts, count_steps, drive_mechanics, drive_pressure
 from pamctl.plant.flat import parameters_of
-from pamctl.plant.drive import count_steps
 from pamctl.plant.model import PlantSettings
 from pamctl.plant.parameters import rest_state
 

@@ -126,7 +126,6 @@ async function roll(held, spanS) {
 }
 
 async function stepScope() {
-  const beganMs = performance.now();
   try {
     if (scope.mode !== "still" && !document.hidden) {
       const held = await (await ask("/scope/state", {})).json();
@@ -143,7 +142,6 @@ async function stepScope() {
   } catch (error) {
     sayScope(error.message);
   }
-  setTimeout(stepScope, restMs(SCOPE_MS, beganMs));
 }
 
 function sayScope(text) {
@@ -579,7 +577,7 @@ function wireScope() {
   sight.observe(byId("panes"));
   buildPanes();
   setMode("roll");
-  stepScope();
+  repeat(SCOPE_MS, stepScope);
 }
 
 async function saveCut() {

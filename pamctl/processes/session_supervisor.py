@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.realtime.orders import Orders
 
-EMERGENCY = Ending(ExitCode.SAFETY_TRIP, "emergency stop")
+EMERGENCY = Ending(ExitCode.SAFETY_TRIP, EMERGENCY_STOP)
 
 
 class SessionSupervisor:

@@ -81,9 +81,10 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
         twin.__qualname__ += f"_with_{substitution[1].__qualname__}"
     twin.__module__ = kernel.__module__
     modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
-    return _import_numba(*modules).njit(
+    numba, folder = _import_numba(*modules)
+    return numba.njit(
         twin,
-        cache=for_python and _may_cache(),
+        cache=for_python and not explain_unwritable(folder),
         error_model="python",  # division by zero raises, as in the plain function
         no_cpython_wrapper=not for_python,
         no_cfunc_wrapper=True,
@@ -129,21 +130,22 @@ def _reaches(kernel: FunctionType, target: FunctionType) -> bool:
     )
 
 
-def _import_numba(*modules: str) -> ModuleType:
-    """Return numba, with a cache for these modules' kernels, keyed by all their dependencies."""
+def _import_numba(*modules: str) -> tuple[ModuleType, Path]:
+    """Return numba, and its cache for these modules' kernels, keyed by all their dependencies."""
     import numba
 
     # numba checks only a kernel's own file for changes;
     # our kernels use kernels and types of other files.
     settings: Any = numba.config
-    settings.CACHE_DIR = str(_find_cache(_hash_sources(*modules)))
-    return numba
+    folder = _find_cache(_hash_sources(*modules))
+    settings.CACHE_DIR = str(folder)
+    return numba, folder
 
 
 @cache
 def _find_cache(key: str) -> Path:
     """Return the folder of a key, marked as used; a new key removes what is long unused."""
-    folder = _cache_home() / "pamctl" / f"kernels-{key}"
+    folder = find_code_folder() / f"kernels-{key}"
     with suppress(OSError):  # without a cache everything is compiled anew
         if folder.is_dir():
             os.utime(folder)
@@ -160,19 +162,31 @@ def _remove_unused(home: Path) -> None:
             rmtree(folder, ignore_errors=True)
 
 
-def _cache_home() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+def find_code_folder() -> Path:
+    """Return the user's private folder for machine code; /tmp is shared, and thus no substitute."""
+    if given := os.environ.get("XDG_CACHE_HOME"):
+        return Path(given) / "pamctl"
+    try:
+        return Path.home() / ".cache" / "pamctl"
+    except RuntimeError:  # neither HOME nor an entry among the users, as in a container
+        return Path(os.devnull) / "pamctl"
 
 
 @cache
-def _may_cache() -> bool:
-    """Return whether the user has a private folder for machine code; /tmp is shared."""
+def explain_unwritable(folder: Path) -> str:
+    """Make a folder for machine code; tell why none can be kept in it. Empty where it can be."""
+    if Path(os.devnull) in folder.parents:
+        return "this user has no home directory; name a folder with XDG_CACHE_HOME"
     try:
-        _cache_home().mkdir(parents=True, exist_ok=True)
-        has_room = disk_usage(_cache_home()).free > _CACHE_BYTES  # numba fails on a full disk
-    except OSError:
-        return False
-    return has_room and os.access(_cache_home(), os.W_OK)
+        folder.mkdir(parents=True, exist_ok=True)
+        if disk_usage(folder).free < _CACHE_BYTES:  # numba fails on a full disk
+            return f"less than {_CACHE_BYTES / 1e6:.0f} MB are free at {folder}"
+        # A folder below may be of another user, as after a run with sudo.
+        places = [folder, *filter(Path.is_dir, folder.iterdir())]
+    except OSError as error:
+        return f"{folder}: {error.strerror or error}"
+    foreign = [str(place) for place in places if not os.access(place, os.W_OK)]
+    return f"{foreign[0]}: it cannot be written" if foreign else ""
 
 
 @cache

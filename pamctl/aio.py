@@ -96,7 +96,7 @@ class AsyncRig:
         await self.close()
 
     async def _open(self) -> SteeredRig:
-        return self._rig or await self._call(self._open_here)
+        return await self._call(self._open_here) if self._rig is None else self._rig
 
     def _open_here(self) -> SteeredRig:
         """Connect, in the worker's thread: of two first calls the second finds the rig there."""

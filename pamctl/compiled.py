@@ -20,7 +20,7 @@ from functools import cache
 from importlib.util import resolve_name
 from pathlib import Path
 from shutil import disk_usage, rmtree
-from types import FunctionType, ModuleType
+from types import FunctionType
 from typing import Any, TypeVar, cast
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -31,6 +31,15 @@ _CACHE_BYTES = 50_000_000
 _UNUSED_S = 30 * 86_400.0
 """Machine code of sources that nobody ran for so long is removed."""
 
+
+class Progress:
+    """What a user who waits may want to know."""
+
+    compiles_first = False
+    """Nobody ran this code here before: it is compiled first, for some 20 s."""
+
+
+progress = Progress()
 
 Substitution = tuple[Callable[..., Any], Callable[..., Any]]
 """A function, and the kernel that compiled code calls instead of it."""
@@ -81,10 +90,12 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
         twin.__qualname__ += f"_with_{substitution[1].__qualname__}"
     twin.__module__ = kernel.__module__
     modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
-    numba, folder = _import_numba(*modules)
-    return numba.njit(
+    import numba
+
+    njit: Any = numba.njit
+    return njit(
         twin,
-        cache=for_python and not explain_unwritable(folder),
+        cache=for_python and _choose_cache(*modules),
         error_model="python",  # division by zero raises, as in the plain function
         no_cpython_wrapper=not for_python,
         no_cfunc_wrapper=True,
@@ -130,8 +141,11 @@ def _reaches(kernel: FunctionType, target: FunctionType) -> bool:
     )
 
 
-def _import_numba(*modules: str) -> tuple[ModuleType, Path]:
-    """Return numba, and its cache for these modules' kernels, keyed by all their dependencies."""
+def _choose_cache(*modules: str) -> bool:
+    """Give numba a cache for these modules' kernels, keyed by all their dependencies.
+
+    Return whether it can be written.
+    """
     import numba
 
     # numba checks only a kernel's own file for changes;
@@ -139,7 +153,8 @@ def _import_numba(*modules: str) -> tuple[ModuleType, Path]:
     settings: Any = numba.config
     folder = _find_cache(_hash_sources(*modules))
     settings.CACHE_DIR = str(folder)
-    return numba, folder
+    progress.compiles_first = progress.compiles_first or not folder.is_dir()
+    return not explain_unwritable(folder)
 
 
 @cache

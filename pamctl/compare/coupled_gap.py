@@ -117,6 +117,7 @@ def compare_model(log: Log, plant: PlantParameters) -> Comparison:
             rows["block_p"][stretch] = drive_pressure(
                 plant, part.valve_v, part.position_m, grid, start=start
             ).pressure_pa
+        del grid  # of a long log, a third of all memory; the mechanics need another one
         if part.pressure_pa is not None:
             rows["block_x"][stretch] = drive_mechanics(
                 plant, part.pressure_pa, part.dt_s[1:], start=start

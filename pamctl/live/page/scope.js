@@ -8,7 +8,7 @@ const MOST_FIELDS = 12;
 const MOST_MARKS = 20;
 const MARK_S = 1; // so far to each side of a mark is shown
 const COLOURS = ["--c0", "--c1", "--c2", "--c3"];
-const FIRST_LAYOUT = [["reference_m", "position_m"], ["error_m"], ["valve_v"]];
+const FIRST_LAYOUT = [["position_m", "reference_m"], ["error_m"], ["valve_v"]];
 const INT_MAX = 2 ** 52;
 
 const store = {
@@ -399,6 +399,7 @@ function showSpectrum() {
   byId("spectrum").hidden = chosen === "";
   if (chosen === "") return;
   const result = currentSpectrum(), { factor, unit } = shownUnit(chosen);
+  byId("spectrumplot").hidden = !result;
   spectrumChart ??= new uPlot({
     width: byId("spectrum").clientWidth || 300, height: PANE_HEIGHT, legend: { show: false },
     scales: { x: { time: false, distr: 3 }, y: { distr: 3 } },

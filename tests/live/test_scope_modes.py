@@ -198,22 +198,6 @@ def test_the_arrow_keys_and_enter_go_to_a_position(up: Daemon, holding: Path, ta
     up.wait_for("ready")
 
 
-def test_a_gain_that_the_keyboard_changed_keeps_the_keyboard(
-    up: Daemon, holding: Path, tab: Page
-) -> None:
-    slider = "document.querySelector('[data-gain=eta] input[type=range]')"
-    values = [up.ask("status")["controller"]["eta"]]
-    tab.value(f"{slider}.focus()")
-    for _ in range(2):
-        tab.press("ArrowUp")
-        up.wait_until(lambda s: s["controller"]["eta"] > values[-1])
-        values.append(up.ask("status")["controller"]["eta"])
-        tab.wait_for(f"document.activeElement === {slider}")
-    for _ in range(2):
-        up.ask("undo")
-    assert up.ask("status")["controller"]["eta"] == values[0]
-
-
 def test_page_and_log_say_who_changed_which_gain_and_anyone_can_undo_it(
     up: Daemon, holding: Path, tab: Page
 ) -> None:
@@ -241,6 +225,22 @@ def test_page_and_log_say_who_changed_which_gain_and_anyone_can_undo_it(
     assert marks[:3] == texts
     up.ask("goto", position_m=8e-3, within_s=0.5)
     up.wait_for("ready")
+
+
+def test_a_gain_that_the_keyboard_changed_keeps_the_keyboard(
+    up: Daemon, holding: Path, tab: Page
+) -> None:
+    slider = "document.querySelector('[data-gain=eta] input[type=range]')"
+    values = [up.ask("status")["controller"]["eta"]]
+    tab.value(f"{slider}.focus()")
+    for _ in range(2):
+        tab.press("ArrowUp")
+        up.wait_until(lambda s: s["controller"]["eta"] > values[-1])
+        values.append(up.ask("status")["controller"]["eta"])
+        tab.wait_for(f"document.activeElement === {slider}")
+    for _ in range(2):
+        up.ask("undo")
+    assert up.ask("status")["controller"]["eta"] == values[0]
 
 
 @as_root

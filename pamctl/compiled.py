@@ -19,15 +19,15 @@ from contextlib import suppress
 from functools import cache
 from importlib.util import resolve_name
 from pathlib import Path
-from shutil import disk_usage, rmtree
+from shutil import rmtree
 from types import FunctionType
 from typing import Any, TypeVar, cast
+
+from pamctl.code_folder import explain_unwritable, find_code_folder
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 _HOUSE = ("pamctl", "hal")
-_CACHE_BYTES = 50_000_000
-"""Free space that machine code may need."""
 _UNUSED_S = 30 * 86_400.0
 """Machine code of sources that nobody ran for so long is removed."""
 
@@ -175,33 +175,6 @@ def _remove_unused(home: Path) -> None:
     for folder in home.glob("kernels-*"):
         if now_s - folder.stat().st_mtime > _UNUSED_S:
             rmtree(folder, ignore_errors=True)
-
-
-def find_code_folder() -> Path:
-    """Return the user's private folder for machine code; /tmp is shared, and thus no substitute."""
-    if given := os.environ.get("XDG_CACHE_HOME"):
-        return Path(given) / "pamctl"
-    try:
-        return Path.home() / ".cache" / "pamctl"
-    except RuntimeError:  # neither HOME nor an entry among the users, as in a container
-        return Path(os.devnull) / "pamctl"
-
-
-@cache
-def explain_unwritable(folder: Path) -> str:
-    """Make a folder for machine code; tell why none can be kept in it. Empty where it can be."""
-    if Path(os.devnull) in folder.parents:
-        return "this user has no home directory; name a folder with XDG_CACHE_HOME"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if disk_usage(folder).free < _CACHE_BYTES:  # numba fails on a full disk
-            return f"less than {_CACHE_BYTES / 1e6:.0f} MB are free at {folder}"
-        # A folder below may be of another user, as after a run with sudo.
-        places = [folder, *filter(Path.is_dir, folder.iterdir())]
-    except OSError as error:
-        return f"{folder}: {error.strerror or error}"
-    foreign = [str(place) for place in places if not os.access(place, os.W_OK)]
-    return f"{foreign[0]}: it cannot be written" if foreign else ""
 
 
 @cache

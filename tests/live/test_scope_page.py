@@ -191,7 +191,8 @@ def test_a_minute_at_10_khz_is_drawn_by_its_extremes_and_kept_whole(tab: Page) -
         f"(() => {{ const n = {count}, t = Float64Array.from({{ length: n }}, (_, k) => k * 1e-4);"
         " const wave = t.map(s => Math.sin(s)), tick = t.map((_, k) => k);"
         f" wave[{spike}] = 9; wave[{dip}] = -9; wave[7] = NaN;"
-        " setMode('still'); scope.rateHz = 10000; window.panesBefore = scope.panes; scope.panes = [['error_m']]; buildPanes();"
+        " setMode('still'); scope.rateHz = 10000; scope.view = null;"
+        " window.panesBefore = scope.panes; scope.panes = [['error_m']]; buildPanes();"
         " showCapture({ log: '', first: 0, last: n - 1, trigger: null, every: 1, events: [],"
         " raw: { tick, t_s: t, error_m: wave }, t0: 0, ticks: tick, t }); })()"
     )

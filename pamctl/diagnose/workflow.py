@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 from pamctl.bounded_memory import forget_results
 from pamctl.diagnose.audit import audit_model
@@ -87,6 +88,7 @@ def diagnose(
     Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
     library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
+    began_s = perf_counter()
     forget_results()  # of the diagnosis before: no key of it comes again
     progress = progress or (lambda line: None)
     stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
@@ -102,15 +104,13 @@ def diagnose(
         return Diagnosis(Verdict.BAD_DATA, plant, plant, reasons, train=given, setup=refused)
     candidates = list_candidates(evidence, without)
     count = len({candidate.name for candidate in candidates})  # some have several forms
-    progress(
-        f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates; "
-        f"{guess_time_left(evidence)}"
-    )
+    progress(f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates")
     recalibrated = _recalibrate(evidence, candidates, train, holdout, executor, progress)
     train, holdout = [*recalibrated.train], [*recalibrated.holdout]
     base = weigh_blocks(recalibrated.base)
     ratios = ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks)
-    progress(f"recalibrated: {ratios}")
+    worst = max(base.ratio(block) for block in evidence.blocks)
+    progress(f"recalibrated: {ratios}; {guess_time_left(perf_counter() - began_s, worst)}")
     effects = FirstLevel(candidates)
     setup = suspect_setup(base, train, holdout, effects, progress, recalibrated.findings)
     if setup.refusal:

@@ -27,7 +27,7 @@ from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.integrator import compare_substeps
+from pamctl.diagnose.fitting.integrator import compare_substeps, refine_substeps
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.split import (
     ConfirmedOn,
@@ -213,7 +213,8 @@ def _describe_rest(
         return found, described
     naming = described.naming.without_unseen_numbers()
     again = confirm_naming(naming, confirming)
-    if again.naming.model is not naming.model or not is_confirmed(again.explained, described.block):
+    before, after = (c.explained.get(described.block, 0.0) for c in (found, again))
+    if again.naming.model is not naming.model or not is_confirmed(described, before, after):
         return found, replace(described, term=None, naming=None)
     return again, described
 
@@ -244,7 +245,9 @@ def _recalibrate(
     """
     given = (tuple(train), tuple(holdout))
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        return _Recalibrated(recalibrate(evidence), *given)
+        base = recalibrate(evidence)
+        finer = refine_substeps(base)
+        return _Recalibrated(base if finer is evidence else recalibrate(finer), *given)
     alone = recalibrate(evidence.select_blocks({PRESSURE}))
     effects = FirstLevel(candidates)
     setup = suspect_air_first(alone, evidence, train, holdout, effects, progress)

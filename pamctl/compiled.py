@@ -23,7 +23,7 @@ from shutil import rmtree
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
-from pamctl.code_folder import explain_unwritable, find_code_folder
+from pamctl.code_folder.find_code_folder import explain_unwritable, find_code_folder
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 

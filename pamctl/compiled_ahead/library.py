@@ -14,7 +14,7 @@ from shutil import which
 from types import ModuleType
 from typing import Any
 
-from pamctl.code_folder import find_code_folder
+from pamctl.code_folder.find_code_folder import find_code_folder
 
 _ROOT = Path(__file__).parents[2]
 _SOURCES = (

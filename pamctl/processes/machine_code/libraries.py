@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hal.rig import Rig
 from hal.sim.sim_rig import SimRig
-from pamctl.code_folder import explain_unwritable
+from pamctl.code_folder.find_code_folder import explain_unwritable
 from pamctl.compiled_ahead.layout import NotFlat
 from pamctl.compiled_ahead.library import (
     KernelLibrary,

@@ -96,8 +96,8 @@ def tune(
             "--hardest",
             metavar="N",
             min=2,
-            help="Run only the N drawn plants that are hardest for the first gains; the quantile "
-            "stays that of all",
+            help="Run all gains only on the N drawn plants that are hardest for the first ones, "
+            "and the best gains on all",
             show_default="all",
         ),
     ] = None,

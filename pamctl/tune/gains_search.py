@@ -5,7 +5,8 @@ from the population before it. An interrupted search therefore goes on exactly a
 been interrupted, and the same seed gives the same gains on any number of processes.
 
 A short trial does not see everything: gains that are calm through its one cycle may oscillate in
-a whole experiment. So a rival that would come among the best is tried a second time, longer.
+a whole experiment, or on a plant that is easy for others. So a rival that would come among the
+best is tried a second time: longer, and on every plant.
 """
 
 from __future__ import annotations
@@ -69,14 +70,19 @@ class Jury(NamedTuple):
     """Quantile of the drawn ones that counts: 1 is the worst one, 0.95 leaves out the worst 5 %."""
     named: tuple[Member, ...]
     """Plants beside the drawn ones. The worst of them counts as much as all drawn ones."""
-    easy: int = 0
-    """Drawn plants that are not run: the quantile is of them too, below all that are run."""
+    easy: tuple[Member, ...] = ()
+    """Drawn plants that are run for the best gains only: for all others they count as easy."""
 
     @property
     def allowed_outliers(self) -> int:
         """How many drawn plants may exceed a limit that the quantile keeps."""
-        last = len(self.drawn) + self.easy - 1
+        last = len(self.drawn) + len(self.easy) - 1
         return last - math.floor(self.quantile * last)
+
+    @property
+    def whole(self) -> Jury:
+        """The jury in which the easy ones are run as well, after the others."""
+        return self._replace(drawn=(*self.drawn, *self.easy), easy=())
 
 
 class Cost(NamedTuple):
@@ -94,7 +100,8 @@ def compute_cost(
 ) -> Cost:
     """Return the cost of gains: the largest error over its bound, named plants plus drawn ones.
 
-    The quantile of the drawn ones counts. They run in the given order. As soon as the gains are
+    The quantile of the drawn ones counts. They run in the given order, which may go on to plants
+    that the jury does not have. As soon as the gains are
     known to exceed the limit, the other plants are left out.
     """
     if controller is None:  # these gains contradict each other
@@ -105,12 +112,13 @@ def compute_cost(
         if worst_named > limit:
             return Cost(worst_named, runs)
     ratios = np.full(len(jury.drawn), math.nan)
-    for runs, at in enumerate(order, len(jury.named) + 1):
+    own = [at for at in order if at < len(ratios)]
+    for runs, at in enumerate(own, len(jury.named) + 1):
         ratios[at] = trial.verdict(controller, jury.drawn[at]).cost
         beyond = ratios[worst_named + ratios > limit]
         if len(beyond) > jury.allowed_outliers:
             return Cost(worst_named + float(beyond.min()), runs)
-    all_drawn = np.concatenate([np.zeros(jury.easy), ratios])
+    all_drawn = np.concatenate([np.zeros(len(jury.easy)), ratios])
     of_drawn = float(np.quantile(all_drawn, jury.quantile)) if jury.drawn else 0.0
     return Cost(worst_named + of_drawn, len(jury.named) + len(jury.drawn), tuple(ratios.tolist()))
 
@@ -128,14 +136,14 @@ class GainsSearch:
     """File that keeps the search after each generation, so that it can be resumed."""
     trial: GainsTrial = field(default_factory=GainsTrial)
     elite_trial: GainsTrial | None = None
-    """Longer trial that gains must also stand to be among the best; None for no second one."""
+    """Longer trial that gains must also stand to be among the best, on the whole jury; or None."""
     compensate: tuple[str, ...] = ()
     """Effects that every candidate undoes; the gains name them."""
 
     def __post_init__(self) -> None:
         """Begin, or resume the search in `state`; raise `SearchError` if that is another one."""
         self._space = find_space(self.law, self.compensate)
-        self._order = list(range(len(self.jury.drawn)))
+        self._order = list(range(len(self.jury.whole.drawn)))
         self._generation = 0
         self._runs = self._longer_runs = 0
         self._population = self._draw_population()
@@ -162,7 +170,7 @@ class GainsSearch:
         points = self._population if self._generation == 0 else self._make_offspring()
         controllers = [self._controller(point) for point in points]
         everybody = np.arange(len(points))
-        tried = self._try_gains(self.trial, controllers, everybody, executor)
+        tried = self._try_gains(self.jury, self.trial, controllers, everybody, executor)
         self._runs += sum(each.runs for each in tried)
         if self.elite_trial is not None:
             self._confirm_elite(tried, self.elite_trial, controllers, executor)
@@ -181,13 +189,14 @@ class GainsSearch:
 
     def _try_gains(
         self,
+        jury: Jury,
         trial: GainsTrial,
         controllers: Sequence[Any],
         rivals: NDArray[np.int64],
         executor: Executor | None,
     ) -> list[Cost]:
         """Return the cost of some rivals, each up to that of the gains it would replace."""
-        cost = partial(compute_cost, jury=self.jury, trial=trial, order=self._order)
+        cost = partial(compute_cost, jury=jury, trial=trial, order=self._order)
         limits = np.minimum(self._costs[rivals], _COST_LIMIT).tolist()
         share_out = map if executor is None else executor.map
         return list(share_out(cost, [controllers[at] for at in rivals], limits))
@@ -199,7 +208,7 @@ class GainsSearch:
         controllers: Sequence[Any],
         executor: Executor | None,
     ) -> None:
-        """Try rivals that would be among the best a second time; raise their cost in `tried`.
+        """Try rivals that would be among the best on the whole jury; raise their cost in `tried`.
 
         Who falls behind makes room for another, which is tried too. The worst of the best never
         gets worse, so whoever is among them in a later generation has been tried.
@@ -211,7 +220,7 @@ class GainsSearch:
             asked = best[~sure[best] & (costs[best] < self._costs[best])]
             if not len(asked):
                 return
-            longer = self._try_gains(trial, controllers, asked, executor)
+            longer = self._try_gains(self.jury.whole, trial, controllers, asked, executor)
             for at, found in zip(asked, longer, strict=True):
                 tried[at] = found._replace(value=max(tried[at].value, found.value))
                 self._longer_runs += found.runs
@@ -269,7 +278,7 @@ class GainsSearch:
             "law": self.law,
             "seed": self.seed,
             "quantile": self.jury.quantile,
-            "easy": self.jury.easy,
+            "easy": [member.name for member in self.jury.easy],
             "trial": self.trial.length,
             "elite_trial": self.elite_trial and self.elite_trial.length,
             "drawn": [member.name for member in self.jury.drawn],
@@ -280,7 +289,7 @@ class GainsSearch:
 
     def _digest(self) -> str:
         """Tell plants and spaces apart that changed and kept their names."""
-        plants = (*self.jury.drawn, *self.jury.named)
+        plants = (*self.jury.whole.drawn, *self.jury.named)
         text = [repr(self._space.space[:2]), *(repr(plant.__reduce__()[1]) for plant in plants)]
         return hashlib.sha256("\n".join(text).encode()).hexdigest()[:16]
 

@@ -106,14 +106,14 @@ def search_gains(
 def _choose_jury(executor: Executor, task: TuningTask) -> Jury:
     """Return the plants that judge: of the drawn ones, those that are hardest for the first gains.
 
-    Most drawn plants are far inside with any sensible gains, and running them tells nothing.
+    Most drawn plants are far inside with sensible gains. Only the best gains are run on them.
     """
     if task.hardest is None:
         return task.jury
     verdicts = executor.map(partial(_judge_member, task.first_gains), task.drawn)
     order = np.argsort([-verdict.worst for verdict in verdicts], kind="stable")
-    hardest = tuple(task.drawn[at] for at in order[: task.hardest])
-    return task.jury._replace(drawn=hardest, easy=len(task.drawn) - len(hardest))
+    sorted_ = tuple(task.drawn[at] for at in order)
+    return task.jury._replace(drawn=sorted_[: task.hardest], easy=sorted_[task.hardest :])
 
 
 def _score_gains(executor: Executor, controller: Any, task: TuningTask) -> dict[str, Scores]:

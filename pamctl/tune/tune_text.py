@@ -19,7 +19,7 @@ def describe_effort(task: TuningTask, best: BestGains) -> str:
     kind = f"the quantile {task.quantile:g}" if task.quantile < 1.0 else "the worst"
     drawn = f"{kind} of {len(task.drawn)} drawn plants" if task.drawn else ""
     if task.hardest is not None:
-        drawn += f" ({task.hardest} of them run, the hardest for the first gains)"
+        drawn += f" (the {task.hardest} hardest for the first gains for all, the rest for the best)"
     named = " and ".join(member.name for member in task.named)
     judges = ", and for ".join(filter(None, [drawn, named]))
     runs = f"{best.evaluations} runs of {task.trial.duration_s:g} s"

@@ -49,7 +49,7 @@ class TuningTask:
     compensate: tuple[str, ...] = ()
     """Effects that the gains undo, each with the numbers of the plant that it is judged on."""
     hardest: int | None = None
-    """How many drawn plants judge, those that are hardest for the first gains; None for all."""
+    """How many drawn plants all gains run on, those hardest for the first ones; None for all."""
 
     @property
     def trial(self) -> GainsTrial:
@@ -113,7 +113,7 @@ class TuningTask:
             message = "there are no fresh plants: with --plant, give --ensemble too"
             raise _option_error(f"--held-out {held_out}", message)
         drawn = draw_ensemble(size or _DEFAULT_SIZE, seed) if draws else []
-        _require_enough(hardest, len(drawn), quantile)
+        _require_enough(hardest, drawn, quantile)
         judges = held_out or _DEFAULT_HELD_OUT
         fresh = draw_ensemble(judges, seed + _FRESH_SEED_OFFSET) if draws else []
         begun = None if began is None else settings_to_data(began)
@@ -138,15 +138,15 @@ def _require_undoable(names: Sequence[str], members: Sequence[Member]) -> None:
             raise _option_error(f"--compensate {' '.join(names)}", str(error)) from None
 
 
-def _require_enough(hardest: int | None, drawn: int, quantile: float) -> None:
+def _require_enough(hardest: int | None, drawn: Sequence[Member], quantile: float) -> None:
     """Refuse so few plants that the quantile of all would lie among those that are not run."""
     if hardest is None:
         return
-    fewest = Jury((), quantile, (), easy=drawn).allowed_outliers + 2
-    if not fewest <= hardest <= drawn:
+    fewest = Jury(tuple(drawn), quantile, ()).allowed_outliers + 2
+    if not fewest <= hardest <= len(drawn):
         raise _option_error(
             f"--hardest {hardest}",
-            f"must be {fewest} to {drawn}: the quantile {quantile:g} of {drawn} drawn plants "
+            f"must be {fewest} to {len(drawn)}: the quantile {quantile:g} of the drawn plants "
             "must lie among the plants that are run"
             if drawn
             else "needs drawn plants: give --ensemble too",

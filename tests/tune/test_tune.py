@@ -223,7 +223,8 @@ def test_skipping_plants_never_changes_the_best_gains(
 def test_plants_that_are_not_run_count_as_far_inside() -> None:
     """The quantile of the whole ensemble, from its hardest plants alone."""
     whole = Jury(called(*range(20)), 0.8, ())
-    hardest = Jury(called(*range(10, 20)), 0.8, (), easy=10)
+    hardest = Jury(called(*range(10, 20)), 0.8, (), easy=called(*range(10)))
+    assert {m.name for m in hardest.whole.drawn} == {m.name for m in whole.drawn}
     assert hardest.allowed_outliers == whole.allowed_outliers == 4
     of_all = compute_cost(PID, np.inf, whole, Told(), range(20))
     of_hardest = compute_cost(PID, np.inf, hardest, Told(), range(10))
@@ -267,6 +268,22 @@ def test_the_best_gains_also_stand_the_longer_trial() -> None:
     assert 8.0 < found.gains["kp_v_per_length"] <= 10.0
     assert found.cost == pytest.approx(1.0 / found.gains["kp_v_per_length"])
     assert 0 < found.longer_evaluations < found.evaluations
+
+
+def test_the_best_gains_also_stand_the_plants_that_are_easy_for_others() -> None:
+    """The named plant likes K_P; the easy one trips above 10 V/mm, which only the elite sees."""
+
+    class Picky(GainsTrial):
+        def verdict(self, controller: Any, member: Member) -> GainsVerdict:
+            trips = member.name == "easy" and controller.kp_v_per_length > 10.0
+            return GainsVerdict(5.0 if trips else 1.0 / controller.kp_v_per_length, "", {}, 0.0)
+
+    hard, easy = (Member(name, PAPER[0].plant) for name in ("hard", "easy"))
+    jury = Jury((hard,), 1.0, (), easy=(easy,))
+    going = GainsSearch("pid", jury, 1, trial=Picky(), elite_trial=Picky("whole"))
+    for _ in range(12):
+        found = going.advance()
+    assert 8.0 < found.gains["kp_v_per_length"] <= 10.0
 
 
 def test_several_processes_or_threads_find_the_same_gains(three_generations: list[float]) -> None:

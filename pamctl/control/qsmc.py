@@ -145,11 +145,11 @@ LAW = Law(
     search=SearchSpace(
         fixed={"law": "qsmc", **FIXED_SLIDING, "q": _SEARCH_TERMS[0]},
         axes=(
-            GainAxis("lambda_per_s", 5.0, 80.0, 33.0),
-            GainAxis("stiffness_v_per_mm", *STIFFNESS_BOUNDS, 21.0),
+            GainAxis("lambda_per_s", 5.0, 80.0, 30.0),
+            GainAxis("stiffness_v_per_mm", *STIFFNESS_BOUNDS, 25.0),
             *REACHING_AXES,
-            GainAxis("lpf1_hz", *LPF1_BOUNDS, 435.0),
-            GainAxis("lpf2_hz", *LPF2_BOUNDS, 435.0),
+            GainAxis("lpf1_hz", *LPF1_BOUNDS, 200.0),
+            GainAxis("lpf2_hz", *LPF2_BOUNDS, 430.0),
         ),
         to_gains=_to_gains,
         from_gains=_from_gains,

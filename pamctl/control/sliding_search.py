@@ -25,7 +25,7 @@ FIXED_SLIDING: dict[str, Any] = {"length_unit": "mm", "reaching_law": "eta_abs_s
 STIFFNESS_BOUNDS = (0.3, 100.0)
 LPF1_BOUNDS = (40.0, 440.0)
 LPF2_BOUNDS = (10.0, 440.0)
-REACHING_AXES = (GainAxis("eta", 1e-3, 1e3, 1.2), GainAxis("boundary_mm", 1e-5, 10.0, 1e-4))
+REACHING_AXES = (GainAxis("eta", 1e-3, 1e3, 2.0), GainAxis("boundary_mm", 1e-5, 10.0, 1e-4))
 
 
 def sliding_gains_at(

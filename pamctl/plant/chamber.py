@@ -30,6 +30,20 @@ SOLVED_PA = 1e-3
 """Tolerance of a pressure that is found by iteration."""
 
 
+class AirBegin(NamedTuple):
+    """What the air's part of a step begins with."""
+
+    pressure_pa: float
+    """Absolute pressure in the muscle."""
+    air: AirState
+    opening_v: float
+    position_m: float
+    middle_m: float
+    """Position that is expected in the middle of the step."""
+    age_s: float
+    step_s: float
+
+
 class Ports(NamedTuple):
     """Open areas during a step, m^2."""
 
@@ -242,12 +256,10 @@ def solve_pressure_of_air(
 
 def fill_chamber(
     p: AirParameters,
-    air: AirState,
-    pressure_pa: float,
+    begin: AirBegin,
     fed_by: MuscleFeed,
     leak_kg_per_s: float,
     worth: float,
-    position_m: float,
     end_m: float,
     step_s: float,
 ) -> tuple[float, float]:
@@ -255,9 +267,9 @@ def fill_chamber(
 
     Air is conserved: air that the line's volume takes up does not reach the muscle.
     """
-    line = p.effects.line_restriction
+    line, pressure_pa, air = p.effects.line_restriction, begin.pressure_pa, begin.air
     energy = step_s * p.paper.specific_energy_j_per_kg
-    amount = amount_of_air(p, position_m, pressure_pa)
+    amount = amount_of_air(p, begin.position_m, pressure_pa)
     if line.resistance_pa_s_per_kg <= 0.0 and line.volume_m3 <= 0.0:
         amount += energy * (fed_by.inflow_kg_per_s + leak_kg_per_s) * worth
         end_pa = solve_pressure_of_air(p, amount, end_m, 0.0, pressure_pa)
@@ -320,51 +332,32 @@ def stop_at_balance(
     return next_pa, next_pa == source_pa
 
 
-def chamber_middle_pa(
-    p: AirParameters,
-    pressure_pa: float,
-    air: AirState,
-    opening_v: float,
-    position_m: float,
-    middle_m: float,
-    step_s: float,
-) -> tuple[float, bool]:
+def chamber_middle_pa(p: AirParameters, begin: AirBegin) -> tuple[float, bool]:
     """Return the predicted absolute pressure in the middle of the step, and whether it balances."""
-    open_to, half_s = port_areas(p, opening_v), 0.5 * step_s
+    pressure_pa, air, half_s = begin.pressure_pa, begin.air, 0.5 * begin.step_s
+    open_to = port_areas(p, begin.opening_v)
     fed_by = solve_feed(p, air, open_to, pressure_pa, pressure_pa, half_s)
     leak = leak_flow(p, pressure_pa)
-    worth = polytropic_slope(p.effects.polytropic, air_volume_m3(p, position_m, pressure_pa))
-    middle_pa, _ = fill_chamber(
-        p, air, pressure_pa, fed_by, leak, worth, position_m, middle_m, half_s
-    )
+    worth = polytropic_slope(p.effects.polytropic, air_volume_m3(p, begin.position_m, pressure_pa))
+    middle_pa, _ = fill_chamber(p, begin, fed_by, leak, worth, begin.middle_m, half_s)
     net = fed_by.inflow_kg_per_s + leak
     return stop_at_balance(p, air, open_to, pressure_pa, middle_pa, net, half_s)
 
 
 def chamber_step(
-    p: AirParameters,
-    pressure_pa: float,
-    air: AirState,
-    middle_pa: float,
-    balanced: bool,
-    opening_v: float,
-    position_m: float,
-    middle_m: float,
-    end_m: float,
-    step_s: float,
+    p: AirParameters, begin: AirBegin, middle_pa: float, balanced: bool, end_m: float
 ) -> tuple[float, AirState]:
     """Advance the muscle's absolute pressure, the supply and the line by one midpoint step."""
-    open_to, half_s = port_areas(p, opening_v), 0.5 * step_s
-    fed_by = solve_feed(p, air, open_to, pressure_pa, middle_pa, half_s)
+    air, step_s, half_s = begin.air, begin.step_s, 0.5 * begin.step_s
+    open_to = port_areas(p, begin.opening_v)
+    fed_by = solve_feed(p, air, open_to, begin.pressure_pa, middle_pa, half_s)
     supply_pa, branch_pa = advance_supply(p, air, open_to, fed_by, step_s)
     if balanced:
         # See `pressure_step`: the flow ends within this step.
         return middle_pa, AirState(supply_pa, middle_pa, branch_pa)
     leak = leak_flow(p, middle_pa)
-    worth = polytropic_slope(p.effects.polytropic, air_volume_m3(p, middle_m, middle_pa))
-    end_pa, line_pa = fill_chamber(
-        p, air, pressure_pa, fed_by, leak, worth, position_m, end_m, step_s
-    )
+    worth = polytropic_slope(p.effects.polytropic, air_volume_m3(p, begin.middle_m, middle_pa))
+    end_pa, line_pa = fill_chamber(p, begin, fed_by, leak, worth, end_m, step_s)
     if p.effects.line_restriction.resistance_pa_s_per_kg <= 0.0:
         net = fed_by.inflow_kg_per_s + leak
         end_pa, _ = stop_at_balance(p, air, open_to, middle_pa, end_pa, net, half_s)

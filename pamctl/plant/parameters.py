@@ -16,7 +16,7 @@ from pamctl.plant.chains import (
 from pamctl.plant.correction_tables import Correction
 from pamctl.plant.effects.air.supply_ripple import ripple_pa
 from pamctl.plant.terms.air_terms import LOWEST_SUPPLY_PA, pass_supply_term
-from pamctl.plant.terms.mechanics_terms import add_force_term
+from pamctl.plant.terms.mechanics_terms import MotionPoint, add_force_term
 from pamctl.plant.terms.operators import TermMemory, Terms
 
 
@@ -188,6 +188,6 @@ def vented_state(p: PlantParameters) -> PlantState:
     if p.mechanics_act and not p.direct:
         memory = MechanicsState().memory
         pull_n = add_force(p.effects.mechanics, memory, 0.0, 0.0, 0.0, 0.0, 0.0)
-        pull_n = add_force_term(p.terms, TermMemory(), pull_n, 0.0, 0.0, 0.0, 0.0)
+        pull_n = add_force_term(p.terms, TermMemory(), pull_n, MotionPoint(0.0, 0.0, 0.0, 0.0))
         rest_m += pull_n / p.paper.stiffness_n_per_m
     return rest_state(p, rest_m, p.paper.atmospheric_pressure_pa)

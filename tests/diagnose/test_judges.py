@@ -128,7 +128,7 @@ def test_in_windows_the_truth_is_at_its_floor_and_friction_shows_beside_the_drif
     assert rms(free_run.residual(TRUTH)) > 100.0 * rms(drive.residual(TRUTH))
 
 
-@pytest.mark.parametrize("factor", [0.33, 1.0, 3.0])
+@pytest.mark.parametrize("factor", [0.33, 3.0])
 def test_a_guess_three_times_off_is_found(factor: float) -> None:
     start = axis(factor, coulomb_friction={"force_n": 5.0})
     evidence = prepare_evidence([pushed_mass(1)], [pushed_mass(2)], start)

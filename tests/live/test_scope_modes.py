@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.chromium import Page, page
-from support.processes.daemons import NOT_HOMED, Daemon, as_root, daemon, nobody, parked
-from support.processes.watch_pages import Served, served, set_input
+from support.chromium import Page
+from support.processes.daemons import Daemon, as_root, nobody, parked
+from support.processes.watch_pages import Served, set_input, shown, tab, up
 
 from pamctl.daemon.client import DaemonDeclinedError
 from pamctl.live.scope.tick_memory import TickMemory
@@ -22,30 +22,12 @@ from pamctl.log.reader import Log, read
 from pamctl.recording.ring import Ring, RingError
 from pamctl.signals import Phase
 
+assert all((up, shown, tab))  # fixtures
+
 OFFSET_MM, AFTER_S, HOLDOFF_S = 8.0, 0.06, 0.7
 SINE: dict[str, Any] = {
     "kind": "sine", "offset_mm": OFFSET_MM, "amplitude_mm": 1.0, "frequency_hz": 4.0, "cycles": 200,
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
-    with daemon(tmp_path_factory.mktemp("modes"), "modes", NOT_HOMED) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def shown(up: Daemon) -> Iterator[Served]:
-    with served(up, "--allow-control") as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def tab(shown: Served, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with page(tmp_path_factory.mktemp("browser")) as made:
-        made.open(shown.address, width=1280, height=1000)
-        made.wait_for("scope.charts.length && bench.gains.length")
-        yield made
 
 
 def find_rises(log: Log) -> list[int]:

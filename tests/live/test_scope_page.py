@@ -3,37 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.chromium import Page, page
-from support.processes.daemons import NOT_HOMED, Daemon, daemon, parked
-from support.processes.watch_pages import Served, served, set_input
+from support.chromium import Page
+from support.processes.daemons import Daemon, parked
+from support.processes.watch_pages import Served, set_input, shown, tab, up
 
 from pamctl.log.reader import Log, read
 
-
-@pytest.fixture(scope="module")
-def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
-    with daemon(tmp_path_factory.mktemp("scope"), "scope", NOT_HOMED) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def shown(up: Daemon) -> Iterator[Served]:
-    with served(up, "--allow-control") as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def tab(shown: Served, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with page(tmp_path_factory.mktemp("browser")) as made:
-        made.open(shown.address, width=1280, height=1000)
-        made.wait_for("bench.fields.length && scope.charts.length && bench.gains.length")
-        yield made
+assert all((up, shown, tab))  # fixtures
 
 
 def show_values(tab: Page, expression: str) -> np.ndarray:

@@ -14,7 +14,7 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.util import resolve_name
@@ -81,9 +81,10 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
         twin.__qualname__ += f"_with_{substitution[1].__qualname__}"
     twin.__module__ = kernel.__module__
     modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
-    return _import_numba(*modules).njit(
+    may_cache = for_python and _may_cache()
+    return _import_numba(modules if may_cache else []).njit(
         twin,
-        cache=for_python and _may_cache(),
+        cache=may_cache,
         error_model="python",  # division by zero raises, as in the plain function
         no_cpython_wrapper=not for_python,
         no_cfunc_wrapper=True,
@@ -129,14 +130,15 @@ def _reaches(kernel: FunctionType, target: FunctionType) -> bool:
     )
 
 
-def _import_numba(*modules: str) -> ModuleType:
-    """Return numba, with a cache for these modules' kernels, keyed by all their dependencies."""
+def _import_numba(modules: Sequence[str]) -> ModuleType:
+    """Return numba; if kernels of `modules` are cached, by a key of all their dependencies."""
     import numba
 
-    # numba checks only a kernel's own file for changes;
-    # our kernels use kernels and types of other files.
-    settings: Any = numba.config
-    settings.CACHE_DIR = str(_find_cache(_hash_sources(*modules)))
+    if modules:
+        # numba checks only a kernel's own file for changes;
+        # our kernels use kernels and types of other files.
+        settings: Any = numba.config
+        settings.CACHE_DIR = str(_find_cache(_hash_sources(*modules)))
     return numba
 
 

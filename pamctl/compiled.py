@@ -138,7 +138,7 @@ def _import_numba(modules: Sequence[str]) -> ModuleType:
         # numba checks only a kernel's own file for changes;
         # our kernels use kernels and types of other files.
         settings: Any = numba.config
-        settings.CACHE_DIR = str(_find_cache(_hash_sources(*modules)))
+        settings.CACHE_DIR = str(_find_cache(hash_sources(*modules)))
     return numba
 
 
@@ -178,7 +178,7 @@ def _may_cache() -> bool:
 
 
 @cache
-def _hash_sources(*modules: str) -> str:
+def hash_sources(*modules: str) -> str:
     """Hash the sources of modules, and of their imports from pamctl or their own package."""
     waiting, found = [*modules], {*modules}
     while waiting:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pamctl.compiled import Substitution, compile_kernel, hash_sources
+from pamctl.compiled import Substitution, compile_kernel, hash_sources, progress
 from pamctl.compiled_ahead.layout import NotFlat
 from pamctl.compiled_ahead.library import (
     FORBIDDEN,
@@ -71,6 +71,7 @@ class ArrayKernel:
             if not path.exists():
                 if os.environ.get(FORBIDDEN) or find_linker() is None:
                     return None
+                progress.compiles_first = True
                 path.parent.mkdir(parents=True, exist_ok=True)
                 from pamctl.compiled_ahead.emit import CannotBuild, build_library
 

@@ -151,7 +151,7 @@ def _choose_cache(*modules: str) -> bool:
     # numba checks only a kernel's own file for changes;
     # our kernels use kernels and types of other files.
     settings: Any = numba.config
-    folder = _find_cache(_hash_sources(*modules))
+    folder = _find_cache(hash_sources(*modules))
     settings.CACHE_DIR = str(folder)
     progress.compiles_first = progress.compiles_first or not folder.is_dir()
     return not explain_unwritable(folder)
@@ -178,7 +178,7 @@ def _remove_unused(home: Path) -> None:
 
 
 @cache
-def _hash_sources(*modules: str) -> str:
+def hash_sources(*modules: str) -> str:
     """Hash the sources of modules, and of their imports from pamctl or their own package."""
     waiting, found = [*modules], {*modules}
     while waiting:

@@ -30,6 +30,8 @@ _SOURCES = (
 )
 """All that a kernel of the tick or of the simulation can be made of."""
 SYMBOL = "pamctl_kernel"
+FORBIDDEN = "PAMCTL_NO_BUILD"
+"""Environment variable: where it is set, nothing is built."""
 
 
 class KernelLibrary:
@@ -53,6 +55,12 @@ class KernelLibrary:
         """
         held = [(ctypes.c_char * len(buffer)).from_buffer(buffer) for buffer in buffers]
         return self._function, [*map(ctypes.pointer, (self._result, self._exception, *held))]
+
+    def run(self, *addresses: int) -> bool:
+        """Run the kernel on buffers at these addresses; return whether it went through."""
+        places = map(ctypes.c_void_p, addresses)
+        result, exception = ctypes.byref(self._result), ctypes.byref(self._exception)
+        return not self._function(result, exception, *places)
 
 
 def hold_library(path: Path) -> int:

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pamctl.bounded_memory import BoundedMemory
-from pamctl.compiled import compile_kernel
+from pamctl.compiled_ahead.array_kernel import ArrayKernel
 from pamctl.compiled_ahead.packing import Packing, make_packing
 from pamctl.plant.chains import undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
@@ -421,7 +421,7 @@ def _run(kernel: Callable[..., None], p: PlantParameters, state: PlantState, *gi
 
 @cache
 def _get_twin(kernel: Callable[..., None], packing: Packing) -> Callable[..., None]:
-    return compile_kernel(kernel, None if packing is _PLAIN else (unpack_drive, packing.unpack))
+    return ArrayKernel(kernel, None if packing is _PLAIN else (unpack_drive, packing.unpack))
 
 
 def _check_signal(name: str, values: ArrayLike, length: int | None = None) -> Array:

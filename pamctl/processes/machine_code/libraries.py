@@ -13,6 +13,7 @@ from hal.sim.sim_rig import SimRig
 from pamctl.code_folder.find_code_folder import explain_unwritable
 from pamctl.compiled_ahead.layout import NotFlat
 from pamctl.compiled_ahead.library import (
+    FORBIDDEN,
     KernelLibrary,
     find_library_path,
     find_linker,
@@ -32,9 +33,6 @@ from pamctl.realtime.tick_words import TickWords
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings, settings_to_json
 from pamctl.simulate.leap import Leap, LeapWords, may_leap
-
-FORBIDDEN = "PAMCTL_NO_BUILD"
-"""Environment variable: where it is set, nothing is built."""
 
 _IN_WORDS = {"tick": "the tick", "plant": "the simulated plant", "leap": "the run as a whole"}
 """What runs in plain Python where a library is missing, by the first word of the file's name."""

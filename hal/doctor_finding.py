@@ -28,6 +28,11 @@ class DoctorFinding(NamedTuple):
     """The figures behind the words, in SI, units in the names."""
 
 
+def report_rig_error(name: str, error: RigError, wanted: str) -> DoctorFinding:
+    """Return a check that ended in an error of the device, with the fix that the error names."""
+    return DoctorFinding(name, "fault", describe_rig_error(error), wanted, error.fix)
+
+
 def describe_rig_error(error: RigError) -> str:
     """Return what the device reports, with its error number and without the fix."""
     return error.what if error.code is None else f"{error.what} (device error {error.code})"

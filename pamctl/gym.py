@@ -33,8 +33,8 @@ from pamctl.plant.sensing import sensed_position_m, sensed_pressure_pa
 from pamctl.plant.simulated import LONGEST_STEP_S
 from pamctl.plant.step import advance_plant
 from pamctl.session.experiment_form import ExperimentForm
-from pamctl.session.muscle_motions import Random
 from pamctl.session.pamctl_error import PamctlError, require_package, translate_errors
+from pamctl.session.reference_forms import Random
 from pamctl.session.simulated_rig import AskedSection, resolve_session
 from pamctl.signals import Reference
 

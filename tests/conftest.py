@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-settings.register_profile("patient", deadline=None)  # the machine may be busy
+# The machine may be busy, and hundreds of examples cost minutes.
+settings.register_profile("patient", deadline=None, max_examples=40)
 settings.load_profile("patient")
 
 # A run finishes the logs of all earlier runs that died. Tests of another worker or user must not
@@ -72,8 +73,10 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 @pytest.fixture(scope="session")
 def closed_loops(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Compile the closed loop of each law once a run of the tests, whichever worker asks first."""
-    from support.outside_law import compile_closed_loops
+    from support.machine_code import READY, compile_closed_loops
 
+    if os.environ.get(READY):
+        return
     folder = tmp_path_factory.getbasetemp()
     folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
     with (folder / "closed-loops.lock").open("w") as lock:

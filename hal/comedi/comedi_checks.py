@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from hal.backend import ProbeRequest
 from hal.comedi.comedi_errors import BUSY, PERMIT
 from hal.comedi.comedi_settings import UNCALIBRATED, ComediSettings
-from hal.doctor_finding import DoctorFinding, describe_rig_error
+from hal.doctor_finding import DoctorFinding, describe_rig_error, report_rig_error
 from hal.pci_cards import (
     COMEDI_DRIVER,
     NO_CARD_FIX,
@@ -47,8 +47,7 @@ def examine_comedi(request: ProbeRequest[ComediSettings]) -> Iterator[DoctorFind
     try:
         load_library()
     except RigError as error:
-        found = describe_rig_error(error)
-        yield DoctorFinding("card.driver", "fault", found, "libcomedi loaded", error.fix)
+        yield report_rig_error("card.driver", error, "libcomedi loaded")
         return
     yield DoctorFinding("card.driver", "ok", f"libcomedi ({find_library_path()})")
     yield from check_permission(Path(settings.device))
@@ -56,8 +55,8 @@ def examine_comedi(request: ProbeRequest[ComediSettings]) -> Iterator[DoctorFind
         require_card(settings)
         file = ComediFile(settings.device)
     except RigError as error:
-        found, wanted = describe_rig_error(error), "a card behind comedi.device of the rig file"
-        yield DoctorFinding("card.device", "fault", found, wanted, error.fix)
+        wanted = "a card behind comedi.device of the rig file"
+        yield report_rig_error("card.device", error, wanted)
         return
     with file:
         told = file.describe()
@@ -84,8 +83,8 @@ def _examine_parts(
         counter = find_counter(file, settings)
         find_pfi_lines(file)
     except RigError as error:
-        found, wanted = describe_rig_error(error), "as section comedi of the rig file says"
-        yield DoctorFinding("card.channels", "fault", found, wanted, error.fix)
+        wanted = "as section comedi of the rig file says"
+        yield report_rig_error("card.channels", error, wanted)
         return
     yield judge_pfi_lines(settings, product)
     ranges = list_ranges(file, sensor.subdevice, sensor.channel).values()
@@ -167,7 +166,7 @@ def judge_calibration(
             calibration.get_polynomial(file, sensor, TO_PHYSICAL)
             calibration.get_polynomial(file, valve, FROM_PHYSICAL)
     except RigError as error:
-        return DoctorFinding(name, "fault", describe_rig_error(error), wanted, error.fix)
+        return report_rig_error(name, error, wanted)
     return DoctorFinding(name, "ok", calibration.path)
 
 

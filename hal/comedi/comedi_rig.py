@@ -1,8 +1,7 @@
 """The NI card behind the kernel's own driver, paced by the computer.
 
 Encoder and pressure are read by one system call, a list of two instructions; where that is
-refused, by two calls. The safe voltage is the first thing that `open` writes and the last thing
-that every way out writes: the card holds its last output when a process dies.
+refused, by two calls.
 
 Subdevices are locked while the rig is open. The kernel drops these locks with the open file, even
 by SIGKILL, so that a guardian can take the output over at once.
@@ -13,13 +12,12 @@ above a stand-in of the kernel.
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from ctypes import POINTER, byref, c_uint, cast, sizeof
 from typing import NamedTuple
 
+from hal.card_rig import CardRig
 from hal.comedi import libcomedi
 from hal.comedi.codes import (
     AnalogChannel,
@@ -31,11 +29,9 @@ from hal.comedi.codes import (
 )
 from hal.comedi.comedi_settings import UNCALIBRATED, ComediSettings
 from hal.comedi.libcomedi import ComediFile, ComediInsn, ComediInsnList, LibraryMissingError
-from hal.converter import nearest_output_v
 from hal.driver_library import refuse_stand_in
-from hal.m_series import card_output, unwrap_count
+from hal.m_series import unwrap_count
 from hal.rig import RawSample, RigError, RigIdentity
-from hal.safe_drive import drive_with_retries
 
 STAND_IN_DRIVER = "stand_in"
 """What the stand-in of this project's tests calls the kernel's driver."""
@@ -255,36 +251,12 @@ class CardReader:
 # --- the rig -----------------------------------------------------------------------------
 
 
-class ComediRig:
-    """Valve, pressure sensor and encoder on one M Series card."""
+class ComediRig(CardRig[ComediSettings, WiredCard]):
+    """Valve, pressure sensor and encoder on one M Series card.
 
-    def __init__(
-        self,
-        settings: ComediSettings,
-        *,
-        safe_output_v: float,
-        now_ns: Callable[[], int] = time.monotonic_ns,
-    ) -> None:
-        """`safe_output_v` is the analog output voltage at which the rig is safe."""
-        self._settings = settings
-        self._now_ns = now_ns
-        self._output = card_output(settings)
-        self._safe_v = nearest_output_v(self._output, safe_output_v)
-        self._safe_output_v = safe_output_v
-        self._wired: WiredCard | None = None
-        self._held = ExitStack()
-        self._counts = 0
-        self._identity: Mapping[str, object] = {}
-        self._safe_failure: Exception | None = None
-
-    def open(self) -> None:
-        """Drive the safe voltage, and only then take the inputs."""
-        if self._wired is not None:
-            raise RigError("the rig is open already", fix="call close() first")
-        with ExitStack() as acquired:
-            wired = self._wire(acquired.enter_context(ComediFile(self._settings.device)))
-            self._counts = 0
-            self._wired, self._held = wired, acquired.pop_all()
+    The volts that `write` returns are those of an ideal 16-bit converter, as with NI's driver. The
+    code that the card's calibration gives for them is at most half a code away.
+    """
 
     def read(self) -> RawSample:
         """Read encoder and pressure; the time of each is that just before its system call."""
@@ -293,51 +265,23 @@ class ComediRig:
         self._counts = unwrap_count(self._counts, counter, wired.counter_span)
         return RawSample(evaluate(wired.input_volts, code), self._counts, code_t_ns, counter_t_ns)
 
-    def write(self, ao_v: float) -> float:
-        """Put a voltage on the output: the nearest one within the configured range.
-
-        The volts returned are those of an ideal 16-bit converter, as with NI's driver. The code
-        that the card's calibration gives for them is at most half a code away.
-        """
-        wired = self._require_open()
-        if not math.isfinite(ao_v):
-            raise RigError(f"refused to output {ao_v} V", fix="a law must command a finite voltage")
-        admitted_v = nearest_output_v(self._output, ao_v)
-        wired.write_v(admitted_v)
-        return admitted_v
-
-    def make_safe(self) -> None:
-        """Drive the safe voltage, through the open file or through one of its own.
-
-        It tries several times, because a killed process may hold the output a moment longer.
-        If every try fails, `safe_failure` says why. A file that fails twice is closed and opened
-        anew; to go on, the rig must then be opened again.
-        """
-        self._safe_failure = drive_with_retries(
-            self._drive_safe, lambda error: isinstance(error, LibraryMissingError)
-        )
-
-    def close(self) -> None:
-        """Make safe, then release the card; the output holds the safe voltage."""
-        self.make_safe()
-        self._release()
-
     def describe(self) -> RigIdentity:
         """Name terminals and ranges; once opened, also library, driver and calibration."""
         extra = {**self._settings.model_dump(), **self._identity}
         return RigIdentity("comedi", self._safe_output_v, extra=extra)
 
-    @property
-    def safe_failure(self) -> RigError | None:
-        """Why the last `make_safe` could not drive the safe voltage; None where it did."""
-        failure = self._safe_failure
-        if failure is None or isinstance(failure, RigError):
+    def _explain_failure(self, failure: Exception) -> RigError:
+        if isinstance(failure, RigError):
             return failure
         return RigError(f"driving the safe voltage: {failure}", fix="is libcomedi installed whole?")
 
-    def _wire(self, file: ComediFile) -> WiredCard:
+    def _is_hopeless(self, error: Exception) -> bool:
+        return isinstance(error, LibraryMissingError)
+
+    def _wire(self, acquired: ExitStack) -> WiredCard:
         """Write the safe voltage, and only then take the inputs."""
         settings = self._settings
+        file = acquired.enter_context(ComediFile(settings.device))
         valve = find_valve_output(file, settings)
         file.lock(valve.subdevice, "the valve's output")
         to_code, failure = self._find_output_codes(file, valve)
@@ -379,21 +323,14 @@ class ComediRig:
         except RigError as failure:
             return make_nominal(valve, libcomedi.FROM_PHYSICAL), failure
 
-    def _drive_safe(self, as_open: bool) -> None:
-        if self._wired is not None and as_open:
-            self._wired.write_v(self._safe_v)
-            return
-        self._release()
+    def _put_v(self, wired: WiredCard, volts: float) -> None:
+        wired.write_v(volts)
+
+    def _write_safe_as_wired(self, wired: WiredCard) -> None:
+        wired.write_v(self._safe_v)
+
+    def _write_safe_alone(self) -> None:
         with ComediFile(self._settings.device) as file:
             valve = find_valve_output(file, self._settings)
             to_code, _ = self._find_output_codes(file, valve)
             make_volt_writer(file, valve, to_code)(self._safe_v)
-
-    def _release(self) -> None:
-        self._wired = None
-        self._held.close()
-
-    def _require_open(self) -> WiredCard:
-        if self._wired is None:
-            raise RigError("the card is not open", fix="call open() first")
-        return self._wired

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hal.backend import ProbeRequest
-from hal.doctor_finding import DoctorFinding, describe_rig_error
+from hal.doctor_finding import DoctorFinding, describe_rig_error, report_rig_error
 from hal.nidaq.card_settings import NidaqSettings
 from hal.nidaq.driver_errors import BUSY_CODES, ON_DEMAND, PACKAGE_BROKEN
 from hal.nidaq.kernel_checks import examine_kernel
@@ -48,8 +48,7 @@ def examine_card(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFinding
     try:
         driver = probe.identify_driver()
     except RigError as error:
-        found, wanted = describe_rig_error(error), "NI-DAQmx for Linux loaded"
-        yield DoctorFinding("card.driver", "fault", found, wanted, error.fix)
+        yield report_rig_error("card.driver", error, "NI-DAQmx for Linux loaded")
         yield from nodes
         return
     found = f"NI-DAQmx {driver.version} ({driver.library}), package nidaqmx {driver.package}"
@@ -101,16 +100,18 @@ def examine_output(request: ProbeRequest[NidaqSettings]) -> Iterator[DoctorFindi
         try:
             start = record_output_start(request.settings, request.safe_volts)
         except RigError as error:
-            found = f"not measured: {describe_rig_error(error)}"
-            yield DoctorFinding("card.output_start", "warning", found, "", error.fix)
+            yield _report_unmeasured("card.output_start", error)
         else:
             yield judge_output_start(start, request.safe_volts)
     try:
         yield judge_release(measure_release(request.settings))
     except RigError as error:
-        yield DoctorFinding(
-            "card.release", "warning", f"not measured: {describe_rig_error(error)}", "", error.fix
-        )
+        yield _report_unmeasured("card.release", error)
+
+
+def _report_unmeasured(name: str, error: RigError) -> DoctorFinding:
+    found = f"not measured: {describe_rig_error(error)}"
+    return DoctorFinding(name, "warning", found, "", error.fix)
 
 
 def judge_output_start(start: OutputStart, safe_v: float) -> DoctorFinding:
@@ -226,9 +227,7 @@ def judge_on_demand(failure: RigError | None) -> DoctorFinding:
     """Say whether a read on demand works."""
     if failure is None:
         return DoctorFinding("timing.on_demand", "ok", "works")
-    return DoctorFinding(
-        "timing.on_demand", "fault", describe_rig_error(failure), "a read on demand", failure.fix
-    )
+    return report_rig_error("timing.on_demand", failure, "a read on demand")
 
 
 def judge_hardware_timing(trial: ClockTrial, period_s: float, is_wanted: bool) -> DoctorFinding:
@@ -259,7 +258,8 @@ def judge_hardware_timing(trial: ClockTrial, period_s: float, is_wanted: bool) -
 
 def report_no_hardware_timing(failure: RigError, is_wanted: bool) -> DoctorFinding:
     """Say why the card's own clock cannot pace the loop."""
-    name, found = "timing.hardware", describe_rig_error(failure)
+    name = "timing.hardware"
     if is_wanted:
-        return DoctorFinding(name, "fault", found, "as nidaq.timing says", failure.fix)
-    return DoctorFinding(name, "ok", f"not available, and not needed: {found}")
+        return report_rig_error(name, failure, "as nidaq.timing says")
+    found = f"not available, and not needed: {describe_rig_error(failure)}"
+    return DoctorFinding(name, "ok", found)

@@ -12,10 +12,9 @@ shows in the time between two reads, and in the driver's lateness codes where it
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from nidaqmx.constants import AcquisitionType
 from nidaqmx.errors import DaqError
@@ -49,16 +48,9 @@ R = TypeVar("R")
 class HardwareTimedRig(NidaqRig):
     """Valve, pressure sensor and encoder, all three on the sample clock of the input."""
 
-    def __init__(
-        self,
-        settings: NidaqSettings,
-        *,
-        rate_hz: float,
-        safe_output_v: float,
-        now_ns: Callable[[], int] = time.monotonic_ns,
-    ) -> None:
-        """`rate_hz` is the rate of the sample clock and of the loop."""
-        super().__init__(settings, safe_output_v=safe_output_v, now_ns=now_ns)
+    def __init__(self, settings: NidaqSettings, *, rate_hz: float, **options: Any) -> None:
+        """`rate_hz` is the rate of the sample clock and of the loop; the rest as `CardRig`."""
+        super().__init__(settings, **options)
         self._rate_hz = rate_hz
         self._grid = self._make_grid()
         self._awaited: tuple[Edge, float] | None = None
@@ -109,7 +101,8 @@ class HardwareTimedRig(NidaqRig):
         yet. The tasks stop in the order output, input, counter.
         """
         settings = self._settings
-        self._write_on_demand(self._safe_v)
+        self._count_warnings(acquired)
+        self._write_safe_alone()
         self._identity = require_card(settings)
         encoder = acquired.enter_context(make_encoder_task(settings))
         self._identity = {**self._identity, "encoder_terminals": tell_encoder_terminals(encoder)}

@@ -2,7 +2,7 @@
 
     coupled         command            -> position, pressure
     pressure block  command, position  -> pressure
-    mechanics       pressure           -> position
+    mechanics       pressure, force    -> position
 
 The coupled model shows how far a simulation is from this run. Each block alone is driven by the
 other's measured signal, so an error of one block does not appear in the other. A diagnosis begins
@@ -20,7 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pamctl.log import NO_PHASE, Log, LogError, Signals, signals
-from pamctl.plant.drive import build_grid, drive_coupled, drive_mechanics, drive_pressure
+from pamctl.plant.drive import (
+    build_grid,
+    count_steps,
+    drive_coupled,
+    drive_mechanics,
+    drive_pressure,
+    find_period_s,
+)
 from pamctl.plant.parameters import PlantParameters, PlantState, rest_state
 from pamctl.signals import Phase
 
@@ -97,56 +104,71 @@ class Comparison:
 
 def compare_model(log: Log, plant: PlantParameters) -> Comparison:
     """Drive a model by a log; raise `LogError` if the log cannot drive it."""
-    measured = select_comparable(log)
+    measured = select_comparable(log, plant)
     stretches = list(_find_stretches(measured))
     if not stretches:
         raise LogError(f"{log.path} has no {_SHORTEST} complete ticks in a row")
     rows = {name: np.full(len(measured), np.nan) for name in ("x", "p", "block_p", "block_x")}
-    commanded = measured.valve_v is not None
+    commanded = measured.valve_v is not None and not plant.direct
+    pressed, pulled = (
+        measured.pressure_pa is not None,
+        plant.direct and measured.force_n is not None,
+    )
     for stretch in stretches:
         part = measured[stretch]
         start = _find_start(plant, part, follows_homing=stretch.start == 0 and _was_homed(log))
         # The mechanics have no command, and need no step where one acts.
-        grid = build_grid(
-            part.dt_s[1:], len(part), acts_after_s=part.acts_after_s, held_v=part.held_v
-        )
-        if part.valve_v is not None:
+        steps = count_steps(find_period_s(part.dt_s[1:]))
+        grid = build_grid(part.dt_s[1:], len(part), steps, part.acts_after_s, part.held_v)
+        if commanded and part.valve_v is not None:
             driven = drive_coupled(plant, part.valve_v, grid, start=start)
             rows["x"][stretch], rows["p"][stretch] = driven.position_m, driven.pressure_pa
-        if part.valve_v is not None and part.position_m is not None:
+        if commanded and part.valve_v is not None and part.position_m is not None:
             rows["block_p"][stretch] = drive_pressure(
                 plant, part.valve_v, part.position_m, grid, start=start
             ).pressure_pa
-        if part.pressure_pa is not None:
+        del grid  # of a long log, a third of all memory; the mechanics need another one
+        if pressed or pulled:
+            vented_pa = np.full(len(part), plant.atmospheric_pressure_pa)
             rows["block_x"][stretch] = drive_mechanics(
-                plant, part.pressure_pa, part.dt_s[1:], start=start
+                plant,
+                vented_pa if part.pressure_pa is None else part.pressure_pa,
+                part.dt_s[1:],
+                force_n=part.force_n if pulled else None,
+                start=start,
+                steps=steps,
             ).position_m
     drives_block = commanded and measured.position_m is not None
     return Comparison(
         measured,
         ModelOutput("coupled", *((rows["x"], rows["p"]) if commanded else (None, None))),
         ModelOutput("pressure block", None, rows["block_p"] if drives_block else None),
-        ModelOutput(
-            "mechanics", rows["block_x"] if measured.pressure_pa is not None else None, None
-        ),
+        ModelOutput("mechanics", rows["block_x"] if pressed or pulled else None, None),
     )
 
 
-def select_comparable(log: Log) -> Signals:
+def select_comparable(log: Log, plant: PlantParameters) -> Signals:
     """Return the signals of a log after homing: the zeros differ before it.
 
     Raises `LogError` if the model cannot be driven or compared.
     """
     measured = signals(log)
+    is_driven = measured.force_n is not None or measured.pressure_pa is not None
+    if plant.direct and not (is_driven and measured.position_m is not None):
+        raise LogError(
+            f"{log.path}: a mechanism needs force_n, or pressure_pa on its piston, to drive it, "
+            "and position_m to compare it with"
+        )
     here = [
         name
         for name in ("valve_v", "pressure_pa", "position_m")
         if getattr(measured, name) is not None
     ]
-    if len(here) < 2:
+    if len(here) < 2 and not plant.direct:
         raise LogError(
             f"{log.path} holds {' and '.join(here) or 'no signal'} only: a model needs one signal "
-            "of valve_v, pressure_pa, position_m to drive it, and another to compare it with"
+            "of valve_v, pressure_pa, position_m to drive it, and another to compare it with; a "
+            "mechanism that a force drives needs a plant with `actuator: direct`"
         )
     homing = np.flatnonzero(measured.phase == Phase.HOMING)
     return measured[int(homing[-1]) + 1 if len(homing) else 0 :]
@@ -193,8 +215,7 @@ def _speed_m_per_s(t_s: Floats, position_m: Floats) -> Floats:
 def _find_stretches(measured: Signals) -> Iterator[slice]:
     """Yield stretches without lost ticks, in which all signals are numbers."""
     whole = np.ones(len(measured), bool)
-    for name in ("valve_v", "pressure_pa", "position_m"):
-        signal = getattr(measured, name)
+    for signal in (measured.valve_v, measured.pressure_pa, measured.position_m, measured.force_n):
         if signal is not None:
             whole &= np.isfinite(signal)
     # Where the log lost ticks, the command is unknown.

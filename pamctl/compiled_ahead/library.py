@@ -14,6 +14,8 @@ from shutil import which
 from types import ModuleType
 from typing import Any
 
+from pamctl.code_folder import find_code_folder
+
 _ROOT = Path(__file__).parents[2]
 _SOURCES = (
     "hal/*.py",
@@ -81,8 +83,7 @@ def find_library_path(name: str, *parts: str) -> Path:
     digest = hashlib.sha256(_hash_house().encode())
     for part in parts:
         digest.update(part.encode() + b"\0")
-    cached = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return cached / "pamctl" / "ahead" / f"{name}-{digest.hexdigest()[:20]}.so"
+    return find_code_folder() / "ahead" / f"{name}-{digest.hexdigest()[:20]}.so"
 
 
 def hash_module(module: ModuleType) -> str:

@@ -21,7 +21,7 @@ from typing import Annotated, Any, NamedTuple, Union
 from pydantic import Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema
 
-from pamctl.control.law import KERNELS, Gains, Law, LawSettings, LawTerms, Term
+from pamctl.control.law import KERNELS, Law, LawSettings, LawTerms, Term
 from pamctl.entry_points import OWN_PACKAGE, list_additions
 
 GROUP = "pamctl.laws"
@@ -124,11 +124,6 @@ def explain_missing_law(name: str) -> str:
 def law_of(settings: LawSettings) -> Law:
     """Return the law that settings belong to."""
     return find_law(settings.law)
-
-
-def law_gains(settings: LawSettings) -> Gains:
-    """Turn a gains file into the numbers that its law's kernel uses."""
-    return law_of(settings).to_gains(settings)
 
 
 def read_controller(data: Mapping[str, Any]) -> LawSettings:

@@ -18,7 +18,6 @@ LARGEST_REQUEST = 1 << 18
 """Bytes of a line. The largest sensible request is an experiment of a few thousand steps."""
 
 LONGEST_MOTION_S = 3600
-"""Characters of a remark."""
 
 PARSE_ERROR = -32700
 INVALID_REQUEST = -32600

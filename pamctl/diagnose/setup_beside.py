@@ -11,6 +11,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 from pamctl.diagnose.extend import assemble_plant
+from pamctl.diagnose.fitting.block_fit import FULL
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate, weigh_blocks
@@ -52,7 +53,9 @@ def ask_beside(
     nominal = with_values(setup.base.evidence.nominal, numbers)
     corrected = replace(beside.base.evidence, nominal=nominal, together={})
     base = weigh_blocks(recalibrate(corrected))
-    again = name_effects(base, candidates, executor, progress)
+    # The base without the effect may be far from the valley where it was found.
+    fitted = fit_model(base, strongest.effects, [beside.base.values], effort=FULL)
+    again = name_effects(base, candidates, executor, progress, (fitted,))
     if _square_left(again.model) > MUCH_NEARER * _square_left(naming.model):
         return naming, setup
     checked = CheckedSetup(base, beside.train, beside.holdout, found)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 from pamctl.bounded_memory import forget_results
 from pamctl.diagnose.audit import audit_model
@@ -26,7 +27,7 @@ from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.integrator import compare_substeps
+from pamctl.diagnose.fitting.integrator import compare_substeps, refine_substeps
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.split import (
     ConfirmedOn,
@@ -87,6 +88,7 @@ def diagnose(
     Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
     library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
+    began_s = perf_counter()
     forget_results()  # of the diagnosis before: no key of it comes again
     progress = progress or (lambda line: None)
     stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
@@ -102,15 +104,13 @@ def diagnose(
         return Diagnosis(Verdict.BAD_DATA, plant, plant, reasons, train=given, setup=refused)
     candidates = list_candidates(evidence, without)
     count = len({candidate.name for candidate in candidates})  # some have several forms
-    progress(
-        f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates; "
-        f"{guess_time_left(evidence)}"
-    )
+    progress(f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates")
     recalibrated = _recalibrate(evidence, candidates, train, holdout, executor, progress)
     train, holdout = [*recalibrated.train], [*recalibrated.holdout]
     base = weigh_blocks(recalibrated.base)
     ratios = ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks)
-    progress(f"recalibrated: {ratios}")
+    worst = max(base.ratio(block) for block in evidence.blocks)
+    progress(f"recalibrated: {ratios}; {guess_time_left(perf_counter() - began_s, worst)}")
     effects = FirstLevel(candidates)
     setup = suspect_setup(base, train, holdout, effects, progress, recalibrated.findings)
     if setup.refusal:
@@ -238,7 +238,8 @@ def _describe_rest(
         return found, described
     naming = described.naming.without_unseen_numbers()
     again = confirm_naming(naming, confirming)
-    if again.naming.model is not naming.model or not is_confirmed(again.explained, described.block):
+    before, after = (c.explained.get(described.block, 0.0) for c in (found, again))
+    if again.naming.model is not naming.model or not is_confirmed(described, before, after):
         return found, replace(described, term=None, naming=None)
     return again, described
 
@@ -269,7 +270,9 @@ def _recalibrate(
     """
     given = (tuple(train), tuple(holdout))
     if {*evidence.blocks} != {PRESSURE, MECHANICS}:
-        return _Recalibrated(recalibrate(evidence), *given)
+        base = recalibrate(evidence)
+        finer = refine_substeps(base)
+        return _Recalibrated(base if finer is evidence else recalibrate(finer), *given)
     alone = recalibrate(evidence.select_blocks({PRESSURE}))
     effects = FirstLevel(candidates)
     setup = suspect_air_first(alone, evidence, train, holdout, effects, progress)

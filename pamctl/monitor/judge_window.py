@@ -18,13 +18,13 @@ from pamctl.diagnose.fitting.drives import (
     PRESSURE,
     SMOOTH_HZ,
     Drive,
-    count_steps,
     has_constant_volume,
     smooth_signal,
 )
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.monitor.activity import find_mechanics_activity, find_pressure_activity
+from pamctl.plant.drive import count_steps
 from pamctl.plant.model import PlantSettings, plant_parameters
 from pamctl.plant.parameters import PlantParameters
 

@@ -13,7 +13,15 @@ from typing import NamedTuple
 from pamctl.plant.chains import pass_volume
 from pamctl.plant.effects.air.discharge_ratio import nozzle_ratio
 from pamctl.plant.effects.air.line_restriction import lag_weights, line_time_s
-from pamctl.plant.effects.air.polytropic import polytropic_slope, polytropic_volume
+from pamctl.plant.effects.air.polytropic import (
+    COLDEST,
+    HOTTEST,
+    HeatShares,
+    heat_shares,
+    outflow_energy,
+    polytropic_slope,
+    polytropic_volume,
+)
 from pamctl.plant.effects.air.supply_droop import (
     droop_resistance,
     kept_of_branch,
@@ -28,6 +36,20 @@ from pamctl.plant.terms.air_terms import pass_volume_term
 
 SOLVED_PA = 1e-3
 """Tolerance of a pressure that is found by iteration."""
+
+
+class AirBegin(NamedTuple):
+    """What the air's part of a step begins with."""
+
+    pressure_pa: float
+    """Absolute pressure in the muscle."""
+    air: AirState
+    opening_v: float
+    position_m: float
+    middle_m: float
+    """Position that is expected in the middle of the step."""
+    age_s: float
+    step_s: float
 
 
 class Ports(NamedTuple):
@@ -210,22 +232,76 @@ def air_volume_m3(p: AirParameters, position_m: float, pressure_pa: float) -> fl
     return pass_volume_term(p.terms, room_m3, position_m, gauge_pa)
 
 
-def amount_of_air(p: AirParameters, position_m: float, pressure_pa: float) -> float:
+def share_heat(p: AirParameters, begin: AirBegin, step_s: float) -> HeatShares:
+    """Return what the walls leave of the air's excess temperature in a step."""
+    density = begin.pressure_pa / (begin.air.warmth * p.paper.atmospheric_pressure_pa)
+    return heat_shares(p.effects.polytropic, density, step_s)
+
+
+def step_exponent(p: AirParameters, heat: HeatShares) -> float:
+    """Return the exponent a of a step: the nearer to 1, the more heat the walls take in it."""
+    exponent: float = p.effects.polytropic.exponent
+    return exponent if heat.caused == 1.0 else 1.0 + heat.caused * (exponent - 1.0)
+
+
+def worth_of_flow(
+    p: AirParameters,
+    exponent: float,
+    warmth: float,
+    position_m: float,
+    pressure_pa: float,
+    net_kg_per_s: float,
+) -> float:
+    """Return what each unit of R T m adds to P V^a."""
+    worth = polytropic_slope(exponent, air_volume_m3(p, position_m, pressure_pa))
+    if net_kg_per_s < 0.0 and warmth != 1.0:
+        worth *= outflow_energy(warmth)
+    return worth
+
+
+def exchange_heat(
+    p: AirParameters, begin: AirBegin, heat: HeatShares, end_pa: float, end_m: float
+) -> tuple[float, float]:
+    """Return pressure and T / T_0 after a step in which the walls took heat.
+
+    The mass follows from the energy that flowed; what air leaves has the muscle's temperature.
+    """
+    if p.effects.polytropic.wall_time_s <= 0.0:
+        return end_pa, 1.0
+    exponent, warmth = step_exponent(p, heat), begin.air.warmth
+    before = amount_of_air(p, exponent, begin.position_m, begin.pressure_pa)
+    after = amount_of_air(p, exponent, end_m, end_pa)
+    middle_m3 = air_volume_m3(p, begin.middle_m, 0.5 * (begin.pressure_pa + end_pa))
+    came = (after - before) / polytropic_slope(exponent, middle_m3)
+    held = begin.pressure_pa * air_volume_m3(p, begin.position_m, begin.pressure_pa) / warmth
+    held += came if came > 0.0 else came / warmth
+    energy = end_pa * air_volume_m3(p, end_m, end_pa)
+    if held <= 0.0 or energy <= 0.0:
+        return end_pa, 1.0
+    reached = energy / held
+    left = min(max(reached - (1.0 - heat.kept) * (warmth - 1.0), COLDEST), HOTTEST)
+    return end_pa * left / reached, left
+
+
+def amount_of_air(
+    p: AirParameters, exponent: float, position_m: float, pressure_pa: float
+) -> float:
     """Return P V^a, the amount of air in the muscle in the sense of Eq. 7."""
-    return pressure_pa * polytropic_volume(
-        p.effects.polytropic, air_volume_m3(p, position_m, pressure_pa)
-    )
+    return pressure_pa * polytropic_volume(exponent, air_volume_m3(p, position_m, pressure_pa))
 
 
 def solve_pressure_of_air(
-    p: AirParameters, air: float, position_m: float, line_m3: float, guess_pa: float
+    p: AirParameters,
+    exponent: float,
+    air: float,
+    position_m: float,
+    line_m3: float,
+    guess_pa: float,
 ) -> float:
     """Return the pressure at which the muscle and a part of the line hold `air` (P V^a)."""
-    polytropic, braid = p.effects.polytropic, p.effects.braid_stretch
+    braid = p.effects.braid_stretch
     if braid.compliance_per_pa == 0.0:
-        return air / (
-            polytropic_volume(polytropic, air_volume_m3(p, position_m, guess_pa)) + line_m3
-        )
+        return air / (polytropic_volume(exponent, air_volume_m3(p, position_m, guess_pa)) + line_m3)
     pressure_pa = guess_pa
     length = p.paper.rest_length_m - position_m
     grows = (
@@ -234,20 +310,19 @@ def solve_pressure_of_air(
     for _ in range(4):  # Newton's method: the volume depends on the pressure
         room = air_volume_m3(p, position_m, pressure_pa)
         gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
-        slope = polytropic_slope(polytropic, room) * grows * stretch_ratio(braid, gauge_pa)
-        space = polytropic_volume(polytropic, room) + line_m3
+        slope = polytropic_slope(exponent, room) * grows * stretch_ratio(braid, gauge_pa)
+        space = polytropic_volume(exponent, room) + line_m3
         pressure_pa -= (pressure_pa * space - air) / (space + pressure_pa * slope)
     return pressure_pa
 
 
 def fill_chamber(
     p: AirParameters,
-    air: AirState,
-    pressure_pa: float,
+    begin: AirBegin,
     fed_by: MuscleFeed,
     leak_kg_per_s: float,
+    exponent: float,
     worth: float,
-    position_m: float,
     end_m: float,
     step_s: float,
 ) -> tuple[float, float]:
@@ -255,12 +330,12 @@ def fill_chamber(
 
     Air is conserved: air that the line's volume takes up does not reach the muscle.
     """
-    line = p.effects.line_restriction
+    line, pressure_pa, air = p.effects.line_restriction, begin.pressure_pa, begin.air
     energy = step_s * p.paper.specific_energy_j_per_kg
-    amount = amount_of_air(p, position_m, pressure_pa)
+    amount = amount_of_air(p, exponent, begin.position_m, pressure_pa)
     if line.resistance_pa_s_per_kg <= 0.0 and line.volume_m3 <= 0.0:
         amount += energy * (fed_by.inflow_kg_per_s + leak_kg_per_s) * worth
-        end_pa = solve_pressure_of_air(p, amount, end_m, 0.0, pressure_pa)
+        end_pa = solve_pressure_of_air(p, exponent, amount, end_m, 0.0, pressure_pa)
         return end_pa, end_pa
     kept, weight = lag_weights(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
     drop_pa = line.resistance_pa_s_per_kg * fed_by.inflow_kg_per_s
@@ -268,7 +343,7 @@ def fill_chamber(
     inflow = energy * (fed_by.inflow_kg_per_s + leak_kg_per_s)
     amount += worth * (inflow - line.volume_m3 * (idle_pa - air.line_pa))
     line_m3 = worth * weight * line.volume_m3
-    end_pa = solve_pressure_of_air(p, amount, end_m, line_m3, pressure_pa)
+    end_pa = solve_pressure_of_air(p, exponent, amount, end_m, line_m3, pressure_pa)
     return end_pa, idle_pa + weight * end_pa
 
 
@@ -320,61 +395,47 @@ def stop_at_balance(
     return next_pa, next_pa == source_pa
 
 
-def chamber_middle_pa(
-    p: AirParameters,
-    pressure_pa: float,
-    air: AirState,
-    opening_v: float,
-    position_m: float,
-    middle_m: float,
-    step_s: float,
-) -> tuple[float, bool]:
+def chamber_middle_pa(p: AirParameters, begin: AirBegin) -> tuple[float, bool]:
     """Return the predicted absolute pressure in the middle of the step, and whether it balances."""
-    open_to, half_s = port_areas(p, opening_v), 0.5 * step_s
+    pressure_pa, air, half_s = begin.pressure_pa, begin.air, 0.5 * begin.step_s
+    open_to = port_areas(p, begin.opening_v)
     fed_by = solve_feed(p, air, open_to, pressure_pa, pressure_pa, half_s)
     leak = leak_flow(p, pressure_pa)
-    worth = polytropic_slope(p.effects.polytropic, air_volume_m3(p, position_m, pressure_pa))
-    middle_pa, _ = fill_chamber(
-        p, air, pressure_pa, fed_by, leak, worth, position_m, middle_m, half_s
-    )
     net = fed_by.inflow_kg_per_s + leak
+    exponent = step_exponent(p, share_heat(p, begin, half_s))
+    worth = worth_of_flow(p, exponent, air.warmth, begin.position_m, pressure_pa, net)
+    middle_pa, _ = fill_chamber(p, begin, fed_by, leak, exponent, worth, begin.middle_m, half_s)
     return stop_at_balance(p, air, open_to, pressure_pa, middle_pa, net, half_s)
 
 
 def chamber_step(
-    p: AirParameters,
-    pressure_pa: float,
-    air: AirState,
-    middle_pa: float,
-    balanced: bool,
-    opening_v: float,
-    position_m: float,
-    middle_m: float,
-    end_m: float,
-    step_s: float,
+    p: AirParameters, begin: AirBegin, middle_pa: float, balanced: bool, end_m: float
 ) -> tuple[float, AirState]:
     """Advance the muscle's absolute pressure, the supply and the line by one midpoint step."""
-    open_to, half_s = port_areas(p, opening_v), 0.5 * step_s
-    fed_by = solve_feed(p, air, open_to, pressure_pa, middle_pa, half_s)
+    air, step_s, half_s = begin.air, begin.step_s, 0.5 * begin.step_s
+    open_to = port_areas(p, begin.opening_v)
+    fed_by = solve_feed(p, air, open_to, begin.pressure_pa, middle_pa, half_s)
     supply_pa, branch_pa = advance_supply(p, air, open_to, fed_by, step_s)
+    heat = share_heat(p, begin, step_s)
     if balanced:
         # See `pressure_step`: the flow ends within this step.
-        return middle_pa, AirState(supply_pa, middle_pa, branch_pa)
+        end_pa, warmth = exchange_heat(p, begin, heat, middle_pa, end_m)
+        return end_pa, AirState(supply_pa, end_pa, branch_pa, warmth)
     leak = leak_flow(p, middle_pa)
-    worth = polytropic_slope(p.effects.polytropic, air_volume_m3(p, middle_m, middle_pa))
-    end_pa, line_pa = fill_chamber(
-        p, air, pressure_pa, fed_by, leak, worth, position_m, end_m, step_s
-    )
+    net, exponent = fed_by.inflow_kg_per_s + leak, step_exponent(p, heat)
+    worth = worth_of_flow(p, exponent, air.warmth, begin.middle_m, middle_pa, net)
+    end_pa, line_pa = fill_chamber(p, begin, fed_by, leak, exponent, worth, end_m, step_s)
     if p.effects.line_restriction.resistance_pa_s_per_kg <= 0.0:
-        net = fed_by.inflow_kg_per_s + leak
         end_pa, _ = stop_at_balance(p, air, open_to, middle_pa, end_pa, net, half_s)
+    end_pa, warmth = exchange_heat(p, begin, heat, end_pa, end_m)
+    if p.effects.line_restriction.resistance_pa_s_per_kg <= 0.0:
         line_pa = end_pa
     elif p.effects.line_restriction.volume_m3 <= 0.0:
         # Without a volume the line's end follows the flow at the end of the step, not the middle's.
         line_pa = solve_feed(
             p, AirState(supply_pa, line_pa, branch_pa), open_to, end_pa, end_pa, half_s
         ).node_pa
-    return end_pa, AirState(supply_pa, line_pa, branch_pa)
+    return end_pa, AirState(supply_pa, line_pa, branch_pa, warmth)
 
 
 def advance_supply(

@@ -51,6 +51,7 @@ from pamctl.plant.sensing import (
     sensed_pressure_pa,
     sensors_step,
 )
+from pamctl.plant.simulated import LONGEST_STEP_S
 from pamctl.plant.step import mechanics_block_step, plant_step, pressure_block_step
 from pamctl.plant.terms.operators import Terms
 from pamctl.plant.terms.undone_readings import undo_reading_term
@@ -548,6 +549,11 @@ def build_grid(
     is_whole = len(step_s) == len(intervals)  # one step from each sample to the next
     ends_s = samples_s if is_whole else _accumulate_times(step_s)
     return SampleGrid(samples_s, acts_s, held_v, acting, first, step_s, ends_s)
+
+
+def count_steps(period_s: float) -> int:
+    """Return the steps of the simulation in a period: none much longer than half a millisecond."""
+    return max(STEPS_A_TICK, round(period_s / LONGEST_STEP_S))
 
 
 def find_period_s(intervals_s: Array) -> float:

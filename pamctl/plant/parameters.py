@@ -16,7 +16,7 @@ from pamctl.plant.chains import (
 from pamctl.plant.correction_tables import Correction
 from pamctl.plant.effects.air.supply_ripple import ripple_pa
 from pamctl.plant.terms.air_terms import LOWEST_SUPPLY_PA, pass_supply_term
-from pamctl.plant.terms.mechanics_terms import add_force_term
+from pamctl.plant.terms.mechanics_terms import MotionPoint, add_force_term
 from pamctl.plant.terms.operators import TermMemory, Terms
 
 
@@ -137,6 +137,8 @@ class AirState(NamedTuple):
     """Pressure at the line's valve end, where the sensor is; without a line, in the muscle."""
     branch_pa: float = 0.0
     """By how much a supply's fast branch lowers the pressure."""
+    warmth: float = 1.0
+    """Temperature of the muscle's air over that of the walls, T / T_0."""
 
 
 class MechanicsState(NamedTuple):
@@ -188,6 +190,6 @@ def vented_state(p: PlantParameters) -> PlantState:
     if p.mechanics_act and not p.direct:
         memory = MechanicsState().memory
         pull_n = add_force(p.effects.mechanics, memory, 0.0, 0.0, 0.0, 0.0, 0.0)
-        pull_n = add_force_term(p.terms, TermMemory(), pull_n, 0.0, 0.0, 0.0, 0.0)
+        pull_n = add_force_term(p.terms, TermMemory(), pull_n, MotionPoint(0.0, 0.0, 0.0, 0.0))
         rest_m += pull_n / p.paper.stiffness_n_per_m
     return rest_state(p, rest_m, p.paper.atmospheric_pressure_pa)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 from pamctl.plant.chains import add_flow
-from pamctl.plant.chamber import chamber_middle_pa, chamber_step
+from pamctl.plant.chamber import AirBegin, chamber_middle_pa, chamber_step
 from pamctl.plant.correction_tables import interpolate_table
 from pamctl.plant.mechanism import mechanism_step
 from pamctl.plant.paper.mechanics import mechanics_step
 from pamctl.plant.paper.pressure import middle_pressure_pa, pressure_step
 from pamctl.plant.parameters import (
+    AirParameters,
     AirState,
     MechanicsState,
     MechanismParameters,
@@ -37,13 +38,12 @@ def plant_step(
     if p.valve_acts:
         opening_v, valve = valve_step(p.effects.valve, p.terms, valve, command_v, age_s, step_s)
     middle_m = x + 0.5 * step_s * v
-    middle_pa, balanced = air_middle_pa(p, pressure_pa, air, opening_v, x, middle_m, age_s, step_s)
+    begin = AirBegin(pressure_pa, air, opening_v, x, middle_m, age_s, step_s)
+    middle_pa, balanced = air_middle_pa(p, begin)
     end_m, end_v, mechanics = mechanics_block_step(
         p, x, v, mechanics, middle_pa, 0.0, age_s, step_s
     )
-    end_pa, end_air = air_step(
-        p, pressure_pa, air, middle_pa, balanced, opening_v, x, middle_m, end_m, age_s, step_s
-    )
+    end_pa, end_air = air_step(p, begin, middle_pa, balanced, end_m)
     if p.sensors_act:
         begin_pa = pressure_at_sensor_pa(p, pressure_pa, air)
         at_sensor_pa = pressure_at_sensor_pa(p, end_pa, end_air)
@@ -72,22 +72,9 @@ def pressure_block_step(
     opening_v = command_v
     if p.valve_acts:
         opening_v, valve = valve_step(p.effects.valve, p.terms, valve, command_v, age_s, step_s)
-    middle_pa, balanced = air_middle_pa(
-        p, pressure_pa, air, opening_v, position_m, middle_m, age_s, step_s
-    )
-    end_pa, air = air_step(
-        p,
-        pressure_pa,
-        air,
-        middle_pa,
-        balanced,
-        opening_v,
-        position_m,
-        middle_m,
-        end_m,
-        age_s,
-        step_s,
-    )
+    begin = AirBegin(pressure_pa, air, opening_v, position_m, middle_m, age_s, step_s)
+    middle_pa, balanced = air_middle_pa(p, begin)
+    end_pa, air = air_step(p, begin, middle_pa, balanced, end_m)
     return end_pa, valve, air
 
 
@@ -125,68 +112,43 @@ def mechanics_block_step(
     return end_m, end_v, mechanics
 
 
-def air_middle_pa(
-    p: PlantParameters,
-    pressure_pa: float,
-    air: AirState,
-    opening_v: float,
-    position_m: float,
-    middle_m: float,
-    age_s: float,
-    step_s: float,
-) -> tuple[float, bool]:
+def air_middle_pa(p: PlantParameters, begin: AirBegin) -> tuple[float, bool]:
     """Predict the pressure at the step's middle; without effects, by the paper's equations."""
+    pressure_pa, position_m, middle_m = begin.pressure_pa, begin.position_m, begin.middle_m
     if p.air_acts:
-        extra = interpolate_table(p.correction.flow, opening_v, pressure_pa)
-        extra = add_flow(p.effects.air, extra, opening_v, pressure_pa, position_m, age_s)
-        gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
-        extra = add_flow_term(p.terms, extra, opening_v, gauge_pa, position_m, age_s)
-        return chamber_middle_pa(
-            take_air_parameters(p, extra, age_s),
-            pressure_pa,
-            air,
-            opening_v,
-            position_m,
-            middle_m,
-            step_s,
-        )
-    return middle_pressure_pa(p.paper, pressure_pa, opening_v, position_m, middle_m, step_s), False
+        here = find_air_parameters(p, begin, pressure_pa, position_m, begin.age_s)
+        return chamber_middle_pa(here, begin)
+    middle_pa = middle_pressure_pa(
+        p.paper, pressure_pa, begin.opening_v, position_m, middle_m, begin.step_s
+    )
+    return middle_pa, False
 
 
 def air_step(
-    p: PlantParameters,
-    pressure_pa: float,
-    air: AirState,
-    middle_pa: float,
-    balanced: bool,
-    opening_v: float,
-    position_m: float,
-    middle_m: float,
-    end_m: float,
-    age_s: float,
-    step_s: float,
+    p: PlantParameters, begin: AirBegin, middle_pa: float, balanced: bool, end_m: float
 ) -> tuple[float, AirState]:
     """Complete the pressure's step with the muscle's true motion."""
+    pressure_pa, position_m, step_s = begin.pressure_pa, begin.position_m, begin.step_s
     if p.air_acts:
-        extra = interpolate_table(p.correction.flow, opening_v, pressure_pa)
-        middle_age_s = age_s + 0.5 * step_s
-        extra = add_flow(p.effects.air, extra, opening_v, middle_pa, middle_m, middle_age_s)
-        gauge_pa = middle_pa - p.paper.atmospheric_pressure_pa
-        extra = add_flow_term(p.terms, extra, opening_v, gauge_pa, middle_m, middle_age_s)
-        return chamber_step(
-            take_air_parameters(p, extra, middle_age_s),
-            pressure_pa,
-            air,
-            middle_pa,
-            balanced,
-            opening_v,
-            position_m,
-            middle_m,
-            end_m,
-            step_s,
-        )
-    end_pa = pressure_step(p.paper, pressure_pa, middle_pa, opening_v, position_m, end_m, step_s)
-    return end_pa, air
+        age_s = begin.age_s + 0.5 * step_s
+        there = find_air_parameters(p, begin, middle_pa, begin.middle_m, age_s)
+        return chamber_step(there, begin, middle_pa, balanced, end_m)
+    end_pa = pressure_step(
+        p.paper, pressure_pa, middle_pa, begin.opening_v, position_m, end_m, step_s
+    )
+    return end_pa, begin.air
+
+
+def find_air_parameters(
+    p: PlantParameters, begin: AirBegin, pressure_pa: float, position_m: float, age_s: float
+) -> AirParameters:
+    """Return the parameters of the air, with the extra flow at a point of the step."""
+    opening_v = begin.opening_v
+    extra = interpolate_table(p.correction.flow, opening_v, begin.pressure_pa)
+    extra = add_flow(p.effects.air, extra, opening_v, pressure_pa, position_m, age_s)
+    gauge_pa = pressure_pa - p.paper.atmospheric_pressure_pa
+    extra = add_flow_term(p.terms, extra, opening_v, gauge_pa, position_m, age_s)
+    return take_air_parameters(p, extra, age_s)
 
 
 def advance_plant(

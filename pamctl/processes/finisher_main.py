@@ -17,11 +17,10 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from pamctl.recording.recorder import RECORDER_PATIENCE_S
+from pamctl.recording.recorder import RECORDER_PATIENCE_S, outlive_signals
 from pamctl.recording.ring import Ring, RingError
 
 _LOOK_EVERY_S = 0.1
-_IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def start_finisher(ring_path: Path) -> None:
@@ -37,8 +36,7 @@ def start_finisher(ring_path: Path) -> None:
 
 def main() -> int:
     """Finish the log of the ring that the first argument names."""
-    for number in _IGNORED:
-        signal.signal(number, signal.SIG_IGN)
+    outlive_signals()
     # The loop's CPU is not the only one that this work may use.
     with suppress(OSError):
         os.sched_setaffinity(0, range(os.cpu_count() or 1))

@@ -169,6 +169,11 @@ def guard(
     if reason:
         loop.kill()
         loop.dies_within(_DEATH_MS)
+    return take_over(ring, rig, reason, noticed_ns)
+
+
+def take_over(ring: Ring, rig: Rig, reason: str, noticed_ns: int) -> Takeover | None:
+    """Drive the safe voltage for a loop that is dead; None where it had ended in good order."""
     failure = drive_safe(rig)
     if ring.loop_done and not failure:
         return None

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 from hal.rig import Rig
 from pamctl.exit_codes import Ending, ExitCode
-from pamctl.processes.guardian import POLL_MS, Silence, Takeover, drive_safe
+from pamctl.processes.guardian import POLL_MS, Silence, Takeover, take_over
 from pamctl.processes.starvation import read_state
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.recording.last_words import put_event_for_dead_loop
@@ -126,15 +126,9 @@ class Guardianship:
 
     def _take_over(self, ending: Ending, noticed_ns: int) -> Ending:
         """Do what the guardian cannot do any more."""
-        failure = drive_safe(self._rig)
-        if self._ring.loop_done and failure is None:
+        takeover = take_over(self._ring, self._rig, self._reason, noticed_ns)
+        if takeover is None:
             return ending
-        takeover = Takeover(
-            reason=self._reason,
-            silent_ms=(noticed_ns - self._ring.loop_beat_ns) * 1e-6,
-            latency_ms=(time.monotonic_ns() - noticed_ns) * 1e-6,
-            failure=str(failure or ""),
-        )
         put_event_for_dead_loop(self._ring, {**takeover.event(), "event": "front_takeover"})
         return _ending_of_takeover(takeover, ending, "the front")
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import select
-import signal
 import sys
 import time
 from contextlib import suppress
@@ -21,17 +20,16 @@ from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.guardian import LoopProcess, Takeover, drive_safe, guard
 from pamctl.realtime.scheduling import keep_single_threaded, prepare_guardian
 from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
+from pamctl.recording.recorder import outlive_signals
 from pamctl.recording.ring import Ring, RingError
 from pamctl.settings.resolve import from_resolved
 
-_IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _LOOP_STARTS_WITHIN_S = 10.0
 
 
 def main() -> int:
     """Guard the loop of the ring that the first argument names; return the exit code."""
-    for number in _IGNORED:
-        signal.signal(number, signal.SIG_IGN)
+    outlive_signals()
     keep_single_threaded()
     with Ring.attach(sys.argv[1]) as ring:
         try:

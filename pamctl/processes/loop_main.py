@@ -30,7 +30,7 @@ from pamctl.realtime.tick_cost import TickCost, rehearse_tick_s
 from pamctl.realtime.tick_path import TickPath
 from pamctl.recording.last_words import make_outcome_event, put_last_event
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
-from pamctl.recording.run_journal import PatientJournal, RingJournal
+from pamctl.recording.run_journal import RingJournal, wait_for_recorder
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, from_resolved
 
@@ -109,9 +109,10 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
         clock = build_clock(settings, may_spin=preparation.may_spin)
         parts = build_rig(settings, clock, plant=load_plant(settings))
         if settings.fast:
+            wait_for_recorder(ring)
             tick, many = load_leap(setup, parts.rig, parts.clock)
         program = build_program(settings)
-        journal = PatientJournal(ring) if settings.fast else RingJournal(ring)
+        journal = RingJournal(ring)
         controller = settings.controller.model_dump(mode="json")
         return run_loop(
             parts.rig,

@@ -13,7 +13,7 @@ from contextlib import suppress
 from functools import partial
 from typing import NoReturn
 
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_main import (
@@ -25,8 +25,8 @@ from pamctl.processes.loop_main import (
 )
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.processes.machine_code.libraries import load_plant, load_tick
-from pamctl.processes.session_supervisor import SessionSupervisor
 from pamctl.realtime.loop import run_loop
+from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import keep_single_threaded, prepare
 from pamctl.realtime.steering import SteeredProgram
@@ -35,6 +35,22 @@ from pamctl.recording.session_journal import SessionJournal
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, from_resolved
 
+_EMERGENCY = Ending(ExitCode.SAFETY_TRIP, EMERGENCY_STOP)
+
+
+class _SessionSupervisor(LoopSupervisor):
+    """What ends a session: all that ends a run, and the emergency stop."""
+
+    def __init__(self, ring: Ring, orders: Orders, pace: LoopSettings) -> None:
+        super().__init__(ring, sys.stdin.fileno(), pace)
+        self._orders = orders
+
+    def wants_abort(self) -> bool:
+        return self._orders.emergency or super().wants_abort()
+
+    def find_stop(self, tick: int) -> Ending | None:
+        return _EMERGENCY if self._orders.emergency else super().find_stop(tick)
+
 
 def main() -> NoReturn:
     """Run the session on the ring and with the orders that the arguments name."""
@@ -42,7 +58,7 @@ def main() -> NoReturn:
     with Ring.attach(sys.argv[1]) as ring:
         orders = Orders(int(sys.argv[2]))
         settings = from_resolved(json.dumps(ring.meta.config))
-        supervisor = LoopSupervisor(ring, sys.stdin.fileno(), settings.rig.loop)
+        supervisor = _SessionSupervisor(ring, orders, settings.rig.loop)
         journal = SessionJournal(ring, supervisor.watch_recording)
         ending = run_to_ending(partial(_run, ring, settings, orders, journal, supervisor))
         recorded = journal.run
@@ -59,7 +75,7 @@ def _run(
     settings: RunSettings,
     orders: Orders,
     journal: SessionJournal,
-    supervisor: LoopSupervisor,
+    supervisor: _SessionSupervisor,
 ) -> Ending:
     supervisor.watch_recording(None)
     supervisor.listen()
@@ -91,7 +107,7 @@ def _run(
             nominal_zero_of(settings),
             steered,
             journal,
-            SessionSupervisor(supervisor, orders),
+            supervisor,
             parts.truth,
             steered,
             partial(free_foreign_threads, preparation),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -20,10 +19,10 @@ from hal.rig import Rig, RigError
 from pamctl.exit_codes import ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.guardian import drive_safe
+from pamctl.recording.recorder import outlive_signals
 from pamctl.settings.resolve import RunSettings, from_resolved, settings_to_json
 
 _ALL_WELL = b"all is well\n"
-_IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
@@ -59,8 +58,7 @@ def keep_watchman(settings: RunSettings, rig: Rig) -> Iterator[None]:
 
 def main() -> int:
     """Wait for the end of standard input; make the rig safe unless all is well."""
-    for number in _IGNORED:
-        signal.signal(number, signal.SIG_IGN)
+    outlive_signals()
     settings = from_resolved(json.loads(sys.stdin.buffer.readline()))
     try:
         # Loaded now, because it costs a fraction of a second.

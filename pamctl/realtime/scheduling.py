@@ -245,11 +245,8 @@ def raise_front_priority(mode: Mode) -> Iterator[None]:
 
 
 def _run_front_as_fifo(undo: ExitStack) -> str:
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
     # Without the reset on fork: only root may take that back, and the front has more to do.
-    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FRONT_PRIORITY))
-    undo.callback(_undo_quietly, os.sched_setscheduler, 0, *before)
-    return f"SCHED_FIFO, priority {FRONT_PRIORITY}"
+    return _schedule(os.SCHED_FIFO, FRONT_PRIORITY, undo)
 
 
 def _attempt(
@@ -323,10 +320,7 @@ def _pin(cpu: int | None, undo: ExitStack) -> str:
     allowed = os.sched_getaffinity(0)
     if len(allowed) < 2:
         raise OSError(0, "only one CPU to run on")
-    chosen = max(allowed) if cpu is None else cpu
-    os.sched_setaffinity(0, {chosen})
-    undo.callback(_undo_quietly, os.sched_setaffinity, 0, allowed)
-    return f"pinned to CPU {chosen}"
+    return _run_on({max(allowed) if cpu is None else cpu}, undo)
 
 
 def _keep_off(loop_cpu: int | None, undo: ExitStack) -> str:
@@ -335,9 +329,13 @@ def _keep_off(loop_cpu: int | None, undo: ExitStack) -> str:
     others = allowed - {max(allowed) if loop_cpu is None else loop_cpu}
     if not others:
         raise OSError(0, "only one CPU to run on")
-    os.sched_setaffinity(0, others)
-    undo.callback(_undo_quietly, os.sched_setaffinity, 0, allowed)
-    return f"pinned to CPU {', '.join(map(str, sorted(others)))}"
+    return _run_on(others, undo)
+
+
+def _run_on(cpus: set[int], undo: ExitStack) -> str:
+    undo.callback(_undo_quietly, os.sched_setaffinity, 0, os.sched_getaffinity(0))
+    os.sched_setaffinity(0, cpus)
+    return f"pinned to CPU {', '.join(map(str, sorted(cpus)))}"
 
 
 def _how_to_pin() -> str:
@@ -347,9 +345,11 @@ def _how_to_pin() -> str:
 
 def _run_as_fifo(undo: ExitStack, wanted: int = PRIORITY) -> str:
     """Preempt every ordinary process. Children fall back to SCHED_OTHER."""
+    return _schedule(os.SCHED_FIFO | _SCHED_RESET_ON_FORK, _highest_permitted(wanted), undo)
+
+
+def _schedule(policy: int, priority: int, undo: ExitStack) -> str:
     before = os.sched_getscheduler(0), os.sched_getparam(0)
-    priority = _highest_permitted(wanted)
-    policy = os.SCHED_FIFO | _SCHED_RESET_ON_FORK
     os.sched_setscheduler(0, policy, os.sched_param(priority))
     undo.callback(_undo_quietly, os.sched_setscheduler, 0, *before)
     return f"SCHED_FIFO, priority {priority}"

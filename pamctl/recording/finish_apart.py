@@ -9,11 +9,12 @@ the separate process. Standard output is one JSON line.
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
+
+from pamctl.recording.recorder import outlive_signals
 
 
 class FinishedLog(NamedTuple):
@@ -41,8 +42,7 @@ def finish_in_own_process(ring_path: str | Path) -> FinishedLog:
 
 def main(arguments: list[str]) -> int:
     """Finish the log of the ring given as the only argument; return the exit code."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    outlive_signals()
     from pamctl.recording.finish_from_ring import (
         finish_from_ring,  # slow imports: not in the calling process
     )

@@ -40,13 +40,9 @@ class LogJournal:
 
     def put_tick(self, record: TickRecord) -> None:
         """Keep a tick, at the time of its encoder sample."""
-        self._last = (record.timing.tick, record.raw.encoder_t_ns)
-        columns = tuple(chain(*record))
-        self._put(RowKind.TICK, *self._last, self._tick.pack(*columns))
-        if len(self._kept) >= CHUNK_ROWS * ROW_BYTES:
-            self.write_chunk()
-            names = (field.name for field in self._meta.tick_fields)
-            self._tell(dict(zip(names, columns, strict=True)))
+        at = (record.timing.tick, record.raw.encoder_t_ns)
+        packed = self._tick.pack(*chain(*record))
+        self.put_rows(memoryview(_pack_row(RowKind.TICK, *at, len(packed), packed)))
 
     def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
         """Keep a tick that is packed already as a row of a ring."""
@@ -99,6 +95,10 @@ class LogJournal:
 
     def _put(self, kind: int, tick: int, t_ns: int, payload: bytes) -> None:
         for at in range(0, max(1, len(payload)), PAYLOAD_BYTES):
-            row = ROW_HEADER.pack(kind, len(payload), tick, t_ns)
-            self._kept += (row + payload[at : at + PAYLOAD_BYTES]).ljust(ROW_BYTES, b"\0")
+            piece = payload[at : at + PAYLOAD_BYTES]
+            self._kept += _pack_row(kind, tick, t_ns, len(payload), piece)
             kind = RowKind.CONTINUATION
+
+
+def _pack_row(kind: int, tick: int, t_ns: int, size: int, piece: bytes) -> bytes:
+    return (ROW_HEADER.pack(kind, size, tick, t_ns) + piece).ljust(ROW_BYTES, b"\0")

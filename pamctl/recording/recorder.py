@@ -67,10 +67,15 @@ class _Pipe:
             self.gone = os.read(self._fd, 4096) == b""
 
 
-def main(arguments: list[str]) -> int:
-    """Record the ring given as the only argument; return the exit code."""
+def outlive_signals() -> None:
+    """Ignore the signals that end the other processes of a run, whose work this one completes."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+
+
+def main(arguments: list[str]) -> int:
+    """Record the ring given as the only argument; return the exit code."""
+    outlive_signals()
     keep_freed_memory()
     try:
         (ring_path,) = arguments

@@ -246,6 +246,9 @@ class Ring:
         self._rows_at = self._rows_start
         self._head = self.head
         self._full_at = self.tail + self.rows
+        self.await_room: Callable[[Callable[[], bool]], None] | None = None
+        """Called in a full ring with the test for room; it returns when there is room, or none to
+        be expected. None: nobody waits, as a clock goes on meanwhile."""
         self._prepare_packing()
         if populate:
             for _ in self.populate_in_steps(len(self._map)):
@@ -350,16 +353,18 @@ class Ring:
         self._buffer[at : at + ROW_BYTES] = row
         self._head = self._words[_HEAD] = head + 1
 
-    def put_rows(self, rows: memoryview) -> memoryview:
-        """Put as many packed ticks as there is room for; return the others."""
-        head = self._head
-        self._full_at = self.tail + self.rows
-        start = head % self.rows
-        count = min(len(rows) // ROW_BYTES, self._full_at - head, self.rows - start)
-        at, size = self._rows_at + start * ROW_BYTES, count * ROW_BYTES
-        self._buffer[at : at + size] = rows[:size]
-        self._head = self._words[_HEAD] = head + count
-        return rows[size:]
+    def put_rows(self, rows: memoryview) -> None:
+        """Put many packed ticks, as there is room for them."""
+        while rows:
+            head = self._head
+            if head >= self._full_at:
+                self._make_room(1)
+            start = head % self.rows
+            count = min(len(rows) // ROW_BYTES, self._full_at - head, self.rows - start)
+            at, size = self._rows_at + start * ROW_BYTES, count * ROW_BYTES
+            self._buffer[at : at + size] = rows[:size]
+            self._head = self._words[_HEAD] = head + count
+            rows = rows[size:]
 
     def rehearse_row(self, row: bytearray) -> None:
         """Copy a packed tick into the next row and do not move the head."""
@@ -414,7 +419,11 @@ class Ring:
 
     def _make_room(self, rows: int) -> None:
         self._full_at = self.tail + self.rows
-        if self._head + rows > self._full_at:
+        needed = self._head + rows
+        if needed > self._full_at and self.await_room is not None:
+            self.await_room(lambda: self.tail + self.rows >= needed)
+            self._full_at = self.tail + self.rows
+        if needed > self._full_at:
             raise RingFull(f"the ring's {self.rows} rows are full: the recorder is behind or gone")
 
     # The recorder's side.

@@ -6,30 +6,28 @@ lateness are always in the session's ring, which the guardian watches while the 
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from pamctl.exit_codes import Ending
 from pamctl.recording.last_words import make_outcome_event
 from pamctl.recording.ring import LoopStage, Ring
-from pamctl.signals import TickRecord
+from pamctl.recording.run_journal import RingJournal
 
 _FIRST_EVENTS = ("timing_setup", "rate_warning", "rig", "foreign_threads", "zeroed")
 """Events that begin the log of every run, repeated from when they were last put."""
 _CLOSED = object()
 
 
-class SessionJournal:
+class SessionJournal(RingJournal):
     """Puts rows into the ring of the current run, or else into the session's own ring."""
 
     def __init__(self, session: Ring, recorded: Callable[[Ring | None], None]) -> None:
         """Begin between runs; `recorded` gets the ring that has a recorder, or None."""
+        super().__init__(session)
         self._session = session
         self._recorded = recorded
-        self._ring = session
         self._standing: dict[str, Mapping[str, object]] = {}
-        self._worst_late_s = 0.0
         self._closing: deque[Iterator[None]] = deque()
 
     @property
@@ -80,59 +78,29 @@ class SessionJournal:
             last = self.run.latest_tick() or {"tick": 0, "encoder_t_ns": 0}
             self.end_run(int(last["tick"]), int(last["encoder_t_ns"]), ending)
 
-    def put_tick(self, record: TickRecord) -> None:
-        """Put a tick; raise `RingFull` if there is no room."""
-        self._ring.put_tick(record)
-        self._show_life(record.timing.late_s, record.timing.missed)
-
-    def put_row(self, row: bytearray, late_s: float, missed: int) -> None:
-        """Put a tick that is packed already; raise `RingFull` if there is no room."""
-        self._ring.put_row(row)
-        self._show_life(late_s, missed)
-
     def _show_life(self, late_s: float, missed: int) -> None:
+        super()._show_life(late_s, missed)
         ring, session = self._ring, self._session
-        now_ns = time.monotonic_ns()
-        session.loop_beat_ns = now_ns
         if ring is session:
             session.commit(session.head)
         else:
-            ring.loop_beat_ns = now_ns
-        if late_s > self._worst_late_s:
-            self._worst_late_s = late_s
-            ring.worst_late_ns = round(late_s * 1e9)
+            ring.loop_beat_ns = session.loop_beat_ns
         if missed:
             ring.missed_ticks += missed
 
-    def rehearse_tick(self, record: TickRecord) -> None:
-        """Do what `put_tick` does, up to the point where others would see it."""
-        self._ring.rehearse_tick(record)
-
-    def rehearse_row(self, row: bytearray) -> None:
-        """Do what `put_row` does, up to the point where others would see it."""
-        self._ring.rehearse_row(row)
-
     def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
-        """Put an event. The first event, just before the first tick, starts the heartbeat."""
+        """Put an event; those that begin a log are kept for the runs to come."""
         if event["event"] in _FIRST_EVENTS:
             self._standing[str(event["event"])] = event
-        self._ring.put_event(tick, t_ns, event)
-        session = self._session
-        session.commit(session.head)
-        session.loop_beat_ns = time.monotonic_ns()
-        session.loop_stage = LoopStage.TICKING
+        super().put_event(tick, t_ns, event)
+        self._session.commit(self._session.head)
 
     def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
         """Put gains that apply from the next tick on."""
-        self._ring.put_gains(tick, t_ns, gains)
+        super().put_gains(tick, t_ns, gains)
         self._session.commit(self._session.head)
 
     def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
         """Put the frozen state, during a run only."""
         if self._ring is not self._session:
-            self._ring.put_keyframe(tick, t_ns, state)
-
-    def end_ticks(self) -> None:
-        """Tell the guardian to wait longer: releasing a card takes longer than a tick."""
-        self._session.loop_beat_ns = time.monotonic_ns()
-        self._session.loop_stage = LoopStage.LEAVING
+            super().put_keyframe(tick, t_ns, state)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hal.calibration import Zero
-from pamctl.control.course import Segment
+from pamctl.control.course import Course, Segment
 from pamctl.log import Log
 from pamctl.realtime.tick import first_state
 from pamctl.replay.course_kernel import trace_course
@@ -114,4 +114,4 @@ def _load_kernels(recording: ReplaySource) -> None:
     setup = recording.setup_at(0)
     nowhere = first_state(setup, Zero(0.0, 0.0))
     replay_stretch(setup, recording.output, nowhere, recording.inputs(0, 0))
-    trace_course([Segment(0, 1.0, 0.0, 0.0, 0.0)], 1.0, 0.0, np.empty(0))
+    trace_course(Course([Segment(0, 1.0, 0.0, 0.0, 0.0)]), 0.0, np.empty(0))

@@ -81,7 +81,7 @@ class ProgramReplay:
             return None
         course, course_begin_s = program.running
         t_s = self._recording.log.t[begin:end]
-        rows = trace_course(course.segments, course.duration_s, course_begin_s, t_s)
+        rows = trace_course(course, course_begin_s, t_s)
         if rows is None or any(
             find_differing(self._recording.log[name][begin:end].astype(np.float64), row) is not None
             for name, row in zip(Reference._fields, rows, strict=True)

@@ -6,7 +6,7 @@ import collections.abc
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, dataclass_transform
 
 from pamctl.session.pamctl_error import translate_errors
 
@@ -14,16 +14,22 @@ Floats = collections.abc.Sequence[float]
 """Numbers: a list, a tuple, or `array.tolist()`."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass_transform(frozen_default=True, kw_only_default=True)
 class ExperimentForm:
     """An experiment, or a part of one, with the keys and the units of an experiment file.
 
-    A wrong value raises `PamctlError` when the form is made: nothing has moved then.
+    A wrong value raises `PamctlError` when the form is made: nothing has moved then. Each subclass
+    is a frozen dataclass; `kind` is its kind in a file, and a part stands within a sequence only.
     """
 
     KIND: ClassVar[str] = ""
     IS_PART: ClassVar[bool] = False
-    """It stands within a sequence only, and is checked with it."""
+    """It is checked with its sequence."""
+
+    def __init_subclass__(cls, kind: str = "", is_part: bool = False) -> None:
+        """Make a dataclass of a subclass."""
+        cls.KIND, cls.IS_PART = kind, is_part
+        dataclass(frozen=True, kw_only=True)(cls)
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -35,7 +41,8 @@ class ExperimentForm:
         return read_experiment(self._write_keys(), type(self).__name__)
 
     def _write_keys(self) -> dict[str, Any]:
-        keys = {field.name: _make_plain(getattr(self, field.name)) for field in fields(self)}
+        fields_of: Any = self  # every subclass is a dataclass
+        keys = {field.name: _make_plain(getattr(self, field.name)) for field in fields(fields_of)}
         return {"kind": self.KIND, **{key: v for key, v in keys.items() if v is not None}}
 
 

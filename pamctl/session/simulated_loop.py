@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import math
 import threading
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import chain
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, NamedTuple
 
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.log.naming import bare_name, make_dated_path
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.run_once import make_run_meta, new_ring_path
@@ -25,6 +24,7 @@ from pamctl.realtime.loop import run_loop
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.recording.drain import record_run
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
+from pamctl.recording.run_journal import wait_for_recorder
 from pamctl.recording.session_journal import SessionJournal
 from pamctl.session.held_ctrl_c import hold_back_ctrl_c
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
@@ -66,7 +66,7 @@ class SimulatedLoop:
         meta = make_run_meta(settings, names, Path("/nonexistent"))
         self._ring = Ring.create(new_ring_path().with_suffix(".session"), meta, _SESSION_ROWS)
         self._ring.unlink()
-        self._journal = _PatientSessionJournal(self._ring, self)
+        self._journal = _TickedJournal(self._ring, self)
         self._thread = threading.Thread(target=self._work, name="simulated loop", daemon=True)
         self._thread.start()
         with hold_back_ctrl_c():
@@ -167,7 +167,7 @@ class SimulatedLoop:
     def find_stop(self, tick: int) -> Ending | None:
         """Return the ending once the loop shall end."""
         if self._wants_abort:
-            return Ending(ExitCode.SAFETY_TRIP, "emergency stop")
+            return Ending(ExitCode.SAFETY_TRIP, EMERGENCY_STOP)
         return Ending(ExitCode.OK, "the session ended") if self._is_leaving else None
 
     def wants_abort(self) -> bool:
@@ -226,38 +226,16 @@ class _TickOrders:
         return None if order is None else dict(order)
 
 
-class _PatientSessionJournal(SessionJournal):
-    """Waits for the recorder where a ring is full, as no clock goes on meanwhile."""
+class _TickedJournal(SessionJournal):
+    """Tells its loop of each tick; the rings of runs wait for their recorders."""
 
     def __init__(self, session: Ring, loop: SimulatedLoop) -> None:
-        super().__init__(session, lambda ring: None)
+        super().__init__(session, lambda ring: None if ring is None else wait_for_recorder(ring))
         self._loop = loop
 
     def put_tick(self, record: TickRecord) -> None:
         self._loop.last = record
-        self._put_patiently(partial(super().put_tick, record))
-
-    def put_event(self, tick: int, t_ns: int, event: Mapping[str, object]) -> None:
-        self._put_patiently(partial(super().put_event, tick, t_ns, event))
-
-    def put_gains(self, tick: int, t_ns: int, gains: Mapping[str, object]) -> None:
-        self._put_patiently(partial(super().put_gains, tick, t_ns, gains))
-
-    def put_keyframe(self, tick: int, t_ns: int, state: Sequence[float]) -> None:
-        self._put_patiently(partial(super().put_keyframe, tick, t_ns, state))
-
-    def end_run(self, tick: int, t_ns: int, ending: Ending) -> None:
-        self._put_patiently(partial(super().end_run, tick, t_ns, ending))
-
-    def _put_patiently(self, put: Callable[[], None]) -> None:
-        while True:
-            try:
-                return put()
-            except RingFull:
-                run = self.run
-                if run is None or run.recorder_flags & RecorderFlag.FAILED:
-                    raise
-                time.sleep(1e-3)
+        super().put_tick(record)
 
 
 class _RunRecorder:

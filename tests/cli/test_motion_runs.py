@@ -20,14 +20,7 @@ NO_HOMING = ("--set", "rig.homing.enabled=false")
 
 SHORT: dict[str, list[str]] = {
     "sine": ["cycles=1", "frequency_hz=2"],
-    "multisine": ["period_s=2", "periods=1", "low_hz=0.5"],
-    "sweep": ["duration_s=3", "start_hz=0.5"],
     "random": ["duration_s=1.5"],
-    "triangle": ["cycles=1", "frequency_hz=0.5"],
-    "rounded-square": ["cycles=1", "frequency_hz=0.5"],
-    "ramps": ["hold_s=0.2", "levels_mm=[10, 12, 11]"],
-    "step": ["cycles=1", "hold_s=0.3"],
-    "sequence": ["parts.1.cycles=1", "parts.1.frequency_hz=1", "parts.3.times=1"],
     "valve-sine": ["cycles=2"],
 }
 
@@ -56,7 +49,7 @@ def write_table(folder: Path, text: str, **keys: Any) -> str:
 
 
 @pytest.mark.parametrize("name", SHORT)
-def test_each_form_runs_and_replays_to_the_bit(name: str, tmp_path: Path) -> None:
+def test_a_form_runs_and_replays_to_the_bit(name: str, tmp_path: Path) -> None:
     changes = [part for key in SHORT[name] for part in ("--set", f"experiment.{key}")]
     log = run_whole(tmp_path / "run.mcap", "--experiment", name, *changes)
     replay = replay_log(log)
@@ -164,10 +157,7 @@ def test_a_huge_or_irregular_file_is_not_read(tmp_path: Path) -> None:
     ("changes", "said"),
     [
         (["amplitude_mm=20"], "a position of -8.2 mm at"),
-        (["offset_mm=29", "amplitude_mm=2"], "a position of 31 mm at"),
-        (["amplitude_mm=4", "frequency_hz=25"], "a speed of"),
         (["amplitude_mm=4", "frequency_hz=25"], "an acceleration of"),
-        (["offset_mm=22"], "a pressure of 451"),
         (["offset_mm=3", "amplitude_mm=2.9", "frequency_hz=4"], "a pressure of"),
         (["amplitude_mm=3", "frequency_hz=6"], "a valve command of"),
     ],

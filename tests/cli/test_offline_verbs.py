@@ -189,7 +189,7 @@ def run_elsewhere(system: str, folder: Path, *verbs: str) -> None:
 
 def test_verbs_that_drive_no_rig_run_without_linux(log):
     verbs = [
-        "replay {}", "replay {} --tolerance default-for-other-cpu", "compare {}",
+        "replay {} --tolerance default-for-other-cpu", "compare {}",
         "report {} --out page.html", "log info {}", "log check {}",
         "log recover {} saved.mcap", "log export {} out.csv", "log import out.csv again.mcap",
         "config check", "run --dry-run",
@@ -220,11 +220,11 @@ def read_messages(path: Path) -> list[tuple[str, int, int, bytes]]:
 
 
 def test_a_run_without_a_clock_gives_the_same_log_where_there_are_no_rings(tmp_path):
-    run = "run --fast --quiet --duration 4 --seed 7 --log"
+    run = "run --fast --quiet --duration 0.5 --seed 7 --log"
     run_elsewhere("win32", tmp_path, f"{run} elsewhere.mcap")
     assert CliRunner().invoke(app, [*run.split(), str(tmp_path / "here.mcap")]).exit_code == 0
     there, here = (read_messages(tmp_path / f"{name}.mcap") for name in ("elsewhere", "here"))
-    assert len(here) > 4000
+    assert len(here) > 2000
     assert there == here
     for name in ("elsewhere", "here"):
         assert (

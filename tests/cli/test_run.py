@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from support.command_line import run_pamctl
 from support.patience import BUSY_PC, PATIENCE_S
-from support.processes.killing import kill_as_one
-from support.processes.rings import await_phase, await_tick, ring_left
+from support.processes.rings import await_phase, await_tick
 from typer.testing import CliRunner
 
 from pamctl.cli.app import app
@@ -171,8 +170,8 @@ def test_an_open_loop_square_moves_the_muscle_as_the_model_says(tmp_path: Path) 
     assert swing.max() == pytest.approx(23.7e-3, abs=0.2e-3)
 
 
-@pytest.mark.parametrize("controller", ["qsmc", "smc", "pid", "smc-paper-plant"])
-def test_every_shipped_law_runs_the_experiment_to_its_end(tmp_path: Path, controller: str) -> None:
+@pytest.mark.parametrize("controller", ["smc", "pid"])
+def test_each_other_law_runs_the_experiment_to_its_end(tmp_path: Path, controller: str) -> None:
     report, _ = fast_run(tmp_path, "--controller", controller, *BRISK)
     assert report["exit_code"] == 0
     assert report["tracking"]["measured"]["max_m"] < 292e-6
@@ -222,20 +221,7 @@ def test_in_real_time_the_ticks_lie_on_the_grid_and_missed_ones_are_counted(
     assert setup["mode"] == "auto"
 
 
-def test_ctrl_c_stops_smoothly_and_the_log_is_whole(tmp_path: Path) -> None:
-    with running(tmp_path) as front:
-        await_ticks(front, 300)
-        front.send_signal(signal.SIGINT)
-        _, said = front.communicate(timeout=PATIENCE_S)
-    assert front.returncode == 130
-    assert "SIGINT" in said
-    log = read(tmp_path / "run.mcap")
-    assert_gapless_but_for_missed_ticks(log)
-    assert log["phase"][-1] == Phase.STOPPING
-    assert outcome(log)["code"] == 130
-
-
-def test_a_second_ctrl_c_stops_at_once(tmp_path: Path) -> None:
+def test_a_second_ctrl_c_stops_a_run_at_once_with_130(tmp_path: Path) -> None:
     with running(tmp_path, "--set", "rig.loop.stop_ramp_s=5") as front:
         await_ticks(front, 300)
         front.send_signal(signal.SIGINT)
@@ -247,32 +233,17 @@ def test_a_second_ctrl_c_stops_at_once(tmp_path: Path) -> None:
     assert 0 < np.count_nonzero(log["phase"] == Phase.STOPPING) < 4900
 
 
-def test_sigterm_ends_a_run_with_143(tmp_path: Path) -> None:
+def test_sigterm_stops_a_run_smoothly_with_143(tmp_path: Path) -> None:
     with running(tmp_path) as front:
         await_ticks(front, 200)
         front.terminate()
-        front.communicate(timeout=PATIENCE_S)
-    assert front.returncode == 143
-    assert outcome(read(tmp_path / "run.mcap"))["code"] == 143
-
-
-# --- sudden deaths -----------------------------------------------------------------------
-
-
-def test_a_killed_recorder_ends_the_run_and_the_log_is_complete_to_the_last_tick(
-    tmp_path: Path,
-) -> None:
-    with running(tmp_path) as front:
-        pids = children(front)
-        await_ticks(front, 700)
-        os.kill(pids["recording.recorder"], signal.SIGKILL)
         _, said = front.communicate(timeout=PATIENCE_S)
-    assert front.returncode == 1
-    assert "finished from the ring" in said
+    assert front.returncode == 143
+    assert "SIGTERM" in said
     log = read(tmp_path / "run.mcap")
     assert_gapless_but_for_missed_ticks(log)
-    assert outcome(log)["reason"] == "the recorder failed"
-    assert not ring_left(front.pid)
+    assert log["phase"][-1] == Phase.STOPPING
+    assert outcome(log)["code"] == 143
 
 
 def test_a_recorder_frozen_for_good_ends_the_run_and_loses_nothing(tmp_path: Path) -> None:
@@ -288,52 +259,6 @@ def test_a_recorder_frozen_for_good_ends_the_run_and_loses_nothing(tmp_path: Pat
     assert "no sign of life" in str(outcome(log)["reason"])
 
 
-def test_a_killed_loop_is_reported_and_its_last_tick_is_in_the_log(tmp_path: Path) -> None:
-    with running(tmp_path) as front:
-        pids = children(front)
-        await_ticks(front, 500)
-        os.kill(pids["loop_main"], signal.SIGKILL)
-        _, said = front.communicate(timeout=PATIENCE_S)
-    assert front.returncode == 1
-    assert "killed by SIGKILL" in said
-    log = read(tmp_path / "run.mcap")
-    assert_gapless_but_for_missed_ticks(log)
-    assert log["tick"][-1] >= 490
-    reason = str(outcome(log)["reason"])
-    assert reason.startswith("the loop process was killed by SIGKILL; the guardian drove")
-
-
-def test_when_the_front_is_killed_the_others_finish_their_work(tmp_path: Path) -> None:
-    with running(tmp_path) as front:
-        await_ticks(front, 300)
-        front.kill()
-        front.wait()
-    deadline = time.monotonic() + PATIENCE_S
-    while ring_left(front.pid):
-        assert time.monotonic() < deadline, "the ring was left behind"
-        time.sleep(0.05)
-    log = read(tmp_path / "run.mcap")
-    assert outcome(log)["reason"] == "the commanding process is gone"
-
-
-def test_when_all_are_killed_at_once_the_next_run_finishes_the_log(tmp_path: Path) -> None:
-    with running(tmp_path) as front:
-        pids = (front.pid, *children(front).values())
-        await_ticks(front, 400)
-        kill_as_one(*pids)
-        front.wait()
-    ring = ring_left(front.pid)
-    assert ring
-    time.sleep(2.1)  # a ring younger than that might belong to a run that is just starting
-    done = pamctl("run", "--fast", "--duration", "0.1", "--log", "next.mcap", cwd=tmp_path)
-    assert f"an earlier run died ({ring}): finished {tmp_path / 'run.mcap'}" in done.stderr
-    assert done.returncode == 0
-    assert not ring.exists()
-    log = read(tmp_path / "run.mcap")
-    assert_gapless_but_for_missed_ticks(log)
-    assert log["tick"][-1] >= 390
-
-
 # --- trips -------------------------------------------------------------------------------
 
 
@@ -341,9 +266,6 @@ def test_when_all_are_killed_at_once_the_next_run_finishes_the_log(tmp_path: Pat
     ("fault", "code", "reason"),
     [
         ("{kind: pressure_nan, from_tick: 2500}", 4, "no finite number"),
-        ("{kind: broken_wire, from_tick: 2500}", 4, "electrical range"),
-        ("{kind: encoder_jump, from_tick: 2500, size: 9000}", 4, "faster than the muscle can"),
-        ("{kind: read_error, from_tick: 2500}", 69, "read_error injected at tick 2500"),
         ("{kind: write_error, from_tick: 2500}", 69, "write_error injected at tick 2500"),
     ],
 )

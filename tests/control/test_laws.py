@@ -22,7 +22,7 @@ from support.equations.paper_equations import (
 
 from pamctl.control.law import Gains
 from pamctl.control.law import respond as respond_armed
-from pamctl.control.law_registry import law_gains
+from pamctl.control.law_registry import law_of
 from pamctl.control.pid import PidSettings
 from pamctl.control.qsmc import QsmcSettings
 from pamctl.control.smc import SmcSettings, linearise_model
@@ -72,7 +72,8 @@ def respond(made: Gains, memory: Absement, *seen: Any) -> tuple[Command, Absemen
 
 
 def gains(law: dict[str, Any], **changes: Any) -> Any:
-    return law_gains(_MODELS[law["law"]](**{**law, **changes}))
+    settings = _MODELS[law["law"]](**{**law, **changes})
+    return law_of(settings).to_gains(settings)
 
 
 def unlimited(made: Any) -> Any:

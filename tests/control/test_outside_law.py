@@ -71,7 +71,7 @@ def test_the_log_of_an_outside_law_names_package_and_version_and_source(log: Pat
 def test_the_log_of_an_outside_law_replays_to_the_bit_from_any_keyframe(
     log: Path, site: Path
 ) -> None:
-    for begin in ([], ["--from", "2.5"], ["--plain"]):
+    for begin in ([], ["--from", "2.5"]):
         done = pamctl("replay", log, "--json", *begin, sites=(site,))
         assert done.returncode == 0, done.stderr
         found = json.loads(done.stdout)

@@ -129,15 +129,6 @@ def test_a_stop_is_smooth_and_says_so_in_the_log(up: Daemon) -> None:
     assert np.all(np.diff(ran["valve_v"][stopping]) <= 1e-12), "a ramp down to the safe command"
 
 
-def test_a_remark_is_in_the_log_at_its_time(up: Daemon) -> None:
-    log = up.ask("start", experiment=SQUARE | {"cycles": 50}, name="marked")["log"]
-    up.wait_for("running")
-    up.ask("mark", text="a bump")
-    up.ask("stop")
-    parked(up)
-    assert [e["text"] for e in read(log).events if e["event"] == "mark"] == ["a bump"]
-
-
 # --- gains ---------------------------------------------------------------------------
 
 
@@ -169,21 +160,6 @@ def test_gains_change_without_a_jump_and_replay_follows_them(up: Daemon) -> None
     assert step_v[calm].max() < 0.02
     replayed = replay_log(ran)
     assert replayed.is_equal, replayed.differences
-
-
-def test_a_replay_without_the_change_of_gains_differs(up: Daemon) -> None:
-    """Counter-check of the test above: without the change the replay differs."""
-    log = up.ask("goto", position_m=8e-3, within_s=0.5)["log"]
-    up.wait_until(lambda s: s["state"] == "ready" and s["log"] is not None)
-    up.ask("set", changes=["controller.kp_v_s3_per_length=5e-8"], ramp_s=0.1)
-    up.wait_ticks(300)
-    up.ask("set", changes=["controller.kp_v_s3_per_length=9.95e-08"], ramp_s=0.1)
-    up.ask("stop")
-    parked(up)
-    ran = read(log)
-    del ran.gains[1:]
-    replayed = replay_log(ran)
-    assert replayed.differences[0].place.stage == "command"
 
 
 @pytest.mark.parametrize(

@@ -199,12 +199,9 @@ def test_the_next_start_after_all_were_killed_finishes_the_log_and_stays_small(
         assert not holds_numpy(after)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_a_signal_stops_the_daemon_smoothly_and_it_exits_with_0(
-    own: Daemon, number: signal.Signals
-) -> None:
+def test_a_signal_stops_the_daemon_smoothly_and_it_exits_with_0(own: Daemon) -> None:
     log = holding(own)
-    own.process.send_signal(number)
+    own.process.send_signal(signal.SIGINT)
     assert own.process.wait(PATIENCE_S) == 0
     assert own.is_safe()
     ran = read(log)
@@ -221,33 +218,25 @@ def test_a_stop_may_last_longer_than_the_ticks_kept_between_runs(tmp_path: Path)
         assert read(log).events[-1]["reason"] == "stopped by request"
 
 
-def test_a_second_signal_ends_it_at_once_and_leaves_no_fault(tmp_path: Path) -> None:
+def test_more_signals_end_it_at_once_and_leave_no_fault(tmp_path: Path) -> None:
     slowly = ("rig.loop.stop_ramp_s=5", "rig.loop.ring_rows=65536")
     with daemon(tmp_path, "hurry", NOT_HOMED, *slowly) as made:
         log = holding(made)
         made.process.send_signal(signal.SIGTERM)
         with pytest.raises(DaemonUnreachableError):  # it has heard the first one
             made.wait_until(lambda status: False)
-        made.process.send_signal(signal.SIGTERM)
-        assert made.process.wait(PATIENCE_S) == 0
-        assert made.is_safe()
-        ran = read(log)
-        assert np.count_nonzero(ran["phase"] == 5) < 4900, "the ramp was cut short"
-        assert not ao_path(made.device).with_suffix(".fault").exists()
-
-
-def test_many_signals_do_not_interrupt_its_end(tmp_path: Path) -> None:
-    with daemon(tmp_path, "impatient", NOT_HOMED) as made:
-        log = holding(made)
         deadline_s = time.monotonic() + PATIENCE_S
-        while made.process.poll() is None:
+        while made.process.poll() is None:  # however many come, they do not interrupt its end
             assert time.monotonic() < deadline_s
             made.process.send_signal(signal.SIGTERM)
             time.sleep(1e-3)
         assert made.process.returncode == 0
         assert made.is_safe()
-        assert read(log).events[-1]["event"] == "outcome"
         assert not made.socket.exists()
+        ran = read(log)
+        assert np.count_nonzero(ran["phase"] == 5) < 4900, "the ramp was cut short"
+        assert ran.events[-1]["event"] == "outcome"
+        assert not ao_path(made.device).with_suffix(".fault").exists()
 
 
 def test_a_daemon_that_is_ending_starts_nothing(tmp_path: Path) -> None:
@@ -311,19 +300,19 @@ def test_a_session_that_is_idle_for_long_ends(tmp_path: Path) -> None:
 
 
 def test_the_option_keep_leaves_only_its_newest_logs(tmp_path: Path) -> None:
-    with daemon(tmp_path, "keep", NOT_HOMED, options=["--keep", "2"]) as made:
+    with daemon(tmp_path, "keep", NOT_HOMED, options=["--keep", "1"]) as made:
         others = [made.logs / "20250101-000000-qsmc-tracking-1.mcap", made.logs / "mine.csv"]
         for path in others:
             path.touch()
         first = run_to_its_end(made, SQUARE, "run0")
         beside = first.with_name(f"{first.stem}-trip.csv")
         beside.touch()
-        logs = [run_to_its_end(made, SQUARE, f"run{n}") for n in (1, 2)]
+        second = run_to_its_end(made, SQUARE, "run1")
         deadline_s = time.monotonic() + PATIENCE_S
         while first.exists():  # it is tidied once the run is over, and said to be
             assert time.monotonic() < deadline_s
             time.sleep(0.02)
-        assert made.finished_logs() == sorted([others[0], *logs])
+        assert made.finished_logs() == sorted([others[0], second])
         assert others[1].exists()
         assert not beside.exists()
 

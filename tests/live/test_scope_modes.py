@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.chromium import Page, page
-from support.processes.daemons import NOT_HOMED, Daemon, as_root, daemon, nobody, parked
-from support.processes.watch_pages import Served, served, set_input
+from support.chromium import Page
+from support.processes.daemons import Daemon, as_root, nobody, parked
+from support.processes.watch_pages import Served, set_input, shown, tab, up
 
 from pamctl.daemon.client import DaemonDeclinedError
 from pamctl.live.scope.tick_memory import TickMemory
@@ -22,30 +22,12 @@ from pamctl.log.reader import Log, read
 from pamctl.recording.ring import Ring, RingError
 from pamctl.signals import Phase
 
+assert all((up, shown, tab))  # fixtures
+
 OFFSET_MM, AFTER_S, HOLDOFF_S = 8.0, 0.06, 0.7
 SINE: dict[str, Any] = {
     "kind": "sine", "offset_mm": OFFSET_MM, "amplitude_mm": 1.0, "frequency_hz": 4.0, "cycles": 200,
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
-    with daemon(tmp_path_factory.mktemp("modes"), "modes", NOT_HOMED) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def shown(up: Daemon) -> Iterator[Served]:
-    with served(up, "--allow-control") as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def tab(shown: Served, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with page(tmp_path_factory.mktemp("browser")) as made:
-        made.open(shown.address, width=1280, height=1000)
-        made.wait_for("scope.charts.length && bench.gains.length")
-        yield made
 
 
 def find_rises(log: Log) -> list[int]:
@@ -227,6 +209,22 @@ def test_page_and_log_say_who_changed_which_gain_and_anyone_can_undo_it(
     up.wait_for("ready")
 
 
+def test_a_gain_that_the_keyboard_changed_keeps_the_keyboard(
+    up: Daemon, holding: Path, tab: Page
+) -> None:
+    slider = "document.querySelector('[data-gain=eta] input[type=range]')"
+    values = [up.ask("status")["controller"]["eta"]]
+    tab.value(f"{slider}.focus()")
+    for _ in range(2):
+        tab.press("ArrowUp")
+        up.wait_until(lambda s: s["controller"]["eta"] > values[-1])
+        values.append(up.ask("status")["controller"]["eta"])
+        tab.wait_for(f"document.activeElement === {slider}")
+    for _ in range(2):
+        up.ask("undo")
+    assert up.ask("status")["controller"]["eta"] == values[0]
+
+
 @as_root
 def test_the_group_that_may_steer_can_read_every_tick_and_write_none(
     up: Daemon, holding: Path
@@ -249,7 +247,8 @@ def test_the_page_breaks_no_rule_for_accessible_pages_and_the_stop_is_the_first_
     shown: Served, holding: Path, tab: Page
 ) -> None:
     rules = (files("axe_core_python") / "axe.min.js").read_text()
-    for width in (1280, 390):
+    for width, colours in ((1280, "light"), (390, "dark")):
+        tab.choose_colours(colours)
         tab.open("about:blank", width=width, height=844)
         tab.open(shown.address, width=width, height=844)
         tab.wait_for("bench.gains.length && !byId('gotohandle').hidden")

@@ -3,37 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.chromium import Page, page
-from support.processes.daemons import NOT_HOMED, Daemon, daemon, parked
-from support.processes.watch_pages import Served, served, set_input
+from support.chromium import Page
+from support.processes.daemons import Daemon, parked
+from support.processes.watch_pages import Served, set_input, shown, tab, up
 
 from pamctl.log.reader import Log, read
 
-
-@pytest.fixture(scope="module")
-def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
-    with daemon(tmp_path_factory.mktemp("scope"), "scope", NOT_HOMED) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def shown(up: Daemon) -> Iterator[Served]:
-    with served(up, "--allow-control") as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def tab(shown: Served, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with page(tmp_path_factory.mktemp("browser")) as made:
-        made.open(shown.address, width=1280, height=1000)
-        made.wait_for("bench.fields.length && scope.charts.length && bench.gains.length")
-        yield made
+assert all((up, shown, tab))  # fixtures
 
 
 def show_values(tab: Page, expression: str) -> np.ndarray:
@@ -183,6 +164,32 @@ def test_a_saved_capture_opens_again_and_its_cut_is_a_log(
     piece = tmp_path / "piece.mcap"
     piece.write_bytes(body)
     assert np.array_equal(read(piece)["position_m"], before)
+
+
+def test_a_minute_at_10_khz_is_drawn_by_its_extremes_and_kept_whole(tab: Page) -> None:
+    count, spike, dip = 600_000, 123_457, 400_001
+    tab.value(
+        f"(() => {{ const n = {count}, t = Float64Array.from({{ length: n }}, (_, k) => k * 1e-4);"
+        " const wave = t.map(s => Math.sin(s)), tick = t.map((_, k) => k);"
+        f" wave[{spike}] = 9; wave[{dip}] = -9; wave[7] = NaN;"
+        " setMode('still'); scope.rateHz = 10000; scope.view = null;"
+        " window.panesBefore = scope.panes; scope.panes = [['error_m']]; buildPanes();"
+        " showCapture({ log: '', first: 0, last: n - 1, trigger: null, every: 1, events: [],"
+        " raw: { tick, t_s: t, error_m: wave }, t0: 0, ticks: tick, t }); })()"
+    )
+    drawn = "scope.charts[0].chart.data"
+    assert tab.value(f"{drawn}[0].length") < 10_000
+    low, high = tab.value(f"[Math.min(...{drawn}[1]), Math.max(...{drawn}[1])]")
+    assert (low, high) == pytest.approx((-9e6, 9e6)), "micrometres"
+    assert (
+        tab.value(f"findGaps(scope.charts[0].chart, 1, 0, {drawn}[0].length - 1, []).length") == 0
+    )
+    tab.value(f"setView({spike * 1e-4 - 0.01}, {spike * 1e-4 + 0.01})")
+    assert tab.value(f"{drawn}[0].includes(scope.capture.t[{spike}])"), "every tick is there"
+    assert tab.value("scope.capture.raw.error_m.length") == count
+    tab.value(
+        "(scope.rateHz = bench.rate_hz ?? 1000, scope.view = null, scope.panes = panesBefore, 0)"
+    )
 
 
 def test_the_spectrum_is_that_of_numpy(tab: Page) -> None:

@@ -45,7 +45,7 @@ def exact(
 
 
 @given(time_constants_s, dampings, openings_v, rates, commands_v, durations_s)
-@examples(max_examples=300, deadline=None)
+@examples(max_examples=60, deadline=None)
 def test_the_spool_moves_as_a_linear_system_of_second_order(
     time_constant_s: float,
     damping: float,

@@ -28,7 +28,6 @@ from support.processes.card_runs import (
 )
 from support.processes.children import PARTS, await_children
 from support.processes.killing import kill_as_one
-from support.processes.rings import await_phase
 from support.runs import AO_STEP_V
 
 from pamctl.log.reader import Log
@@ -36,8 +35,7 @@ from pamctl.signals import Phase
 
 assert own  # a fixture
 
-TIMINGS = {name: ("--set", f"rig.nidaq.timing={name}") for name in ("on_demand", "hardware_timed")}
-every_timing = pytest.mark.parametrize("timing", TIMINGS)
+PACED_BY_THE_CARD = ("--set", "rig.nidaq.timing=hardware_timed")
 MOVING = 300
 """Writes after which the valve is off its safe voltage."""
 
@@ -54,10 +52,10 @@ def assert_left_in_order(card: Card, process: subprocess.Popen[str], code: int) 
     return said
 
 
-def assert_next_start_is_clean(card: Card, timing: str) -> None:
+def assert_next_start_is_clean(card: Card) -> None:
     card.mend()
     (card.path.parent / "cwd" / "run.mcap").unlink()
-    process = start(card, *AT_ONCE, *TIMINGS[timing], "--duration", "0.1")
+    process = start(card, *AT_ONCE, *PACED_BY_THE_CARD, "--duration", "0.1")
     _, said = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, said
     assert card.output_v == pytest.approx(OWN_SAFE_V, abs=AO_STEP_V)
@@ -67,16 +65,15 @@ def child_of(front: subprocess.Popen[str], name: str) -> int:
     return await_children(front.pid, name)[name]
 
 
-@every_timing
-def test_a_driver_that_never_returns_is_killed_with_its_loop(own: Card, timing: str) -> None:
+def test_a_driver_that_never_returns_is_killed_with_its_loop(own: Card) -> None:
     """The read ignores its timeout and all signals: only the guardian can act."""
     own.fail(READ_VOLTS, hang_s=60.0, is_deaf=True, after=MOVING, times=1)
-    process = start(own, *AT_ONCE, *TIMINGS[timing])
+    process = start(own, *AT_ONCE, *PACED_BY_THE_CARD)
     said = assert_left_in_order(own, process, code=1)
     assert "silent for" in said
     assert "the guardian drove the safe voltage" in said
     assert any(event["event"] == "guardian_takeover" for event in log_of(own).events)
-    assert_next_start_is_clean(own, timing)
+    assert_next_start_is_clean(own)
 
 
 def test_a_card_that_is_gone_ends_with_69_its_own_words_and_an_alarm(own: Card) -> None:
@@ -86,52 +83,27 @@ def test_a_card_that_is_gone_ends_with_69_its_own_words_and_an_alarm(own: Card) 
     own.registers.is_gone = 1
     _, said = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 69, said
-    assert "reading the encoder" in said
+    assert "reading the encoder" in said or "writing the valve" in said  # what came next
     assert "-201003" in said
     assert "THE SAFE VOLTAGE COULD NOT BE DRIVEN" in said
     assert "cut the air supply" in said
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_loop_paced_by_the_card_that_dies_or_freezes_leaves_it_safe(
-    own: Card, number: signal.Signals
-) -> None:
-    process = start(own, *AT_ONCE, *TIMINGS["hardware_timed"], STANDIN_THREADS="0")
+def test_a_loop_paced_by_the_card_that_dies_leaves_it_safe(own: Card) -> None:
+    process = start(own, *AT_ONCE, *PACED_BY_THE_CARD, STANDIN_THREADS="0")
     await_writes(own, process, MOVING)
     loop = child_of(process, "loop_main")
     # Python packages start no threads: each would have to die as well.
     assert len(list(Path(f"/proc/{loop}/task").iterdir())) == 1
-    os.kill(loop, number)
+    os.kill(loop, signal.SIGKILL)
     assert "the guardian drove the safe voltage" in assert_left_in_order(own, process, code=1)
 
 
-@every_timing
-def test_a_tick_that_takes_too_long_is_recorded_as_missed_and_the_run_goes_on(
-    own: Card, timing: str
-) -> None:
+def test_a_tick_that_takes_too_long_is_recorded_as_missed_and_the_run_goes_on(own: Card) -> None:
     own.fail("DAQmxWriteAnalogScalarF64", hang_s=6.5e-3, is_deaf=True, after=MOVING, times=1)
-    process = start(own, *AT_ONCE, *TIMINGS[timing], "--duration", "0.6")
+    process = start(own, *AT_ONCE, "--duration", "0.6")
     assert_left_in_order(own, process, code=0)
     assert log_of(own)["missed"].max() >= 5
-
-
-@pytest.mark.parametrize(("signals", "code"), [([signal.SIGTERM], 143), ([signal.SIGINT] * 2, 130)])
-def test_signals_leave_the_card_safe_whatever_paces_the_loop(
-    own: Card, signals: list[signal.Signals], code: int
-) -> None:
-    ramp_s = 1.0 if len(signals) == 1 else 5.0
-    slowly = ("--set", f"rig.loop.stop_ramp_s={ramp_s}")
-    process = start(own, *AT_ONCE, *TIMINGS["hardware_timed"], *slowly)
-    await_writes(own, process, MOVING)
-    *first, last = signals
-    for number in first:  # two at once would merge into one
-        process.send_signal(number)
-        await_phase(process.pid, Phase.STOPPING)
-    process.send_signal(last)
-    assert_left_in_order(own, process, code)
-    # One signal: the whole ramp. Two signals: the ramp is cut short.
-    whole = spent_s(log_of(own), Phase.STOPPING) > 0.8 * ramp_s
-    assert whole == (len(signals) == 1)
 
 
 def spent_s(log: Log, phase: Phase) -> float:
@@ -153,31 +125,16 @@ if "pamctl.processes.loop_main" in sys.orig_argv:
 """
 
 
-@pytest.mark.parametrize("backend", ["nidaq", "sim"])
-def test_an_exception_in_the_law_ends_with_1_and_its_name(
-    own: Card, tmp_path: Path, backend: str
-) -> None:
+def test_an_exception_in_the_law_ends_with_1_and_its_name(own: Card, tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(BUG)
     path = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
     # Without a cache there is no machine code, which would run in the place of the wrong law.
     changed = {"PYTHONPATH": path, "XDG_CACHE_HOME": str(tmp_path / "no cache")}
-    if backend == "nidaq":
-        process = start(own, *AT_ONCE, **changed)
-        said = assert_left_in_order(own, process, code=1)
-        log = log_of(own)
-    else:
-        from pamctl.log.reader import read
-
-        done = subprocess.run(
-            [PAMCTL, "run", "--fast", "--quiet", "--log", "bug.mcap", *AT_ONCE],
-            cwd=tmp_path, env={**os.environ, **changed}, capture_output=True,
-            text=True, timeout=PATIENCE_S, check=False,
-        )  # fmt: skip
-        assert done.returncode == 1
-        said, log = done.stderr, read(tmp_path / "bug.mcap")
-    assert "ZeroDivisionError" in said
-    # In real time the law is also called to rehearse: before the rig is open, and before ticks.
-    assert len(log) == 899 if backend == "sim" else 150 < len(log) < 899
+    process = start(own, *AT_ONCE, **changed)
+    assert "ZeroDivisionError" in assert_left_in_order(own, process, code=1)
+    log = log_of(own)
+    # The law is also called to rehearse: before the rig is open, and before ticks.
+    assert 150 < len(log) < 899
     assert log.events[-1]["reason"].startswith("ZeroDivisionError")
 
 
@@ -192,7 +149,7 @@ def test_a_log_that_cannot_grow_stops_the_run_smoothly_and_is_whole(own: Card) -
 
 
 def test_pamctl_safe_drives_the_card_after_everything_was_killed(own: Card) -> None:
-    process = start(own, *AT_ONCE, *TIMINGS["hardware_timed"])
+    process = start(own, *AT_ONCE, *PACED_BY_THE_CARD)
     await_writes(own, process, MOVING)
     kill_as_one(process.pid, *await_children(process.pid, *PARTS).values())
     process.communicate(timeout=PATIENCE_S)

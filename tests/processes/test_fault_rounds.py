@@ -92,12 +92,7 @@ def test_the_table_has_a_row_for_each_choice_of_processes(script) -> None:
 HARDEST = [
     # Nobody but the front is left to see it; `test_process_deaths` has the same in simulation.
     ("nidaq", ("guardian", "frozen"), ("loop", "frozen")),
-    # Nobody but the guardian, or the loop.
-    ("nidaq_hardware_timed", ("loop", "frozen"), ("front", "killed")),
-    ("sim", ("front", "killed"), ("guardian", "frozen")),
-    ("daemon", ("loop", "frozen"), ("guardian", "frozen")),
     # Nobody is left who knows the ring but a guardian, or a loop: they start a finisher.
-    ("sim", ("recorder", "killed"), ("front", "killed")),
     ("daemon", ("front", "killed"), ("recorder", "frozen")),
     # The loop ends because its guardian is gone, and the front dies just after it.
     ("sim", ("guardian", "killed"), ("recorder", "killed"), ("front", "killed")),

@@ -141,12 +141,12 @@ def test_a_course_computed_at_once_equals_the_course_tick_by_tick(
     t_s = begin_s + np.arange(round(1.2e3 * duration_s)) * 1e-3
     asked = [walked.at(t) for t in (t_s - begin_s).tolist()]
     last = next((i for i, reference in enumerate(asked) if reference is None), len(asked))
-    rows = trace_course(course, walked.duration_s, begin_s, t_s[:last])
+    rows = trace_course(walked, begin_s, t_s[:last])
     assert rows is not None
     expected = np.array(asked[:last], float).reshape(-1, 6).T
     assert all(find_differing(np.array(a), b) is None for a, b in zip(expected, rows, strict=True))
     if last < len(asked):
-        assert trace_course(course, walked.duration_s, begin_s, t_s) is None
+        assert trace_course(walked, begin_s, t_s) is None
 
 
 def test_values_from_the_wall_clock_are_not_compared() -> None:

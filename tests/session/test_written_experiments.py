@@ -27,7 +27,7 @@ from pamctl.control.references.sequence import (
     SequenceSettings,
 )
 from pamctl.exit_codes import ExitCode
-from pamctl.session import motion_sequence, muscle_motions, valve_commands
+from pamctl.session import motion_sequence, reference_forms
 from pamctl.settings.resolve import list_shipped, resolve, settings_to_data
 
 MODELS: list[Any] = [
@@ -37,7 +37,7 @@ MODELS: list[Any] = [
 ]  # fmt: skip
 FORMS: dict[str, Any] = {
     form.KIND: form
-    for module in (muscle_motions, valve_commands, motion_sequence)
+    for module in (reference_forms, motion_sequence)
     for form in vars(module).values()
     if isinstance(form, type) and getattr(form, "KIND", "")
 }

@@ -232,7 +232,7 @@ JARGON = ("input", "Input", "extra", "permitted", "instance", "tag", "Field requ
         max_leaves=12,
     )
 )
-@examples(max_examples=300, deadline=None)
+@examples(max_examples=60, deadline=None)
 def test_pydantics_jargon_never_reaches_the_user(data: Any) -> None:
     mapping = data if isinstance(data, dict) else {"controller": data}
     try:

@@ -194,14 +194,14 @@ YAML_LIKE = st.lists(
 
 
 @given(YAML_LIKE | st.text(st.characters(), max_size=30))
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_no_text_raises_anything_but_a_yaml_error(text: str) -> None:
     with suppress(YamlError):
         assert isinstance(parse_yaml(text, HERE).data, dict)
 
 
 @given(content=st.binary(max_size=60))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_no_bytes_raise_anything_but_a_yaml_error(
     content: bytes, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -225,7 +225,7 @@ VALUES = st.recursive(
 
 
 @given(st.dictionaries(KEYS, VALUES, max_size=5))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_dumped_values_are_read_back_equal(data: dict[str, object]) -> None:
     assert parse_yaml(dump_yaml(data), HERE).data == data
 

@@ -21,7 +21,7 @@ from support.command_line import run_pamctl
 
 from pamctl.control.experiment import build_segments
 from pamctl.control.law import respond
-from pamctl.control.law_registry import installed_laws, law_gains
+from pamctl.control.law_registry import installed_laws, law_of
 from pamctl.control.surface import Absement
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import check_config_file, resolve, settings_to_data
@@ -147,7 +147,8 @@ def test_the_stiffness_of_the_search_is_the_response_of_the_law_to_an_error(law:
     space = find_space(law)
     point = space.usual
     sought = dict(zip((axis.name for axis in space.axes), 10.0**point, strict=True))
-    gains = law_gains(space.controller(point))
+    controller = space.controller(point)
+    gains = law_of(controller).to_gains(controller)
     resting = Reference(Phase.REST, 11.81e-3, 0.0, 0.0, 0.0, np.nan)
     half_filled_pa = 0.5 * (441.3e3 + 101.3e3)
     short_of_it = Estimate(11.8e-3, half_filled_pa, -0.01e-3, 0.0, 0.0)
@@ -160,7 +161,9 @@ def answer_v(controller: Any, rate_m_per_s: float, acceleration_m_per_s2: float)
     """Return a law's command to an error that changes, at mid-stroke, half filled."""
     resting = Reference(Phase.REST, 11.8e-3, 0.0, 0.0, 0.0, np.nan)
     estimate = Estimate(11.8e-3, 271e3, 0.0, rate_m_per_s, acceleration_m_per_s2)
-    return respond(law_gains(controller), ARMED, ARMED, resting, estimate, 1e-9)[0].command_v
+    return respond(law_of(controller).to_gains(controller), ARMED, ARMED, resting, estimate, 1e-9)[
+        0
+    ].command_v
 
 
 def test_smc_is_undamped_with_the_mass_of_table_i_and_damped_with_the_fitted_one() -> None:
@@ -299,7 +302,7 @@ def test_given_gains_are_scored_and_nothing_is_written(tmp_path: Path) -> None:
 
 
 def test_drawn_plants_reach_other_processes(tmp_path: Path) -> None:
-    which = ["--ensemble", "16", "--held-out", "2", "--plant", "paper"]
+    which = ["--ensemble", "2", "--held-out", "2", "--plant", "paper"]
     made = tune("--check", "pid", *which, "--jobs", "2", "--json", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     found = json.loads(made.stdout)["scores"]
@@ -339,7 +342,7 @@ def test_invalid_options_are_refused(tmp_path: Path, options: list[str], said: s
 def test_ctrl_c_keeps_the_best_gains_so_far_and_the_state_of_the_search(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pamctl", "tune", "--law", "pid", "--plant", "paper"]
     process = subprocess.Popen(
-        [*command, "--generations", "1000", "--out", "mine.yaml"],
+        [*command, "--generations", "1000", "--jobs", "2", "--out", "mine.yaml"],
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
         cwd=tmp_path,

@@ -12,13 +12,17 @@ from pamctl.commissioning.calibrate.outcome import (
     CalibrationOutcome,
     CalibrationValue,
     Operator,
+    list_residuals,
     require_near,
     slope,
+    slope_uncertainty,
 )
 from pamctl.commissioning.hands_on import Bench, summarise_samples
 
 DEFAULT_POINTS_KPA = (250.0,)
 _LEAST_COUNTS = 100
+_COUNT_NOISE = 1.0 / math.sqrt(6.0)
+"""Of a displacement, in counts: each of its two ends is known to a count."""
 _WORST_SHARE = 0.02
 _AVERAGED_S = 0.2
 _IDLE_S = 0.02
@@ -101,7 +105,7 @@ def _evaluate_moves(bench: Bench, moves: Sequence[_Move], what: str) -> Calibrat
     scale = slope(counts, lengths_m)
     cal = bench.settings
     require_near("encoder_m_per_count", scale, cal.encoder_m_per_count, _HINTS)
-    residuals_m = [m - scale * n for n, m in zip(counts, lengths_m, strict=True)]
+    residuals_m = list_residuals(counts, lengths_m, scale)
     if max(map(abs, residuals_m)) > _WORST_SHARE * max(lengths_m):
         shown = ", ".join(f"{residual * 1e6:+.0f}" for residual in residuals_m)
         raise CalibrationError(
@@ -121,7 +125,7 @@ def _evaluate_moves(bench: Bench, moves: Sequence[_Move], what: str) -> Calibrat
                 ("calibration", "encoder_m_per_count"),
                 float(f"{scale:.7g}"),
                 "m",
-                _uncertainty(scale, counts, residuals_m),
+                slope_uncertainty(scale, counts, residuals_m, _COUNT_NOISE),
                 how,
             ),
             CalibrationValue(
@@ -153,13 +157,3 @@ def _find_common_sign(moves: Sequence[_Move]) -> int:
             "the moves differ in direction; each must go in the direction of contraction"
         )
     return signs.pop()
-
-
-def _uncertainty(scale: float, counts: Sequence[float], residuals_m: Sequence[float]) -> float:
-    """Return two standard deviations: each end is known to a count, and the points scatter."""
-    spread = math.sqrt(sum(n * n for n in counts))
-    by_counts = 2.0 * scale / math.sqrt(6.0) / spread
-    if len(counts) < 2:
-        return by_counts
-    variance = sum(r * r for r in residuals_m) / (len(counts) - 1)
-    return max(by_counts, 2.0 * math.sqrt(variance) / spread)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
@@ -70,6 +71,23 @@ class PreparedAnswers:
 def slope(x: Sequence[float], y: Sequence[float]) -> float:
     """Return the steepness of the best line through the origin (least squares)."""
     return sum(a * b for a, b in zip(x, y, strict=True)) / sum(a * a for a in x)
+
+
+def list_residuals(x: Sequence[float], y: Sequence[float], scale: float) -> list[float]:
+    """Return how far each point lies above the line through the origin."""
+    return [b - scale * a for a, b in zip(x, y, strict=True)]
+
+
+def slope_uncertainty(
+    scale: float, x: Sequence[float], residuals: Sequence[float], noise: float
+) -> float:
+    """Return two standard deviations of a slope: each x has `noise`, and the points scatter."""
+    spread = math.sqrt(sum(a * a for a in x))
+    by_noise = 2.0 * scale * noise / spread
+    if len(x) < 2:
+        return by_noise
+    variance = sum(r * r for r in residuals) / (len(x) - 1)
+    return max(by_noise, 2.0 * math.sqrt(variance) / spread)
 
 
 def require_near(name: str, found: float, nominal: float, hints: Mapping[float, str]) -> None:

@@ -11,8 +11,10 @@ from pamctl.commissioning.calibrate.outcome import (
     CalibrationOutcome,
     CalibrationValue,
     Operator,
+    list_residuals,
     require_near,
     slope,
+    slope_uncertainty,
 )
 from pamctl.commissioning.hands_on import Bench, SensorStatistics
 
@@ -72,7 +74,7 @@ def calibrate_pressure(
                 ("calibration", "sensor_pa_per_v"),
                 round(gain, 2),
                 "Pa/V",
-                _gain_uncertainty(gain, volts, residuals_pa, max(noises_v)),
+                slope_uncertainty(gain, volts, residuals_pa, max(noises_v)),
                 f"gauge at {', '.join(f'{p * 1e-3:g}' for p in readings_pa)} kPa, residuals "
                 f"{', '.join(f'{r * 1e-3:+.2f}' for r in residuals_pa)} kPa",
             ),
@@ -100,7 +102,7 @@ def _fit_gain(
     """Fit a line through the zero at the atmosphere; return its slope and its residuals."""
     gain = slope(volts, readings_pa)
     require_near("sensor_pa_per_v", gain, bench.settings.sensor_pa_per_v, _HINTS)
-    residuals = [pa - gain * v for v, pa in zip(volts, readings_pa, strict=True)]
+    residuals = list_residuals(volts, readings_pa, gain)
     if max(map(abs, residuals)) > _WORST_SHARE * max(readings_pa):
         shown = ", ".join(f"{residual * 1e-3:+.1f}" for residual in residuals)
         raise CalibrationError(
@@ -108,17 +110,6 @@ def _fit_gain(
             "mistyped, or read as absolute pressure?"
         )
     return gain, residuals
-
-
-def _gain_uncertainty(
-    gain: float, volts: Sequence[float], residuals_pa: Sequence[float], noise_v: float
-) -> float:
-    spread_v = math.sqrt(sum(v * v for v in volts))
-    by_noise = 2.0 * gain * noise_v / spread_v
-    if len(volts) < 2:
-        return by_noise
-    variance = sum(r * r for r in residuals_pa) / (len(volts) - 1)
-    return max(by_noise, 2.0 * math.sqrt(variance) / spread_v)
 
 
 def _mean_noise_v(rest: SensorStatistics) -> float:

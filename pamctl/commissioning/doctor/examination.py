@@ -2,24 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 from hal.backend import ProbeRequest
-from hal.doctor_finding import DoctorFinding
+from hal.doctor_finding import DoctorFinding, report_rig_error
 from hal.rig import RigError
-from pamctl.commissioning.doctor.latency import judge_wake_ups, measure_wake_ups
+from pamctl.commissioning.doctor.actuate import examine_actuation
+from pamctl.commissioning.doctor.latency import (
+    judge_calls,
+    judge_rate,
+    judge_wake_ups,
+    measure_calls,
+    measure_wake_ups,
+)
 from pamctl.commissioning.doctor.pc import examine_pc, judge_permissions
-from pamctl.commissioning.doctor.rig_findings import examine_rig, report_unavailable_rig
-from pamctl.commissioning.doctor.sensors import BY_HAND_COUNTS
+from pamctl.commissioning.doctor.sensors import (
+    BY_HAND_COUNTS,
+    is_in_range,
+    judge_hand_motion,
+    judge_sensors,
+    measure_at_rest,
+    report_unmoved_encoder,
+)
 from pamctl.commissioning.hands_on import Bench
 from pamctl.commissioning.open_bench import open_workplace
 from pamctl.commissioning.terminal_operator import NoAnswer, Terminal
 from pamctl.processes.backends import SHARED_MEMORY, build_clock, hold_device
 from pamctl.realtime.scheduling import prepare
+from pamctl.realtime.tick import TickSetup
+from pamctl.realtime.tick_cost import rehearse_tick_s
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings
+
+CountsByHand = Callable[[Bench], int | None]
+"""Asks for the carriage to be moved; returns how many counts it moved over, None if not asked."""
 
 
 def examine_all(
@@ -38,7 +56,7 @@ def examine_all(
             return
     try:
         with open_workplace(settings) as bench:
-            yield from examine_rig(
+            yield from _examine_rig(
                 bench,
                 build_tick_setup(settings),
                 actuate=actuate,
@@ -52,7 +70,38 @@ def examine_all(
             with hold_device(settings):
                 yield from probe.examine_output(request)
     except RigError as error:
-        yield report_unavailable_rig(error)
+        yield _report_unavailable_rig(error)
+
+
+def _examine_rig(
+    bench: Bench, setup: TickSetup, *, actuate: bool, by_hand: CountsByHand, loop_cpu: int | None
+) -> Iterator[DoctorFinding]:
+    """Check sensors and calls at the safe voltage; with `actuate`, move the muscle as well."""
+    with prepare("auto", loop_cpu):  # as a run's loop makes these calls
+        calls = measure_calls(bench.rig, bench.safe_volts)
+        rehearsed_s = rehearse_tick_s(setup, bench.period_s)
+    yield from judge_calls(calls, bench.period_s)
+    yield judge_rate(calls, rehearsed_s, bench.period_s)
+    rest = measure_at_rest(bench)
+    yield from judge_sensors(bench, rest)
+    if not actuate:
+        counts = by_hand(bench)
+        yield report_unmoved_encoder() if counts is None else judge_hand_motion(bench, counts)
+    elif is_in_range(bench, rest):
+        yield from examine_actuation(bench)
+    else:
+        yield DoctorFinding(
+            "valve.sign",
+            "fault",
+            "not tried: without a pressure sensor the pressure cannot be watched",
+            "a pressure sensor within its range",
+            "see sensor.voltage, then run this again",
+        )
+
+
+def _report_unavailable_rig(error: RigError) -> DoctorFinding:
+    """Say that the rig is not available, or was lost on the way."""
+    return report_rig_error("rig.device", error, "the device, for this command alone")
 
 
 def make_probe_request(settings: RunSettings) -> ProbeRequest[Any]:

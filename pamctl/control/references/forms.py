@@ -57,12 +57,10 @@ def _name_keys(unit: str) -> ConfigDict:
     return ConfigDict(alias_generator=name_key, serialize_by_alias=True)
 
 
-IN_MM, IN_VOLTS = _name_keys("mm"), _name_keys("v")
-
-
 class Form(Configured):
-    """What all forms share."""
+    """What all forms share; the keys are in mm."""
 
+    model_config = _name_keys("mm")
     SI: ClassVar[float] = 1e-3
     """One unit of the keys in m, or in V."""
     IS_VALVE: ClassVar[bool] = False
@@ -70,6 +68,14 @@ class Form(Configured):
     def draw(self, sketch: Sketch) -> None:
         """Add this form to a course."""
         raise NotImplementedError
+
+
+class InVolts(Form):
+    """Of the valve, in open loop; the last base of a form."""
+
+    model_config = _name_keys("v")
+    SI = 1.0
+    IS_VALVE = True
 
 
 class SineForm(Form):

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Literal
 
 from pamctl.control.references.forms import (
-    IN_MM,
-    IN_VOLTS,
     ChirpForm,
+    InVolts,
     MoveForm,
     MultisineForm,
     RampsForm,
@@ -23,160 +22,120 @@ from pamctl.control.references.forms import (
 class MuscleSineSettings(SineForm):
     """A sine: of the muscle, in closed loop."""
 
-    model_config = IN_MM
     kind: Literal["sine"]
 
 
-class ValveSineSettings(SineForm):
+class ValveSineSettings(SineForm, InVolts):
     """A sine: of the valve, in open loop."""
 
-    model_config = IN_VOLTS
-    SI = 1.0
-    IS_VALVE = True
     kind: Literal["valve_sine"]
 
 
 class MuscleMultisineSettings(MultisineForm):
     """Many tones at once: of the muscle, in closed loop."""
 
-    model_config = IN_MM
     kind: Literal["multisine"]
 
 
-class ValveMultisineSettings(MultisineForm):
+class ValveMultisineSettings(MultisineForm, InVolts):
     """Many tones at once: of the valve, in open loop."""
 
-    model_config = IN_VOLTS
-    SI = 1.0
-    IS_VALVE = True
     kind: Literal["valve_multisine"]
 
 
 class MuscleChirpSettings(ChirpForm):
     """A tone of changing frequency: of the muscle, in closed loop."""
 
-    model_config = IN_MM
     kind: Literal["chirp"]
 
 
-class ValveChirpSettings(ChirpForm):
+class ValveChirpSettings(ChirpForm, InVolts):
     """A tone of changing frequency: of the valve, in open loop."""
 
-    model_config = IN_VOLTS
-    SI = 1.0
-    IS_VALVE = True
     kind: Literal["valve_chirp"]
 
 
 class MuscleRandomSettings(RandomForm):
     """Random motion within a band: of the muscle, in closed loop."""
 
-    model_config = IN_MM
     kind: Literal["random"]
 
 
-class ValveRandomSettings(RandomForm):
+class ValveRandomSettings(RandomForm, InVolts):
     """Random motion within a band: of the valve, in open loop."""
 
-    model_config = IN_VOLTS
-    SI = 1.0
-    IS_VALVE = True
     kind: Literal["valve_random"]
 
 
 class MuscleRoundedSquareSettings(RoundedSquareForm):
     """A square wave with rounded transitions: of the muscle, in closed loop."""
 
-    model_config = IN_MM
     kind: Literal["rounded_square"]
 
 
-class ValveRoundedSquareSettings(RoundedSquareForm):
+class ValveRoundedSquareSettings(RoundedSquareForm, InVolts):
     """A square wave with rounded transitions: of the valve, in open loop."""
 
-    model_config = IN_VOLTS
-    SI = 1.0
-    IS_VALVE = True
     kind: Literal["valve_rounded_square"]
 
 
 class MuscleTriangleSettings(TriangleForm):
     """A triangle wave with rounded corners: of the muscle, in closed loop."""
 
-    model_config = IN_MM
     kind: Literal["triangle"]
 
 
-class ValveTriangleSettings(TriangleForm):
+class ValveTriangleSettings(TriangleForm, InVolts):
     """A triangle wave with rounded corners: of the valve, in open loop."""
 
-    model_config = IN_VOLTS
-    SI = 1.0
-    IS_VALVE = True
     kind: Literal["valve_triangle"]
 
 
 class MuscleRampsSettings(RampsForm):
     """Ramps from level to level: of the muscle, in closed loop."""
 
-    model_config = IN_MM
     kind: Literal["ramps"]
 
 
-class ValveRampsSettings(RampsForm):
+class ValveRampsSettings(RampsForm, InVolts):
     """Ramps from level to level: of the valve, in open loop."""
 
-    model_config = IN_VOLTS
-    SI = 1.0
-    IS_VALVE = True
     kind: Literal["valve_ramps"]
 
 
 class MuscleStaircaseSettings(StaircaseForm):
     """Smooth steps from level to level: of the muscle, in closed loop."""
 
-    model_config = IN_MM
     kind: Literal["staircase"]
 
 
-class ValveStaircaseSettings(StaircaseForm):
+class ValveStaircaseSettings(StaircaseForm, InVolts):
     """Smooth steps from level to level: of the valve, in open loop."""
 
-    model_config = IN_VOLTS
-    SI = 1.0
-    IS_VALVE = True
     kind: Literal["valve_staircase"]
 
 
 class MuscleTableSettings(TableForm):
     """Points of a CSV or MAT file, joined smoothly: of the muscle, in closed loop."""
 
-    model_config = IN_MM
     kind: Literal["table"]
 
 
-class ValveTableSettings(TableForm):
+class ValveTableSettings(TableForm, InVolts):
     """Points of a CSV or MAT file, joined smoothly: of the valve, in open loop."""
 
-    model_config = IN_VOLTS
-    SI = 1.0
-    IS_VALVE = True
     kind: Literal["valve_table"]
 
 
 class MuscleMoveSettings(MoveForm):
     """From rest to rest, within a sequence: of the muscle, in closed loop."""
 
-    model_config = IN_MM
     kind: Literal["move"]
 
 
-class ValveMoveSettings(MoveForm):
+class ValveMoveSettings(MoveForm, InVolts):
     """From rest to rest, within a sequence: of the valve, in open loop."""
 
-    model_config = IN_VOLTS
-    SI = 1.0
-    IS_VALVE = True
     kind: Literal["valve_move"]
 
 

@@ -38,6 +38,7 @@ from pamctl.diagnose.judging.windows import (
 )
 from pamctl.diagnose.measured.missed_ticks import find_long_intervals
 from pamctl.diagnose.measured.noise.sensor_noise import Noise
+from pamctl.diagnose.measured.noise.spectrum import find_tail
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.plant.axis.required_force import required_force_n
 from pamctl.plant.drive import (
@@ -47,6 +48,7 @@ from pamctl.plant.drive import (
     Restarts,
     SampleGrid,
     build_grid,
+    count_steps,
     drive_coupled,
     drive_mechanics,
     drive_pressure,
@@ -63,10 +65,10 @@ PRESSURE, MECHANICS = "pressure", "mechanics"
 
 SMOOTH_HZ = 60.0
 """Cutoff for a measured pressure before it drives the mechanics: friction rectifies its noise."""
+CLEAR_OF_SIGNAL = 4.0
+"""A cutoff so many times above a signal's highest frequency takes 0.4 % of its amplitude there."""
 MODELLED_HZ = 1.0
 """Cutoff for measured minus modelled pressure where the pressure block is at its floor."""
-LONGEST_STEP_S = 5e-4
-"""Step of the simulation at 1 kHz; slower records get more steps in a period."""
 VELOCITY_S = 0.031
 """Length of the parabolas that show the velocity."""
 SURE = 3.0
@@ -201,7 +203,7 @@ class Drive:
         """The drive with half the steps; itself where it has only one, or simulates nothing."""
         if self.is_equation or self.steps < 2:
             return self
-        return replace(self, steps=self.steps // 2)
+        return replace(self, steps=-(-self.steps // 2))
 
     @cached_property
     def grid(self) -> SampleGrid:
@@ -465,17 +467,32 @@ def prepare_force_drive(record: Record, noises: dict[str, Noise], judge: Judge) 
 
     If the judge is the equation, the motion is the input and the force is the output.
     """
-    # A free mass averages the noise of the force by itself, and answers its jumps.
-    cutoff_hz = SMOOTH_HZ if judge.forgets_start else np.inf
     pressed_pa = record.pressure_pa
     if pressed_pa is not None:
-        pressed_pa = smooth_signal(pressed_pa, record.step_s, cutoff_hz)
+        pressed_pa = smooth_signal(
+            pressed_pa, record.step_s, _find_cutoff_hz(pressed_pa, record.step_s, judge)
+        )
     if judge.kind is JudgeKind.EQUATION:
         return _prepare_equation(record, noises, judge, pressed_pa)
     force_n = np.zeros(len(record)) if record.force_n is None else record.force_n
+    cutoff_hz = _find_cutoff_hz(force_n, record.step_s, judge)
     load = smooth_signal(force_n, record.step_s, cutoff_hz)
     drive = replace(_drive_by_load(record, noises, load, cutoff_hz), pressed_pa=pressed_pa)
     return judge_drive(drive, judge)
+
+
+def _find_cutoff_hz(load: Array, step_s: Array, judge: Judge) -> float:
+    """Return the cutoff for a measured force or pressure on a mechanism; infinity for none.
+
+    A filter keeps noise from being rectified by friction. It must leave the signal as it is, which
+    may be faster than a muscle's. A free mass averages the noise by itself, and answers jumps.
+    """
+    if not judge.forgets_start:
+        return np.inf
+    tail = find_tail([load[part] for part in find_segments(step_s)])
+    if tail is None:
+        return np.inf
+    return max(SMOOTH_HZ, CLEAR_OF_SIGNAL * tail.begins / find_period_s(step_s))
 
 
 def _prepare_equation(
@@ -553,11 +570,6 @@ def _drive_by_load(
         count_steps(record.period_s),
         usable=record.counts,
     )
-
-
-def count_steps(period_s: float) -> int:
-    """Return the steps of the simulation in a period: none much longer than half a millisecond."""
-    return max(STEPS_A_TICK, round(period_s / LONGEST_STEP_S))
 
 
 def contraction_m(settings: PlantSettings, gauge_pa: float) -> float:

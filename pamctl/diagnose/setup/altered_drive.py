@@ -72,7 +72,7 @@ class AlteredDrive(Drive):
         shown = true
         if self.late_s or self.late_per_s:
             t_s = self._times_s
-            shown = np.interp(t_s - self.late_s - self.late_per_s * t_s, t_s, shown)
+            shown = interpolate_smoothly(t_s - self.late_s - self.late_per_s * t_s, t_s, shown)
         if self.filtered_hz:
             shown = smooth_signal(shown, self.step_s, self.filtered_hz)
         return shown if self.gain == 1.0 else self.gain * shown
@@ -166,6 +166,24 @@ class AlteredDrive(Drive):
             rows = np.concatenate([np.zeros(1, dtype=np.int64), rows])
             values, rates = np.append(simulated[first], values), np.append(rate, rates)
         return Restarts(rows, values, rates)
+
+
+def interpolate_smoothly(at_s: Array, t_s: Array, values: Array) -> Array:
+    """Return a signal between its samples, by cubics with the slopes of their neighbours.
+
+    A line would cut the crests of an oscillation with few samples in a period. Outside the
+    samples it is the first or the last one.
+    """
+    slopes = np.gradient(values, t_s)
+    left = np.clip(np.searchsorted(t_s, at_s, "right") - 1, 0, len(t_s) - 2)
+    right, length_s = left + 1, np.diff(t_s)[left]
+    share = np.clip((at_s - t_s[left]) / length_s, 0.0, 1.0)
+    rest = 1.0 - share
+    ends = (1.0 + 2.0 * share) * rest**2 * values[left] + (3.0 - 2.0 * share) * share**2 * values[
+        right
+    ]
+    bends = share * rest * length_s * (rest * slopes[left] - share * slopes[right])
+    return np.asarray(ends + bends)
 
 
 def alter(drive: Drive, **changes: Any) -> AlteredDrive:

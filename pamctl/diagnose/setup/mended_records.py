@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pamctl.diagnose.measured.record import Array, Record
+from pamctl.diagnose.setup.altered_drive import interpolate_smoothly
 from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, act_earlier, restore_command
 from pamctl.plant.model import PlantSettings
 
@@ -38,7 +39,7 @@ def mend_record(record: Record, suspect: Suspect, amount: float, nominal: PlantS
         late_s = amount * (np.ones_like(t_s) if kind == "skew" else t_s - t_s[0])
         if column == "valve_v":
             return replace(record, acts_after_s=act_earlier(record.acts_after_s, late_s))
-        return _with_column(record, column, np.interp(t_s + late_s, t_s, values))
+        return _with_column(record, column, interpolate_smoothly(t_s + late_s, t_s, values))
     return record
 
 

@@ -322,12 +322,22 @@ def _word_finding(fitted: SuspectFit, effects: tuple[str, ...], *, corrected: bo
         base.rms[block] / rms(fitted.residuals[block]),
         fitted.ratio(block),
         tuple(dict.fromkeys((*effects, *suspect.always_equal, *fitted.equal_suspects))),
-        advise_mending(suspect, value),
+        advise_mending(suspect, value)
+        + _explain_half_a_sample(suspect, value, base.evidence.holdout[block][0]),
         describe(suspect, value, said),
         said,
         fitted.by_record,
         corrected,
     )
+
+
+def _explain_half_a_sample(suspect: Suspect, value: float, drive: Drive) -> str:
+    """Say what an input looks like that a converter held: half a sample early."""
+    half_s = 0.5 * float(np.median(drive.step_s))
+    is_input = suspect.kind == "skew" and suspect.number != drive.channel
+    if not is_input or abs(value + half_s) > 0.1 * half_s:
+        return ""
+    return "; that is half a sample: each value was held until the next, where a line was assumed"
 
 
 def _correct(setup: CheckedSetup, fitted: SuspectFit) -> CheckedSetup:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,7 +21,12 @@ from pamctl.diagnose.fitting.numbers import (
     value_of,
 )
 from pamctl.diagnose.measured.record import Array
-from pamctl.diagnose.setup.altered_drive import PlantChange, add_change, alter
+from pamctl.diagnose.setup.altered_drive import (
+    PlantChange,
+    add_change,
+    alter,
+    interpolate_smoothly,
+)
 from pamctl.plant.model import PlantSettings
 
 Kind = Literal[
@@ -163,7 +168,7 @@ def _shift_input(drive: Drive, column: str, late_s: float, per_s: float) -> Driv
     field_name = _find_input(drive, column)
     if field_name is None:
         return drive
-    shifted = np.interp(t_s + shift_s, t_s, getattr(drive, field_name))
+    shifted: Any = interpolate_smoothly(t_s + shift_s, t_s, getattr(drive, field_name))
     return replace(drive, **{field_name: shifted})
 
 

@@ -32,7 +32,7 @@ from pamctl.plant.terms.operators import DRIVER_UNITS, KNOTS
 
 LEAST_CLOSED = 0.8
 """A term that is said closes at least this share of its block's gap, where it is chosen and where
-it is confirmed."""
+it is confirmed; beside an effect, of the gap that the effect leaves."""
 MUCH_LESS = 0.8
 """What the catalogue offers counts as no worse if it leaves less than the term over this."""
 MOST_LEADS = 5
@@ -97,6 +97,8 @@ class Description:
     term: DescribedTerm | None = None
     block: str = ""
     """The block of which most was left."""
+    is_beside: bool = False
+    """The term stands beside the effects that were named."""
     naming: Naming | None = field(default=None, repr=False)
     """The naming with the term, or with the effect that says it, in its model; None where neither
     is said."""
@@ -127,8 +129,8 @@ def describe_rest(
     named = name_instead(naming, before, chosen, trials, block, without)
     if named is not None:
         return replace(plain, leads=(), naming=named)
-    term, said = _say_term(naming, chosen, trials, block)
-    return replace(plain, term=term, naming=said)
+    term, said = _say_term(naming, before, chosen, trials, block)
+    return replace(plain, term=term, naming=said, is_beside=before is not naming.base)
 
 
 def _choose(
@@ -144,7 +146,7 @@ def _choose(
         if joint.is_complete:
             chosen = replace(chosen, model=joint)
             model = joint
-    share = closed_share(naming.base, model, block)
+    share = closed_share(before, model, block)
     # Of a curve some amounts may be anything: recalibration imitates them.
     sizes = {s.name for c in model.effects for s in c.switches}
     if (
@@ -181,6 +183,7 @@ def _make_lead(trial: TermTrial, block: str) -> Lead:
 
 def _say_term(
     naming: Naming,
+    before: Model,
     chosen: TermTrial,
     trials: Sequence[TermTrial],
     block: str,
@@ -198,7 +201,7 @@ def _say_term(
         write_equation(question),
         find_kin(question),
         tuple(equals),
-        closed_share(naming.base, model, block),
+        closed_share(before, model, block),
         own,
         _draw_curve(chosen, own),
         question.location.term_name,
@@ -231,6 +234,12 @@ def _draw_curve(trial: TermTrial, numbers: Sequence[FittedNumber]) -> tuple[Curv
     return tuple(points)
 
 
-def is_confirmed(explained: Mapping[str, float], block: str) -> bool:
-    """Tell whether the samples that confirm show the share of a block that was closed as well."""
-    return explained.get(block, 0.0) >= LEAST_CLOSED
+def is_confirmed(described: Description, before: float, after: float) -> bool:
+    """Tell whether the samples that confirm show the share that was closed as well.
+
+    `before` and `after` are the shares of the block's gap that are explained without the term and
+    with it.
+    """
+    left = 1.0 - before if described.is_beside else 1.0
+    gained = after - before if described.is_beside else after
+    return gained >= LEAST_CLOSED * left

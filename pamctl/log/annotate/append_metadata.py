@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import DataEnd, Footer, Metadata, MetadataIndex, Statistics, SummaryOffset
+from mcap.records import DataEnd, Footer, Metadata, MetadataIndex, Statistics
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from pamctl.log.annotate.annotation import ANNOTATION, Annotation, date_record
-from pamctl.log.container import encode_record
+from pamctl.log.container import encode_record, encode_summary
 from pamctl.log.framing import (
     FRAME,
     Damage,
@@ -36,7 +36,6 @@ from pamctl.log.framing import (
 )
 from pamctl.new_file import create_new_file
 
-_CRC_BYTES = 4
 _BLOCK_BYTES = 1 << 20
 
 
@@ -111,14 +110,7 @@ def _make_summary(start: int, old: Iterable[FileRecord], index: MetadataIndex) -
         if record.opcode != Opcode.SUMMARY_OFFSET:
             groups[record.opcode] = groups.get(record.opcode, b"") + data
     groups[Opcode.METADATA_INDEX] = groups.get(Opcode.METADATA_INDEX, b"") + encode_record(index)
-    summary = offsets = b""
-    for opcode, group in groups.items():
-        offsets += encode_record(SummaryOffset(opcode, start + len(summary), len(group)))
-        summary += group
-    footer = Footer(start, start + len(summary), 0)
-    covered = summary + offsets + encode_record(footer)[:-_CRC_BYTES]
-    footer.summary_crc = zlib.crc32(covered)
-    return summary + offsets + encode_record(footer) + MAGIC
+    return encode_summary(start, groups.items())
 
 
 def _copy_bytes(source: BinaryIO, target: BinaryIO, count: int) -> None:

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from pamctl.log.check.log_problems import LogFindings
 from pamctl.log.check.summary_check import SummaryCheck
+from pamctl.log.container import index_attachment, index_chunk
 from pamctl.log.framing import NO_CHECKSUM, Damage, FileRecord, record_at
 from pamctl.log.ticks import INDEX_ENTRY, find_message_run
 
@@ -76,6 +77,7 @@ class Conformance:
         self._in_summary = self._in_summary or record.opcode == Opcode.DATA_END
 
     def _take_datum(self, record: FileRecord) -> None:
+        length = record.end - record.start
         match record.opcode:
             case Opcode.SCHEMA:
                 self._take_schema(record)
@@ -85,20 +87,9 @@ class Conformance:
                 a = Attachment.read(record.stream())
                 if record.body[-4:] == NO_CHECKSUM:
                     self._warn_unchecked(f"the attachment {a.name}")
-                self._attachments.append(
-                    AttachmentIndex(
-                        offset=record.start,
-                        length=record.end - record.start,
-                        log_time=a.log_time,
-                        create_time=a.create_time,
-                        data_size=len(a.data),
-                        name=a.name,
-                        media_type=a.media_type,
-                    )
-                )
+                self._attachments.append(index_attachment(a, record.start, length))
             case Opcode.METADATA:
                 name = Metadata.read(record.stream()).name
-                length = record.end - record.start
                 self._metadata.append(MetadataIndex(record.start, length, name))
             case Opcode.DATA_END:
                 self._in_summary = True
@@ -182,19 +173,7 @@ class Conformance:
         if chunk.uncompressed_crc == 0:
             self._warn_unchecked(where)
         self._expected_index = _build_index(inside, found)
-        self._chunks.append(
-            ChunkIndex(
-                chunk_length=record.end - record.start,
-                chunk_start_offset=record.start,
-                compression=chunk.compression,
-                compressed_size=len(chunk.data),
-                message_end_time=chunk.message_end_time,
-                message_index_length=0,
-                message_index_offsets={},
-                message_start_time=chunk.message_start_time,
-                uncompressed_size=chunk.uncompressed_size,
-            )
-        )
+        self._chunks.append(index_chunk(chunk, record.start, record.end - record.start))
 
     def _check_message_index(self, record: FileRecord) -> None:
         channel = int.from_bytes(record.body[:2], "little")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from pamctl.plant.effects.places import FrictionBand
 from pamctl.plant.terms.operators import (
     BRAID_AT,
@@ -22,6 +24,15 @@ from pamctl.plant.terms.operators import (
 )
 
 
+class MotionPoint(NamedTuple):
+    """What may drive a term of the mechanics."""
+
+    position_m: float
+    velocity_m_per_s: float
+    gauge_pa: float
+    age_s: float
+
+
 def needs_speed(terms: Terms | None) -> bool:
     """Tell whether the velocity drives a force."""
     if terms is None:
@@ -29,33 +40,20 @@ def needs_speed(terms: Terms | None) -> bool:
     return terms.mechanics.size != 0.0 and terms.mechanics.driver == VELOCITY
 
 
-def scaled_shape(
-    term: PlantTerm,
-    memory: TermMemory,
-    position_m: float,
-    velocity_m_per_s: float,
-    gauge_pa: float,
-    age_s: float,
-) -> float:
+def scaled_shape(term: PlantTerm, memory: TermMemory, here: MotionPoint) -> float:
     """Return the size times the shape at the driver's value."""
-    value = position_m
+    value = here.position_m
     if term.driver == PRESSURE:
-        value = gauge_pa
+        value = here.gauge_pa
     elif term.driver == VELOCITY:
-        value = velocity_m_per_s
+        value = here.velocity_m_per_s
     elif term.driver == TIME:
-        value = age_s
+        value = here.age_s
     return term.size * shape_of(term, value, memory)
 
 
 def add_force_term(
-    terms: Terms | None,
-    memory: TermMemory | None,
-    force_n: float,
-    position_m: float,
-    velocity_m_per_s: float,
-    gauge_pa: float,
-    age_s: float,
+    terms: Terms | None, memory: TermMemory | None, force_n: float, here: MotionPoint
 ) -> float:
     """Return the pull with what a force, or a spring, of the term adds."""
     if terms is None or memory is None:
@@ -64,10 +62,9 @@ def add_force_term(
     if term.size == 0.0:
         return force_n
     if term.location == FORCE_AT:
-        return force_n + scaled_shape(term, memory, position_m, velocity_m_per_s, gauge_pa, age_s)
+        return force_n + scaled_shape(term, memory, here)
     if term.location == STIFFNESS_AT:
-        added = scaled_shape(term, memory, position_m, velocity_m_per_s, gauge_pa, age_s)
-        return force_n - added * position_m
+        return force_n - scaled_shape(term, memory, here) * here.position_m
     return force_n
 
 
@@ -88,73 +85,44 @@ def follow_motion_term(
     return follow_value(term, memory, begin_m, end_m, step_s)
 
 
-def scale_term(
-    terms: Terms | None,
-    location: int,
-    value: float,
-    position_m: float,
-    velocity_m_per_s: float,
-    gauge_pa: float,
-    age_s: float,
-) -> float:
+def scale_term(terms: Terms | None, location: int, value: float, here: MotionPoint) -> float:
     """Return a value that the term changes by a share at this location."""
     if terms is None:
         return value
     term = terms.mechanics
     if term.size == 0.0 or term.location != location:
         return value
-    kept = TermMemory(0.0, 0.0)
-    return value * max(
-        1.0 + scaled_shape(term, kept, position_m, velocity_m_per_s, gauge_pa, age_s), 0.0
-    )
+    return value * max(1.0 + scaled_shape(term, TermMemory(0.0, 0.0), here), 0.0)
 
 
-def add_term(
-    terms: Terms | None,
-    location: int,
-    value: float,
-    position_m: float,
-    velocity_m_per_s: float,
-    gauge_pa: float,
-    age_s: float,
-) -> float:
+def add_term(terms: Terms | None, location: int, value: float, here: MotionPoint) -> float:
     """Return a value to which the term adds at this location."""
     if terms is None:
         return value
     term = terms.mechanics
     if term.size == 0.0 or term.location != location:
         return value
-    kept = TermMemory(0.0, 0.0)
-    return value + scaled_shape(term, kept, position_m, velocity_m_per_s, gauge_pa, age_s)
+    return value + scaled_shape(term, TermMemory(0.0, 0.0), here)
 
 
-def pass_pulling_term(
-    terms: Terms | None, pulling_pa: float, x: float, v: float, gauge_pa: float, age_s: float
-) -> float:
+def pass_pulling_term(terms: Terms | None, pulling_pa: float, here: MotionPoint) -> float:
     """Return the gauge pressure that pulls: more of it, or as a changed geometry makes it."""
-    pulling_pa = add_term(terms, PRESSING_AT, pulling_pa, x, v, gauge_pa, age_s)
-    return scale_term(terms, PULL_AT, pulling_pa, x, v, gauge_pa, age_s)
+    return scale_term(terms, PULL_AT, add_term(terms, PRESSING_AT, pulling_pa, here), here)
 
 
-def pass_grip_term(
-    terms: Terms | None, grip: float, x: float, v: float, gauge_pa: float, age_s: float
-) -> float:
+def pass_grip_term(terms: Terms | None, grip: float, here: MotionPoint) -> float:
     """Return mu_k N A_b P_g of Eq. 5, changed by a share."""
-    return scale_term(terms, BRAID_AT, grip, x, v, gauge_pa, age_s)
+    return scale_term(terms, BRAID_AT, grip, here)
 
 
-def add_damping_term(
-    terms: Terms | None, damping: float, x: float, v: float, gauge_pa: float, age_s: float
-) -> float:
+def add_damping_term(terms: Terms | None, damping: float, here: MotionPoint) -> float:
     """Return the damping (N s/m) with what the term adds."""
-    return add_term(terms, DAMPING_AT, damping, x, v, gauge_pa, age_s)
+    return add_term(terms, DAMPING_AT, damping, here)
 
 
-def pass_band_term(
-    terms: Terms | None, band: FrictionBand, x: float, v: float, gauge_pa: float, age_s: float
-) -> FrictionBand:
+def pass_band_term(terms: Terms | None, band: FrictionBand, here: MotionPoint) -> FrictionBand:
     """Return the band of dry friction, changed by a share."""
     if terms is None:
         return band
-    times = scale_term(terms, DRY_AT, 1.0, x, v, gauge_pa, age_s)
+    times = scale_term(terms, DRY_AT, 1.0, here)
     return FrictionBand(times * band.lower_n, times * band.upper_n)

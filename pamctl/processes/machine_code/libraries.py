@@ -10,6 +10,7 @@ from pathlib import Path
 
 from hal.rig import Rig
 from hal.sim.sim_rig import SimRig
+from pamctl.code_folder import explain_unwritable
 from pamctl.compiled_ahead.layout import NotFlat
 from pamctl.compiled_ahead.library import (
     KernelLibrary,
@@ -141,6 +142,8 @@ def start_building(settings: RunSettings) -> str:
             )
     if find_linker() is None:
         return f"{what} runs in plain Python: machine code needs a C compiler, install gcc"
+    if why := explain_unwritable(missing[0].parent):
+        return f"{what} runs in plain Python, machine code cannot be kept: {why}"
     builder = subprocess.Popen(
         [sys.executable, "-m", "pamctl.processes.machine_code.builder_main"],
         stdin=subprocess.PIPE,

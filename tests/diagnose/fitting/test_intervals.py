@@ -11,7 +11,7 @@ from support.made_records import measured, pair
 from pamctl.diagnose.fitting.candidates import list_candidates
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.fitting.integrator import SMALL, compare_substeps, halve_substep
+from pamctl.diagnose.fitting.integrator import SMALL, compare_substeps
 from pamctl.diagnose.fitting.intervals import FittedNumber, estimate_intervals
 from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate
 from pamctl.diagnose.report.phrases import describe_substeps
@@ -67,12 +67,6 @@ def test_half_the_sub_step_hardly_changes_the_papers_muscle() -> None:
     assert set(found) == {"pressure", "mechanics"}
     assert max(found.values()) < SMALL
     assert describe_substeps(found) == ""
-
-
-def test_half_the_sub_step_means_twice_the_steps() -> None:
-    train, held = pair()
-    drives = prepare_evidence(train, held, PlantSettings()).train["pressure"]
-    assert [d.steps for d in halve_substep(drives)] == [2 * d.steps for d in drives]
 
 
 def test_an_integrator_too_coarse_for_steep_friction_is_reported() -> None:

@@ -12,9 +12,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from support.chromium import Page
+import pytest
+
+from support.chromium import Page, page
 from support.patience import PATIENCE_S
-from support.processes.daemons import Daemon
+from support.processes.daemons import NOT_HOMED, Daemon, daemon
 
 
 class Served(NamedTuple):
@@ -42,6 +44,27 @@ class Served(NamedTuple):
         status, body, _ = self.ask("POST", "/do", json.dumps(what).encode(), **{**given, **headers})
         told: dict[str, Any] | None = json.loads(body)
         return status, (told or {}).get("error", "")
+
+
+@pytest.fixture(scope="module")
+def up(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """A daemon whose page is open in a browser."""
+    with daemon(tmp_path_factory.mktemp("page"), "page", NOT_HOMED) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def shown(up: Daemon) -> Iterator[Served]:
+    with served(up, "--allow-control") as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def tab(shown: Served, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with page(tmp_path_factory.mktemp("browser")) as made:
+        made.open(shown.address, width=1280, height=1000)
+        made.wait_for("bench.fields.length && scope.charts.length && bench.gains.length")
+        yield made
 
 
 @contextmanager

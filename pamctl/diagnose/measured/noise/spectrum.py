@@ -48,6 +48,8 @@ class Tail:
     """The tail is a plateau."""
     uncertainty: float
     """Of `deviation`, relative, one sigma."""
+    begins: float = 0.5
+    """Where the signal ends in it, as a share of the sampling rate; 0.5 without a plateau."""
 
 
 def find_tail(pieces: Sequence[Array], window: int = 0) -> Tail | None:
@@ -87,7 +89,8 @@ def find_tail(pieces: Sequence[Array], window: int = 0) -> Tail | None:
     is_flat = white >= (1.0 - MOST_COLOUR - uncertainty) * level
     if white > LIVELY * _variance(pieces):  # most of it is noise, or the signal is alive throughout
         is_flat &= width >= WIDE
-    return Tail(float(np.sqrt(white if is_flat else level)), is_flat, uncertainty)
+    begins = 0.5 * first / (len(density) - 1)
+    return Tail(float(np.sqrt(white if is_flat else level)), is_flat, uncertainty, begins)
 
 
 def _variance(pieces: Sequence[Array]) -> float:

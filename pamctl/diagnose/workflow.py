@@ -123,6 +123,7 @@ def diagnose(
     naming, setup = ask_beside(naming, setup, candidates, executor, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)
+    found = _search_below_limit(found, confirming, candidates, executor, progress)
     found, described = _describe_rest(found, confirming, executor, progress, without)
     on = describe_confirmation(confirming, is_cut=is_cut)
     diagnosis = _conclude(
@@ -133,6 +134,30 @@ def diagnose(
     extended = diagnosis.plant.model_copy(update={"noise": plant.noise})
     found_all = replace(diagnosis, plant=extended, noise=channels, accepted=accepted)
     return _decide_next(found_all, [*train, *holdout], progress)
+
+
+def _search_below_limit(
+    found: Confirmation,
+    confirming: Evidence,
+    candidates: Sequence[Candidate],
+    executor: Executor | None,
+    progress: Progress,
+) -> Confirmation:
+    """Ask the catalogue where an estimated limit hid what is no noise; keep what gives a name.
+
+    Quiet stretches set such a limit. Play acts at reversals only, and leaves most of them quiet.
+    """
+    base = found.naming.base
+    doubted = frozenset(s.block for s in found.signs if base.floors[s.block].is_estimate)
+    if found.naming.model.effects or not doubted:
+        return found
+    progress("the limit was an estimate, and what is left is no noise: asking the effects")
+    strict = replace(base, evidence=replace(base.evidence, doubted=doubted))
+    again = name_effects(strict, candidates, executor, progress)
+    if not again.model.effects:
+        return found
+    confirmed = confirm_naming(again, replace(confirming, doubted=doubted))
+    return confirmed if confirmed.naming.model.effects else found
 
 
 def _decide_next(found: Diagnosis, records: Sequence[Record], progress: Progress) -> Diagnosis:

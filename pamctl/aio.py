@@ -47,6 +47,7 @@ class AsyncRig:
         """`make` connects, when the rig is first used."""
         self._make = make
         self._rig: SteeredRig | None = None
+        self._is_closed = False
         # One thread, which alone works with the rig: it carries out call after call.
         self._worker = ThreadPoolExecutor(1, "pamctl rig")
 
@@ -80,10 +81,10 @@ class AsyncRig:
 
     async def close(self) -> None:
         """Stop what was begun here and leave the rig safe."""
-        rig, self._rig = self._rig, None
-        if rig is not None:
-            await self._call(rig.close)
-        self._worker.shutdown(wait=False)
+        if not self._is_closed:
+            self._is_closed = True
+            await self._call(self._close_here)
+            self._worker.shutdown(wait=False)
 
     async def __aenter__(self) -> AsyncRig:
         """Connect, and return itself."""
@@ -95,9 +96,18 @@ class AsyncRig:
         await self.close()
 
     async def _open(self) -> SteeredRig:
+        return await self._call(self._open_here) if self._rig is None else self._rig
+
+    def _open_here(self) -> SteeredRig:
+        """Connect, in the worker's thread: of two first calls the second finds the rig there."""
         if self._rig is None:
-            self._rig = await self._call(self._make)
+            self._rig = self._make()
         return self._rig
+
+    def _close_here(self) -> None:
+        rig, self._rig = self._rig, None
+        if rig is not None:
+            rig.close()
 
     async def _call(self, work: Callable[[], _Answer]) -> _Answer:
         going_on = asyncio.get_running_loop().run_in_executor(self._worker, _call_quietly, work)

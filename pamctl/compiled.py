@@ -19,18 +19,27 @@ from contextlib import suppress
 from functools import cache
 from importlib.util import resolve_name
 from pathlib import Path
-from shutil import disk_usage, rmtree
-from types import FunctionType, ModuleType
+from shutil import rmtree
+from types import FunctionType
 from typing import Any, TypeVar, cast
+
+from pamctl.code_folder.find_code_folder import explain_unwritable, find_code_folder
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 _HOUSE = ("pamctl", "hal")
-_CACHE_BYTES = 50_000_000
-"""Free space that machine code may need."""
 _UNUSED_S = 30 * 86_400.0
 """Machine code of sources that nobody ran for so long is removed."""
 
+
+class Progress:
+    """What a user who waits may want to know."""
+
+    compiles_first = False
+    """Nobody ran this code here before: it is compiled first, for some 20 s."""
+
+
+progress = Progress()
 
 Substitution = tuple[Callable[..., Any], Callable[..., Any]]
 """A function, and the kernel that compiled code calls instead of it."""
@@ -81,9 +90,12 @@ def _make_twin(kernel: FunctionType, substitution: Substitution | None, *, for_p
         twin.__qualname__ += f"_with_{substitution[1].__qualname__}"
     twin.__module__ = kernel.__module__
     modules = [kernel.__module__, *([] if substitution is None else [substitution[1].__module__])]
-    return _import_numba(*modules).njit(
+    import numba
+
+    njit: Any = numba.njit
+    return njit(
         twin,
-        cache=for_python and _may_cache(),
+        cache=for_python and _choose_cache(*modules),
         error_model="python",  # division by zero raises, as in the plain function
         no_cpython_wrapper=not for_python,
         no_cfunc_wrapper=True,
@@ -129,21 +141,26 @@ def _reaches(kernel: FunctionType, target: FunctionType) -> bool:
     )
 
 
-def _import_numba(*modules: str) -> ModuleType:
-    """Return numba, with a cache for these modules' kernels, keyed by all their dependencies."""
+def _choose_cache(*modules: str) -> bool:
+    """Give numba a cache for these modules' kernels, keyed by all their dependencies.
+
+    Return whether it can be written.
+    """
     import numba
 
     # numba checks only a kernel's own file for changes;
     # our kernels use kernels and types of other files.
     settings: Any = numba.config
-    settings.CACHE_DIR = str(_find_cache(_hash_sources(*modules)))
-    return numba
+    folder = _find_cache(hash_sources(*modules))
+    settings.CACHE_DIR = str(folder)
+    progress.compiles_first = progress.compiles_first or not folder.is_dir()
+    return not explain_unwritable(folder)
 
 
 @cache
 def _find_cache(key: str) -> Path:
     """Return the folder of a key, marked as used; a new key removes what is long unused."""
-    folder = _cache_home() / "pamctl" / f"kernels-{key}"
+    folder = find_code_folder() / f"kernels-{key}"
     with suppress(OSError):  # without a cache everything is compiled anew
         if folder.is_dir():
             os.utime(folder)
@@ -160,23 +177,8 @@ def _remove_unused(home: Path) -> None:
             rmtree(folder, ignore_errors=True)
 
 
-def _cache_home() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-
-
 @cache
-def _may_cache() -> bool:
-    """Return whether the user has a private folder for machine code; /tmp is shared."""
-    try:
-        _cache_home().mkdir(parents=True, exist_ok=True)
-        has_room = disk_usage(_cache_home()).free > _CACHE_BYTES  # numba fails on a full disk
-    except OSError:
-        return False
-    return has_room and os.access(_cache_home(), os.W_OK)
-
-
-@cache
-def _hash_sources(*modules: str) -> str:
+def hash_sources(*modules: str) -> str:
     """Hash the sources of modules, and of their imports from pamctl or their own package."""
     waiting, found = [*modules], {*modules}
     while waiting:

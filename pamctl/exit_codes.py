@@ -33,6 +33,10 @@ class ExitCode(IntEnum):
     """Stopped by SIGTERM."""
 
 
+EMERGENCY_STOP = "emergency stop"
+"""Begins the reason of a run that someone stopped at once; its code is that of a safety trip."""
+
+
 class Ending(NamedTuple):
     """Why the loop ended."""
 

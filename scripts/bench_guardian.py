@@ -9,17 +9,21 @@ stand-in starts four threads of its own, as a driver library may; a third bench 
 undisturbed runs of both in turn: wake-up lateness, and the time of reading and writing in a tick.
 The stand-in's registers are memory: its times are those of the nidaqmx package and of our code
 around it, not those of a card. With `--against` every round of this checkout has a neighbour of
-the other one, in turn first and second.
+the other one, in turn first and second. A turn of all cases takes two minutes for each checkout on
+a quiet machine: with `--minutes` no case begins later, and what was measured so far is printed.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import subprocess
 import sys
 import tempfile
+import time
+from itertools import product, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -40,21 +44,28 @@ CASES = {
 """Process and signal, and the limit for the time to the safe voltage in ms."""
 
 
-def deaths(both: list[Bench], folder: Path, rounds: int, roots: list[Path]) -> dict[str, Any]:
-    """Time from a signal to the safe voltage, and ticks lost, for every process and checkout."""
+def deaths(
+    both: list[Bench], folder: Path, rounds: int, roots: list[Path], until_s: float
+) -> dict[str, Any]:
+    """Time from a signal to the safe voltage, and ticks lost, for every process and checkout.
+
+    Checkouts stand side by side in every case; none begins after `until_s` of the monotonic clock.
+    """
     found: dict[str, list[dict[str, Any]]] = {}
     card = both[1]
     bare = card._replace(environment={**card.environment, "STANDIN_THREADS": "0"})
     named = {"sim": both[0], "nidaq": card, "nidaq without foreign threads": bare}
-    wanted = [(name, *case, root) for name in named for case in CASES for root in roots]
+    wanted = [(name, *case) for name in named for case in CASES]
     targets_ms: dict[str, float] = {}
-    for index in range(rounds):  # in turn, so that all see the same PC
-        for name, process, how, root in wanted if index % 2 == 0 else wanted[::-1]:
+    turns = product(range(rounds), wanted)  # in turn, so that all see the same PC
+    for index, (name, process, how) in takewhile(lambda _: time.monotonic() < until_s, turns):
+        for root in roots if index % 2 == 0 else roots[::-1]:
             log = folder / f"{name}-{process}-{how}-{roots.index(root)}-{index}.mcap"
             log = log.with_name(log.name.replace(" ", "-"))
             case = f"{name}, {process} {how}" + (f", {root}" if len(roots) > 1 else "")
             bench = use_checkout(named[name], root)
             found.setdefault(case, []).append(one_death(bench, process, how, log))
+            print(f"{index + 1} of {rounds}: {case}: {found[case][-1]}", file=sys.stderr)
             targets_ms[case] = CASES[process, how]
     report = {
         case: {**summary(found[case]), "target_ms": target_ms}
@@ -133,7 +144,9 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=10)
     parser.add_argument("--against", type=Path, help="root of another checkout, run beside this")
     parser.add_argument("--deaths-only", action="store_true", help="no undisturbed runs")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no case later")
     given = parser.parse_args()
+    until_s = time.monotonic() + 60.0 * given.minutes
     rounds = given.rounds
     roots = [ROOT, *([given.against.resolve()] if given.against else [])]
     with tempfile.TemporaryDirectory() as temporary:
@@ -142,7 +155,7 @@ def main() -> None:
             both, timed = rigs[:2], rigs[2]
             report = {
                 "ticks": {} if given.deaths_only else ticks(both, timed, folder, rounds),
-                "deaths": deaths(both, folder, rounds, roots),
+                "deaths": deaths(both, folder, rounds, roots, until_s),
                 "load": os.getloadavg(),
             }
     print(json.dumps(report, indent=1))

@@ -127,7 +127,7 @@ def _print_plainly(command: Any) -> None:
     inner = getattr(command, "commands", {}).values()
     for one in inner:
         _print_plainly(one)
-    if not inner and command.callback is not None:
+    if command.callback is not None and (not inner or command.invoke_without_command):
         command.callback = _with_plain_streams(command.callback)
 
 

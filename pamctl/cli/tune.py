@@ -90,6 +90,17 @@ def tune(
             help="Quantile of the drawn plants that counts; 1: the worst plant counts",
         ),
     ] = 1.0,
+    hardest: Annotated[
+        int | None,
+        typer.Option(
+            "--hardest",
+            metavar="N",
+            min=2,
+            help="Run all gains only on the N drawn plants that are hardest for the first ones, "
+            "and the best gains on all",
+            show_default="all",
+        ),
+    ] = None,
     held_out: Annotated[
         int | None,
         typer.Option(
@@ -142,7 +153,17 @@ def tune(
         file_law = use_law_file(controller_from)
         law = file_law if law is None and check is None else law
     task = TuningTask.of(
-        law, plants or [], size, seed, quantile, held_out, out, check, start, compensate or []
+        law,
+        plants or [],
+        size,
+        seed,
+        quantile,
+        held_out,
+        out,
+        check,
+        start,
+        compensate or [],
+        hardest,
     )
     if task.checked is not None:
         scores = check_gains(task, jobs, cluster)

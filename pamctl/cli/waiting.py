@@ -26,6 +26,7 @@ SLOW_VERBS = {
     "report": "report: reading and drawing",
     "tune": "tune: compiling and drawing plants",
     "health": "health: reading and fitting",
+    "list_runs": "runs: reading new logs",
     "reproduce": "reproduce: simulating",
     "show_info": "log info: reading",
     "check_logs": "log check: reading every record",
@@ -55,7 +56,7 @@ def tell_while_silent(doing: str | None) -> Iterator[Callable[[], None]]:
             with shown:
                 if not ended.is_set():
                     told.set()
-                    _write(f"{_CLEAR}{doing}, {next_s:.0f} s")
+                    _write(f"{_CLEAR}{doing}{_tell_compiling()}, {next_s:.0f} s")
             next_s = round(next_s) + 1.0
 
     def end() -> None:
@@ -72,6 +73,12 @@ def tell_while_silent(doing: str | None) -> Iterator[Callable[[], None]]:
     finally:
         end()
         teller.join()
+
+
+def _tell_compiling() -> str:
+    compiled = sys.modules.get("pamctl.compiled")  # most verbs do without
+    is_first = compiled is not None and compiled.progress.compiles_first
+    return " (the first time after an update the model is compiled)" if is_first else ""
 
 
 def _write(text: str) -> None:

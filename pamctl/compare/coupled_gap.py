@@ -127,6 +127,7 @@ def compare_model(log: Log, plant: PlantParameters) -> Comparison:
             rows["block_p"][stretch] = drive_pressure(
                 plant, part.valve_v, part.position_m, grid, start=start
             ).pressure_pa
+        del grid  # of a long log, a third of all memory; the mechanics need another one
         if pressed or pulled:
             vented_pa = np.full(len(part), plant.atmospheric_pressure_pa)
             rows["block_x"][stretch] = drive_mechanics(

@@ -15,6 +15,9 @@ from typing import Any
 from pamctl.compiled import Substitution, make_inner_twin
 from pamctl.compiled_ahead.library import SYMBOL, find_linker
 
+_NEVER_CALLED = "void NRT_MemInfo_call_dtor(void *memory) { __builtin_trap(); }"
+"""Code with arrays can give back memory of numba's. None is: its arrays are the caller's."""
+
 
 class CannotBuild(Exception):
     """There is no machine code of a kernel; the message says why."""
@@ -38,7 +41,7 @@ def build_library(
     if linker is None:
         raise CannotBuild("there is no C compiler to link with: install gcc")
     twin = make_inner_twin(kernel, substitution)
-    scope = {**names, **_make_writers(), "kernel": twin}
+    scope = {**names, **_make_pointer_functions(), "kernel": twin}
     exec(compile(source, "<glue>", "exec"), scope)
     code, symbol = _emit_object(scope["glue"], pointers)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -47,9 +50,11 @@ def build_library(
         part.write_bytes(code)
         command = [
             *(linker, "-shared", "-o", str(library), str(part)),
-            *(f"-Wl,--defsym={SYMBOL}={symbol}", "-Wl,--no-undefined", "-lm"),
+            *(f"-Wl,--defsym={SYMBOL}={symbol}", "-Wl,--no-undefined", "-lm", "-xc", "-"),
         ]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, input=_NEVER_CALLED, capture_output=True, text=True, check=False
+        )
         if done.returncode:
             raise CannotBuild(f"{linker}: {done.stderr.strip()}")
         library.replace(path)
@@ -79,8 +84,10 @@ def _emit_object(glue: Callable[..., None], pointers: str) -> tuple[bytes, str]:
     return machine.emit_object(module), overload.fndesc.llvm_func_name
 
 
-def _make_writers() -> dict[str, Any]:
-    """Return functions that write a double, an int64 or a bool to any byte of a buffer."""
+def _make_pointer_functions() -> dict[str, Any]:
+    """Return functions that write a double, an int64 or a bool to any byte of a buffer, and the
+    one that makes an array of a pointer.
+    """
     import numba
     from llvmlite import ir
     from numba.extending import intrinsic
@@ -103,7 +110,9 @@ def _make_writers() -> dict[str, Any]:
 
         return put
 
+    module: Any = numba
     return {
+        "carray": module.carray,
         "put_float": make(types.float64, ir.DoubleType()),
         "put_int": make(types.int64, ir.IntType(64)),
         "put_bool": make(types.boolean, ir.IntType(8)),

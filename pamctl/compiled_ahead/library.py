@@ -14,6 +14,8 @@ from shutil import which
 from types import ModuleType
 from typing import Any
 
+from pamctl.code_folder.find_code_folder import find_code_folder
+
 _ROOT = Path(__file__).parents[2]
 _SOURCES = (
     "hal/*.py",
@@ -28,6 +30,8 @@ _SOURCES = (
 )
 """All that a kernel of the tick or of the simulation can be made of."""
 SYMBOL = "pamctl_kernel"
+FORBIDDEN = "PAMCTL_NO_BUILD"
+"""Environment variable: where it is set, nothing is built."""
 
 
 class KernelLibrary:
@@ -51,6 +55,12 @@ class KernelLibrary:
         """
         held = [(ctypes.c_char * len(buffer)).from_buffer(buffer) for buffer in buffers]
         return self._function, [*map(ctypes.pointer, (self._result, self._exception, *held))]
+
+    def run(self, *addresses: int) -> bool:
+        """Run the kernel on buffers at these addresses; return whether it went through."""
+        places = map(ctypes.c_void_p, addresses)
+        result, exception = ctypes.byref(self._result), ctypes.byref(self._exception)
+        return not self._function(result, exception, *places)
 
 
 def hold_library(path: Path) -> int:
@@ -81,8 +91,7 @@ def find_library_path(name: str, *parts: str) -> Path:
     digest = hashlib.sha256(_hash_house().encode())
     for part in parts:
         digest.update(part.encode() + b"\0")
-    cached = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return cached / "pamctl" / "ahead" / f"{name}-{digest.hexdigest()[:20]}.so"
+    return find_code_folder() / "ahead" / f"{name}-{digest.hexdigest()[:20]}.so"
 
 
 def hash_module(module: ModuleType) -> str:

@@ -38,7 +38,7 @@ from pamctl.daemon.requested_settings import (
 )
 from pamctl.daemon.session import DaemonRun, Session, Workshop
 from pamctl.daemon.shelf import Shelf
-from pamctl.exit_codes import Ending
+from pamctl.exit_codes import EMERGENCY_STOP, Ending
 from pamctl.log.annotate.annotation import NOTHING_SAID, Annotation, annotate_meta
 from pamctl.log.changed_gains import CHANGES, describe_changes
 from pamctl.log.naming import bare_name
@@ -233,7 +233,7 @@ class Service:
 
     def estop(self) -> None:
         """Drive the safe voltage within a tick, and latch the fault. Waits for no order."""
-        self._trip("emergency stop")
+        self._trip(EMERGENCY_STOP)
 
     def _trip(self, reason: str) -> None:
         session = self._session

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 from pamctl.bounded_memory import forget_results
 from pamctl.diagnose.audit import audit_model
@@ -87,6 +88,7 @@ def diagnose(
     Candidates are fitted in `executor`'s workers if one is given; any executor with the standard
     library's `submit` will do. Data that cannot be diagnosed give the verdict `bad_data`.
     """
+    began_s = perf_counter()
     forget_results()  # of the diagnosis before: no key of it comes again
     progress = progress or (lambda line: None)
     stated = {**(plant.noise.stated if plant.noise else {}), **(noise or {})}
@@ -102,15 +104,13 @@ def diagnose(
         return Diagnosis(Verdict.BAD_DATA, plant, plant, reasons, train=given, setup=refused)
     candidates = list_candidates(evidence, without)
     count = len({candidate.name for candidate in candidates})  # some have several forms
-    progress(
-        f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates; "
-        f"{guess_time_left(evidence)}"
-    )
+    progress(f"{', '.join(evidence.blocks)}: {count} effects of the catalogue are candidates")
     recalibrated = _recalibrate(evidence, candidates, train, holdout, executor, progress)
     train, holdout = [*recalibrated.train], [*recalibrated.holdout]
     base = weigh_blocks(recalibrated.base)
     ratios = ", ".join(f"{b} {base.ratio(b):.2f} x floor" for b in evidence.blocks)
-    progress(f"recalibrated: {ratios}")
+    worst = max(base.ratio(block) for block in evidence.blocks)
+    progress(f"recalibrated: {ratios}; {guess_time_left(perf_counter() - began_s, worst)}")
     effects = FirstLevel(candidates)
     setup = suspect_setup(base, train, holdout, effects, progress, recalibrated.findings)
     if setup.refusal:
@@ -123,6 +123,7 @@ def diagnose(
     naming, setup = ask_beside(naming, setup, candidates, executor, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)
+    found = _search_below_limit(found, confirming, candidates, executor, progress)
     found, described = _describe_rest(found, confirming, executor, progress, without)
     on = describe_confirmation(confirming, is_cut=is_cut)
     diagnosis = _conclude(
@@ -133,6 +134,30 @@ def diagnose(
     extended = diagnosis.plant.model_copy(update={"noise": plant.noise})
     found_all = replace(diagnosis, plant=extended, noise=channels, accepted=accepted)
     return _decide_next(found_all, [*train, *holdout], progress)
+
+
+def _search_below_limit(
+    found: Confirmation,
+    confirming: Evidence,
+    candidates: Sequence[Candidate],
+    executor: Executor | None,
+    progress: Progress,
+) -> Confirmation:
+    """Ask the catalogue where an estimated limit hid what is no noise; keep what gives a name.
+
+    Quiet stretches set such a limit. Play acts at reversals only, and leaves most of them quiet.
+    """
+    base = found.naming.base
+    doubted = frozenset(s.block for s in found.signs if base.floors[s.block].is_estimate)
+    if found.naming.model.effects or not doubted:
+        return found
+    progress("the limit was an estimate, and what is left is no noise: asking the effects")
+    strict = replace(base, evidence=replace(base.evidence, doubted=doubted))
+    again = name_effects(strict, candidates, executor, progress)
+    if not again.model.effects:
+        return found
+    confirmed = confirm_naming(again, replace(confirming, doubted=doubted))
+    return confirmed if confirmed.naming.model.effects else found
 
 
 def _decide_next(found: Diagnosis, records: Sequence[Record], progress: Progress) -> Diagnosis:

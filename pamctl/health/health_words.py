@@ -13,6 +13,8 @@ from pamctl.health.follow_health import FollowedDrift, RigHealth
 from pamctl.settings.yaml12 import dump_yaml
 
 SCHEMA = 1
+AIR_RIVALS = ("chamber_leak", "valve_leak", "null_offset")
+"""Effects that a pressure balance cannot tell from its numbers where each is small."""
 _WITHIN = {
     True: ", within the runs too",
     False: ", from run to run, not within them",
@@ -37,6 +39,9 @@ def describe_drift(drift: FollowedDrift, runs: Sequence[FittedRun]) -> str:
     size = f"from {change.before:.4g} to {change.after:.4g} {change.unit}".rstrip()
     if change.before and not change.name.endswith(MISFIT):
         size = f"{100.0 * change.relative:+.1f} % ({size})"
+    rivals = list_rivals(drift)
+    if rivals:
+        size += f", or {', or '.join(rivals)} (the pressures of these runs cannot tell)"
     if change.kind == "step":
         names = f"{runs[change.first].name} and {runs[change.second].name}"
         text = f"{change.name}: {size}, a step between {names} ({at[1]})"
@@ -47,9 +52,14 @@ def describe_drift(drift: FollowedDrift, runs: Sequence[FittedRun]) -> str:
         text += "; no number of the plant file explains it: `pamctl diagnose` the later run"
     elif drift.is_doubtful:
         text += "; doubtful, because a misfit changed too"
-    elif change.name in CALIBRATED[PRESSURE]:
-        text += "; a leak or a moved valve null may look the same: `pamctl diagnose` the later run"
+    elif rivals:
+        text += "; `pamctl diagnose` the later run"
     return text + "."
+
+
+def list_rivals(drift: FollowedDrift) -> tuple[str, ...]:
+    """Return the effects that may have moved the number in its place."""
+    return AIR_RIVALS if drift.change.name in CALIBRATED[PRESSURE] else ()
 
 
 def format_day(when_s: float) -> str:
@@ -88,6 +98,7 @@ def _drift_entry(drift: FollowedDrift, runs: Sequence[FittedRun]) -> dict[str, A
         "after": change.after,
         "unit": change.unit,
         "sigmas": change.sigmas,
+        "not_refuted": list_rivals(drift),
         "within_runs": drift.within,
         "doubtful": drift.is_doubtful,
     }

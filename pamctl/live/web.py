@@ -47,6 +47,8 @@ LARGEST_BODY = 4096
 MOST_CONNECTIONS = 32
 _SILENT_S = 10.0
 """A connection without a request for so long is closed (s)."""
+_SWITCH_S = 5e-4
+"""The thread of an order waits no longer than this for each thread that makes an answer (s)."""
 
 _PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
@@ -77,6 +79,7 @@ def serve_page(socket: Path, port: int, *, allow_control: bool) -> None:
     """Serve until Ctrl-C; print the address. Raises `OSError` where the port is taken."""
     token = secrets.token_urlsafe(24) if allow_control else ""
     server = PageServer(socket, port, token)
+    sys.setswitchinterval(_SWITCH_S)
     print(f"http://127.0.0.1:{server.server_port}/{'#' + token if token else ''}", flush=True)
     how = "this address lets you stop and move the muscle" if token else "read-only"
     print(f"pamctl watch: {how}; Ctrl-C ends it", file=sys.stderr, flush=True)

@@ -31,11 +31,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pamctl.bounded_memory import BoundedMemory
-from pamctl.compiled import compile_kernel
+from pamctl.compiled_ahead.array_kernel import ArrayKernel
 from pamctl.compiled_ahead.packing import Packing, make_packing
-from pamctl.plant.chains import undo_reading
+from pamctl.plant.chains import SensorMemory, undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
 from pamctl.plant.correction_tables import Correction
+from pamctl.plant.effects.sensors.encoder_backlash import restart_behind_play
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.parameters import (
     PlantParameters,
@@ -381,6 +382,7 @@ def run_mechanics(
     )
     muscle_pa, age_s = pressures_pa[0], state.age_s
     has_line = p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0 and not p.direct
+    has_play = p.effects.sensors.encoder_backlash.width_m > 0.0
     again = 0
     for k in range(rows.shape[1]):
         if k:
@@ -406,7 +408,19 @@ def run_mechanics(
                 sensors = sensors_step(p, sensors, begin_pa, muscle_pa, begin_m, x, age_s, step_s)
                 age_s += step_s
         if again < len(restarts.rows) and restarts.rows[again] == k:
-            x, v = restarts.outputs[again], restarts.rates[again]
+            shown_m, rate = restarts.outputs[again], restarts.rates[again]
+            if has_play:
+                x, v, carrier = restart_behind_play(
+                    p.effects.sensors.encoder_backlash,
+                    sensors.encoder_backlash,
+                    x,
+                    v,
+                    shown_m,
+                    rate,
+                )
+                sensors = SensorMemory(sensors.pressure_sensor_lag, carrier)
+            else:
+                x, v = shown_m, rate
             again += 1
         rows[0, k] = sensed_position_m(p, x, sensors, age_s)
         rows[1, k] = x
@@ -421,7 +435,7 @@ def _run(kernel: Callable[..., None], p: PlantParameters, state: PlantState, *gi
 
 @cache
 def _get_twin(kernel: Callable[..., None], packing: Packing) -> Callable[..., None]:
-    return compile_kernel(kernel, None if packing is _PLAIN else (unpack_drive, packing.unpack))
+    return ArrayKernel(kernel, None if packing is _PLAIN else (unpack_drive, packing.unpack))
 
 
 def _check_signal(name: str, values: ArrayLike, length: int | None = None) -> Array:

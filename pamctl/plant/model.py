@@ -294,7 +294,8 @@ class PlantSettings(Configured):
     def acting(self) -> dict[str, dict[str, Any]]:
         """The settings of the effects and terms that the file states, by name before the dot."""
         stated: dict[str, dict[str, Any]] = self.effects.model_dump(exclude_none=True)
-        for name, term in self.terms:
+        # Most plants have none, and pydantic is slow to list what is missing.
+        for name, term in self.terms if self.terms.model_fields_set else ():
             if term is not None:
                 stated[f"{name}{SUFFIX}"] = dict(term)
         return stated

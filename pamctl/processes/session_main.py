@@ -13,7 +13,7 @@ from contextlib import suppress
 from functools import partial
 from typing import NoReturn
 
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_main import (
@@ -35,7 +35,7 @@ from pamctl.recording.session_journal import SessionJournal
 from pamctl.settings.build import build_ordered_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, from_resolved
 
-_EMERGENCY = Ending(ExitCode.SAFETY_TRIP, "emergency stop")
+_EMERGENCY = Ending(ExitCode.SAFETY_TRIP, EMERGENCY_STOP)
 
 
 class _SessionSupervisor(LoopSupervisor):

@@ -63,8 +63,9 @@ class Page:
         self._body.append(f'<h2 id="s{len(self._sections)}">{escape(heading)}</h2>')
 
     def heading(self, heading: str) -> None:
-        """Begin a subsection."""
-        self._body.append(f"<h3>{escape(heading)}</h3>")
+        """Begin a subsection, or a part before the first section."""
+        level = "h3" if self._sections else "h2"
+        self._body.append(f"<{level}>{escape(heading)}</{level}>")
 
     def text(self, *paragraphs: str) -> None:
         """Write paragraphs. Here, in points and in notes, text `between backticks` is code."""
@@ -110,7 +111,8 @@ class Page:
             for row in rows
         )
         self._body.append(
-            f'{titled}<div class="wide"><table><thead><tr>{head}</tr></thead>'
+            f'{titled}<div class="wide" role="group" tabindex="0" aria-label="table"><table>'
+            f"<thead><tr>{head}</tr></thead>"
             f"<tbody>{body}</tbody></table></div>"
         )
 
@@ -127,7 +129,8 @@ class Page:
     def fold(self, heading: str, text: str) -> None:
         """Write a folded text, which opens on demand and in print."""
         self._body.append(
-            f"<details><summary>{escape(heading)}</summary><pre>{escape(text)}</pre></details>"
+            f"<details><summary>{escape(heading)}</summary>"
+            f'<pre tabindex="0">{escape(text)}</pre></details>'
         )
 
     def html(self, *, interactive: bool = False) -> str:

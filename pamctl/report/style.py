@@ -22,7 +22,7 @@ _PAGE = """main{max-width:960px;margin:0 auto;padding:24px 20px 64px}
 header{margin-bottom:14px}
 h1{font-size:26px;line-height:1.2;margin:0 0 4px;overflow-wrap:anywhere}
 h2{font-size:20px;margin:40px 0 10px;padding-top:10px;border-top:1px solid var(--rule)}
-h3{font-size:16px;margin:24px 0 6px}
+h3,h2:not([id]){font-size:16px;margin:24px 0 6px;padding:0;border:0}
 p{margin:8px 0;max-width:75ch;overflow-wrap:anywhere}
 ul{margin:8px 0;padding-left:22px;max-width:75ch}
 .subtitle{color:var(--dim);margin:0}
@@ -38,7 +38,7 @@ table{border-collapse:collapse;font-size:14px;font-variant-numeric:tabular-nums}
 .caption{color:var(--dim);font-size:14px;margin:14px 0 0}.caption+.wide{margin-top:4px}
 th,td{padding:4px 14px 4px 0;text-align:left;vertical-align:top;border-bottom:1px solid var(--rule)}
 th{color:var(--dim);font-weight:600}.num{text-align:right;white-space:nowrap}
-.short{white-space:nowrap}
+.short{white-space:nowrap}td:not(.num):not(.short){min-width:10em}
 figure{margin:16px 0 24px}
 figcaption{color:var(--dim);font-size:14px;margin-top:6px;max-width:85ch}
 .plot{break-inside:avoid;margin-bottom:6px;min-width:0}
@@ -73,7 +73,7 @@ pre{overflow-x:auto;background:var(--panel);padding:10px 12px;font-size:12.5px;l
 @media(max-width:600px){main{padding:16px 12px 48px}h1{font-size:22px}.frame{padding-left:50px}
 .spare{display:none}code{white-space:normal}
 nav{flex-wrap:nowrap;overflow-x:auto;white-space:nowrap;padding-bottom:6px}
-td,th{padding-right:10px}td:first-child{overflow-wrap:anywhere;min-width:7em}td:not(.num):not(.short){min-width:10em}.facts{grid-template-columns:repeat(2,minmax(0,1fr))}}
+td,th{padding-right:10px}td:first-child{overflow-wrap:anywhere;min-width:7em}.facts{grid-template-columns:repeat(2,minmax(0,1fr))}}
 @media print{:root{color-scheme:light;--bg:#fff;--fg:#000;--dim:#444;--rule:#ccc;--panel:#f6f6f6;
 --plot:#fff;--c0:#0072b2;--c1:#d55e00;--c2:#009e73;--c3:#cc79a7;--c4:#e69f00;--c5:#56b4e9;
 --c6:#000;--cm:#777;--good:#00785a;--bad:#c02d12}

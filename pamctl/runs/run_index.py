@@ -20,7 +20,7 @@ from pamctl.exit_codes import ExitCode
 from pamctl.runs.index_finished import INDEX_NAME
 from pamctl.runs.run_row import RunRow, read_row
 
-_FORMAT = 1
+_FORMAT = 2
 """Counts up when rows change: an index of another format is made again."""
 _APPLICATION = 0x70616D63
 """Marks the file as an index of pamctl."""

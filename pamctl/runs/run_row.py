@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pamctl.exit_codes import ExitCode
+from pamctl.exit_codes import EMERGENCY_STOP, ExitCode
 from pamctl.log.annotate.annotation import ANNOTATION, SWEEP, Annotation
 from pamctl.log.contents import Contents
 from pamctl.log.framing import LogError
@@ -36,7 +36,11 @@ ENDINGS = {
 }
 """The ending of a run in one word; every other code is `failed`."""
 UNFINISHED, UNREADABLE, IMPORTED, FAILED = "unfinished", "unreadable", "imported", "failed"
-ENDING_WORDS = tuple(dict.fromkeys([*ENDINGS.values(), FAILED, UNFINISHED, IMPORTED, UNREADABLE]))
+ESTOP = "estop"
+"""A safety trip that someone asked for."""
+ENDING_WORDS = tuple(
+    dict.fromkeys([*ENDINGS.values(), ESTOP, FAILED, UNFINISHED, IMPORTED, UNREADABLE])
+)
 
 _FIELDS = (
     "t_s", "phase", "position_m", "corrected_position_m", "reference_m", "missed", "verdicts",
@@ -173,7 +177,9 @@ def _judge_ending(events: list[dict[str, Any]], contents: Contents, damage: str)
         return {"ending": UNFINISHED, "reason": "the log does not say how the run ended"}
     code = int(outcome["code"])
     reason = clean_text(str(outcome.get("reason", "")))
-    return {"exit_code": code, "reason": reason, "ending": ENDINGS.get(ExitCode(code), FAILED)}
+    is_estop = code == ExitCode.SAFETY_TRIP and reason.startswith(EMERGENCY_STOP)
+    ending = ESTOP if is_estop else ENDINGS.get(ExitCode(code), FAILED)
+    return {"exit_code": code, "reason": reason, "ending": ending}
 
 
 def _join_marks(events: list[dict[str, Any]]) -> str:

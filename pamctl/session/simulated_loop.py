@@ -16,7 +16,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, NamedTuple
 
-from pamctl.exit_codes import Ending, ExitCode
+from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.log.naming import bare_name, make_dated_path
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.run_once import make_run_meta, new_ring_path
@@ -167,7 +167,7 @@ class SimulatedLoop:
     def find_stop(self, tick: int) -> Ending | None:
         """Return the ending once the loop shall end."""
         if self._wants_abort:
-            return Ending(ExitCode.SAFETY_TRIP, "emergency stop")
+            return Ending(ExitCode.SAFETY_TRIP, EMERGENCY_STOP)
         return Ending(ExitCode.OK, "the session ended") if self._is_leaving else None
 
     def wants_abort(self) -> bool:

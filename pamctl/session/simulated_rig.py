@@ -20,7 +20,7 @@ from pamctl.daemon.requested_settings import (
     require_tunable,
 )
 from pamctl.daemon.service import DaemonState
-from pamctl.exit_codes import ExitCode
+from pamctl.exit_codes import EMERGENCY_STOP, ExitCode
 from pamctl.log.naming import file_safe_name
 from pamctl.new_file import require_folder
 from pamctl.session.pamctl_error import PamctlError, translate_errors
@@ -144,7 +144,7 @@ class SimulatedRig(SteeredRig):
     def estop(self) -> None:
         """End at the safe voltage at once, and latch the fault."""
         with translate_errors():
-            self._fault = self._fault or "emergency stop"
+            self._fault = self._fault or EMERGENCY_STOP
             self._end_loop(at_once=True)
 
     def ack(self) -> str:

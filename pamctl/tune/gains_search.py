@@ -3,6 +3,10 @@
 Every generation has a random generator of its own, made of the seed and its number, and starts
 from the population before it. An interrupted search therefore goes on exactly as if it had not
 been interrupted, and the same seed gives the same gains on any number of processes.
+
+A short trial does not see everything: gains that are calm through its one cycle may oscillate in
+a whole experiment, or on a plant that is easy for others. So a rival that would come among the
+best is tried a second time: longer, and on every plant.
 """
 
 from __future__ import annotations
@@ -53,7 +57,9 @@ class BestGains(NamedTuple):
     cost: float
     generation: int
     evaluations: int
-    """Runs of one plant each."""
+    """Trials of one plant each."""
+    longer_evaluations: int = 0
+    """Longer trials of one plant each, of what came among the best."""
 
 
 class Jury(NamedTuple):
@@ -64,12 +70,19 @@ class Jury(NamedTuple):
     """Quantile of the drawn ones that counts: 1 is the worst one, 0.95 leaves out the worst 5 %."""
     named: tuple[Member, ...]
     """Plants beside the drawn ones. The worst of them counts as much as all drawn ones."""
+    easy: tuple[Member, ...] = ()
+    """Drawn plants that are run for the best gains only: for all others they count as easy."""
 
     @property
     def allowed_outliers(self) -> int:
         """How many drawn plants may exceed a limit that the quantile keeps."""
-        last = len(self.drawn) - 1
+        last = len(self.drawn) + len(self.easy) - 1
         return last - math.floor(self.quantile * last)
+
+    @property
+    def whole(self) -> Jury:
+        """The jury in which the easy ones are run as well, after the others."""
+        return self._replace(drawn=(*self.drawn, *self.easy), easy=())
 
 
 class Cost(NamedTuple):
@@ -87,7 +100,8 @@ def compute_cost(
 ) -> Cost:
     """Return the cost of gains: the largest error over its bound, named plants plus drawn ones.
 
-    The quantile of the drawn ones counts. They run in the given order. As soon as the gains are
+    The quantile of the drawn ones counts. They run in the given order, which may go on to plants
+    that the jury does not have. As soon as the gains are
     known to exceed the limit, the other plants are left out.
     """
     if controller is None:  # these gains contradict each other
@@ -98,12 +112,14 @@ def compute_cost(
         if worst_named > limit:
             return Cost(worst_named, runs)
     ratios = np.full(len(jury.drawn), math.nan)
-    for runs, at in enumerate(order, len(jury.named) + 1):
+    own = [at for at in order if at < len(ratios)]
+    for runs, at in enumerate(own, len(jury.named) + 1):
         ratios[at] = trial.verdict(controller, jury.drawn[at]).cost
         beyond = ratios[worst_named + ratios > limit]
         if len(beyond) > jury.allowed_outliers:
             return Cost(worst_named + float(beyond.min()), runs)
-    of_drawn = float(np.quantile(ratios, jury.quantile)) if jury.drawn else 0.0
+    all_drawn = np.concatenate([np.zeros(len(jury.easy)), ratios])
+    of_drawn = float(np.quantile(all_drawn, jury.quantile)) if jury.drawn else 0.0
     return Cost(worst_named + of_drawn, len(jury.named) + len(jury.drawn), tuple(ratios.tolist()))
 
 
@@ -119,15 +135,17 @@ class GainsSearch:
     state: Path | None = None
     """File that keeps the search after each generation, so that it can be resumed."""
     trial: GainsTrial = field(default_factory=GainsTrial)
+    elite_trial: GainsTrial | None = None
+    """Longer trial that gains must also stand to be among the best, on the whole jury; or None."""
     compensate: tuple[str, ...] = ()
     """Effects that every candidate undoes; the gains name them."""
 
     def __post_init__(self) -> None:
         """Begin, or resume the search in `state`; raise `SearchError` if that is another one."""
         self._space = find_space(self.law, self.compensate)
-        self._order = list(range(len(self.jury.drawn)))
+        self._order = list(range(len(self.jury.whole.drawn)))
         self._generation = 0
-        self._runs = 0
+        self._runs = self._longer_runs = 0
         self._population = self._draw_population()
         self._costs = np.full(len(self._population), np.inf)
         if self.state is not None and self.state.exists():
@@ -151,16 +169,16 @@ class GainsSearch:
         """Go on by one generation; return the best so far."""
         points = self._population if self._generation == 0 else self._make_offspring()
         controllers = [self._controller(point) for point in points]
-        cost = partial(compute_cost, jury=self.jury, trial=self.trial, order=self._order)
-        limits = np.minimum(self._costs, _COST_LIMIT).tolist()
-        share_out = map if executor is None else executor.map
-        tried = list(share_out(cost, controllers, limits))
+        everybody = np.arange(len(points))
+        tried = self._try_gains(self.jury, self.trial, controllers, everybody, executor)
+        self._runs += sum(each.runs for each in tried)
+        if self.elite_trial is not None:
+            self._confirm_elite(tried, self.elite_trial, controllers, executor)
         costs = np.array([each.value for each in tried])
         better = costs < self._costs
         self._population = np.where(better[:, None], points, self._population)
         self._costs = np.where(better, costs, self._costs)
         self._generation += 1
-        self._runs += sum(each.runs for each in tried)
         if better[np.argmin(self._costs)]:
             # A rival fails soonest on the plants that are hardest for the best: they run first.
             ratios = np.array(tried[int(np.argmin(self._costs))].ratios)
@@ -168,6 +186,50 @@ class GainsSearch:
                 self._order = np.argsort(-ratios, kind="stable").tolist()
         self._save_state()
         return self.best
+
+    def _try_gains(
+        self,
+        jury: Jury,
+        trial: GainsTrial,
+        controllers: Sequence[Any],
+        rivals: NDArray[np.int64],
+        executor: Executor | None,
+    ) -> list[Cost]:
+        """Return the cost of some rivals, each up to that of the gains it would replace."""
+        cost = partial(compute_cost, jury=jury, trial=trial, order=self._order)
+        limits = np.minimum(self._costs[rivals], _COST_LIMIT).tolist()
+        share_out = map if executor is None else executor.map
+        return list(share_out(cost, [controllers[at] for at in rivals], limits))
+
+    def _confirm_elite(
+        self,
+        tried: list[Cost],
+        trial: GainsTrial,
+        controllers: Sequence[Any],
+        executor: Executor | None,
+    ) -> None:
+        """Try rivals that would be among the best on the whole jury; raise their cost in `tried`.
+
+        Who falls behind makes room for another, which is tried too. The worst of the best never
+        gets worse, so whoever is among them in a later generation has been tried.
+        """
+        sure = np.zeros(len(tried), dtype=bool)
+        while True:
+            costs = np.array([each.value for each in tried])
+            best = self._find_best(np.minimum(costs, self._costs))
+            asked = best[~sure[best] & (costs[best] < self._costs[best])]
+            if not len(asked):
+                return
+            longer = self._try_gains(self.jury.whole, trial, controllers, asked, executor)
+            for at, found in zip(asked, longer, strict=True):
+                tried[at] = found._replace(value=max(tried[at].value, found.value))
+                self._longer_runs += found.runs
+            sure[asked] = True
+
+    @staticmethod
+    def _find_best(costs: Floats) -> NDArray[np.int64]:
+        """Return which are among the best, the best one first."""
+        return np.argsort(costs, kind="stable")[: max(2, round(_BEST_SHARE * len(costs)))]
 
     def _controller(self, point: Floats) -> Any:
         try:
@@ -180,8 +242,7 @@ class GainsSearch:
         draw = np.random.default_rng([self.seed, self._generation])
         old = self._population
         size, axes = old.shape
-        best = np.argsort(self._costs, kind="stable")[: max(2, round(_BEST_SHARE * size))]
-        towards = old[draw.choice(best, size)]
+        towards = old[draw.choice(self._find_best(self._costs), size)]
         one, other = old[draw.integers(size, size=(2, size))]
         stride = draw.uniform(*_STRIDES, (size, 1))
         new = old + stride * (towards - old + one - other)
@@ -207,6 +268,7 @@ class GainsSearch:
             float(self._costs[at]),
             self._generation,
             self._runs,
+            self._longer_runs,
         )
 
     # --- interrupted, and taken up again -------------------------------------------------
@@ -216,7 +278,9 @@ class GainsSearch:
             "law": self.law,
             "seed": self.seed,
             "quantile": self.jury.quantile,
+            "easy": [member.name for member in self.jury.easy],
             "trial": self.trial.length,
+            "elite_trial": self.elite_trial and self.elite_trial.length,
             "drawn": [member.name for member in self.jury.drawn],
             "named": [member.name for member in self.jury.named],
             "digest": self._digest(),
@@ -225,7 +289,7 @@ class GainsSearch:
 
     def _digest(self) -> str:
         """Tell plants and spaces apart that changed and kept their names."""
-        plants = (*self.jury.drawn, *self.jury.named)
+        plants = (*self.jury.whole.drawn, *self.jury.named)
         text = [repr(self._space.space[:2]), *(repr(plant.__reduce__()[1]) for plant in plants)]
         return hashlib.sha256("\n".join(text).encode()).hexdigest()[:16]
 
@@ -236,6 +300,7 @@ class GainsSearch:
             **self._identity(),
             "generation": self._generation,
             "runs": self._runs,
+            "longer_runs": self._longer_runs,
             "order": self._order,
             "population": self._population.tolist(),
             "costs": self._costs.tolist(),
@@ -249,7 +314,8 @@ class GainsSearch:
             mine = {name: kept[name] for name in self._identity()}
             population = np.array(kept["population"], dtype=np.float64)
             costs = np.array(kept["costs"], dtype=np.float64)
-            generation, runs = int(kept["generation"]), int(kept["runs"])
+            generation = int(kept["generation"])
+            runs, longer_runs = int(kept["runs"]), int(kept["longer_runs"])
             order = [int(at) for at in kept["order"]]
         except (ValueError, KeyError, TypeError) as error:
             raise SearchError(f"{state} is no search that could be resumed: {error}") from error
@@ -263,5 +329,5 @@ class GainsSearch:
                 f"{state} belongs to another search (law, plants, bounds, seed or start differ); "
                 "remove it, or ask for the same again"
             )
-        self._generation, self._runs = generation, runs
+        self._generation, self._runs, self._longer_runs = generation, runs, longer_runs
         self._population, self._costs, self._order = population, costs, order

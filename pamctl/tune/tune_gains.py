@@ -9,11 +9,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from pamctl.cluster.worker_processes import start_workers
 from pamctl.new_file import NewFileError, write_files
 from pamctl.settings.resolve import SECTIONS
 from pamctl.tune.gains_file import Scores, format_gains_file, summarise_verdicts
-from pamctl.tune.gains_search import BestGains, GainsSearch
+from pamctl.tune.gains_search import BestGains, GainsSearch, Jury
 from pamctl.tune.gains_trial import GainsTrial, GainsVerdict
 from pamctl.tune.plant_ensemble import Member
 from pamctl.tune.tune_text import describe_effort, report_scores
@@ -67,7 +69,14 @@ def search_gains(
     scores: dict[str, Scores]
     with start_workers(jobs, cluster) as executor:
         search = GainsSearch(
-            task.law, task.jury, task.seed, task.start, state, task.trial, task.compensate
+            task.law,
+            _choose_jury(executor, task),
+            task.seed,
+            task.start,
+            state,
+            task.trial,
+            task.elite_trial,
+            task.compensate,
         )
         try:
             while search.generation < generations:
@@ -92,6 +101,19 @@ def search_gains(
     if not interrupted and failure is None:
         state.unlink(missing_ok=True)
     return FoundGains(best, scores, time.monotonic() - began_s, interrupted, state, text, failure)
+
+
+def _choose_jury(executor: Executor, task: TuningTask) -> Jury:
+    """Return the plants that judge: of the drawn ones, those that are hardest for the first gains.
+
+    Most drawn plants are far inside with sensible gains. Only the best gains are run on them.
+    """
+    if task.hardest is None:
+        return task.jury
+    verdicts = executor.map(partial(_judge_member, task.first_gains), task.drawn)
+    order = np.argsort([-verdict.worst for verdict in verdicts], kind="stable")
+    sorted_ = tuple(task.drawn[at] for at in order)
+    return task.jury._replace(drawn=sorted_[: task.hardest], easy=sorted_[task.hardest :])
 
 
 def _score_gains(executor: Executor, controller: Any, task: TuningTask) -> dict[str, Scores]:

@@ -18,11 +18,16 @@ def describe_effort(task: TuningTask, best: BestGains) -> str:
     """Return how the gains were found, for the gains file."""
     kind = f"the quantile {task.quantile:g}" if task.quantile < 1.0 else "the worst"
     drawn = f"{kind} of {len(task.drawn)} drawn plants" if task.drawn else ""
+    if task.hardest is not None:
+        drawn += f" (the {task.hardest} hardest for the first gains for all, the rest for the best)"
     named = " and ".join(member.name for member in task.named)
     judges = ", and for ".join(filter(None, [drawn, named]))
+    runs = f"{best.evaluations} runs of {task.trial.duration_s:g} s"
+    if task.elite_trial is not None:
+        runs += f" and {best.longer_evaluations} of {task.elite_trial.duration_s:g} s"
     return (
-        f"Differential evolution, {best.generation} generations, {best.evaluations} runs of "
-        f"{task.trial.duration_s:g} s, for {judges}; cost {best.cost:.3f}."
+        f"Differential evolution, {best.generation} generations, {runs}, for {judges}; "
+        f"cost {best.cost:.3f}."
     )
 
 

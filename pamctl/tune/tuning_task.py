@@ -48,6 +48,8 @@ class TuningTask:
     start: dict[str, Any] | None
     compensate: tuple[str, ...] = ()
     """Effects that the gains undo, each with the numbers of the plant that it is judged on."""
+    hardest: int | None = None
+    """How many drawn plants all gains run on, those hardest for the first ones; None for all."""
 
     @property
     def trial(self) -> GainsTrial:
@@ -55,9 +57,20 @@ class TuningTask:
         return GainsTrial("short" if self.drawn else "whole")
 
     @property
+    def elite_trial(self) -> GainsTrial | None:
+        """What the best gains of a search on drawn plants must stand as well."""
+        return GainsTrial("whole") if self.drawn else None
+
+    @property
     def jury(self) -> Jury:
-        """The plants that judge in a search."""
+        """The plants that judge in a search, if all of them do."""
         return Jury(tuple(self.drawn), self.quantile, tuple(self.named))
+
+    @property
+    def first_gains(self) -> Any:
+        """The gains that the search begins near, as a controller's settings."""
+        space = find_space(self.law, self.compensate)
+        return space.controller(space.usual if self.start is None else space.point(self.start))
 
     @classmethod
     def of(
@@ -72,6 +85,7 @@ class TuningTask:
         check: str | None,
         start: str | None,
         compensate: Sequence[str] = (),
+        hardest: int | None = None,
     ) -> TuningTask:
         """Make a task of the options of `pamctl tune`; raise `ConfigError`."""
         checked = None if check is None else _read("controller", check, "--check")
@@ -99,13 +113,14 @@ class TuningTask:
             message = "there are no fresh plants: with --plant, give --ensemble too"
             raise _option_error(f"--held-out {held_out}", message)
         drawn = draw_ensemble(size or _DEFAULT_SIZE, seed) if draws else []
+        _require_enough(hardest, drawn, quantile)
         judges = held_out or _DEFAULT_HELD_OUT
         fresh = draw_ensemble(judges, seed + _FRESH_SEED_OFFSET) if draws else []
         begun = None if began is None else settings_to_data(began)
         if checked is not None and compensate:
             checked = checked.model_copy(update={"compensate": tuple(compensate)})
         names = tuple(compensate)
-        return cls(law, drawn, named, fresh, seed, quantile, out, checked, begun, names)
+        return cls(law, drawn, named, fresh, seed, quantile, out, checked, begun, names, hardest)
 
 
 def _option_error(where: str, message: str) -> ConfigError:
@@ -121,6 +136,21 @@ def _require_undoable(names: Sequence[str], members: Sequence[Member]) -> None:
             build_compensation(member.plant, base.rig, controller)
         except ValueError as error:
             raise _option_error(f"--compensate {' '.join(names)}", str(error)) from None
+
+
+def _require_enough(hardest: int | None, drawn: Sequence[Member], quantile: float) -> None:
+    """Refuse so few plants that the quantile of all would lie among those that are not run."""
+    if hardest is None:
+        return
+    fewest = Jury(tuple(drawn), quantile, ()).allowed_outliers + 2
+    if not fewest <= hardest <= len(drawn):
+        raise _option_error(
+            f"--hardest {hardest}",
+            f"must be {fewest} to {len(drawn)}: the quantile {quantile:g} of the drawn plants "
+            "must lie among the plants that are run"
+            if drawn
+            else "needs drawn plants: give --ensemble too",
+        )
 
 
 def _require_space(law: str) -> None:

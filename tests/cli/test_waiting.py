@@ -46,6 +46,18 @@ def test_every_slow_verb_is_one_of_the_program() -> None:
     assert {*waiting.SLOW_VERBS} <= {*walk(get_command(app))}
 
 
+def test_a_verb_whose_code_is_new_says_that_it_is_compiled() -> None:
+    code = SLOW.replace(
+        "def doze", "import pamctl.compiled as c\nc.progress.compiles_first = True\ndef doze"
+    )
+    ours, its = pty.openpty()
+    subprocess.run([sys.executable, "-c", code], stdout=its, stderr=its, timeout=60, check=True)
+    seen = os.read(ours, 65536).decode()
+    os.close(ours)
+    os.close(its)
+    assert "doze: dozing (the first time after an update the model is compiled), " in seen
+
+
 def test_without_a_terminal_nothing_is_shown() -> None:
     done = subprocess.run([sys.executable, "-c", SLOW], capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.stderr) == ("done\n", "")

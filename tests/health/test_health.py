@@ -10,7 +10,11 @@ import pytest
 from support.command_line import run_pamctl
 
 from pamctl.diagnose.fitting.intervals import FittedNumber
-from pamctl.health.find_drift import SIGMAS_OF_CI90, find_drift
+from pamctl.health.find_drift import SIGMAS_OF_CI90, NumberDrift, find_drift
+from pamctl.health.fit_run import FittedRun
+from pamctl.health.follow_health import FollowedDrift
+from pamctl.health.health_words import describe_drift, list_rivals
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.settings.resolve import read_section_file
 
 
@@ -55,6 +59,25 @@ def test_intervals_that_are_too_narrow_are_widened_by_the_scatter_of_neighbours(
         values = 100.0 + random.normal(0.0, 5.0, 12)
         alarms += find_drift("k", make_numbers(values, 1.0), range(12)) is not None
     assert alarms <= 5
+
+
+@pytest.mark.parametrize("name", ["tank_pressure_pa", "valve_gain_m2_per_v", "braid_length_m"])
+def test_a_number_of_the_air_is_said_with_the_effects_that_look_the_same(name: str) -> None:
+    """A small leak and a moved null lower the fitted tank pressure, and leave no misfit."""
+    runs = [FittedRun("a.mcap", 0.0), FittedRun("b.mcap", 100.0)]
+    change = NumberDrift(name, "step", 0, 1, 4.4e5, 4.3e5, "Pa", 9.0)
+    drift = FollowedDrift(change, within=None, is_doubtful=False)
+    said = describe_drift(drift, runs)
+    rivals = ("chamber_leak", "valve_leak", "null_offset")
+    assert f", or {', or '.join(rivals)} " in said
+    assert list_rivals(drift) == rivals
+    assert set(rivals) <= set(CATALOGUE)
+
+
+def test_a_number_of_the_mechanics_is_said_alone() -> None:
+    runs = [FittedRun("a.mcap", 0.0), FittedRun("b.mcap", 100.0)]
+    change = NumberDrift("stiffness_n_per_m", "step", 0, 1, 9e3, 8e3, "N/m", 9.0)
+    assert " or " not in describe_drift(FollowedDrift(change, None, is_doubtful=False), runs)
 
 
 def test_a_folder_of_logs_names_the_number_that_moved(tmp_path: Path) -> None:

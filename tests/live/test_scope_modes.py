@@ -209,6 +209,22 @@ def test_page_and_log_say_who_changed_which_gain_and_anyone_can_undo_it(
     up.wait_for("ready")
 
 
+def test_a_gain_that_the_keyboard_changed_keeps_the_keyboard(
+    up: Daemon, holding: Path, tab: Page
+) -> None:
+    slider = "document.querySelector('[data-gain=eta] input[type=range]')"
+    values = [up.ask("status")["controller"]["eta"]]
+    tab.value(f"{slider}.focus()")
+    for _ in range(2):
+        tab.press("ArrowUp")
+        up.wait_until(lambda s: s["controller"]["eta"] > values[-1])
+        values.append(up.ask("status")["controller"]["eta"])
+        tab.wait_for(f"document.activeElement === {slider}")
+    for _ in range(2):
+        up.ask("undo")
+    assert up.ask("status")["controller"]["eta"] == values[0]
+
+
 @as_root
 def test_the_group_that_may_steer_can_read_every_tick_and_write_none(
     up: Daemon, holding: Path
@@ -231,7 +247,8 @@ def test_the_page_breaks_no_rule_for_accessible_pages_and_the_stop_is_the_first_
     shown: Served, holding: Path, tab: Page
 ) -> None:
     rules = (files("axe_core_python") / "axe.min.js").read_text()
-    for width in (1280, 390):
+    for width, colours in ((1280, "light"), (390, "dark")):
+        tab.choose_colours(colours)
         tab.open("about:blank", width=width, height=844)
         tab.open(shown.address, width=width, height=844)
         tab.wait_for("bench.gains.length && !byId('gotohandle').hidden")

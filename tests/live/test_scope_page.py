@@ -166,6 +166,32 @@ def test_a_saved_capture_opens_again_and_its_cut_is_a_log(
     assert np.array_equal(read(piece)["position_m"], before)
 
 
+def test_a_minute_at_10_khz_is_drawn_by_its_extremes_and_kept_whole(tab: Page) -> None:
+    count, spike, dip = 600_000, 123_457, 400_001
+    tab.value(
+        f"(() => {{ const n = {count}, t = Float64Array.from({{ length: n }}, (_, k) => k * 1e-4);"
+        " const wave = t.map(s => Math.sin(s)), tick = t.map((_, k) => k);"
+        f" wave[{spike}] = 9; wave[{dip}] = -9; wave[7] = NaN;"
+        " setMode('still'); scope.rateHz = 10000; scope.view = null;"
+        " window.panesBefore = scope.panes; scope.panes = [['error_m']]; buildPanes();"
+        " showCapture({ log: '', first: 0, last: n - 1, trigger: null, every: 1, events: [],"
+        " raw: { tick, t_s: t, error_m: wave }, t0: 0, ticks: tick, t }); })()"
+    )
+    drawn = "scope.charts[0].chart.data"
+    assert tab.value(f"{drawn}[0].length") < 10_000
+    low, high = tab.value(f"[Math.min(...{drawn}[1]), Math.max(...{drawn}[1])]")
+    assert (low, high) == pytest.approx((-9e6, 9e6)), "micrometres"
+    assert (
+        tab.value(f"findGaps(scope.charts[0].chart, 1, 0, {drawn}[0].length - 1, []).length") == 0
+    )
+    tab.value(f"setView({spike * 1e-4 - 0.01}, {spike * 1e-4 + 0.01})")
+    assert tab.value(f"{drawn}[0].includes(scope.capture.t[{spike}])"), "every tick is there"
+    assert tab.value("scope.capture.raw.error_m.length") == count
+    tab.value(
+        "(scope.rateHz = bench.rate_hz ?? 1000, scope.view = null, scope.panes = panesBefore, 0)"
+    )
+
+
 def test_the_spectrum_is_that_of_numpy(tab: Page) -> None:
     rate_hz, count = 1000.0, 1500
     t = np.arange(count) / rate_hz

@@ -6,6 +6,7 @@ The code is built once for all tests, and kept in the user's cache as that of a 
 from __future__ import annotations
 
 import math
+import os
 import struct
 import sys
 from collections.abc import Sequence
@@ -344,6 +345,24 @@ def test_without_a_linker_nothing_is_built_and_the_reason_is_said(monkeypatch, t
     with pytest.raises(CannotBuild, match="install gcc"):
         builder_main.build_tick_library(SETUP, tmp_path / "a.so")
     assert not [*tmp_path.iterdir()]
+
+
+def test_a_cache_that_cannot_be_written_is_said_and_nothing_is_begun(monkeypatch, tmp_path) -> None:
+    monkeypatch.delenv("PAMCTL_NO_BUILD")
+    (tmp_path / "pamctl").write_text("a file where the folder should be")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    told = libraries.start_building(resolve())
+    assert told.startswith("the tick runs in plain Python, machine code cannot be kept: ")
+    assert str(tmp_path / "pamctl" / "ahead") in told
+
+
+def test_a_user_without_a_home_keeps_no_machine_code(monkeypatch) -> None:
+    monkeypatch.delenv("PAMCTL_NO_BUILD")
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 54321)  # nobody has this number
+    assert "XDG_CACHE_HOME" in libraries.start_building(resolve())
+    assert not libraries.find_tick_library(SETUP).exists()
 
 
 def test_other_sources_laws_and_machines_have_other_code(monkeypatch) -> None:

@@ -14,10 +14,11 @@ from typer.testing import CliRunner
 from pamctl.cli.app import app
 from pamctl.log import read
 from pamctl.log.importing.imported_log import write_imported
+from pamctl.log.reader import read_some
 from pamctl.report.compose import compose_report
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
 from pamctl.report.html_page import Page
-from pamctl.report.reported_run import name_runs
+from pamctl.report.reported_run import REPORT_FIELDS, name_runs
 
 HOSTILE = "<script>alert('x')</script>"
 
@@ -67,6 +68,13 @@ def imported(folder: Path) -> Path:
 
 def page_of(*paths: Path) -> str:
     return compose_report([read(path) for path in paths]).html()
+
+
+def test_the_columns_that_a_report_reads_are_all_that_it_shows(
+    minute: Path, tripped: Path, imported: Path
+) -> None:
+    for path in (minute, tripped, imported):
+        assert compose_report([read_some(path, REPORT_FIELDS)]).html() == page_of(path)
 
 
 def test_the_page_of_a_minute_stays_below_a_megabyte_and_holds_the_whole_story(minute):

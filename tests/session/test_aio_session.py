@@ -53,6 +53,26 @@ def test_a_cancelled_run_stops_smoothly_and_the_rig_goes_on(tmp_path: Path) -> N
     assert pamctl.Run.open(cancelled).ending.reason == "interrupted"
 
 
+def test_two_first_calls_at_once_connect_once_and_a_second_close_does_nothing(
+    tmp_path: Path,
+) -> None:
+    made: list[SteeredRig] = []
+
+    def make() -> SteeredRig:
+        made.append(pamctl.simulate(logs=tmp_path, overrides=QUICK))
+        return made[-1]
+
+    async def work() -> list[dict[str, object]]:
+        rig = AsyncRig(make)
+        told = await asyncio.gather(rig.status(), rig.settings(), rig.status())
+        await asyncio.gather(rig.close(), rig.close())
+        return told
+
+    told = asyncio.run(work())
+    assert len(made) == 1
+    assert told[0] == told[2]
+
+
 def test_every_method_of_a_rig_is_awaited_too() -> None:
     public = {
         name

@@ -17,6 +17,7 @@ from support.runs import COUNT_M
 import pamctl
 from pamctl.exit_codes import ExitCode
 from pamctl.replay import replay_log
+from pamctl.runs.run_row import read_row
 from pamctl.session.simulated_rig import simulate
 from pamctl.settings.resolve import resolve
 from pamctl.signals import Phase
@@ -188,6 +189,7 @@ def test_the_emergency_stop_ends_the_run_at_once_and_is_latched(rig: pamctl.Simu
     assert rig.state == "fault"
     run = pamctl.Run.open(log)
     assert run.ending == (ExitCode.SAFETY_TRIP, "emergency stop")
+    assert read_row(log).ending == "estop"
     assert rig.ack() == "emergency stop"
     assert rig.state == "idle"
 

@@ -78,7 +78,7 @@ def digest(checkout: Path) -> str:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return str(module._hash_sources("pamctl.simulate.closed_loop", "pamctl.control.qsmc"))
+    return str(module.hash_sources("pamctl.simulate.closed_loop", "pamctl.control.qsmc"))
 
 
 def test_the_cache_is_keyed_by_every_source_that_a_kernel_can_depend_on(checkout: Path) -> None:

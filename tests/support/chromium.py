@@ -117,6 +117,11 @@ class Page:
             self._call("Input.dispatchKeyEvent", type="keyDown", **named)
             self._call("Input.dispatchKeyEvent", type="keyUp", **named)
 
+    def choose_colours(self, scheme: str) -> None:
+        """Prefer `light` or `dark` pages from now on."""
+        feature = {"name": "prefers-color-scheme", "value": scheme}
+        self._call("Emulation.setEmulatedMedia", features=[feature])
+
     def screenshot(self, path: Path) -> None:
         path.write_bytes(base64.b64decode(self._call("Page.captureScreenshot")["data"]))
 

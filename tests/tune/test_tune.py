@@ -223,6 +223,18 @@ def test_skipping_plants_never_changes_the_best_gains(
     assert raced.value > limit or raced == whole._replace(ratios=raced.ratios)
 
 
+def test_plants_that_are_not_run_count_as_far_inside() -> None:
+    """The quantile of the whole ensemble, from its hardest plants alone."""
+    whole = Jury(called(*range(20)), 0.8, ())
+    hardest = Jury(called(*range(10, 20)), 0.8, (), easy=called(*range(10)))
+    assert {m.name for m in hardest.whole.drawn} == {m.name for m in whole.drawn}
+    assert hardest.allowed_outliers == whole.allowed_outliers == 4
+    of_all = compute_cost(PID, np.inf, whole, Told(), range(20))
+    of_hardest = compute_cost(PID, np.inf, hardest, Told(), range(10))
+    assert of_hardest.value == pytest.approx(of_all.value)
+    assert of_hardest.runs == 10
+
+
 # --- the search ----------------------------------------------------------------------
 
 
@@ -239,6 +251,42 @@ def three_generations() -> list[float]:
 def test_the_search_improves_and_never_worsens(three_generations: list[float]) -> None:
     assert three_generations == sorted(three_generations, reverse=True)
     assert three_generations[-1] < 1.0
+
+
+class Shortsighted(GainsTrial):
+    """A trial that gets better with K_P, and whose long form trips above 10 V/mm."""
+
+    def verdict(self, controller: Any, member: Member) -> GainsVerdict:
+        trips = self.length == "whole" and controller.kp_v_per_length > 10.0
+        return GainsVerdict(5.0 if trips else 1.0 / controller.kp_v_per_length, "told", {}, 0.0)
+
+
+def test_the_best_gains_also_stand_the_longer_trial() -> None:
+    short, whole = Shortsighted("short"), Shortsighted("whole")
+    blind = GainsSearch("pid", BEFORE_PAPER, 1, trial=short)
+    seeing = GainsSearch("pid", BEFORE_PAPER, 1, trial=short, elite_trial=whole)
+    for _ in range(12):
+        oversight, found = blind.advance(), seeing.advance()
+    assert oversight.gains["kp_v_per_length"] > 10.0
+    assert 8.0 < found.gains["kp_v_per_length"] <= 10.0
+    assert found.cost == pytest.approx(1.0 / found.gains["kp_v_per_length"])
+    assert 0 < found.longer_evaluations < found.evaluations
+
+
+def test_the_best_gains_also_stand_the_plants_that_are_easy_for_others() -> None:
+    """The named plant likes K_P; the easy one trips above 10 V/mm, which only the elite sees."""
+
+    class Picky(GainsTrial):
+        def verdict(self, controller: Any, member: Member) -> GainsVerdict:
+            trips = member.name == "easy" and controller.kp_v_per_length > 10.0
+            return GainsVerdict(5.0 if trips else 1.0 / controller.kp_v_per_length, "", {}, 0.0)
+
+    hard, easy = (Member(name, PAPER[0].plant) for name in ("hard", "easy"))
+    jury = Jury((hard,), 1.0, (), easy=(easy,))
+    going = GainsSearch("pid", jury, 1, trial=Picky(), elite_trial=Picky("whole"))
+    for _ in range(12):
+        found = going.advance()
+    assert 8.0 < found.gains["kp_v_per_length"] <= 10.0
 
 
 def test_several_processes_or_threads_find_the_same_gains(three_generations: list[float]) -> None:
@@ -327,6 +375,11 @@ def test_drawn_plants_reach_other_processes(tmp_path: Path) -> None:
             ["--law", "pid", "--out", "x.yaml", "--plant", "paper", "--held-out", "4"],
             "--held-out 4: there are no fresh plants",
         ),
+        (
+            ["--law=pid", "--out=x.yaml", "--ensemble=50", "--quantile=0.9", "--hardest=2"],
+            "--hardest 2: must be 7 to 50",
+        ),
+        (["--law", "pid", "--out", "x.yaml", "--plant", "paper", "--hardest", "2"], "--ensemble"),
         (["--law", "pid", "--out", "x.yaml", "--start", "qsmc"], "gains of qsmc"),
         (["--law", "pid", "--out", "x.yaml", "--start", "nope"], "--start nope: there is no such"),
         (["--check", "pid", "--out", "x.yaml"], "for --out: belongs to a search: with --check"),

@@ -27,10 +27,11 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Write one self-contained HTML page with figures and plots of these logs."""
-    from pamctl.log import read
+    from pamctl.log.reader import read_some
     from pamctl.report.compose import compose_report
+    from pamctl.report.reported_run import REPORT_FIELDS
 
-    logs = [read(path) for path in paths]
+    logs = [read_some(path, REPORT_FIELDS) for path in paths]
     target = out or paths[0].with_suffix(".html")
     require_place(target, replaces=PAGE_BEGIN)
     html = compose_report(logs).html(interactive=interactive)

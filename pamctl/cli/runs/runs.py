@@ -70,7 +70,7 @@ def list_runs(
         _text_option(
             "--ending",
             "WORD|CODE",
-            "Word such as ok, trip, overruns, stopped, failed or unfinished, or a code",
+            "Word such as ok, trip, estop, overruns, stopped, failed or unfinished, or a code",
         ),
     ] = None,
     verdict: Annotated[

@@ -68,6 +68,9 @@ class Evidence:
     filtered: frozenset[str] = frozenset()
     """Channels that look as if somebody had filtered them."""
 
+    doubted: frozenset[str] = frozenset()
+    """Blocks whose estimated limit hid something: what is left below it was no noise."""
+
     @property
     def blocks(self) -> tuple[str, ...]:
         """The blocks that these records can drive."""

@@ -121,6 +121,7 @@ class Model:
             self.evidence.holdout[block],
             self.repeatability[block],
             margin=self.evidence.margin(block),
+            is_doubted=block in self.evidence.doubted,
         )
 
     @cached_property

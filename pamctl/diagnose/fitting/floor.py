@@ -105,13 +105,15 @@ def estimate_floor(
     repeated: RepeatSpread,
     *,
     margin: float,
+    is_doubted: bool = False,
 ) -> Floor:
     """Return the floor of a block whose sensor's noise is unknown.
 
     Repeats show it: no model can explain what differs between them. Without repeats, it is what the
     recalibrated model leaves in its quietest stretches, without their trends: noise is in all of
     them, and what the model lacks is not. `residual` is that model's on `drives`. It is not below
-    the simulated one, which the noise of the block's input alone may set.
+    the simulated one, which the noise of the block's input alone may set. The limit allows for how
+    the quieter half of the stretches scatters, unless that allowance `is_doubted`.
     """
     if repeated.rms:
         limit = float(np.hypot(repeated.rms * (1.0 + 2.0 * repeated.uncertainty), margin))
@@ -121,6 +123,8 @@ def estimate_floor(
     scatter = float(levels[levels <= np.median(levels)].std())
     limit = float(np.hypot(quiet + LIMIT_SIGMAS * scatter, margin))
     level = max(quiet, simulated.mean, LEAST_LEVEL)
+    if is_doubted:
+        return simulated.with_level(level, float(np.hypot(level, margin)), 0.0)
     return simulated.with_level(level, max(limit, simulated.limit), 0.0)
 
 

@@ -81,6 +81,8 @@ class EffectSearch:
 
     base: Model
     levels: tuple[tuple[Model, ...], ...]
+    blocks_disagree: bool = False
+    """Each block alone is at its limit, and the base is not: it has the same numbers for both."""
 
     @property
     def complete(self) -> tuple[Model, ...]:
@@ -124,7 +126,7 @@ class EffectSearch:
             level = levels[len(model.effects) - 1]
             if all({*model.effects} != {*known.effects} for known in level):
                 level.append(model)
-        return EffectSearch(self.base, tuple(tuple(sorted(level, key=rank)) for level in levels))
+        return replace(self, levels=tuple(tuple(sorted(level, key=rank)) for level in levels))
 
 
 def _choose_simplest(complete: Sequence[Model]) -> Model:
@@ -165,8 +167,9 @@ def search_effects(
     `known` are models of some of the blocks, fitted earlier to the same drives.
     """
     levels: list[tuple[Model, ...]] = []
-    if all(base.rms[b] < WORTH_ANOTHER_EFFECT * base.floors[b].limit for b in base.evidence.blocks):
-        base = fit_jointly(base)  # a disagreement between the blocks hardly shows in either alone
+    alone, base = base, base if leaves_more(base) else fit_jointly(base)
+    # A disagreement between the blocks hardly shows in either alone.
+    blocks_disagree = base is not alone and leaves_more(base)
     known_by_effects = {} if base.is_joint else {frozenset(m.effects): m for m in known}
     fitter = _Fitter(executor, known_by_effects, progress)
     beam = [base]
@@ -187,7 +190,14 @@ def search_effects(
         levels.append(grown)
         progress(_describe_level(grown))
         beam = choose_beam(base, levels)
-    return EffectSearch(base, tuple(levels))
+    return EffectSearch(base, tuple(levels), blocks_disagree)
+
+
+def leaves_more(model: Model) -> bool:
+    """Tell whether a model leaves enough of a block for another effect."""
+    return any(
+        model.rms[b] >= WORTH_ANOTHER_EFFECT * model.floors[b].limit for b in model.evidence.blocks
+    )
 
 
 def choose_beam(base: Model, levels: Sequence[Sequence[Model]]) -> list[Model]:

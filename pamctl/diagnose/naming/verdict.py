@@ -11,7 +11,13 @@ from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.naming.doubt import PIECES, spread_of_effect
 from pamctl.diagnose.naming.rivals import Standing
-from pamctl.diagnose.naming.search import EffectSearch, closed_share, keep_best_forms, rank
+from pamctl.diagnose.naming.search import (
+    EffectSearch,
+    closed_share,
+    keep_best_forms,
+    leaves_more,
+    rank,
+)
 from pamctl.diagnose.naming.stretches import gains_in_block
 
 LEAST_CLOSED = 2.0 / 3.0
@@ -92,8 +98,11 @@ def _find_partial(search: EffectSearch, within: Collection[str] = ()) -> Model |
 def is_worthy(model: Model, search: EffectSearch) -> bool:
     """Tell whether a model explains part of a block, each of its effects a good part.
 
-    What it leaves of a block that no effect reaches does not count.
+    What it leaves of a block that no effect reaches does not count. Where only the numbers of the
+    blocks disagree, effects explain that wholly or not at all: apart, the blocks leave less.
     """
+    if search.blocks_disagree and leaves_more(model):
+        return False
     if spoils_block(search.base, model) or not all(map(model.is_substantial, model.effects)):
         return False
     shares = [measure_share(model, effect, search) for effect in model.effects]

@@ -28,8 +28,11 @@ function spellBounds({ low, above, high, below }) {
 
 const isWithin = (value, { low, above, high, below }) => Number.isFinite(value) && !(value < low || value <= above || value > high || value >= below);
 
+// The keyboard stays where it was.
 function buildGains() {
+  const { type, parentElement: row } = document.activeElement;
   byId("gains").replaceChildren(...bench.gains.map(gainRow));
+  document.querySelector(`[data-gain="${row?.dataset.gain}"] input[type=${type}]`)?.focus();
 }
 
 function gainRow(gain) {

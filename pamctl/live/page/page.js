@@ -8,9 +8,11 @@ const SHORTEST_S = 2;
 const HEIGHT = 180;
 const GAP_S = 0.5; // no line is drawn through a longer time without values
 const NEWS_MS = 100;
-const ASIDE = 5; // so many times less often looks a tab that nobody works in
+const ASIDE = 5; // so many times less often looks a tab that nobody works in,
+const HIDDEN = 10; // or that nobody sees: only its title tells the state
 const SILENT_MS = 2000;
 const CONFIRMED_MS = 300;
+const YIELD_MS = 2 * CONFIRMED_MS;
 const byId = (id) => document.getElementById(id);
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const scaled = (value, factor) => (value === null ? null : value * factor);
@@ -48,11 +50,23 @@ const sight = new IntersectionObserver((changes) => {
   }
 }, { rootMargin: "200px" });
 
-// How long to rest (ms) after a round that began at `beganMs`. A busy PC sets a slower pace, and an
-// order from another tab never waits behind this one.
-function restMs(everyMs, beganMs) {
-  const tookMs = performance.now() - beganMs;
-  return Math.max((document.hasFocus() ? 1 : ASIDE) * everyMs - tookMs, 2 * tookMs, 10);
+// While an order is on its way, no tab asks or draws: the PC and the connections are the order's.
+const tabs = new BroadcastChannel("pamctl.orders");
+let yieldsUntilMs = 0;
+const yieldToOrder = (isPending) => { yieldsUntilMs = isPending ? performance.now() + YIELD_MS : 0; };
+tabs.onmessage = ({ data }) => yieldToOrder(data);
+
+function announceOrder(isPending) {
+  yieldToOrder(isPending);
+  tabs.postMessage(isPending);
+}
+
+// Runs rounds for ever. A busy PC sets a slower pace.
+async function repeat(everyMs, round) {
+  const beganMs = performance.now();
+  if (beganMs > yieldsUntilMs) await round();
+  const tookMs = performance.now() - beganMs, pace = document.hidden ? HIDDEN : document.hasFocus() ? 1 : ASIDE;
+  setTimeout(repeat, Math.max(pace * everyMs - tookMs, 2 * tookMs, 10), everyMs, round);
 }
 
 function element(kind, className, text) {
@@ -112,9 +126,12 @@ function madePlot(plot) {
 const charts = PLOTS.map(madePlot);
 
 function draw() {
+  if (document.hidden) return;
   for (const { box, chart, names } of charts) if (inSight.has(box)) chart.setData([series.t, ...names.map((name) => series[name])]);
   document.dispatchEvent(new Event("drawn"));
 }
+
+document.addEventListener("visibilitychange", draw);
 
 function forgetAll() {
   for (const values of Object.values(series)) values.length = 0;
@@ -225,13 +242,11 @@ async function askForNews() {
 }
 
 async function followNews() {
-  const beganMs = performance.now();
   try {
     await askForNews();
   } catch {
     if (performance.now() - heardMs > SILENT_MS) showStatus(null, "pamctl watch does not answer");
   }
-  setTimeout(followNews, restMs(NEWS_MS, beganMs));
 }
 
 function showMode(control) {
@@ -270,6 +285,7 @@ async function order(what) {
   const sayNotSent = () => say(`NOT SENT: ${what.do} is not confirmed; in a terminal: pamctl ${what.do}`, "notsent");
   // One turn more: where the page itself was busy, the answer may lie there already.
   let late = setTimeout(() => { late = setTimeout(sayNotSent, 0); }, CONFIRMED_MS);
+  announceOrder(true);
   try {
     const answer = await send(what);
     const told = await answer.json();
@@ -284,6 +300,8 @@ async function order(what) {
     sayNotSent();
     if (what.do === "estop") setTimeout(() => order(what), CONFIRMED_MS); // until it gets through
     return false;
+  } finally {
+    announceOrder(false);
   }
 }
 
@@ -302,4 +320,4 @@ byId("controls").addEventListener("submit", (event) => {
   order({ do: "goto", position_mm: Number(byId("target").value) });
 });
 
-followNews();
+repeat(NEWS_MS, followNews);

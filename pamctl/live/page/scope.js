@@ -8,8 +8,9 @@ const MOST_FIELDS = 12;
 const MOST_MARKS = 20;
 const MARK_S = 1; // so far to each side of a mark is shown
 const COLOURS = ["--c0", "--c1", "--c2", "--c3"];
-const FIRST_LAYOUT = [["reference_m", "position_m"], ["error_m"], ["valve_v"]];
+const FIRST_LAYOUT = [["position_m", "reference_m"], ["error_m"], ["valve_v"]];
 const INT_MAX = 2 ** 52;
+const COLUMNS = 4000; // of a picture at most: finer than a screen
 
 const store = {
   read: (name, otherwise) => {
@@ -126,7 +127,6 @@ async function roll(held, spanS) {
 }
 
 async function stepScope() {
-  const beganMs = performance.now();
   try {
     if (scope.mode !== "still" && !document.hidden) {
       const held = await (await ask("/scope/state", {})).json();
@@ -143,7 +143,6 @@ async function stepScope() {
   } catch (error) {
     sayScope(error.message);
   }
-  setTimeout(stepScope, restMs(SCOPE_MS, beganMs));
 }
 
 function sayScope(text) {
@@ -167,7 +166,7 @@ const viewRange = () => scope.view ?? fullRange();
 
 function findGaps(chart, _series, first, last, found) {
   const times = chart.data[0], gaps = [...found];
-  const longest = Math.max(0.02, 5 * (scope.capture?.every ?? 1) / scope.rateHz);
+  const longest = Math.max(0.02, 5 * (scope.capture?.every ?? 1) * (scope.capture?.perColumn ?? 1) / scope.rateHz);
   for (let at = first + 1; at <= last; at++) {
     if (times[at] - times[at - 1] > longest) gaps.push([chart.valToPos(times[at - 1], "x", true), chart.valToPos(times[at], "x", true)]);
   }
@@ -305,22 +304,49 @@ async function changePanes(change) {
 function showCapture(capture) {
   const before = scope.capture;
   scope.capture = capture;
-  capture.drawn = new Map(); // a minute at 10 kHz is converted once, not at each move of a cursor
   scope.cursors = scope.cursors.map((at) => (at === null || !before ? null : nearestIndex(capture.t, before.t[at])));
   refreshScope();
 }
 
-function drawable({ raw, drawn }, name) {
-  const { factor } = shownUnit(name);
-  if (!drawn.has(name)) drawn.set(name, Array.from(raw[name], (value) => (Number.isNaN(value) ? null : value * factor)));
-  return drawn.get(name);
+// What is drawn of the view. Where ticks are many, the lowest and the highest of each column; the
+// capture keeps every tick.
+function drawable(capture, names) {
+  const { t } = capture, [from, to] = viewRange();
+  const first = Math.max(0, nearestIndex(t, from) - 1), end = Math.min(t.length, nearestIndex(t, to) + 2);
+  const size = Math.ceil((end - first) / COLUMNS);
+  capture.perColumn = size > 2 ? size : 1;
+  if (size <= 2) {
+    return [t.subarray(first, end), ...names.map((name) => {
+      const { factor } = shownUnit(name);
+      return Array.from(capture.raw[name].subarray(first, end), (value) => (Number.isNaN(value) ? null : value * factor));
+    })];
+  }
+  const times = [];
+  for (let at = first; at < end; at += size) times.push(t[at], t[Math.min(at + (size >> 1), end - 1)]);
+  return [times, ...names.map((name) => findExtremes(capture.raw[name].subarray(first, end), size, shownUnit(name).factor))];
+}
+
+// Two values for each `size` of many, in the order in which they came; null where all are unknown.
+function findExtremes(values, size, factor) {
+  const found = [];
+  for (let begin = 0; begin < values.length; begin += size) {
+    const end = Math.min(begin + size, values.length);
+    let low = -1, high = -1;
+    for (let at = begin; at < end; at++) {
+      if (low < 0 ? !Number.isNaN(values[at]) : values[at] < values[low]) low = at;
+      if (high < 0 ? !Number.isNaN(values[at]) : values[at] > values[high]) high = at;
+    }
+    if (low < 0) found.push(null, null);
+    else found.push(values[Math.min(low, high)] * factor, values[Math.max(low, high)] * factor);
+  }
+  return found;
 }
 
 function refreshScope() {
   const { capture } = scope;
   for (const { chart, names } of scope.charts) {
     const there = capture && names.every((name) => capture.raw[name]);
-    chart.setData(there ? [capture.t, ...names.map((name) => drawable(capture, name))] : [[], ...names.map(() => [])]);
+    chart.setData(there ? drawable(capture, names) : [[], ...names.map(() => [])]);
   }
   byId("capturename").textContent = capture ? `${capture.log || "file"}, ticks ${capture.ticks[0]} to ${capture.ticks.at(-1)}` : "";
   showMarks();
@@ -401,6 +427,7 @@ function showSpectrum() {
   byId("spectrum").hidden = chosen === "";
   if (chosen === "") return;
   const result = currentSpectrum(), { factor, unit } = shownUnit(chosen);
+  byId("spectrumplot").hidden = !result;
   spectrumChart ??= new uPlot({
     width: byId("spectrum").clientWidth || 300, height: PANE_HEIGHT, legend: { show: false },
     scales: { x: { time: false, distr: 3 }, y: { distr: 3 } },
@@ -579,7 +606,7 @@ function wireScope() {
   sight.observe(byId("panes"));
   buildPanes();
   setMode("roll");
-  stepScope();
+  repeat(SCOPE_MS, stepScope);
 }
 
 async function saveCut() {

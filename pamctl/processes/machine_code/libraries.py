@@ -10,8 +10,10 @@ from pathlib import Path
 
 from hal.rig import Rig
 from hal.sim.sim_rig import SimRig
+from pamctl.code_folder.find_code_folder import explain_unwritable
 from pamctl.compiled_ahead.layout import NotFlat
 from pamctl.compiled_ahead.library import (
+    FORBIDDEN,
     KernelLibrary,
     find_library_path,
     find_linker,
@@ -31,9 +33,6 @@ from pamctl.realtime.tick_words import TickWords
 from pamctl.settings.build import build_tick_setup
 from pamctl.settings.resolve import RunSettings, settings_to_json
 from pamctl.simulate.leap import Leap, LeapWords, may_leap
-
-FORBIDDEN = "PAMCTL_NO_BUILD"
-"""Environment variable: where it is set, nothing is built."""
 
 _IN_WORDS = {"tick": "the tick", "plant": "the simulated plant", "leap": "the run as a whole"}
 """What runs in plain Python where a library is missing, by the first word of the file's name."""
@@ -141,6 +140,8 @@ def start_building(settings: RunSettings) -> str:
             )
     if find_linker() is None:
         return f"{what} runs in plain Python: machine code needs a C compiler, install gcc"
+    if why := explain_unwritable(missing[0].parent):
+        return f"{what} runs in plain Python, machine code cannot be kept: {why}"
     builder = subprocess.Popen(
         [sys.executable, "-m", "pamctl.processes.machine_code.builder_main"],
         stdin=subprocess.PIPE,

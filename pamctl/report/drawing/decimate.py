@@ -38,6 +38,28 @@ def keep_extremes(x: Floats, y: Floats, column: float) -> Indices:
     return np.unique(np.concatenate(([0], order[starts], order[ends], [count - 1])))
 
 
+MOST_POINTS = 100_000
+"""A longer line is kept by the extremes of half as many columns, finer than any screen."""
+
+
+def thin_line(x: Floats, *ys: Floats) -> Indices:
+    """Return the points that keep the extremes and the gaps of long lines, shape (n,), over x.
+
+    A line with few points keeps all. x must not fall.
+    """
+    if len(x) <= MOST_POINTS or not np.isfinite(x).all():
+        return np.arange(len(x))
+    column = 2.0 * (x[-1] - x[0]) / MOST_POINTS
+    kept = [np.zeros(1, np.intp)]
+    for y in ys:
+        gap = ~np.isfinite(y)
+        if not gap.all():
+            whole = np.interp(x, x[~gap], y[~gap]) if gap.any() else y
+            kept.append(keep_extremes(x - x[0], whole, column))
+            kept.append(np.flatnonzero(gap[1:] & ~gap[:-1]) + 1)
+    return np.unique(np.concatenate(kept))
+
+
 def thin_cloud(x: Floats, y: Floats, cell: float) -> Indices:
     """Return one point of every cell that a cloud of points visits, and the extremes of x and y."""
     if not len(x):

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pamctl.report.drawing import marks
-from pamctl.report.drawing.decimate import break_at_gaps
+from pamctl.report.drawing.decimate import break_at_gaps, thin_line
 from pamctl.report.drawing.marks import FRAME_WIDTH, HEAT, PIXEL, Frame, HeatRange, PlotMark
 from pamctl.report.drawing.scale import PlotAxis, Scale, fit_scale
 
@@ -108,6 +108,8 @@ class SvgPlot:
         across = _to_floats(x)
         lower = np.broadcast_to(_to_floats(low), across.shape)
         upper = np.broadcast_to(_to_floats(high), across.shape)
+        kept = thin_line(across, lower, upper)
+        across, lower, upper = across[kept], lower[kept], upper[kept]
         css = f"b {css_of(colour)}"
 
         def draw(frame: Frame) -> str:
@@ -331,6 +333,9 @@ class SvgPlot:
         across, up = _to_floats(x), _to_floats(y)
         if across.shape != up.shape or across.ndim != 1:
             raise ValueError(f"{self.title}: x has shape {across.shape}, y {up.shape}")
+        if kind in ("line", "step"):  # an hour of ticks stays in memory no longer than needed
+            kept = thin_line(across, up)
+            across, up = across[kept], up[kept]
         return self._put(
             PlotMark([across], [up], label, css, lambda f: draw(f, across, up, css), kind)
         )

@@ -16,12 +16,8 @@ import numpy as np
 
 from pamctl.json_text import to_json
 from pamctl.plain_text import clean_text
-from pamctl.report.drawing.decimate import Indices, keep_extremes
 from pamctl.report.drawing.scale import Floats, Scale
 from pamctl.report.drawing.svg import PlotAxis, SvgPlot
-
-MOST_POINTS = 100_000
-"""A longer line is drawn by the extremes of so many columns."""
 
 
 class EmbeddedPlots(NamedTuple):
@@ -73,9 +69,6 @@ def _describe_plot(plot: SvgPlot, arrays: _Arrays) -> dict[str, Any]:
     marks = []
     for mark in plot.marks:
         (x,), ys = mark.xs, mark.ys
-        if len(x) > MOST_POINTS and mark.kind != "points":
-            kept = _thin_line(x, ys[0])
-            x, ys = x[kept], [y[kept] for y in ys]
         marks.append(
             {
                 "kind": mark.kind,
@@ -95,16 +88,6 @@ def _describe_plot(plot: SvgPlot, arrays: _Arrays) -> dict[str, Any]:
             line._replace(label=clean_text(line.label))._asdict() for line in plot.straight_lines
         ],
     }
-
-
-def _thin_line(x: Floats, y: Floats) -> Indices:
-    """Return the points of a long line that keep its extremes and its gaps."""
-    gap = ~np.isfinite(y)
-    if gap.all():
-        return np.zeros(1, np.intp)
-    whole = np.interp(x, x[~gap], y[~gap])
-    kept = keep_extremes(x - x[0], whole, 2.0 * (x[-1] - x[0]) / MOST_POINTS)
-    return np.union1d(kept, np.flatnonzero(gap[1:] & ~gap[:-1]) + 1)
 
 
 def _describe_axis(axis: PlotAxis, scale: Scale) -> dict[str, Any]:

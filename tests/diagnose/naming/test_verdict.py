@@ -104,6 +104,18 @@ def test_the_way_ends_at_the_limit_and_not_at_the_mean_floor() -> None:
     assert judge(base, [model]).verdict is Verdict.PARTIAL
 
 
+@pytest.mark.parametrize(("left", "verdict"), [(2.0, Verdict.NONE_KNOWN), (1.3, Verdict.PARTIAL)])
+def test_effects_must_explain_wholly_why_blocks_disagree_that_are_at_their_limits_alone(
+    left: float, verdict: Verdict
+) -> None:
+    """The name closes most of the gap of the shared numbers; apart, the blocks have no gap."""
+    base = made(mechanics=6.0)
+    model = made("encoder_scale", base=base, mechanics=left)
+    search = EffectSearch(base, ((model,),), blocks_disagree=True)
+    assert judge_search(search, base).verdict is verdict
+    assert judge(base, [model]).verdict is Verdict.PARTIAL
+
+
 def test_a_gain_that_one_stretch_makes_alone_is_no_gain() -> None:
     base = made(pressure=0.0, stretches=[2.0] * 19 + [80.0])
     model = made("valve_curve", base=base, pressure=0.0, stretches=[2.2] * 19 + [4.0])

@@ -95,12 +95,12 @@ def headline(html: str) -> str:
 
 
 def test_the_first_screen_has_verdict_gap_and_next_step_before_any_section(named, records):
-    first, _ = page(named, records).split("<h2", 1)
+    first, _ = page(named, records).split("<h2 id=", 1)
     assert headline(first) == "Missing from the model: valve deadband"
     width_v = float(re.findall(r"dead band where u &gt; 0: ([\d.]+) V \(90 %", first)[0])
     assert width_v == pytest.approx(0.25, abs=0.005)
     assert first.count('class="levels"') == 2
-    assert ">What to do next</h3>" in first
+    assert ">What to do next</h2>" in first
     assert "<code>pamctl tune --law qsmc --plant plant.yaml --out gains.yaml</code>" in first
 
 
@@ -167,7 +167,7 @@ def test_every_other_verdict_has_a_page_that_says_so(named, records, verdict, ti
     html = page(as_if(named, verdict), records)
     assert title in headline(html)
     assert said in html
-    assert ">What to do next</h3>" in html
+    assert ">What to do next</h2>" in html
     assert "<svg" in html
 
 
@@ -193,7 +193,7 @@ def test_an_unexplained_remainder_is_drawn_but_never_called_a_cause(named, recor
 
 
 def test_two_equal_effects_both_come_first_with_the_experiment_that_separates_them(named, records):
-    first, rest = page(as_if(named, Verdict.AMBIGUOUS), records).split("<h2", 1)
+    first, rest = page(as_if(named, Verdict.AMBIGUOUS), records).split("<h2 id=", 1)
     assert "Do not repair the rig on this evidence" in first
     assert "<code>pamctl run --experiment null-staircase</code>" in first
     assert "not told apart</td>" in rest

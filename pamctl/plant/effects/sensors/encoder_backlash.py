@@ -35,6 +35,26 @@ def show_carrier_m(backlash: EncoderBacklash, memory: ScaleCarrier) -> float:
     return memory.position_m
 
 
+def restart_behind_play(
+    backlash: EncoderBacklash,
+    carrier: ScaleCarrier,
+    position_m: float,
+    velocity_m_per_s: float,
+    shown_m: float,
+    shown_m_per_s: float,
+) -> tuple[float, float, ScaleCarrier]:
+    """Return position, velocity and scale behind a measured reading and its rate.
+
+    A reading that moves is pushed: its rate tells the side of the play. One that rests says nothing
+    of the motion within the play, which goes on as it was simulated.
+    """
+    if shown_m_per_s == 0.0:
+        slack_m = position_m - carrier.position_m
+        return shown_m + slack_m, velocity_m_per_s, ScaleCarrier(shown_m)
+    side = 0.5 if shown_m_per_s > 0.0 else -0.5
+    return shown_m + side * backlash.width_m, shown_m_per_s, ScaleCarrier(shown_m)
+
+
 DESCRIPTION = EffectDescription(
     name="encoder_backlash",
     kind=EncoderBacklash,

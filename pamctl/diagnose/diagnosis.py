@@ -83,6 +83,8 @@ class Diagnosis:
     """What the data leave open, the chosen one first."""
     deciding: DecidingProgram | None = None
     """The program that would decide between what is left; None where nothing can be decided."""
+    is_of_daemon: bool = False
+    """A running daemon drives the rig: `pamctl start` begins its experiments."""
     forecasts: tuple[JudgedForecast, ...] = ()
     """What earlier diagnoses expected of these records, and what came of it."""
 

@@ -68,9 +68,10 @@ def write_advice(experiment: str, actuator: str, *, runs_here: bool) -> str:
     return f"record: {describe_motion(experiment, actuator)}"
 
 
-def write_command(experiment: str) -> str:
+def write_command(experiment: str, *, by_daemon: bool = False) -> str:
     """Write the command that runs an experiment; "none" where there is none."""
-    return f"pamctl run --experiment {experiment}" if experiment else "none"
+    verb = "start" if by_daemon else "run --experiment"
+    return f"pamctl {verb} {experiment}" if experiment else "none"
 
 
 def find_separating_experiment(

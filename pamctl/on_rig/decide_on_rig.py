@@ -10,18 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
+
+import numpy as np
 
 from pamctl.control.experiment import plan_experiment
 from pamctl.diagnose import Diagnosis, Verdict, diagnose
 from pamctl.diagnose.measured.record import Record
+from pamctl.on_rig.retuning_result import Retuning
 from pamctl.on_rig.rig_plan import FULL_PROGRAM, REST_S, RigPlan, require_inside
 from pamctl.on_rig.rig_round import RigRound, compare_repeated_part
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.steered_rig import SteeredRig
 from pamctl.settings.resolve import find_config_file, read_section_file, settings_to_data
 
+MOST_TOGETHER = 2
+"""Programs that may refute an explanation together, where none does alone."""
 _OPEN = (Verdict.AMBIGUOUS, Verdict.PARTIAL, Verdict.DESCRIBED)
 
 Progress = Callable[[str], None]
@@ -49,13 +54,14 @@ class Investigation:
     """Why no further program was run."""
     is_decided: bool = False
     """One explanation is left, or nothing is missing."""
-    retuning: dict[str, Any] | None = None
-    """What `--then tune` did, as the document holds it; None where it was not asked for."""
+    retuning: Retuning | None = None
+    """What `--then tune` did; None where it was not asked for."""
 
     @property
     def rig_time_s(self) -> float:
-        """Time on the rig so far."""
-        return sum(each.rig_time_s for each in self.rounds)
+        """Time on the rig so far, that of retuning included."""
+        retuned_s = self.retuning.rig_time_s if self.retuning else 0.0
+        return sum(each.rig_time_s for each in self.rounds) + retuned_s
 
     @property
     def programs(self) -> int:
@@ -70,7 +76,7 @@ class Investigation:
             "is_decided": self.is_decided,
             "rig_time_s": round(self.rig_time_s, 3),
             "plan": self.plan.as_dict(),
-            "retuning": self.retuning,
+            "retuning": self.retuning.as_dict() if self.retuning else None,
         }
 
 
@@ -128,6 +134,7 @@ def _conclude(
         found = diagnose(
             records, [], investigation.plan.start, cut=True, executor=executor, progress=progress
         )
+    found = replace(found, is_of_daemon=True)
     investigation.diagnosis = found
     investigation.rounds.append(
         RigRound(
@@ -165,7 +172,8 @@ def _find_question(investigation: Investigation) -> NextProgram | str:
     if found.verdict is Verdict.BAD_DATA:
         return f"these data cannot be diagnosed: {found.reason}"
     chosen = found.deciding if found.verdict in _OPEN else None
-    if chosen is not None and chosen.promises:
+    more = investigation.plan.budget.runs - investigation.programs
+    if chosen is not None and chosen.sureness > 1.0 / np.clip(more, 1, MOST_TOGETHER):
         name = f"decide-{investigation.programs + 1}"
         why = "to tell apart " + " and ".join(chosen.explanations)
         return NextProgram(chosen.to_experiment(), name, why, chosen.duration_s)

@@ -32,10 +32,10 @@ def write_investigation(investigation: Investigation, out: Path) -> list[str]:
         story=lambda page: tell_rounds(page, investigation),
     )
     done = investigation.retuning
-    if not done or not done["is_kept"]:
+    if done is None or not done.is_kept:
         return names
     head = f"# Gains for the plant that was found.{tell_retuning(investigation)}".replace("\n", " ")
-    write_files({out / GAINS: f"{head}\n{dump_yaml(done['gains'])}"})
+    write_files({out / GAINS: f"{head}\n{dump_yaml(done.gains)}"})
     return [*names, GAINS]
 
 
@@ -67,13 +67,12 @@ def tell_retuning(investigation: Investigation) -> str:
     done = investigation.retuning
     if done is None:
         return ""
-    kept = "The rig goes on with the new gains" if done["is_kept"] else "The gains are as before"
+    kept = "The rig goes on with the new gains" if done.is_kept else "The gains are as before"
     errors = "".join(
-        f" RMS error {name}: {1e6 * done[name]['rms_error_m']:.1f} µm."
-        for name in ("before", "after")
-        if done[name]
+        f" RMS error {name}: {1e6 * run.metrics.rms_error_m:.1f} µm."
+        for name, run in done.runs.items()
     )
-    return f"\nRetuned: {kept}: {done['why']}.{errors}"
+    return f"\nRetuned: {kept}: {done.why}.{errors}"
 
 
 def _tell_round(each: RigRound) -> str:

@@ -29,8 +29,14 @@ from pamctl.settings.resolve import DEFAULT_NAMES, find_config_file, read_sectio
 def diagnose(
     context: typer.Context,
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for the results, new or empty")
-    ],
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Folder for the results, new or empty",
+            show_default="required, except with --dry-run",
+        ),
+    ] = None,
     logs: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -122,6 +128,15 @@ def diagnose(
             show_default="nothing",
         ),
     ] = None,
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            "--motion",
+            metavar="NAME|FILE",
+            help="With --then tune: the experiment in closed loop that should track better",
+            show_default="one cycle of tracking-2",
+        ),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the plan on the rig and stop")
     ] = False,
@@ -142,7 +157,10 @@ def diagnose(
     _require_one_kind(context, logs, on_rig=on_rig)
     if then not in (None, "tune"):
         raise typer.BadParameter(f"'{then}' is not known; give tune", param_hint="--then")
-    require_empty_folder(out)
+    if out is not None:
+        require_empty_folder(out)
+    elif not dry_run:
+        raise typer.BadParameter("name a folder for the results", param_hint="--out")
     start = read_section_file("plant", find_config_file("plant", plant or DEFAULT_NAMES["plant"]))
     _require_known(without or [])
     if on_rig:
@@ -150,11 +168,22 @@ def diagnose(
         from pamctl.cli.analyse.on_rig import OnRigTask, diagnose_on_rig
 
         task = OnRigTask(
-            logs, out, start, experiment, runs, minutes, socket, then=then, dry_run=dry_run, yes=yes
+            logs,
+            out,
+            start,
+            experiment,
+            runs,
+            minutes,
+            socket,
+            then=then,
+            motion=motion,
+            dry_run=dry_run,
+            yes=yes,
         )
         with _start_workers(jobs, cluster) as executor:
             diagnose_on_rig(task, executor, as_json=as_json)
         return
+    assert out is not None  # only --dry-run, which is for --on-rig, goes without
     from pamctl.diagnose import diagnose as find_missing_effects
     from pamctl.diagnose import summary
     from pamctl.diagnose.deciding.forecast import read_forecast
@@ -197,7 +226,7 @@ def diagnose(
     raise typer.Exit(ExitCode.BAD_DATA if diagnosis.reason else ExitCode.OK)
 
 
-_FOR_RIG = ("experiment", "runs", "minutes", "then", "dry_run", "yes", "socket")
+_FOR_RIG = ("experiment", "runs", "minutes", "then", "motion", "dry_run", "yes", "socket")
 _FOR_LOGS = ("holdout", "without", "accept", "correction", "noise", "interactive")
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,13 +24,15 @@ class OnRigTask:
     """What was asked for on the command line."""
 
     logs: Sequence[Path]
-    out: Path
+    out: Path | None
+    """None for a dry run."""
     start: PlantSettings
     experiment: str
     runs: int
     minutes: float
     socket: Path | None
     then: str | None
+    motion: str | None
     dry_run: bool
     yes: bool
 
@@ -39,13 +43,14 @@ def diagnose_on_rig(task: OnRigTask, executor: Executor | None, *, as_json: bool
     from pamctl.diagnose.measured.from_log import record_of
     from pamctl.on_rig.decide_on_rig import Investigation
     from pamctl.on_rig.rig_plan import Budget, make_rig_plan
+    from pamctl.on_rig.rig_story import write_investigation
     from pamctl.session.daemon_rig import connect
 
     records = [record_of(path) for path in task.logs]
     with connect(task.socket) as rig:
         first = None if records else task.experiment
         budget = Budget(task.runs, task.minutes)
-        plan = make_rig_plan(rig.settings(), task.start, first, budget)
+        plan = make_rig_plan(rig.settings(), task.start, first, budget, task.motion)
         if task.dry_run:
             if as_json:
                 print_json(plan.as_dict())
@@ -56,7 +61,13 @@ def diagnose_on_rig(task: OnRigTask, executor: Executor | None, *, as_json: bool
         if not task.yes:
             Terminal().require_yes("May the rig be pressurised and move?")
         investigation = Investigation(plan, records)
-        code, reason = _run_rounds(rig, investigation, task, executor)
+        assert task.out is not None
+        try:
+            code, reason = _run_rounds(rig, investigation, task, executor)
+        except Exception as error:  # a fault of the program: the document holds what was found
+            investigation.stopped = f"the program failed: {type(error).__name__}: {error}"
+            write_investigation(investigation, task.out)
+            raise
     _finish(investigation, task, code, reason, as_json=as_json)
 
 
@@ -71,20 +82,43 @@ def _run_rounds(
         print(line, file=sys.stderr, flush=True)
 
     try:
-        with rig:  # a daemon that cannot be left well ends the rounds, and loses none of them
+        with (
+            end_on_signals(),
+            rig,
+        ):  # a daemon that cannot be left well ends the rounds, and loses none of them
             decide_on_rig(rig, investigation, executor=executor, progress=progress)
             if task.then == "tune" and investigation.is_decided:
                 from pamctl.on_rig.retune import retune_on_rig
 
-                investigation.retuning = retune_on_rig(rig, investigation, progress).as_dict()
-    except KeyboardInterrupt:
+                retune_on_rig(rig, investigation, progress)
+    except KeyboardInterrupt as interrupt:
         investigation.stopped = "it was interrupted"
-        return ExitCode.SIGINT, "interrupted"
+        code = ExitCode.SIGTERM if isinstance(interrupt, _Terminated) else ExitCode.SIGINT
+        return code, "interrupted"
     except PamctlError as error:
         investigation.stopped = f"the run failed: {error.reason}"
         return error.exit_code, error.reason
     bad = investigation.diagnosis is not None and investigation.diagnosis.reason
     return (ExitCode.BAD_DATA if bad else ExitCode.OK), ""
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM or SIGHUP: the rounds end as after Ctrl-C."""
+
+
+@contextmanager
+def end_on_signals() -> Iterator[None]:
+    """End the block by an exception on SIGTERM and SIGHUP, so that the rig is left as it should."""
+
+    def end(number: int, frame: object) -> None:
+        raise _Terminated
+
+    before = {n: signal.signal(n, end) for n in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _finish(
@@ -96,6 +130,7 @@ def _finish(
     from pamctl.new_file import NewFileError
     from pamctl.on_rig.rig_story import tell_retuning, write_investigation
 
+    assert task.out is not None
     found = investigation.diagnosis
     if found is None:
         raise Failed(code, f"{reason}; nothing was diagnosed yet")

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot
 from typing import Any
 
 import numpy as np
 
 from pamctl.control.excitation import ProgramSettings
 from pamctl.diagnose.deciding.drawn_programs import (
+    Block,
     Part,
     draw_programs,
     make_program,
@@ -24,18 +24,25 @@ from pamctl.diagnose.deciding.drawn_programs import (
 )
 from pamctl.diagnose.deciding.explanations import Explanation
 from pamctl.diagnose.deciding.rig_limits import RigLimits, find_rig_limits
-from pamctl.diagnose.deciding.separation import ProgramTrial, Separation
+from pamctl.diagnose.deciding.separation import ProgramTrial, Separation, find_pairs
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.measured.record import Record
 
 PROGRAMS = 200
 FINALISTS = 12
-"""Programs whose separation is computed with the wrong explanation refitted."""
+"""Programs of each rough order whose separation is computed, with a refit by one step."""
+BEST = 6
+"""The best of them; their blocks are mixed anew."""
+MIXED = 24
+MOST_SURE = 5.0
+"""A pair that is surer counts no more: the others need the time."""
+FORECAST = 3
+"""Programs for which the wrong explanation is refitted to the end."""
 STROKES = (1.0, 0.6, 0.4, 0.2, 0.1)
 """Sizes of the strokes that all programs begin with, as shares of the largest command; the largest
 that stays within the limits counts."""
-CLEAR = 1.05
-"""A forecast counts as a decision if the residual passes its limit by this factor."""
+
+_Tried = tuple[ProgramTrial, tuple[Block, ...]]
 
 
 @dataclass(frozen=True)
@@ -50,13 +57,21 @@ class DecidingProgram:
     low_m: float
     high_m: float
     duration_s: float
-    promises: bool
-    """Some pair of explanations is separated by more than the limits of their blocks."""
     drawn: int
     """Programs that were drawn."""
     inside: int
     """Those that stay within the limits."""
     limits_from: str
+
+    @property
+    def sureness(self) -> float:
+        """The surest refutation; above 1, this program alone should refute an explanation."""
+        return max(s.sureness for s in self.separations)
+
+    @property
+    def promises(self) -> bool:
+        """Some explanation is refuted if another is true."""
+        return self.sureness > 1.0
 
     @property
     def nearest(self) -> Separation:
@@ -99,23 +114,41 @@ def choose_deciding_program(
     limits = find_rig_limits(records)
     period_s = float(np.median(records[0].step_s))
     begin = choose_repeated_part(explanations, limits, period_s)
-    drawn = (
-        ProgramTrial(program, explanations, period_s)
-        for program in draw_programs(programs, limits.command_v, begin, seed)
-    )
-    inside = [trial for trial in drawn if all(map(limits.allows, trial.runs.values()))]
-    finalists = sorted(inside, key=lambda t: t.rough, reverse=True)[:FINALISTS]
-    records_s = sum(record.duration_s for record in records)
 
-    def weigh(trial: ProgramTrial) -> tuple[int, float]:
-        pairs = trial.name_pairs().values()
-        return _count_promised(trial, explanations, records_s), min(pairs)
+    def try_programs(count: int, pool: Sequence[Block] = ()) -> list[_Tried]:
+        drawn = draw_programs(count, limits.command_v, begin, seed, pool)
+        tried = [(ProgramTrial(d.program, explanations, period_s), d.blocks) for d in drawn]
+        return [t for t in tried if all(map(limits.allows, t[0].runs.values()))]
 
-    for best in sorted(finalists, key=weigh, reverse=True):
-        if _is_admitted(best, limits):
-            promised = _count_promised(best, explanations, records_s) > 0
-            return _describe(best, programs, len(inside), limits.source, promises=promised)
-    return None
+    inside = try_programs(programs)
+    best = _keep_best(_select_finalists(inside), BEST)
+    pool = [block for _, blocks in best for block in blocks]
+    mixed = try_programs(MIXED, pool) if pool else []
+    best = _keep_best([*best, *mixed], BEST)
+    admitted = [trial for trial, _ in best if _is_admitted(trial, limits)]
+    if not admitted:
+        return None
+    chosen = max(admitted[:FORECAST], key=lambda t: _weigh(t.forecasts))
+    return _describe(chosen, programs + MIXED, len(inside) + len(mixed), limits.source)
+
+
+def _select_finalists(inside: Sequence[_Tried]) -> list[_Tried]:
+    """Return the programs that differ most, as a whole or in their fast part."""
+    found: dict[int, _Tried] = {}
+    for part in (0, 1):
+        ranked = sorted(inside, key=lambda t: t[0].rough[part], reverse=True)
+        found |= {id(t): t for t in ranked[:FINALISTS]}
+    return [*found.values()]
+
+
+def _keep_best(tried: Sequence[_Tried], count: int) -> list[_Tried]:
+    return sorted(tried, key=lambda t: _weigh(t[0].separations), reverse=True)[:count]
+
+
+def _weigh(separations: Sequence[Separation]) -> tuple[int, float]:
+    """Return how many pairs are decided, then how surely the mean one is."""
+    pairs = find_pairs(separations).values()
+    return sum(sure > 1.0 for sure in pairs), sum(min(sure, MOST_SURE) for sure in pairs)
 
 
 def choose_repeated_part(
@@ -141,38 +174,16 @@ def _is_admitted(trial: ProgramTrial, limits: RigLimits) -> bool:
     return all(limits.admits(trial.commands_v, r, trial.period_s) for r in trial.runs.values())
 
 
-def _count_promised(
-    trial: ProgramTrial, explanations: Sequence[Explanation], records_s: float
-) -> int:
-    """Count the pairs of which the wrong one would pass its limit, over all records together."""
-    share = trial.duration_s / (trial.duration_s + records_s)
-    models = {e.name: e.model for e in explanations}
-
-    def is_promised(s: Separation) -> bool:
-        floor = models[s.refuted].floors[s.block]
-        pooled = hypot(1.0, np.sqrt(share * (s.residual_over_floor**2 - 1.0)))
-        return bool(pooled > CLEAR * floor.limit / floor.mean)
-
-    both: dict[frozenset[str], bool] = {}
-    for s in trial.separations:
-        key = frozenset({s.true, s.refuted})
-        both[key] = both.get(key, True) and is_promised(s)
-    return sum(both.values())
-
-
-def _describe(
-    trial: ProgramTrial, drawn: int, inside: int, limits_from: str, *, promises: bool
-) -> DecidingProgram:
+def _describe(trial: ProgramTrial, drawn: int, inside: int, limits_from: str) -> DecidingProgram:
     runs = trial.runs.values()
     return DecidingProgram(
         trial.program,
         tuple(trial.runs),
-        trial.separations,
+        trial.forecasts,
         max(float(run.pressure_pa.max()) for run in runs),
         min(float(run.position_m.min()) for run in runs),
         max(float(run.position_m.max()) for run in runs),
         trial.duration_s,
-        promises,
         drawn,
         inside,
         limits_from,

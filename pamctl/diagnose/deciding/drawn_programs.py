@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import accumulate, takewhile
 from typing import Any
 
@@ -29,9 +30,13 @@ between two of them is drift, or the rig's own repeatability."""
 VENT_S = 1.2
 """Venting at the end: the next run begins at rest."""
 MOST_BLOCKS = 4
+POOL_SHARE = 0.8
+"""Share of the blocks that are taken from a pool, where there is one."""
 
 Part = dict[str, Any]
 """A part of a program, with the keys of an experiment file."""
+Block = list[Part]
+"""Parts that belong together."""
 
 
 def make_repeated_part(stroke_v: float, command_v: float) -> list[Part]:
@@ -55,17 +60,37 @@ def make_vent(command_v: float) -> Part:
     return _hold(-command_v, VENT_S)
 
 
+@dataclass(frozen=True)
+class DrawnProgram:
+    """A program, and the blocks between its shared beginning and its vent."""
+
+    program: ProgramSettings
+    blocks: tuple[Block, ...]
+
+
 def draw_programs(
-    count: int, command_v: float, begin: Sequence[Part], seed: int
-) -> Iterator[ProgramSettings]:
+    count: int, command_v: float, begin: Sequence[Part], seed: int, pool: Sequence[Block] = ()
+) -> Iterator[DrawnProgram]:
     """Yield `count` programs whose commands stay within +-`command_v` (V); the seed fixes them.
 
-    All begin with the parts `begin`.
+    All begin with the parts `begin`. Blocks are drawn anew, or most of them from `pool`.
     """
-    drawn = random.Random(f"deciding {seed}")
+    drawn = random.Random(f"deciding {seed}{' again' if pool else ''}")
+    room_s = LONGEST_S - _measure_s(begin) - VENT_S
+
+    def draw() -> Block:
+        is_known = bool(pool) and drawn.random() < POOL_SHARE
+        return drawn.choice(pool) if is_known else _draw_block(drawn, command_v)
+
     for number in range(count):
-        parts = [*begin, *_draw_parts(drawn, command_v, _measure_s(begin)), make_vent(command_v)]
-        yield make_program(parts, seed * count + number + 1)
+        blocks = _fit_into(room_s, [draw() for _ in range(MOST_BLOCKS)])
+        if not pool:
+            blocks = blocks[: drawn.randint(1, len(blocks))]
+        parts = [*begin, *(part for block in blocks for part in block)]
+        missing_s = SHORTEST_S - VENT_S - _measure_s(parts)
+        filling = [_hold(0.0, missing_s)] if missing_s > 0.01 else []
+        program = make_program([*parts, *filling, make_vent(command_v)], seed * count + number + 1)
+        yield DrawnProgram(program, tuple(blocks))
 
 
 def sample_commands(program: ProgramSettings, period_s: float) -> NDArray[np.float64]:
@@ -80,18 +105,14 @@ def sample_levels(levels: Sequence[HeldCommand], period_s: float) -> NDArray[np.
     return np.repeat([level.valve_v for level in levels], np.diff([0, *ends]))
 
 
-def _draw_parts(drawn: random.Random, largest_v: float, begin_s: float) -> list[Part]:
-    blocks = [_draw_block(drawn, largest_v) for _ in range(MOST_BLOCKS)]
+def _fit_into(room_s: float, blocks: Sequence[Block]) -> Sequence[Block]:
+    """Return the first blocks that last no longer; at least one."""
     ends_s = accumulate(map(_measure_s, blocks))
-    room_s = LONGEST_S - begin_s - VENT_S
-    fitting = max(1, sum(1 for _ in takewhile(lambda end_s: end_s <= room_s, ends_s)))
-    parts = [part for block in blocks[: drawn.randint(1, fitting)] for part in block]
-    missing_s = SHORTEST_S - begin_s - VENT_S - _measure_s(parts)
-    return [*parts, _hold(0.0, missing_s)] if missing_s > 0.01 else parts
+    return blocks[: max(1, sum(1 for _ in takewhile(lambda end_s: end_s <= room_s, ends_s)))]
 
 
-def _draw_block(drawn: random.Random, largest_v: float) -> list[Part]:
-    kinds: tuple[Callable[[random.Random, float], list[Part]], ...] = (
+def _draw_block(drawn: random.Random, largest_v: float) -> Block:
+    kinds: tuple[Callable[[random.Random, float], Block], ...] = (
         _draw_square,
         _draw_staircase,
         _draw_multisine,

@@ -57,8 +57,13 @@ def draw_means(*rows: Array) -> Array:
 
 def is_clearly_less(less: Array, more: Array, much: float = MUCH) -> bool:
     """Tell whether the mean of `less` is really below that of `more`, both by stretches."""
+    return find_sure_difference(less, more) > much
+
+
+def find_sure_difference(less: Array, more: Array) -> float:
+    """Return by how much the logs of two means surely differ: the scatter's low end."""
     small, large = draw_means(less, more)
-    return float(np.quantile(np.log(large) - np.log(small), SURE)) > much
+    return float(np.quantile(np.log(large) - np.log(small), SURE))
 
 
 def is_clearly_above(squares: Array, limit: float) -> bool:

@@ -32,7 +32,8 @@ def choose_next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
     `do` is the command that runs it, or says what to record on a rig that pamctl does not run.
     """
     if diagnosis.deciding is not None and runs_here(diagnosis):
-        return _describe_program(diagnosis.deciding)
+        run = advise_experiment(diagnosis, f"{NEXT_EXPERIMENT}.yaml")
+        return {**_describe_program(diagnosis.deciding), "do": run}
     experiment = _choose_experiment(diagnosis)
     if experiment is None:
         return None
@@ -62,7 +63,6 @@ def _describe_program(chosen: DecidingProgram) -> dict[str, Any]:
         "name": NEXT_EXPERIMENT,
         "separates": [*chosen.explanations],
         "why": explain_choice(chosen),
-        "do": f"pamctl run --experiment {NEXT_EXPERIMENT}.yaml",
         "promises": chosen.promises,
         "expected": forecast["pairs"],
         "needs": {

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from pamctl.diagnose.diagnosis import Diagnosis
-from pamctl.diagnose.experiments import write_advice
+from pamctl.diagnose.experiments import write_advice, write_command
 
 
 class RigWords(NamedTuple):
@@ -51,4 +51,6 @@ def runs_here(diagnosis: Diagnosis) -> bool:
 
 def advise_experiment(diagnosis: Diagnosis, experiment: str) -> str:
     """Write the command for an experiment, or what to record on a rig that pamctl does not run."""
+    if diagnosis.is_of_daemon:
+        return write_command(experiment, by_daemon=True)
     return write_advice(experiment, diagnosis.nominal.actuator, runs_here=runs_here(diagnosis))

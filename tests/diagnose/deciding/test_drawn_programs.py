@@ -30,8 +30,8 @@ COUNT = 30
 @pytest.mark.parametrize("command_v", [5.0, 2.0])
 def test_programs_stay_within_command_and_length_and_begin_alike(command_v: float) -> None:
     begin = make_repeated_part(command_v, command_v)
-    drawn = [*draw_programs(COUNT, command_v, begin, seed=3)]
-    again = [*draw_programs(COUNT, command_v, begin, seed=3)]
+    drawn = [d.program for d in draw_programs(COUNT, command_v, begin, seed=3)]
+    again = [d.program for d in draw_programs(COUNT, command_v, begin, seed=3)]
     assert drawn == again
     assert len({p.model_dump_json() for p in drawn}) == COUNT
     commands = [sample_commands(p, 1e-3) for p in drawn]
@@ -43,9 +43,20 @@ def test_programs_stay_within_command_and_length_and_begin_alike(command_v: floa
     assert all(c[-1] == -command_v for c in commands)
 
 
+def test_blocks_of_a_pool_are_mixed_anew_within_the_length() -> None:
+    begin = make_repeated_part(5.0, 5.0)
+    pool = [block for d in draw_programs(3, 5.0, begin, seed=3) for block in d.blocks]
+    mixed = [*draw_programs(COUNT, 5.0, begin, seed=3, pool=pool)]
+    blocks = [block for d in mixed for block in d.blocks]
+    assert 0.6 < sum(block in pool for block in blocks) / len(blocks) < 1.0
+    assert all(len(sample_commands(d.program, 1e-3)) * 1e-3 <= LONGEST_S + 3.0 for d in mixed)
+    assert len({d.program.model_dump_json() for d in mixed}) == COUNT
+
+
 def test_sampled_commands_are_those_of_the_rigs_course() -> None:
     """The course is evaluated as the loop does, tick by tick."""
-    for program in draw_programs(6, 5.0, make_repeated_part(5.0, 5.0), seed=1):
+    for drawn in draw_programs(6, 5.0, make_repeated_part(5.0, 5.0), seed=1):
+        program = drawn.program
         segments = plan_experiment(program).segments
         ends = [*accumulate(s.duration_s for s in segments)]
         commands = sample_commands(program, 1e-3)

@@ -1,0 +1,51 @@
+"""One investigation on a simulated rig, shared by the tests of this folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pamctl.on_rig.decide_on_rig import Investigation, decide_on_rig
+from pamctl.on_rig.rig_plan import Budget, make_rig_plan
+from pamctl.plant.model import PlantSettings
+from pamctl.session.simulated_rig import SimulatedRig, simulate
+
+DELAY_S = 1e-3
+SQUARES = """
+kind: program
+parts:
+  - {wave: hold, valve_v: -5, duration_s: 1}
+  - {wave: square, frequency_hz: 1, amplitude_v: 5, cycles: 2}
+  - {wave: square, frequency_hz: 2, amplitude_v: 5, cycles: 6}
+  - {wave: hold, valve_v: -5, duration_s: 1.2}
+"""
+"""Full strokes alone do not tell a delay from a spool."""
+
+
+@pytest.fixture(scope="package")
+def squares(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("experiment") / "squares.yaml"
+    path.write_text(SQUARES)
+    return path
+
+
+@pytest.fixture(scope="package")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("logs")
+
+
+@pytest.fixture(scope="package")
+def rig(logs: Path) -> Iterator[SimulatedRig]:
+    delayed = {"base": "paper", "effects": {"command_delay": {"delay_s": DELAY_S}}}
+    with simulate(delayed, logs=logs) as made:
+        yield made
+
+
+@pytest.fixture(scope="package")
+def done(rig: SimulatedRig, squares: Path) -> Investigation:
+    plan = make_rig_plan(rig.settings(), PlantSettings(), str(squares), Budget(3, 2.0))
+    investigation = Investigation(plan)
+    decide_on_rig(rig, investigation)
+    return investigation

@@ -227,7 +227,7 @@ def test_nothing_complains_on_a_phone_and_escape_is_the_emergency_stop(
 ) -> None:
     tab.screenshot(tmp_path / "scope.png")
     tab.open(shown.address, width=390, height=844)
-    tab.wait_for("scope.charts.length === 4")
+    tab.wait_for("scope.charts.length > 0")
     assert tab.value("document.documentElement.scrollWidth") <= 390
     tab.screenshot(tmp_path / "phone.png")
     up.ask("goto", position_m=8e-3, within_s=0.5)

@@ -133,7 +133,7 @@ def diagnose(
         typer.Option(
             "--motion",
             metavar="NAME|FILE",
-            help="With --then tune: the experiment in closed loop that should track better",
+            help="Experiment in closed loop that --then tune should track better",
             show_default="one cycle of tracking-2",
         ),
     ] = None,

@@ -98,7 +98,14 @@ DESCRIPTION = EffectDescription(
     forms=(
         EffectForm("one exponent", free=("exponent",)),
         EffectForm(
-            "walls", free=("exponent", "wall_time_s"), held={"exponent": 1.35, "wall_time_s": 0.5}
+            "near walls",
+            free=("exponent", "wall_time_s"),
+            held={"exponent": 1.35, "wall_time_s": 0.02},
+        ),
+        EffectForm(
+            "far walls",
+            free=("exponent", "wall_time_s"),
+            held={"exponent": 1.35, "wall_time_s": 0.5},
         ),
     ),
 )

@@ -27,6 +27,7 @@ from pamctl.diagnose.naming.shortlist import (
     list_other_starts,
     make_small_dose,
     shortlist_candidates,
+    stands_alone,
 )
 from pamctl.diagnose.naming.stretches import gains_in_block
 
@@ -231,7 +232,12 @@ def choose_beam(base: Model, levels: Sequence[Sequence[Model]]) -> list[Model]:
 def _fit_pairs(
     parent: Model, grown: Sequence[Model], candidates: Sequence[Candidate]
 ) -> tuple[Model, ...]:
-    """Fit two effects more at once where no single one goes far; return those that do."""
+    """Fit two effects more at once where no single one goes far; return those that do.
+
+    On a muscle they were never the right ones in a study of rigs, and cost as much as all others.
+    """
+    if not stands_alone(parent):
+        return ()
     far = [
         block
         for block in parent.unexplained

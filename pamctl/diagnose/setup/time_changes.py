@@ -23,7 +23,13 @@ from pamctl.diagnose.fitting.numbers import (
 )
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.setup.suspects import OF_RECORD, UNITS, Suspect
-from pamctl.diagnose.setup.weighed_fit import SuspectFit, fit_suspect, score_suspect, weights_of
+from pamctl.diagnose.setup.weighed_fit import (
+    SuspectFit,
+    fit_suspect,
+    held_out_margins,
+    score_suspect,
+    weights_of,
+)
 
 PROMISING = 0.5
 """Share of what is left that a profile must promise to be fitted."""
@@ -36,6 +42,8 @@ REFINED = 4
 MOST_OF_A_WAY = 2
 """Numbers that are fitted for each way of changing."""
 ROUNDS = 3
+MUCH = 0.05
+"""Logs of mean squares that differ by less count as equal."""
 
 _NUMBERS: dict[str, tuple[tuple[str, float], ...]] = {
     # name, and a small step: a share, or an amount of an effect
@@ -89,7 +97,22 @@ def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit
         enough = max(PROMISING, NEAR_BEST * profiles[0].explained)
         if profile.explained > enough and not known and ways.count(way) < MOST_OF_A_WAY:
             chosen.append(profile)
-    return [_fit_profile(base, p) for p in chosen]
+    fits = [_fit_profile(base, p) for p in chosen]
+    return [f for f in fits if not _acts_always(f)]
+
+
+def _acts_always(fitted: SuspectFit) -> bool:
+    """Tell whether an effect that acts all the time does as well: then nothing has changed.
+
+    Dry friction that begins with the first motion is dry friction.
+    """
+    suspect, base = fitted.suspect, fitted.base
+    if "." not in suspect.number or not (suspect.over_s or suspect.after_s):
+        return False
+    always = replace(suspect, over_s=0.0, after_s=0.0)
+    constant = fit_suspect(base, always, fitted.amount, is_near=True)
+    low, _ = held_out_margins(fitted.residuals, constant.residuals, base, [*suspect.blocks])
+    return low < MUCH
 
 
 def _fit_profile(base: Model, profile: _Profile) -> SuspectFit:

@@ -75,6 +75,11 @@ class _Profile:
     start: float
     by_record: bool = False
 
+    @property
+    def way(self) -> tuple[str, bool]:
+        """The way in which the number changes."""
+        return self.suspect.kind, self.by_record
+
 
 def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit]:
     """Return the fits of the most promising changes over time.
@@ -89,13 +94,15 @@ def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit
     ]
     profiles.sort(key=lambda p: -p.explained)
     chosen: list[_Profile] = []
-    for profile in profiles:
-        ways = [(p.suspect.kind, p.by_record) for p in chosen]
-        numbers = [(*way, p.suspect.number) for way, p in zip(ways, chosen, strict=True)]
-        way = (profile.suspect.kind, profile.by_record)
-        known = (*way, profile.suspect.number) in numbers
-        enough = max(PROMISING, NEAR_BEST * profiles[0].explained)
-        if profile.explained > enough and not known and ways.count(way) < MOST_OF_A_WAY:
+    enough = max(PROMISING, NEAR_BEST * max((p.explained for p in profiles), default=0.0))
+    for profile in (p for p in profiles if p.explained > enough):
+        alike = [p for p in chosen if p.way == profile.way]
+        # The records to fit may be too alike in length to tell per second from per record.
+        known = any(p.suspect.key == profile.suspect.key for p in alike)
+        if (
+            not known
+            and len({p.suspect.number for p in alike} | {profile.suspect.number}) <= MOST_OF_A_WAY
+        ):
             chosen.append(profile)
     fits = [_fit_profile(base, p) for p in chosen]
     return [f for f in fits if not _acts_always(f)]

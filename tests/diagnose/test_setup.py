@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hidden.examination.cases import partial_log_cases
+from hidden.examination.examine import records_of, start_plant
 from hidden.excitations import brief
 from hidden.rig import HiddenRig, hidden_rig
 from scipy.signal import butter, filtfilt
@@ -350,6 +352,17 @@ def test_friction_of_a_mechanism_that_changes_at_an_instant_is_said_with_its_siz
     (finding,) = _ask_axis(seize, axis(coulomb_friction={"force_n": FRICTION_N})).findings
     assert (finding.kind, finding.number) == ("change_at_instant", "coulomb_friction.force_n")
     assert finding.value == pytest.approx(10.0, rel=0.02)
+
+
+def test_friction_that_acts_all_the_time_has_not_changed_when_the_motion_began() -> None:
+    (case,) = (c for c in partial_log_cases() if c.id == "direct/coulomb_friction")
+    train, holdout = (
+        [Record(name=r.name, **r.columns()) for r in part] for part in records_of(case)
+    )
+    evidence = keep_for_choice(prepare_evidence(train, holdout, start_plant(case)), is_cut=False)
+    base = weigh_blocks(recalibrate(evidence))
+    effects = FirstLevel(list_candidates(base.evidence))
+    assert suspect_setup(base, train, holdout, effects).findings == ()
 
 
 def test_a_piece_of_a_record_keeps_its_windows_and_the_instants_of_its_commands() -> None:

@@ -364,7 +364,7 @@ def test_records_come_back_in_parts_and_change_in_the_order_of_recording() -> No
 
 LOUD = {
     case.id.split("/")[0]: case  # the smallest size of each, which comes first
-    for case in reversed(all_cases())
+    for case in reversed([*all_cases()])
     if case.excitation == "random" and not case.answer.silent
 }.values()
 

@@ -149,6 +149,7 @@ def test_the_folder_tells_the_rounds(done: Investigation, tmp_path: Path) -> Non
     assert "to tell apart command_delay and valve_spool" in page
 
 
+@pytest.mark.usefixtures("found_before")
 def test_an_interruption_keeps_the_rounds_so_far_and_leaves_the_rig_idle(
     done: Investigation, rig: SimulatedRig
 ) -> None:

@@ -182,7 +182,7 @@ for verb in sys.argv[2:]:
 def run_elsewhere(system: str, folder: Path, *verbs: str) -> None:
     command = [sys.executable, "-c", ELSEWHERE, system, *verbs]
     done = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+        command, cwd=folder, capture_output=True, text=True, timeout=10 * PATIENCE_S, check=False
     )
     assert done.returncode == 0, done.stderr
 

@@ -58,6 +58,8 @@ MUCH = 0.05
 GEOMETRY = ("rest_length_m", "braid_length_m", "scale of position_m")
 """Suspects by label that say one thing: lengths of the plant and of the record do not agree."""
 
+UNLIKE = 3.0
+"""Repeats that differ by more than this multiple of the sensor's floor are asked why."""
 HOPELESS = 5.0
 """A suspect that leaves so many times the square that an effect promises to leave is not fitted."""
 
@@ -114,6 +116,11 @@ def suspect_setup(
         refusal = f"{finding.text[:1].upper()}{finding.text[1:]}{lost}To mend it: "
         if setup.base.unexplained:
             return replace(setup, refusal=refusal + finding.how_to_mend)
+    differing = _find_what_differs(setup.base)
+    if differing is not None:
+        finding = _word_finding(differing, (), corrected=True)
+        progress(f"set-up: {finding.text}")
+        setup = replace(_correct(setup, differing), findings=(*setup.findings, finding))
     said: set[tuple[str, ...]] = set()
     while len(setup.findings) < MOST_FINDINGS and setup.base.unexplained and not setup.open_fits:
         found = _find_best(setup.base, effects)
@@ -194,15 +201,37 @@ def _find_best(base: Model, effects: EffectRivals) -> tuple[SuspectFit, tuple[st
             return None  # an effect leaves clearly less
         if low < MUCH:
             equals += model.names
-    others = []
-    for other in fits[1:]:
-        low, _ = held_out_margins(best.residuals, other.residuals, base, blocks)
-        if low < MUCH and other.suspect.label != best.suspect.label:
-            others.append(other.suspect.label)
     if equals and (best.suspect.is_rare or not best.is_good):
         return None  # both explain a part only: neither is said
-    best = replace(best, equal_suspects=tuple(dict.fromkeys(others)))
+    best = replace(best, equal_suspects=_list_equals(fits))
     return best, tuple(dict.fromkeys(equals))
+
+
+def _find_what_differs(base: Model) -> SuspectFit | None:
+    """Return the number that differs from record to record, where repeats are far from alike.
+
+    What a rig does differently each time is its limit, and nothing is missing below it. But one
+    number of each record may explain the difference.
+    """
+    far = [f for f in base.floors.values() if f.repeatability > UNLIKE * f.mean]
+    if base.unexplained or not far or any(f.is_estimate for f in far):
+        return None
+    strict = replace(base, evidence=replace(base.evidence, repeated=()))
+    fits = fit_time_changes(strict, dict.fromkeys(strict.unexplained, 0.0))
+    worthy = sorted((f for f in fits if f.by_record and _is_worth_saying(f)), key=_left)
+    return replace(worthy[0], equal_suspects=_list_equals(worthy)) if worthy else None
+
+
+def _list_equals(ranked: Sequence[SuspectFit]) -> tuple[str, ...]:
+    """Return the labels of the suspects that leave no more than the first."""
+    best, *others = ranked
+    base, blocks = best.base, _blocks_of(best)
+    labels = (
+        other.suspect.label
+        for other in others
+        if held_out_margins(best.residuals, other.residuals, base, blocks)[0] < MUCH
+    )
+    return tuple(dict.fromkeys(label for label in labels if label != best.suspect.label))
 
 
 def _fit_promising(base: Model, effects: EffectRivals) -> list[SuspectFit]:

@@ -36,8 +36,9 @@ def take_cases(records: Path, count: int, folder: Path) -> Path:
 
 
 def start_run(records: Path, verdicts: Path, *options: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "pamctl.benchmark", "run", records, "--method", "pamctl"]
-    return subprocess.Popen([*command, "--out", verdicts, *options], stderr=subprocess.DEVNULL)
+    command = [sys.executable, "-m", "pamctl.benchmark", "run", str(records), "--method", "pamctl"]
+    command += ["--out", str(verdicts), *options]
+    return subprocess.Popen(command, stderr=subprocess.DEVNULL)
 
 
 def measure_alone(records: Path, verdicts: Path) -> tuple[float, float]:

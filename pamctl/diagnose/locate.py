@@ -128,8 +128,8 @@ def find_regimes(drive: Drive, model: Model) -> Mapping[str, Rows]:
         p.atmospheric_pressure_pa / np.maximum(drive.measured, 1.0),
     )
     stepped = np.abs(np.diff(command, prepend=command[0])) > NULL_V
-    window = max(int(0.01 / period_s), 1)
-    after = maximum_filter1d(stepped.astype(np.int8), 2 * window + 1, origin=-window) > 0
+    window = max(round(0.01 / period_s), 1)
+    after = np.convolve(stepped, np.ones(window))[: len(stepped)] > 0.5
     closed = np.abs(command) < 0.02
     near = (np.abs(command) < NULL_V) & ~closed
     return {

@@ -11,9 +11,11 @@ from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.model_fit import recalibrate
 from pamctl.diagnose.locate import (
     EVENLY,
+    NULL_V,
     RegimeMisfit,
     describe_worst_regimes,
     exceedance,
+    find_regimes,
     flag_discoveries,
     locate_misfits,
 )
@@ -85,6 +87,18 @@ def test_a_dead_band_stands_out_near_null_and_not_in_the_mechanics() -> None:
     assert ("pressure", "valve near null") in out
     assert {block for block, _ in out} == {"pressure"}
     assert "valve near null" in describe_worst_regimes(found, "pressure")
+
+
+def test_what_follows_a_step_of_the_command_begins_with_the_step() -> None:
+    train, held = pair()
+    model = recalibrate(prepare_evidence(train, held, PlantSettings()))
+    (drive,) = model.evidence.holdout["pressure"]
+    after = find_regimes(drive, model)["within 10 ms of a step of the command"]
+    steps = np.flatnonzero(np.abs(np.diff(drive.valve_v)) > NULL_V) + 1
+    lonely = [k for k in steps if not np.any((steps > k - 30) & (steps < k + 30) & (steps != k))]
+    assert lonely
+    for k in lonely:
+        assert np.flatnonzero(after[k - 15 : k + 15]).tolist() == [*range(15, 25)]
 
 
 def test_a_regime_has_a_floor_of_its_own() -> None:

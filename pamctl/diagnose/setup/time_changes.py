@@ -41,6 +41,10 @@ REFINED = 4
 """Instants that are simulated between two of those."""
 MOST_OF_A_WAY = 2
 """Numbers that are fitted for each way of changing."""
+FAR, FAR_PROMISE = 10.0, 0.1
+"""In a block that is left so many times its floor a drift is fitted for this promise."""
+CLEAR = 0.6
+"""Not where an effect promises so much."""
 ROUNDS = 3
 MUCH = 0.05
 """Logs of mean squares that differ by less count as equal."""
@@ -86,13 +90,9 @@ def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit
 
     `least` is what they must promise, by block.
     """
-    profiles = [
-        p
-        for block in base.unexplained
-        for p in _list_profiles(base, block)
-        if p.explained > least[block]
-    ]
-    profiles.sort(key=lambda p: -p.explained)
+    found = [(b, p) for b in base.unexplained for p in _list_profiles(base, b)]
+    found.sort(key=lambda pair: -pair[1].explained)
+    profiles = [p for block, p in found if p.explained > least[block]]
     chosen: list[_Profile] = []
     enough = max(PROMISING, NEAR_BEST * max((p.explained for p in profiles), default=0.0))
     for profile in (p for p in profiles if p.explained > enough):
@@ -105,7 +105,22 @@ def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit
         ):
             chosen.append(profile)
     fits = [_fit_profile(base, p) for p in chosen]
+    if not any(f.is_good for f in fits):
+        far = [b for b in base.unexplained if base.ratio(b) > FAR and least[b] < CLEAR]
+        drifts = _list_far_drifts([p for block, p in found if block in far])
+        fits += [_fit_profile(base, p) for p in drifts if p not in chosen]
     return [f for f in fits if not _acts_always(f)]
+
+
+def _list_far_drifts(ranked: Sequence[_Profile]) -> list[_Profile]:
+    """Return the drifts that may explain a block which friction has led far from the truth.
+
+    To first order they promise little there. Where several records were fitted, the drift is that
+    from the start to the end of each.
+    """
+    drifts = [p for p in ranked if p.suspect.kind == "drift" and p.suspect.over_s]
+    of_record = [p for p in drifts if p.suspect.variant == OF_RECORD]
+    return [p for p in of_record or drifts if p.explained > FAR_PROMISE][:MOST_OF_A_WAY]
 
 
 def _acts_always(fitted: SuspectFit) -> bool:

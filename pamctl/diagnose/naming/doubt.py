@@ -1,4 +1,8 @@
-"""A name is doubtful if the effect's size may be zero, or differs from one stretch to another."""
+"""A name is doubtful if the effect's size may be zero, or differs from one stretch to another.
+
+It is strained if a number that shapes the effect ended at an end of its range: the data ask for
+something that the effect is not.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from pamctl.diagnose.fitting.block_fit import Fit
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model, has_natural_end
 from pamctl.diagnose.fitting.intervals import FittedNumber
-from pamctl.diagnose.fitting.numbers import value_of
+from pamctl.diagnose.fitting.numbers import unit_of, value_of
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.search import EffectSearch
 
@@ -42,6 +46,16 @@ def has_doubtful_effect(
         )
         for effect in model.effects
     )
+
+
+def is_strained(model: Model) -> bool:
+    """Tell whether a length, a speed or a time of an effect is at an end of its range.
+
+    Hysteresis of a spring over no way at all is dry friction, and friction that falls up to any
+    speed is a curve of another kind. Shares end at 0 and 1 by nature.
+    """
+    shapes = (s for effect in model.effects for s in effect.shapes)
+    return any(s.name in model.at_bound and unit_of(s) for s in shapes)
 
 
 def _is_unsure(name: str, model: Model, numbers: Sequence[FittedNumber]) -> bool:

@@ -26,6 +26,7 @@ from pamctl.diagnose.fitting.split import keep_for_choice
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.altered_drive import PlantChange, add_change
+from pamctl.diagnose.setup.decimation import suspect_decimation
 from pamctl.diagnose.setup.refused_columns import explain_refusal
 from pamctl.diagnose.setup.suspect_setup import (
     CheckedSetup,
@@ -215,6 +216,19 @@ def test_commands_logged_more_rarely_than_given_are_refused_with_the_reason() ->
     (finding,) = setup.findings
     assert (finding.kind, finding.value) == ("decimated_command", 5.0)
     assert "log the command at every sample" in setup.refusal
+
+
+def test_a_command_that_changes_rarely_is_suspected_where_nothing_explains_the_pressure() -> None:
+    def thin_out(record: Record) -> Record:
+        rows = np.arange(len(record)) // 20 * 20
+        return replace(record, valve_v=record["valve_v"][rows])
+
+    every_row = _base(_record(hidden_rig({"valve_deadband": 3}, seed=2)))
+    assert suspect_decimation(every_row) is None
+    suspicion = suspect_decimation(_base(_record(hidden_rig({}, seed=2), thin_out)))
+    assert suspicion is not None
+    assert (suspicion.value, suspicion.is_corrected) == (20.0, False)
+    assert "may have got it more often" in suspicion.text
 
 
 @pytest.mark.parametrize("effects", [{}, {"valve_deadband": 3}])

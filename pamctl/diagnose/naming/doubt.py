@@ -14,7 +14,7 @@ from pamctl.diagnose.fitting.block_fit import Fit
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model, has_natural_end
 from pamctl.diagnose.fitting.intervals import FittedNumber
-from pamctl.diagnose.fitting.numbers import unit_of, value_of
+from pamctl.diagnose.fitting.numbers import FreeNumber, unit_of, value_of
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.search import EffectSearch
 
@@ -24,6 +24,8 @@ SMALL_GAIN = 1.5
 """Residual over floor without the effect, divided by that with it."""
 PIECES = 12
 """Pieces of the fitted records, at least; each record is a piece or several."""
+NEAR_END = 0.01
+"""Share of an end of a range that counts as the end."""
 WITHIN = 1.645
 """Half a 90 % interval in standard errors."""
 
@@ -49,13 +51,30 @@ def has_doubtful_effect(
 
 
 def is_strained(model: Model) -> bool:
-    """Tell whether a length, a speed or a time of an effect is at an end of its range.
+    """Tell whether a number that shapes an effect is at an end of its range.
 
     Hysteresis of a spring over no way at all is dry friction, and friction that falls up to any
-    speed is a curve of another kind. Shares end at 0 and 1 by nature.
+    speed is a curve of another kind.
     """
-    shapes = (s for effect in model.effects for s in effect.shapes)
-    return any(s.name in model.at_bound and unit_of(s) for s in shapes)
+    shapes = {s.name for effect in model.effects for s in effect.shapes}
+    return any(
+        free.name in shapes and _is_at_end(free, fitted.values[free.name])
+        for fitted in model.fits.values()
+        for free in fitted.free
+    )
+
+
+def _is_at_end(shape: FreeNumber, value: float) -> bool:
+    """Tell whether a shape is at an end that says something.
+
+    Shares and angles have natural ends. At zero a shape is off, and a time may well be longer than
+    what these records show.
+    """
+    unit = unit_of(shape)
+    if unit in ("", "rad"):
+        return False
+    is_short = shape.low > 0.0 and value < (1.0 + NEAR_END) * shape.low
+    return is_short or (unit != "s" and value > (1.0 - NEAR_END) * shape.high)
 
 
 def _is_unsure(name: str, model: Model, numbers: Sequence[FittedNumber]) -> bool:

@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -49,7 +50,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     A file that never ran here counts by its size; one that starts processes counts for more.
     """
-    known: dict[str, float] = config.cache.get(_DURATIONS, {}) if config.cache else {}
+    cache = getattr(config, "cache", None)  # none with `-p no:cacheprovider`
+    known: dict[str, float] = cache.get(_DURATIONS, {}) if cache else {}
     seconds: dict[Path, float] = {}
     for item in items:
         seconds[item.path] = seconds.get(item.path, 0.0) + known.get(item.nodeid, 0.0)
@@ -68,6 +70,18 @@ def _weigh_file(path: Path) -> int:
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Run one file more than there are CPUs: runs in real time mostly wait."""
     return len(os.sched_getaffinity(0)) + 1
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Share out files, but keep those together that share one investigation of a rig."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class FileScheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            return "tests/on_rig" if file.startswith("tests/on_rig/") else file
+
+    return FileScheduling(config, log) if config.getoption("dist") == "loadfile" else None
 
 
 @pytest.fixture(scope="session")

@@ -29,42 +29,42 @@ def commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, A
 
 
 COMMANDS = dict(commands(get_command(app)))
-PARAMETERS = [
-    pytest.param(parameter, id=f"{words} {parameter.opts[0]}")
+PARAMETERS = {
+    f"{words} {parameter.opts[0]}": parameter
     for words, command in COMMANDS.items()
     for parameter in command.params
     if not parameter.opts[0].endswith("-completion")  # typer's own
-]
+}
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS)
-def test_every_parameter_says_what_it_is_in_a_phrase(parameter: Any) -> None:
-    told = parameter.help or ""
-    # An argument may be one noun beside its name: "New log".
-    least = 3 if parameter.param_type_name == "option" else 2
-    assert len(told.split()) >= least, told
-    assert told[0].isupper(), told
-    assert not told.endswith("."), told
-    assert not FRAGMENT.search(told), told
+def test_every_parameter_says_what_it_is_in_a_phrase() -> None:
+    for name, parameter in PARAMETERS.items():
+        told = parameter.help or ""
+        # An argument may be one noun beside its name: "New log".
+        least = 3 if parameter.param_type_name == "option" else 2
+        assert len(told.split()) >= least, name
+        assert told[0].isupper(), name
+        assert not told.endswith("."), name
+        assert not FRAGMENT.search(told), name
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS)
-def test_every_optional_parameter_shows_its_default(parameter: Any) -> None:
-    if parameter.required or getattr(parameter, "is_flag", False):
-        return
-    if parameter.default is None:  # the verb chooses: the help says what
-        assert isinstance(parameter.show_default, str)
-        assert parameter.show_default
-    else:
-        assert parameter.show_default is True
+def test_every_optional_parameter_shows_its_default() -> None:
+    for name, parameter in PARAMETERS.items():
+        if parameter.required or getattr(parameter, "is_flag", False):
+            continue
+        if parameter.default is None:  # the verb chooses: the help says what
+            assert isinstance(parameter.show_default, str), name
+            assert parameter.show_default, name
+        else:
+            assert parameter.show_default is True, name
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS)
-def test_every_time_shows_its_range(parameter: Any) -> None:
-    if parameter.metavar != "SECONDS" or parameter.opts[0] in ("--from", "--to"):
-        return
-    is_told = re.search(r"(at least|more than) [\d.]+( and at most [\d.]+)? s", parameter.help)
-    assert is_told or parameter.min is not None
+def test_every_time_shows_its_range() -> None:
+    for name, parameter in PARAMETERS.items():
+        if parameter.metavar != "SECONDS" or parameter.opts[0] in ("--from", "--to"):
+            continue
+        told = re.search(r"(at least|more than) [\d.]+( and at most [\d.]+)? s", parameter.help)
+        assert told or parameter.min is not None, name
 
 
 @pytest.mark.parametrize("words", COMMANDS)

@@ -182,15 +182,14 @@ for verb in sys.argv[2:]:
 def run_elsewhere(system: str, folder: Path, *verbs: str) -> None:
     command = [sys.executable, "-c", ELSEWHERE, system, *verbs]
     done = subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+        command, cwd=folder, capture_output=True, text=True, timeout=10 * PATIENCE_S, check=False
     )
     assert done.returncode == 0, done.stderr
 
 
 def test_verbs_that_drive_no_rig_run_without_linux(log):
     verbs = [
-        "replay {} --tolerance default-for-other-cpu", "compare {}",
-        "report {} --out page.html", "log info {}", "log check {}",
+        "replay {} --tolerance default-for-other-cpu", "log info {}", "log check {}",
         "log recover {} saved.mcap", "log export {} out.csv", "log import out.csv again.mcap",
         "config check", "run --dry-run",
     ]  # fmt: skip

@@ -5,10 +5,8 @@ from __future__ import annotations
 import ast
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = sorted(path for room in ("pamctl", "hal") for path in (ROOT / room).rglob("*.py"))
@@ -30,9 +28,9 @@ def _name_of(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-def _trees() -> Iterator[tuple[Path, ast.Module]]:
-    for path in MODULES:
-        yield path, ast.parse(path.read_text(encoding="utf-8"))
+@cache
+def _trees() -> list[tuple[Path, ast.Module]]:
+    return [(path, ast.parse(path.read_text(encoding="utf-8"))) for path in MODULES]
 
 
 def _require_unique(places: dict[str, list[str]]) -> None:
@@ -66,12 +64,12 @@ def test_no_two_public_types_share_a_name() -> None:
     _require_unique(places)
 
 
-@pytest.mark.parametrize("path", PACKAGES, ids=_name_of)
-def test_each_folder_says_what_it_is_and_where_to_begin(path: Path) -> None:
-    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    advice = re.search(r"Read `([^`]+)`", text)
-    assert advice, "add the line: Read `FILE` first."
-    assert (path.parent / advice[1]).exists(), f"there is no {advice[1]}"
+def test_each_folder_says_what_it_is_and_where_to_begin() -> None:
+    for path in PACKAGES:
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        advice = re.search(r"Read `([^`]+)`", text)
+        assert advice, f"{_name_of(path)}: add the line: Read `FILE` first."
+        assert (path.parent / advice[1]).exists(), f"{_name_of(path)}: there is no {advice[1]}"
 
 
 def test_public_functions_are_verbs() -> None:

@@ -49,3 +49,10 @@ def done(rig: SimulatedRig, squares: Path) -> Investigation:
     investigation = Investigation(plan)
     decide_on_rig(rig, investigation)
     return investigation
+
+
+@pytest.fixture
+def found_before(done: Investigation, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first record was diagnosed already: whoever diagnoses it again need not wait."""
+    first = done.rounds[0].diagnosis
+    monkeypatch.setattr("pamctl.on_rig.decide_on_rig.diagnose", lambda *_, **__: first)

@@ -149,6 +149,7 @@ def test_the_folder_tells_the_rounds(done: Investigation, tmp_path: Path) -> Non
     assert "to tell apart command_delay and valve_spool" in page
 
 
+@pytest.mark.usefixtures("found_before")
 def test_an_interruption_keeps_the_rounds_so_far_and_leaves_the_rig_idle(
     done: Investigation, rig: SimulatedRig
 ) -> None:
@@ -167,10 +168,11 @@ def test_an_interruption_keeps_the_rounds_so_far_and_leaves_the_rig_idle(
     assert rig.state in ("idle", "ready")
 
 
+@pytest.mark.usefixtures("found_before")
 def test_a_daemon_that_ends_within_a_program_takes_no_round_with_it(
     done: Investigation, logs: Path, tmp_path: Path
 ) -> None:
-    """The given log is diagnosed; the daemon is ended as it moves for the program that decides."""
+    """The daemon is ended as it moves for the program that decides."""
     (given,) = logs.glob(f"{done.records[0].name}*")
     with daemon(tmp_path, "on-rig") as up:
 

@@ -110,6 +110,7 @@ def test_signals_are_as_before_after_the_rounds() -> None:
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+@pytest.mark.usefixtures("found_before")
 def test_a_fault_of_the_program_leaves_the_document_as_far_as_it_is(
     done: Investigation,
     rig: SimulatedRig,

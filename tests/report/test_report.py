@@ -180,7 +180,7 @@ def test_the_command_names_the_page_and_its_size(folder, square):
     assert found["bytes"] == target.stat().st_size
 
 
-@pytest.mark.parametrize("which", ["minute", "tripped", "imported"])
+@pytest.mark.parametrize("which", ["tripped", "imported"])
 def test_a_phone_shows_the_page_without_errors_and_without_scrolling_sideways(
     which, request, tmp_path
 ):

@@ -32,6 +32,21 @@ for terms in ({}, {"terms": {"force": {"operator": "gain", "driver": "position",
     drive_mechanics(p, run.pressure_pa, 1e-3)
 """
 
+_COMPILE_MORE = """
+import numpy as np
+from pamctl.gym import MuscleEnv
+from pamctl.plant.drive import build_grid
+from pamctl.plant.model import PlantSettings, plant_parameters
+from pamctl.plant.terms.operators import Terms
+from pamctl.plant.terms.tangents import find_pressure_tangent
+p, zeros = plant_parameters(PlantSettings()), np.zeros(5)
+find_pressure_tangent(p, Terms(), zeros, zeros, build_grid(1e-3, 5))
+env = MuscleEnv(duration_s=0.1)
+env.reset(seed=1)
+env.step(np.zeros(1, np.float32))
+"""
+"""What single tests need. Beside them, it would take half a minute from a loop in real time."""
+
 
 def compile_closed_loops(folder: Path) -> None:
     """Leave the closed loop of each law, and the driven plant, in the cache of machine code.
@@ -50,4 +65,6 @@ def compile_closed_loops(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    compile_closed_loops(Path(sys.argv[1]))
+    with subprocess.Popen([sys.executable, "-c", _COMPILE_MORE]) as more:
+        compile_closed_loops(Path(sys.argv[1]))
+    sys.exit(more.returncode)

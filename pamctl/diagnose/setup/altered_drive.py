@@ -20,6 +20,8 @@ from pamctl.plant.parameters import PaperParameters, PlantParameters
 
 PIECES = 64
 """Pieces of a record in which a drifting number is constant."""
+FEWEST_WINDOWS, MOST_CUTS = 16, 128
+"""Windows of a record from which pieces end where windows do; and pieces then, at most."""
 OVERLAP_S = 0.05
 """A piece starts so much earlier, at the output reached there: spool and speed settle in it."""
 
@@ -129,8 +131,8 @@ class AlteredDrive(Drive):
     def _cut_drift(self) -> set[int]:
         """Return where pieces begin; windows that start anew need no overlap, so there are more."""
         n, starts = len(self.measured), self._restarts.rows
-        if len(starts) > PIECES // 2:
-            return {*starts[:: -(-len(starts) // (4 * PIECES))].tolist()}
+        if len(starts) > FEWEST_WINDOWS:
+            return {*starts[:: -(-len(starts) // MOST_CUTS)].tolist()}
         return {int(c) for c in np.linspace(0, n, PIECES + 1)}
 
     def _cut_piece(self, first: int, last: int, simulated: Array) -> AlteredDrive:

@@ -14,6 +14,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, as_completed
 from pathlib import Path
+from pickle import dumps, loads
 from time import process_time
 from typing import Any
 
@@ -57,6 +58,11 @@ def run_case(name: str, task: Task) -> Verdict:
     return {**verdict, "cpu_s": round(process_time() - began, 2)}
 
 
+def run_packed_case(name: str, task: bytes) -> Verdict:
+    """Run a pickled case: schedulers and workers unpack arguments before they know the rigs."""
+    return run_case(name, loads(task))
+
+
 def run_method(
     name: str, records: Path, verdicts: Path, executor: Executor | None
 ) -> Iterator[tuple[str, Verdict]]:
@@ -82,11 +88,10 @@ def _run(
     if executor is None:
         yield from ((id, run_case(name, read_task(records, id))) for id in ids)
         return
+    here, packed = "hidden.benchmark.run_method", (dumps(read_task(records, id)) for id in ids)
     going = {
-        executor.submit(
-            call_in_rigs, "hidden.benchmark.run_method", "run_case", name, read_task(records, id)
-        ): id
-        for id in ids
+        executor.submit(call_in_rigs, here, "run_packed_case", name, task): id
+        for id, task in zip(ids, packed, strict=True)
     }
     for future in as_completed(going):
         yield going[future], future.result()

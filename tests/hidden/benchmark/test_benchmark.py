@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import pickle
 import subprocess
 import sys
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +20,7 @@ from hidden.benchmark.benchmark_suite import Suite
 from hidden.benchmark.command_line import main
 from hidden.benchmark.failure import BenchmarkError
 from hidden.benchmark.records_folder import list_ids, read_task, read_truth
-from hidden.benchmark.run_method import load_method
+from hidden.benchmark.run_method import load_method, run_method
 from hidden.examination.examine import records_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -36,6 +40,39 @@ def method_that_says(folder: Path, code: str) -> str:
     path = folder / f"own_{hashlib.sha256(code.encode()).hexdigest()[:8]}.py"
     path.write_text(code)
     return f"{path}:diagnose_task"
+
+
+class StrangerProcess(Executor):
+    """Runs each task in a process that can import pamctl, and nothing of the rigs by itself."""
+
+    CODE = (
+        "import pickle, sys\n"
+        "function, arguments = pickle.load(sys.stdin.buffer)\n"
+        "sys.stdout.buffer.write(pickle.dumps(function(*arguments)))"
+    )
+
+    def submit(self, fn: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        answer = subprocess.run(
+            [sys.executable, "-P", "-c", self.CODE],
+            input=pickle.dumps((fn, arguments)),
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            check=True,
+            stdout=subprocess.PIPE,
+        )
+        future: Future[Any] = Future()
+        future.set_result(pickle.loads(answer.stdout))
+        return future
+
+
+def test_a_task_reaches_a_process_that_knows_pamctl_alone(written: Path, tmp_path: Path) -> None:
+    says_id = (
+        "def diagnose_task(task):\n    return {'verdict': 'none_known', 'sentence': task.id}\n"
+    )
+    method = method_that_says(tmp_path, says_id)
+    found = dict(run_method(method, written / "records", tmp_path / "out", StrangerProcess()))
+    assert {id: verdict.get("sentence") for id, verdict in found.items()} == {
+        id: id for id in list_ids(written / "records")
+    }
 
 
 def test_records_are_those_of_the_rigs_and_tell_nothing_of_what_they_hide(written: Path) -> None:

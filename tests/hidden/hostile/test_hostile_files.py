@@ -362,7 +362,11 @@ def test_records_come_back_in_parts_and_change_in_the_order_of_recording() -> No
         assert np.array_equal(column, getattr(again, name))
 
 
-LOUD = [c for c in all_cases() if c.excitation == "random" and not c.answer.silent]
+LOUD = {
+    case.id.split("/")[0]: case  # the smallest size of each, which comes first
+    for case in reversed([*all_cases()])
+    if case.excitation == "random" and not case.answer.silent
+}.values()
 
 
 @pytest.mark.parametrize("case", LOUD, ids=lambda case: case.id)

@@ -48,6 +48,7 @@ from pamctl.diagnose.measured.refuse import (
 )
 from pamctl.diagnose.measured.resting_pressure import align_resting_pressure
 from pamctl.diagnose.name import name_effects
+from pamctl.diagnose.naming.doubt import is_strained
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.remainder import regress_remainder
 from pamctl.diagnose.naming.search import Progress, search_effects
@@ -231,7 +232,8 @@ def _describe_rest(
     without: Collection[str],
 ) -> tuple[Confirmation, Description | None]:
     """Ask what no effect explains; a term that the confirming samples refute is only a lead."""
-    if found.naming.verdict not in (Verdict.PARTIAL, Verdict.NONE_KNOWN) or found.signs:
+    verdict, imitates = found.naming.verdict, is_strained(found.naming.model)
+    if found.signs or not (imitates or verdict in (Verdict.PARTIAL, Verdict.NONE_KNOWN)):
         return found, None
     described = describe_rest(found.naming, executor, progress, without)
     if described.naming is None:

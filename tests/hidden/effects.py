@@ -115,14 +115,14 @@ ON_SENSORS: dict[str, Change] = {
     "encoder_scale": lambda s, _: {"encoder_scale": 1.0 + 0.004 * s},
 }
 
-OUT_OF_CATALOGUE = (
-    "position_dependent_friction",
-    "supply_ripple",
-    "hysteretic_spring",
-    "valve_gain_wobble",
-    "second_spring",
-    "wearing_friction",
-)
+OUT_OF_CATALOGUE = ("valve_gain_wobble", "second_spring", "wearing_friction")
+
+CALLED = {
+    "position_dependent_friction": "position_friction",
+    "supply_ripple": "supply_ripple",
+    "hysteretic_spring": "spring_hysteresis",
+}
+"""Once in no catalogue: the truth's name, and that of the effect which has come since."""
 
 PRESSURE_BLOCK = (
     "valve_deadband", "valve_asymmetry", "valve_saturation", "valve_curve", "valve_spool",

@@ -1,4 +1,8 @@
-"""A name is doubtful if the effect's size may be zero, or differs from one stretch to another."""
+"""A name is doubtful if the effect's size may be zero, or differs from one stretch to another.
+
+It is strained if a number that shapes the effect ended at an end of its range: the data ask for
+something that the effect is not.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from pamctl.diagnose.fitting.block_fit import Fit
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model, has_natural_end
 from pamctl.diagnose.fitting.intervals import FittedNumber
-from pamctl.diagnose.fitting.numbers import value_of
+from pamctl.diagnose.fitting.numbers import FreeNumber, unit_of, value_of
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.search import EffectSearch
 
@@ -20,6 +24,8 @@ SMALL_GAIN = 1.5
 """Residual over floor without the effect, divided by that with it."""
 PIECES = 12
 """Pieces of the fitted records, at least; each record is a piece or several."""
+NEAR_END = 0.01
+"""Share of an end of a range that counts as the end."""
 WITHIN = 1.645
 """Half a 90 % interval in standard errors."""
 
@@ -42,6 +48,33 @@ def has_doubtful_effect(
         )
         for effect in model.effects
     )
+
+
+def is_strained(model: Model) -> bool:
+    """Tell whether a number that shapes an effect is at an end of its range.
+
+    Hysteresis of a spring over no way at all is dry friction, and friction that falls up to any
+    speed is a curve of another kind.
+    """
+    shapes = {s.name for effect in model.effects for s in effect.shapes}
+    return any(
+        free.name in shapes and _is_at_end(free, fitted.values[free.name])
+        for fitted in model.fits.values()
+        for free in fitted.free
+    )
+
+
+def _is_at_end(shape: FreeNumber, value: float) -> bool:
+    """Tell whether a shape is at an end that says something.
+
+    Shares and angles have natural ends. At zero a shape is off, and a time may well be longer than
+    what these records show.
+    """
+    unit = unit_of(shape)
+    if unit in ("", "rad"):
+        return False
+    is_short = shape.low > 0.0 and value < (1.0 + NEAR_END) * shape.low
+    return is_short or (unit != "s" and value > (1.0 - NEAR_END) * shape.high)
 
 
 def _is_unsure(name: str, model: Model, numbers: Sequence[FittedNumber]) -> bool:

@@ -9,7 +9,7 @@ from math import sqrt
 
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model
-from pamctl.diagnose.naming.doubt import PIECES, spread_of_effect
+from pamctl.diagnose.naming.doubt import PIECES, is_strained, spread_of_effect
 from pamctl.diagnose.naming.rivals import Standing
 from pamctl.diagnose.naming.search import (
     EffectSearch,
@@ -138,5 +138,9 @@ def measure_share(model: Model, effect: Candidate, search: EffectSearch) -> floa
 
 
 def revise_verdict(judgement: Judgement, standings: Sequence[Standing]) -> Verdict:
-    """Make a verdict with names ambiguous where a rival is no worse."""
-    return Verdict.AMBIGUOUS if any(s.equal_rivals for s in standings) else judgement.verdict
+    """Make a verdict with names ambiguous where a rival is no worse, or where the
+    effects only imitate what is missing.
+    """
+    imitates = judgement.verdict is Verdict.NAMED and is_strained(judgement.model)
+    is_open = imitates or any(s.equal_rivals for s in standings)
+    return Verdict.AMBIGUOUS if is_open else judgement.verdict

@@ -12,6 +12,7 @@ from pamctl.diagnose.fitting.integrator import SMALL
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import look_up_parameter
 from pamctl.diagnose.locate import EVENLY
+from pamctl.diagnose.naming.doubt import is_strained
 from pamctl.diagnose.naming.remainder import Remainder
 from pamctl.diagnose.naming.unseen import list_unseen
 from pamctl.diagnose.naming.verdict import Verdict
@@ -84,8 +85,10 @@ def list_sets(diagnosis: Diagnosis) -> str:
 
 
 def spell_settled_effects(diagnosis: Diagnosis) -> str:
-    """Return the named effects that have no equal rival."""
-    return spell_names(*(s.effect.name for s in diagnosis.standings if not s.equal_rivals))
+    """Return the named effects that are in no set."""
+    open_ones = {names[0] for names in list_equal_sets(diagnosis)}
+    names = (s.effect.name for s in diagnosis.standings)
+    return spell_names(*(name for name in names if name not in open_ones))
 
 
 def describe_closed_shares(diagnosis: Diagnosis) -> str:
@@ -125,10 +128,11 @@ def describe_signs(diagnosis: Diagnosis) -> str:
 def list_equal_sets(diagnosis: Diagnosis) -> list[list[str]]:
     """Return the sets of names that the data do not tell apart, of effects and of the set-up."""
     sets = []
+    imitates = diagnosis.model is not None and is_strained(diagnosis.model)
     for s in diagnosis.standings:
         name = s.effect.name
         setup = [f.label for f in diagnosis.setup if name in f.cannot_be_told_from]
-        if s.equal_rivals or (setup and diagnosis.verdict is Verdict.AMBIGUOUS):
+        if s.equal_rivals or ((setup or imitates) and diagnosis.verdict is Verdict.AMBIGUOUS):
             sets.append([name, *s.equal_rivals, *setup])
     return sets
 

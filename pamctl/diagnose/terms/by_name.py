@@ -20,6 +20,7 @@ from pamctl.diagnose.fitting.intervals import estimate_intervals
 from pamctl.diagnose.fitting.model_fit import fit_jointly, fit_model
 from pamctl.diagnose.fitting.numbers import numbers_of_effect
 from pamctl.diagnose.name import Naming
+from pamctl.diagnose.naming.doubt import is_strained
 from pamctl.diagnose.naming.rivals import Rival, Standing
 from pamctl.diagnose.naming.score import clip_inside
 from pamctl.diagnose.naming.stretches import (
@@ -112,6 +113,7 @@ def _make_candidate(effect: EffectDescription, evidence: Evidence) -> Candidate:
 def _fits_as_well(before: Model, model: Model, term: Model, block: str) -> bool:
     return (
         model.is_plausible
+        and not is_strained(model)
         and model.rms[block] <= (1.0 + NEAR_BEST) * term.rms[block]
         and (model.is_explained(block) or not gains_in_block(model, term, block))
         and not spoils_block(before, model)

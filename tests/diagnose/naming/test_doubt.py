@@ -9,13 +9,17 @@ import pytest
 from support.made_records import find_candidate, pair
 
 from pamctl.diagnose.fitting.block_fit import Fit
+from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.drives import MECHANICS
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.intervals import FittedNumber, widen_by_forms
 from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate
+from pamctl.diagnose.fitting.numbers import numbers_of_effect, with_values
 from pamctl.diagnose.measured.record import Array
-from pamctl.diagnose.naming.doubt import PIECES, spread_of_effect, spread_of_size
+from pamctl.diagnose.naming.doubt import PIECES, is_strained, spread_of_effect, spread_of_size
+from pamctl.diagnose.naming.verdict import Judgement, Verdict, revise_verdict
+from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 
 PAPER = PlantSettings()
@@ -73,3 +77,28 @@ def test_a_number_says_what_its_interval_takes_for_granted() -> None:
     assert "conditional_on" not in number.as_dict()
     bound = replace(number, conditional_on=("creep",))
     assert bound.as_dict() == {**number.as_dict(), "conditional_on": ["creep"]}
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "value", "strained"),
+    [
+        ("spring_hysteresis", "way_m", 1e-5, True),  # no way at all: dry friction
+        ("spring_hysteresis", "way_m", 5e-5, False),
+        ("stribeck", "speed_m_per_s", 0.1, True),
+        ("creep", "time_constant_s", 30.0, False),  # longer than the records, perhaps
+    ],
+)
+def test_a_shape_at_its_end_says_that_the_effect_imitates(
+    name: str, number: str, value: float, strained: bool
+) -> None:
+    numbers = [p.name for p in CATALOGUE[name].parameters]
+    every = numbers_of_effect(name, numbers, PAPER, None)
+    effect = Candidate(name, name, every, (), frozenset({MECHANICS}))
+    free = tuple(f for f in every if f.name == f"{name}.{number}")
+    sizes = {s.name: s.low + s.scale for s in effect.switches}
+    settings = with_values(PAPER, {**sizes, f"{name}.{number}": value})
+    fitted = Fit(settings, free, EVIDENCE.train[MECHANICS], np.zeros(1))
+    model = Model(EVIDENCE, (effect,), {frozenset({MECHANICS}): fitted})
+    assert is_strained(model) is strained
+    named = revise_verdict(Judgement(Verdict.NAMED, model), ())
+    assert named is (Verdict.AMBIGUOUS if strained else Verdict.NAMED)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from hidden.effects import OUT_OF_CATALOGUE, SINGLES, Size
+from hidden.effects import CALLED, OUT_OF_CATALOGUE, SINGLES, Size
 
 KIN = {
     "hysteretic_spring": {"coulomb_friction", "presliding"},
@@ -47,7 +47,7 @@ class Case:
     @property
     def hidden_names(self) -> frozenset[str]:
         """What a diagnosis that knows everything would name."""
-        return frozenset(self.effects)
+        return frozenset(CALLED.get(name, name) for name in self.effects)
 
     @property
     def known_names(self) -> frozenset[str]:
@@ -117,8 +117,8 @@ def pair_cases() -> Iterator[Case]:
 
 
 def unknown_cases() -> Iterator[Case]:
-    """Effects in no catalogue, and each effect with its own name taken out: no name is right."""
-    for name in OUT_OF_CATALOGUE:
+    """Effects in no catalogue now or once, and each effect with its own name taken out."""
+    for name in (*OUT_OF_CATALOGUE, *CALLED):
         yield Case(f"unknown/{name}", "unknown", {name: 3})
     yield Case("unknown/drift", "unknown", {"drift": 10})
     yield Case("unknown/moving_mass", "unknown", {"moving_mass": 10})

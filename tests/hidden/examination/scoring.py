@@ -221,7 +221,7 @@ def _honesty(results: Sequence[Result]) -> list[Figure]:
     """Return how often something was said that is not so, or not known."""
     nulls = by_group(results, "null")
     hidden = [r for r in results if r.case.effects and r.case.group != "bad"]
-    nameless = by_group(results, "unknown", "left_out")
+    nameless = [r for r in by_group(results, "unknown", "left_out") if not r.case.known_names]
     twinned = [r for r in by_group(results, "single") if detectable(r.case) and twins(r.case)]
     blind = by_group(results, "blind")
     bad = by_group(results, "bad")

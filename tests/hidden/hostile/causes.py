@@ -43,6 +43,8 @@ class Answer:
     setup: tuple[SetupCause, ...] = ()
     noise: tuple[str, ...] = ()
     """Words of `marking.NOISE_WORDS`."""
+    heard: tuple[str, ...] = ()
+    """More of these words, true as well; they need not be said."""
     silent: bool = False
     """A verdict that names nothing is right as well."""
     unknown: bool = False

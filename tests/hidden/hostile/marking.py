@@ -178,7 +178,7 @@ def false_findings(case: HostileCase, said: Said) -> list[str]:
     found = []
     for finding in said.findings:
         number = str(finding["number"])
-        if finding["kind"] in case.answer.noise:
+        if finding["kind"] in (*case.answer.noise, *case.answer.heard):
             continue
         if any(_matches(cause, finding) for cause in true):
             continue
@@ -194,7 +194,7 @@ def false_findings(case: HostileCase, said: Said) -> list[str]:
 
 def false_noise(case: HostileCase, said: Said) -> set[str]:
     """Return noise faults that are said and not there: shown beside the marks, not part of them."""
-    true = {*case.answer.noise, "coarse"}  # every converter has steps
+    true = {*case.answer.noise, *case.answer.heard, "coarse"}  # every converter has steps
     if {"dropouts", "outliers"} & true:
         true |= {"dropouts", "outliers"}
     return {word for word in NOISE_WORDS if word not in true and _is_fault_said(word, said)}

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from hidden.effects import Size
+from hidden.effects import CALLED, Size
 from hidden.hostile.causes import Answer, Kind, SetupCause
 from hidden.hostile.lab import Channel, Lab
 from hidden.hostile.programs import EXCITATIONS
@@ -340,10 +340,11 @@ def noise_situations() -> Iterator[Situation]:
     for name, (labs, answers) in many.items():
         yield Situation(name, "noise", labs, answers)
     deadband: Effects = {"valve_deadband": 5}
-    named = _same(Answer(effects=frozenset(deadband)))
+    named = Answer(effects=frozenset(deadband))
     for name in ("filtered", "hum", "spikes", "noise_with_flow"):
-        labs = many[name][0]
-        yield Situation(f"deadband_with_{name}", "mixed", labs, named, (deadband, deadband))
+        labs, answers = many[name]
+        also = _same(replace(named, heard=answers[0].noise))
+        yield Situation(f"deadband_with_{name}", "mixed", labs, also, (deadband, deadband))
 
 
 def edge_situations() -> Iterator[Situation]:
@@ -376,7 +377,7 @@ def edge_situations() -> Iterator[Situation]:
 
 
 def unknown_situations() -> Iterator[Situation]:
-    """What no catalogue has: no name is right."""
+    """What no catalogue has, or had once: no name is right, or the one that has come since."""
     none = (Lab(), Lab())
     unknown = Answer(unknown=True)
     yield Situation(
@@ -394,8 +395,10 @@ def unknown_situations() -> Iterator[Situation]:
         (Lab(pressure_bow=0.005), Lab(pressure_bow=0.02)),
         _same(unknown),
     )
-    for name in ("position_dependent_friction", "supply_ripple"):
-        yield Situation(name, "unknown", none, _same(unknown), ({name: 3}, {name: 10}))
+    for name, called in CALLED.items():
+        if name != "hysteretic_spring":
+            known = Answer(effects=frozenset({called}))
+            yield Situation(name, "unknown", none, _same(known), ({name: 3}, {name: 10}))
 
 
 def all_situations() -> Iterator[Situation]:

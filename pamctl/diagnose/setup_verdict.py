@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.setup.decimation import suspect_decimation
 from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.setup.suspect_setup import CheckedSetup, is_refuted_by
 from pamctl.diagnose.setup.symmetries import EqualFinding, find_equal_setups
@@ -25,6 +26,9 @@ def conclude_setup(diagnosis: Diagnosis, setup: CheckedSetup) -> Diagnosis:
         *(f for f in _keep_open(diagnosis, setup) if f.number not in by_equation),
     )
     verdict = diagnosis.verdict
+    if not found and verdict is Verdict.NONE_KNOWN and diagnosis.model is not None:
+        suspicion = suspect_decimation(diagnosis.model)
+        found = (suspicion,) if suspicion else ()
     if found and verdict is Verdict.NO_DISCREPANCY:
         verdict = Verdict.MISCALIBRATED
     same = {equal.effect for equal in equals if equal.is_the_same}

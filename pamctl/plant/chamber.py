@@ -12,7 +12,13 @@ from typing import NamedTuple
 
 from pamctl.plant.chains import pass_volume
 from pamctl.plant.effects.air.discharge_ratio import nozzle_ratio
-from pamctl.plant.effects.air.line_restriction import lag_weights, line_time_s
+from pamctl.plant.effects.air.line_restriction import (
+    lag_weights,
+    line_drop_pa,
+    line_time_s,
+    resistance_at_drop,
+    restricts,
+)
 from pamctl.plant.effects.air.polytropic import (
     COLDEST,
     HOTTEST,
@@ -168,28 +174,27 @@ def solve_feed(
 ) -> MuscleFeed:
     """Return the feed after `step_s`, while the muscle's pressure changes linearly to `later_pa`.
 
-    n - (1 - kept) R_l m(n) = the pressure of the line's end without flow; m falls with n.
+    n - (1 - kept) drop(m(n)) = the pressure of the line's end without flow; m falls with n.
     """
-    line = p.effects.line_restriction
-    if line.resistance_pa_s_per_kg <= 0.0:
+    line, atmosphere_pa = p.effects.line_restriction, p.paper.atmospheric_pressure_pa
+    if not restricts(line):
         supply_pa = solve_supply_pa(p, air, open_to, later_pa, step_s)
         return MuscleFeed(supply_pa, later_pa, flow_through_ports(p, open_to, supply_pa, later_pa))
     kept, weight = lag_weights(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
     idle_pa = kept * air.line_pa + (1.0 - kept) * pressure_pa + weight * (later_pa - pressure_pa)
-    rise = (1.0 - kept) * line.resistance_pa_s_per_kg
+    given = 1.0 - kept
     one = idle_pa
     flow_one = flow_into(p, air, open_to, one, step_s)
-    miss_one = -rise * flow_one
-    if flow_one > 0.0:
-        other = max(p.tank_pa, idle_pa)
-    else:
-        other = min(p.paper.atmospheric_pressure_pa, idle_pa)
-    miss_other = other - idle_pa - rise * flow_into(p, air, open_to, other, step_s)
+    miss_one = -given * line_drop_pa(line, flow_one, later_pa, atmosphere_pa)
+    other = max(p.tank_pa, idle_pa) if flow_one > 0.0 else min(atmosphere_pa, idle_pa)
+    flow = flow_into(p, air, open_to, other, step_s)
+    miss_other = other - idle_pa - given * line_drop_pa(line, flow, later_pa, atmosphere_pa)
     for _ in range(60):
         if abs(one - other) < SOLVED_PA or miss_one == miss_other:
             break
         new = false_position(one, miss_one, other, miss_other)
-        miss = new - idle_pa - rise * flow_into(p, air, open_to, new, step_s)
+        flow = flow_into(p, air, open_to, new, step_s)
+        miss = new - idle_pa - given * line_drop_pa(line, flow, later_pa, atmosphere_pa)
         one, miss_one = keep_bracket_end(one, miss_one, other, miss_other, miss)
         other, miss_other = new, miss
         if abs(miss) < SOLVED_PA:
@@ -333,12 +338,14 @@ def fill_chamber(
     line, pressure_pa, air = p.effects.line_restriction, begin.pressure_pa, begin.air
     energy = step_s * p.paper.specific_energy_j_per_kg
     amount = amount_of_air(p, exponent, begin.position_m, pressure_pa)
-    if line.resistance_pa_s_per_kg <= 0.0 and line.volume_m3 <= 0.0:
+    if not restricts(line) and line.volume_m3 <= 0.0:
         amount += energy * (fed_by.inflow_kg_per_s + leak_kg_per_s) * worth
         end_pa = solve_pressure_of_air(p, exponent, amount, end_m, 0.0, pressure_pa)
         return end_pa, end_pa
     kept, weight = lag_weights(line_time_s(line, p.paper.specific_energy_j_per_kg), step_s)
-    drop_pa = line.resistance_pa_s_per_kg * fed_by.inflow_kg_per_s
+    drop_pa = line_drop_pa(
+        line, fed_by.inflow_kg_per_s, pressure_pa, p.paper.atmospheric_pressure_pa
+    )
     idle_pa = kept * air.line_pa + (1.0 - kept) * (pressure_pa + drop_pa) - weight * pressure_pa
     inflow = energy * (fed_by.inflow_kg_per_s + leak_kg_per_s)
     amount += worth * (inflow - line.volume_m3 * (idle_pa - air.line_pa))
@@ -369,7 +376,7 @@ def stop_at_balance(
     source the balance is at the source's pressure, as in `pressure.py`. With a resistance in the
     line the flow decays smoothly and needs no stop.
     """
-    if p.effects.line_restriction.resistance_pa_s_per_kg > 0.0:
+    if restricts(p.effects.line_restriction):
         return next_pa, False
     escapes = open_to.atmosphere_m2 > 0.0 or p.effects.chamber_leak.area_m2 > 0.0
     escapes = escapes or p.extra_kg_per_s != 0.0
@@ -425,10 +432,10 @@ def chamber_step(
     net, exponent = fed_by.inflow_kg_per_s + leak, step_exponent(p, heat)
     worth = worth_of_flow(p, exponent, air.warmth, begin.middle_m, middle_pa, net)
     end_pa, line_pa = fill_chamber(p, begin, fed_by, leak, exponent, worth, end_m, step_s)
-    if p.effects.line_restriction.resistance_pa_s_per_kg <= 0.0:
+    if not restricts(p.effects.line_restriction):
         end_pa, _ = stop_at_balance(p, air, open_to, middle_pa, end_pa, net, half_s)
     end_pa, warmth = exchange_heat(p, begin, heat, end_pa, end_m)
-    if p.effects.line_restriction.resistance_pa_s_per_kg <= 0.0:
+    if not restricts(p.effects.line_restriction):
         line_pa = end_pa
     elif p.effects.line_restriction.volume_m3 <= 0.0:
         # Without a volume the line's end follows the flow at the end of the step, not the middle's.
@@ -471,9 +478,12 @@ def pressure_behind_line_pa(
 ) -> float:
     """Return the muscle's pressure after a step, from the sensor's pressure at both ends of it.
 
-    The muscle fills through the line from the sensor's end, with a lag of R_l V / (R T).
+    The muscle fills through the line from the sensor's end, with a lag of drop / flow V / (R T).
     """
-    resistance = p.effects.line_restriction.resistance_pa_s_per_kg
+    drop_pa = 0.5 * (begin_pa + end_pa) - pressure_pa
+    resistance = resistance_at_drop(
+        p.effects.line_restriction, drop_pa, pressure_pa, p.paper.atmospheric_pressure_pa
+    )
     room = air_volume_m3(p, position_m, pressure_pa)
     kept, weight = lag_weights(resistance * room / p.paper.specific_energy_j_per_kg, step_s)
     lagged_pa = kept * pressure_pa + (1.0 - kept) * begin_pa + weight * (end_pa - begin_pa)

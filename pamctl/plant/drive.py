@@ -36,6 +36,7 @@ from pamctl.compiled_ahead.packing import Packing, make_packing
 from pamctl.plant.chains import SensorMemory, undo_reading
 from pamctl.plant.chamber import pressure_behind_line_pa
 from pamctl.plant.correction_tables import Correction
+from pamctl.plant.effects.air.line_restriction import restricts
 from pamctl.plant.effects.sensors.encoder_backlash import restart_behind_play
 from pamctl.plant.flat import parameters_of
 from pamctl.plant.parameters import (
@@ -261,7 +262,7 @@ def select_mechanics_numbers(p: PlantParameters) -> PlantParameters:
 
     With a restriction of the line the muscle's pressure depends on the air's numbers too.
     """
-    if p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0:
+    if restricts(p.effects.air.line_restriction):
         return p
     paper = p.paper._replace(
         tank_pressure_pa=1.0,
@@ -381,7 +382,7 @@ def run_mechanics(
         state.mechanics,
     )
     muscle_pa, age_s = pressures_pa[0], state.age_s
-    has_line = p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0 and not p.direct
+    has_line = restricts(p.effects.air.line_restriction) and not p.direct
     has_play = p.effects.sensors.encoder_backlash.width_m > 0.0
     again = 0
     for k in range(rows.shape[1]):

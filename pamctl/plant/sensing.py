@@ -10,6 +10,7 @@ from pamctl.plant.chains import (
     pass_position_reading,
     pass_pressure_reading,
 )
+from pamctl.plant.effects.air.line_restriction import restricts
 from pamctl.plant.parameters import AirState, PlantParameters
 from pamctl.plant.terms.sensor_terms import show_position_term, show_pressure_term
 
@@ -34,9 +35,7 @@ def sensors_step(
 
 def pressure_at_sensor_pa(p: PlantParameters, pressure_pa: float, air: AirState) -> float:
     """Return the absolute pressure at the sensor, which is at the line's valve end."""
-    return (
-        air.line_pa if p.effects.air.line_restriction.resistance_pa_s_per_kg > 0.0 else pressure_pa
-    )
+    return air.line_pa if restricts(p.effects.air.line_restriction) else pressure_pa
 
 
 def sensed_pressure_pa(

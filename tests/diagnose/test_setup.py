@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hidden.examination.cases import partial_log_cases
+from hidden.examination.examine import records_of, start_plant
 from hidden.excitations import brief
 from hidden.rig import HiddenRig, hidden_rig
 from scipy.signal import butter, filtfilt
@@ -24,6 +26,7 @@ from pamctl.diagnose.fitting.split import keep_for_choice
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.altered_drive import PlantChange, add_change
+from pamctl.diagnose.setup.decimation import suspect_decimation
 from pamctl.diagnose.setup.refused_columns import explain_refusal
 from pamctl.diagnose.setup.suspect_setup import (
     CheckedSetup,
@@ -215,6 +218,19 @@ def test_commands_logged_more_rarely_than_given_are_refused_with_the_reason() ->
     assert "log the command at every sample" in setup.refusal
 
 
+def test_a_command_that_changes_rarely_is_suspected_where_nothing_explains_the_pressure() -> None:
+    def thin_out(record: Record) -> Record:
+        rows = np.arange(len(record)) // 20 * 20
+        return replace(record, valve_v=record["valve_v"][rows])
+
+    every_row = _base(_record(hidden_rig({"valve_deadband": 3}, seed=2)))
+    assert suspect_decimation(every_row) is None
+    suspicion = suspect_decimation(_base(_record(hidden_rig({}, seed=2), thin_out)))
+    assert suspicion is not None
+    assert (suspicion.value, suspicion.is_corrected) == (20.0, False)
+    assert "may have got it more often" in suspicion.text
+
+
 @pytest.mark.parametrize("effects", [{}, {"valve_deadband": 3}])
 def test_a_right_set_up_is_not_blamed(effects: dict[str, float]) -> None:
     assert _ask(_record(hidden_rig(effects, seed=9))).findings == ()
@@ -350,6 +366,17 @@ def test_friction_of_a_mechanism_that_changes_at_an_instant_is_said_with_its_siz
     (finding,) = _ask_axis(seize, axis(coulomb_friction={"force_n": FRICTION_N})).findings
     assert (finding.kind, finding.number) == ("change_at_instant", "coulomb_friction.force_n")
     assert finding.value == pytest.approx(10.0, rel=0.02)
+
+
+def test_friction_that_acts_all_the_time_has_not_changed_when_the_motion_began() -> None:
+    (case,) = (c for c in partial_log_cases() if c.id == "direct/coulomb_friction")
+    train, holdout = (
+        [Record(name=r.name, **r.columns()) for r in part] for part in records_of(case)
+    )
+    evidence = keep_for_choice(prepare_evidence(train, holdout, start_plant(case)), is_cut=False)
+    base = weigh_blocks(recalibrate(evidence))
+    effects = FirstLevel(list_candidates(base.evidence))
+    assert suspect_setup(base, train, holdout, effects).findings == ()
 
 
 def test_a_piece_of_a_record_keeps_its_windows_and_the_instants_of_its_commands() -> None:

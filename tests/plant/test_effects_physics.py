@@ -66,6 +66,10 @@ PRESSURE_CASES = {
     "supply_ripple": {"amplitude_pa": 2e4, "frequency_hz": 6.1, "phase_rad": 0.8},
     "line_restriction": {"resistance_pa_s_per_kg": 1e7},
     "line_restriction/volume": {"resistance_pa_s_per_kg": 1e7, "volume_m3": 4e-6},
+    "line_restriction/turbulent": {
+        "resistance_pa_s_per_kg": 3e6,
+        "turbulent_pa_s2_per_kg2": 2e10,
+    },
     "dead_volume": {"volume_m3": 1e-5},
     "polytropic": {"exponent": 1.25},
     "braid_stretch": {"compliance_per_pa": 1e-7},

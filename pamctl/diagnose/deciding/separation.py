@@ -35,6 +35,7 @@ from pamctl.diagnose.naming.stretches import (
 from pamctl.plant.drive import CoupledResponse, SampleGrid, build_grid, drive_coupled
 from pamctl.plant.flat import NEUTRAL
 from pamctl.plant.model import plant_parameters
+from pamctl.plant.terms.locations import TERMS
 
 SMALL = 1e-9
 FAR = 3.0
@@ -166,7 +167,9 @@ class ProgramTrial:
         self, true: Explanation, other: Explanation, fitted: Fit, drives: Sequence[Drive]
     ) -> list[Array]:
         """Return what is left of each drive after a whole fit to it and the records so far."""
-        neutral = {f.name: NEUTRAL[f.name] for f in fitted.free if f.effect}
+        # A term of size 0 would be no term: its place and form would be lost.
+        effects = [f.name for f in fitted.free if f.effect and f.effect not in TERMS]
+        neutral = {name: NEUTRAL[name] for name in effects}
         both = (*fitted.drives, *drives)
         again = fit_numbers(both, fitted.settings, fitted.free, FULL)
         if neutral and again.mean_square > FAR**2:  # a far fit may be stuck: begin without effects

@@ -14,7 +14,7 @@ from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.drives import stack_residuals
 from pamctl.diagnose.fitting.evidence import Evidence
 from pamctl.diagnose.fitting.floor import Floor, estimate_floor, sensor_noise_of, simulate_floor
-from pamctl.diagnose.fitting.numbers import look_up_parameter
+from pamctl.diagnose.fitting.numbers import FreeNumber, look_up_parameter
 from pamctl.diagnose.fitting.repeatability import RepeatSpread, measure_repeatability
 from pamctl.diagnose.measured.record import Array
 
@@ -165,8 +165,8 @@ class Model:
 
     @property
     def has_number_at_bound(self) -> bool:
-        """Tell whether a calibrated number or a size is at an end of its range."""
-        sizes = {s.name for c in self.effects for s in c.switches}
+        """Tell whether a calibrated number or a size is at an end that nature did not set."""
+        sizes = {s.name for c in self.effects for s in c.switches if not has_natural_end(s)}
         return any(name in sizes or "." not in name for name in self.at_bound)
 
     def is_substantial(self, effect: Candidate) -> bool:
@@ -184,6 +184,11 @@ class Model:
             max(float(np.log(self.rms[b] / self.floors[b].limit)), 0.0)
             for b in self.evidence.blocks
         )
+
+
+def has_natural_end(number: FreeNumber) -> bool:
+    """Tell whether nature ends the range of an effect's number (air is adiabatic at most)."""
+    return look_up_parameter(number.name).has_natural_end
 
 
 def extract_block_fit(fitted: Fit, block: str) -> Fit:

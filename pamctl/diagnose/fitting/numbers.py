@@ -220,11 +220,13 @@ def _range_on(
     """
     low, high, smallest = parameter.low, parameter.high, parameter.smallest_of_interest
     usual = parameter.start
-    if not parameter.is_scaled:
+    if not parameter.is_scaled and not _is_of_chamber(nominal, parameter.unit):
         return low, high, smallest, usual
     if nominal.actuator != "direct":
         ratio = _size_beside_paper(nominal, parameter.unit)
         ratio = 1.0 if 1.0 / SAME_SIZE < ratio < SAME_SIZE else ratio
+        if not parameter.is_scaled:  # the catalogue limits a plant file
+            ratio = min(ratio, 1.0)
         return low * ratio, high * ratio, smallest * ratio, usual * ratio
     if reach is None or parameter.unit not in _SHARES:
         return low, high, smallest, usual
@@ -245,6 +247,15 @@ _PAPER = reach_of_muscle(PlantSettings())
 _PAPER_GAIN_M2_PER_V = PAPER["valve_gain_m2_per_v"]
 
 
+def _is_of_chamber(nominal: PlantSettings, unit: str) -> bool:
+    """Tell whether a number is a resistance to the flow of a chamber, which follows its valve."""
+    return nominal.actuator == "chamber" and unit in _OF_FLOW
+
+
+_OF_FLOW: Mapping[str, int] = {"Pa s/kg": 1, "Pa s2/kg2": 2}
+"""Units of resistances, and the power of the valve's area that they fall with."""
+
+
 def _size_beside_paper(nominal: PlantSettings, unit: str) -> float:
     """Return the usual size of a quantity on this muscle or chamber over that on the paper's.
 
@@ -252,8 +263,11 @@ def _size_beside_paper(nominal: PlantSettings, unit: str) -> float:
     """
     if nominal.actuator == "muscle":
         return reach_of_muscle(nominal).size_of(unit) / _PAPER.size_of(unit)
+    valve = nominal.parameters.valve_gain_m2_per_v / _PAPER_GAIN_M2_PER_V
     if unit == "m2":
-        return nominal.parameters.valve_gain_m2_per_v / _PAPER_GAIN_M2_PER_V
+        return valve
+    if unit in _OF_FLOW:
+        return valve ** -_OF_FLOW[unit]
     return (nominal.chamber_volume_m3 or 0.0) / _PAPER.size_of("m3") if unit == "m3" else 1.0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pamctl.diagnose.fitting.block_fit import Fit
 from pamctl.diagnose.fitting.candidates import Candidate
-from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.fitted_model import Model, has_natural_end
 from pamctl.diagnose.fitting.intervals import FittedNumber
 from pamctl.diagnose.fitting.numbers import value_of
 from pamctl.diagnose.measured.record import Array
@@ -68,11 +68,13 @@ def spread_of_effect(model: Model, effect: Candidate) -> float:
     """Return by how much the pieces of the records disagree about an effect's surest size.
 
     It is half a 90 % interval over the distance from neutral. A wrong neighbour imitates what is
-    missing in some stretches better than in others, and each asks for another size of it.
+    missing in some stretches better than in others, and each asks for another size of it. A size
+    that ended where nature ends it is not asked, but the numbers that shape the effect.
     """
     shares = [np.inf]
     for fitted in model.fits.values():
-        for size in effect.switches:
+        ended = [s for s in effect.switches if s.name in fitted.at_bound and has_natural_end(s)]
+        for size in effect.shapes if ended and effect.shapes else effect.switches:
             if size.name in fitted.values:
                 away = abs(fitted.values[size.name] - value_of(model.evidence.nominal, size.name))
                 shares.append(spread_of_size(fitted, size.name) / max(away, 1e-3 * size.scale))

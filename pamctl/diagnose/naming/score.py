@@ -46,14 +46,14 @@ def score_candidates(fitted: Fit, candidates: Sequence[Candidate], block: str) -
     known = _KNOWN.setdefault(fitted, {})
     unscored = [candidate for candidate in candidates if (candidate, block) not in known]
     if unscored:
-        basis = _find_movable_basis(fitted)
+        basis = find_movable_basis(fitted)
         left = project_out(basis, fitted.residual)
         for candidate in unscored:
             known[candidate, block] = _score_candidate(fitted, basis, left, rows, candidate)
     return sorted((known[candidate, block] for candidate in candidates), key=lambda s: -s.explained)
 
 
-def _find_movable_basis(fitted: Fit) -> Array:
+def find_movable_basis(fitted: Fit) -> Array:
     """Return an orthonormal basis of what recalibration can still change, shape (n, at most p).
 
     A number at an end of its range is left out: what pulls it there may be an effect.
@@ -73,17 +73,17 @@ def _score_candidate(
     for doses in generate_doses(candidate, fitted.settings):
         secants = find_secants(fitted, doses)
         secants = project_out(basis, secants)
-        amounts = _fit_amounts(secants, left, _dose_range(candidate, fitted.settings, doses))
+        amounts = fit_amounts(secants, left, dose_range(candidate, fitted.settings, doses))
         rest = (left - secants @ amounts)[rows]
         explained = 1.0 - float(np.sum(rest**2) / np.sum(left[rows] ** 2))
         if explained > best.explained:
             best = Score(
-                candidate, explained, _choose_start(candidate, fitted.settings, doses, amounts)
+                candidate, explained, choose_start(candidate, fitted.settings, doses, amounts)
             )
     return best
 
 
-def _fit_amounts(secants: Array, left: Array, bounds: tuple[Array, Array]) -> Array:
+def fit_amounts(secants: Array, left: Array, bounds: tuple[Array, Array]) -> Array:
     """Return by least squares how much of each dose fits, within the numbers' ranges."""
     triangle: Array = np.asarray(np.linalg.qr(np.column_stack([secants, left]), mode="r"))
     size = secants.shape[1]
@@ -91,7 +91,7 @@ def _fit_amounts(secants: Array, left: Array, bounds: tuple[Array, Array]) -> Ar
     return amounts
 
 
-def _dose_range(
+def dose_range(
     candidate: Candidate, settings: PlantSettings, doses: Sequence[dict[str, float]]
 ) -> tuple[Array, Array]:
     """Return the least and the most doses of each switch that its range allows."""
@@ -105,7 +105,7 @@ def _dose_range(
     return np.array(low), np.array(high)
 
 
-def _choose_start(
+def choose_start(
     candidate: Candidate,
     settings: PlantSettings,
     doses: Sequence[dict[str, float]],

@@ -18,21 +18,24 @@ from pamctl.diagnose.fitting.block_fit import FULL
 from pamctl.diagnose.fitting.candidates import Candidate, select_reaching
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import fit_jointly, fit_model, fit_to_end
+from pamctl.diagnose.naming.pairs import fit_pairs
 from pamctl.diagnose.naming.score import Score, score_candidates
 from pamctl.diagnose.naming.shortlist import (
     SHORTLIST,
     WORTH_ANOTHER_EFFECT,
+    count_most_effects,
     list_other_starts,
     make_small_dose,
     shortlist_candidates,
+    stands_alone,
 )
 from pamctl.diagnose.naming.stretches import gains_in_block
 
 NARROWEST = 4
 """Shortlist of later levels, which grow from fewer models. It must not be shorter: a spool promises
 less than a delay at first."""
-BEAM = (2, 1)
-"""Models with one effect, and with two, from which the next level grows."""
+BEAM = (2, 1, 1)
+"""Models with one effect, with two, and with three, from which the next level grows."""
 NEAR_LIMITS = 4.0
 """A quick fit that leaves less than this multiple of the limit is fitted to the end."""
 HOPELESS_LIMITS = 10.0
@@ -50,11 +53,13 @@ WORTH_ANOTHER_FORM = 0.5
 SEVERAL_STARTS = (2, 1)
 """Candidates of a shortlist that are fitted from several starts: as first effects, and as further
 ones."""
+STUCK_LIMITS = 3.0
+"""Pairs are asked where a model leaves more than this multiple of a block's limit, and no further
+effect takes it far."""
 SILENT_S = 5.0
 """Longest time without a line of progress, if fits end in it."""
-MOST_EFFECTS = 3
-GROWS_FROM = (0.05, 0.5)
-"""Sets grow from one effect, and from two, that go this share of a block's way to its limit. Two
+GROWS_FROM = (0.05, 0.5, 0.5)
+"""Sets grow from one effect, and from more, that go this share of a block's way to its limit. Two
 effects can each look poor alone; three free structures that leave half explain nothing."""
 NEAR_BEST = 1.0 / 3.0
 """Sets do not grow from a model that gains less than this share of what the best one gains; nor,
@@ -173,7 +178,8 @@ def search_effects(
     known_by_effects = {} if base.is_joint else {frozenset(m.effects): m for m in known}
     fitter = _Fitter(executor, known_by_effects, progress)
     beam = [base]
-    while len(levels) < MOST_EFFECTS and beam and not any(m.is_complete for m in beam):
+    size = count_most_effects(base)
+    while len(levels) < size and beam and not any(m.is_complete for m in beam):
         jobs = _shortlist_jobs(
             beam, candidates, max(width - 2 * len(levels), min(width, NARROWEST))
         )
@@ -189,6 +195,10 @@ def search_effects(
             break
         levels.append(grown)
         progress(_describe_level(grown))
+        pairs = _fit_pairs(beam[0], grown, candidates) if len(levels) < size else ()
+        if pairs:
+            levels.append(pairs)
+            progress(_describe_level(pairs))
         beam = choose_beam(base, levels)
     return EffectSearch(base, tuple(levels), blocks_disagree)
 
@@ -203,7 +213,7 @@ def leaves_more(model: Model) -> bool:
 def choose_beam(base: Model, levels: Sequence[Sequence[Model]]) -> list[Model]:
     """Return the models of the last level from which the next one grows, the best first."""
     grown = keep_best_forms(levels[-1])
-    if len(levels) == MOST_EFFECTS or any(m.is_complete for m in grown):
+    if len(levels) == count_most_effects(base) or any(m.is_complete for m in grown):
         return grown[:1]
     worth: set[int] = set()
     for block in base.unexplained:
@@ -217,6 +227,26 @@ def choose_beam(base: Model, levels: Sequence[Sequence[Model]]) -> list[Model]:
             if shares[place] >= least and gains_in_block(base, model, block)
         }
     return [grown[place] for place in sorted(worth)][: BEAM[len(levels) - 1]]
+
+
+def _fit_pairs(
+    parent: Model, grown: Sequence[Model], candidates: Sequence[Candidate]
+) -> tuple[Model, ...]:
+    """Fit two effects more at once where no single one goes far; return those that do.
+
+    On a muscle they were never the right ones in a study of rigs, and cost as much as all others.
+    """
+    if not stands_alone(parent):
+        return ()
+    far = [
+        block
+        for block in parent.unexplained
+        if parent.rms[block] > STUCK_LIMITS * parent.floors[block].limit
+        and not any(closed_share(parent, m, block) >= WORTH_ANOTHER_FORM for m in grown)
+    ]
+    fitted = [m for block in far for m in fit_pairs(parent, candidates, block)]
+    ended = [confirm_complete(fit_to_end_if_near(m)) for m in fitted if _goes_far(parent, m)]
+    return tuple(sorted(ended, key=rank))
 
 
 def _goes_far(base: Model, model: Model) -> bool:

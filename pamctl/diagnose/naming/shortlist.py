@@ -21,8 +21,11 @@ HOPELESS_SHARE = 0.2
 WORTH_ANOTHER_EFFECT = 1.15
 """Another effect is tried where more than this multiple of the limit is left. Below, it would only
 correct the form of an effect, or what both blocks disagree about."""
-MOST_EFFECTS_IN_BLOCK = 2
-"""Three free structures in one block fit anything."""
+MOST_EFFECTS, MOST_IN_BLOCK = 3, 2
+"""Effects of a set on a muscle, and those of one block of it: three free structures there fit
+anything, since braid and geometry are free too."""
+MOST_ALONE = 4
+"""Effects of a tank or of a mechanism: it has few numbers beside them."""
 NEAR_FORM = 0.15
 """A form of an effect is not fitted if it promises less than the best form by more than this."""
 PROMISE = 0.02
@@ -86,10 +89,18 @@ def select_promising(ranked: Sequence[Score], width: int) -> list[Score]:
 
 
 def _has_room(model: Model, candidate: Candidate) -> bool:
-    return all(
-        sum(block in c.blocks for c in model.effects) < MOST_EFFECTS_IN_BLOCK
-        for block in candidate.blocks
-    )
+    most = MOST_ALONE if stands_alone(model) else MOST_IN_BLOCK
+    return all(sum(block in c.blocks for c in model.effects) < most for block in candidate.blocks)
+
+
+def stands_alone(model: Model) -> bool:
+    """Tell whether the rig is one block: a tank without a position, or a mechanism without air."""
+    return model.evidence.nominal.actuator != "muscle"
+
+
+def count_most_effects(model: Model) -> int:
+    """Return how many effects a set may have."""
+    return MOST_ALONE if stands_alone(model) else MOST_EFFECTS
 
 
 def list_other_starts(model: Model, score: Score) -> Iterator[dict[str, float]]:

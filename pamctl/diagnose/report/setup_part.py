@@ -26,7 +26,8 @@ def _describe(finding: SetupFinding) -> str:
 def list_setup_rows(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield a terminal's lines: how to mend each finding."""
     for finding in diagnosis.setup:
-        yield f"set-up: {finding.text}; {finding.block} {finding.gain:.3g} times nearer with it"
+        nearer = f"; {finding.block} {finding.gain:.3g} times nearer with it"
+        yield f"set-up: {finding.text}{nearer if finding.gain > 1.0 else ''}"
         yield f"  to mend it: {finding.how_to_mend}"
 
 

@@ -18,7 +18,7 @@ from pamctl.diagnose.measured.record import Array
 from pamctl.plant.drive import Restarts
 from pamctl.plant.parameters import PaperParameters, PlantParameters
 
-PIECES = 32
+PIECES = 64
 """Pieces of a record in which a drifting number is constant."""
 OVERLAP_S = 0.05
 """A piece starts so much earlier, at the output reached there: spool and speed settle in it."""

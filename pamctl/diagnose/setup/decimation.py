@@ -6,15 +6,52 @@ a smooth curve through the logged values decides. Steps between two rows cannot 
 
 from __future__ import annotations
 
+import numpy as np
+
 from pamctl.diagnose.fitting.block_fit import fit_numbers, rms
 from pamctl.diagnose.fitting.drives import PRESSURE, Drive, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.measured.record import Array
+from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.setup.suspects import Suspect, find_decimation
 from pamctl.diagnose.setup.weighed_fit import SuspectFit
 from pamctl.plant.model import PlantSettings
 
 LEAST_EXPLAINED = 0.45
 """Share of the square above the floor that the curve must explain, on held-out records too."""
+
+
+def suspect_decimation(model: Model) -> SetupFinding | None:
+    """Return the suspicion that the command was given more often than it was logged.
+
+    For a pressure that nothing explains: what was lost between two rows cannot be asked.
+    """
+    if PRESSURE not in model.unexplained:
+        return None
+    commands_v = [d.valve_v for d in model.evidence.train[PRESSURE]]
+    lively = [n for n in map(find_decimation, commands_v) if n > 1]
+    if not lively or any(_changes_between(v, min(lively)) for v in commands_v):
+        return None
+    held, ratio = float(min(lively)), model.ratio(PRESSURE)
+    return SetupFinding(
+        "decimated_command",
+        "valve_v",
+        held,
+        (held, held),
+        "samples",
+        PRESSURE,
+        1.0,
+        ratio,
+        ("an effect in no catalogue",),
+        "log the command at every sample; if the rig does get it so rarely, look elsewhere",
+        f"the command changes once in {held:.0f} samples, and the rig may have got it more often",
+        is_corrected=False,
+    )
+
+
+def _changes_between(valve_v: Array, held: int) -> bool:
+    """Tell whether a command also changes between every `held` rows."""
+    return bool(np.any(np.diff(np.flatnonzero(np.diff(valve_v))) % held))
 
 
 def fit_decimation(base: Model) -> SuspectFit | None:

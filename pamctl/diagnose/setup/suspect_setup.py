@@ -197,7 +197,7 @@ def _find_best(base: Model, effects: EffectRivals) -> tuple[SuspectFit, tuple[st
     others = []
     for other in fits[1:]:
         low, _ = held_out_margins(best.residuals, other.residuals, base, blocks)
-        if low < MUCH:
+        if low < MUCH and other.suspect.label != best.suspect.label:
             others.append(other.suspect.label)
     if equals and (best.suspect.is_rare or not best.is_good):
         return None  # both explain a part only: neither is said

@@ -23,7 +23,13 @@ from pamctl.diagnose.fitting.numbers import (
 )
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.setup.suspects import OF_RECORD, UNITS, Suspect
-from pamctl.diagnose.setup.weighed_fit import SuspectFit, fit_suspect, score_suspect, weights_of
+from pamctl.diagnose.setup.weighed_fit import (
+    SuspectFit,
+    fit_suspect,
+    held_out_margins,
+    score_suspect,
+    weights_of,
+)
 
 PROMISING = 0.5
 """Share of what is left that a profile must promise to be fitted."""
@@ -36,6 +42,8 @@ REFINED = 4
 MOST_OF_A_WAY = 2
 """Numbers that are fitted for each way of changing."""
 ROUNDS = 3
+MUCH = 0.05
+"""Logs of mean squares that differ by less count as equal."""
 
 _NUMBERS: dict[str, tuple[tuple[str, float], ...]] = {
     # name, and a small step: a share, or an amount of an effect
@@ -67,6 +75,11 @@ class _Profile:
     start: float
     by_record: bool = False
 
+    @property
+    def way(self) -> tuple[str, bool]:
+        """The way in which the number changes."""
+        return self.suspect.kind, self.by_record
+
 
 def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit]:
     """Return the fits of the most promising changes over time.
@@ -81,15 +94,32 @@ def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit
     ]
     profiles.sort(key=lambda p: -p.explained)
     chosen: list[_Profile] = []
-    for profile in profiles:
-        ways = [(p.suspect.kind, p.by_record) for p in chosen]
-        numbers = [(*way, p.suspect.number) for way, p in zip(ways, chosen, strict=True)]
-        way = (profile.suspect.kind, profile.by_record)
-        known = (*way, profile.suspect.number) in numbers
-        enough = max(PROMISING, NEAR_BEST * profiles[0].explained)
-        if profile.explained > enough and not known and ways.count(way) < MOST_OF_A_WAY:
+    enough = max(PROMISING, NEAR_BEST * max((p.explained for p in profiles), default=0.0))
+    for profile in (p for p in profiles if p.explained > enough):
+        alike = [p for p in chosen if p.way == profile.way]
+        # The records to fit may be too alike in length to tell per second from per record.
+        known = any(p.suspect.key == profile.suspect.key for p in alike)
+        if (
+            not known
+            and len({p.suspect.number for p in alike} | {profile.suspect.number}) <= MOST_OF_A_WAY
+        ):
             chosen.append(profile)
-    return [_fit_profile(base, p) for p in chosen]
+    fits = [_fit_profile(base, p) for p in chosen]
+    return [f for f in fits if not _acts_always(f)]
+
+
+def _acts_always(fitted: SuspectFit) -> bool:
+    """Tell whether an effect that acts all the time does as well: then nothing has changed.
+
+    Dry friction that begins with the first motion is dry friction.
+    """
+    suspect, base = fitted.suspect, fitted.base
+    if "." not in suspect.number or not (suspect.over_s or suspect.after_s):
+        return False
+    always = replace(suspect, over_s=0.0, after_s=0.0)
+    constant = fit_suspect(base, always, fitted.amount, is_near=True)
+    low, _ = held_out_margins(fitted.residuals, constant.residuals, base, [*suspect.blocks])
+    return low < MUCH
 
 
 def _fit_profile(base: Model, profile: _Profile) -> SuspectFit:

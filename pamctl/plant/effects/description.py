@@ -50,6 +50,8 @@ class EffectParameter:
     role: Literal["size", "shape"] = "size"
     choices: tuple[str, ...] = ()
     """Names of the values 0, 1, ... of a number that selects a form."""
+    has_natural_end: bool = False
+    """Nature ends the range at `high`: a fit that ends there is a finding, and no failure."""
 
     @property
     def is_scaled(self) -> bool:
@@ -71,9 +73,12 @@ def size(
     meaning: str,
     neutral: float = 0.0,
     low: float = 0.0,
+    has_natural_end: bool = False,
 ) -> EffectParameter:
     """Describe a number that switches its effect on."""
-    return EffectParameter(name, unit, neutral, low, high, smallest, meaning, start)
+    return EffectParameter(
+        name, unit, neutral, low, high, smallest, meaning, start, has_natural_end=has_natural_end
+    )
 
 
 def shape(

@@ -144,13 +144,17 @@ def supply_at(e: Hidden, area: float, spool_v: float, node: float, tank: float) 
 
 def node_at(e: Hidden, area: float, spool_v: float, muscle: float, tank: float) -> float:
     """The line's valve end where it has no volume."""
-    resistance = e("line_restriction.resistance_pa_s_per_kg")
-    if resistance == 0.0:
+    laminar = e("line_restriction.resistance_pa_s_per_kg")
+    turbulent = e("line_restriction.turbulent_pa_s2_per_kg2")
+    if laminar == 0.0 and turbulent == 0.0:
         return muscle
 
     def miss(n: float) -> float:
         s = supply_at(e, area, spool_v, n, tank)
-        return n - muscle - resistance * valve_flows(e, area, spool_v, s, n)[1]
+        flow = valve_flows(e, area, spool_v, s, n)[1]
+        rough = 2.0 * paper.P_ATM * turbulent * flow * abs(flow)
+        lost = math.sqrt(max(muscle**2 + rough, 0.0)) - muscle
+        return n - muscle - laminar * flow - lost
 
     return float(brentq(miss, 0.5e5, 6e5, xtol=1e-7))
 

@@ -79,6 +79,7 @@ DESCRIPTION = EffectDescription(
             meaning="a: 1 isothermal, 1.4 adiabatic",
             neutral=1.0,
             low=1.0,
+            has_natural_end=True,
         ),
         shape(
             "wall_time_s",

@@ -17,7 +17,7 @@ from pamctl.monitor.judge_window import WindowMisfit
 ALLOWANCE = 0.75
 """A window must be this many deviations over its limit to count."""
 ALARM = 6.0
-"""Faultless rigs stay below 2.3 of it: see the manual, watch-a-rig-for-changes."""
+"""Sums of faultless rigs stayed below 2.5: see the manual, watch-a-rig-for-changes."""
 MOST_OF_ONE = 6.0
 """No single window raises the alarm, however far off it is."""
 LEAST_OF_ONE = -3.0

@@ -18,7 +18,6 @@ from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.run import RunMetrics
 from pamctl.session.steered_rig import SteeredRig
 
-
 TRIAL_S = 15.0
 """So long after a run the daemon waits for the word that new gains stay."""
 

@@ -166,11 +166,8 @@ def costs(rounds: int) -> dict[str, float]:
 def gains_of(law: str) -> list[str]:
     """Names of the gains that a law's file must give; lambda and q count as two."""
     fields = type(resolve(controller=law).controller).model_fields
-    return [
-        name
-        for name, field in fields.items()
-        if name not in ("law", "length_unit", "reaching_law", "command_limit_v", "model")
-    ]
+    others = ("law", "length_unit", "reaching_law", "command_limit_v", "compensate", "model")
+    return [name for name in fields if name not in others]
 
 
 def model_numbers() -> int:

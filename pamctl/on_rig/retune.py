@@ -2,7 +2,7 @@
 
 New gains are tried on the rig only if they are better in simulation, on every plant of the jury.
 They stay only if the rig tracks better with them; else the old gains are loaded again, however the
-retuning ends.
+retuning ends: also by the daemon, where this process is killed.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from pamctl.on_rig.rig_plan import REST_S
 from pamctl.session.pamctl_error import PamctlError, translate_errors
 from pamctl.session.run import RunMetrics
 from pamctl.session.steered_rig import SteeredRig
+
+TRIAL_S = 15.0
+"""So long after a run the daemon waits for the word that new gains stay."""
 
 
 def retune_on_rig(
@@ -55,11 +58,13 @@ def retune_on_rig(
     done.runs["before"] = rig.run(motion, name="before")
     rig.sleep(REST_S)
     try:
-        rig.load(gains)
+        rig.load(gains, trial_s=TRIAL_S)
         done.gains = gains
         progress("retune: tracking with the new gains")
         done.runs["after"] = rig.run(motion, name="after")
-        done.is_kept = _is_better(done.runs["before"].metrics, done.runs["after"].metrics)
+        if _is_better(done.runs["before"].metrics, done.runs["after"].metrics):
+            rig.load(gains)
+            done.is_kept = True
     finally:
         if not done.is_kept:
             _restore(rig, old, progress)

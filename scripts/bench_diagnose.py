@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import pickle
 import subprocess
 import sys
@@ -141,9 +142,10 @@ def measure(path: Path) -> dict[str, Any]:
 
 def run_apart(path: Path, code: Path) -> dict[str, Any]:
     """Measure a case with the package of a folder, in a process of its own."""
-    found = subprocess.run(
+    kept = {n: v for n, v in os.environ.items() if n != "PYTHONDONTWRITEBYTECODE"}
+    found = subprocess.run(  # modules are compiled once, as in an installed package
         [sys.executable, __file__, "--measure", str(path)],
-        env={**__import__("os").environ, "PYTHONPATH": str(code)},
+        env={**kept, "PYTHONPATH": str(code)},
         cwd=code, check=True, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     answer: dict[str, Any] = json.loads(found.stdout)

@@ -41,7 +41,7 @@ REFINED = 4
 """Instants that are simulated between two of those."""
 MOST_OF_A_WAY = 2
 """Numbers that are fitted for each way of changing."""
-FAR, FAR_PROMISE = 10.0, 0.1
+FAR, FAR_PROMISE = 3.0, 0.1
 """In a block that is left so many times its floor a drift is fitted for this promise."""
 CLEAR = 0.6
 """Not where an effect promises so much."""

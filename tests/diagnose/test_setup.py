@@ -10,6 +10,8 @@ import pytest
 from hidden.examination.cases import partial_log_cases
 from hidden.examination.examine import records_of, start_plant
 from hidden.excitations import brief
+from hidden.hostile.situations import all_cases as hostile_cases
+from hidden.hostile.trial import records_of as hostile_records
 from hidden.rig import HiddenRig, hidden_rig
 from scipy.signal import butter, filtfilt
 from support.free_mass import FRICTION_N, MASS_KG, axis, imposed_motion, pushed_mass
@@ -206,6 +208,21 @@ def test_a_stiffness_that_falls_from_record_to_record_is_said_with_its_values() 
     values = [*finding.by_record.values()]
     assert values == sorted(values, reverse=True)
     assert not setup.base.unexplained
+
+
+def test_repeats_that_are_far_from_alike_are_asked_which_number_differs() -> None:
+    """The limit that they set would hide 170 times the sensor's noise."""
+    (case,) = (c for c in hostile_cases() if c.id == "friction_between/large/open")
+    train, holdout = (
+        [Record(name=r.name, **r.columns()) for r in part] for part in hostile_records(case)
+    )
+    base = _base((train, holdout))
+    assert not base.unexplained
+    setup = suspect_setup(base, train, holdout, FirstLevel(list_candidates(base.evidence)))
+    (finding,) = setup.findings
+    assert (finding.kind, finding.number) == ("drift", "kinetic_friction_per_m")
+    first, last = finding.by_record[train[0].name], finding.by_record[holdout[-1].name]
+    assert last - first == pytest.approx(-0.15, abs=0.03)
 
 
 def test_commands_logged_more_rarely_than_given_are_refused_with_the_reason() -> None:

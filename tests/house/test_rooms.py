@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import ast
 import re
+import shutil
+import subprocess
 from collections import defaultdict
 from functools import cache
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = sorted(path for room in ("pamctl", "hal") for path in (ROOT / room).rglob("*.py"))
 PACKAGES = [path for path in MODULES if path.name == "__init__.py"]
 MOST_MODULES_IN_A_FOLDER = 16
+TOP_LEVEL = {
+    ".ci", ".gitignore", ".readme", "LICENSE", "README.md", "config", "hal", "pamctl",
+    "pyproject.toml", "scripts", "tests",
+}  # fmt: skip
 PARTICIPLES = {
     "asked", "begun", "built", "chosen", "composed", "concluded", "corrected", "described",
     "done", "drawn", "driven", "examined", "extended", "fed", "fitted", "forgotten", "found",
@@ -22,6 +30,15 @@ PARTICIPLES = {
     "written",
 }  # fmt: skip
 """What a function returned was once its name; a function is named by what it does."""
+
+
+@pytest.mark.skipif(
+    shutil.which("git") is None or not (ROOT / ".git").exists(), reason="needs a git clone"
+)
+def test_nothing_stray_lies_at_the_top_level() -> None:
+    command = ["git", "-C", str(ROOT), "ls-files"]
+    listed = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+    assert {line.split("/")[0] for line in listed.splitlines()} == TOP_LEVEL
 
 
 def _name_of(path: Path) -> str:

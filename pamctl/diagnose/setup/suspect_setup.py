@@ -29,8 +29,9 @@ from pamctl.diagnose.setup.finding_words import advise_mending, describe
 from pamctl.diagnose.setup.mended_records import mend_record
 from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, list_suspects
-from pamctl.diagnose.setup.time_changes import fit_time_changes
+from pamctl.diagnose.setup.time_changes import fit_changes_by_record, fit_time_changes
 from pamctl.diagnose.setup.weighed_fit import (
+    MUCH,
     Promise,
     SuspectFit,
     fit_suspect,
@@ -53,8 +54,6 @@ LEAST_CLOSED = 0.8
 """Share of the way to the floor that a suspect must go in a block."""
 WORSE = 1.1
 """A coupled signal is worse if its RMS grows by more than this factor."""
-MUCH = 0.05
-"""Logs of mean squares that differ by less count as equal."""
 GEOMETRY = ("rest_length_m", "braid_length_m", "scale of position_m")
 """Suspects by label that say one thing: lengths of the plant and of the record do not agree."""
 
@@ -217,8 +216,7 @@ def _find_what_differs(base: Model) -> SuspectFit | None:
     if base.unexplained or not far or any(f.is_estimate for f in far):
         return None
     strict = replace(base, evidence=replace(base.evidence, repeated=()))
-    fits = fit_time_changes(strict, dict.fromkeys(strict.unexplained, 0.0))
-    worthy = sorted((f for f in fits if f.by_record and _is_worth_saying(f)), key=_left)
+    worthy = sorted(filter(_is_worth_saying, fit_changes_by_record(strict)), key=_left)
     return replace(worthy[0], equal_suspects=_list_equals(worthy)) if worthy else None
 
 

@@ -24,6 +24,7 @@ from pamctl.diagnose.fitting.numbers import (
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.setup.suspects import OF_RECORD, UNITS, Suspect
 from pamctl.diagnose.setup.weighed_fit import (
+    MUCH,
     SuspectFit,
     fit_suspect,
     held_out_margins,
@@ -46,8 +47,6 @@ FAR, FAR_PROMISE = 3.0, 0.1
 CLEAR = 0.6
 """Not where an effect promises so much."""
 ROUNDS = 3
-MUCH = 0.05
-"""Logs of mean squares that differ by less count as equal."""
 
 _NUMBERS: dict[str, tuple[tuple[str, float], ...]] = {
     # name, and a small step: a share, or an amount of an effect
@@ -90,26 +89,42 @@ def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit
 
     `least` is what they must promise, by block.
     """
-    found = [(b, p) for b in base.unexplained for p in _list_profiles(base, b)]
-    found.sort(key=lambda pair: -pair[1].explained)
-    profiles = [p for block, p in found if p.explained > least[block]]
-    chosen: list[_Profile] = []
-    enough = max(PROMISING, NEAR_BEST * max((p.explained for p in profiles), default=0.0))
-    for profile in (p for p in profiles if p.explained > enough):
-        alike = [p for p in chosen if p.way == profile.way]
-        # The records to fit may be too alike in length to tell per second from per record.
-        known = any(p.suspect.key == profile.suspect.key for p in alike)
-        if (
-            not known
-            and len({p.suspect.number for p in alike} | {profile.suspect.number}) <= MOST_OF_A_WAY
-        ):
-            chosen.append(profile)
+    found = _rank_profiles(base)
+    chosen = _choose_profiles([p for block, p in found if p.explained > least[block]])
     fits = [_fit_profile(base, p) for p in chosen]
     if not any(f.is_good for f in fits):
         far = [b for b in base.unexplained if base.ratio(b) > FAR and least[b] < CLEAR]
         drifts = _list_far_drifts([p for block, p in found if block in far])
         fits += [_fit_profile(base, p) for p in drifts if p not in chosen]
     return [f for f in fits if not _acts_always(f)]
+
+
+def fit_changes_by_record(base: Model) -> list[SuspectFit]:
+    """Return the fits of the most promising numbers that differ from record to record."""
+    profiles = [p for _, p in _rank_profiles(base) if p.by_record]
+    return [_fit_profile(base, p) for p in _choose_profiles(profiles)]
+
+
+def _rank_profiles(base: Model) -> list[tuple[str, _Profile]]:
+    """Return every profile with its block, the most promising first."""
+    found = [(b, p) for b in base.unexplained for p in _list_profiles(base, b)]
+    return sorted(found, key=lambda pair: -pair[1].explained)
+
+
+def _choose_profiles(ranked: Sequence[_Profile]) -> list[_Profile]:
+    """Return those to fit: of each way of changing a few numbers.
+
+    The records may be too alike in length to tell per second from per record: both are fitted.
+    """
+    chosen: list[_Profile] = []
+    enough = max(PROMISING, NEAR_BEST * ranked[0].explained) if ranked else 0.0
+    for profile in (p for p in ranked if p.explained > enough):
+        alike = [p.suspect for p in chosen if p.way == profile.way]
+        keys, numbers = {s.key for s in alike}, {s.number for s in alike}
+        is_few = len(numbers | {profile.suspect.number}) <= MOST_OF_A_WAY
+        if profile.suspect.key not in keys and is_few:
+            chosen.append(profile)
+    return chosen
 
 
 def _list_far_drifts(ranked: Sequence[_Profile]) -> list[_Profile]:

@@ -381,6 +381,10 @@ def _hold(settings: PlantSettings, nominal: PlantSettings, held: Collection[str]
     )
 
 
+MUCH = 0.05
+"""Margins below count as equal."""
+
+
 def held_out_margins(
     one: Mapping[str, Array], other: Mapping[str, Array], base: Model, blocks: Sequence[str]
 ) -> tuple[float, float]:

@@ -44,9 +44,9 @@ def resistance_at_drop(
     line: LineRestriction, drop_pa: float, end_pa: float, atmosphere_pa: float
 ) -> float:
     """Return the drop over the flow, Pa s/kg, where the ends of the line differ by `drop_pa`."""
-    half = 0.5 * line.resistance_pa_s_per_kg
     if line.turbulent_pa_s2_per_kg2 <= 0.0:
         return line.resistance_pa_s_per_kg
+    half = 0.5 * line.resistance_pa_s_per_kg
     middle_pa = max(end_pa + 0.5 * drop_pa, 1.0)
     turbulent = line.turbulent_pa_s2_per_kg2 * atmosphere_pa / middle_pa
     return half + sqrt(half * half + turbulent * abs(drop_pa))

@@ -86,8 +86,9 @@ class EffectSearch:
 
     base: Model
     levels: tuple[tuple[Model, ...], ...]
-    blocks_disagree: bool = False
-    """Each block alone is at its limit, and the base is not: it has the same numbers for both."""
+    alone: Model | None = None
+    """Each block with numbers of its own, where that leaves nothing above the limits and the base,
+    which has the same numbers for both, does."""
 
     @property
     def complete(self) -> tuple[Model, ...]:
@@ -172,9 +173,9 @@ def search_effects(
     `known` are models of some of the blocks, fitted earlier to the same drives.
     """
     levels: list[tuple[Model, ...]] = []
-    alone, base = base, base if leaves_more(base) else fit_jointly(base)
+    apart, base = base, base if leaves_more(base) else fit_jointly(base)
     # A disagreement between the blocks hardly shows in either alone.
-    blocks_disagree = base is not alone and leaves_more(base)
+    alone = apart if base is not apart and leaves_more(base) else None
     known_by_effects = {} if base.is_joint else {frozenset(m.effects): m for m in known}
     fitter = _Fitter(executor, known_by_effects, progress)
     beam = [base]
@@ -200,7 +201,7 @@ def search_effects(
             levels.append(pairs)
             progress(_describe_level(pairs))
         beam = choose_beam(base, levels)
-    return EffectSearch(base, tuple(levels), blocks_disagree)
+    return EffectSearch(base, tuple(levels), alone)
 
 
 def leaves_more(model: Model) -> bool:

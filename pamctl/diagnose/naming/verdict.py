@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import sqrt
+from math import hypot, sqrt
 
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model
@@ -30,6 +30,9 @@ everywhere. Wrong neighbours of effects in no catalogue reach 0.1 to 5."""
 SURELY = 1.0 - 1.0 / sqrt(2.0 * (PIECES - 1))
 """A spread over so many pieces is known to this share of itself: only what is larger even then
 counts against an effect."""
+DISAGREES = 0.1
+"""Largest share of a disagreement between the blocks that its explanation leaves. Wrong neighbours
+of an effect in no catalogue left 0.17, below a limit that an encoder's counts set."""
 MOST_PARTIALS = 6
 """Models of each level that are examined as partial explanations."""
 
@@ -64,7 +67,7 @@ def judge_search(search: EffectSearch, nominal: Model) -> Judgement:
     if best is search.base and best.is_complete:
         fits = all(nominal.rms[b] <= best.floors[b].limit for b in best.evidence.blocks)
         return Judgement(Verdict.NO_DISCREPANCY if fits else Verdict.MISCALIBRATED, best)
-    if best.is_complete:
+    if best.is_complete and not leaves_disagreement(search, best):
         return Judgement(Verdict.NAMED, best)
     partial = _find_partial(search)
     return Judgement(Verdict.PARTIAL, partial) if partial else _nothing(search)
@@ -101,7 +104,7 @@ def is_worthy(model: Model, search: EffectSearch) -> bool:
     What it leaves of a block that no effect reaches does not count. Where only the numbers of the
     blocks disagree, effects explain that wholly or not at all: apart, the blocks leave less.
     """
-    if search.blocks_disagree and leaves_more(model):
+    if leaves_disagreement(search, model):
         return False
     if spoils_block(search.base, model) or not all(map(model.is_substantial, model.effects)):
         return False
@@ -109,6 +112,19 @@ def is_worthy(model: Model, search: EffectSearch) -> bool:
     return min(shares) >= LEAST_CLOSED and all(
         SURELY * spread_of_effect(model, effect) <= UNEVEN * (2.0 * share - 1.0)
         for effect, share in zip(model.effects, shares, strict=True)
+    )
+
+
+def leaves_disagreement(search: EffectSearch, model: Model) -> bool:
+    """Tell whether a model leaves part of what the blocks disagree by, where each alone is at its
+    limit.
+    """
+    if search.alone is None:
+        return False
+    return leaves_more(model) or any(
+        model.rms[block] > hypot(search.alone.rms[block], DISAGREES * search.base.rms[block])
+        and gains_in_block(model, search.alone, block)
+        for block in search.base.unexplained
     )
 
 

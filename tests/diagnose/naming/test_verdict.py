@@ -104,16 +104,18 @@ def test_the_way_ends_at_the_limit_and_not_at_the_mean_floor() -> None:
     assert judge(base, [model]).verdict is Verdict.PARTIAL
 
 
-@pytest.mark.parametrize(("left", "verdict"), [(2.0, Verdict.NONE_KNOWN), (1.3, Verdict.PARTIAL)])
+@pytest.mark.parametrize(
+    ("left", "verdict"),
+    [(2.0, Verdict.NONE_KNOWN), (1.19, Verdict.NONE_KNOWN), (1.1, Verdict.NAMED)],
+)
 def test_effects_must_explain_wholly_why_blocks_disagree_that_are_at_their_limits_alone(
     left: float, verdict: Verdict
 ) -> None:
     """The name closes most of the gap of the shared numbers; apart, the blocks have no gap."""
-    base = made(mechanics=6.0)
+    alone, base = made(), made(mechanics=6.0)
     model = made("encoder_scale", base=base, mechanics=left)
-    search = EffectSearch(base, ((model,),), blocks_disagree=True)
-    assert judge_search(search, base).verdict is verdict
-    assert judge(base, [model]).verdict is Verdict.PARTIAL
+    assert judge_search(EffectSearch(base, ((model,),), alone), base).verdict is verdict
+    assert judge(base, [model]).verdict is (Verdict.NAMED if left < LIMIT else Verdict.PARTIAL)
 
 
 def test_a_gain_that_one_stretch_makes_alone_is_no_gain() -> None:

@@ -33,6 +33,9 @@ EVALUATIONS = 15
 HOPELESS_SHARE = 0.7
 """A descent that has left more than this share of the base's squares in every fit after its first
 evaluations ends there."""
+HALF_WAY, FAR = 0.5, 5.0
+"""A fit that closes more than this share of a block's gap and leaves more than this multiple of its
+limit may have ended in a valley beside its cause."""
 TOLERANCE = 1e-4
 """A descent ends when a step reduces the cost by less than this share."""
 NEVER = 1e3
@@ -184,17 +187,26 @@ def fit_suspect(
 ) -> SuspectFit:
     """Fit a suspect's number and the recalibrated numbers together, from a start.
 
-    Where something sticks, the plant file's own numbers are tried as a start as well: what the base
-    lacks may have led it into a valley of friction and stiffness that has no way out. With
+    Where something sticks, or the fit ends half way, the plant file's own numbers are tried as a
+    start as well: what the base lacks may have led it into a valley that has no way out. With
     `is_near` the base's numbers are the only start.
     """
     near = _descend(base, suspect, None, start, STEP)
     drives = [d for f in near.fits.values() for d in f.drives]
     sticks = any(d.block == MECHANICS or not d.has_position for d in drives)
-    if is_near or not sticks:
+    if is_near or not (sticks or _ends_half_way(near)):
         return near
     found = _descend(base, suspect, base.evidence.nominal, start, LONG_STEP)
     return min((near, found), key=lambda f: sum(_mean_squares(f)))
+
+
+def _ends_half_way(fitted: SuspectFit) -> bool:
+    """Tell whether a suspect explains most of a block, and yet leaves far more than its limit."""
+    return any(
+        fitted.closed(b) > HALF_WAY
+        and rms(fitted.residuals[b]) > FAR * fitted.base.floors[b].limit
+        for b in fitted.suspect.blocks
+    )
 
 
 def _mean_squares(fitted: SuspectFit) -> list[float]:

@@ -25,6 +25,9 @@ FULL = 2.0 * ALARM
 """A sum grows no further: an alarm whose cause is mended ends within some windows."""
 SMALLEST_SPREAD = {PRESSURE: 0.1, MECHANICS: 0.15}
 """Deviation of a window's logarithm, at least."""
+RESTING = 3.0
+"""Where too little moves to confirm the model, a window counts this many times less: friction holds
+one state for long, and all windows of it are alike."""
 REMEMBERED = 30
 """Windows of the same activity whose scatter counts."""
 
@@ -55,6 +58,8 @@ class _Sum:
         self.spreads = [*self.spreads[1 - REMEMBERED :], misfit.spread]
         scatter = float(np.sqrt(np.mean(np.square(self.spreads))))
         deviations = misfit.excess / max(SMALLEST_SPREAD[misfit.block], scatter)
+        if not misfit.shows:
+            deviations /= RESTING
         score = float(np.clip(deviations, LEAST_OF_ONE, MOST_OF_ONE)) - ALLOWANCE
         if self.value <= 0.0:
             self.squares, self.since_s = [], start_s

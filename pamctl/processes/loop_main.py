@@ -22,7 +22,7 @@ from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.processes.machine_code.libraries import load_leap, load_plant, load_tick
 from pamctl.realtime.cued_helm import CuedHelm
-from pamctl.realtime.loop import run_loop
+from pamctl.realtime.loop import Loop
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
 from pamctl.realtime.tick import TickSetup
@@ -114,21 +114,21 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
         program = build_program(settings)
         journal = RingJournal(ring)
         controller = settings.controller.model_dump(mode="json")
-        return run_loop(
-            parts.rig,
-            parts.clock,
-            setup,
-            nominal_zero_of(settings),
-            program,
-            journal,
-            supervisor,
-            parts.truth,
-            CuedHelm(setup, controller, program, journal, _attach_orders()),
+        return Loop(
+            rig=parts.rig,
+            clock=parts.clock,
+            setup=setup,
+            nominal_zero=nominal_zero_of(settings),
+            program=program,
+            journal=journal,
+            supervisor=supervisor,
+            truth=parts.truth,
+            helm=CuedHelm(setup, controller, program, journal, _attach_orders()),
             opened=partial(free_foreign_threads, preparation),
             tick=tick,
             many=many,
             ended=tell_parent,
-        )
+        ).run()
 
 
 def _attach_orders() -> Orders | None:

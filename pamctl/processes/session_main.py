@@ -25,7 +25,7 @@ from pamctl.processes.loop_main import (
 )
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.processes.machine_code.libraries import load_plant, load_tick
-from pamctl.realtime.loop import run_loop
+from pamctl.realtime.loop import Loop
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import keep_single_threaded, prepare
@@ -100,19 +100,19 @@ def _run(
             partial(build_ordered_program, settings),
             preparation.defer_page_faults,
         )
-        return run_loop(
-            parts.rig,
-            parts.clock,
-            setup,
-            nominal_zero_of(settings),
-            steered,
-            journal,
-            supervisor,
-            parts.truth,
-            steered,
-            partial(free_foreign_threads, preparation),
-            tick,
-        )
+        return Loop(
+            rig=parts.rig,
+            clock=parts.clock,
+            setup=setup,
+            nominal_zero=nominal_zero_of(settings),
+            program=steered,
+            journal=journal,
+            supervisor=supervisor,
+            truth=parts.truth,
+            helm=steered,
+            opened=partial(free_foreign_threads, preparation),
+            tick=tick,
+        ).run()
 
 
 if __name__ == "__main__":

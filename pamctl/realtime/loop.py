@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from hal.calibration import Zero
@@ -127,90 +127,71 @@ class Supervisor(Protocol):
         """Tell whether to skip the smooth stop."""
 
 
-def run_loop(
-    rig: Rig,
-    clock: Clock,
-    setup: TickSetup,
-    nominal_zero: Callable[[RawSample], Zero],
-    program: ReferenceSource,
-    journal: Journal,
-    supervisor: Supervisor,
-    truth: Callable[[], Truth],
-    helm: Helm | None = None,
-    opened: Callable[[], Sequence[Mapping[str, object]]] = tuple,
-    tick: TickPath | None = None,
-    many: ManyTicks | None = None,
-    ended: Callable[[Ending], None] = lambda ending: None,
-) -> Ending:
-    """Run the program to its end; leave the rig safe and closed on every path.
-
-    `nominal_zero` gives the sensors' zeros until homing finds better ones; `truth` is what
-    a simulated plant knows. Without a `helm` the set-up stays as it is. `opened` is called once,
-    right after the rig is open, and returns events for the log. `tick` runs the ticks; by default
-    plain Python does. `many` runs those that nothing interrupts. `ended` is told the ending as
-    soon as the valve is safe: to release a device may take seconds. `RigError`, a safety trip and
-    a failed homing become the ending. Anything else is an error in pamctl and is raised.
-    """
-    try:
-        with open_rig(rig):
-            noted = opened()
-            journal.put_event(0, clock.now_ns(), {"event": "rig", **rig.describe().as_metadata()})
-            for event in noted:
-                journal.put_event(0, clock.now_ns(), event)
-            helm = helm or FixedHelm(setup)
-            tick = tick or PlainTick()
-            loop = _Loop(
-                rig,
-                clock,
-                setup,
-                helm,
-                nominal_zero,
-                program,
-                journal,
-                supervisor,
-                truth,
-                tick,
-                many,
-            )
-            try:
-                ending = loop.run()
-            except HomingError as error:
-                ending = Ending(ExitCode.SAFETY_TRIP, str(error))
-            except RigError as error:
-                ending = Ending(ExitCode.UNAVAILABLE, str(error))
-            finally:
-                # In this order: until the valve is safe, the guardian counts milliseconds.
-                rig.make_safe()
-                journal.end_ticks()
-            ended(ending)
-            return ending
-    except RigError as error:
-        ending = Ending(ExitCode.UNAVAILABLE, str(error))
-        ended(ending)
-        return ending
-
-
 _ENDED = Ending(ExitCode.OK, "the program ended")
 
 
-@dataclass
-class _Loop:
-    """The parts of the loop, and its ending."""
+@dataclass(kw_only=True)
+class Loop:
+    """The parts of a run. `run` goes to its end and leaves the rig safe and closed."""
 
     rig: Rig
     clock: Clock
     setup: TickSetup
-    helm: Helm
     nominal_zero: Callable[[RawSample], Zero]
+    """The sensors' zeros until homing finds better ones."""
     program: ReferenceSource
     journal: Journal
     supervisor: Supervisor
     truth: Callable[[], Truth]
-    tick: TickPath
-    many: ManyTicks | None
-    ending: Ending = _ENDED
+    """What a simulated plant knows."""
+    helm: Helm | None = None
+    """Without one the set-up stays as it is."""
+    opened: Callable[[], Sequence[Mapping[str, object]]] = tuple
+    """Called once, right after the rig is open; returns events for the log."""
+    tick: TickPath = field(default_factory=PlainTick)
+    """Runs the ticks."""
+    many: ManyTicks | None = None
+    """Runs those that nothing interrupts."""
+    ended: Callable[[Ending], None] = lambda ending: None
+    """Told the ending as soon as the valve is safe: to release a device may take seconds."""
+    ending: Ending = field(default=_ENDED, init=False)
+
+    def __post_init__(self) -> None:
+        self._helm = self.helm or FixedHelm(self.setup)
 
     def run(self) -> Ending:
+        """Run the program to its end; leave the rig safe and closed on every path.
+
+        `RigError`, a safety trip and a failed homing become the ending. Anything else is an error
+        in pamctl and is raised.
+        """
+        try:
+            with open_rig(self.rig):
+                self._record_rig()
+                try:
+                    ending = self._tick_to_end()
+                except HomingError as error:
+                    ending = Ending(ExitCode.SAFETY_TRIP, str(error))
+                except RigError as error:
+                    ending = Ending(ExitCode.UNAVAILABLE, str(error))
+                finally:
+                    # In this order: until the valve is safe, the guardian counts milliseconds.
+                    self.rig.make_safe()
+                    self.journal.end_ticks()
+                self.ended(ending)
+                return ending
+        except RigError as error:
+            ending = Ending(ExitCode.UNAVAILABLE, str(error))
+            self.ended(ending)
+            return ending
+
+    def _record_rig(self) -> None:
+        noted = self.opened()
+        rig = {"event": "rig", **self.rig.describe().as_metadata()}
+        for event in (rig, *noted):
+            self.journal.put_event(0, self.clock.now_ns(), event)
+
+    def _tick_to_end(self) -> Ending:
         """Tick until the program ends."""
         wake = self.clock.wait()
         raw = self.rig.read()
@@ -244,10 +225,10 @@ class _Loop:
         # tick and an abort in the next one, and the run never ends without its reason.
         abort = self.supervisor.wants_abort()
         self._obey_supervisor(at, raw, decision)
-        self.helm.finish_tick(tick)
+        self._helm.finish_tick(tick)
         if abort:
             return self.ending
-        tick.expect(self.helm.settled_setup, self.program.running)
+        tick.expect(self._helm.settled_setup, self.program.running)
         return None
 
     def _run_many(self) -> bool:
@@ -265,7 +246,7 @@ class _Loop:
     def _ask_and_run(self, wake: Wake, raw: RawSample) -> bool:
         """Ask program and helm, and run the tick; return False at the end of the program."""
         timing = self.tick.time(wake, raw)
-        setup = self.helm.setup(timing.t_s)
+        setup = self._helm.setup(timing.t_s)
         if not self.tick.fits(setup):  # another law than this run began with
             plain = PlainTick()
             plain.begin(self.tick.state, self.tick.times)

@@ -20,7 +20,7 @@ from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.log.naming import bare_name, make_dated_path
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.run_once import make_run_meta, new_ring_path
-from pamctl.realtime.loop import run_loop
+from pamctl.realtime.loop import Loop
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.recording.drain import record_run
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
@@ -202,17 +202,17 @@ class SimulatedLoop:
             settings.controller.model_dump(mode="json"),
             partial(build_ordered_program, settings),
         )
-        return run_loop(
-            parts.rig,
-            parts.clock,
-            setup,
-            nominal_zero_of(settings),
-            steered,
-            self._journal,
-            self,
-            parts.truth,
-            steered,
-        )
+        return Loop(
+            rig=parts.rig,
+            clock=parts.clock,
+            setup=setup,
+            nominal_zero=nominal_zero_of(settings),
+            program=steered,
+            journal=self._journal,
+            supervisor=self,
+            truth=parts.truth,
+            helm=steered,
+        ).run()
 
 
 class _TickOrders:

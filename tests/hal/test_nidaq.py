@@ -29,7 +29,7 @@ from hal.rig import Rig, RigError, open_rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian import drive_safe
 from pamctl.realtime.clock import Clock
-from pamctl.realtime.loop import run_loop
+from pamctl.realtime.loop import Loop
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import ConfigError, resolve
 from pamctl.signals import Phase, Truth
@@ -562,16 +562,16 @@ def test_card_and_simulation_give_the_same_ticks(
     rig, clock = timed(card, settings.rig.safe_volts)
     assert rig.describe().output_delay_ticks == output_delay_ticks
     journal = MemoryJournal()
-    ending = run_loop(
-        rig,
-        clock,
-        build_tick_setup(settings),
-        nominal_zero_of(settings),
-        build_program(settings),
-        journal,
-        ScriptedSupervisor(),
-        lambda: Truth(math.nan, math.nan),
-    )
+    ending = Loop(
+        rig=rig,
+        clock=clock,
+        setup=build_tick_setup(settings),
+        nominal_zero=nominal_zero_of(settings),
+        program=build_program(settings),
+        journal=journal,
+        supervisor=ScriptedSupervisor(),
+        truth=lambda: Truth(math.nan, math.nan),
+    ).run()
     assert (
         ending
         == simulated.ending

@@ -21,7 +21,7 @@ from hal.rig import RawSample, Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime import tick_path
 from pamctl.realtime.clock import Clock
-from pamctl.realtime.loop import run_loop
+from pamctl.realtime.loop import Loop
 from pamctl.safety import (
     ENCODER_JUMP,
     PRESSURE_LIMIT,
@@ -199,16 +199,16 @@ def ran(bench: str, fault: str, settings: RunSettings) -> tuple[Ending, MemoryJo
     """Run with a fault; return how it ended, what is on record, and what is on the output."""
     made, journal = BENCHES[bench](settings, fault), MemoryJournal()
     try:
-        ending = run_loop(
-            Spoiled(made.rig, lambda: made.spoil(fault)),  # type: ignore[arg-type]
-            made.clock,
-            build_tick_setup(settings),
-            nominal_zero_of(settings),
-            build_program(settings),
-            journal,
-            ScriptedSupervisor(),
-            made.truth,
-        )
+        ending = Loop(
+            rig=Spoiled(made.rig, lambda: made.spoil(fault)),  # type: ignore[arg-type]
+            clock=made.clock,
+            setup=build_tick_setup(settings),
+            nominal_zero=nominal_zero_of(settings),
+            program=build_program(settings),
+            journal=journal,
+            supervisor=ScriptedSupervisor(),
+            truth=made.truth,
+        ).run()
         return ending, journal, made.output_v()
     finally:
         here().mend()
@@ -277,16 +277,16 @@ def test_an_exception_in_the_law_leaves_the_output_safe(
     settings = run_settings(*MOVING)
     made, journal = BENCHES[bench](settings, "none"), MemoryJournal()
     with pytest.raises(ZeroDivisionError, match="in the law"):
-        run_loop(
-            made.rig,
-            made.clock,
-            build_tick_setup(settings),
-            nominal_zero_of(settings),
-            build_program(settings),
-            journal,
-            ScriptedSupervisor(),
-            made.truth,
-        )
+        Loop(
+            rig=made.rig,
+            clock=made.clock,
+            setup=build_tick_setup(settings),
+            nominal_zero=nominal_zero_of(settings),
+            program=build_program(settings),
+            journal=journal,
+            supervisor=ScriptedSupervisor(),
+            truth=made.truth,
+        ).run()
     assert len(journal.ticks) == BEGINS
     assert journal.ticks[-1].outcome.applied_v > SAFE_V + 1.0
     assert made.output_v() == pytest.approx(SAFE_V, abs=AO_STEP_V)

@@ -30,7 +30,7 @@ from pamctl.log.reader import read
 from pamctl.processes.machine_code import builder_main, libraries
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.cued_helm import CuedHelm
-from pamctl.realtime.loop import run_loop
+from pamctl.realtime.loop import Loop
 from pamctl.realtime.tick import TickSetup, first_state
 from pamctl.realtime.tick_path import CompiledTick, PlainTick, TickPath, load_compiled_tick
 from pamctl.realtime.whole_tick import TickTimes
@@ -77,18 +77,18 @@ def run_with(
 ) -> tuple[Ending, MemoryJournal]:
     setup, made = build_tick_setup(settings), parts(settings, faults, missed)
     journal, program = MemoryJournal(), build_program(settings)
-    ending = run_loop(
-        made.whole,
-        made.clock,
-        setup,
-        nominal_zero_of(settings),
-        program,
-        journal,
-        ScriptedSupervisor(),
-        lambda: Truth(0.0, 0.0),
-        CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal),
+    ending = Loop(
+        rig=made.whole,
+        clock=made.clock,
+        setup=setup,
+        nominal_zero=nominal_zero_of(settings),
+        program=program,
+        journal=journal,
+        supervisor=ScriptedSupervisor(),
+        truth=lambda: Truth(0.0, 0.0),
+        helm=CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal),
         tick=tick,
-    )
+    ).run()
     return ending, journal
 
 
@@ -124,18 +124,18 @@ def test_gains_that_change_on_a_ramp_are_followed(library: Path) -> None:
         setup, made, journal = build_tick_setup(settings), parts(settings), MemoryJournal()
         program = build_program(settings)
         helm = Softening(setup, settings, program, journal)
-        run_loop(
-            made.whole,
-            made.clock,
-            setup,
-            nominal_zero_of(settings),
-            program,
-            journal,
-            ScriptedSupervisor(),
-            lambda: Truth(0.0, 0.0),
-            helm,
+        Loop(
+            rig=made.whole,
+            clock=made.clock,
+            setup=setup,
+            nominal_zero=nominal_zero_of(settings),
+            program=program,
+            journal=journal,
+            supervisor=ScriptedSupervisor(),
+            truth=lambda: Truth(0.0, 0.0),
+            helm=helm,
             tick=tick,
-        )
+        ).run()
         outcome.append([*map(pack, journal.ticks)])
     assert outcome[0] == outcome[1]
 
@@ -149,18 +149,18 @@ def test_another_law_than_the_one_built_runs_in_plain_python(library: Path) -> N
         program = build_program(settings)
         helm = CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal)
         supervisor = Replacing(helm, other)
-        run_loop(
-            made.whole,
-            made.clock,
-            setup,
-            nominal_zero_of(settings),
-            program,
-            journal,
-            supervisor,
-            lambda: Truth(0.0, 0.0),
-            helm,
+        Loop(
+            rig=made.whole,
+            clock=made.clock,
+            setup=setup,
+            nominal_zero=nominal_zero_of(settings),
+            program=program,
+            journal=journal,
+            supervisor=supervisor,
+            truth=lambda: Truth(0.0, 0.0),
+            helm=helm,
             tick=tick,
-        )
+        ).run()
         outcome.append([*map(pack, journal.ticks)])
     assert len(outcome[0]) > 2000
     assert outcome[0] == outcome[1]

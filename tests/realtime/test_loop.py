@@ -250,17 +250,17 @@ def test_a_device_that_fails_in_the_first_tick_ends_safe_too(kind: str) -> None:
 def test_the_ending_is_told_once_the_valve_is_safe_and_before_the_device_is_released() -> None:
     settings = short()
     made, told = parts(settings, [fault("read_error", from_tick=5)]), []
-    ending = loop.run_loop(
-        made.whole,
-        made.clock,
-        build_tick_setup(settings),
-        nominal_zero_of(settings),
-        build_program(settings),
-        MemoryJournal(),
-        ScriptedSupervisor(),
-        lambda: loop.Truth(0.0, 0.0),
+    ending = loop.Loop(
+        rig=made.whole,
+        clock=made.clock,
+        setup=build_tick_setup(settings),
+        nominal_zero=nominal_zero_of(settings),
+        program=build_program(settings),
+        journal=MemoryJournal(),
+        supervisor=ScriptedSupervisor(),
+        truth=lambda: loop.Truth(0.0, 0.0),
         ended=lambda ending: told.append((ending, made.rig.output_v, made.rig._is_open)),
-    )
+    ).run()
     assert ending.code == ExitCode.UNAVAILABLE
     assert told == [(ending, pytest.approx(SAFE_OUTPUT_V, abs=AO_STEP_V), True)]
 
@@ -289,17 +289,17 @@ def test_a_device_that_does_not_open_ends_with_code_69_and_its_own_words() -> No
 def test_the_ending_is_told_where_a_device_does_not_open() -> None:
     settings = short()
     made, told = parts(settings, []), []
-    ending = loop.run_loop(
-        Shut(made.whole),  # type: ignore[arg-type]
-        made.clock,
-        build_tick_setup(settings),
-        nominal_zero_of(settings),
-        build_program(settings),
-        MemoryJournal(),
-        ScriptedSupervisor(),
-        lambda: loop.Truth(0.0, 0.0),
+    ending = loop.Loop(
+        rig=Shut(made.whole),  # type: ignore[arg-type]
+        clock=made.clock,
+        setup=build_tick_setup(settings),
+        nominal_zero=nominal_zero_of(settings),
+        program=build_program(settings),
+        journal=MemoryJournal(),
+        supervisor=ScriptedSupervisor(),
+        truth=lambda: loop.Truth(0.0, 0.0),
         ended=told.append,
-    )
+    ).run()
     assert ending.code == ExitCode.UNAVAILABLE
     assert told == [ending]
 
@@ -564,16 +564,16 @@ def test_a_record_says_how_late_the_tick_was_and_how_long_its_parts_took() -> No
     settings = short(duration_s=0.1)
     made, journal, clock = parts(settings), MemoryJournal(), SlowClock()
     made.rig._now_ns = clock.now_ns
-    ending = loop.run_loop(
-        made.whole,
-        clock,
-        build_tick_setup(settings),
-        nominal_zero_of(settings),
-        build_program(settings),
-        journal,
-        ScriptedSupervisor(),
-        lambda: loop.Truth(0.0, 0.0),
-    )
+    ending = loop.Loop(
+        rig=made.whole,
+        clock=clock,
+        setup=build_tick_setup(settings),
+        nominal_zero=nominal_zero_of(settings),
+        program=build_program(settings),
+        journal=journal,
+        supervisor=ScriptedSupervisor(),
+        truth=lambda: loop.Truth(0.0, 0.0),
+    ).run()
     assert ending.code == ExitCode.OK
     for record in journal.ticks:
         assert record.timing.late_s == pytest.approx(30e-6)

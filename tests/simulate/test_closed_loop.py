@@ -19,7 +19,7 @@ from pamctl.control.experiment import build_segments
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import plant_parameters
 from pamctl.processes.backends import build_clock, build_rig
-from pamctl.realtime.loop import run_loop
+from pamctl.realtime.loop import Loop
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.signals import Phase, Reference, TickRecord
@@ -87,16 +87,16 @@ def real_loop(settings: RunSettings) -> Run:
     clock = build_clock(settings, may_spin=False)
     parts = build_rig(settings, clock)
     journal = MemoryJournal()
-    ending = run_loop(
-        parts.rig,
-        clock,
-        build_tick_setup(settings),
-        nominal_zero_of(settings),
-        build_program(settings),
-        journal,
-        ScriptedSupervisor(),
-        parts.truth,
-    )
+    ending = Loop(
+        rig=parts.rig,
+        clock=clock,
+        setup=build_tick_setup(settings),
+        nominal_zero=nominal_zero_of(settings),
+        program=build_program(settings),
+        journal=journal,
+        supervisor=ScriptedSupervisor(),
+        truth=parts.truth,
+    ).run()
     ticks = [tick for tick in journal.ticks if tick.reference.phase != Phase.STOPPING]
     return Run(settings, ending, ticks)
 

@@ -20,7 +20,7 @@ from pamctl.compiled_ahead.library import KernelLibrary
 from pamctl.exit_codes import Ending
 from pamctl.processes.machine_code import libraries
 from pamctl.realtime.cued_helm import CuedHelm
-from pamctl.realtime.loop import run_loop
+from pamctl.realtime.loop import Loop
 from pamctl.realtime.tick_path import CompiledTick, PlainTick
 from pamctl.realtime.whole_tick import run_whole_tick
 from pamctl.recording.ring import ROW_BYTES, tick_struct
@@ -70,19 +70,19 @@ def run_both(settings: RunSettings, *faults: FaultSettings, compiled: bool = Fal
             all_of_them = PlainLibrary(*words.write_leap(), run_simulated_tick)
             many = Leap(all_of_them, words, made.rig, made.clock)
         plant = made.plant
-        ending = run_loop(
-            rig,
-            made.clock,
-            setup,
-            nominal_zero_of(settings),
-            program,
-            journal,
-            ScriptedSupervisor(),
-            lambda plant=plant: Truth(plant.state.position_m, plant.state.pressure_pa),
-            CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal),
+        ending = Loop(
+            rig=rig,
+            clock=made.clock,
+            setup=setup,
+            nominal_zero=nominal_zero_of(settings),
+            program=program,
+            journal=journal,
+            supervisor=ScriptedSupervisor(),
+            truth=lambda plant=plant: Truth(plant.state.position_m, plant.state.pressure_pa),
+            helm=CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal),
             tick=tick,
             many=many,
-        )
+        ).run()
         outcome.append((ending, journal))
     return outcome
 

@@ -14,7 +14,7 @@ from pamctl.exit_codes import Ending
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
-from pamctl.realtime.loop import run_loop
+from pamctl.realtime.loop import Loop
 from pamctl.recording.ring import ROW_HEADER, RowKind, tick_struct
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
@@ -163,14 +163,14 @@ def run(
     """Run the loop to its end, on the settings' plant or another one."""
     made = parts(settings, faults, missed, plant)
     journal = journal or MemoryJournal()
-    ending = run_loop(
-        wrap(made.whole),
-        made.clock,
-        build_tick_setup(settings),
-        nominal_zero_of(settings),
-        build_program(settings),
-        journal,
-        supervisor or ScriptedSupervisor(),
-        lambda: Truth(made.plant.position_m, made.plant.pressure_pa),
-    )
+    ending = Loop(
+        rig=wrap(made.whole),
+        clock=made.clock,
+        setup=build_tick_setup(settings),
+        nominal_zero=nominal_zero_of(settings),
+        program=build_program(settings),
+        journal=journal,
+        supervisor=supervisor or ScriptedSupervisor(),
+        truth=lambda: Truth(made.plant.position_m, made.plant.pressure_pa),
+    ).run()
     return Run(ending, journal, made.rig, made.plant)

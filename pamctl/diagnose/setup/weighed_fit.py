@@ -203,8 +203,7 @@ def fit_suspect(
 def _ends_half_way(fitted: SuspectFit) -> bool:
     """Tell whether a suspect explains most of a block, and yet leaves far more than its limit."""
     return any(
-        fitted.closed(b) > HALF_WAY
-        and rms(fitted.residuals[b]) > FAR * fitted.base.floors[b].limit
+        fitted.closed(b) > HALF_WAY and rms(fitted.residuals[b]) > FAR * fitted.base.floors[b].limit
         for b in fitted.suspect.blocks
     )
 

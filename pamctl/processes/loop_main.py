@@ -22,7 +22,7 @@ from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.processes.machine_code.libraries import load_leap, load_plant, load_tick
 from pamctl.realtime.cued_helm import CuedHelm
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import Preparation, SchedulingError, keep_single_threaded, prepare
 from pamctl.realtime.tick import TickSetup
@@ -114,7 +114,7 @@ def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Endin
         program = build_program(settings)
         journal = RingJournal(ring)
         controller = settings.controller.model_dump(mode="json")
-        return Loop(
+        return ControlLoop(
             rig=parts.rig,
             clock=parts.clock,
             setup=setup,

@@ -19,7 +19,7 @@ from pamctl.log.writer import LogWriter
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.machine_code.libraries import load_leap
 from pamctl.realtime.cued_helm import CuedHelm
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.recording.last_words import make_outcome_event
 from pamctl.recording.log_journal import LogJournal
 from pamctl.recording.rows import RowLogger
@@ -78,7 +78,7 @@ def _run(journal: LogJournal, meta: RunMeta, settings: RunSettings) -> Ending:
     parts = build_rig(settings, build_clock(settings, may_spin=False))
     tick, many = load_leap(setup, parts.rig, parts.clock)
     with _heed_interrupt() as interrupt:
-        return Loop(
+        return ControlLoop(
             rig=parts.rig,
             clock=parts.clock,
             setup=setup,

@@ -25,7 +25,7 @@ from pamctl.processes.loop_main import (
 )
 from pamctl.processes.loop_supervisor import LoopSupervisor
 from pamctl.processes.machine_code.libraries import load_plant, load_tick
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.loop_settings import LoopSettings
 from pamctl.realtime.orders import Orders
 from pamctl.realtime.scheduling import keep_single_threaded, prepare
@@ -100,7 +100,7 @@ def _run(
             partial(build_ordered_program, settings),
             preparation.defer_page_faults,
         )
-        return Loop(
+        return ControlLoop(
             rig=parts.rig,
             clock=parts.clock,
             setup=setup,

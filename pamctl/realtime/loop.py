@@ -131,7 +131,7 @@ _ENDED = Ending(ExitCode.OK, "the program ended")
 
 
 @dataclass(kw_only=True)
-class Loop:
+class ControlLoop:
     """The parts of a run. `run` goes to its end and leaves the rig safe and closed."""
 
     rig: Rig

@@ -20,7 +20,7 @@ from pamctl.exit_codes import EMERGENCY_STOP, Ending, ExitCode
 from pamctl.log.naming import bare_name, make_dated_path
 from pamctl.processes.backends import build_clock, build_rig, require_backend
 from pamctl.processes.run_once import make_run_meta, new_ring_path
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.steering import SteeredProgram
 from pamctl.recording.drain import record_run
 from pamctl.recording.ring import RecorderFlag, Ring, RingError, RingFull
@@ -202,7 +202,7 @@ class SimulatedLoop:
             settings.controller.model_dump(mode="json"),
             partial(build_ordered_program, settings),
         )
-        return Loop(
+        return ControlLoop(
             rig=parts.rig,
             clock=parts.clock,
             setup=setup,

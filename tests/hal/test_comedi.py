@@ -30,7 +30,7 @@ from hal.comedi.comedi_settings import ComediSettings
 from hal.rig import RigError, open_rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian import drive_safe
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import ConfigError, resolve
 from pamctl.signals import Phase, Truth
@@ -594,7 +594,7 @@ def test_card_and_simulation_give_the_same_ticks(card: Card) -> None:
     clock = CardClock(card)
     rig = ComediRig(ComediSettings(), safe_output_v=settings.rig.safe_volts, now_ns=clock.now_ns)
     journal = MemoryJournal()
-    ending = Loop(
+    ending = ControlLoop(
         rig=rig,
         clock=clock,
         setup=build_tick_setup(settings),

@@ -29,7 +29,7 @@ from hal.rig import Rig, RigError, open_rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.guardian import drive_safe
 from pamctl.realtime.clock import Clock
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import ConfigError, resolve
 from pamctl.signals import Phase, Truth
@@ -562,7 +562,7 @@ def test_card_and_simulation_give_the_same_ticks(
     rig, clock = timed(card, settings.rig.safe_volts)
     assert rig.describe().output_delay_ticks == output_delay_ticks
     journal = MemoryJournal()
-    ending = Loop(
+    ending = ControlLoop(
         rig=rig,
         clock=clock,
         setup=build_tick_setup(settings),

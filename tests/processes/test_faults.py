@@ -21,7 +21,7 @@ from hal.rig import RawSample, Rig
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.realtime import tick_path
 from pamctl.realtime.clock import Clock
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.safety import (
     ENCODER_JUMP,
     PRESSURE_LIMIT,
@@ -199,7 +199,7 @@ def ran(bench: str, fault: str, settings: RunSettings) -> tuple[Ending, MemoryJo
     """Run with a fault; return how it ended, what is on record, and what is on the output."""
     made, journal = BENCHES[bench](settings, fault), MemoryJournal()
     try:
-        ending = Loop(
+        ending = ControlLoop(
             rig=Spoiled(made.rig, lambda: made.spoil(fault)),  # type: ignore[arg-type]
             clock=made.clock,
             setup=build_tick_setup(settings),
@@ -277,7 +277,7 @@ def test_an_exception_in_the_law_leaves_the_output_safe(
     settings = run_settings(*MOVING)
     made, journal = BENCHES[bench](settings, "none"), MemoryJournal()
     with pytest.raises(ZeroDivisionError, match="in the law"):
-        Loop(
+        ControlLoop(
             rig=made.rig,
             clock=made.clock,
             setup=build_tick_setup(settings),

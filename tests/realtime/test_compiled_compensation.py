@@ -13,7 +13,7 @@ from pamctl.compensation.around_the_law import CELLS, Compensation, list_wanted_
 from pamctl.compiled_ahead.layout import LONGEST_TABLE, Block, NotFlat
 from pamctl.processes.machine_code import builder_main, libraries
 from pamctl.realtime.cued_helm import CuedHelm
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.tick_path import PlainTick, load_compiled_tick
 from pamctl.recording.ring import tick_struct
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
@@ -44,7 +44,7 @@ SETUP = build_tick_setup(SETTINGS)._replace(
 
 def run_with(tick: object) -> MemoryJournal:
     made, journal, program = parts(SETTINGS), MemoryJournal(), build_program(SETTINGS)
-    Loop(
+    ControlLoop(
         rig=made.whole,
         clock=made.clock,
         setup=SETUP,

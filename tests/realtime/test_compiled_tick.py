@@ -30,7 +30,7 @@ from pamctl.log.reader import read
 from pamctl.processes.machine_code import builder_main, libraries
 from pamctl.realtime.clock import Wake
 from pamctl.realtime.cued_helm import CuedHelm
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.tick import TickSetup, first_state
 from pamctl.realtime.tick_path import CompiledTick, PlainTick, TickPath, load_compiled_tick
 from pamctl.realtime.whole_tick import TickTimes
@@ -77,7 +77,7 @@ def run_with(
 ) -> tuple[Ending, MemoryJournal]:
     setup, made = build_tick_setup(settings), parts(settings, faults, missed)
     journal, program = MemoryJournal(), build_program(settings)
-    ending = Loop(
+    ending = ControlLoop(
         rig=made.whole,
         clock=made.clock,
         setup=setup,
@@ -124,7 +124,7 @@ def test_gains_that_change_on_a_ramp_are_followed(library: Path) -> None:
         setup, made, journal = build_tick_setup(settings), parts(settings), MemoryJournal()
         program = build_program(settings)
         helm = Softening(setup, settings, program, journal)
-        Loop(
+        ControlLoop(
             rig=made.whole,
             clock=made.clock,
             setup=setup,
@@ -149,7 +149,7 @@ def test_another_law_than_the_one_built_runs_in_plain_python(library: Path) -> N
         program = build_program(settings)
         helm = CuedHelm(setup, settings.controller.model_dump(mode="json"), program, journal)
         supervisor = Replacing(helm, other)
-        Loop(
+        ControlLoop(
             rig=made.whole,
             clock=made.clock,
             setup=setup,

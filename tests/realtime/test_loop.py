@@ -250,7 +250,7 @@ def test_a_device_that_fails_in_the_first_tick_ends_safe_too(kind: str) -> None:
 def test_the_ending_is_told_once_the_valve_is_safe_and_before_the_device_is_released() -> None:
     settings = short()
     made, told = parts(settings, [fault("read_error", from_tick=5)]), []
-    ending = loop.Loop(
+    ending = loop.ControlLoop(
         rig=made.whole,
         clock=made.clock,
         setup=build_tick_setup(settings),
@@ -289,7 +289,7 @@ def test_a_device_that_does_not_open_ends_with_code_69_and_its_own_words() -> No
 def test_the_ending_is_told_where_a_device_does_not_open() -> None:
     settings = short()
     made, told = parts(settings, []), []
-    ending = loop.Loop(
+    ending = loop.ControlLoop(
         rig=Shut(made.whole),  # type: ignore[arg-type]
         clock=made.clock,
         setup=build_tick_setup(settings),
@@ -564,7 +564,7 @@ def test_a_record_says_how_late_the_tick_was_and_how_long_its_parts_took() -> No
     settings = short(duration_s=0.1)
     made, journal, clock = parts(settings), MemoryJournal(), SlowClock()
     made.rig._now_ns = clock.now_ns
-    ending = loop.Loop(
+    ending = loop.ControlLoop(
         rig=made.whole,
         clock=clock,
         setup=build_tick_setup(settings),

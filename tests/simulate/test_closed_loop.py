@@ -19,7 +19,7 @@ from pamctl.control.experiment import build_segments
 from pamctl.exit_codes import Ending, ExitCode
 from pamctl.plant.model import plant_parameters
 from pamctl.processes.backends import build_clock, build_rig
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
 from pamctl.signals import Phase, Reference, TickRecord
@@ -87,7 +87,7 @@ def real_loop(settings: RunSettings) -> Run:
     clock = build_clock(settings, may_spin=False)
     parts = build_rig(settings, clock)
     journal = MemoryJournal()
-    ending = Loop(
+    ending = ControlLoop(
         rig=parts.rig,
         clock=clock,
         setup=build_tick_setup(settings),

@@ -20,7 +20,7 @@ from pamctl.compiled_ahead.library import KernelLibrary
 from pamctl.exit_codes import Ending
 from pamctl.processes.machine_code import libraries
 from pamctl.realtime.cued_helm import CuedHelm
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.realtime.tick_path import CompiledTick, PlainTick
 from pamctl.realtime.whole_tick import run_whole_tick
 from pamctl.recording.ring import ROW_BYTES, tick_struct
@@ -70,7 +70,7 @@ def run_both(settings: RunSettings, *faults: FaultSettings, compiled: bool = Fal
             all_of_them = PlainLibrary(*words.write_leap(), run_simulated_tick)
             many = Leap(all_of_them, words, made.rig, made.clock)
         plant = made.plant
-        ending = Loop(
+        ending = ControlLoop(
             rig=rig,
             clock=made.clock,
             setup=setup,

@@ -14,7 +14,7 @@ from pamctl.exit_codes import Ending
 from pamctl.plant.model import plant_parameters
 from pamctl.plant.simulated import SimulatedPlant
 from pamctl.realtime.clock import VirtualClock
-from pamctl.realtime.loop import Loop
+from pamctl.realtime.loop import ControlLoop
 from pamctl.recording.ring import ROW_HEADER, RowKind, tick_struct
 from pamctl.settings.build import build_program, build_tick_setup, nominal_zero_of
 from pamctl.settings.resolve import RunSettings, resolve
@@ -163,7 +163,7 @@ def run(
     """Run the loop to its end, on the settings' plant or another one."""
     made = parts(settings, faults, missed, plant)
     journal = journal or MemoryJournal()
-    ending = Loop(
+    ending = ControlLoop(
         rig=wrap(made.whole),
         clock=made.clock,
         setup=build_tick_setup(settings),

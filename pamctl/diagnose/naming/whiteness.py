@@ -16,6 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from pamctl.diagnose.fitting.block_fit import rms
 from pamctl.diagnose.fitting.drives import Drive
 from pamctl.diagnose.fitting.fitted_model import Model
+from pamctl.diagnose.fitting.floor import simulate_floor
 from pamctl.diagnose.locate import draw_noise
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.shortlist import WORTH_ANOTHER_EFFECT
@@ -137,9 +138,28 @@ def _find_excess(confirmed: Model, block: str) -> Iterator[tuple[str, str]]:
     none: two wrong neighbours may just reach the limit that chose them.
     """
     limit = confirmed.floors[block].limit * (1.0 if confirmed.effects else WORTH_ANOTHER_EFFECT)
-    is_above = len(confirmed.effects) > 1 or is_clearly_above(
-        average_block_squares(confirmed, block), limit
+    is_above = not confirmed.is_explained(block) and (
+        len(confirmed.effects) > 1
+        or (
+            is_clearly_above(average_block_squares(confirmed, block), limit)
+            and not _may_be_noise(confirmed, block)
+        )
     )
-    if is_above and not confirmed.is_explained(block):
+    if is_above:
         ratio = confirmed.ratio(block)
         yield "unconfirmed", f"it is {ratio:.1f} times its floor on the data that confirm"
+
+
+def _may_be_noise(confirmed: Model, block: str) -> bool:
+    """Tell whether a perfect model could leave as much of the samples that confirm.
+
+    They may show a number that the fitted samples leave open: noise has moved it there.
+    """
+    evidence = confirmed.evidence
+    own = simulate_floor(
+        confirmed.fit_of(block),
+        evidence.holdout[block],
+        evidence.noises,
+        margin=evidence.margin(block),
+    )
+    return confirmed.rms[block] <= own.limit

@@ -97,6 +97,18 @@ def test_samples_that_confirm_may_refute() -> None:
     assert kind == "unconfirmed"
 
 
+def test_samples_that_confirm_may_show_a_number_that_the_fitted_ones_leave_open() -> None:
+    """The fit saw a rest and 60 ms of a fill: noise alone has moved its numbers."""
+    train, held = pair()
+    short = train[0].cut_samples(0, 660, "short")
+    model = recalibrate(prepare_evidence([short], held, PAPER).select_blocks({"pressure"}))
+    chosen = replace(model.floors["pressure"], mean=1.0, limit=1.05)  # on samples that hide it
+    confirmed = replace(model, root=model)
+    confirmed.__dict__["floors"] = {"pressure": chosen}
+    assert confirmed.rms["pressure"] > 1.3
+    assert find_residual_signs(model, confirmed) == ()
+
+
 @pytest.mark.parametrize(("count", "is_seen"), [(0, False), (1, False), (2, True)])
 def test_several_effects_must_reach_the_limit_on_the_samples_that_confirm(
     count: int, is_seen: bool

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hidden.excitations import multisine, null_staircase, square
 from hidden.rig import hidden_rig
+from hidden.uncatalogued import UNCATALOGUED
 from support.free_mass import FRICTION_N, LOAD_N, axis, pushed_mass
 
 from pamctl.diagnose import Record, diagnose
@@ -103,6 +104,18 @@ def test_friction_that_grows_with_position_is_found_at_the_braid() -> None:
     )
     assert named.standings[0].confidence > 0.9
     assert name_instead(nothing, base, chosen, trials, "mechanics", {"position_friction"}) is None
+
+
+def test_the_place_of_a_jump_is_asked_again_at_the_instant_that_was_found() -> None:
+    """The grid's instants are far from it: there, a jump of the pressure looks more like it."""
+    (case,) = (one for one in UNCATALOGUED if one.name == "load_is_hung_on")
+    parts = case.record("short", 4)
+    train, held = ([Record(name=r.name, **r.columns()) for r in part] for part in parts)
+    evidence = prepare_evidence(train, held, PlantSettings()).select_blocks({"mechanics"})
+    _, (found, *_) = find_terms(recalibrate(evidence), "mechanics")
+    assert found.question.key == ("force", "onset", "time")
+    assert found.own_values["size"] == pytest.approx(-1.7, rel=0.03)
+    assert found.own_values["inner"] == pytest.approx(1.31, abs=0.03)
 
 
 def test_a_mass_that_is_judged_in_windows_has_its_term_found() -> None:

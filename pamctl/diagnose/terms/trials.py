@@ -24,6 +24,11 @@ from pamctl.plant.terms.operators import KNOTS
 MOST_FITTED = 8
 """Groups of terms whose first is fitted in the plant."""
 MOST_FINISHED = 2
+ROUNDS_ELSEWHERE, MOST_ELSEWHERE = 2, 3
+"""How often, and of how many other places, it is asked whether they do what the best term does,
+where that leaves something."""
+MOST_LEFT = 0.5
+"""The best term then leaves at most this share: it is beside the truth, not far from it."""
 WIDE = 10.0
 """A size may grow to this multiple of what the score suggests."""
 INNER_FACTOR = 4.0
@@ -78,17 +83,57 @@ def find_terms(
     taken = {c.name for c in before.effects} | {*before.evidence.nominal.acting}
     questions = list_questions(block, fitted.drives, before.evidence.nominal, taken)
     ranking = rank_terms(fitted, block, questions)
-    scores = _select_scores(ranking)
+    trials = _fit_scores(before, block, _select_scores(ranking), executor)
+    for _ in range(ROUNDS_ELSEWHERE):
+        nearest = min(trials, key=lambda t: t.model.rms[block], default=None)
+        if nearest is None or not _is_beside(nearest, before, block):
+            break
+        again = rank_terms(fitted, block, _ask_elsewhere(nearest, questions))
+        known = {t.question.key for t in trials}
+        others = [s for s in again.scores if s.question.key not in known][:MOST_ELSEWHERE]
+        trials = _fit_scores(before, block, others, executor, trials)
+    return ranking, tuple(trials)
+
+
+def _fit_scores(
+    before: Model,
+    block: str,
+    scores: Sequence[TermScore],
+    executor: Executor | None,
+    known: Sequence[TermTrial] = (),
+) -> list[TermTrial]:
+    """Fit terms, those near the best to the end; return them with the known ones, best first."""
     jobs = [(before, score) for score in scores]
     models = run_fit_jobs(_fit_size, jobs, executor)
     trials = sorted(map(TermTrial, scores, models), key=lambda t: rank(t.model))
-    near = [
-        t
-        for t in trials[:MOST_FINISHED]
-        if t.model.rms[block] <= WORTH_FINISHING * trials[0].model.rms[block]
-    ]
+    best = min((t.model.rms[block] for t in (*trials, *known)), default=0.0)
+    near = [t for t in trials[:MOST_FINISHED] if t.model.rms[block] <= WORTH_FINISHING * best]
     ended = run_fit_jobs(_finish, [(before, t) for t in near], executor)
-    return ranking, tuple(sorted((*ended, *trials[len(near) :]), key=lambda t: rank(t.model)))
+    return sorted((*known, *ended, *trials[len(near) :]), key=lambda t: rank(t.model))
+
+
+def _is_beside(nearest: TermTrial, before: Model, block: str) -> bool:
+    """Tell whether a term with an inner number explains most of a block, and not all."""
+    model = nearest.model
+    explains_most = model.rms[block] < MOST_LEFT * before.rms[block]
+    return explains_most and not model.is_explained(block) and "inner" in nearest.question.held
+
+
+def _ask_elsewhere(found: TermTrial, questions: Sequence[Question]) -> list[Question]:
+    """Return a term's operator and driver at every place, with the inner number that it found.
+
+    The grid of inner numbers is coarse: at the instant that a fit has found, another place may
+    explain all of it.
+    """
+    term = found.question
+    inner = {"inner": found.own_values["inner"]}
+    same = {
+        q.location.name: replace(q, held=inner)
+        for q in questions
+        if (q.operator, q.driver) == (term.operator, term.driver)
+    }
+    sizes = [q for q in questions if q.operator == "constant" and q.location.name in same]
+    return [*sizes, *same.values()]
 
 
 def _select_scores(ranking: TermRanking) -> list[TermScore]:

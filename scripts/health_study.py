@@ -12,15 +12,19 @@ line, and a study that was stopped goes on. Markdown on stdout, progress on stde
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from resumable_study import Outcome, run_resumable
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from hidden.excitations import tracking
 from hidden.rig import HiddenRig, hidden_rig
 from monitor_study import plant_of
-from resumable_study import Outcome, run_resumable
 
 from pamctl.diagnose.measured.record import Record
 from pamctl.health.fit_run import MISFIT, fit_record

@@ -81,29 +81,30 @@ def examine(task: tuple[str, int], diagnoses: bool) -> Outcome:
     asks = misfits or any(len(rivals) > 1 for rivals in moved.values())
     if diagnoses and asks:
         found["diagnosis"] = explain_record(records[1], plant, records[0])
-    return {**found, "is": judge(found)}
+    return found
 
 
 def judge(found: Outcome) -> str:
-    """Return named, set, diagnosed, lead, wrong or missed."""
-    name, moved = found["changed"], found["moved"]
+    """Return named, diagnosed, set, lead, wrong or missed."""
+    name, moved, told = found["changed"], found["moved"], found.get("diagnosis")
     if not moved and not found["misfits"]:
         return "missed"
-    sets = [{number, *rivals} for number, (_, *rivals) in moved.items()]
-    if not found["misfits"] and all(name in each for each in sets):
-        return "set" if any(len(each) > 1 for each in sets) else "named"
-    told = found.get("diagnosis")
+    if told and told["verdict"] == "miscalibrated":  # so no effect: the numbers that moved
+        return "diagnosed" if [*moved] == [name] else "wrong"
     if told and [name] == told["effects"] and not told["not_refuted"]:
         return "diagnosed"
     if told and name in (*told["effects"], *told["not_refuted"]):
         return "set"
+    sets = [{number, *rivals} for number, (_, *rivals) in moved.items()]
+    if not found["misfits"] and all(name in each for each in sets):
+        return "set" if any(len(each) > 1 for each in sets) else "named"
     return "lead" if found["misfits"] else "wrong"
 
 
 def describe(found: Outcome) -> str:
     """Return a few words on a pair."""
     told = found.get("diagnosis", {})
-    return f"{found['is']}: {found['moved']} {found['misfits']} {told.get('sentence', '')}"
+    return f"{judge(found)}: {found['moved']} {found['misfits']} {told.get('sentence', '')}"
 
 
 def write_table(results: list[Outcome]) -> Iterator[str]:
@@ -112,7 +113,7 @@ def write_table(results: list[Outcome]) -> Iterator[str]:
     yield f"| changed | pairs | {' | '.join(kinds)} |"
     yield f"| --- | --- | {' | '.join('---' for _ in kinds)} |"
     for name in (*NUMBERS, *EFFECTS, ""):
-        said = [r["is"] for r in results if r["changed"] == name or not name]
+        said = [judge(r) for r in results if r["changed"] == name or not name]
         cells = [f"`{name}`" if name else "all", len(said), *map(said.count, kinds)]
         yield "| " + " | ".join(map(str, cells)) + " |"
 

@@ -77,7 +77,7 @@ def follow_health(
             f"{len(runs)} of {len(fitted)} logs can be fitted, two are needed"
             + (f"; {why}" if why else "")
         )
-    changes = _find_changes(runs)
+    changes = find_changes(runs)
     paths = {path.name: path for path, _ in ordered}
     halves = _fit_latest_halves(runs, paths, plant) if changes else []
     grown = {c.name.removesuffix(MISFIT) for c in changes if c.name.endswith(MISFIT)}
@@ -97,7 +97,7 @@ def _fit_one(log: tuple[Path, float], plant: PlantSettings) -> FittedRun:
     return fit_log(*log, plant)
 
 
-def _find_changes(runs: Sequence[FittedRun]) -> list[NumberDrift]:
+def find_changes(runs: Sequence[FittedRun]) -> list[NumberDrift]:
     """Return what changed, the surest first; runs are numbered over all runs."""
     found = []
     for name in dict.fromkeys(name for run in runs for name in run.numbers):

@@ -62,7 +62,7 @@ def retune_on_rig(
         done.gains = gains
         progress("retune: tracking with the new gains")
         done.runs["after"] = rig.run(motion, name="after")
-        if _is_better(done.runs["before"].metrics, done.runs["after"].metrics):
+        if tracks_better(done.runs["before"].metrics, done.runs["after"].metrics):
             rig.load(gains)
             done.is_kept = True
     finally:
@@ -81,7 +81,8 @@ def _restore(rig: SteeredRig, gains: dict[str, Any], progress: Callable[[str], N
         progress(f"retune: the old gains could not be loaded again: {error.reason}")
 
 
-def _is_better(before: RunMetrics, after: RunMetrics) -> bool:
+def tracks_better(before: RunMetrics, after: RunMetrics) -> bool:
+    """Tell whether the rig tracked better: its RMS error fell, its largest error did not grow."""
     return (
         after.rms_error_m <= BETTER * before.rms_error_m
         and after.max_error_m <= SAME * before.max_error_m + SAME_M

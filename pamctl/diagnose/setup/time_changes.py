@@ -212,8 +212,7 @@ def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
 
 
 def _times_of(drive: Drive) -> Array:
-    t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
-    return t_s if drive.rows is None else t_s[drive.rows]
+    return drive.times_s if drive.rows is None else drive.times_s[drive.rows]
 
 
 def _list_numbers(base: Model, block: str) -> Iterator[tuple[Suspect, float]]:

@@ -184,14 +184,14 @@ def fit_suspect(
 ) -> SuspectFit:
     """Fit a suspect's number and the recalibrated numbers together, from a start.
 
-    Where something sticks, the plant file's own numbers are tried as a start as well: what the base
-    lacks may have led it into a valley of friction and stiffness that has no way out. With
-    `is_near` the base's numbers are the only start.
+    Where something sticks, or the first end is no good, the plant file's own numbers are tried as a
+    start as well: what the base lacks may have led its numbers into a valley that has no way out.
+    With `is_near` the base's numbers are the only start.
     """
     near = _descend(base, suspect, None, start, STEP)
     drives = [d for f in near.fits.values() for d in f.drives]
     sticks = any(d.block == MECHANICS or not d.has_position for d in drives)
-    if is_near or not sticks:
+    if is_near or (near.is_good and not sticks):
         return near
     found = _descend(base, suspect, base.evidence.nominal, start, LONG_STEP)
     return min((near, found), key=lambda f: sum(_mean_squares(f)))

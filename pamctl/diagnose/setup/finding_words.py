@@ -38,10 +38,9 @@ def describe(suspect: Suspect, value: float, said: float | None) -> str:
         return f"the valve is closed at a command of {1e3 * value:+.1f} mV, not at 0"
     if suspect.kind == "skew":
         word = "late" if value > 0.0 else "early"
-        said = f"{column} is logged {1e3 * abs(value):.2f} ms too {word} against the others"
-        if suspect.variant != READ_BACK:
-            return said
-        return f"{said}: some commands stand in two rows, and others in none"
+        late = f"{column} is logged {1e3 * abs(value):.2f} ms too {word} against the others"
+        lost = suspect.variant == READ_BACK
+        return f"{late}: some commands stand in two rows, and others in none" if lost else late
     if suspect.kind == "clock_rate" and number == "t_s":
         word = "long" if value > 0.0 else "short"
         return f"all times are {100.0 * abs(value):.2g} % too {word}"

@@ -56,7 +56,11 @@ from pamctl.diagnose.naming.time_left import guess_time_left
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.refused_columns import explain_refusal
 from pamctl.diagnose.setup.setup_finding import SetupFinding
-from pamctl.diagnose.setup.suspect_setup import suspect_air_first, suspect_setup
+from pamctl.diagnose.setup.suspect_setup import (
+    CheckedSetup,
+    suspect_air_first,
+    suspect_setup,
+)
 from pamctl.diagnose.setup_beside import ask_beside
 from pamctl.diagnose.setup_verdict import conclude_setup
 from pamctl.diagnose.terms.describe import Description, describe_rest, is_confirmed
@@ -113,7 +117,9 @@ def diagnose(
     worst = max(base.ratio(block) for block in evidence.blocks)
     progress(f"recalibrated: {ratios}; {guess_time_left(perf_counter() - began_s, worst)}")
     effects = FirstLevel(candidates)
-    setup = suspect_setup(base, train, holdout, effects, progress, recalibrated.findings)
+    setup = recalibrated.refused
+    if setup is None:
+        setup = suspect_setup(base, train, holdout, effects, progress, recalibrated.findings)
     if setup.refusal:
         given = (*train, *holdout)
         return Diagnosis(
@@ -255,6 +261,8 @@ class _Recalibrated:
     """Models of the pressure block alone: they need not be fitted again."""
     findings: tuple[SetupFinding, ...] = ()
     """What was wrong about the pressure block's set-up; evidence and records are corrected."""
+    refused: CheckedSetup | None = None
+    """The set-up, where these records can say nothing more."""
 
 
 def _recalibrate(
@@ -282,6 +290,8 @@ def _recalibrate(
     if setup is not None:
         evidence, given = setup.base.evidence, (setup.train, setup.holdout)
         findings = setup.findings
+        if setup.refusal:
+            return _Recalibrated(setup.base, *given, (), findings, setup)
         alone = recalibrate(evidence.select_blocks({PRESSURE}))
     progress("pressure block alone: its simulation drives the mechanics with less noise")
     # Here the nearest fit counts, not the simplest form of a name.

@@ -262,7 +262,7 @@ class Drive:
     def _simulate_anew(self, p: PlantParameters) -> Array:
         if self.is_equation:
             pressed_pa = self._find_pressed_pa(p)
-            return required_force_n(p, self._times_s, self.driven, *self._rates, pressed_pa)
+            return required_force_n(p, self.times_s, self.driven, *self._rates, pressed_pa)
         if not self.has_position:
             return drive_coupled(p, self.valve_v, self.grid).pressure_pa
         again = self._restarts
@@ -380,7 +380,8 @@ class Drive:
         return _DISTURBANCES.recall(key, made_from, draw)[0]
 
     @cached_property
-    def _times_s(self) -> Array:
+    def times_s(self) -> Array:
+        """The time of each sample since the first, shape (n,)."""
         return np.concatenate([[0.0], np.cumsum(self.step_s)])
 
     @cached_property
@@ -394,12 +395,12 @@ class Drive:
         if not self.windows:
             return NO_RESTARTS
         started = self.windows[1:] if self.has_known_start else self.windows
-        return estimate_starts(self._times_s, self.measured, started, self.deviation)
+        return estimate_starts(self.times_s, self.measured, started, self.deviation)
 
     @cached_property
     def _start_modes(self) -> StartModes:
         time_s = self.velocity_time_s if self.block == MECHANICS else None
-        return build_start_modes(self._times_s, self.windows, time_s)
+        return build_start_modes(self.times_s, self.windows, time_s)
 
     def differentiate_motion(self, length_s: float, order: int) -> Array:
         """Differentiate the position, over missed ticks but not over gaps, shape (n,)."""

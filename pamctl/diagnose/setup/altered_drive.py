@@ -73,7 +73,7 @@ class AlteredDrive(Drive):
         """Return a simulated output as the record's column shows it: late, filtered and scaled."""
         shown = true
         if self.late_s or self.late_per_s:
-            t_s = self._times_s
+            t_s = self.times_s
             shown = interpolate_smoothly(t_s - self.late_s - self.late_per_s * t_s, t_s, shown)
         if self.filtered_hz:
             shown = smooth_signal(shown, self.step_s, self.filtered_hz)
@@ -107,7 +107,7 @@ class AlteredDrive(Drive):
     def _simulate_pieces(self, p: PlantParameters) -> Array:
         """Simulate piece by piece; each starts where the one before was, a little earlier."""
         n = len(self.measured)
-        t_s = self._times_s
+        t_s = self.times_s
         cuts = {0, n}
         for change in self.changes:
             if change.drift_over_s:
@@ -138,7 +138,7 @@ class AlteredDrive(Drive):
     def _cut_piece(self, first: int, last: int, simulated: Array) -> AlteredDrive:
         """Return the samples [first, last); it goes on from what was simulated before."""
         late_s, pressed_pa = self.acts_after_s, self.pressed_pa
-        begins_s = float(self._times_s[first])
+        begins_s = float(self.times_s[first])
         piece = replace(
             self,
             step_s=self.step_s[first : max(last - 1, first)],
@@ -164,7 +164,7 @@ class AlteredDrive(Drive):
         rows, values, rates = whole.rows[inside] - first, whole.outputs[inside], whole.rates[inside]
         if first and not (len(rows) and rows[0] == 0):
             around = slice(first - 1, first + 2)  # a piece overlaps the one before
-            rate = float(np.gradient(simulated[around], self._times_s[around])[1])
+            rate = float(np.gradient(simulated[around], self.times_s[around])[1])
             rows = np.concatenate([np.zeros(1, dtype=np.int64), rows])
             values, rates = np.append(simulated[first], values), np.append(rate, rates)
         return Restarts(rows, values, rates)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import pi
 
 from pamctl.diagnose.fitting.numbers import AREA
-from pamctl.diagnose.setup.suspects import ATMOSPHERE, CONSTANTS, Suspect
+from pamctl.diagnose.setup.suspects import ATMOSPHERE, CONSTANTS, READ_BACK, Suspect
 
 _COLUMNS = {
     "valve_v": "the command",
@@ -38,7 +38,9 @@ def describe(suspect: Suspect, value: float, said: float | None) -> str:
         return f"the valve is closed at a command of {1e3 * value:+.1f} mV, not at 0"
     if suspect.kind == "skew":
         word = "late" if value > 0.0 else "early"
-        return f"{column} is logged {1e3 * abs(value):.2f} ms too {word} against the others"
+        late = f"{column} is logged {1e3 * abs(value):.2f} ms too {word} against the others"
+        lost = suspect.variant == READ_BACK
+        return f"{late}: some commands stand in two rows, and others in none" if lost else late
     if suspect.kind == "clock_rate" and number == "t_s":
         word = "long" if value > 0.0 else "short"
         return f"all times are {100.0 * abs(value):.2g} % too {word}"
@@ -90,6 +92,8 @@ def advise_mending(suspect: Suspect, value: float) -> str:
             "run `pamctl calibrate valve --out RIG.yaml`, or add the offset to the driver's null; "
             f"a record is mended by subtracting {value:.4g} V from valve_v"
         )
+    if suspect.variant == READ_BACK:
+        return "log each command where it is given, in the row of its tick"
     if suspect.kind == "skew":
         return (
             f"log all columns with one clock; this record is mended by moving {number} "

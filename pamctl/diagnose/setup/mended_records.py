@@ -9,7 +9,14 @@ import numpy as np
 
 from pamctl.diagnose.measured.record import Array, Record
 from pamctl.diagnose.setup.altered_drive import interpolate_smoothly
-from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, act_earlier, restore_command
+from pamctl.diagnose.setup.suspects import (
+    ATMOSPHERE,
+    READ_BACK,
+    Suspect,
+    act_earlier,
+    put_back_commands,
+    restore_command,
+)
 from pamctl.plant.model import PlantSettings
 
 
@@ -35,6 +42,8 @@ def mend_record(record: Record, suspect: Suspect, amount: float, nominal: PlantS
         if column == "valve_v" and record.held_v is not None:
             record = replace(record, held_v=record.held_v / (1.0 + amount))
         return _with_column(record, column, values / (1.0 + amount))
+    if suspect.variant == READ_BACK:
+        return replace(record, valve_v=put_back_commands(values, t_s, amount))
     if kind in ("skew", "clock_rate"):
         late_s = amount * (np.ones_like(t_s) if kind == "skew" else t_s - t_s[0])
         if column == "valve_v":

@@ -26,6 +26,7 @@ from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_from_res
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.setup.decimation import fit_decimation
 from pamctl.diagnose.setup.finding_words import advise_mending, describe
+from pamctl.diagnose.setup.late_commands import fit_late_commands
 from pamctl.diagnose.setup.mended_records import mend_record
 from pamctl.diagnose.setup.setup_finding import SetupFinding
 from pamctl.diagnose.setup.suspects import ATMOSPHERE, Suspect, list_suspects
@@ -107,14 +108,9 @@ def suspect_setup(
 ) -> CheckedSetup:
     """Return the findings, and the base to search upon; `known` are corrected already."""
     setup = CheckedSetup(base, tuple(train), tuple(holdout), tuple(known))
-    decimated = fit_decimation(base)
-    if decimated is not None:
-        finding = _word_finding(decimated, (), corrected=True)
-        setup = replace(_correct(setup, decimated), findings=(*known, finding))
-        lost = "; its jumps between two logged rows are lost, and nothing more can be concluded. "
-        refusal = f"{finding.text[:1].upper()}{finding.text[1:]}{lost}To mend it: "
-        if setup.base.unexplained:
-            return replace(setup, refusal=refusal + finding.how_to_mend)
+    setup = _restore_commands(setup, base, progress)
+    if setup.refusal:
+        return setup
     differing = _find_what_differs(setup.base)
     if differing is not None:
         finding = _word_finding(differing, (), corrected=True)
@@ -158,6 +154,10 @@ def suspect_air_first(
     """
     if not alone.unexplained:
         return None
+    setup = CheckedSetup(replace(alone, evidence=evidence), tuple(train), tuple(holdout))
+    restored = _restore_commands(setup, alone, progress)
+    if restored.findings:
+        return restored
     at_bound = alone.at_bound
     own = [s for s in list_suspects(evidence, at_bound) if s.blocks == {PRESSURE}]
     if not any(f.is_good and _is_worth_saying(f) for f in _fit_most_promising(alone, own, effects)):
@@ -171,8 +171,28 @@ def suspect_air_first(
         return None
     finding = _word_finding(best, rivals, corrected=True)
     progress(f"set-up: {finding.text}")
-    setup = CheckedSetup(replace(alone, evidence=evidence), tuple(train), tuple(holdout))
     return replace(_correct(setup, best), findings=(finding,))
+
+
+def _restore_commands(
+    setup: CheckedSetup, base: Model, progress: Callable[[str], None]
+) -> CheckedSetup:
+    """Return the set-up with the commands restored that the log has not as they were given.
+
+    Where that leaves more than noise, the lost ones are the reason, and nothing else can be asked.
+    `base` may be the pressure block alone.
+    """
+    fitted = fit_late_commands(base) or fit_decimation(base)
+    if fitted is None:
+        return setup
+    finding = _word_finding(fitted, (), corrected=True)
+    progress(f"set-up: {finding.text}")
+    setup = replace(_correct(setup, fitted), findings=(*setup.findings, finding))
+    if PRESSURE not in setup.base.unexplained:
+        return setup
+    lost = "; what was given between is lost, and nothing more can be concluded. To mend it: "
+    text = f"{finding.text[:1].upper()}{finding.text[1:]}{lost}{finding.how_to_mend}"
+    return replace(setup, refusal=text)
 
 
 def is_refuted_by(fitted: SuspectFit, model: Model) -> bool:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE, Drive
 from pamctl.diagnose.fitting.evidence import Evidence
@@ -27,6 +28,7 @@ from pamctl.diagnose.setup.altered_drive import (
     alter,
     interpolate_smoothly,
 )
+from pamctl.plant.drive import SAME_INSTANT_S
 from pamctl.plant.model import PlantSettings
 
 Kind = Literal[
@@ -46,6 +48,8 @@ Kind = Literal[
 ATMOSPHERE = "atmospheric_pressure_pa"
 OF_RECORD = "of each record"
 """Variant of a change over time: its times are shares of each record's length."""
+READ_BACK = "read back"
+"""Variant of a late command: the log read back what the valve held (`late_commands.py`)."""
 LOWEST_ATMOSPHERE_PA, HIGHEST_ATMOSPHERE_PA = 55e3, 105e3
 """From the highest laboratories to high pressure at sea level."""
 
@@ -135,7 +139,7 @@ def _move_null(suspect: Suspect, drive: Drive, amount: float) -> Drive:
 
 def _profile(suspect: Suspect, drive: Drive) -> Array:
     """Return how much of an amount acts at each sample."""
-    t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
+    t_s = drive.times_s
     t_s = t_s / t_s[-1] if suspect.variant == OF_RECORD else t_s
     if suspect.over_s:
         return np.asarray(t_s / suspect.over_s)
@@ -148,6 +152,8 @@ def _shift_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
         return replace(drive, step_s=drive.step_s / (1.0 + amount))
     late_s, per_s = (0.0, amount) if suspect.kind == "clock_rate" else (amount, 0.0)
     column = suspect.number
+    if suspect.variant == READ_BACK:
+        return replace(drive, valve_v=put_back_commands(drive.valve_v, drive.times_s, late_s))
     if column != drive.channel:
         return _shift_input(drive, column, late_s, per_s)
     if drive.has_known_start:
@@ -161,7 +167,7 @@ def _shift_column(suspect: Suspect, drive: Drive, amount: float) -> Drive:
 
 
 def _shift_input(drive: Drive, column: str, late_s: float, per_s: float) -> Drive:
-    t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
+    t_s = drive.times_s
     shift_s = late_s + per_s * t_s
     if column == "valve_v":
         return replace(drive, acts_after_s=act_earlier(drive.acts_after_s, shift_s))
@@ -255,6 +261,18 @@ def restore_command(valve_v: np.ndarray, held: int) -> np.ndarray:
     jumps = np.append(steps > 6.0 * usual, True)  # a step stays a step
     held_here = jumps[np.clip((np.arange(len(valve_v)) - first) // held, 0, len(knots) - 1)]
     return np.asarray(np.where(held_here | (np.arange(len(valve_v)) < first), valve_v, restored))
+
+
+def find_shown_rows(t_s: Array, late_s: float) -> NDArray[np.intp]:
+    """Return the row whose command was held `late_s` before each row, shape (n,)."""
+    rows = np.searchsorted(t_s, t_s - late_s + SAME_INSTANT_S, "right") - 1
+    return np.asarray(np.clip(rows, 0, len(t_s) - 1))
+
+
+def put_back_commands(valve_v: Array, t_s: Array, late_s: float) -> Array:
+    """Return the commands in their own rows; what no row shows is between its neighbours."""
+    rows, first = np.unique(find_shown_rows(t_s, late_s), return_index=True)
+    return np.asarray(np.interp(np.arange(len(t_s)), rows, valve_v[first]))
 
 
 _ACTIONS = {

@@ -85,6 +85,7 @@ class _Twin:
 
 _TWINS = (
     _Twin("command_delay.delay_s", "skew", "valve_v", "s", "pressure", lambda v, _: -v, True),
+    _Twin("null_offset.offset_v", "null_offset", "valve_v", "V", "pressure", lambda v, _: -v, True),
     _Twin(
         "end_cap.length_m",
         "plant_constant",

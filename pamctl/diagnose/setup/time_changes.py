@@ -26,6 +26,7 @@ from pamctl.diagnose.setup.suspects import OF_RECORD, UNITS, Suspect
 from pamctl.diagnose.setup.weighed_fit import (
     MUCH,
     SuspectFit,
+    find_excess,
     fit_suspect,
     held_out_margins,
     score_suspect,
@@ -33,7 +34,7 @@ from pamctl.diagnose.setup.weighed_fit import (
 )
 
 PROMISING = 0.5
-"""Share of what is left that a profile must promise to be fitted."""
+"""Share of what is left above the floor that a profile must promise to be fitted."""
 NEAR_BEST = 0.7
 """A profile that promises a smaller share of what the best one promises is not fitted."""
 INSTANTS = 24
@@ -44,6 +45,8 @@ MOST_OF_A_WAY = 2
 """Numbers that are fitted for each way of changing."""
 FAR, FAR_PROMISE = 3.0, 0.1
 """In a block that is left so many times its floor a drift is fitted for this promise."""
+ALIKE = 1.02
+"""Records whose lengths differ by less have one clock: a share of them is a time."""
 CLEAR = 0.6
 """Not where an effect promises so much."""
 ROUNDS = 3
@@ -90,7 +93,7 @@ def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit
     `least` is what they must promise, by block.
     """
     found = _rank_profiles(base)
-    chosen = _choose_profiles([p for block, p in found if p.explained > least[block]])
+    chosen = _choose_profiles(base, [p for block, p in found if p.explained > least[block]])
     fits = [_fit_profile(base, p) for p in chosen]
     if not any(f.is_good for f in fits):
         far = [b for b in base.unexplained if base.ratio(b) > FAR and least[b] < CLEAR]
@@ -102,7 +105,7 @@ def fit_time_changes(base: Model, least: Mapping[str, float]) -> list[SuspectFit
 def fit_changes_by_record(base: Model) -> list[SuspectFit]:
     """Return the fits of the most promising numbers that differ from record to record."""
     profiles = [p for _, p in _rank_profiles(base) if p.by_record]
-    return [_fit_profile(base, p) for p in _choose_profiles(profiles)]
+    return [_fit_profile(base, p) for p in _choose_profiles(base, profiles)]
 
 
 def _rank_profiles(base: Model) -> list[tuple[str, _Profile]]:
@@ -111,14 +114,17 @@ def _rank_profiles(base: Model) -> list[tuple[str, _Profile]]:
     return sorted(found, key=lambda pair: -pair[1].explained)
 
 
-def _choose_profiles(ranked: Sequence[_Profile]) -> list[_Profile]:
+def _choose_profiles(base: Model, ranked: Sequence[_Profile]) -> list[_Profile]:
     """Return those to fit: of each way of changing a few numbers.
 
     The records may be too alike in length to tell per second from per record: both are fitted.
     """
     chosen: list[_Profile] = []
-    enough = max(PROMISING, NEAR_BEST * ranked[0].explained) if ranked else 0.0
+    enough = NEAR_BEST * ranked[0].explained if ranked else 0.0
     for profile in (p for p in ranked if p.explained > enough):
+        (block,) = profile.suspect.blocks
+        if profile.explained < PROMISING * find_excess(base, base.fit_of(block)):
+            continue
         alike = [p.suspect for p in chosen if p.way == profile.way]
         keys, numbers = {s.key for s in alike}, {s.number for s in alike}
         is_few = len(numbers | {profile.suspect.number}) <= MOST_OF_A_WAY
@@ -135,7 +141,7 @@ def _list_far_drifts(ranked: Sequence[_Profile]) -> list[_Profile]:
     """
     drifts = [p for p in ranked if p.suspect.kind == "drift" and p.suspect.over_s]
     of_record = [p for p in drifts if p.suspect.variant == OF_RECORD]
-    return [p for p in of_record or drifts if p.explained > FAR_PROMISE][:MOST_OF_A_WAY]
+    return [p for p in of_record or drifts if p.explained > FAR_PROMISE]
 
 
 def _acts_always(fitted: SuspectFit) -> bool:
@@ -190,7 +196,7 @@ def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
             explained, amount = promise(moved * np.concatenate([t / t[-1] for t in times]))
             drift = replace(suspect, over_s=1.0, variant=OF_RECORD)
             yield _Profile(drift, explained, amount * dose)
-        yield _best_instant(fitted, suspect, dose, moved, times, basis, left)
+        yield from _list_instants(fitted, suspect, dose, moved, times, basis, left)
         held_out = base.evidence.holdout[block]
         if len(times) == 1 and {d.name for d in held_out} != {fitted.drives[0].name}:
             # With one record to fit, only the held-out ones can differ from it.
@@ -212,8 +218,7 @@ def _list_profiles(base: Model, block: str) -> Iterator[_Profile]:
 
 
 def _times_of(drive: Drive) -> Array:
-    t_s = np.concatenate([[0.0], np.cumsum(drive.step_s)])
-    return t_s if drive.rows is None else t_s[drive.rows]
+    return drive.times_s if drive.rows is None else drive.times_s[drive.rows]
 
 
 def _list_numbers(base: Model, block: str) -> Iterator[tuple[Suspect, float]]:
@@ -239,7 +244,7 @@ def _list_numbers(base: Model, block: str) -> Iterator[tuple[Suspect, float]]:
         )
 
 
-def _best_instant(
+def _list_instants(
     fitted: Fit,
     suspect: Suspect,
     dose: float,
@@ -247,18 +252,21 @@ def _best_instant(
     times: Sequence[Array],
     basis: Array,
     left: Array,
-) -> _Profile:
-    """Return the best instant at which the number changes, of all records or of one."""
+) -> Iterator[_Profile]:
+    """Yield the best instant at which the number changes: of all records or one, and as a share."""
     clock = np.concatenate(times)
     shares = np.concatenate([t / t[-1] for t in times])
     marks = np.concatenate([np.full(len(t), i) for i, t in enumerate(times)])
-    best = _Profile(replace(suspect, kind="change_at_instant"), 0.0, 0.0)
+    lengths_s = [float(t[-1]) for t in times]
     of_one = [(d.name, "", clock, marks == i) for i, d in enumerate(fitted.drives)]
     of_all = np.ones(len(clock), bool)
-    several = [("", "", clock, of_all), ("", OF_RECORD, shares, of_all)]
+    several = [("", "", clock, of_all), *(of_one if len(times) > 1 else [])]
+    if max(lengths_s) > ALIKE * min(lengths_s):
+        several.append(("", OF_RECORD, shares, of_all))
+    best: dict[str, _Profile] = {}
     products = np.column_stack([moved * left, moved**2, moved[:, None] * basis])
     before = float(left @ left)
-    for record, variant, when, own in [*several, *of_one] if len(times) > 1 else several[:1]:
+    for record, variant, when, own in several:
         instants = np.linspace(0.0, float(when[own].max()), INSTANTS + 2)[1:-1]
         # What acts from an instant on is the sum of all that lies behind it.
         bins = np.searchsorted(instants, when[own], side="right")
@@ -270,7 +278,7 @@ def _best_instant(
         seen = sizes > 1e-6 * before
         explained = np.where(seen, behind[:, 0] ** 2 / np.where(seen, sizes * before, 1.0), 0.0)
         place = int(np.argmax(explained))
-        if explained[place] > best.explained:
+        if variant not in best or explained[place] > best[variant].explained:
             changed = replace(
                 suspect,
                 kind="change_at_instant",
@@ -278,9 +286,9 @@ def _best_instant(
                 variant=variant,
                 after_s=float(instants[place]),
             )
-            start = -float(behind[place, 0] / sizes[place]) * dose
-            best = _Profile(changed, float(explained[place]), start)
-    return best
+            start = -float(behind[place, 0] / max(sizes[place], 1e-30)) * dose
+            best[variant] = _Profile(changed, float(explained[place]), start)
+    yield from best.values()
 
 
 def _refine_instant(base: Model, profile: _Profile) -> Suspect:

@@ -138,6 +138,12 @@ def weights_of(base: Model, fitted: Fit) -> Array:
     return np.concatenate([np.full(d.samples, d.deviation / units[d.block]) for d in fitted.drives])
 
 
+def find_excess(base: Model, fitted: Fit) -> float:
+    """Return the share of a fit's square that is above its floors: only that can be explained."""
+    squares = float(np.mean((weights_of(base, fitted) * fitted.residual) ** 2))
+    return max(1.0 - 1.0 / squares, 0.0)
+
+
 _BASES: WeakKeyDictionary[Fit, tuple[Array, Array, Array]] = WeakKeyDictionary()
 """By fit, for the weights it was asked with: every suspect is scored upon the same basis."""
 

@@ -119,7 +119,10 @@ def set_up_situations() -> Iterator[Situation]:
     """What is wired, typed or set otherwise than the plant file and the columns say."""
     for name, offsets in {"null_up": (0.02, 0.15), "null_down": (-0.05, -0.2)}.items():
         yield Situation(
-            name, "set_up", _labs(_nulled, offsets), _set_up("null_offset", "", offsets)
+            name,
+            "set_up",
+            _labs(_nulled, offsets),
+            _with(_set_up("null_offset", "", offsets), equal=frozenset({"null_offset"})),
         )
     place = "atmospheric_pressure_pa"
     yield Situation(

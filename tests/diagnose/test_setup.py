@@ -317,6 +317,24 @@ def test_the_command_before_the_record_has_the_same_null() -> None:
     assert moved.held_v == pytest.approx(0.4)
 
 
+def test_a_bowed_pressure_sensor_is_found_where_its_promise_is_small() -> None:
+    """The numbers of both blocks have taken most of the bow; one of them is at its bound then."""
+    span_pa, height_pa = 350e3, 5e3
+
+    def bow(record: Record) -> Record:
+        share = (record["pressure_pa"] - 101.3e3) / span_pa
+        return replace(
+            record, pressure_pa=record["pressure_pa"] + height_pa * 4.0 * share * (1.0 - share)
+        )
+
+    setup = _ask(_record(hidden_rig(seed=4), bow))
+    (finding,) = setup.findings
+    assert (finding.kind, finding.number) == ("bow", "pressure_pa")
+    assert finding.value == pytest.approx(height_pa, rel=0.1)
+    assert finding.text.startswith("the pressure is not linear")
+    assert not setup.base.unexplained
+
+
 def test_a_smooth_command_is_restored_between_the_logged_rows() -> None:
     t_s = np.arange(4000) * 1e-3
     given = 2.0 * np.sin(2.0 * np.pi * 3.0 * t_s) + np.sin(2.0 * np.pi * 7.3 * t_s)

@@ -51,6 +51,13 @@ def describe(suspect: Suspect, value: float, said: float | None) -> str:
         return f"{column} was filtered forwards and backwards, near {hz:.3g} Hz"
     if suspect.kind == "sign":
         return f"{column} has the wrong sign"
+    if suspect.kind == "bow":
+        low, high = suspect.between
+        share = 100.0 * value / (high - low)
+        return (
+            f"{column} is not linear: half way from {low:.4g} to {high:.4g} Pa it is shown "
+            f"{value:+.4g} Pa off, {share:+.2f} % of that span"
+        )
     if suspect.kind == "gauge" and value > 0.0:
         return f"{column} is {value:.5g} Pa above absolute pressure: the atmosphere counts twice"
     if suspect.kind == "gauge":
@@ -107,6 +114,8 @@ def advise_mending(suspect: Suspect, value: float) -> str:
         return "give the data as they were measured; here the simulation is filtered alike"
     if suspect.kind == "decimated_command":
         return "log the command at every sample"
+    if suspect.kind == "bow":
+        return "calibrate the sensor at three pressures or more, and import with that curve"
     if suspect.kind == "gauge" and value > 0.0:
         return "add the atmosphere's pressure once: in the calibration, or in the import map"
     if suspect.kind == "gauge":

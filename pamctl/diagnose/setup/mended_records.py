@@ -16,6 +16,7 @@ from pamctl.diagnose.setup.suspects import (
     act_earlier,
     put_back_commands,
     restore_command,
+    straighten,
 )
 from pamctl.plant.model import PlantSettings
 
@@ -33,6 +34,8 @@ def mend_record(record: Record, suspect: Suspect, amount: float, nominal: PlantS
     values, t_s = record[column], record.t_s
     if kind == "gauge":
         return replace(record, pressure_pa=values - amount)
+    if kind == "bow":
+        return replace(record, pressure_pa=straighten(values, suspect.between, amount))
     if kind == "null_offset":
         held_v = None if record.held_v is None else record.held_v - amount
         return replace(record, valve_v=values - amount, held_v=held_v)

@@ -260,15 +260,22 @@ def _fit_promising(base: Model, effects: EffectRivals) -> list[SuspectFit]:
     at_bound = {name for f in base.fits.values() for name in f.at_bound}
     asked = [s for s in list_suspects(base.evidence, at_bound) if _may_matter(base, s)]
     fits = _fit_most_promising(base, asked, effects)
-    if not any(f.is_good for f in fits) and _has_strained_length(base):
-        # Derivatives promise nothing where a number is at its bound.
+    if not any(f.is_good for f in fits):
         known = {f.suspect.key for f in fits}
-        fits += [
-            fit_suspect(base, s, _score(base, s).start)
-            for s in asked
-            if s.label in GEOMETRY and s.key not in known
-        ]
+        hidden = _list_hidden(base, asked)
+        fits += [fit_suspect(base, s, _score(base, s).start) for s in hidden if s.key not in known]
     return [*fits, *wholesale]
+
+
+def _list_hidden(base: Model, asked: Iterable[Suspect]) -> list[Suspect]:
+    """Return the suspects to fit whatever they promise: other numbers have taken their place.
+
+    Derivatives promise nothing of a length where a number is at its bound. A bow of the pressure
+    sensor is spread over the numbers of both blocks.
+    """
+    is_strained = _has_strained_length(base)
+    bows = len(base.unexplained) > 1 or bool(base.at_bound)
+    return [s for s in asked if (is_strained and s.label in GEOMETRY) or (bows and s.kind == "bow")]
 
 
 def _has_strained_length(base: Model) -> bool:

@@ -40,6 +40,7 @@ Kind = Literal[
     "decimated_command",
     "scale",
     "gauge",
+    "bow",
     "filtered",
     "drift",
     "change_at_instant",
@@ -57,7 +58,7 @@ LOWEST_ATMOSPHERE_PA, HIGHEST_ATMOSPHERE_PA = 55e3, 105e3
 _LABELS = {
     "plant_constant": "", "skew": "skew of ", "clock_rate": "clock of ", "filtered": "filter of ",
     "drift": "drift of ", "change_at_instant": "change of ", "scale": "scale of ",
-    "null_offset": "null offset of ", "sign": "sign of ",
+    "null_offset": "null offset of ", "sign": "sign of ", "bow": "bow of ",
 }  # fmt: skip
 
 
@@ -92,6 +93,8 @@ class Suspect:
     """Above 0: acts from this instant of a record on."""
     is_rare: bool = False
     """Said only where no effect explains as much."""
+    between: tuple[float, float] = (0.0, 1.0)
+    """The ends of a bowed reading, where it is right."""
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -218,6 +221,19 @@ def _shift_pressure(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     return replace(drive, driven=drive.driven - amount)
 
 
+def _straighten_pressure(suspect: Suspect, drive: Drive, amount: float) -> Drive:
+    """Let the pressure show `amount` more than is true in the middle between the ends."""
+    field_name = "measured" if drive.block == PRESSURE else "driven"
+    straight: Any = straighten(getattr(drive, field_name), suspect.between, amount)
+    return replace(drive, **{field_name: straight})
+
+
+def straighten(shown: Array, between: tuple[float, float], amount: float) -> Array:
+    """Return a bowed reading without its parabola of a height `amount`."""
+    share = (shown - between[0]) / (between[1] - between[0])
+    return np.asarray(shown - amount * 4.0 * share * (1.0 - share))
+
+
 def _filter_output(suspect: Suspect, drive: Drive, amount: float) -> Drive:
     """Filter what the model shows as the column was filtered; an input stays as it is."""
     if suspect.number != drive.channel:
@@ -286,6 +302,7 @@ _ACTIONS = {
     "sign": _scale_column,
     "decimated_command": _restore_command,
     "gauge": _shift_pressure,
+    "bow": _straighten_pressure,
     "filtered": _filter_output,
 }
 
@@ -386,6 +403,8 @@ def _list_columns(evidence: Evidence) -> Iterator[Suspect]:
     if moves and (widest_v or blocks == both):
         yield _skew("pressure_pa", both, period_s)
         yield _rate("pressure_pa", both)
+    if moves and blocks == both:
+        yield _bow(evidence)
     if moves and MECHANICS in blocks:  # numbers hide a wrong time, but for the friction's (Eq. 5)
         yield Suspect(
             "clock_rate", "t_s", "1", -0.05, 0.05, (0.01, -0.01), 5e-3, both, is_rare=True
@@ -446,6 +465,19 @@ def _skew(
     doses = tuple(sign * d * unit_s for d in (0.5, -0.5, 2.0, -2.0))
     most_s = 12.0 * unit_s
     return Suspect("skew", column, "s", -most_s, most_s, doses, 0.2 * unit_s, blocks)
+
+
+def _bow(evidence: Evidence) -> Suspect:
+    """Return the suspect that the pressure sensor is not linear; its range covers the supply."""
+    parameters = evidence.nominal.parameters
+    shown_pa = max(float(np.max(d.measured)) for d in evidence.train[PRESSURE])
+    between = parameters.atmospheric_pressure_pa, max(shown_pa, parameters.tank_pressure_pa)
+    unit_pa = 1e-3 * (between[1] - between[0])
+    doses = tuple(times * unit_pa for times in (2.0, -2.0, 10.0, -10.0))
+    both, most_pa = frozenset({PRESSURE, MECHANICS}), 60.0 * unit_pa
+    return Suspect(
+        "bow", "pressure_pa", "Pa", -most_pa, most_pa, doses, unit_pa, both, between=between
+    )
 
 
 def _rate(column: str, blocks: frozenset[str]) -> Suspect:

@@ -39,8 +39,8 @@ NEAR_BEST = 0.7
 """A profile that promises a smaller share of what the best one promises is not fitted."""
 INSTANTS = 24
 """Instants of a record that are tried first."""
-REFINED = 4
-"""Instants that are simulated between two of those."""
+REFINED, REFINEMENTS = 4, 5
+"""Instants that are simulated between two of those, and how often."""
 MOST_OF_A_WAY = 2
 """Numbers that are fitted for each way of changing."""
 FAR, FAR_PROMISE = 3.0, 0.1
@@ -298,7 +298,7 @@ def _refine_instant(base: Model, profile: _Profile) -> Suspect:
            if suspect.record in ("", d.name)]  # fmt: skip
     longest_s = max(float(_times_of(d)[-1]) for d in own)
     width_s = (1.0 if suspect.variant == OF_RECORD else longest_s) / (INSTANTS + 1)
-    for _ in range(2):
+    for _ in range(REFINEMENTS):
         tried = [
             replace(suspect, after_s=float(s), doses=(profile.start,))
             for s in suspect.after_s + np.linspace(-1.0, 1.0, REFINED + 1) * width_s

@@ -7,7 +7,7 @@ from typing import Literal
 
 Kind = Literal[
     "plant_constant", "null_offset", "sign", "skew", "clock_rate", "decimated_command", "scale",
-    "gauge", "drift", "change_at_instant",
+    "gauge", "bow", "drift", "change_at_instant",
 ]  # fmt: skip
 
 PLACES = {

@@ -396,7 +396,7 @@ def unknown_situations() -> Iterator[Situation]:
         "sensor_bow",
         "unknown",
         (Lab(pressure_bow=0.005), Lab(pressure_bow=0.02)),
-        _same(unknown),
+        _set_up("bow", "pressure_pa", (1750.0, 7000.0)),
     )
     for name, called in CALLED.items():
         if name != "hysteretic_spring":

@@ -90,6 +90,9 @@ def measure(path: Path) -> dict[str, Any]:
     began = process_time()
     exec(YARDSTICK, {})
     yardstick_s, began = process_time() - began, process_time()
+    from pamctl.realtime.scheduling import keep_single_threaded
+
+    keep_single_threaded()  # as `pamctl` does: idle threads of the algebra count as well
     from pamctl.diagnose import Record, diagnose, record_of, workflow
     from pamctl.diagnose.fitting import drives
     from pamctl.plant.model import PlantSettings

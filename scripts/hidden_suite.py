@@ -24,6 +24,10 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "scripts")]
 
+from pamctl.realtime.scheduling import keep_single_threaded  # noqa: E402
+
+keep_single_threaded()  # as `pamctl` does; before numpy is imported
+
 from hidden.examination.cases import Case, all_cases, quick_cases  # noqa: E402
 from hidden.examination.examine import examine  # noqa: E402
 from hidden.examination.oracle import oracle  # noqa: E402

@@ -29,6 +29,10 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "scripts")]
 
+from pamctl.realtime.scheduling import keep_single_threaded  # noqa: E402
+
+keep_single_threaded()  # as `pamctl` does; before numpy is imported
+
 from hidden.hostile.marking import HONEST, RIGHT, MarkedCase, Said, summarize  # noqa: E402
 from hidden.hostile.programs import EXCITATIONS  # noqa: E402
 from hidden.hostile.situations import SIZES, HostileCase, all_cases  # noqa: E402

@@ -13,7 +13,7 @@ from pamctl.plant.model import PlantSettings, plant_parameters, settings_of, val
 from pamctl.plant.paper.muscle import force_area_m2
 from pamctl.plant.terms.locations import LOCATIONS
 from pamctl.plant.terms.operators import DRIVERS, OPERATORS, REFERENCES, PlantTerm, Terms
-from pamctl.plant.terms.tangents import answer_pushes, find_pressure_tangent, trace_shape
+from pamctl.plant.terms.tangents import PressureTangent, answer_pushes, trace_shape
 
 TICK_S = 1e-3
 TIMES_S = np.arange(1500) * TICK_S
@@ -190,12 +190,13 @@ def test_tangents_answer_as_the_plant_does() -> None:
     push = Terms()._replace(air=PlantTerm(2e3, float([*LOCATIONS].index("supply"))))
     p = parameters_of({})
     coupled = drive_coupled(p, volts, grid)
-    kept, pushed = find_pressure_tangent(p, push, volts, coupled.position_m, grid)
+    tangent = PressureTangent(p, volts, coupled.position_m, grid, p.atmospheric_pressure_pa)
     plain, rising = (
         drive_pressure(parameters_of(values), volts, coupled.position_m, grid).pressure_pa
         for values in ({}, flat("supply", "gain", "time", size=2e3))
     )
-    answer, exact = answer_pushes(kept, pushed, TIMES_S[None])[0], rising - plain
+    answer = answer_pushes(tangent.kept, tangent.find_push(push), TIMES_S[None])[0]
+    exact = rising - plain
     assert float(answer @ exact) / np.linalg.norm(answer) / np.linalg.norm(exact) > 0.999
     assert np.linalg.norm(answer) == pytest.approx(float(np.linalg.norm(exact)), rel=0.01)
 

@@ -37,7 +37,7 @@ MIXED = 24
 MOST_SURE = 5.0
 """A pair that is surer counts no more: the others need the time."""
 FORECAST = 3
-"""Programs for which the wrong explanation is refitted to the end."""
+"""At most this many programs are forecast, by whole fits of the wrong explanations."""
 STROKES = (1.0, 0.6, 0.4, 0.2, 0.1)
 """Sizes of the strokes that all programs begin with, as shares of the largest command; the largest
 that stays within the limits counts."""
@@ -128,7 +128,7 @@ def choose_deciding_program(
     admitted = [trial for trial, _ in best if _is_admitted(trial, limits)]
     if not admitted:
         return None
-    chosen = max(admitted[:FORECAST], key=lambda t: _weigh(t.forecasts))
+    chosen = _choose_by_forecast(admitted[:FORECAST])
     return _describe(chosen, programs + MIXED, len(inside) + len(mixed), limits.source)
 
 
@@ -143,6 +143,15 @@ def _select_finalists(inside: Sequence[_Tried]) -> list[_Tried]:
 
 def _keep_best(tried: Sequence[_Tried], count: int) -> list[_Tried]:
     return sorted(tried, key=lambda t: _weigh(t[0].separations), reverse=True)[:count]
+
+
+def _choose_by_forecast(best: Sequence[ProgramTrial]) -> ProgramTrial:
+    """Return the best by its forecast; none is made where a program promises no further pair."""
+    chosen = best[0]
+    for trial in best[1:]:
+        if _weigh(trial.separations)[0] > _weigh(chosen.forecasts)[0]:
+            chosen = max(chosen, trial, key=lambda t: _weigh(t.forecasts))
+    return chosen
 
 
 def _weigh(separations: Sequence[Separation]) -> tuple[int, float]:

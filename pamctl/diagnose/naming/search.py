@@ -176,7 +176,9 @@ def search_effects(
     apart, base = base, base if leaves_more(base) else fit_jointly(base)
     # A disagreement between the blocks hardly shows in either alone.
     alone = apart if base is not apart and leaves_more(base) else None
-    known_by_effects = {} if base.is_joint else {frozenset(m.effects): m for m in known}
+    # Of two fits of the same effects the better one comes first, and stays.
+    best_first = () if base.is_joint else [*known]
+    known_by_effects = {frozenset(m.effects): m for m in reversed(best_first)}
     fitter = _Fitter(executor, known_by_effects, progress)
     beam = [base]
     size = count_most_effects(base)
@@ -190,7 +192,7 @@ def search_effects(
             grown = tuple(sorted((*grown, *fitter.fit_jobs(others, grown)), key=rank))
         if not any(m.is_complete for m in grown):
             most = [m for m in grown[:MOST_REFORMED] if _goes_far(base, m)]
-            reformed = _fit_other_forms(most, candidates, executor)
+            reformed = fitter.fit_other_forms(most, candidates)
             grown = tuple(sorted((*grown, *reformed), key=rank))
         if not grown:
             break
@@ -361,7 +363,7 @@ class _Fitter:
 
         `beside` are models of the same level that were fitted before.
         """
-        found = [m for effects, job in jobs.items() if (m := self._look_up(effects, job))]
+        found = [m for effects, job in jobs.items() if (m := self._look_up(effects, job.model))]
         done = {frozenset(m.effects) for m in found}
         rest = [job for effects, job in jobs.items() if effects not in done]
         grown = sorted((*found, *self._fit(rest)), key=rank)
@@ -386,9 +388,28 @@ class _Fitter:
             grown[place] = better
         return grown
 
-    def _look_up(self, effects: frozenset[Candidate], job: _Job) -> Model | None:
-        """Return a known model with these effects, with the other blocks as the job's model."""
-        part, whole = self.known.get(effects), job.model
+    def fit_other_forms(
+        self, models: Sequence[Model], candidates: Sequence[Candidate]
+    ) -> tuple[Model, ...]:
+        """Fit the last effect of each model in its other forms.
+
+        They start where this form ended. From neutral values the way may be full of valleys, as it
+        is for friction that falls steeply with speed.
+        """
+        jobs = [
+            (model, form)
+            for model in models
+            for form in candidates
+            if form.name == model.effects[-1].name and form != model.effects[-1]
+        ]
+        known = [self._look_up(frozenset({*m.effects[:-1], form}), m) for m, form in jobs]
+        new = [job for job, found in zip(jobs, known, strict=True) if found is None]
+        fitted = iter(run_fit_jobs(_fit_other_form, new, self.executor))
+        return tuple(confirm_complete(found or next(fitted)) for found in known)
+
+    def _look_up(self, effects: frozenset[Candidate], whole: Model) -> Model | None:
+        """Return a known model with these effects, with the other blocks as in another."""
+        part = self.known.get(effects)
         if part is None or whole.is_joint:
             return None
         reached = {b for c in effects for b in c.blocks}
@@ -397,23 +418,6 @@ class _Fitter:
         fits = {**whole.fits, **{b: f for b, f in part.fits.items() if b & reached}}
         return Model(whole.evidence, part.effects, fits, root=whole.root or whole,
                      is_final=part.is_final)  # fmt: skip
-
-
-def _fit_other_forms(
-    models: Sequence[Model], candidates: Sequence[Candidate], executor: Executor | None
-) -> tuple[Model, ...]:
-    """Fit the last effect of each model in its other forms.
-
-    They start where this form ended. From neutral values the way may be full of valleys, as it is
-    for friction that falls steeply with speed.
-    """
-    jobs = [
-        (model, form)
-        for model in models
-        for form in candidates
-        if form.name == model.effects[-1].name and form != model.effects[-1]
-    ]
-    return tuple(map(confirm_complete, run_fit_jobs(_fit_other_form, jobs, executor)))
 
 
 def _fit_other_form(job: tuple[Model, Candidate]) -> Model:

@@ -8,6 +8,7 @@ acts at its full size, a volume stores what it has, and what sticks does not fee
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 
 import numpy as np
 
@@ -16,12 +17,12 @@ from pamctl.diagnose.fitting.drives import PRESSURE, Drive
 from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.terms.grammar import Question
 from pamctl.plant.model import plant_parameters
-from pamctl.plant.parameters import PlantParameters, rest_state
+from pamctl.plant.parameters import PlantParameters
 from pamctl.plant.terms.locations import LOCATIONS
 from pamctl.plant.terms.operators import DRIVERS, OPERATORS, PlantTerm, Terms
 from pamctl.plant.terms.tangents import (
+    PressureTangent,
     answer_pushes,
-    find_pressure_tangent,
     trace_shape,
 )
 
@@ -35,7 +36,7 @@ class Doses:
         self.fitted = fitted
         self.p: PlantParameters = plant_parameters(fitted.settings)
         self.has_tangents = all(map(_runs_freely, fitted.drives))
-        self._tangents: dict[tuple[str, int], tuple[Array, Array]] = {}
+        self._pushes: dict[tuple[str, int], Array] = {}
         self._drivers: dict[tuple[str, int], Array] = {}
 
     def is_linear(self, question: Question) -> bool:
@@ -54,26 +55,27 @@ class Doses:
             return self.simulate(question, size)
         parts = []
         for index, drive in enumerate(self.fitted.drives):
-            kept, push = self._find_tangent(question, index, size)
+            tangent, push = self._tangents[index], self._find_push(question, index, size)
             shapes = [self._trace(question, shape, index) for shape in question.list_shapes()]
-            answers = answer_pushes(kept, push, np.array(shapes))
+            answers = answer_pushes(tangent.kept, push, np.array(shapes))
             rows = answers if drive.rows is None else answers[:, drive.rows]
             parts.append(rows / drive.deviation)
         return np.concatenate(parts, axis=1).T
 
-    def _find_tangent(self, question: Question, index: int, size: float) -> tuple[Array, Array]:
-        """Return what is kept and pushed per size; `size` is that of the push that shows it."""
+    @cached_property
+    def _tangents(self) -> list[PressureTangent]:
+        return [
+            PressureTangent(self.p, d.valve_v, d.driven, d.grid, d.start)
+            for d in self.fitted.drives
+        ]
+
+    def _find_push(self, question: Question, index: int, size: float) -> Array:
+        """Return what is pushed per size; `size` is that of the push that shows it."""
         key = question.location.name, index
-        if key not in self._tangents:
-            drive, terms = self.fitted.drives[index], _push(question, size)
-            start = None
-            if drive.start != self.p.atmospheric_pressure_pa:
-                start = rest_state(self.p, float(drive.driven[0]), drive.start)
-            found = find_pressure_tangent(
-                self.p, terms, drive.valve_v, drive.driven, drive.grid, start
-            )
-            self._tangents[key] = (found[0], found[1] / size)
-        return self._tangents[key]
+        if key not in self._pushes:
+            push = self._tangents[index].find_push(_push(question, size))
+            self._pushes[key] = push / size
+        return self._pushes[key]
 
     def _trace(self, question: Question, shape: Mapping[str, float], index: int) -> Array:
         drive = self.fitted.drives[index]

@@ -101,17 +101,21 @@ class _Residual:
         self.basis: Array = np.linalg.qr(weighed)[0] if movable else np.zeros((len(raw), 0))
         self.left: Array = self.clean(raw)
         period_s = float(np.median(fitted.drives[0].step_s))
-        length = max(min(round(STRETCH_S / period_s), len(raw) // FEWEST_STRETCHES), 1)
-        self.edges = np.arange(0, len(raw), length)
+        self.length = max(min(round(STRETCH_S / period_s), len(raw) // FEWEST_STRETCHES), 1)
+        self.stretches = -(-len(raw) // self.length)
 
     def clean(self, columns: Array) -> Array:
         """Weigh rows, and remove what recalibration imitates."""
         weights = self.weights if columns.ndim == 1 else self.weights[:, None]
         return project_out(self.basis, columns * weights)
 
-    def cut(self, rows: Array) -> list[Array]:
-        """Cut rows into the stretches."""
-        return np.split(rows, self.edges[1:])
+    def sum_products(self, columns: Array) -> Array:
+        """Return the products of the columns by one another, shape (stretches, p, p)."""
+        count = columns.shape[1]
+        stretches = np.zeros((self.stretches, self.length, count))
+        stretches.reshape(-1, count)[: len(columns)] = columns
+        products: Array = stretches.transpose(0, 2, 1) @ stretches
+        return products
 
 
 @dataclass(frozen=True)
@@ -157,7 +161,7 @@ def rank_terms(fitted: Fit, block: str, questions: Sequence[Question]) -> TermRa
     sizes = _choose_sizes(residual, questions)
     total = float(residual.left @ residual.left)
     random = np.random.default_rng(17)
-    signs = random.choice([-1.0, 1.0], (SHUFFLES, len(residual.edges)))
+    signs = random.choice([-1.0, 1.0], (SHUFFLES, residual.stretches))
     by_chance = np.zeros(SHUFFLES)
     scores: list[TermScore] = []
     for question in questions:
@@ -193,10 +197,10 @@ def _choose_sizes(residual: _Residual, questions: Sequence[Question]) -> dict[st
 def _score_columns(residual: _Residual, question: Question, raw: Array) -> tuple[TermScore, _Sums]:
     """Score doses, shape (n, p), each per size."""
     columns = residual.clean(raw)
-    pairs = zip(residual.cut(columns), residual.cut(residual.left), strict=True)
-    sums = _Sums(*map(np.array, zip(*((c.T @ c, c.T @ left) for c, left in pairs), strict=True)))
+    products = residual.sum_products(np.column_stack([columns, residual.left]))
+    sums = _Sums(products[:, :-1, :-1], products[:, :-1, -1])
     amounts = sums.fit_all()
-    plain = np.ones((1, len(residual.edges)))
+    plain = np.ones((1, residual.stretches))
     explained = float(sums.predict(plain)[0]) / float(residual.left @ residual.left)
     score = TermScore(question, explained, tuple(map(float, amounts)), columns @ amounts)
     return score, sums

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hidden.excitations import tracking
+from hidden.rig import HiddenRig, hidden_rig
 from support.command_line import run_pamctl
 
 from pamctl.diagnose.fitting.intervals import FittedNumber
+from pamctl.diagnose.measured.record import Record
 from pamctl.health.find_drift import SIGMAS_OF_CI90, NumberDrift, find_drift
-from pamctl.health.fit_run import FittedRun
-from pamctl.health.follow_health import FollowedDrift
+from pamctl.health.fit_run import MISFIT, FittedRun, fit_record
+from pamctl.health.follow_health import FollowedDrift, find_changes
 from pamctl.health.health_words import describe_drift, list_rivals
 from pamctl.plant.catalogue import CATALOGUE
+from pamctl.plant.model import PlantSettings
 from pamctl.settings.resolve import read_section_file
 
 
@@ -78,6 +83,23 @@ def test_a_number_of_the_mechanics_is_said_alone() -> None:
     runs = [FittedRun("a.mcap", 0.0), FittedRun("b.mcap", 100.0)]
     change = NumberDrift("stiffness_n_per_m", "step", 0, 1, 9e3, 8e3, "N/m", 9.0)
     assert " or " not in describe_drift(FollowedDrift(change, None, is_doubtful=False), runs)
+
+
+def fit_hidden(rig: HiddenRig, seed: int) -> FittedRun:
+    record = rig.run(tracking(8.0, seed)).record
+    fitted = fit_record(Record(name=record.name, **record.columns()), PlantSettings())
+    return replace(fitted, when_s=100.0 * seed)
+
+
+def test_a_valve_that_begins_to_stick_is_noticed_behind_noise() -> None:
+    """Its misfit is below twice the floor, and moves no number enough to be said."""
+    healthy, sticking = (hidden_rig(e, seed=803) for e in ({}, {"valve_hysteresis": 3.0}))
+    assert healthy.sensors.pressure_noise_pa == 600.0
+    before, again, after = (fit_hidden(r, k) for k, r in enumerate((healthy, healthy, sticking)))
+    assert find_changes([before, again]) == []
+    (change,) = find_changes([before, after])
+    assert change.name == "pressure" + MISFIT
+    assert 1.3 < change.after < 2.0
 
 
 def test_a_folder_of_logs_names_the_number_that_moved(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from support.made_records import measured
 from pamctl.diagnose import Record
 from pamctl.diagnose.measured.noise.hum import remove_hum
 from pamctl.diagnose.measured.noise.mend import mend_records
-from pamctl.diagnose.measured.noise.outliers import find_outliers
+from pamctl.diagnose.measured.noise.outliers import AROUND, find_outliers
 from pamctl.diagnose.measured.noise.time_stamps import find_regular_times
 
 
@@ -40,12 +40,37 @@ def test_spikes_and_dropouts_do_not_count(channel: str) -> None:
     assert np.abs(mended[channel] - record[channel]).max() < 0.05 * np.ptp(record[channel])
 
 
+def test_dropouts_close_together_and_beside_a_jump_of_the_command_do_not_count() -> None:
+    record = measured("fit", 7)
+    assert record.valve_v is not None
+    jumps = np.flatnonzero(np.abs(np.diff(record.valve_v)) > 0.5 * np.ptp(record.valve_v)) + 1
+    alone = np.random.default_rng(5).integers(AROUND, len(record) - 100, 12)
+    pressure_pa = record["pressure_pa"].copy()
+    filled = jumps[pressure_pa[jumps] > 0.5 * pressure_pa.max()]
+    assert len(filled) > 1
+    rows = [*filled + 2, *(start + k for start in alone for k in (0, 1, 2, 7, 8))]
+    pressure_pa[rows] = 0.0
+    spikes, dropouts = find_outliers(replace(record, pressure_pa=pressure_pa), "pressure_pa")
+    assert not spikes.any()
+    assert {*np.flatnonzero(dropouts)} == {*rows}
+
+
+def test_the_answer_to_a_pulse_of_the_command_is_no_outlier() -> None:
+    valve_v, position_m = np.zeros(3000), np.random.default_rng(4).normal(0.0, 1e-6, 3000)
+    for start in range(200, 2900, 300):
+        valve_v[start : start + 3] = 5.0
+        position_m[start + 1 : start + 4] += 0.01
+    record = Record("pulses", 0.1 * np.arange(3000), valve_v=valve_v, position_m=position_m)
+    assert not np.any(find_outliers(record, "position_m"))
+
+
 def test_steps_clicks_and_ramps_are_no_outliers() -> None:
     t_s = np.arange(6000) * 1e-3
     random = np.random.default_rng(1)
     steps = 0.01 * (np.sin(2 * np.pi * t_s) > 0.0)
     clicks = np.cumsum(random.random(6000) < 0.002) * 1e-4
-    for motion in (steps, clicks, np.abs(t_s % 1.0 - 0.5)):
+    buzz = 0.01 * (np.sin(200.0 * np.pi * t_s) > 0.0)
+    for motion in (steps, clicks, buzz, np.abs(t_s % 1.0 - 0.5)):
         record = Record("made", t_s, position_m=motion + random.normal(0.0, 1e-6, 6000))
         spikes, dropouts = find_outliers(record, "position_m")
         assert not spikes.any()

@@ -15,6 +15,7 @@ from scipy.ndimage import median_filter
 from pamctl.diagnose.measured.record import Array, Record, estimate_resolution
 
 Rows = NDArray[np.bool_]
+Counts = NDArray[np.intp]
 
 LONGEST = 20
 """Samples that a dropout may last; a longer one is not mended here."""
@@ -26,6 +27,10 @@ BACK = 0.25
 """How far from its level before an outlier the signal may be afterwards, as a share of the jump."""
 JUMP_SHARE = 0.2
 """Share of its span by which a command jumps; a smooth one does not change so much in a sample."""
+ANSWER = 4
+"""Samples after a jump of the command in which a rig may begin to answer it by a jump."""
+NO_ANSWER = 0.3
+"""Share of its span that no rig goes and comes back at once if the command jumped only once."""
 AROUND = 8
 """Samples before and after an outlier that show how busy the signal is."""
 MOST_EQUAL = 0.3
@@ -38,10 +43,12 @@ def find_outliers(record: Record, channel: str) -> tuple[Rows, Rows]:
     """Return the spikes and the dropouts of a channel as masks of its samples, shape (n,)."""
     values = record[channel]
     spikes, dropouts = np.zeros(len(values), np.bool_), np.zeros(len(values), np.bool_)
-    for start, stop in _find_excursions(values, _find_commanded(record)):
+    for start, stop in _find_excursions(values, _count_commands(record)):
         same = stop - start > 1 and np.ptp(values[start:stop]) == 0.0
         at_end = values[start] == 0.0
         (dropouts if same or at_end else spikes)[start:stop] = True
+    same_value = spikes & np.isin(values, values[dropouts])
+    spikes, dropouts = spikes & ~same_value, dropouts | same_value
     for start, stop in _find_held(values):
         dropouts[start:stop] = True
     for found in (spikes, dropouts):
@@ -64,18 +71,16 @@ def bridge(values: Array, lost: Rows) -> Array:
     return mended
 
 
-def _find_commanded(record: Record) -> Rows:
-    """Mark the samples just after a jump of the command: the rig may answer those in any way."""
-    commanded = np.zeros(len(record), np.bool_)
-    if record.valve_v is not None:
-        least = JUMP_SHARE * max(float(np.ptp(record.valve_v)), 1e-9)
-        jumps = np.flatnonzero(np.abs(np.diff(record.valve_v)) >= least) + 1
-        for after in range(4):
-            commanded[np.minimum(jumps + after, len(record) - 1)] = True
-    return commanded
+def _count_commands(record: Record) -> Counts:
+    """Count the jumps of the command up to each sample, shape (n,)."""
+    if record.valve_v is None:
+        return np.zeros(len(record), np.intp)
+    least = JUMP_SHARE * max(float(np.ptp(record.valve_v)), 1e-9)
+    jumps = np.abs(np.diff(record.valve_v, prepend=record.valve_v[0])) >= least
+    return np.cumsum(jumps)
 
 
-def _find_excursions(values: Array, commanded: Rows) -> Iterator[tuple[int, int]]:
+def _find_excursions(values: Array, commands: Counts) -> Iterator[tuple[int, int]]:
     """Yield [start, stop) of what jumps away and comes back at once."""
     steps = np.diff(values)
     steps -= median_filter(steps, 2 * AROUND + 1, mode="nearest")  # the motion's own
@@ -86,15 +91,22 @@ def _find_excursions(values: Array, commanded: Rows) -> Iterator[tuple[int, int]
         max(float(np.median(sizes)) / 0.6745, estimate_resolution(values)),
     )
     jumps = np.flatnonzero(sizes > JUMP * usual)
+    span = float(np.ptp(values))
     done = 0
     for jump in jumps:
         start = int(jump) + 1
-        if start < done or start < AROUND or commanded[start]:
+        if start <= done or start < AROUND:
             continue
         stop = _find_return(values, start, float(steps[jump]), float(usual[jump]))
-        if stop is not None:
-            done = stop
-            yield start, stop
+        if stop is None:
+            continue
+        # A rig may answer a jump of the command in any way, but for a large one there and back.
+        answered = int(commands[start] - commands[start - ANSWER])
+        pulsed = int(commands[stop] - commands[start - ANSWER]) > 1
+        if answered and (pulsed or sizes[jump] < NO_ANSWER * span):
+            continue
+        done = stop
+        yield start, stop
 
 
 def _find_return(values: Array, start: int, jump: float, usual: float) -> int | None:
@@ -111,9 +123,14 @@ def _find_return(values: Array, start: int, jump: float, usual: float) -> int | 
         outside = (values[start:stop] - expected) * np.sign(jump)
         if float(outside.min()) < 0.5 * abs(jump):
             return None
-        busy = max(float(np.abs(np.diff(part) - slope).max()) for part in (before, after))
+        busy = max(_measure_restlessness(part, slope) for part in (before, after))
         return stop if busy < 0.4 * abs(jump) else None
     return None
+
+
+def _measure_restlessness(part: Array, slope: float) -> float:
+    """Return the largest step of a stretch but for two: another outlier may be close by."""
+    return float(np.sort(np.abs(np.diff(part) - slope))[-3])
 
 
 def _find_held(values: Array) -> Iterator[tuple[int, int]]:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from hidden.excitations import multisine, null_staircase, square
 from hidden.rig import hidden_rig
+from hidden.sensors import ENCODER_STEP_M
 from hidden.uncatalogued import UNCATALOGUED
 from support.free_mass import FRICTION_N, LOAD_N, axis, pushed_mass
 
 from pamctl.diagnose import Record, diagnose
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.model_fit import recalibrate
+from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.name import Naming
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.report.diagnosis_document import build_diagnosis_document
@@ -116,6 +121,23 @@ def test_the_place_of_a_jump_is_asked_again_at_the_instant_that_was_found() -> N
     assert found.question.key == ("force", "onset", "time")
     assert found.own_values["size"] == pytest.approx(-1.7, rel=0.03)
     assert found.own_values["inner"] == pytest.approx(1.31, abs=0.03)
+
+
+@pytest.mark.parametrize("period_m", [3.7e-3, 6.3e-3])
+def test_the_wave_of_an_off_centre_encoder_is_found_at_any_period(period_m: float) -> None:
+    parts = measure("")
+    train, held = ([replace(r, position_m=_add_wave(r["position_m"], period_m)) for r in part]
+                   for part in parts)  # fmt: skip
+    base = recalibrate(prepare_evidence(train, held, PlantSettings()).select_blocks({"mechanics"}))
+    _, (found, *_) = find_terms(base, "mechanics")
+    assert found.question.key == ("encoder", "wave", "position")
+    assert found.own_values["inner"] == pytest.approx(period_m, rel=0.02)
+    assert abs(found.own_values["size"]) == pytest.approx(100e-6, rel=0.1)
+
+
+def _add_wave(position_m: Array, period_m: float) -> Array:
+    shown = position_m + 100e-6 * np.sin(2.0 * np.pi * position_m / period_m + 0.7)
+    return np.round(shown / ENCODER_STEP_M) * ENCODER_STEP_M
 
 
 def test_a_mass_that_is_judged_in_windows_has_its_term_found() -> None:

@@ -38,8 +38,8 @@ _LAGS_S = {"command": (0.5e-3, 1.5e-3, 5e-3), "position": (0.05, 0.2, 0.8, 3.0),
            "pressure": (0.05, 0.2, 0.8, 3.0)}  # fmt: skip
 _SLEW_S = (3e-3, 6e-3, 12e-3)
 """Times in which a slew limit lets the driver cross its span."""
-_PLACE_WAVES = (2.0, 3.0, 5.0, 8.0, 12.0)
-"""Waves of a reading within the span."""
+_PLACE_WAVES = tuple(0.5 * k for k in range(3, 25))
+"""Waves of a reading within the span: one that is half a wave off shows nothing."""
 
 
 @dataclass(frozen=True)

@@ -207,6 +207,19 @@ def test_a_zero_that_wanders_at_rest_is_noise_with_a_long_memory(
         assert spread == pytest.approx(np.hypot(300.0, walk * np.sqrt(4000.0)), rel=0.15)
 
 
+def test_noise_with_a_memory_of_milliseconds_is_no_walk() -> None:
+    """Found where none is, a walk raises the floor tenfold and hides what is missing."""
+    random = np.random.default_rng(6)
+    keep = np.exp(-1.0 / 4.0)
+    found = 0
+    for _ in range(500):
+        kicks = random.normal(0.0, 300.0 * np.sqrt(0.3 * (1.0 - keep**2)), (8, 1000))
+        slow = lfilter([1.0], [1.0, -keep], kicks)[:, 200:]
+        fast = random.normal(0.0, 300.0 * np.sqrt(0.7), (8, 800))
+        found += measure_walk([*(fast + slow)]) > 0.0
+    assert found <= 1
+
+
 def test_the_rounding_of_a_slow_signal_is_slow() -> None:
     """A coarse converter shows a still signal off by one amount, not by noise."""
     coarse = Noise(0.0, (), 0.0, 100.0)

@@ -114,3 +114,28 @@ def test_hum_is_taken_off_and_an_excitation_of_the_same_frequency_is_not() -> No
     answer = 1e5 + 2e3 * command + 3e4 * np.sin(t_s)
     answer += np.random.default_rng(3).normal(0.0, 300.0, len(t_s))
     assert remove_hum(answer, 1e-3, command)[1] == []
+
+
+@pytest.mark.parametrize("samples", [9, 15])
+def test_a_reading_that_is_held_in_spite_of_its_noise_does_not_count(samples: int) -> None:
+    record = measured("fit", 7)
+    values = record["pressure_pa"].copy()
+    values[1500 : 1500 + samples] = values[1499]
+    values[1490] += 20e3  # a spike close by does not hide it
+    spikes, dropouts = find_outliers(replace(record, pressure_pa=values), "pressure_pa")
+    assert [*np.flatnonzero(spikes)] == [1490]
+    assert [*np.flatnonzero(dropouts)] == [*range(1500, 1500 + samples)]
+
+
+def test_two_spikes_side_by_side_of_either_sign_do_not_count() -> None:
+    record = measured("fit", 7)
+    values = record["pressure_pa"].copy()
+    values[[1700, 1701]] += [20e3, -20e3]
+    spikes, _ = find_outliers(replace(record, pressure_pa=values), "pressure_pa")
+    assert [*np.flatnonzero(spikes)] == [1700, 1701]
+
+
+def test_a_slow_motion_between_two_counts_is_not_held() -> None:
+    t_s = np.arange(6000) * 1e-3
+    position_m = np.round(0.02 * np.sin(2.0 * t_s) / 3e-6) * 3e-6
+    assert not np.any(find_outliers(Record("slow", t_s, position_m=position_m), "position_m"))

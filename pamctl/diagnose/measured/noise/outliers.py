@@ -120,8 +120,7 @@ def _find_return(values: Array, start: int, jump: float, usual: float) -> int | 
             continue
         if abs(values[stop] - expected) > 0.5 * abs(jump):
             continue
-        outside = (values[start:stop] - expected) * np.sign(jump)
-        if float(outside.min()) < 0.5 * abs(jump):
+        if float(np.abs(values[start:stop] - expected).min()) < 0.5 * abs(jump):
             return None
         busy = max(_measure_restlessness(part, slope) for part in (before, after))
         return stop if busy < 0.4 * abs(jump) else None
@@ -136,21 +135,21 @@ def _measure_restlessness(part: Array, slope: float) -> float:
 def _find_held(values: Array) -> Iterator[tuple[int, int]]:
     """Yield [start, stop) of equal samples that are too many for the noise around them."""
     equal = np.diff(values) == 0.0
-    share = float(equal.mean())
-    if share > MOST_EQUAL:
+    share, usual = float(equal.mean()), _measure_noise(values)
+    if share > MOST_EQUAL or usual < estimate_resolution(values):
         return
-    step = estimate_resolution(values)
     least = max(3, int(np.log(CHANCE / len(values)) / np.log(max(share, 1e-9))) + 2)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], equal.astype(np.int8), [0]))))
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         around = (values[max(start - 12, 0) : start], values[stop + 1 : stop + 13])
-        if least <= stop - start <= LONGEST and all(_is_noisy(part, step) for part in around):
+        if least <= stop - start <= LONGEST and all(
+            _measure_noise(p) > 0.3 * usual for p in around
+        ):
             yield start + 1, stop + 1
 
 
-def _is_noisy(part: Array, step: float) -> bool:
-    """Tell whether a stretch shows noise that a held value lacks, beyond the converter's steps."""
+def _measure_noise(part: Array) -> float:
+    """Return the usual noise of a stretch; a held value has none, and a single spike adds none."""
     if len(part) < 8:
-        return False
-    third = np.diff(part, 3)
-    return float(np.sqrt(np.mean(third**2) / 20.0)) > 0.6 * step
+        return 0.0
+    return float(np.median(np.abs(np.diff(part, 3)))) / (0.6745 * np.sqrt(20.0))

@@ -18,7 +18,8 @@ from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate, weigh_bloc
 from pamctl.diagnose.fitting.numbers import with_values
 from pamctl.diagnose.name import Naming, name_effects
 from pamctl.diagnose.naming.first_level import FirstLevel
-from pamctl.diagnose.setup.suspect_setup import CheckedSetup, suspect_setup
+from pamctl.diagnose.naming.verdict import Verdict
+from pamctl.diagnose.setup.suspect_setup import CheckedSetup, fit_hidden_setups, suspect_setup
 
 MUCH_NEARER = 0.5
 """The corrected set-up is believed if the named model then leaves less than this share of the
@@ -60,6 +61,22 @@ def ask_beside(
         return naming, setup
     checked = CheckedSetup(base, beside.train, beside.holdout, found)
     return again, checked
+
+
+def ask_rival_setups(
+    naming: Naming, setup: CheckedSetup, progress: Callable[[str], None]
+) -> CheckedSetup:
+    """Return the set-up with what explains as much as each of several equal effects.
+
+    Derivatives promise little of a wrong length or scale, so these were perhaps not fitted. Here
+    they cost a few fits, and the set of what may be true is honest only with them.
+    """
+    if naming.verdict is not Verdict.AMBIGUOUS or setup.findings:
+        return setup
+    progress("asking the set-up beside the effects that explain as much")
+    equals = [name for standing in naming.standings for name in standing.equal_rivals]
+    fits, findings = fit_hidden_setups(setup.base, naming.model, equals)
+    return replace(setup, findings=findings, open_fits=fits)
 
 
 def _find_strongest(naming: Naming) -> Model:

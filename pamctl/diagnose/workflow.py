@@ -61,7 +61,7 @@ from pamctl.diagnose.setup.suspect_setup import (
     suspect_air_first,
     suspect_setup,
 )
-from pamctl.diagnose.setup_beside import ask_beside
+from pamctl.diagnose.setup_beside import ask_beside, ask_rival_setups
 from pamctl.diagnose.setup_verdict import conclude_setup
 from pamctl.diagnose.terms.describe import Description, describe_rest, is_confirmed
 from pamctl.plant.model import PlantSettings
@@ -128,6 +128,7 @@ def diagnose(
     known = recalibrated.models if setup.base is base else ()
     naming = name_effects(setup.base, candidates, executor, progress, known)
     naming, setup = ask_beside(naming, setup, candidates, executor, progress)
+    setup = ask_rival_setups(naming, setup, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)
     found = _search_below_limit(found, confirming, candidates, executor, progress)

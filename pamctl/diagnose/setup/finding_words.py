@@ -83,12 +83,12 @@ def _describe_change(suspect: Suspect, value: float) -> str:
     return f"{number} differs between the records: {size} from the lowest to the highest"
 
 
-def advise_mending(suspect: Suspect, value: float) -> str:
-    """Say how to mend it."""
+def advise_mending(suspect: Suspect, value: float, *, corrected: bool = True) -> str:
+    """Say how to mend it; `corrected` if the extended plant file has it mended already."""
     number = suspect.number
     if suspect.kind == "plant_constant":
         how = _MEND_CONSTANT.get(number, "measure it")
-        return f"plant.yaml has the corrected {number}; {how}"
+        return f"plant.yaml has the corrected {number}; {how}" if corrected else how
     if suspect.kind in ("drift", "change_at_instant"):
         return (
             "look at what changes with time there: temperature, wear, a joint, a hose, the supply; "

@@ -202,6 +202,21 @@ def is_refuted_by(fitted: SuspectFit, model: Model) -> bool:
     return bool(model.effects) and low > MUCH
 
 
+def fit_hidden_setups(
+    base: Model, model: Model, equals: Sequence[str]
+) -> tuple[tuple[SuspectFit, ...], tuple[SetupFinding, ...]]:
+    """Return the suspects that promised nothing and leave no more than a model with effects.
+
+    They are not corrected: the model's effects, and those of `equals`, explain the data as well.
+    """
+    asked = list_suspects(base.evidence, {*base.at_bound})
+    hidden = [s for s in asked if _may_matter(base, s) and (s.label in GEOMETRY or s.kind == "bow")]
+    fits = [_fit(base, _score(base, s)) for s in hidden]
+    kept = tuple(f for f in fits if _is_worth_saying(f) and not is_refuted_by(f, model))
+    names = tuple(dict.fromkeys((*model.names, *equals)))
+    return kept, tuple(_word_finding(f, names, corrected=False) for f in kept)
+
+
 def _find_best(base: Model, effects: EffectRivals) -> tuple[SuspectFit, tuple[str, ...]] | None:
     """Return the best accepted suspect, and the names of what it cannot be told from."""
     fits = [f for f in _fit_promising(base, effects) if _is_worth_saying(f)]
@@ -376,7 +391,7 @@ def _word_finding(fitted: SuspectFit, effects: tuple[str, ...], *, corrected: bo
         base.rms[block] / rms(fitted.residuals[block]),
         fitted.ratio(block),
         tuple(dict.fromkeys((*effects, *suspect.always_equal, *fitted.equal_suspects))),
-        advise_mending(suspect, value)
+        advise_mending(suspect, value, corrected=corrected)
         + _explain_half_a_sample(suspect, value, base.evidence.holdout[block][0]),
         describe(suspect, value, said),
         said,

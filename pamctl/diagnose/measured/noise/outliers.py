@@ -152,4 +152,4 @@ def _measure_noise(part: Array) -> float:
     """Return the usual noise of a stretch; a held value has none, and a single spike adds none."""
     if len(part) < 8:
         return 0.0
-    return float(np.median(np.abs(np.diff(part, 3)))) / (0.6745 * np.sqrt(20.0))
+    return float(np.median(np.abs(np.diff(part, 3))) / (0.6745 * np.sqrt(20.0)))

@@ -120,24 +120,24 @@ def mechanism_forces(
         pulling_pa = pass_pulling_pressure(
             e, gauge_pa, position_m, velocity_m_per_s, gauge_pa, age_s
         )
-        pulling_pa = pass_pulling_term(p.terms, pulling_pa, here)
+        pulling_pa = pass_pulling_term(p.terms, term, pulling_pa, here)
         pull_n = pulling_pa * pull_area_m2(p, position_m, gauge_pa)
         lever_m = braid_lever_m(p.paper, position_m)
         grip = p.paper.friction_area_m * pressing_pa * drift_factor(e.drift.friction_per_s, age_s)
         grip *= position_factor(e.position_friction, position_m)
-        grip = pass_grip_term(p.terms, grip, here)
+        grip = pass_grip_term(p.terms, term, grip, here)
     stiffness = p.paper.stiffness_n_per_m * drift_factor(e.drift.stiffness_per_s, age_s)
     drive_n = pull_n + p.extra_n - stiffness * position_m
     drive_n = add_force(e, memory, drive_n, position_m, velocity_m_per_s, gauge_pa, age_s)
     drive_n = add_force_term(p.terms, term, drive_n, here)
     kinetic = FrictionBand(0.0, grip * lever_m)
     now = pass_friction(e, memory, kinetic, position_m, velocity_m_per_s, gauge_pa, age_s)
-    now = pass_band_term(p.terms, now, here)
+    now = pass_band_term(p.terms, term, now, here)
     at_rest = now
     if depends_on_speed(e) or needs_speed(p.terms):
         at_rest = pass_friction(e, memory, kinetic, position_m, 0.0, gauge_pa, age_s)
         resting = MotionPoint(position_m, 0.0, gauge_pa, age_s)
-        at_rest = pass_band_term(p.terms, at_rest, resting)
+        at_rest = pass_band_term(p.terms, term, at_rest, resting)
     damping = add_damping(
         e,
         memory,

@@ -149,6 +149,22 @@ def test_a_term_acts_as_the_effect_that_it_is_kin_to(case: str) -> None:
     assert left < max(0.01 * moved, 0.1)
 
 
+def test_a_pull_that_remembers_its_direction_is_friction_of_both_ways() -> None:
+    """Pressure pulls with less force on the way out and with more on the way back."""
+
+    def move(numbers: dict[str, float]) -> np.ndarray:
+        return drive_coupled(parameters_of(numbers), COMMAND_V, TICK_S)[0] - plain_m
+
+    plain_m = 0.0
+    plain_m = move({})
+    ways = ({"kinetic_friction_per_m": 1.01 * 55.3}, {"return_friction.share": 0.01})
+    columns = np.stack([move(way) for way in ways], axis=1)
+    ours = move(flat("pull", "hysteresis", "position", size=-0.001, inner=2e-5))
+    amounts, *_ = np.linalg.lstsq(columns, ours, rcond=None)
+    assert np.all(amounts > 0.0)
+    assert np.std(ours - columns @ amounts) < 0.2 * np.std(ours)
+
+
 def test_the_pulls_of_two_locations_are_those_of_equation_3() -> None:
     """A pull that is larger by a share, and a pressure that pulls more, give one force."""
     paper = parameters_of({}).paper

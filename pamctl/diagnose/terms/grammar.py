@@ -28,7 +28,7 @@ LEAST_WAVES = 1.5
 _SHARES: Mapping[str, tuple[float, ...]] = {
     "dead_zone": (0.006, 0.02, 0.06),
     "play": (0.005, 0.015, 0.04, 0.1),
-    "hysteresis": (0.01, 0.03, 0.08, 0.2),
+    "hysteresis": (0.001, 0.01, 0.03, 0.08, 0.2),
     "beyond": (0.3, 0.5, 0.65, 0.8),
     "onset": (0.2, 0.35, 0.5, 0.65, 0.8),
     "saturation": (0.6, 0.8, 0.9),

@@ -10,11 +10,15 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from math import atan2, hypot, pi
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pamctl.diagnose.fitting.block_fit import FULL
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model, extract_block_fit
 from pamctl.diagnose.fitting.model_fit import fit_model
 from pamctl.diagnose.fitting.numbers import FreeNumber
+from pamctl.diagnose.measured.record import Array
 from pamctl.diagnose.naming.search import rank, run_fit_jobs
 from pamctl.diagnose.naming.stretches import gains_in_block
 from pamctl.diagnose.terms.grammar import Question, list_questions
@@ -36,6 +40,8 @@ INNER_FACTOR = 4.0
 WAVE_SHARE = 0.25
 """A period may move by this share."""
 MOST_KNOT = 20.0
+UNSHOWN = 1e-6
+"""A knot whose amount is below this share of the largest changes nothing in these records."""
 FLOOR_GROWS = 1.5
 """A term's own floor is believed up to this multiple of the recalibrated model's."""
 NEAR_SCORE = 0.15
@@ -199,10 +205,29 @@ def start_of(score: TermScore) -> dict[str, float]:
     elif question.operator == "curve":
         size = max(amounts, key=abs)
         values = {"size": size}
-        values |= {f"knot_{k}": a / size for k, a in enumerate(amounts, 1)} if size else {}
+        if size:
+            knots = _spread_to_unshown(amounts) / size
+            values |= {f"knot_{k}": float(knot) for k, knot in enumerate(knots, 1)}
     else:
         values = {"size": amounts[0]}
     return {prefix + name: value for name, value in {**question.held, **values}.items()}
+
+
+def find_shown_knots(amounts: Sequence[float]) -> NDArray[np.bool_]:
+    """Mark the knots of a curve that the records show: one that moves nothing has no amount.
+
+    Friction of contraction shows nothing at speeds of the other sign. Such a knot follows its
+    neighbours: at any value of its own it would spoil what is simulated elsewhere.
+    """
+    sizes = np.abs(np.asarray(amounts))
+    return np.asarray(sizes > UNSHOWN * sizes.max(initial=0.0))
+
+
+def _spread_to_unshown(amounts: Sequence[float]) -> Array:
+    """Return the amounts of a curve's knots; one that nothing shows lies between its neighbours."""
+    shown = np.flatnonzero(find_shown_knots(amounts))
+    spread: Array = np.interp(np.arange(len(amounts)), shown, np.asarray(amounts)[shown])
+    return spread
 
 
 def make_candidate(
@@ -224,8 +249,12 @@ def make_candidate(
     if question.operator == "curve" and is_bent:
         free += [
             FreeNumber(name, -MOST_KNOT, MOST_KNOT, 0.05)
-            for name in (f"{prefix}knot_{k}" for k in range(1, KNOTS + 1))
-            if start.get(name) != 1.0
+            for name, is_shown in zip(
+                (f"{prefix}knot_{k}" for k in range(1, KNOTS + 1)),
+                find_shown_knots(score.amounts),
+                strict=True,
+            )
+            if is_shown and start.get(name) != 1.0
         ]
     held = {**question.fix(), **start}
     return Candidate(

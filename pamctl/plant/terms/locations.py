@@ -123,7 +123,7 @@ LOCATIONS: dict[str, Location] = {
                  actuators=("muscle",)),
         Location("dry_friction", "the dry friction", "1", 0.05, "mechanics", _MOTION,
                  actuators=("direct",)),
-        Location("pull", "the muscle's pull", "1", 0.01, "mechanics", _MOTION,
+        Location("pull", "the muscle's pull", "1", 0.01, "mechanics", _MOTION, ("position",),
                  actuators=("muscle",)),
         Location("pressing", "the pressure that pulls", "Pa", 500.0, "mechanics", _MOTION,
                  actuators=("muscle",)),

@@ -85,14 +85,16 @@ def follow_motion_term(
     return follow_value(term, memory, begin_m, end_m, step_s)
 
 
-def scale_term(terms: Terms | None, location: int, value: float, here: MotionPoint) -> float:
+def scale_term(
+    terms: Terms | None, memory: TermMemory | None, location: int, value: float, here: MotionPoint
+) -> float:
     """Return a value that the term changes by a share at this location."""
-    if terms is None:
+    if terms is None or memory is None:
         return value
     term = terms.mechanics
     if term.size == 0.0 or term.location != location:
         return value
-    return value * max(1.0 + scaled_shape(term, TermMemory(0.0, 0.0), here), 0.0)
+    return value * max(1.0 + scaled_shape(term, memory, here), 0.0)
 
 
 def add_term(terms: Terms | None, location: int, value: float, here: MotionPoint) -> float:
@@ -105,14 +107,19 @@ def add_term(terms: Terms | None, location: int, value: float, here: MotionPoint
     return value + scaled_shape(term, TermMemory(0.0, 0.0), here)
 
 
-def pass_pulling_term(terms: Terms | None, pulling_pa: float, here: MotionPoint) -> float:
+def pass_pulling_term(
+    terms: Terms | None, memory: TermMemory | None, pulling_pa: float, here: MotionPoint
+) -> float:
     """Return the gauge pressure that pulls: more of it, or as a changed geometry makes it."""
-    return scale_term(terms, PULL_AT, add_term(terms, PRESSING_AT, pulling_pa, here), here)
+    pressed_pa = add_term(terms, PRESSING_AT, pulling_pa, here)
+    return scale_term(terms, memory, PULL_AT, pressed_pa, here)
 
 
-def pass_grip_term(terms: Terms | None, grip: float, here: MotionPoint) -> float:
+def pass_grip_term(
+    terms: Terms | None, memory: TermMemory | None, grip: float, here: MotionPoint
+) -> float:
     """Return mu_k N A_b P_g of Eq. 5, changed by a share."""
-    return scale_term(terms, BRAID_AT, grip, here)
+    return scale_term(terms, memory, BRAID_AT, grip, here)
 
 
 def add_damping_term(terms: Terms | None, damping: float, here: MotionPoint) -> float:
@@ -120,9 +127,11 @@ def add_damping_term(terms: Terms | None, damping: float, here: MotionPoint) -> 
     return add_term(terms, DAMPING_AT, damping, here)
 
 
-def pass_band_term(terms: Terms | None, band: FrictionBand, here: MotionPoint) -> FrictionBand:
+def pass_band_term(
+    terms: Terms | None, memory: TermMemory | None, band: FrictionBand, here: MotionPoint
+) -> FrictionBand:
     """Return the band of dry friction, changed by a share."""
     if terms is None:
         return band
-    times = scale_term(terms, DRY_AT, 1.0, here)
+    times = scale_term(terms, memory, DRY_AT, 1.0, here)
     return FrictionBand(times * band.lower_n, times * band.upper_n)

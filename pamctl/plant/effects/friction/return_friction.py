@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pamctl.plant.effects.description import EffectDescription, EffectEntry, size
+from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectEntry, size
 from pamctl.plant.effects.places import FrictionBand
 
 
@@ -39,4 +39,5 @@ DESCRIPTION = EffectDescription(
     seen_by=("mechanics",),
     entries=(EffectEntry("friction", add_return_friction),),
     actuators=("muscle",),
+    as_terms=(AsTerm("pull", "hysteresis", "position"),),
 )

@@ -19,6 +19,14 @@ ORACLE = Path(__file__).with_name("oracle.json")
 
 SILENT = frozenset({"no_discrepancy", "miscalibrated"})
 
+SAME_SETUP = {
+    "encoder_scale": ("scale", "position_m"),
+    "command_delay": ("skew", "valve_v"),
+    "end_cap": ("plant_constant", "rest_length_m"),
+}
+"""Effects that are a fault of the set-up in other words, by the equations: either word is right."""
+_LABELS = {"scale": "scale of ", "skew": "skew of ", "plant_constant": ""}
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -28,15 +36,23 @@ class Answer:
     names: frozenset[str]
     ambiguous: tuple[frozenset[str], ...]
     blind: frozenset[str]
+    by_setup: frozenset[str] = frozenset()
+    """Effects that it names as a fault of the set-up, which it has mended."""
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Answer:
         """Read DESIGN section 7's document."""
+        labels = {_LABELS[kind] + number: name for name, (kind, number) in SAME_SETUP.items()}
+        found = {(f["kind"], f["number"]) for f in document.get("setup", ()) if f["is_corrected"]}
+        by_setup = frozenset(name for name, same in SAME_SETUP.items() if same in found)
+        names = frozenset(effect["name"] for effect in document["effects"])
+        is_silent = document["verdict"] in SILENT
         return cls(
-            document["verdict"],
-            frozenset(effect["name"] for effect in document["effects"]),
-            tuple(frozenset(group) for group in document["ambiguous"]),
+            "named" if by_setup and is_silent else document["verdict"],
+            names | by_setup,
+            tuple(frozenset(labels.get(n, n) for n in group) for group in document["ambiguous"]),
             frozenset(spot["name"] for spot in document["blind_spots"]),
+            by_setup,
         )
 
     def covers(self, name: str) -> bool:
@@ -113,7 +129,9 @@ def mark(case: Case, document: Mapping[str, Any]) -> str:
 
 
 def _of_names(case: Case, answer: Answer) -> str:
-    known = case.known_names
+    in_sets = frozenset[str]().union(*answer.ambiguous)
+    # Taken out of the catalogue, it can still be found as a fault of the set-up.
+    known = case.known_names | (case.hidden_names & {*SAME_SETUP} & (answer.by_setup | in_sets))
     if case.group == "left_out" and answer.names and answer.names <= twins(case):
         return "twin"
     if answer.verdict == "partial" and answer.names <= kin(case):

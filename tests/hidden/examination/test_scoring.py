@@ -31,7 +31,15 @@ def said(verdict: str, *names: str, sets: tuple[tuple[str, ...], ...] = (), **mo
         "ambiguous": [list(group) for group in sets],
         "blind_spots": [{"name": name} for name in more.get("blind", ())],
         "gap": more.get("gap", {}),
+        "setup": [
+            {"kind": kind, "number": number, "is_corrected": True}
+            for kind, number in more.get("setup", ())
+        ],
     }
+
+
+SCALED = (("scale", "position_m"),)
+SCALED_SET = (("stribeck", "scale of position_m"),)
 
 
 @pytest.mark.parametrize(
@@ -73,6 +81,11 @@ def said(verdict: str, *names: str, sets: tuple[tuple[str, ...], ...] = (), **mo
         ("unknown/hysteretic_spring", said("partial", "coulomb_friction"), "right_partial"),
         ("unknown/hysteretic_spring", said("named", "coulomb_friction"), "wrong"),
         ("unknown/moving_mass", said("miscalibrated"), "silent"),
+        ("single/encoder_scale/10", said("miscalibrated", setup=SCALED), "right"),
+        ("left_out/encoder_scale", said("miscalibrated", setup=SCALED), "right"),
+        ("left_out/encoder_scale", said("ambiguous", "stribeck", sets=SCALED_SET), "right_set"),
+        ("single/creep/10", said("miscalibrated", setup=SCALED), "wrong"),
+        ("null/nothing", said("miscalibrated", setup=SCALED), "alarm"),
         ("bad/stuck", said("bad_data"), "right"),
         ("bad/stuck", said("named", "valve_deadband"), "missed"),
         ("blind/valve_deadband", said("miscalibrated"), "silent"),

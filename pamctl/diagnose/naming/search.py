@@ -18,6 +18,7 @@ from pamctl.diagnose.fitting.block_fit import FULL
 from pamctl.diagnose.fitting.candidates import Candidate, select_reaching
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import fit_jointly, fit_model, fit_to_end
+from pamctl.diagnose.fitting.window_starts import fit_from_windows
 from pamctl.diagnose.naming.pairs import fit_pairs
 from pamctl.diagnose.naming.score import Score, score_candidates
 from pamctl.diagnose.naming.shortlist import (
@@ -192,8 +193,10 @@ def search_effects(
             grown = tuple(sorted((*grown, *fitter.fit_jobs(others, grown)), key=rank))
         if not any(m.is_complete for m in grown):
             most = [m for m in grown[:MOST_REFORMED] if _goes_far(base, m)]
-            reformed = fitter.fit_other_forms(most, candidates)
-            grown = tuple(sorted((*grown, *reformed), key=rank))
+            freed = fitter.fit_from_windows(most)
+            reformed = fitter.fit_other_forms(freed, candidates)
+            better = [new for new, old in zip(freed, most, strict=True) if new is not old]
+            grown = tuple(sorted((*grown, *better, *reformed), key=rank))
         if not grown:
             break
         levels.append(grown)
@@ -387,6 +390,10 @@ class _Fitter:
         for (place, _, _), better in zip(again, tried, strict=True):
             grown[place] = better
         return grown
+
+    def fit_from_windows(self, models: Sequence[Model]) -> tuple[Model, ...]:
+        """Return the models, each freed from the valley where friction may hold its fit."""
+        return tuple(map(confirm_complete, run_fit_jobs(fit_from_windows, models, self.executor)))
 
     def fit_other_forms(
         self, models: Sequence[Model], candidates: Sequence[Candidate]

@@ -23,6 +23,7 @@ from pamctl.diagnose.deciding.explanations import list_explanations
 from pamctl.diagnose.deciding.forecast import judge_forecasts, read_forecast
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.extend import add_correction_tables, extend_plant
+from pamctl.diagnose.finer_steps import name_with_finer_steps
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure
@@ -128,6 +129,7 @@ def diagnose(
     known = recalibrated.models if setup.base is base else ()
     naming = name_effects(setup.base, candidates, executor, progress, known)
     naming, setup = ask_beside(naming, setup, candidates, executor, progress)
+    naming, setup = name_with_finer_steps(naming, setup, candidates, executor, progress)
     setup = ask_rival_setups(naming, setup, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)

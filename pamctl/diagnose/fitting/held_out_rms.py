@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,7 +61,9 @@ def simulate_held_out(evidence: Evidence, plant: PlantSettings) -> HeldOutErrors
         simulated = {channel: tuple(d.simulate(plant) for d in drives)}
         return HeldOutErrors(simulated, {channel: block}, is_shown=True)
     p = plant_parameters(plant)
-    driven = [drive_coupled(p, drive.valve_v, drive.grid) for drive in evidence.holdout[PRESSURE]]
+    pairs = zip(evidence.holdout[PRESSURE], evidence.holdout[MECHANICS], strict=True)
+    finest = (replace(air, steps=max(air.steps, moving.steps)) for air, moving in pairs)
+    driven = [drive_coupled(p, drive.valve_v, drive.grid) for drive in finest]
     return HeldOutErrors(
         {
             "position_m": tuple(run.position_m for run in driven),

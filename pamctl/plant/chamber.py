@@ -239,8 +239,12 @@ def air_volume_m3(p: AirParameters, position_m: float, pressure_pa: float) -> fl
 
 def share_heat(p: AirParameters, begin: AirBegin, step_s: float) -> HeatShares:
     """Return what the walls leave of the air's excess temperature in a step."""
-    density = begin.pressure_pa / (begin.air.warmth * p.paper.atmospheric_pressure_pa)
-    return heat_shares(p.effects.polytropic, density, step_s)
+    if p.effects.polytropic.wall_time_s <= 0.0:
+        return HeatShares(1.0, 1.0)
+    rest_pa = p.paper.atmospheric_pressure_pa
+    held = begin.pressure_pa * air_volume_m3(p, begin.position_m, begin.pressure_pa)
+    mass = held / (begin.air.warmth * rest_pa * air_volume_m3(p, 0.0, rest_pa))
+    return heat_shares(p.effects.polytropic, mass, step_s)
 
 
 def step_exponent(p: AirParameters, heat: HeatShares) -> float:

@@ -17,8 +17,9 @@ VALVE_GAIN = parameters_of({}).paper.valve_gain_m2_per_v
 
 
 def solve_balances(wall_time_s: float) -> np.ndarray:
-    """Mass and warmth T / T_0 of the air; the heat that flows to the walls goes as their area."""
+    """Mass and warmth T / T_0 of the air; heat flows to the walls, whatever the volume."""
     none = Hidden({})
+    rest = paper.P_ATM * room(none, 0.0, paper.P_ATM) / SPECIFIC_ENERGY
 
     def volume_at(t: float) -> float:
         return room(none, float(np.interp(t, grid_s, POSITION_M)), paper.P_ATM)
@@ -34,7 +35,7 @@ def solve_balances(wall_time_s: float) -> np.ndarray:
         # In units of c_v T_0: enthalpy in and out, work, and heat to the walls.
         energy = GAMMA * (comes - leaves * warmth)
         energy -= (GAMMA - 1.0) * pressure * slope / SPECIFIC_ENERGY
-        energy -= paper.P_ATM * volume / SPECIFIC_ENERGY * (warmth - 1.0) / wall_time_s
+        energy -= rest * (warmth - 1.0) / wall_time_s
         return [comes - leaves, (energy - warmth * (comes - leaves)) / mass]
 
     grid_s = np.arange(len(COMMAND_V)) * TICK_S

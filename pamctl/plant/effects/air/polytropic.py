@@ -1,7 +1,9 @@
 """The air's temperature follows compression and flow: between isothermal and adiabatic.
 
 With a time of the walls the air takes their temperature again: a fast change is adiabatic, a slow
-one isothermal, and the pressure creeps after a fast one although no air flows.
+one isothermal, and the pressure creeps after a fast one although no air flows. The walls take heat
+in proportion to the difference of temperature, whatever the volume: while a muscle contracts, its
+volume may double, and its surface, b^2 sin(2 theta) / (2 n), hardly changes.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from typing import NamedTuple
 from pamctl.plant.effects.description import EffectDescription, EffectForm, shape, size
 
 THINNEST = 1e-3
-"""Air of less density, over that of the atmosphere, has the walls' temperature at once."""
+"""Less air than this share of that at rest has the walls' temperature at once."""
 COLDEST, HOTTEST = 0.3, 3.0
 """Limits of T / T_0."""
 
@@ -22,7 +24,7 @@ class Polytropic(NamedTuple):
 
     exponent: float = 1.0
     wall_time_s: float = 0.0
-    """Time in which air of atmospheric density takes the walls' temperature; 0: it never does."""
+    """Time in which the air of a vented muscle takes the walls' temperature; 0: it never does."""
 
 
 class HeatShares(NamedTuple):
@@ -34,13 +36,14 @@ class HeatShares(NamedTuple):
     """Of that which arises evenly during the step, at its end."""
 
 
-def heat_shares(polytropic: Polytropic, density: float, step_s: float) -> HeatShares:
-    """Return the shares for air of this density over that of the atmosphere."""
-    if polytropic.wall_time_s <= 0.0:
-        return HeatShares(1.0, 1.0)
-    if density < THINNEST:  # a search may ask for what no rig does
+def heat_shares(polytropic: Polytropic, mass: float, step_s: float) -> HeatShares:
+    """Return the shares for this mass of air, over that of a vented muscle at rest.
+
+    There must be a time of the walls.
+    """
+    if mass < THINNEST:  # a search may ask for what no rig does
         return HeatShares(0.0, 0.0)
-    times = polytropic.wall_time_s * density / step_s
+    times = polytropic.wall_time_s * mass / step_s
     kept = exp(-1.0 / times)
     return HeatShares(kept, times * (1.0 - kept))
 
@@ -68,7 +71,7 @@ DESCRIPTION = EffectDescription(
     kind=Polytropic,
     block="pressure",
     equation="d(P V^a)/dt = a R T m V^(a-1); with walls T' also has -(T - T_0) / tau, "
-    "tau = wall_time rho / rho_atm",
+    "tau = wall_time m / m_rest",
     parameters=(
         size(
             "exponent",
@@ -88,7 +91,7 @@ DESCRIPTION = EffectDescription(
             100.0,
             usual=0.0,
             smallest=0.02,
-            meaning="time in which air of atmospheric density takes the walls' heat; 0: never",
+            meaning="time in which the air of a vented muscle takes the walls' heat; 0: never",
         ),
     ),
     signature="the rate of pressure is wrong by one factor, under flow and under motion; with "

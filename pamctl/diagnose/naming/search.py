@@ -16,9 +16,9 @@ from typing import TypeVar
 
 from pamctl.diagnose.fitting.block_fit import FULL
 from pamctl.diagnose.fitting.candidates import Candidate, select_reaching
+from pamctl.diagnose.fitting.far_starts import fit_from_windows
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import fit_jointly, fit_model, fit_to_end
-from pamctl.diagnose.fitting.window_starts import fit_from_windows
 from pamctl.diagnose.naming.pairs import fit_pairs
 from pamctl.diagnose.naming.score import Score, score_candidates
 from pamctl.diagnose.naming.shortlist import (

@@ -100,7 +100,7 @@ def _find_excursions(values: Array, commands: Counts) -> Iterator[tuple[int, int
         stop = _find_return(values, start, float(steps[jump]), float(usual[jump]))
         if stop is None:
             continue
-        # A rig may answer a jump of the command in any way, but for a large one there and back.
+        # A rig may answer a jump of the command by one. It does not go far and come back by itself.
         answered = int(commands[start] - commands[start - ANSWER])
         pulsed = int(commands[stop] - commands[start - ANSWER]) > 1
         if answered and (pulsed or sizes[jump] < NO_ANSWER * span):

@@ -39,7 +39,7 @@ class HeatShares(NamedTuple):
 def heat_shares(polytropic: Polytropic, mass: float, step_s: float) -> HeatShares:
     """Return the shares for this mass of air, over that of a vented muscle at rest.
 
-    There must be a time of the walls.
+    The time of the walls must be above 0.
     """
     if mass < THINNEST:  # a search may ask for what no rig does
         return HeatShares(0.0, 0.0)

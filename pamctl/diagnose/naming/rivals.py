@@ -3,7 +3,8 @@
 Each effect of the chosen set is taken out, and the other candidates are tried in its place, by the
 same score test and refit. A rival that is not clearly worse on the held-out records is an equal:
 the data do not tell the two apart, and the verdict says so. Where the chosen effects leave nothing
-above the floor, the data have also refuted a rival that leaves clearly more than its limit.
+above the floor, the data have also refuted a rival that leaves clearly more than its limit, and one
+of which the best mixture of both models takes nothing.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from pamctl.diagnose.fitting.candidates import Candidate
 from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import fit_model
+from pamctl.diagnose.judging.mixture import Mixture, is_first_alone, mix_models
 from pamctl.diagnose.naming.score import Score, score_candidates
 from pamctl.diagnose.naming.search import (
     EffectSearch,
@@ -152,18 +154,32 @@ def _judge_rivals(
     rows = [average_squares_over_floor(m, blocks) for m in (chosen, *models.values())]
     means = np.log(draw_means(*rows))
     margins = means[1:] - means[0]
+    is_complete = all(map(chosen.is_explained, chosen.evidence.blocks))
     rivals = tuple(
         Rival(
             name,
             max(models[name].ratio(b) for b in blocks),
             float(np.mean(margin < 0.0)),
             float(np.quantile(margin, SURE)) < MUCH
-            and (float(np.mean(margin < 0.0)) > OFTEN or not is_refuted(models[name], chosen)),
+            and (float(np.mean(margin < 0.0)) > OFTEN or not is_refuted(models[name], chosen))
+            and not (is_complete and is_first_alone(_mix_blocks(chosen, models[name], blocks))),
         )
         for name, margin in zip(names, margins, strict=True)
     )
     confidence = float(np.mean((margins > 0.0).all(axis=0))) if names else 1.0
     return tuple(sorted(rivals, key=lambda r: r.residual_over_floor)), confidence
+
+
+def _mix_blocks(chosen: Model, rival: Model, blocks: Sequence[str]) -> list[Mixture]:
+    """Return the best mixture of two models in each block, on the held-out records."""
+    return [
+        mix_models(
+            chosen.residuals[b] / chosen.floors[b].mean,
+            rival.residuals[b] / chosen.floors[b].mean,
+            float(np.median(chosen.evidence.holdout[b][0].step_s)),
+        )
+        for b in blocks
+    ]
 
 
 def is_refuted(rival: Model, chosen: Model) -> bool:

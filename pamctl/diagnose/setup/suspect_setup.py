@@ -22,6 +22,7 @@ from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.held_out_rms import simulate_held_out
 from pamctl.diagnose.fitting.model_fit import recalibrate, weigh_blocks
 from pamctl.diagnose.fitting.numbers import AREA, value_of, with_values
+from pamctl.diagnose.judging.mixture import Mixture, is_first_alone, is_second_alone, mix_models
 from pamctl.diagnose.measured.noise.sensor_noise import Noise, estimate_from_residual
 from pamctl.diagnose.measured.record import Record
 from pamctl.diagnose.setup.decimation import fit_decimation
@@ -199,7 +200,20 @@ def is_refuted_by(fitted: SuspectFit, model: Model) -> bool:
     """Tell whether a model with effects leaves clearly less than a suspect."""
     base, blocks = fitted.base, _blocks_of(fitted)
     low, _ = held_out_margins(model.residuals, fitted.residuals, base, blocks)
-    return bool(model.effects) and low > MUCH
+    return bool(model.effects) and (low > MUCH or is_second_alone(_mix_blocks(fitted, model)))
+
+
+def _mix_blocks(fitted: SuspectFit, model: Model) -> list[Mixture]:
+    """Return the best mixture of a suspect and a model with effects in each block, held out."""
+    base = fitted.base
+    return [
+        mix_models(
+            fitted.residuals[b] / base.floors[b].mean,
+            model.residuals[b] / base.floors[b].mean,
+            float(np.median(base.evidence.holdout[b][0].step_s)),
+        )
+        for b in _blocks_of(fitted)
+    ]
 
 
 def fit_hidden_setups(
@@ -231,9 +245,10 @@ def _find_best(base: Model, effects: EffectRivals) -> tuple[SuspectFit, tuple[st
     equals: list[str] = []
     for model in effects.fit(base):
         low, high = held_out_margins(best.residuals, model.residuals, base, blocks)
-        if high < -MUCH:
-            return None  # an effect leaves clearly less
-        if low < MUCH:
+        mixed = _mix_blocks(best, model)
+        if high < -MUCH or (all(map(model.is_explained, blocks)) and is_second_alone(mixed)):
+            return None  # an effect leaves clearly less, or takes nothing of the suspect
+        if low < MUCH and not (best.is_good and is_first_alone(mixed)):
             equals += model.names
     if equals and (best.suspect.is_rare or not best.is_good):
         return None  # both explain a part only: neither is said

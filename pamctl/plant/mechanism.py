@@ -24,10 +24,15 @@ from pamctl.plant.chains import (
 )
 from pamctl.plant.effects.friction.position_friction import position_factor
 from pamctl.plant.effects.friction.presliding import (
+    Bristles,
     SlipEnd,
+    add,
+    add_up_n,
     bristle_damping,
-    clamp_bristle_n,
+    clamp_bristles,
+    share_out,
     slip,
+    subtract,
 )
 from pamctl.plant.effects.mechanics.braid_stretch import stretch_ratio
 from pamctl.plant.effects.mechanics.drift import drift_factor
@@ -78,15 +83,15 @@ def mechanism_step(
                 p, memory, term, middle_m, gauge_pa, middle_n, speed, middle_age_s
             )
             _, speed, _ = move_muscle(
-                p, forces, before.bristle_n, position_m, velocity_m_per_s, half_s
+                p, forces, before.bristles, position_m, velocity_m_per_s, half_s
             )
     forces = mechanism_forces(p, memory, term, middle_m, gauge_pa, middle_n, speed, middle_age_s)
-    end_m, end_v, bristle_n = move_muscle(
-        p, forces, before.bristle_n, position_m, velocity_m_per_s, step_s
+    end_m, end_v, bristles = move_muscle(
+        p, forces, before.bristles, position_m, velocity_m_per_s, step_s
     )
     memory = follow_motion(p.effects, before.memory, position_m, end_m, gauge_pa, step_s)
     term = follow_motion_term(p.terms, before.term, position_m, end_m, gauge_pa, step_s)
-    return end_m, end_v, MechanicsState(bristle_n, memory, term)
+    return end_m, end_v, MechanicsState(bristles, memory, term)
 
 
 def follow_motion(
@@ -172,12 +177,12 @@ def pull_area_m2(p: MechanismParameters, position_m: float, gauge_pa: float) -> 
 def move_muscle(
     p: MechanismParameters,
     forces: AxialForces,
-    bristle_n: float,
+    bristles: Bristles,
     position_m: float,
     velocity_m_per_s: float,
     step_s: float,
-) -> tuple[float, float, float]:
-    """Return x, v and the bristles' force after a step under frozen forces."""
+) -> tuple[float, float, Bristles]:
+    """Return x, v and the bristles' forces after a step under frozen forces."""
     presliding = p.effects.presliding
     width_n = forces.upper_n - forces.lower_n
     if presliding.compliance_m_per_n <= 0.0 or width_n <= 0.0:
@@ -185,16 +190,20 @@ def move_muscle(
             end_m, end_v = glide(forces, p.paper.mass_kg, position_m, velocity_m_per_s, step_s)
         else:
             end_m, end_v = slide(forces, p.paper.mass_kg, position_m, velocity_m_per_s, step_s)
-        return end_m, end_v, forces.lower_n if width_n <= 0.0 else bristle_n
-    held = clamp_bristle_n(bristle_n, forces.drive_n, forces.lower_n, forces.upper_n)
-    surplus_n, left_n = forces.drive_n - held, forces.upper_n - held
+        if width_n <= 0.0:
+            bristles = share_out(presliding, forces.lower_n)
+        return end_m, end_v, bristles
+    held = clamp_bristles(presliding, bristles, forces.drive_n, forces.lower_n, forces.upper_n)
+    surplus_n = forces.drive_n - add_up_n(held)
+    left = subtract(share_out(presliding, forces.upper_n), held)
     damping = forces.damping_up_n_s_per_m
-    up = slip_with_damping(p, damping, velocity_m_per_s, surplus_n, left_n, width_n, step_s)
+    up = slip_with_damping(p, damping, velocity_m_per_s, surplus_n, left, width_n, step_s)
     if up.way_m > 0.0:
-        return position_m + up.way_m, up.velocity_m_per_s, held + up.bristle_n
-    left_n, damping = held - forces.lower_n, forces.damping_down_n_s_per_m
-    down = slip_with_damping(p, damping, -velocity_m_per_s, -surplus_n, left_n, width_n, step_s)
-    return position_m - down.way_m, -down.velocity_m_per_s, held - down.bristle_n
+        return position_m + up.way_m, up.velocity_m_per_s, add(held, up.gained)
+    left = subtract(held, share_out(presliding, forces.lower_n))
+    damping = forces.damping_down_n_s_per_m
+    down = slip_with_damping(p, damping, -velocity_m_per_s, -surplus_n, left, width_n, step_s)
+    return position_m - down.way_m, -down.velocity_m_per_s, subtract(held, down.gained)
 
 
 def slip_with_damping(
@@ -202,16 +211,16 @@ def slip_with_damping(
     damping: float,
     velocity_m_per_s: float,
     surplus_n: float,
-    left_n: float,
+    left: Bristles,
     width_n: float,
     step_s: float,
 ) -> SlipEnd:
     """Slip for one step; a bristle's damping is taken at the middle of the distance."""
-    presliding, mass_kg = p.effects.presliding, p.paper.mass_kg
+    presliding, mass_kg, left_n = p.effects.presliding, p.paper.mass_kg, left.first_n
     bent = damping + bristle_damping(presliding, left_n, width_n)
-    slipped = slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left_n, width_n, step_s)
+    slipped = slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left, width_n, step_s)
     if bent == damping:
         return slipped
-    middle_n = left_n - 0.5 * slipped.bristle_n
+    middle_n = left_n - 0.5 * slipped.gained.first_n
     bent = damping + bristle_damping(presliding, middle_n, width_n)
-    return slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left_n, width_n, step_s)
+    return slip(presliding, mass_kg, bent, velocity_m_per_s, surplus_n, left, width_n, step_s)

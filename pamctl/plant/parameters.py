@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, nan
+from math import nan
 from typing import Any, NamedTuple
 
 from pamctl.plant.chains import (
@@ -15,6 +15,7 @@ from pamctl.plant.chains import (
 )
 from pamctl.plant.correction_tables import Correction
 from pamctl.plant.effects.air.supply_ripple import ripple_pa
+from pamctl.plant.effects.friction.presliding import Bristles
 from pamctl.plant.terms.air_terms import LOWEST_SUPPLY_PA, pass_supply_term
 from pamctl.plant.terms.mechanics_terms import MotionPoint, add_force_term
 from pamctl.plant.terms.operators import TermMemory, Terms
@@ -144,8 +145,7 @@ class AirState(NamedTuple):
 class MechanicsState(NamedTuple):
     """State of the bristles and memories of the effects on the mechanics."""
 
-    bristle_n: float = inf
-    """Force of the bristles; infinite until they are first loaded."""
+    bristles: Bristles = Bristles()
     memory: Any = MechanicsMemory()
     term: TermMemory | None = None
     """Memory of the mechanics' term; None in a plant without terms."""

@@ -16,7 +16,9 @@ from pamctl.compiled import compile_kernel
 from pamctl.plant.correction_tables import interpolate_table
 from pamctl.plant.drive import undo_sensor
 from pamctl.plant.effects.friction.presliding import (
-    advance_bristle_n,
+    Bristles,
+    add_up_n,
+    advance_bristles,
     bristle_damping,
 )
 from pamctl.plant.mechanism import follow_motion, mechanism_forces
@@ -86,7 +88,7 @@ def fill_required_force(
     needed_n: Array,
 ) -> None:
     """Kernel of `required_force_n`; `columns` holds t, x, v, a and the absolute pressure."""
-    bristle_n, memory, term = mechanics.bristle_n, mechanics.memory, mechanics.term
+    bristles, memory, term = mechanics.bristles, mechanics.memory, mechanics.term
     plain = MechanismParameters(p.paper, p.effects.mechanics, p.direct, 0.0, p.terms)
     begin_m, begin_s = columns[1, 0], columns[0, 0]
     for k in range(len(needed_n)):
@@ -98,8 +100,8 @@ def fill_required_force(
             )
             term = follow_motion_term(p.terms, term, begin_m, x, gauge_pa, now_s - begin_s)
         forces = mechanism_forces(plain, memory, term, x, gauge_pa, 0.0, v, now_s - columns[0, 0])
-        bristle_n, held_n = friction_force(
-            plain, forces, bristle_n, x - begin_m, v, rest_speed_m_per_s
+        bristles, held_n = friction_force(
+            plain, forces, bristles, x - begin_m, v, rest_speed_m_per_s
         )
         plain_n = p.paper.mass_kg * push - forces.drive_n + held_n
         load = plain_n if p.direct else pressure_pa
@@ -110,12 +112,12 @@ def fill_required_force(
 def friction_force(
     p: MechanismParameters,
     forces: AxialForces,
-    bristle_n: float,
+    bristles: Bristles,
     way_m: float,
     velocity_m_per_s: float,
     rest_speed_m_per_s: float,
-) -> tuple[float, float]:
-    """Return the bristles' force (N) after a way, and all friction that opposes the motion."""
+) -> tuple[Bristles, float]:
+    """Return the bristles' forces (N) after a way, and all friction that opposes the motion."""
     v, presliding = velocity_m_per_s, p.effects.presliding
     damping = forces.damping_up_n_s_per_m if v > 0.0 else forces.damping_down_n_s_per_m
     width_n = forces.upper_n - forces.lower_n
@@ -124,8 +126,9 @@ def friction_force(
         share = 0.0 if v == 0.0 else 1.0 if v > 0.0 else -1.0
         if abs(v) < rest_speed_m_per_s:
             share = v / rest_speed_m_per_s
-        return bristle_n, middle_n + share * half_n + damping * v
-    bristle_n = advance_bristle_n(presliding, bristle_n, forces.lower_n, forces.upper_n, way_m)
+        return bristles, middle_n + share * half_n + damping * v
+    bristles = advance_bristles(presliding, bristles, forces.lower_n, forces.upper_n, way_m)
+    bristle_n = add_up_n(bristles)
     left_n = forces.upper_n - bristle_n if v > 0.0 else bristle_n - forces.lower_n
     damping += bristle_damping(presliding, left_n, width_n)
-    return bristle_n, bristle_n + damping * v
+    return bristles, bristle_n + damping * v

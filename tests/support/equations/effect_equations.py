@@ -345,7 +345,7 @@ class Mechanics:
 
     def solve(self) -> Array:
         """The displacement at the samples, from the muscle at rest."""
-        if self.bristles and self.e("presliding.form") == 0.0:
+        if self.bristles and self.e("presliding.form") in (0.0, 3.0):
             return self.solve_by_small_steps()
         mode = "bristles" if self.bristles else "stick"
         x0 = -self.e("external_load.force_n") / paper.K
@@ -361,28 +361,58 @@ class Mechanics:
         return np.array(seen)
 
     def solve_by_small_steps(self, step_s: float = 4e-6) -> Array:
-        """A spring on a slider: backward Euler with its three cases, each linear in the speed."""
-        sigma = 1 / self.e("presliding.compliance_m_per_n")
-        y, bristle, seen = np.zeros(6), 0.0, [0.0]
+        """Springs on sliders: backward Euler; in each step some bend and some slide."""
+        count = 4 if self.e("presliding.form") == 3.0 else 1
+        sigma = 1 / self.e("presliding.compliance_m_per_n") / count
+        spread = self.e("presliding.spread")
+        shares = [(1 + spread * place) / count for place in np.linspace(-1, 1, count)]
+        y, springs, seen = np.zeros(6), [0.0] * count, [0.0]
         tick_s = float(self.samples_s[1])
         for k in range(1, len(self.samples_s)):
             for i in range(round(tick_s / step_s)):
                 t = (k - 1) * tick_s + (i + 1) * step_s
                 low, high = self.band(t, float(y[0]), 0.0)
                 pushed = self.mass / step_s * y[1] + self.net(t, y)
-
-                up = pushed > min(max(bristle, low), high)
+                held = [min(max(f, s * low), s * high) for f, s in zip(springs, shares, strict=True)]
+                up = pushed > sum(held)
                 sliding = self.mass / step_s + paper.C + (self.grip(t, float(y[0])) if up else 0.0)
-                v = (pushed - bristle) / (sliding + sigma * step_s)
-                held = bristle + sigma * step_s * v
-                if held > high or held < low:
-                    held = high if held > high else low
-                    v = (pushed - held) / sliding
-                bristle = held
+                v = self.speed_on_springs(pushed, sliding, springs, shares, (low, high), sigma * step_s)
+                springs = self.dragged(springs, shares, (low, high), sigma * step_s * v)
                 y[1] = v
                 y[0] += step_s * v
             seen.append(float(y[0]))
         return np.array(seen)
+
+    @staticmethod
+    def dragged(
+        springs: list[float], shares: list[float], band: tuple[float, float], bent: float
+    ) -> list[float]:
+        """Each spring bends, and slides where its share of the band ends."""
+        low, high = band
+        return [
+            min(max(f + bent, s * low), s * high) for f, s in zip(springs, shares, strict=True)
+        ]
+
+    def speed_on_springs(
+        self,
+        pushed: float,
+        sliding: float,
+        springs: list[float],
+        shares: list[float],
+        band: tuple[float, float],
+        bend_per_speed: float,
+    ) -> float:
+        """The speed at which the springs hold what pushes; which of them slide is found in turn."""
+        v = (pushed - sum(springs)) / (sliding + len(springs) * bend_per_speed)
+        for _ in range(2 * len(springs) + 1):
+            ends = self.dragged(springs, shares, band, bend_per_speed * v)
+            bends = [abs(e - f - bend_per_speed * v) < 1e-12 for e, f in zip(ends, springs, strict=True)]
+            held = sum(f if b else e for e, f, b in zip(ends, springs, bends, strict=True))
+            again = (pushed - held) / (sliding + sum(bends) * bend_per_speed)
+            if again == v:
+                break
+            v = again
+        return v
 
     def piece(self, begin: float, end: float, y: Array, mode: str) -> tuple[float, Array, str]:
         events: list[Callable[..., float]] = []

@@ -1,19 +1,23 @@
 """Before it slides, friction acts as a spring: bristles bend, and keep their force at reversals.
 
-This replaces the set-valued friction at rest. There are three forms: elasto-plastic (a spring on
-a slider), Dahl (the spring softens towards its limit), and LuGre (Dahl, with damping of the
-bristle). The Stribeck part of LuGre's model is the effect `stribeck`.
+This replaces the set-valued friction at rest. There are four forms: elasto-plastic (a spring on
+a slider), Dahl (the spring softens towards its limit), LuGre (Dahl, with damping of the bristle)
+and Maxwell slip (four springs on sliders side by side, of equal stiffness and unequal limits: it
+softens step by step, and remembers earlier reversals). The Stribeck part of LuGre's model is the
+effect `stribeck`.
 """
 
 from __future__ import annotations
 
-from math import exp, isinf, sqrt
+from math import exp, inf, isinf, sqrt
 from typing import NamedTuple
 
 from pamctl.plant.axis.glide import travel_weights
 from pamctl.plant.effects.description import AsTerm, EffectDescription, EffectForm, shape, size
 
-ELASTO_PLASTIC, DAHL, LUGRE = 0.0, 1.0, 2.0
+ELASTO_PLASTIC, DAHL, LUGRE, MAXWELL_SLIP = 0.0, 1.0, 2.0, 3.0
+ELEMENTS = 4
+"""Springs on sliders of the form Maxwell slip."""
 
 
 class Presliding(NamedTuple):
@@ -24,6 +28,19 @@ class Presliding(NamedTuple):
     form: float = ELASTO_PLASTIC
     bristle_damping_n_s_per_m: float = 0.0
     """Sigma_1 of LuGre's form."""
+    spread: float = 0.0
+    """The weakest and the strongest element of Maxwell's form hold 1 - spread and 1 + spread times
+    the mean."""
+
+
+class Bristles(NamedTuple):
+    """Forces of the bristles, or of what limits them; most forms have the first only."""
+
+    first_n: float = inf
+    """Infinite until they are first loaded."""
+    second_n: float = 0.0
+    third_n: float = 0.0
+    fourth_n: float = 0.0
 
 
 class SlipEnd(NamedTuple):
@@ -31,12 +48,57 @@ class SlipEnd(NamedTuple):
 
     way_m: float
     velocity_m_per_s: float
-    bristle_n: float
+    gained: Bristles
+    """What the bristles have gained in the direction of motion."""
 
 
-def clamp_bristle_n(force_n: float, drive_n: float, lower_n: float, upper_n: float) -> float:
-    """Return a bristle's force within the band; an unloaded one (infinite) takes the drive."""
-    return min(max(drive_n if isinf(force_n) else force_n, lower_n), upper_n)
+def add_up_n(bristles: Bristles) -> float:
+    """Return the force of all bristles together."""
+    return bristles.first_n + bristles.second_n + bristles.third_n + bristles.fourth_n
+
+
+def share_out(presliding: Presliding, force_n: float) -> Bristles:
+    """Return each bristle's share of a force that they hold together."""
+    if presliding.form != MAXWELL_SLIP:
+        return Bristles(force_n, 0.0, 0.0, 0.0)
+    mean_n, step_n = force_n / ELEMENTS, presliding.spread * force_n / ELEMENTS
+    return Bristles(
+        mean_n - step_n, mean_n - step_n / 3.0, mean_n + step_n / 3.0, mean_n + step_n
+    )
+
+
+def clamp_bristles(
+    presliding: Presliding, bristles: Bristles, drive_n: float, lower_n: float, upper_n: float
+) -> Bristles:
+    """Return the bristles' forces within the band [lower, upper]; unloaded ones take the drive."""
+    held = share_out(presliding, drive_n) if isinf(bristles.first_n) else bristles
+    low, high = share_out(presliding, lower_n), share_out(presliding, upper_n)
+    return Bristles(
+        min(max(held.first_n, low.first_n), high.first_n),
+        min(max(held.second_n, low.second_n), high.second_n),
+        min(max(held.third_n, low.third_n), high.third_n),
+        min(max(held.fourth_n, low.fourth_n), high.fourth_n),
+    )
+
+
+def add(one: Bristles, other: Bristles) -> Bristles:
+    """Return the sum of two sets of forces, bristle by bristle."""
+    return Bristles(
+        one.first_n + other.first_n,
+        one.second_n + other.second_n,
+        one.third_n + other.third_n,
+        one.fourth_n + other.fourth_n,
+    )
+
+
+def subtract(more: Bristles, less: Bristles) -> Bristles:
+    """Return the difference of two sets of forces, bristle by bristle."""
+    return Bristles(
+        more.first_n - less.first_n,
+        more.second_n - less.second_n,
+        more.third_n - less.third_n,
+        more.fourth_n - less.fourth_n,
+    )
 
 
 def bristle_damping(presliding: Presliding, left_n: float, width_n: float) -> float:
@@ -52,46 +114,63 @@ def slip(
     damping_n_s_per_m: float,
     velocity_m_per_s: float,
     surplus_n: float,
-    left_n: float,
+    left: Bristles,
     width_n: float,
     step_s: float,
 ) -> SlipEnd:
     """Slip for one step; all values are positive in the direction of motion.
 
-    `surplus_n` is the drive minus the bristle's present force; `left_n` is how much that force can
+    `surplus_n` is the drive minus the bristles' present force; `left` is how much each force can
     still grow. Mean force and distance depend on each other. The distance a v + b (drive - mean
     force) is exact for mass and damping under a constant force. The mean force of a bristle over a
     distance has a closed form, and grows with the distance: there is one solution for any
-    stiffness. The distance is at least 0. Also returns the force that the bristle has gained.
+    stiffness. The distance is at least 0.
     """
     rate = damping_n_s_per_m / mass_kg
     by_speed_s, by_push_s2 = travel_weights(rate, step_s)
     by_force = by_push_s2 / mass_kg
     free_m = by_speed_s * velocity_m_per_s + by_force * surplus_n
     if free_m <= 0.0:
-        return SlipEnd(0.0, 0.0, 0.0)
+        return SlipEnd(0.0, 0.0, Bristles(0.0, 0.0, 0.0, 0.0))
     stiffness = 1.0 / presliding.compliance_m_per_n
-    if presliding.form == ELASTO_PLASTIC:
-        way_m, gained_n, mean_n = _elasto_plastic(free_m, by_force, stiffness, left_n)
+    if presliding.form == MAXWELL_SLIP:
+        way_m, mean_n = _maxwell_slip(free_m, by_force, stiffness / ELEMENTS, left)
+        bent_n = stiffness / ELEMENTS * way_m
+        gained = Bristles(
+            min(left.first_n, bent_n),
+            min(left.second_n, bent_n),
+            min(left.third_n, bent_n),
+            min(left.fourth_n, bent_n),
+        )
+    elif presliding.form == ELASTO_PLASTIC:
+        way_m, gained_n, mean_n = _elasto_plastic(free_m, by_force, stiffness, left.first_n)
+        gained = Bristles(gained_n, 0.0, 0.0, 0.0)
     else:
-        way_m, gained_n, mean_n = _dahl(free_m, by_force, stiffness / width_n, left_n)
+        way_m, gained_n, mean_n = _dahl(free_m, by_force, stiffness / width_n, left.first_n)
+        gained = Bristles(gained_n, 0.0, 0.0, 0.0)
     end_m_per_s = velocity_m_per_s * exp(-rate * step_s)
-    return SlipEnd(way_m, end_m_per_s + (surplus_n - mean_n) / mass_kg * by_speed_s, gained_n)
+    return SlipEnd(way_m, end_m_per_s + (surplus_n - mean_n) / mass_kg * by_speed_s, gained)
 
 
-def advance_bristle_n(
-    presliding: Presliding, force_n: float, lower_n: float, upper_n: float, way_m: float
-) -> float:
-    """Return a bristle's force after a given way within the band [lower, upper].
+def advance_bristles(
+    presliding: Presliding, bristles: Bristles, lower_n: float, upper_n: float, way_m: float
+) -> Bristles:
+    """Return the bristles' forces after a given way within the band [lower, upper].
 
     Unloaded bristles (infinite) start in the middle of the band.
     """
-    held_n = clamp_bristle_n(force_n, 0.5 * (lower_n + upper_n), lower_n, upper_n)
+    held = clamp_bristles(presliding, bristles, 0.5 * (lower_n + upper_n), lower_n, upper_n)
     bent = way_m / presliding.compliance_m_per_n
     if presliding.form == ELASTO_PLASTIC:
-        return min(max(held_n + bent, lower_n), upper_n)
+        pushed = add(held, Bristles(bent, 0.0, 0.0, 0.0))
+        return clamp_bristles(presliding, pushed, 0.0, lower_n, upper_n)
+    if presliding.form == MAXWELL_SLIP:
+        each = bent / ELEMENTS
+        pushed = add(held, Bristles(each, each, each, each))
+        return clamp_bristles(presliding, pushed, 0.0, lower_n, upper_n)
     limit_n = upper_n if way_m > 0.0 else lower_n
-    return limit_n + (held_n - limit_n) * exp(-abs(bent) / (upper_n - lower_n))
+    left_n = (held.first_n - limit_n) * exp(-abs(bent) / (upper_n - lower_n))
+    return Bristles(limit_n + left_n, 0.0, 0.0, 0.0)
 
 
 def _elasto_plastic(
@@ -135,12 +214,55 @@ def _dahl(
     return way_m, gained_n, mean_n
 
 
+def _maxwell_slip(
+    free_m: float, by_force: float, stiffness: float, left: Bristles
+) -> tuple[float, float]:
+    """Return distance and mean gain of four springs on sliders, of this stiffness each.
+
+    Newton's method, from the distance where none slides: the residual is increasing and concave.
+    """
+    way_m, mean_n = free_m / (1.0 + 0.5 * by_force * ELEMENTS * stiffness), 0.0
+    for _ in range(50):
+        mean_n = (
+            _mean_gain_n(stiffness, left.first_n, way_m)
+            + _mean_gain_n(stiffness, left.second_n, way_m)
+            + _mean_gain_n(stiffness, left.third_n, way_m)
+            + _mean_gain_n(stiffness, left.fourth_n, way_m)
+        )
+        slope = (
+            _slope_of_gain(stiffness, left.first_n, way_m)
+            + _slope_of_gain(stiffness, left.second_n, way_m)
+            + _slope_of_gain(stiffness, left.third_n, way_m)
+            + _slope_of_gain(stiffness, left.fourth_n, way_m)
+        )
+        change_m = (free_m - by_force * mean_n - way_m) / (1.0 + by_force * slope)
+        way_m += change_m
+        if abs(change_m) <= 1e-12 * free_m + 1e-18:
+            break
+    return way_m, mean_n
+
+
+def _mean_gain_n(stiffness: float, left_n: float, way_m: float) -> float:
+    """Return the mean force that a spring on a slider gains over a distance."""
+    bent_n = stiffness * way_m
+    return 0.5 * bent_n if bent_n <= left_n else left_n - 0.5 * left_n * left_n / bent_n
+
+
+def _slope_of_gain(stiffness: float, left_n: float, way_m: float) -> float:
+    """Return by how much that mean grows with the distance."""
+    bent_n = stiffness * way_m
+    if bent_n <= left_n:
+        return 0.5 * stiffness
+    return 0.5 * stiffness * (left_n / bent_n) * (left_n / bent_n)
+
+
 DESCRIPTION = EffectDescription(
     name="presliding",
     kind=Presliding,
     block="mechanics",
     equation="df/dx = sigma_0 within the band (elasto-plastic), or sigma_0 (f_lim - f) / "
-    "(f_upper - f_lower) (Dahl), with sigma_1 dz/dt added (LuGre)",
+    "(f_upper - f_lower) (Dahl), with sigma_1 dz/dt added (LuGre), or four such springs of "
+    "sigma_0 / 4 with unequal bands (Maxwell slip)",
     parameters=(
         size(
             "compliance_m_per_n",
@@ -154,11 +276,11 @@ DESCRIPTION = EffectDescription(
             "form",
             "",
             0.0,
-            2.0,
+            3.0,
             usual=0.0,
             smallest=1.0,
             meaning="law of the bristle's deflection",
-            choices=("elasto_plastic", "dahl", "lugre"),
+            choices=("elasto_plastic", "dahl", "lugre", "maxwell_slip"),
         ),
         shape(
             "bristle_damping_n_s_per_m",
@@ -168,6 +290,16 @@ DESCRIPTION = EffectDescription(
             usual=0.0,
             smallest=20.0,
             meaning="sigma_1, in the form lugre only",
+        ),
+        shape(
+            "spread",
+            "",
+            0.0,
+            0.95,
+            usual=0.0,
+            smallest=0.1,
+            meaning="unevenness of the elements, in the form maxwell_slip only: the weakest holds "
+            "1 - spread times the mean, the strongest 1 + spread times",
         ),
     ),
     signature="at reversals only: it moves some micrometres before it slides, and the "
@@ -182,6 +314,11 @@ DESCRIPTION = EffectDescription(
             "LuGre",
             ("compliance_m_per_n", "bristle_damping_n_s_per_m"),
             {"form": LUGRE, "bristle_damping_n_s_per_m": 20.0},
+        ),
+        EffectForm(
+            "Maxwell slip",
+            ("compliance_m_per_n", "spread"),
+            {"form": MAXWELL_SLIP, "spread": 0.5},
         ),
     ),
     as_terms=(AsTerm("force", "hysteresis", "position"),),

@@ -38,7 +38,8 @@ def test_the_order_of_both_models_does_not_matter() -> None:
     one, other = _noise(1), _noise(1) + 0.3 * _slow(1)
     forward, back = mix_models(one, other, PERIOD_S), mix_models(other, one, PERIOD_S)
     assert (back.low, back.high) == pytest.approx((1.0 - forward.high, 1.0 - forward.low))
-    assert forward.is_first and back.is_second
+    assert forward.is_first
+    assert back.is_second
 
 
 def test_models_that_show_the_same_are_not_told_apart() -> None:
@@ -50,7 +51,7 @@ def test_a_truth_half_way_between_two_models_refutes_neither() -> None:
     for seed in range(20):
         half = 0.25 * _slow(seed)
         found = mix_models(_noise(seed) + half, _noise(seed) - half, PERIOD_S)
-        assert not (found.is_first or found.is_second)
+        assert not any((found.is_first, found.is_second))
         assert found.low < 0.5 < found.high
 
 
@@ -58,11 +59,13 @@ def test_a_difference_that_one_moment_makes_is_not_enough() -> None:
     step = np.where(TIME_S < 0.5, 2.0, 0.0)
     there = np.where(TIME_S < 0.5, 1.0, 0.0) + _noise(3)  # the truth is half of it
     found = mix_models(there, there - step, PERIOD_S)
-    assert not (found.is_first or found.is_second)
+    assert not any((found.is_first, found.is_second))
 
 
 def test_one_block_may_refute_a_model_but_not_where_another_block_asks_for_it() -> None:
     first, second = Mixture(-0.1, 0.1, 0.5), Mixture(0.9, 1.1, 0.5)
     unsure = Mixture(-2.0, 3.0, 0.5)
-    assert is_first_alone([first, unsure]) and not is_first_alone([first, second])
-    assert is_second_alone([unsure, second]) and not is_second_alone([first, second])
+    assert is_first_alone([first, unsure])
+    assert is_second_alone([unsure, second])
+    assert not is_first_alone([first, second])
+    assert not is_second_alone([first, second])

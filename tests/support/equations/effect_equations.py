@@ -362,10 +362,12 @@ class Mechanics:
 
     def solve_by_small_steps(self, step_s: float = 4e-6) -> Array:
         """Springs on sliders: backward Euler; in each step some bend and some slide."""
-        count = 4 if self.e("presliding.form") == 3.0 else 1
+        bands = [1.0]
+        if self.e("presliding.form") == 3.0:
+            bands += [self.e(f"presliding.{name}", 1.0) for name in ("second", "third", "fourth")]
+        count = len(bands)
         sigma = 1 / self.e("presliding.compliance_m_per_n") / count
-        spread = self.e("presliding.spread")
-        shares = [(1 + spread * place) / count for place in np.linspace(-1, 1, count)]
+        shares = [band / sum(bands) for band in bands]
         y, springs, seen = np.zeros(6), [0.0] * count, [0.0]
         tick_s = float(self.samples_s[1])
         for k in range(1, len(self.samples_s)):
@@ -373,10 +375,14 @@ class Mechanics:
                 t = (k - 1) * tick_s + (i + 1) * step_s
                 low, high = self.band(t, float(y[0]), 0.0)
                 pushed = self.mass / step_s * y[1] + self.net(t, y)
-                held = [min(max(f, s * low), s * high) for f, s in zip(springs, shares, strict=True)]
+                held = [
+                    min(max(f, s * low), s * high) for f, s in zip(springs, shares, strict=True)
+                ]
                 up = pushed > sum(held)
                 sliding = self.mass / step_s + paper.C + (self.grip(t, float(y[0])) if up else 0.0)
-                v = self.speed_on_springs(pushed, sliding, springs, shares, (low, high), sigma * step_s)
+                v = self.speed_on_springs(
+                    pushed, sliding, springs, shares, (low, high), sigma * step_s
+                )
                 springs = self.dragged(springs, shares, (low, high), sigma * step_s * v)
                 y[1] = v
                 y[0] += step_s * v
@@ -389,9 +395,7 @@ class Mechanics:
     ) -> list[float]:
         """Each spring bends, and slides where its share of the band ends."""
         low, high = band
-        return [
-            min(max(f + bent, s * low), s * high) for f, s in zip(springs, shares, strict=True)
-        ]
+        return [min(max(f + bent, s * low), s * high) for f, s in zip(springs, shares, strict=True)]
 
     def speed_on_springs(
         self,
@@ -406,7 +410,9 @@ class Mechanics:
         v = (pushed - sum(springs)) / (sliding + len(springs) * bend_per_speed)
         for _ in range(2 * len(springs) + 1):
             ends = self.dragged(springs, shares, band, bend_per_speed * v)
-            bends = [abs(e - f - bend_per_speed * v) < 1e-12 for e, f in zip(ends, springs, strict=True)]
+            bends = [
+                abs(e - f - bend_per_speed * v) < 1e-12 for e, f in zip(ends, springs, strict=True)
+            ]
             held = sum(f if b else e for e, f, b in zip(ends, springs, bends, strict=True))
             again = (pushed - held) / (sliding + sum(bends) * bend_per_speed)
             if again == v:

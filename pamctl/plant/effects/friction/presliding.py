@@ -28,9 +28,10 @@ class Presliding(NamedTuple):
     form: float = ELASTO_PLASTIC
     bristle_damping_n_s_per_m: float = 0.0
     """Sigma_1 of LuGre's form."""
-    spread: float = 0.0
-    """The weakest and the strongest element of Maxwell's form hold 1 - spread and 1 + spread times
-    the mean."""
+    second: float = 1.0
+    """What the second element of Maxwell's form can hold, over the first."""
+    third: float = 1.0
+    fourth: float = 1.0
 
 
 class Bristles(NamedTuple):
@@ -61,9 +62,12 @@ def share_out(presliding: Presliding, force_n: float) -> Bristles:
     """Return each bristle's share of a force that they hold together."""
     if presliding.form != MAXWELL_SLIP:
         return Bristles(force_n, 0.0, 0.0, 0.0)
-    mean_n, step_n = force_n / ELEMENTS, presliding.spread * force_n / ELEMENTS
+    first_n = force_n / (1.0 + presliding.second + presliding.third + presliding.fourth)
     return Bristles(
-        mean_n - step_n, mean_n - step_n / 3.0, mean_n + step_n / 3.0, mean_n + step_n
+        first_n,
+        presliding.second * first_n,
+        presliding.third * first_n,
+        presliding.fourth * first_n,
     )
 
 
@@ -262,7 +266,7 @@ DESCRIPTION = EffectDescription(
     block="mechanics",
     equation="df/dx = sigma_0 within the band (elasto-plastic), or sigma_0 (f_lim - f) / "
     "(f_upper - f_lower) (Dahl), with sigma_1 dz/dt added (LuGre), or four such springs of "
-    "sigma_0 / 4 with unequal bands (Maxwell slip)",
+    "sigma_0 / 4 with bands of 1 : second : third : fourth (Maxwell slip)",
     parameters=(
         size(
             "compliance_m_per_n",
@@ -291,15 +295,18 @@ DESCRIPTION = EffectDescription(
             smallest=20.0,
             meaning="sigma_1, in the form lugre only",
         ),
-        shape(
-            "spread",
-            "",
-            0.0,
-            0.95,
-            usual=0.0,
-            smallest=0.1,
-            meaning="unevenness of the elements, in the form maxwell_slip only: the weakest holds "
-            "1 - spread times the mean, the strongest 1 + spread times",
+        *(
+            shape(
+                name,
+                "",
+                0.1,
+                50.0,
+                usual=1.0,
+                smallest=0.3,
+                meaning=f"what the {name} element can hold, over the first; in the form "
+                "maxwell_slip only",
+            )
+            for name in ("second", "third", "fourth")
         ),
     ),
     signature="at reversals only: it moves some micrometres before it slides, and the "
@@ -317,8 +324,8 @@ DESCRIPTION = EffectDescription(
         ),
         EffectForm(
             "Maxwell slip",
-            ("compliance_m_per_n", "spread"),
-            {"form": MAXWELL_SLIP, "spread": 0.5},
+            ("compliance_m_per_n", "second", "third", "fourth"),
+            {"form": MAXWELL_SLIP, "second": 1.5, "third": 2.3, "fourth": 3.5},
         ),
     ),
     as_terms=(AsTerm("force", "hysteresis", "position"),),

@@ -25,7 +25,12 @@ from pamctl.diagnose.report.terminal_summary import summary
 from pamctl.diagnose.terms.by_name import name_instead
 from pamctl.diagnose.terms.grammar import list_questions
 from pamctl.diagnose.terms.term_score import rank_terms
-from pamctl.diagnose.terms.trials import choose_simplest, find_terms
+from pamctl.diagnose.terms.trials import (
+    choose_simplest,
+    find_shown_knots,
+    find_terms,
+    spread_to_unshown,
+)
 from pamctl.plant.catalogue import CATALOGUE
 from pamctl.plant.model import PlantSettings
 from pamctl.settings.yaml12 import parse_yaml_value
@@ -158,6 +163,12 @@ def test_a_wave_that_is_asked_comes_back_within_the_longest_record() -> None:
     periods_s = [q.held["inner"] for q in asked if q.operator == "wave" and q.driver == "time"]
     assert len(periods_s) > 40
     assert max(periods_s) <= max(d.grid.samples_s[-1] for d in drives) / 1.5
+
+
+def test_a_knot_of_a_curve_that_nothing_shows_lies_between_its_neighbours() -> None:
+    amounts = [0.0, 1e-9, 2.0, 0.0, 4.0]  # nothing moves at the first two speeds and at the fourth
+    assert find_shown_knots(amounts).tolist() == [False, False, True, False, True]
+    assert spread_to_unshown(amounts) == pytest.approx([2.0, 2.0, 2.0, 3.0, 4.0])
 
 
 def test_nothing_is_found_in_noise() -> None:

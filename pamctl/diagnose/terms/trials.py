@@ -206,7 +206,7 @@ def start_of(score: TermScore) -> dict[str, float]:
         size = max(amounts, key=abs)
         values = {"size": size}
         if size:
-            knots = _spread_to_unshown(amounts) / size
+            knots = spread_to_unshown(amounts) / size
             values |= {f"knot_{k}": float(knot) for k, knot in enumerate(knots, 1)}
     else:
         values = {"size": amounts[0]}
@@ -223,7 +223,7 @@ def find_shown_knots(amounts: Sequence[float]) -> NDArray[np.bool_]:
     return np.asarray(sizes > UNSHOWN * sizes.max(initial=0.0))
 
 
-def _spread_to_unshown(amounts: Sequence[float]) -> Array:
+def spread_to_unshown(amounts: Sequence[float]) -> Array:
     """Return the amounts of a curve's knots; one that nothing shows lies between its neighbours."""
     shown = np.flatnonzero(find_shown_knots(amounts))
     spread: Array = np.interp(np.arange(len(amounts)), shown, np.asarray(amounts)[shown])

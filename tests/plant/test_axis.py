@@ -100,7 +100,7 @@ FORMS = {
             "presliding__compliance_m_per_n": 2e-5,
             "presliding__form": form,
             "presliding__bristle_damping_n_s_per_m": 30.0,
-            "presliding__third": 4.0,
+            "presliding__third_over_first": 4.0,
         }
         for form in (0.0, 1.0, 2.0, 3.0)
     },

@@ -93,9 +93,9 @@ MECHANICS_CASES = {
     "presliding/maxwell_slip": {
         "compliance_m_per_n": 1e-5,
         "form": 3.0,
-        "second": 1.7,
-        "third": 5.0,
-        "fourth": 0.6,
+        "second_over_first": 1.7,
+        "third_over_first": 5.0,
+        "fourth_over_first": 0.6,
     },
     "presliding/equal_elements": {"compliance_m_per_n": 1e-5, "form": 3.0},
     "stribeck": {"rise": 0.15, "speed_m_per_s": 2e-2, "exponent": 2.0},

@@ -38,3 +38,19 @@ def test_a_rival_above_the_limit_does_not_equal_an_effect_below_it(
     (rival,) = standing.rivals
     assert rival.residual_over_floor > search.best.floors[PRESSURE].limit
     assert standing.equal_rivals == ()
+
+
+def test_a_rival_of_which_the_data_take_nothing_does_not_equal_the_truth(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(rivals, "MUCH", np.inf)  # the bootstrap calls every rival equal,
+    monkeypatch.setattr(rivals, "OFTEN", -1.0)  # and no limit refutes one
+    train, held = pair(valve_spool__time_constant_s=5e-4)
+    evidence = prepare_evidence(train, held, PAPER).select_blocks({PRESSURE})
+    late, slow = find_candidate("command_delay", evidence), find_candidate("valve_spool", evidence)
+    search = search_effects(recalibrate(evidence), [slow])
+    (standing,) = rivals.find_rivals(search.best, search, [late, slow])
+    assert standing.equal_rivals == ()
+    monkeypatch.setattr(rivals, "is_first_alone", lambda mixtures: False)
+    (standing,) = rivals.find_rivals(search.best, search, [late, slow])
+    assert standing.equal_rivals == ("command_delay",)

@@ -364,7 +364,8 @@ class Mechanics:
         """Springs on sliders: backward Euler; in each step some bend and some slide."""
         bands = [1.0]
         if self.e("presliding.form") == 3.0:
-            bands += [self.e(f"presliding.{name}", 1.0) for name in ("second", "third", "fourth")]
+            others = ("second", "third", "fourth")
+            bands += [self.e(f"presliding.{name}_over_first", 1.0) for name in others]
         count = len(bands)
         sigma = 1 / self.e("presliding.compliance_m_per_n") / count
         shares = [band / sum(bands) for band in bands]

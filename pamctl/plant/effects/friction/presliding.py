@@ -28,10 +28,10 @@ class Presliding(NamedTuple):
     form: float = ELASTO_PLASTIC
     bristle_damping_n_s_per_m: float = 0.0
     """Sigma_1 of LuGre's form."""
-    second: float = 1.0
-    """What the second element of Maxwell's form can hold, over the first."""
-    third: float = 1.0
-    fourth: float = 1.0
+    second_over_first: float = 1.0
+    """What the second element of Maxwell's form can hold, over what the first can."""
+    third_over_first: float = 1.0
+    fourth_over_first: float = 1.0
 
 
 class Bristles(NamedTuple):
@@ -62,13 +62,10 @@ def share_out(presliding: Presliding, force_n: float) -> Bristles:
     """Return each bristle's share of a force that they hold together."""
     if presliding.form != MAXWELL_SLIP:
         return Bristles(force_n, 0.0, 0.0, 0.0)
-    first_n = force_n / (1.0 + presliding.second + presliding.third + presliding.fourth)
-    return Bristles(
-        first_n,
-        presliding.second * first_n,
-        presliding.third * first_n,
-        presliding.fourth * first_n,
-    )
+    second, third = presliding.second_over_first, presliding.third_over_first
+    fourth = presliding.fourth_over_first
+    first_n = force_n / (1.0 + second + third + fourth)
+    return Bristles(first_n, second * first_n, third * first_n, fourth * first_n)
 
 
 def clamp_bristles(
@@ -266,7 +263,7 @@ DESCRIPTION = EffectDescription(
     block="mechanics",
     equation="df/dx = sigma_0 within the band (elasto-plastic), or sigma_0 (f_lim - f) / "
     "(f_upper - f_lower) (Dahl), with sigma_1 dz/dt added (LuGre), or four such springs of "
-    "sigma_0 / 4 with bands of 1 : second : third : fourth (Maxwell slip)",
+    "sigma_0 / 4 with unequal bands (Maxwell slip)",
     parameters=(
         size(
             "compliance_m_per_n",
@@ -297,14 +294,14 @@ DESCRIPTION = EffectDescription(
         ),
         *(
             shape(
-                name,
+                f"{name}_over_first",
                 "",
                 0.1,
                 50.0,
                 usual=1.0,
                 smallest=0.3,
-                meaning=f"what the {name} element can hold, over the first; in the form "
-                "maxwell_slip only",
+                meaning=f"what the {name} element can hold, over what the first can; in the "
+                "form maxwell_slip only",
             )
             for name in ("second", "third", "fourth")
         ),
@@ -324,8 +321,18 @@ DESCRIPTION = EffectDescription(
         ),
         EffectForm(
             "Maxwell slip",
-            ("compliance_m_per_n", "second", "third", "fourth"),
-            {"form": MAXWELL_SLIP, "second": 1.5, "third": 2.3, "fourth": 3.5},
+            (
+                "compliance_m_per_n",
+                "second_over_first",
+                "third_over_first",
+                "fourth_over_first",
+            ),
+            {
+                "form": MAXWELL_SLIP,
+                "second_over_first": 1.5,
+                "third_over_first": 2.3,
+                "fourth_over_first": 3.5,
+            },
         ),
     ),
     as_terms=(AsTerm("force", "hysteresis", "position"),),

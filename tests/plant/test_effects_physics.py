@@ -97,7 +97,6 @@ MECHANICS_CASES = {
         "third_over_first": 5.0,
         "fourth_over_first": 0.6,
     },
-    "presliding/equal_elements": {"compliance_m_per_n": 1e-5, "form": 3.0},
     "stribeck": {"rise": 0.15, "speed_m_per_s": 2e-2, "exponent": 2.0},
     "stribeck/tustin": {"rise": 0.1, "speed_m_per_s": 3e-2, "exponent": 1.0},
     "return_friction": {"share": 0.5},

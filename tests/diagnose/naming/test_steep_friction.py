@@ -24,7 +24,7 @@ FRICTION = {"stribeck", "coulomb_friction"}
     ids=lambda case: case.id,
 )
 def test_steep_stribeck_friction_is_named_with_its_numbers(case: Case) -> None:
-    case = replace(case, program="short")
+    case = replace(case, program="brief")
     train, held = ([Record(name=r.name, **r.columns()) for r in part] for part in records_of(case))
     found = diagnose(train, held, start_plant(case), without=CATALOGUE.keys() - FRICTION)
     assert found.verdict is Verdict.NAMED

@@ -8,7 +8,7 @@ from the best few of the level before, as long as effects gain something.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -139,12 +139,12 @@ class EffectSearch:
 def _choose_simplest(complete: Sequence[Model]) -> Model:
     """Choose among the forms of the best names: as good as the best, with the fewest numbers."""
     best = complete[0]
-    good = [
-        m
-        for m in complete
-        if {*m.names} == {*best.names} and rank(m)[1] <= rank(best)[1] + EQUAL_MARGIN
-    ]
+    good = [m for m in complete if {*m.names} == {*best.names} and _is_as_good(m, best)]
     return min(good, key=lambda m: sum(len(c.free) for c in m.effects))
+
+
+def _is_as_good(model: Model, best: Model) -> bool:
+    return model.is_complete and rank(model)[1] <= rank(best)[1] + EQUAL_MARGIN
 
 
 def rank(model: Model) -> tuple[float, float]:
@@ -199,6 +199,8 @@ def search_effects(
             grown = tuple(sorted((*grown, *better, *reformed), key=rank))
         if not grown:
             break
+        if grown[0].is_complete:
+            grown = simplify_first(grown, candidates, executor)
         levels.append(grown)
         progress(_describe_level(grown))
         pairs = _fit_pairs(beam[0], grown, candidates) if len(levels) < size else ()
@@ -288,6 +290,30 @@ def fit_to_end_if_near(model: Model) -> Model:
     return fit_to_end(model) if near else model
 
 
+def simplify_first(
+    grown: Sequence[Model], candidates: Sequence[Candidate], executor: Executor | None = None
+) -> tuple[Model, ...]:
+    """Put a simpler form in the first model's place where its richer form says no more.
+
+    That is asked where a shape of an effect ended at an end of its range: two tanks of which one
+    is empty are one tank, and were needed only before the next effect came.
+    """
+    first = grown[0]
+    ended = {name for fitted in first.fits.values() for name in fitted.at_bound}
+    tried = {frozenset(m.effects) for m in grown}
+    swapped = [
+        (first, tuple(form if e is effect else e for e in first.effects))
+        for effect in first.effects
+        if ended & {shape.name for shape in effect.shapes}
+        for form in _list_other_forms(effect, candidates)
+        if len(form.free) < len(effect.free)
+    ]
+    jobs = [job for job in swapped if frozenset(job[1]) not in tried]
+    simpler = [confirm_complete(m) for m in run_fit_jobs(_fit_form, jobs, executor)]
+    kept = grown[1:] if any(_is_as_good(m, first) for m in simpler) else grown
+    return tuple(sorted((*kept, *simpler), key=rank))
+
+
 def confirm_complete(model: Model) -> Model:
     """Refit a model that seems complete, to the end and with one geometry for all blocks."""
     if not model.is_complete:
@@ -309,6 +335,8 @@ class _Job:
 
 _Jobs = dict[frozenset[Candidate], _Job]
 """Jobs by the effects that the extended model has."""
+_FormJob = tuple[Model, tuple[Candidate, ...]]
+"""A model, and its effects with one of them in another form."""
 
 
 def _shortlist_jobs(beam: Sequence[Model], candidates: Sequence[Candidate], width: int) -> _Jobs:
@@ -404,14 +432,13 @@ class _Fitter:
         is for friction that falls steeply with speed.
         """
         jobs = [
-            (model, form)
+            (model, (*model.effects[:-1], form))
             for model in models
-            for form in candidates
-            if form.name == model.effects[-1].name and form != model.effects[-1]
+            for form in _list_other_forms(model.effects[-1], candidates)
         ]
-        known = [self._look_up(frozenset({*m.effects[:-1], form}), m) for m, form in jobs]
+        known = [self._look_up(frozenset(effects), model) for model, effects in jobs]
         new = [job for job, found in zip(jobs, known, strict=True) if found is None]
-        fitted = iter(run_fit_jobs(_fit_other_form, new, self.executor))
+        fitted = iter(run_fit_jobs(_fit_form, new, self.executor))
         return tuple(confirm_complete(found or next(fitted)) for found in known)
 
     def _look_up(self, effects: frozenset[Candidate], whole: Model) -> Model | None:
@@ -427,10 +454,16 @@ class _Fitter:
                      is_final=part.is_final)  # fmt: skip
 
 
-def _fit_other_form(job: tuple[Model, Candidate]) -> Model:
-    model, form = job
+def _list_other_forms(effect: Candidate, candidates: Sequence[Candidate]) -> Iterator[Candidate]:
+    return (form for form in candidates if form.name == effect.name and form != effect)
+
+
+def _fit_form(job: _FormJob) -> Model:
+    """Fit a model's effects, one of them in another form, from where this one ended."""
+    model, effects = job
+    (form,) = {*effects} - {*model.effects}
     start = {**make_small_dose(model, form), **model.effect_values, **dict(form.held)}
-    return fit_model(model, (*model.effects[:-1], form), [start], effort=FULL)
+    return fit_model(model, effects, [start], effort=FULL)
 
 
 def _fit_first_start(job: _Job) -> Model:

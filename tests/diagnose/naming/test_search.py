@@ -5,12 +5,13 @@ from __future__ import annotations
 import pytest
 from support.made_records import all_but, pair
 
+from pamctl.diagnose.fitting.block_fit import FULL
 from pamctl.diagnose.fitting.candidates import list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import prepare_evidence
-from pamctl.diagnose.fitting.model_fit import recalibrate
+from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate
 from pamctl.diagnose.naming import search as searching
-from pamctl.diagnose.naming.search import search_effects
+from pamctl.diagnose.naming.search import search_effects, simplify_first
 from pamctl.plant.model import PlantSettings
 
 
@@ -35,3 +36,28 @@ def test_models_of_the_pressure_block_alone_serve_both_blocks(
     for model in first:
         assert model.fit_of(MECHANICS) is both.fit_of(MECHANICS)
         assert model.rms[MECHANICS] == both.rms[MECHANICS]
+
+
+def test_a_form_that_was_needed_only_before_the_next_effect_came_is_made_simple() -> None:
+    """One tank is two tanks of which one is empty, with a tenth of the other's refill time."""
+    records = pair(
+        chamber_leak__area_m2=1.6e-8,
+        supply_droop__resistance_pa_s_per_kg=9e6,
+        supply_droop__refill_time_s=0.1,
+    )
+    evidence = prepare_evidence(*records, PlantSettings()).select_blocks({PRESSURE})
+    candidates = list_candidates(evidence, all_but("chamber_leak", "supply_droop"))
+    effects = tuple(c for c in candidates if c.form in ("chamber_leak", "two tanks"))
+    empty = {
+        "chamber_leak.area_m2": 1e-8,
+        "supply_droop.resistance_pa_s_per_kg": 8e6,
+        "supply_droop.refill_time_s": 1.1,
+        "supply_droop.fast_share": 1.0,
+    }
+    rich = fit_model(recalibrate(evidence), effects, [empty], effort=FULL)
+    assert rich.is_complete
+    assert rich.effect_values["supply_droop.refill_time_s"] == pytest.approx(1.0, rel=0.05)
+    (simple, *_) = simplify_first([rich], candidates)
+    assert simple.is_complete
+    assert {e.form for e in simple.effects} == {"chamber_leak", "finite tank"}
+    assert simple.effect_values["supply_droop.refill_time_s"] == pytest.approx(0.1, rel=0.05)

@@ -13,7 +13,7 @@ from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.model_fit import fit_model
 from pamctl.diagnose.naming.score import score_candidates
 from pamctl.diagnose.naming.search import fit_to_end_if_near
-from pamctl.diagnose.naming.shortlist import shortlist_candidates
+from pamctl.diagnose.naming.shortlist import list_returns, shortlist_candidates
 
 WIDTH = 3
 
@@ -33,7 +33,7 @@ class FirstLevel:
     def fit(self, base: Model) -> list[Model]:
         """Return the base with each of the most promising effects, fitted."""
         fitted = [
-            fit_model(base, (s.candidate,), [s.start])
+            fit_model(base, (s.candidate,), [s.start, *list_returns(base, s)])
             for s in shortlist_candidates(base, self.candidates, WIDTH)
         ]
         return [fit_to_end_if_near(model) for model in fitted]

@@ -26,6 +26,7 @@ from pamctl.diagnose.naming.shortlist import (
     WORTH_ANOTHER_EFFECT,
     count_most_effects,
     list_other_starts,
+    list_returns,
     make_small_dose,
     shortlist_candidates,
     stands_alone,
@@ -467,7 +468,8 @@ def _fit_form(job: _FormJob) -> Model:
 
 
 def _fit_first_start(job: _Job) -> Model:
-    return fit_model(job.model, (*job.model.effects, job.score.candidate), [job.score.start])
+    starts = [job.score.start, *list_returns(job.model, job.score)]
+    return fit_model(job.model, (*job.model.effects, job.score.candidate), starts)
 
 
 def _fit_other_starts(given: tuple[_Job, Model]) -> Model:

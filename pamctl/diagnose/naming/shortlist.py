@@ -116,3 +116,15 @@ def list_other_starts(model: Model, score: Score) -> Iterator[dict[str, float]]:
             value = neutral + factor * (other[number.name] - neutral)
             other[number.name] = clip_inside(value, number.low, number.high, number.scale)
         yield other
+
+
+def list_returns(model: Model, score: Score) -> Iterator[dict[str, float]]:
+    """Yield a start from the guesses, where a number of the plant ended at an end of its range.
+
+    What is missing has driven it there, and with it others into a valley of their own. An effect
+    that is added there does not lead out.
+    """
+    reached = [f for blocks, f in model.fits.items() if blocks & score.candidate.blocks]
+    plant = {n.name for fitted in reached for n in fitted.free if n.effect is None}
+    if any(plant & {*fitted.at_bound} for fitted in reached):
+        yield {name: value_of(model.evidence.nominal, name) for name in plant} | score.start

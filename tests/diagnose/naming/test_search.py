@@ -5,12 +5,14 @@ from __future__ import annotations
 import pytest
 from support.made_records import all_but, pair
 
+from pamctl.diagnose import Record
 from pamctl.diagnose.fitting.block_fit import FULL
 from pamctl.diagnose.fitting.candidates import list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import prepare_evidence
 from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate
 from pamctl.diagnose.naming import search as searching
+from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.search import search_effects, simplify_first
 from pamctl.plant.model import PlantSettings
 
@@ -61,3 +63,18 @@ def test_a_form_that_was_needed_only_before_the_next_effect_came_is_made_simple(
     assert simple.is_complete
     assert {e.form for e in simple.effects} == {"chamber_leak", "finite tank"}
     assert simple.effect_values["supply_droop.refill_time_s"] == pytest.approx(0.1, rel=0.05)
+
+
+def test_a_fit_returns_from_numbers_that_a_missing_effect_drove_to_an_end() -> None:
+    """Without a position the braid's length hides a slow spool, in a valley of its own."""
+    records = pair(valve_spool__time_constant_s=2.15e-3, valve_spool__damping_ratio=0.62)
+    blind = [
+        [Record(r.name, r.t_s, valve_v=r["valve_v"], pressure_pa=r["pressure_pa"]) for r in part]
+        for part in records
+    ]
+    evidence = prepare_evidence(*blind, PlantSettings())
+    base = recalibrate(evidence)
+    assert "braid_length_m" in base.at_bound
+    (spool,) = FirstLevel(list_candidates(evidence, all_but("valve_spool"))).fit(base)
+    assert spool.is_complete
+    assert spool.effect_values["valve_spool.time_constant_s"] == pytest.approx(2.15e-3, rel=0.02)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pamctl.bounded_memory import BoundedMemory
 from pamctl.diagnose.fitting.drives import MECHANICS, Drive, smooth_signal
 from pamctl.diagnose.measured.record import Array
 from pamctl.plant.drive import Restarts
@@ -24,6 +25,8 @@ FEWEST_WINDOWS, MOST_CUTS = 16, 128
 """Windows of a record from which pieces end where windows do; and pieces then, at most."""
 OVERLAP_S = 0.05
 """A piece starts so much earlier, at the output reached there: spool and speed settle in it."""
+_CUTS: BoundedMemory[tuple[Array]] = BoundedMemory(20_000_000)
+"""Parts of columns: each simulation of a record cuts the same ones, and they share their grids."""
 
 
 @dataclass(frozen=True)
@@ -141,18 +144,19 @@ class AlteredDrive(Drive):
         begins_s = float(self.times_s[first])
         piece = replace(
             self,
-            step_s=self.step_s[first : max(last - 1, first)],
+            step_s=_cut(self.step_s, first, max(last - 1, first)),
             valve_v=self.valve_v[first:last],
             driven=self.driven[first:last],
             measured=self.measured[first:last],
             pressed_pa=None if pressed_pa is None else pressed_pa[first:last],
-            acts_after_s=None if late_s is None else late_s[first:last],
+            acts_after_s=None if late_s is None else _cut(late_s, first, last),
             held_v=float(self.valve_v[first - 1]) if first else self.held_v,
             bend=None if self.bend is None else (self.bend[0] - begins_s, self.bend[1]),
             usable=None,
             part=None,
             windows=(),
             start=float(simulated[first]) if first else self.start,
+            is_remembered=False,  # the velocity at its start would have to be part of the key
         )
         piece.__dict__["_restarts"] = self._cut_restarts(first, last, simulated)
         return piece
@@ -160,14 +164,28 @@ class AlteredDrive(Drive):
     def _cut_restarts(self, first: int, last: int, simulated: Array) -> Restarts:
         """Return the restarts within a piece; its own start has a velocity too."""
         whole = self._restarts
-        inside = (whole.rows >= first) & (whole.rows < last)
+        inside = slice(*np.searchsorted(whole.rows, (first, last)))
         rows, values, rates = whole.rows[inside] - first, whole.outputs[inside], whole.rates[inside]
         if first and not (len(rows) and rows[0] == 0):
             around = slice(first - 1, first + 2)  # a piece overlaps the one before
-            rate = float(np.gradient(simulated[around], self.times_s[around])[1])
+            rate = _find_slope(self.times_s[around], simulated[around])
             rows = np.concatenate([np.zeros(1, dtype=np.int64), rows])
             values, rates = np.append(simulated[first], values), np.append(rate, rates)
         return Restarts(rows, values, rates)
+
+
+def _cut(column: Array, first: int, last: int) -> Array:
+    """Return a part of a column: the same array each time."""
+    key, made_from = (id(column), first, last), (column,)
+    (part,) = _CUTS.recall(key, made_from, lambda: (column[first:last],))
+    return part
+
+
+def _find_slope(t_s: Array, values: Array) -> float:
+    """Return the slope at the middle of three samples, of the parabola through them."""
+    before_s, after_s = float(t_s[1] - t_s[0]), float(t_s[2] - t_s[1])
+    before, after = (values[1] - values[0]) / before_s, (values[2] - values[1]) / after_s
+    return float((before * after_s + after * before_s) / (before_s + after_s))
 
 
 def interpolate_smoothly(at_s: Array, t_s: Array, values: Array) -> Array:

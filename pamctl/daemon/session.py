@@ -25,6 +25,7 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.log.run_meta import RunMeta
 from pamctl.processes.front import FrontReport, block_signals, close_log, read_ending
 from pamctl.processes.guardian_handle import Guardianship
+from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.orders import OrderError, Orders
 from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
 from pamctl.recording.recorder import RecorderError, await_recorder, spawn_recorder
@@ -33,7 +34,7 @@ from pamctl.settings.resolve import RunSettings
 from pamctl.signals import Phase
 
 _ORDER_PATIENCE_S = 2.0
-_START_PATIENCE_S = 20.0
+_START_PATIENCE_S = 2.0 * STARTS_WITHIN_S
 _SESSION_ROWS = 4096
 """Ticks between runs go to no log; clients ask for the newest only."""
 

@@ -18,13 +18,12 @@ from pamctl.exit_codes import Ending, ExitCode
 from pamctl.processes.backends import build_clock, build_rig
 from pamctl.processes.finisher_main import start_finisher
 from pamctl.processes.guardian import LoopProcess, Takeover, drive_safe, guard
+from pamctl.processes.loop_supervisor import STARTS_WITHIN_S
 from pamctl.realtime.scheduling import keep_single_threaded, prepare_guardian
 from pamctl.recording.last_words import make_outcome_event, put_event_for_dead_loop
 from pamctl.recording.recorder import outlive_signals
 from pamctl.recording.ring import Ring, RingError
 from pamctl.settings.resolve import from_resolved
-
-_LOOP_STARTS_WITHIN_S = 10.0
 
 
 def main() -> int:
@@ -64,7 +63,7 @@ def _guard(ring: Ring) -> Takeover | None:
 
 def _await_loop_pid(ring: Ring) -> int:
     """Wait for the front to start the loop."""
-    deadline_s = time.monotonic() + _LOOP_STARTS_WITHIN_S
+    deadline_s = time.monotonic() + STARTS_WITHIN_S
     while not ring.loop_pid:
         # A loop without a guardian that is ready never opens the rig: leaving is safe.
         if _front_is_gone() or time.monotonic() > deadline_s:

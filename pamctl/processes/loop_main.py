@@ -93,12 +93,12 @@ def _put_outcome(ring: Ring, ending: Ending) -> bool:
 
 def _run(ring: Ring, settings: RunSettings, supervisor: LoopSupervisor) -> Ending:
     supervisor.listen()
-    if not _await_recorder(ring):
-        return Ending(ExitCode.UNEXPECTED, "the recorder did not start")
+    if (ending := _await_recorder(ring, supervisor)) is not None:
+        return ending
     # Before this process is scheduled in real time: loading a driver takes long.
     require_backend(settings)
-    if not settings.fast and not await_guardian(ring):
-        return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
+    if not settings.fast and (ending := await_guardian(ring, supervisor)) is not None:
+        return ending
     with prepare("off" if settings.fast else settings.rt, settings.rig.loop.cpu) as preparation:
         setup = build_tick_setup(settings)
         tick, path = load_tick(setup)
@@ -158,24 +158,20 @@ def free_foreign_threads(preparation: Preparation) -> list[dict[str, object]]:
     return [{"event": step.name, "done": step.done, "detail": step.detail} for step in steps]
 
 
-def _await_recorder(ring: Ring) -> bool:
+def _await_recorder(ring: Ring, supervisor: LoopSupervisor) -> Ending | None:
     """Wait until the log is open: no tick may run that could not be recorded."""
-    deadline_s = time.monotonic() + 10.0
-    while not ring.recorder_flags & RecorderFlag.READY:
-        if ring.recorder_flags & RecorderFlag.FAILED or time.monotonic() > deadline_s:
-            return False
-        time.sleep(2e-3)
-    return True
+    return supervisor.await_start(
+        "recorder",
+        lambda: bool(ring.recorder_flags & RecorderFlag.READY),
+        lambda: bool(ring.recorder_flags & RecorderFlag.FAILED),
+    )
 
 
-def await_guardian(ring: Ring) -> bool:
+def await_guardian(ring: Ring, supervisor: LoopSupervisor) -> Ending | None:
     """Wait for the guardian: no valve may move that nobody could close."""
-    deadline_s = time.monotonic() + 10.0
-    while not ring.guardian_ready:
-        if ring.guardian_lost or time.monotonic() > deadline_s:
-            return False
-        time.sleep(2e-3)
-    return True
+    return supervisor.await_start(
+        "guardian", lambda: bool(ring.guardian_ready), lambda: bool(ring.guardian_lost)
+    )
 
 
 def _record_start(ring: Ring, settings: RunSettings, preparation: Preparation, path: str) -> None:

@@ -10,6 +10,7 @@ import math
 import select
 import signal
 import time
+from collections.abc import Callable
 from types import FrameType
 
 from pamctl.exit_codes import Ending, ExitCode
@@ -19,6 +20,10 @@ from pamctl.recording.run_journal import SILENT_RECORDER_S
 
 STOP_SIGNALS = {signal.SIGINT: ExitCode.SIGINT, signal.SIGTERM: ExitCode.SIGTERM}
 _LOOK_EVERY_S = 8e-3
+_FRONT_GONE = "the commanding process is gone"
+STARTS_WITHIN_S = 60.0
+"""Time for the processes of a run to find each other (s). A disk that is busy with other work may
+hold an import for ten seconds; meanwhile the rig is not open, and a signal still ends the wait."""
 
 
 class LoopSupervisor:
@@ -65,6 +70,21 @@ class LoopSupervisor:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self._signals.append(number)
 
+    def await_start(
+        self, who: str, is_ready: Callable[[], bool], is_lost: Callable[[], bool]
+    ) -> Ending | None:
+        """Wait for another process, before the rig is open; return why it is in vain."""
+        deadline_s = time.monotonic() + STARTS_WITHIN_S
+        while not is_ready():
+            if (asked := self.find_stop(0)) is not None:
+                return asked
+            if self.is_front_gone():
+                return Ending(ExitCode.UNEXPECTED, _FRONT_GONE)
+            if is_lost() or time.monotonic() > deadline_s:
+                return Ending(ExitCode.UNEXPECTED, f"the {who} did not start")
+            time.sleep(2e-3)
+        return None
+
     def wants_abort(self) -> bool:
         """Say whether to stop at once: after a second signal, or after the death of a process.
 
@@ -105,7 +125,7 @@ class LoopSupervisor:
         if not self._patient and self._guardian.is_lost(ring.guardian_beats):
             return "the guardian gives no sign of life"
         if self.is_front_gone():
-            return "the commanding process is gone"
+            return _FRONT_GONE
         return ""
 
     def _find_recorder_trouble(self) -> Ending | None:

@@ -81,8 +81,8 @@ def _run(
     supervisor.listen()
     # Before this process is scheduled in real time: loading a driver takes long.
     require_backend(settings)
-    if not await_guardian(ring):
-        return Ending(ExitCode.UNEXPECTED, "the guardian did not start")
+    if (ending := await_guardian(ring, supervisor)) is not None:
+        return ending
     with prepare(settings.rt, settings.rig.loop.cpu) as preparation:
         setup = build_tick_setup(settings)
         tick, path = load_tick(setup)

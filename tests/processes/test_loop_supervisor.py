@@ -6,6 +6,7 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Timer
 
 import pytest
 from support.made_up import meta
@@ -80,6 +81,45 @@ def test_during_a_smooth_stop_a_death_still_ends_the_run_at_once(ring: Ring) -> 
     assert ask_for_stop(supervisor, 8) == ("stopped by SIGINT", False)
     ring.guardian_lost = 1
     assert any(supervisor.wants_abort() for _ in range(8))
+
+
+def await_recorder(supervisor: LoopSupervisor, ring: Ring) -> str | None:
+    """Wait as the loop does before the rig is open; return why in vain."""
+    ending = supervisor.await_start(
+        "recorder", lambda: bool(ring.recorder_flags), lambda: bool(ring.guardian_lost)
+    )
+    return ending and ending.reason
+
+
+def test_a_partner_that_starts_late_is_waited_for(ring: Ring) -> None:
+    late = Timer(0.2, ring.raise_flag, [RecorderFlag.READY])
+    late.start()
+    assert await_recorder(make_supervisor(ring), ring) is None
+    late.join()
+
+
+@pytest.mark.parametrize(
+    ("what", "reason"),
+    [
+        ("partner lost", "the recorder did not start"),
+        ("Ctrl-C", "stopped by SIGINT"),
+        ("front dead", "the commanding process is gone"),
+    ],
+)
+def test_waiting_for_a_partner_ends_when_it_is_in_vain(ring: Ring, what: str, reason: str) -> None:
+    ours, theirs = os.pipe()
+    supervisor = make_supervisor(ring, ours)
+    match what:
+        case "partner lost":
+            ring.guardian_lost = 1
+        case "Ctrl-C":
+            supervisor._on_signal(signal.SIGINT, None)
+        case "front dead":
+            os.close(theirs)
+    assert await_recorder(supervisor, ring) == reason
+    os.close(ours)
+    if what != "front dead":
+        os.close(theirs)
 
 
 def test_a_full_disk_leaves_time_for_a_smooth_stop(ring: Ring) -> None:

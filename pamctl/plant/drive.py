@@ -610,10 +610,12 @@ def _undo_restarts(
     """Return the restarts with the true values and rates behind the sensor's readings.
 
     A sensor's lag is undone by the slope, which the restarts, far apart, do not show: each is
-    undone as a short line.
+    undone as a short line. A play is left: `restart_behind_play` knows more.
     """
     if not (p.sensors_act and len(restarts.rows)):
         return restarts
+    sensors = p.effects.sensors._replace(encoder_backlash=_NEUTRAL.sensors.encoder_backlash)
+    p = p._replace(effects=p.effects._replace(sensors=sensors))
     around_s = np.array([-SLOPE_S, 0.0, SLOPE_S])
     times_s = np.add.outer(grid.samples_s[restarts.rows], around_s)
     shown = restarts.outputs[:, None] + np.outer(restarts.rates, around_s)

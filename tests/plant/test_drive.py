@@ -177,6 +177,17 @@ def test_a_restart_undoes_the_scale_of_the_encoder_in_position_and_velocity() ->
     assert moved.velocity_m_per_s[5] == pytest.approx(0.5)
 
 
+def test_the_volume_behind_a_play_of_the_encoder_is_that_of_the_muscle() -> None:
+    """Undone but for the way through the play, which the encoder does not show."""
+    p = parameters_of({"encoder_backlash.width_m": 2e-4})
+    moved = drive_coupled(p, SMALL, TICK_S)
+    shown = (SMALL, moved.position_m, TICK_S)
+    taken_as_it_is = drive_pressure(PAPER, *shown).pressure_pa - moved.true_pressure_pa
+    undone = drive_pressure(p, *shown).pressure_pa - moved.true_pressure_pa
+    assert np.std(taken_as_it_is) > 100.0
+    assert np.std(undone) < 0.5 * np.std(taken_as_it_is)
+
+
 # --- a plant as a flat mapping -----------------------------------------------------------------
 
 

@@ -148,8 +148,8 @@ def test_compiled_and_plain_agree_in_every_form_of_presliding(
 def test_the_blocks_alone_agree_with_the_coupled_plant(name: str) -> None:
     """Driven by sensed signals, with the sensors' own effects undone where they can be.
 
-    The line's jumps and the sensor's lag fall between the samples: some are left. A backlash cannot
-    be undone at all.
+    The line's jumps and the sensor's lag fall between the samples: some are left. So is the way
+    through a backlash, which the encoder does not show.
     """
     p = parameters_of(switched_on(name))
     coupled = drive_coupled(p, COMMAND_V, TICK_S)

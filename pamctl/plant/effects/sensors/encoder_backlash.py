@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from pamctl.plant.effects.description import EffectDescription, EffectEntry, EffectMemory, size
 from pamctl.plant.effects.play import follow_with_play
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
 
 
 class EncoderBacklash(NamedTuple):
@@ -33,6 +39,29 @@ def follow_backlash_m(backlash: EncoderBacklash, memory: ScaleCarrier, end: floa
 def show_carrier_m(backlash: EncoderBacklash, memory: ScaleCarrier) -> float:
     """Return the displacement that the encoder reads."""
     return memory.position_m
+
+
+def undo_backlash_m(
+    backlash: EncoderBacklash, shown_m: Array, times_s: Array, atmosphere_pa: float
+) -> Array:
+    """Return about where the muscle's end is behind the readings.
+
+    A play of the same width is behind the reading what the reading is behind the muscle. So it is
+    on either side after half a width; within the play nobody knows, and it goes there gradually.
+    """
+    from pamctl.compiled import compile_kernel
+
+    true_m = shown_m.copy()
+    compile_kernel(add_slack)(backlash.width_m, true_m)
+    return true_m
+
+
+def add_slack(width_m: float, position_m: Array) -> None:
+    """Add to each position by how much a play of its own is behind it."""
+    carrier_m = position_m[0]
+    for k in range(len(position_m)):
+        carrier_m = follow_with_play(carrier_m, position_m[k], width_m)
+        position_m[k] += position_m[k] - carrier_m
 
 
 def restart_behind_play(
@@ -71,6 +100,7 @@ DESCRIPTION = EffectDescription(
             "position_reading",
             show_carrier_m,
             memory=EffectMemory(start_carrier, follow_backlash_m),
+            undo=undo_backlash_m,
         ),
     ),
 )

@@ -105,9 +105,10 @@ def moved(p, s, gauge_pa, force_n, x, h):
 
 
 @part
-def followed(z, target, time, h):
-    """Return a first-order lag after h."""
-    return target + (z - target) * math.exp(-h / time) if time > 0.0 else target
+def followed(z, before, after, time, h):
+    """Return a first-order lag after h, in which its target goes from one value to another."""
+    middle = 0.5 * (before + after)
+    return middle + (z - middle) * math.exp(-h / time) if time > 0.0 else after
 
 
 @kernel
@@ -165,10 +166,10 @@ def small_step(p, s, command_v, force_n, h):
         slip_2=slip_2,
         slip_3=slip_3,
         slip_4=slip_4,
-        creep_slow_m=followed(s.creep_slow_m, x, p.creep_s, h),
-        creep_fast_m=followed(s.creep_fast_m, x, 0.1 * p.creep_s, h),
+        creep_slow_m=followed(s.creep_slow_m, s.x, x, p.creep_s, h),
+        creep_fast_m=followed(s.creep_fast_m, s.x, x, 0.1 * p.creep_s, h),
         loop_n=loop_after(p, s.loop_n, way),
-        sensed_pa=followed(s.sensed_pa, line_pa, p.sensor_lag_s, h),
+        sensed_pa=followed(s.sensed_pa, s.line_pa, line_pa, p.sensor_lag_s, h),
         geared_m=play(s.geared_m, x, p.backlash_m),
     )
 

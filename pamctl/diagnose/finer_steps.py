@@ -12,6 +12,7 @@ from dataclasses import replace
 
 from pamctl.diagnose.fitting.block_fit import FULL
 from pamctl.diagnose.fitting.candidates import Candidate
+from pamctl.diagnose.fitting.fitted_model import Model
 from pamctl.diagnose.fitting.integrator import refine_substeps
 from pamctl.diagnose.fitting.model_fit import fit_model, recalibrate, weigh_blocks
 from pamctl.diagnose.name import Naming, name_effects
@@ -43,8 +44,21 @@ def name_with_finer_steps(
     fitted = fit_model(base, model.effects, [model.values], effort=FULL)
     if all(fitted.rms[b] > MUCH_NEARER * model.rms[b] for b in model.unexplained):
         return naming, setup
+    again = name_again(naming, base, fitted, candidates, executor, progress)
+    return again, replace(setup, base=base)
+
+
+def name_again(
+    naming: Naming,
+    base: Model,
+    fitted: Model,
+    candidates: Sequence[Candidate],
+    executor: Executor | None,
+    progress: Callable[[str], None],
+) -> Naming:
+    """Name again near what was named, which is `fitted` on the changed evidence of `base`."""
+    model = naming.model
     names = dict.fromkeys(name for trial in naming.trials for name in trial.names)
     asked = {*model.names, *[n for n in names if n not in model.names][:MOST_RIVALS]}
     nearest = [c for c in candidates if c.name in asked]
-    again = name_effects(base, nearest, executor, progress, (fitted,))
-    return again, replace(setup, base=base)
+    return name_effects(base, nearest, executor, progress, (fitted,))

@@ -24,6 +24,7 @@ from pamctl.diagnose.deciding.forecast import judge_forecasts, read_forecast
 from pamctl.diagnose.diagnosis import Diagnosis
 from pamctl.diagnose.extend import add_correction_tables, extend_plant
 from pamctl.diagnose.finer_steps import name_with_finer_steps
+from pamctl.diagnose.fitting.block_fit import Fit
 from pamctl.diagnose.fitting.candidates import Candidate, list_candidates
 from pamctl.diagnose.fitting.drives import MECHANICS, PRESSURE
 from pamctl.diagnose.fitting.evidence import Evidence, prepare_evidence, with_modelled_pressure
@@ -37,6 +38,7 @@ from pamctl.diagnose.fitting.split import (
     keep_for_confirmation,
     split_by_run,
 )
+from pamctl.diagnose.hidden_motion import name_with_hidden_motion
 from pamctl.diagnose.locate import locate_misfits
 from pamctl.diagnose.measured.noise.channel_noise import describe_channels
 from pamctl.diagnose.measured.noise.mend import SensorFault, mend_records
@@ -129,6 +131,9 @@ def diagnose(
     known = recalibrated.models if setup.base is base else ()
     naming = name_effects(setup.base, candidates, executor, progress, known)
     naming, setup = ask_beside(naming, setup, candidates, executor, progress)
+    naming, setup = name_with_hidden_motion(
+        naming, setup, recalibrated.driving, candidates, executor, progress
+    )
     naming, setup = name_with_finer_steps(naming, setup, candidates, executor, progress)
     setup = ask_rival_setups(naming, setup, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
@@ -262,6 +267,8 @@ class _Recalibrated:
     holdout: tuple[Record, ...]
     models: tuple[Model, ...] = ()
     """Models of the pressure block alone: they need not be fitted again."""
+    driving: Fit | None = None
+    """The fit of the pressure block whose simulation drives the mechanics."""
     findings: tuple[SetupFinding, ...] = ()
     """What was wrong about the pressure block's set-up; evidence and records are corrected."""
     refused: CheckedSetup | None = None
@@ -294,16 +301,15 @@ def _recalibrate(
         evidence, given = setup.base.evidence, (setup.train, setup.holdout)
         findings = setup.findings
         if setup.refusal:
-            return _Recalibrated(setup.base, *given, (), findings, setup)
+            return _Recalibrated(setup.base, *given, (), None, findings, setup)
         alone = recalibrate(evidence.select_blocks({PRESSURE}))
     progress("pressure block alone: its simulation drives the mechanics with less noise")
     # Here the nearest fit counts, not the simplest form of a name.
     search = search_effects(alone, candidates, executor, width=2)
-    nearest = search.nearest
-    driven = with_modelled_pressure(
-        evidence, *given, nearest.fit_of(PRESSURE).settings, trusted=nearest.is_complete
-    )
-    return _Recalibrated(recalibrate(driven, alone.fits), *given, search.models, findings)
+    nearest, fit = search.nearest, search.nearest.fit_of(PRESSURE)
+    driven = with_modelled_pressure(evidence, *given, fit.settings, trusted=nearest.is_complete)
+    base = recalibrate(driven, alone.fits)
+    return _Recalibrated(base, *given, search.models, fit, findings)
 
 
 def _conclude(

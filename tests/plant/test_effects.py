@@ -156,7 +156,7 @@ def test_the_blocks_alone_agree_with_the_coupled_plant(name: str) -> None:
     pressure = drive_pressure(p, COMMAND_V, coupled.position_m, TICK_S)
     mechanics = drive_mechanics(p, coupled.pressure_pa, TICK_S)
     paper = parameters_of({})
-    near_pa, near_m = 100.0 if name == "encoder_backlash" else 40.0, 4e-6
+    near_pa, near_m = 40.0, 4e-6
     missed_pa = drive_pressure(paper, COMMAND_V, coupled.position_m, TICK_S).pressure_pa
     missed_m = drive_mechanics(paper, coupled.pressure_pa, TICK_S).position_m
     seen_by = CATALOGUE[name].seen_by

@@ -450,9 +450,14 @@ class _Fitter:
         reached = {b for c in effects for b in c.blocks}
         if reached - {*part.evidence.blocks}:
             return None
-        fits = {**whole.fits, **{b: f for b, f in part.fits.items() if b & reached}}
-        return Model(whole.evidence, part.effects, fits, root=whole.root or whole,
-                     is_final=part.is_final)  # fmt: skip
+        taken = {blocks: fit for blocks, fit in part.fits.items() if blocks & reached}
+        others = {
+            blocks: fit
+            for blocks, fit in whole.fits.items()
+            if not any(blocks & shared for shared in taken)
+        }
+        return Model(whole.evidence, part.effects, {**others, **taken}, part.is_joint,
+                     whole.root or whole, is_final=part.is_final)  # fmt: skip
 
 
 def _list_other_forms(effect: Candidate, candidates: Sequence[Candidate]) -> Iterator[Candidate]:

@@ -94,7 +94,7 @@ DESCRIPTION = EffectDescription(
     ),
     signature="a flat spot of constant width at every reversal, at any pressure",
     best_experiment="chirp",
-    seen_by=("mechanics",),
+    seen_by=("pressure", "mechanics"),
     entries=(
         EffectEntry(
             "position_reading",

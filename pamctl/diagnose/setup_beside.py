@@ -19,7 +19,12 @@ from pamctl.diagnose.fitting.numbers import with_values
 from pamctl.diagnose.name import Naming, name_effects
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.verdict import Verdict
-from pamctl.diagnose.setup.suspect_setup import CheckedSetup, fit_hidden_setups, suspect_setup
+from pamctl.diagnose.setup.suspect_setup import (
+    CheckedSetup,
+    correct_whole_cause,
+    fit_hidden_setups,
+    suspect_setup,
+)
 
 MUCH_NEARER = 0.5
 """The corrected set-up is believed if the named model then leaves less than this share of the
@@ -64,19 +69,27 @@ def ask_beside(
 
 
 def ask_rival_setups(
-    naming: Naming, setup: CheckedSetup, progress: Callable[[str], None]
-) -> CheckedSetup:
-    """Return the set-up with what explains as much as each of several equal effects.
+    naming: Naming,
+    setup: CheckedSetup,
+    candidates: Sequence[Candidate],
+    executor: Executor | None,
+    progress: Callable[[str], None],
+) -> tuple[Naming, CheckedSetup]:
+    """Return naming and set-up, with what explains as much as each of several equal effects.
 
     Derivatives promise little of a wrong length or scale, so these were perhaps not fitted. Here
-    they cost a few fits, and the set of what may be true is honest only with them.
+    they cost a few fits, and the set of what may be true is honest only with them. One that
+    explains all, and clearly more than the effects, is corrected instead.
     """
     if naming.verdict is not Verdict.AMBIGUOUS or setup.findings:
-        return setup
+        return naming, setup
     progress("asking the set-up beside the effects that explain as much")
     equals = [name for standing in naming.standings for name in standing.equal_rivals]
     fits, findings = fit_hidden_setups(setup.base, naming.model, equals)
-    return replace(setup, findings=findings, open_fits=fits)
+    corrected = correct_whole_cause(setup, fits, naming.model)
+    if corrected is None:
+        return naming, replace(setup, findings=findings, open_fits=fits)
+    return name_effects(corrected.base, candidates, executor, progress), corrected
 
 
 def _find_strongest(naming: Naming) -> Model:

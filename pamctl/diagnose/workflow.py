@@ -135,7 +135,7 @@ def diagnose(
         naming, setup, recalibrated.driving, candidates, executor, progress
     )
     naming, setup = name_with_finer_steps(naming, setup, candidates, executor, progress)
-    setup = ask_rival_setups(naming, setup, progress)
+    naming, setup = ask_rival_setups(naming, setup, candidates, executor, progress)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)
     found = _search_below_limit(found, confirming, candidates, executor, progress)

@@ -231,6 +231,29 @@ def fit_hidden_setups(
     return kept, tuple(_word_finding(f, names, corrected=False) for f in kept)
 
 
+def correct_whole_cause(
+    setup: CheckedSetup, fits: Sequence[SuspectFit], model: Model
+) -> CheckedSetup | None:
+    """Return the set-up corrected by the suspect that explains all, and more than a model does.
+
+    None if there is no such suspect: the effects of the model are then as good.
+    """
+    whole = sorted((f for f in fits if f.is_good and _refutes(f, model)), key=_left)
+    if not whole:
+        return None
+    best = replace(whole[0], equal_suspects=_list_equals(whole))
+    corrected = _correct(setup, best)
+    if corrected.base.unexplained:
+        return None
+    return replace(corrected, findings=(_word_finding(best, (), corrected=True),))
+
+
+def _refutes(fitted: SuspectFit, model: Model) -> bool:
+    """Tell whether a suspect leaves clearly less than a model with effects."""
+    blocks = _blocks_of(fitted)
+    return held_out_margins(fitted.residuals, model.residuals, fitted.base, blocks)[0] > MUCH
+
+
 def _find_best(base: Model, effects: EffectRivals) -> tuple[SuspectFit, tuple[str, ...]] | None:
     """Return the best accepted suspect, and the names of what it cannot be told from."""
     fits = [f for f in _fit_promising(base, effects) if _is_worth_saying(f)]

@@ -54,7 +54,7 @@ from pamctl.diagnose.name import name_effects
 from pamctl.diagnose.naming.doubt import is_strained
 from pamctl.diagnose.naming.first_level import FirstLevel
 from pamctl.diagnose.naming.remainder import regress_remainder
-from pamctl.diagnose.naming.search import Progress, search_effects
+from pamctl.diagnose.naming.search import Progress, closed_share, search_effects
 from pamctl.diagnose.naming.time_left import guess_time_left
 from pamctl.diagnose.naming.verdict import Verdict
 from pamctl.diagnose.setup.refused_columns import explain_refusal
@@ -68,6 +68,9 @@ from pamctl.diagnose.setup_beside import ask_beside, ask_rival_setups
 from pamctl.diagnose.setup_verdict import conclude_setup
 from pamctl.diagnose.terms.describe import Description, describe_rest, is_confirmed
 from pamctl.plant.model import PlantSettings
+
+NEARLY_ALL = 0.95
+"""Share of the way to its limit that the pressure block must go to say where the rig rested."""
 
 
 def diagnose(
@@ -307,7 +310,10 @@ def _recalibrate(
     # Here the nearest fit counts, not the simplest form of a name.
     search = search_effects(alone, candidates, executor, width=2)
     nearest, fit = search.nearest, search.nearest.fit_of(PRESSURE)
-    driven = with_modelled_pressure(evidence, *given, fit.settings, trusted=nearest.is_complete)
+    is_near = closed_share(alone, nearest, PRESSURE) > NEARLY_ALL
+    driven = with_modelled_pressure(
+        evidence, *given, fit.settings, trusted=nearest.is_complete, is_near=is_near
+    )
     base = recalibrate(driven, alone.fits)
     return _Recalibrated(base, *given, search.models, fit, findings)
 

@@ -180,10 +180,12 @@ def with_modelled_pressure(
     pressure_model: PlantSettings,
     *,
     trusted: bool,
+    is_near: bool = False,
 ) -> Evidence:
     """Drive the mechanics with the pressure block's simulation of the measured pressure.
 
-    If the simulation is trusted, because it is at its floor, hardly any sensor noise is left.
+    If the simulation is trusted, because it is at its floor, hardly any sensor noise is left. One
+    that `is_near` is good enough to say at which pressure the encoder was zeroed.
     """
     cutoff_hz = MODELLED_HZ if trusted else SMOOTH_HZ
 
@@ -194,7 +196,9 @@ def with_modelled_pressure(
             record, evidence.noises, modelled_pa, cutoff_hz, evidence.judge[MECHANICS]
         )
         drive = replace(drive, bend=pressure.find_bend(pressure_model), part=pressure.part)
-        gauge_pa = pressure.resting_gauge_pa(pressure_model, record.rest_samples) if trusted else 0
+        gauge_pa = 0.0
+        if trusted or is_near:
+            gauge_pa = pressure.resting_gauge_pa(pressure_model, record.rest_samples)
         moved_m = contraction_m(evidence.nominal, gauge_pa) if gauge_pa > 0.0 else 0.0
         if drive.start or moved_m <= drive.slack:
             return drive

@@ -108,7 +108,9 @@ def _find_rivals_of_effect(
         models.setdefault(candidate.name, model)  # the best form of each name
     for name in [*models][:MOST_SERIOUS_RIVALS]:
         models[name] = confirm_complete(fit_to_end_if_near(models[name]))
-    rivals, confidence = _judge_rivals(chosen, effect, models)
+    # What blocks disagree about shows in all of them, wherever the effect acts.
+    judged = effect.blocks if search.alone is None else {*chosen.evidence.blocks}
+    rivals, confidence = _judge_rivals(chosen, sorted(judged), models)
     return Standing(effect, rivals, confidence, tuple(models.values()))
 
 
@@ -146,11 +148,10 @@ def _fit_rival(job: tuple[Model, Score]) -> Model:
 
 
 def _judge_rivals(
-    chosen: Model, effect: Candidate, models: dict[str, Model]
+    chosen: Model, blocks: Sequence[str], models: dict[str, Model]
 ) -> tuple[tuple[Rival, ...], float]:
     """Return the judged rivals and the confidence, by a paired block bootstrap of mean squares."""
     names = list(models)
-    blocks = sorted(effect.blocks)
     rows = [average_squares_over_floor(m, blocks) for m in (chosen, *models.values())]
     means = np.log(draw_means(*rows))
     margins = means[1:] - means[0]
@@ -161,6 +162,7 @@ def _judge_rivals(
             max(models[name].ratio(b) for b in blocks),
             float(np.mean(margin < 0.0)),
             float(np.quantile(margin, SURE)) < MUCH
+            and _is_worth_a_name(models[name], name)
             and (float(np.mean(margin < 0.0)) > OFTEN or not is_refuted(models[name], chosen))
             and not (is_complete and is_first_alone(_mix_blocks(chosen, models[name], blocks))),
         )
@@ -168,6 +170,11 @@ def _judge_rivals(
     )
     confidence = float(np.mean((margins > 0.0).all(axis=0))) if names else 1.0
     return tuple(sorted(rivals, key=lambda r: r.residual_over_floor)), confidence
+
+
+def _is_worth_a_name(rival: Model, name: str) -> bool:
+    """Tell whether a rival has a size of its own: a line that hardly restricts is a volume."""
+    return all(rival.is_substantial(c) for c in rival.effects if c.name == name)
 
 
 def _mix_blocks(chosen: Model, rival: Model, blocks: Sequence[str]) -> list[Mixture]:

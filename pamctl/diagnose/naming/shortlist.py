@@ -35,9 +35,14 @@ PROMISE = 0.02
 def shortlist_candidates(
     model: Model, candidates: Sequence[Candidate], width: int = SHORTLIST
 ) -> list[Score]:
-    """Return the most promising candidates for what a model leaves, the best first."""
+    """Return the most promising candidates for what a model leaves, the best first.
+
+    Where blocks disagree about a number that they share, what one lacks may drive only another one
+    above its limit. So all blocks are asked.
+    """
     chosen: dict[Candidate, Score] = {}
-    for block in model.unexplained:
+    disagrees = bool(model.is_joint and not model.effects and model.unexplained)
+    for block in model.evidence.blocks if disagrees else model.unexplained:
         if model.effects and model.rms[block] < WORTH_ANOTHER_EFFECT * model.floors[block].limit:
             continue
         others = [
@@ -49,7 +54,7 @@ def shortlist_candidates(
             known = chosen.get(score.candidate)
             if known is None or known.explained < score.explained:
                 chosen[score.candidate] = score
-    if model.is_joint and not model.effects and model.unexplained:
+    if disagrees:
         for candidate in _select_shared(model, candidates):
             chosen.setdefault(candidate, Score(candidate, 0.0, make_small_dose(model, candidate)))
     return sorted(chosen.values(), key=lambda s: -s.explained)

@@ -19,8 +19,8 @@ from pamctl.diagnose.name import Naming, name_effects
 from pamctl.diagnose.setup.suspect_setup import CheckedSetup
 
 MUCH_NEARER = 0.7
-"""More steps are worth their time if the named effects then leave less than this share of the
-residual of a block."""
+"""More steps are worth their time if the named effects then leave nothing, or less than this share
+of the residual of a block."""
 MOST_RIVALS = 4
 """Names of the search that are asked again beside the named ones."""
 
@@ -42,7 +42,8 @@ def name_with_finer_steps(
     progress(f"simulating {' and '.join(model.names)} with finer steps")
     base = weigh_blocks(recalibrate(replace(finer, nominal=setup.base.evidence.nominal)))
     fitted = fit_model(base, model.effects, [model.values], effort=FULL)
-    if all(fitted.rms[b] > MUCH_NEARER * model.rms[b] for b in model.unexplained):
+    is_near = any(fitted.rms[b] <= MUCH_NEARER * model.rms[b] for b in model.unexplained)
+    if not (is_near or fitted.is_complete):
         return naming, setup
     again = name_again(naming, base, fitted, candidates, executor, progress)
     return again, replace(setup, base=base)

@@ -75,15 +75,17 @@ def ask_rival_setups(
     executor: Executor | None,
     progress: Callable[[str], None],
 ) -> tuple[Naming, CheckedSetup]:
-    """Return naming and set-up, with what explains as much as each of several equal effects.
+    """Return naming and set-up, with what explains as much as effects that are not sure.
 
-    Derivatives promise little of a wrong length or scale, so these were perhaps not fitted. Here
-    they cost a few fits, and the set of what may be true is honest only with them. One that
+    These are several that are equal, or one that leaves more than noise, though too little to
+    matter. Derivatives promise little of a wrong length or scale, so these were perhaps not fitted.
+    Here they cost a few fits, and the set of what may be true is honest only with them. One that
     explains all, and clearly more than the effects, is corrected instead.
     """
-    if naming.verdict is not Verdict.AMBIGUOUS or setup.findings:
+    named = naming.verdict is Verdict.NAMED and naming.model.leaves_signal
+    if not (named or naming.verdict is Verdict.AMBIGUOUS) or setup.findings:
         return naming, setup
-    progress("asking the set-up beside the effects that explain as much")
+    progress(f"asking the set-up beside {' and '.join(naming.model.names)}")
     equals = [name for standing in naming.standings for name in standing.equal_rivals]
     fits, findings = fit_hidden_setups(setup.base, naming.model, equals)
     corrected = correct_whole_cause(setup, fits, naming.model)

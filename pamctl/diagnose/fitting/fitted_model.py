@@ -154,6 +154,11 @@ class Model:
         return tuple(b for b in self.evidence.blocks if not self.is_explained(b))
 
     @property
+    def leaves_signal(self) -> bool:
+        """Tell whether a block is above what noise alone leaves, be it below its limit."""
+        return any(self.rms[b] > self.floors[b].highest_noise for b in self.evidence.blocks)
+
+    @property
     def is_complete(self) -> bool:
         """Tell whether every block is explained, with effects that are worth a name."""
         return not self.unexplained and (self.is_plausible or not self.effects)

@@ -91,6 +91,11 @@ class Floor:
         )
 
     @property
+    def highest_noise(self) -> float:
+        """What noise alone hardly exceeds: three sigma, without any margin."""
+        return self.mean + LIMIT_SIGMAS * self.scatter
+
+    @property
     def decided_by(self) -> str:
         """Name what sets the limit: `repeatability`, `quiet stretches` or `self-simulation`."""
         if self.limit == self.repeatability:

@@ -407,7 +407,9 @@ def _is_worth_saying(fitted: SuspectFit) -> bool:
         if not fitted.is_explained(b)
         and held_out_margins(fitted.residuals, base.residuals, base, [b])[1] < 0.0
     ]
-    if not blocks or fitted.is_at_bound or spoiled or abs(fitted.amount) < 2.0 * fitted.half:
+    if not (blocks and fitted.is_credible) or fitted.is_at_bound or spoiled:
+        return False
+    if abs(fitted.amount) < 2.0 * fitted.half:
         return False
     best = max(blocks, key=fitted.closed)
     low, _ = held_out_margins(fitted.residuals, base.residuals, base, [best])

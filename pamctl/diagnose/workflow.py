@@ -17,7 +17,7 @@ from time import perf_counter
 
 from pamctl.bounded_memory import forget_results
 from pamctl.diagnose.audit import audit_model
-from pamctl.diagnose.confirm import Confirmation, confirm_naming
+from pamctl.diagnose.confirm import SILENT, Confirmation, confirm_naming
 from pamctl.diagnose.deciding.deciding_program import choose_deciding_program
 from pamctl.diagnose.deciding.explanations import list_explanations
 from pamctl.diagnose.deciding.forecast import judge_forecasts, read_forecast
@@ -142,6 +142,7 @@ def diagnose(
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)
     found = _search_below_limit(found, confirming, candidates, executor, progress)
+    found = _search_within_margin(found, confirming, candidates, executor, progress)
     found, described = _describe_rest(found, confirming, executor, progress, without)
     on = describe_confirmation(confirming, is_cut=is_cut)
     diagnosis = _conclude(
@@ -176,6 +177,35 @@ def _search_below_limit(
         return found
     confirmed = confirm_naming(again, replace(confirming, doubted=doubted))
     return confirmed if confirmed.naming.model.effects else found
+
+
+def _search_within_margin(
+    found: Confirmation,
+    confirming: Evidence,
+    candidates: Sequence[Candidate],
+    executor: Executor | None,
+    progress: Progress,
+) -> Confirmation:
+    """Ask the catalogue what leaves more than noise, though so little that it was let pass.
+
+    Only what explains all of it is said.
+    """
+    base = found.naming.base
+    strict = frozenset(
+        block
+        for block, floor in base.floors.items()
+        if not floor.is_estimate and base.rms[block] > max(floor.highest_noise, floor.repeatability)
+    )
+    if found.naming.verdict not in SILENT or not strict:
+        return found
+    progress(f"{' and '.join(sorted(strict))}: more than noise is left: asking the effects")
+    judged = replace(base, evidence=replace(base.evidence, strict=strict))
+    again = name_effects(judged, candidates, executor, progress)
+    if not again.model.effects:
+        return found
+    confirmed = confirm_naming(again, replace(confirming, strict=strict))
+    is_sure = confirmed.naming.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
+    return confirmed if is_sure else found
 
 
 def _decide_next(found: Diagnosis, records: Sequence[Record], progress: Progress) -> Diagnosis:

@@ -71,6 +71,9 @@ class Evidence:
     doubted: frozenset[str] = frozenset()
     """Blocks whose estimated limit hid something: what is left below it was no noise."""
 
+    strict: frozenset[str] = frozenset()
+    """Blocks that are judged without a margin, since they leave more than noise below it."""
+
     @property
     def blocks(self) -> tuple[str, ...]:
         """The blocks that these records can drive."""
@@ -78,6 +81,8 @@ class Evidence:
 
     def margin(self, block: str) -> float:
         """Return the smallest misfit that matters, in the unit of the block's residuals."""
+        if block in self.strict:
+            return 0.0
         drive = self.train[block][0]
         noise = self.noises[drive.channel]
         smallest = SMALLEST_MISFIT[drive.channel]

@@ -107,20 +107,21 @@ class Model:
         if self.root is not None and self.fit_for_floor(block) is self.root.fit_of(block):
             return self.root.floors[block]
         fitted = self.fit_of(block)
+        holdout, margin = self.evidence.holdout[block], self.evidence.margin(block)
         known = _FLOORS.setdefault(fitted, {})
-        if block not in known:
-            holdout, margin = self.evidence.holdout[block], self.evidence.margin(block)
-            known[block] = simulate_floor(fitted, holdout, self.evidence.noises, margin=margin)
-        if sensor_noise_of(self.evidence.holdout[block], self.evidence.noises).is_known:
-            return known[block].with_repeatability(self.repeatability[block])
+        key = (block, margin)
+        if key not in known:
+            known[key] = simulate_floor(fitted, holdout, self.evidence.noises, margin=margin)
+        if sensor_noise_of(holdout, self.evidence.noises).is_known:
+            return known[key].with_repeatability(self.repeatability[block])
         if self.root is not None:  # the recalibrated model's stretches serve all models
             return self.root.floors[block]
         return estimate_floor(
-            known[block],
+            known[key],
             self.residuals[block],
-            self.evidence.holdout[block],
+            holdout,
             self.repeatability[block],
-            margin=self.evidence.margin(block),
+            margin=margin,
             is_doubted=block in self.evidence.doubted,
         )
 

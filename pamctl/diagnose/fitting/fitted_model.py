@@ -25,8 +25,8 @@ FORM_SHARE = 0.01
 FAR_ABOVE_LIMIT = 2.5
 """A block above this multiple of its limit is above any floor."""
 
-_FLOORS: WeakKeyDictionary[Fit, dict[str, Floor]] = WeakKeyDictionary()
-"""By fit and block. Models share the fits of unchanged blocks, and with them the floors."""
+_FLOORS: WeakKeyDictionary[Fit, dict[tuple[str, float], Floor]] = WeakKeyDictionary()
+"""By fit, block and margin. Models share the fits of unchanged blocks, and with them the floors."""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import pytest
 from hidden.examination.cases import Case
@@ -77,3 +78,15 @@ def test_a_wrong_ratio_of_heat_capacities_is_found() -> None:
     (finding,) = found.setup
     assert finding.number == "heat_capacity_ratio"
     assert finding.value == pytest.approx(1.4, abs=0.005)
+
+
+def test_a_small_effect_is_named_though_it_leaves_less_than_a_count_of_the_encoder() -> None:
+    case = Case("single/encoder_scale/1", "single", {"encoder_scale": 1}, program="brief", repeat=1)
+    found = _diagnose(case, ("encoder_scale", "cubic_stiffness", "creep"))
+    assert found.base is not None
+    assert found.base.evidence.strict
+    loose = replace(found.base, evidence=replace(found.base.evidence, strict=frozenset()))
+    assert not loose.unexplained
+    assert [standing.effect.name for standing in found.standings] == ["encoder_scale"]
+    scale = found.model.effect_values["encoder_scale.scale"] if found.model else 1.0
+    assert scale == pytest.approx(rig_of(case).sensors.encoder_scale, abs=5e-4)

@@ -216,9 +216,7 @@ def drive_mechanics(
     vented, at rest.
     """
     pressures = _check_signal("pressure_pa", pressure_pa)
-    forces = _check_signal(
-        "force_n", np.zeros(len(pressures)) if force_n is None else force_n, len(pressures)
-    )
+    forces = None if force_n is None else _check_signal("force_n", force_n, len(pressures))
     grid = build_grid(dt_s, len(pressures), steps)
     state = vented_state(p) if start is None else start
     rows = np.empty((len(MechanicsResponse._fields), len(pressures)))
@@ -228,10 +226,19 @@ def drive_mechanics(
     if bend_pa is not None:
         # A delayed command cuts the steps further: a line's pressure depends on it.
         ends_pa = ends_pa + np.interp(cut.ends_s, grid.ends_s, bend_pa)
-    ends_n = _interpolate(cut.ends_s, grid.samples_s, forces)
+    ends_n = _no_force_n(len(cut.ends_s))
+    if forces is not None:
+        ends_n = _interpolate(cut.ends_s, grid.samples_s, forces)
     restarts = _undo_restarts("position_reading", p, restarts, grid)
     _run(run_mechanics, p, state, cut, ends_pa, ends_n, restarts, rows)
     return MechanicsResponse(*rows)
+
+
+@lru_cache(maxsize=64)
+def _no_force_n(steps: int) -> Array:
+    zeros = np.zeros(steps)
+    zeros.setflags(write=False)  # all drives share it
+    return zeros
 
 
 def _interpolate(ends_s: Array, samples_s: Array, values: Array) -> Array:

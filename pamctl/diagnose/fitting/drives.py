@@ -347,7 +347,7 @@ class Drive:
     def residual_of(self, simulated: Array) -> Array:
         """Return measurement minus a simulated output, in deviations of the sensor."""
         error, most = self.measured - simulated, RUNAWAY * self.deviation
-        largest = float(np.max(np.abs(error)))
+        largest = max(float(error.max()), -float(error.min()))
         if not largest <= most:  # not a number, too
             error = np.nan_to_num(error, nan=most).clip(-most, most)
         # A model that runs away does so in a straight line: that is no error of a start.
@@ -356,7 +356,7 @@ class Drive:
         if self.rows is not None:
             error = error[self.rows]
         if self.slack:
-            error = error - np.clip(np.mean(error), -self.slack, self.slack)
+            error = error - max(-self.slack, min(float(error.mean()), self.slack))
         return error / self.deviation
 
     def random_generator(self, *key: int) -> np.random.Generator:

@@ -188,7 +188,7 @@ def _search_within_margin(
 ) -> Confirmation:
     """Ask the catalogue what leaves more than noise, though so little that it was let pass.
 
-    Only what explains all of it is said.
+    Only what explains all of it is said: the errors of any model are of this size too.
     """
     base = found.naming.base
     strict = frozenset(
@@ -201,7 +201,9 @@ def _search_within_margin(
     progress(f"{' and '.join(sorted(strict))}: more than noise is left: asking the effects")
     judged = replace(base, evidence=replace(base.evidence, strict=strict))
     again = name_effects(judged, candidates, executor, progress)
-    if not again.model.effects:
+    if not again.model.effects or any(
+        again.model.rms[block] > again.model.floors[block].usual for block in again.base.unexplained
+    ):
         return found
     confirmed = confirm_naming(again, replace(confirming, strict=strict))
     is_sure = confirmed.naming.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)

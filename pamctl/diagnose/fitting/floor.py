@@ -91,6 +91,11 @@ class Floor:
         )
 
     @property
+    def usual(self) -> float:
+        """What a perfect model usually stays below: one sigma above the mean."""
+        return self.mean + self.scatter
+
+    @property
     def highest_noise(self) -> float:
         """What noise alone hardly exceeds: three sigma, without any margin."""
         return self.mean + LIMIT_SIGMAS * self.scatter

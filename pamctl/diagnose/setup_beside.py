@@ -75,15 +75,31 @@ def ask_rival_setups(
     executor: Executor | None,
     progress: Callable[[str], None],
 ) -> tuple[Naming, CheckedSetup]:
-    """Return naming and set-up, with what explains as much as effects that are not sure.
+    """Hold effects that are not sure against the set-up.
 
     These are several that are equal, or one that leaves more than noise, though too little to
-    matter. Derivatives promise little of a wrong length or scale, so these were perhaps not fitted.
-    Here they cost a few fits, and the set of what may be true is honest only with them. One that
-    explains all, and clearly more than the effects, is corrected instead.
+    matter.
     """
     named = naming.verdict is Verdict.NAMED and naming.model.leaves_signal
-    if not (named or naming.verdict is Verdict.AMBIGUOUS) or setup.findings:
+    if not (named or naming.verdict is Verdict.AMBIGUOUS):
+        return naming, setup
+    return hold_against_setups(naming, setup, candidates, executor, progress)
+
+
+def hold_against_setups(
+    naming: Naming,
+    setup: CheckedSetup,
+    candidates: Sequence[Candidate],
+    executor: Executor | None,
+    progress: Callable[[str], None],
+) -> tuple[Naming, CheckedSetup]:
+    """Return naming and set-up, with what explains as much as the effects.
+
+    Derivatives promise little of a wrong length or scale, so these were perhaps not fitted. Here
+    they cost a few fits, and the set of what may be true is honest only with them. One that
+    explains all, and clearly more than the effects, is corrected instead.
+    """
+    if setup.findings:
         return naming, setup
     progress(f"asking the set-up beside {' and '.join(naming.model.names)}")
     equals = [name for standing in naming.standings for name in standing.equal_rivals]

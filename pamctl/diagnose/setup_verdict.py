@@ -20,20 +20,18 @@ def conclude_setup(diagnosis: Diagnosis, setup: CheckedSetup) -> Diagnosis:
     """
     equals = _find_equals(diagnosis)
     by_equation = {equal.finding.number for equal in equals}
-    found = (
-        *(e.finding for e in equals),
-        *(f for f in setup.findings if f.is_corrected),
-        *(f for f in _keep_open(diagnosis, setup) if f.number not in by_equation),
-    )
+    others = [f for f in _keep_open(diagnosis, setup) if f.number not in by_equation]
+    corrected = [f for f in setup.findings if f.is_corrected]
+    found = (*(e.finding for e in equals), *corrected, *others)
     verdict = diagnosis.verdict
     if not found and verdict is Verdict.NONE_KNOWN and diagnosis.model is not None:
         suspicion = suspect_decimation(diagnosis.model)
         found = (suspicion,) if suspicion else ()
     if found and verdict is Verdict.NO_DISCREPANCY:
         verdict = Verdict.MISCALIBRATED
-    same = {equal.effect for equal in equals if equal.is_the_same}
     names = {standing.effect.name for standing in diagnosis.standings}
-    doubtful = {n for f in found if not f.is_corrected for n in f.cannot_be_told_from} - same
+    differ = [e.finding for e in equals if not e.is_the_same]
+    doubtful = {n for f in (*differ, *others) for n in f.cannot_be_told_from}
     if verdict is Verdict.NAMED and names & doubtful:
         verdict = Verdict.AMBIGUOUS
     return replace(diagnosis, verdict=verdict, setup=found)

@@ -17,7 +17,7 @@ from time import perf_counter
 
 from pamctl.bounded_memory import forget_results
 from pamctl.diagnose.audit import audit_model
-from pamctl.diagnose.confirm import SILENT, Confirmation, confirm_naming
+from pamctl.diagnose.confirm import Confirmation, confirm_naming
 from pamctl.diagnose.deciding.deciding_program import choose_deciding_program
 from pamctl.diagnose.deciding.explanations import list_explanations
 from pamctl.diagnose.deciding.forecast import judge_forecasts, read_forecast
@@ -67,6 +67,7 @@ from pamctl.diagnose.setup.suspect_setup import (
 from pamctl.diagnose.setup_beside import ask_beside, ask_rival_setups
 from pamctl.diagnose.setup_verdict import conclude_setup
 from pamctl.diagnose.terms.describe import Description, describe_rest, is_confirmed
+from pamctl.diagnose.within_margin import name_within_margin
 from pamctl.plant.model import PlantSettings
 
 NEARLY_ALL = 0.95
@@ -139,10 +140,10 @@ def diagnose(
     )
     naming, setup = name_with_finer_steps(naming, setup, candidates, executor, progress)
     naming, setup = ask_rival_setups(naming, setup, candidates, executor, progress)
+    naming, setup = name_within_margin(naming, setup, candidates, executor, progress, is_cut=is_cut)
     confirming = keep_for_confirmation(naming.base.evidence, is_cut=is_cut)
     found = confirm_naming(naming, confirming)
     found = _search_below_limit(found, confirming, candidates, executor, progress)
-    found = _search_within_margin(found, confirming, candidates, executor, progress)
     found, described = _describe_rest(found, confirming, executor, progress, without)
     on = describe_confirmation(confirming, is_cut=is_cut)
     diagnosis = _conclude(
@@ -177,37 +178,6 @@ def _search_below_limit(
         return found
     confirmed = confirm_naming(again, replace(confirming, doubted=doubted))
     return confirmed if confirmed.naming.model.effects else found
-
-
-def _search_within_margin(
-    found: Confirmation,
-    confirming: Evidence,
-    candidates: Sequence[Candidate],
-    executor: Executor | None,
-    progress: Progress,
-) -> Confirmation:
-    """Ask the catalogue what leaves more than noise, though so little that it was let pass.
-
-    Only what explains all of it is said: the errors of any model are of this size too.
-    """
-    base = found.naming.base
-    strict = frozenset(
-        block
-        for block, floor in base.floors.items()
-        if not floor.is_estimate and base.rms[block] > max(floor.highest_noise, floor.repeatability)
-    )
-    if found.naming.verdict not in SILENT or not strict:
-        return found
-    progress(f"{' and '.join(sorted(strict))}: more than noise is left: asking the effects")
-    judged = replace(base, evidence=replace(base.evidence, strict=strict))
-    again = name_effects(judged, candidates, executor, progress)
-    if not again.model.effects or any(
-        again.model.rms[block] > again.model.floors[block].usual for block in again.base.unexplained
-    ):
-        return found
-    confirmed = confirm_naming(again, replace(confirming, strict=strict))
-    is_sure = confirmed.naming.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
-    return confirmed if is_sure else found
 
 
 def _decide_next(found: Diagnosis, records: Sequence[Record], progress: Progress) -> Diagnosis:

@@ -157,7 +157,13 @@ class Model:
     @property
     def leaves_signal(self) -> bool:
         """Tell whether a block is above what noise alone leaves, be it below its limit."""
-        return any(self.rms[b] > self.floors[b].highest_noise for b in self.evidence.blocks)
+        return any(map(self.leaves_signal_of, self.evidence.blocks))
+
+    def leaves_signal_of(self, block: str) -> bool:
+        """Tell it of one block. Of an estimated floor nobody knows; repeats may differ by more."""
+        floor = self.floors[block]
+        noise = max(floor.highest_noise, floor.repeatability)
+        return not floor.is_estimate and self.rms[block] > noise
 
     @property
     def is_complete(self) -> bool:

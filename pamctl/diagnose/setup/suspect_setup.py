@@ -225,10 +225,17 @@ def fit_hidden_setups(
     """
     asked = list_suspects(base.evidence, {*base.at_bound})
     hidden = [s for s in asked if _may_matter(base, s) and (s.label in GEOMETRY or s.kind == "bow")]
-    fits = [_fit(base, _score(base, s)) for s in hidden]
+    fits = [_fit_from_doses(base, s) for s in hidden]
     kept = tuple(f for f in fits if _is_worth_saying(f) and not is_refuted_by(f, model))
     names = tuple(dict.fromkeys((*model.names, *equals)))
     return kept, tuple(_word_finding(f, names, corrected=False) for f in kept)
+
+
+def _fit_from_doses(base: Model, suspect: Suspect) -> SuspectFit:
+    """Fit a suspect from its small doses too, where derivatives say nothing of it."""
+    near = _fit(base, _score(base, suspect))
+    doses = (suspect.scale, -suspect.scale)
+    return min((near, *(fit_suspect(base, suspect, d, is_near=True) for d in doses)), key=_left)
 
 
 def correct_whole_cause(

@@ -31,10 +31,11 @@ def name_within_margin(
 ) -> tuple[Naming, CheckedSetup]:
     """Return naming and set-up, with what explains a small misfit; unchanged where nothing does.
 
+    A set-up that was corrected is not asked: its own small error is what is left there.
     `is_cut` tells that one part of each record judges what the other part has fitted.
     """
     strict = frozenset(filter(naming.base.leaves_signal_of, naming.base.evidence.blocks))
-    if naming.verdict not in SILENT or not strict:
+    if naming.verdict not in SILENT or not strict or setup.findings:
         return naming, setup
     progress(f"{' and '.join(sorted(strict))}: more than noise is left: asking the effects")
     base = replace(naming.base, evidence=replace(naming.base.evidence, strict=strict))

@@ -234,9 +234,13 @@ def drive_mechanics(
     return MechanicsResponse(*rows)
 
 
-@lru_cache(maxsize=64)
 def _no_force_n(steps: int) -> Array:
-    zeros = np.zeros(steps)
+    return _make_zeros(1 << steps.bit_length())[:steps]
+
+
+@lru_cache
+def _make_zeros(count: int) -> Array:
+    zeros = np.zeros(count)
     zeros.setflags(write=False)  # all drives share it
     return zeros
 
